@@ -1,0 +1,43 @@
+# Each target works as the first command in a fresh clone: Python 3.10 or newer and make are all it needs.
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+
+.PHONY: demo test check bench portability clean
+
+demo: $(VENV)/.base
+	$(BIN)/stss demo demo --overwrite
+
+test: $(VENV)/.test
+	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+check: $(VENV)/.check
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/codespell
+	$(BIN)/pyright
+
+bench: $(VENV)/.bench
+	$(BIN)/stss bench --json bench.json --plot bench.png
+
+# Every OpenCL runtime that can be installed here, each with the tests of the backend.
+portability: $(VENV)/.test
+	$(BIN)/python tests/portability.py
+
+# One stamp per extra, so that a target installs only what it needs, and only once.
+$(VENV)/.python:
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "stss needs Python 3.10 or newer; set PYTHON=...")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	@touch $@
+
+$(VENV)/.base: $(VENV)/.python pyproject.toml
+	$(BIN)/python -m pip install --quiet --editable .
+	@touch $@
+
+$(VENV)/.test $(VENV)/.check $(VENV)/.bench: $(VENV)/.%: $(VENV)/.base
+	$(BIN)/python -m pip install --quiet --editable '.[$*]'
+	@touch $@
+
+clean:
+	rm -rf $(VENV) build dist demo

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Judges ports of the reference; knows `stss_ref` and no port."""

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: MIT
+"""Hypothesis strategies for frames, motion and masks.
+
+Drawn numbers are simple and hardly ever round, so most arrays are filled from a drawn seed; the drawn kinds steer them to where ports
+go wrong.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+Float64 = NDArray[np.float64]
+Size = tuple[int, int]
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def sizes(largest: int = 20) -> st.SearchStrategy[Size]:
+    """(H, W) from 1 x 1 up: one-row and one-column frames, and every size modulo 8."""
+    return st.tuples(st.integers(1, largest), st.integers(1, largest))
+
+
+@st.composite
+def frames(draw: st.DrawFn, size: Size, channels: int, kind: Literal["any", "flat"] = "any") -> Float64:
+    """(H, W, channels) of values that float32 holds exactly: noise, a flat frame, a ramp, or mostly 0."""
+    random = np.random.default_rng(draw(SEEDS))
+    filled = kind if kind == "flat" else draw(st.sampled_from(["noise", "flat", "ramp", "sparse"]))
+    shape = (*size, channels)
+    if filled == "flat":
+        values = np.broadcast_to(random.random(channels), shape)
+    elif filled == "ramp":
+        values = np.linspace(0, 1, int(np.prod(shape))).reshape(shape)
+    else:
+        values = random.random(shape)
+        if filled == "sparse":
+            values = values * (random.random(shape) < 0.1)
+    return values.astype(np.float32).astype(np.float64)
+
+
+@st.composite
+def motions(draw: st.DrawFn, size: Size) -> Float64:
+    """(H, W, 2) that float32 holds exactly: still, whole pixels, halves, short, frame-sized and far outside."""
+    random = np.random.default_rng(draw(SEEDS))
+    kind = draw(st.sampled_from(["still", "whole", "half", "short", "long", "far", "mixed"]))
+    shape = (*size, 2)
+    reach = max(size)
+    kinds = {
+        "still": np.zeros(shape),
+        "whole": random.integers(-reach, reach + 1, shape).astype(np.float64),
+        "half": random.integers(-2 * reach, 2 * reach + 1, shape) / 2,
+        "short": random.uniform(-1.5, 1.5, shape),
+        "long": random.uniform(-1.5 * reach, 1.5 * reach, shape),
+        "far": random.uniform(-1, 1, shape) * 10.0 ** random.integers(0, 12, shape),
+    }
+    if kind == "mixed":
+        choice = random.integers(0, len(kinds), size)[..., None]
+        motion = np.select([choice == i for i in range(len(kinds))], list(kinds.values()))
+    else:
+        motion = kinds[kind]
+    return motion.astype(np.float32).astype(np.float64)
+
+
+@st.composite
+def masks(draw: st.DrawFn, size: Size) -> NDArray[np.bool_]:
+    """(H, W): all holes, none, one of either, or any."""
+    random = np.random.default_rng(draw(SEEDS))
+    kind = draw(st.sampled_from(["all", "none", "one", "but one", "any"]))
+    if kind == "any":
+        return random.random(size) < 0.5
+    mask = np.full(size, kind in ("all", "but one"))
+    if kind in ("one", "but one"):
+        mask.flat[random.integers(mask.size)] ^= True
+    return mask

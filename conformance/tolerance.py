@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: MIT
+"""The one table of bounds. No other file holds a tolerance.
+
+``allowed = roundings * u * scale + floor``, ``u = eps / 2`` the unit roundoff of the arithmetic. ``scale`` is an array or number that
+the test computes in float64: the largest |input| for an interpolation, the stage run on absolute values for a sum, so that the bound
+grows with the data and with nothing else. Errors are reported as error / allowed, never bare.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+UNIT = {"float64": 2.0**-53, "float32": 2.0**-24, "float16": 2.0**-11}
+"""Unit roundoff: the largest relative error of one correctly rounded operation."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """One row: how many roundings an output may have met, an absolute floor, and why."""
+
+    roundings: float
+    floor: float
+    why: str
+
+
+BOUNDS = {
+    # agreement of two implementations in one dtype: each may err by the bound, hence twice the roundings of one
+    "warp.warped": Bound(2 * (6 + 4), 0, "3 lerps of 2 roundings; x and y rounded to u |position|, times contrast <= 2 peak"),
+    "resample.upsampled": Bound(2 * 6, 0, "weight rounded once, 2 lerps of (difference, product, sum)"),
+    "resample.downsampled": Bound(2 * 4, 0, "two sums, two exact halvings; the oracle multiplies by rounded weights"),
+    "erm.attend": Bound(
+        2 * (2 * 32 + 3 * 25 + 4), 0, "32-term dot products, 25-term sums of products, one quotient; scale: on |inputs|"
+    ),
+    "metric.sum": Bound(2 * 64, 0, "means of up to 2**32 terms by pairwise summation: 32 roundings and the terms' own"),
+    "conv.stride_2": Bound(
+        2, 0, "scale 9 C: every product at most 1 in mean square by the tests' weights, gamma_n to first order"
+    ),
+    "stage.cl": Bound(0, 2e-5, "required of the whole network; no stage may lose more"),
+    # what is asked of the OpenCL backend
+    "network.cl.float32": Bound(0, 2e-5, "required with Winograd; measured 5e-7 (PoCL 3.0, x86-64)"),
+    "network.cl.float32-direct": Bound(0, 5e-6, "required without; measured 6e-7 (PoCL 3.0, x86-64)"),
+    "network.cl.half": Bound(
+        0, 4e-3, "measured 5e-4 (PoCL 3.0, x86-64): activations of order 1 stored with u = 2**-11, eightfold for depth"
+    ),
+    # what is asked of the reference
+    "network.float64": Bound(0, 1e-11, "required: float64 reference data; 30 layers of at most 1152-term sums lose less"),
+    "network.float32": Bound(0, 2e-6, "required: float32; the authors' own float32 run departs by 8e-7"),
+    "network.cl": Bound(0, 2e-5, "required: OpenCL in float32 against the reference in float64"),
+    "network.peer": Bound(0, 2e-5, "float32 by another engine; OpenVINO 2026.4 departs by 5e-6 at 960 x 544 (Zen 4)"),
+    "warp.published": Bound(0, 1e-5, "required: ExtraNet's published float32 colours in [0, 1]"),
+}
+
+
+def sum_bound(terms: int, absolute: NDArray[Any], dtype: DTypeLike) -> NDArray[Any]:
+    """Bound on the difference of two sums of ``terms`` products in ``dtype``: ``2 gamma_n |a| . |b|`` (Higham, section 3.1).
+
+    Args:
+        terms: products in one sum, the bias and one rounding for it included.
+        absolute: the sum on absolute values, in float64.
+        dtype: the arithmetic of both.
+
+    Returns:
+        As ``absolute``.
+    """
+    unit = UNIT[np.dtype(dtype).name]
+    return 2 * terms * unit / (1 - terms * unit) * absolute
+
+
+def ratio(row: str, got: NDArray[Any], want: NDArray[Any], scale: NDArray[Any] | float = 0.0) -> float:
+    """Largest ``|got - want| / allowed`` by the row of ``BOUNDS``; infinite if the shapes differ or either holds NaN.
+
+    Args:
+        row: name in ``BOUNDS``.
+        got: what is judged; its dtype is the arithmetic.
+        want: what it is held against.
+        scale: see the module.
+    """
+    bound = BOUNDS[row]
+    if got.shape != want.shape:
+        return np.inf
+    allowed = bound.roundings * UNIT[got.dtype.name] * np.asarray(scale, np.float64) + bound.floor
+    return worst(np.abs(got.astype(np.float64) - want), allowed)
+
+
+def worst(error: NDArray[Any], allowed: NDArray[Any]) -> float:
+    """Largest ``error / allowed``; 0 / 0 is 0, NaN is infinite."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = np.where(error == 0, 0.0, error / allowed)
+    return float(np.where(np.isnan(ratios), np.inf, ratios).max(initial=0.0))

@@ -1,0 +1,32 @@
+// Stage decoder, its output: reference stss_ref/decoder.py (outc), stss_ref/resample.py::pixel_shuffle and ::upsample_centres.
+//
+//  buffer   dir  shape           content
+//  feature  in   padded, (24)    up3's result
+//  color    in   (H8, W8, 4)     see decoder.clh, as weight and bias
+//  image    out  (2H, 2W, 3)     what lies beyond 2H, 2W is not written
+//
+// The buffers may hold a strip of the frame: their row 0 is the frame's row `top`; rows from `from` on are written.
+//
+// Build -D STRIP (pixels of one work-item, a multiple of 4) -D GROUP (work-group along x), optionally -D HALF.  Launch (ceil(W / STRIP), rows to write).
+// winograd.cl -D IMAGE does the same at the end of up3.
+#if !defined(STRIP) || !defined(GROUP)
+#error "decoder.cl needs -D STRIP, GROUP"
+#endif
+#include "common.clh"
+#include "decoder.clh"
+
+kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void image(global const stored *restrict feature, global const float4 *restrict color, global const float8 *restrict weight,
+           global const float8 *restrict bias, global float *restrict out, const int width, const int rows, const int columns,
+           const int feature_columns, const int from, const int top)
+{
+    const int y = from + get_global_id(1), first = get_global_id(0) * STRIP, last = min(first + STRIP, width);
+    for (int x = first; x < last; x += 4) {
+        float8 f[12], sums[8];
+        // Beyond the row lie zeros or the next one: computed, not written.
+        for (int c = 0; c < 12; ++c) f[c] = LOAD8(feature, ((y + 1) * feature_columns + x + 1) * 3 + c);
+        residual((const float *)f, weight, bias, sums);
+        for (int i = 0; i < 4 && x + i < last; ++i)
+            write_pixel(sums[2 * i], sums[2 * i + 1], color, out, y, x + i, width, rows, columns, top);
+    }
+}

@@ -1,0 +1,47 @@
+// Stage encoder, its input: reference stss_ref/encoder.py (the concatenation) and stss_ref/resample.py::pad_to_8.
+//
+//  buffer   dir  shape              content
+//  color    in   (H, W, 6)          occlusion_warp and warped of the newest frame
+//  gbuffer  in   (H, W, 9)          normal 3, depth, roughness, metallic, base colour 3
+//  mask     in   (H, W)             1 = to be trusted
+//  history  in   (3, H, W, 4)       oldest, middle, newest
+//  input    out  padded, (24)       color 6, color * mask 6, gbuffer 9, zeros 3
+//  base     out  (H8, W8, 4)        color 0..2 and 0: what the decoder adds
+//  padded   out  3 padded, (4)      the history
+//  bad      out  (2)                set to 1 where an input is not finite: color, gbuffer, mask; history
+//
+// Beyond H, W up to multiples of 8 the last row and column are repeated.
+// The outputs may be a strip of the frame: their row 0 is its row `top`.
+// Build optionally -D HALF.  Launch (W8, H8), and (W8, H8, 3) for the history; H8 is the strip's, a multiple of 8.
+#include "common.clh"
+
+kernel void pack_input(global const float *restrict color, global const float *restrict gbuffer, global const float *restrict mask,
+                       global stored *restrict input, global float4 *restrict base, global int *restrict bad, const int height,
+                       const int width, const int columns, const int top)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    const int from = min(top + y, height - 1) * width + min(x, width - 1), to = ((y + 1) * columns + x + 1) * 3;
+    global const float *c = color + 6 * from;
+    const float m = mask[from];
+    global const float *g = gbuffer + 9 * from;
+    // Element by element: PoCL's vload4 is a call.
+    const float8 colors = (float8)(c[0], c[1], c[2], c[3], c[4], c[5], c[0] * m, c[1] * m);
+    const float8 mixed = (float8)(c[2] * m, c[3] * m, c[4] * m, c[5] * m, g[0], g[1], g[2], g[3]);
+    const float8 material = (float8)(g[4], g[5], g[6], g[7], g[8], 0.0f, 0.0f, 0.0f);
+    STORE8(colors, to, input);
+    STORE8(mixed, to + 1, input);
+    STORE8(material, to + 2, input);
+    base[y * (columns - 2) + x] = (float4)(c[0], c[1], c[2], 0.0f);
+    // 0 * x is 0 for every finite x.
+    if (sum8(0.0f * colors + 0.0f * mixed + 0.0f * material) + 0.0f * m != 0.0f) bad[0] = 1;
+}
+
+kernel void pack_history(global const float4 *restrict history, global stored *restrict padded, global int *restrict bad,
+                         const int height, const int width, const int rows, const int columns, const int top)
+{
+    const int x = get_global_id(0), y = get_global_id(1), i = get_global_id(2);
+    const float4 v = history[(i * height + min(top + y, height - 1)) * width + min(x, width - 1)];
+    if (0.0f * v.x + 0.0f * v.y + 0.0f * v.z + 0.0f * v.w != 0.0f) bad[1] = 1;
+    const int to = (i * rows + y + 1) * columns + x + 1;
+    STORE4(v, to, padded);
+}

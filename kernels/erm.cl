@@ -1,0 +1,79 @@
+// Stage erm, reference stss_ref/erm.py: its input at 1/8 size, and the attention. Its convolutions are conv.cl's.
+//
+//  buffer    dir  shape                     content
+//  gbuffer   in   (H, W, 9)                 normal 3, depth, roughness, metallic, base colour 3
+//  mask      in   (H, W) of MASK            1 = to be trusted
+//  eighth    out  padded, (16)              both at 1/8 size: gbuffer 9, mask, zeros 6
+//  key       in   padded, (KEYS)            KEncoder's result, not yet normalised
+//  unit      out  padded, (KEYS)            the same divided by its length
+//  value     in   padded, (VALUES)          latentEncoder's result, not yet masked
+//  reshaded  out  padded, (out_channels)    channels 0 .. VALUES - 1 of it
+//
+// `height`, `width`: of the frame for `eighth`, whose row 0 is the frame's row `top`; else at 1/8 size.  Build -D KEYS=32 -D VALUES=64 (multiples of 8) -D MASK=float or uchar, optionally
+// -D HALF.  Launch (width, height) at 1/8 size.
+#if !defined(KEYS) || !defined(VALUES) || !defined(MASK)
+#error "erm.cl needs -D KEYS, VALUES, MASK"
+#endif
+#include "common.clh"
+
+#define KEYS8 (KEYS / 8)
+#define VALUES8 (VALUES / 8)
+#define WINDOW 5
+
+// The mean of pixels 8i + 3 and 8i + 4 each way; beyond the frame its last row and column are repeated (pad_to_8).
+kernel void downsample_8(global const float *restrict gbuffer, global const MASK *restrict mask, global stored *restrict eighth,
+                         const int height, const int width, const int columns, const int top)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    const int west = min(8 * x + 3, width - 1), east = min(8 * x + 4, width - 1);
+    const int north = min(top + 8 * y + 3, height - 1) * width, south = min(top + 8 * y + 4, height - 1) * width;
+    const int nw = north + west, ne = north + east, sw = south + west, se = south + east;
+    float mean[16] __attribute__((aligned(32)));
+    for (int c = 0; c < 9; ++c) {
+        const float left = (gbuffer[9 * nw + c] + gbuffer[9 * sw + c]) * 0.5f;
+        mean[c] = (left + (gbuffer[9 * ne + c] + gbuffer[9 * se + c]) * 0.5f) * 0.5f;
+    }
+    mean[9] = (((float)mask[nw] + (float)mask[sw]) * 0.5f + ((float)mask[ne] + (float)mask[se]) * 0.5f) * 0.5f;
+    for (int c = 10; c < 16; ++c) mean[c] = 0.0f;
+    const int to = ((y + 1) * columns + x + 1) * 2;
+    STORE8(((const float8 *)mean)[0], to, eighth);
+    STORE8(((const float8 *)mean)[1], to + 1, eighth);
+}
+
+kernel void normalise(global const stored *restrict key, global stored *restrict unit, const int columns)
+{
+    const int pixel = ((get_global_id(1) + 1) * columns + get_global_id(0) + 1) * KEYS8;
+    float8 squares = 0.0f;
+    for (int c = 0; c < KEYS8; ++c) {
+        const float8 k = LOAD8(key, pixel + c);
+        squares += k * k;
+    }
+    const float length = max(sqrt(sum8(squares)), 1e-12f);
+    for (int c = 0; c < KEYS8; ++c) STORE8(LOAD8(key, pixel + c) / length, pixel + c, unit);
+}
+
+// sum_d w(d) m V(p + d) / max(sum_d w(d), 1e-6), w(d) = relu(m(p + d) K(p + d) . K(p)): the mask is applied here to keys and values.
+kernel void attend(global const stored *restrict unit, global const stored *restrict value, global const stored *restrict eighth,
+                   global stored *restrict reshaded, const int height, const int width, const int columns,
+                   const int out_channels)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    const int pixel = (y + 1) * columns + x + 1;
+    float8 query[KEYS8], total[VALUES8];
+    for (int c = 0; c < KEYS8; ++c) query[c] = LOAD8(unit, pixel * KEYS8 + c);
+    for (int c = 0; c < VALUES8; ++c) total[c] = 0.0f;
+    float weights = 0.0f;
+    for (int v = max(y - WINDOW / 2, 0); v <= min(y + WINDOW / 2, height - 1); ++v)
+        for (int u = max(x - WINDOW / 2, 0); u <= min(x + WINDOW / 2, width - 1); ++u) {
+            const int there = (v + 1) * columns + u + 1;
+            const float mask = LOAD(eighth, there * 16 + 9);
+            float8 products = 0.0f;
+            for (int c = 0; c < KEYS8; ++c) products += LOAD8(unit, there * KEYS8 + c) * query[c];
+            const float weight = sum8(products) * mask;
+            if (!(weight > 0.0f)) continue;
+            for (int c = 0; c < VALUES8; ++c) total[c] += LOAD8(value, there * VALUES8 + c) * (weight * mask);
+            weights += weight;
+        }
+    weights = max(weights, 1e-6f);
+    for (int c = 0; c < VALUES8; ++c) STORE8(total[c] / weights, pixel * (out_channels / 8) + c, reshaded);
+}

@@ -1,0 +1,74 @@
+// SPDX-License-Identifier: MIT
+// Stage frame up to the network, reference stss_ref/frame.py::prepare: every image-space stage of a frame, fused.
+//
+//  buffer     dir     shape             unit
+//  motions    in      (k, H, W, 2)      px, newest first, k >= the largest step
+//  colors     in      (3, H, W, 3)      the three colour frames, newest first
+//  gbuffer    in      (H, W, 9)         normal 3, depth, roughness, metallic, base colour 3
+//  nov        in      (H, W)
+//  stencils   in      (4, H, W)         of the frame itself, then of colors; normals, positions (cm): (4, H, W, 3), likewise
+//  chained    in/out  (3, H, W, 2)      px, current -> each colour frame; not written where its step is 0
+//  keys,first in/out  (H, W)            the splat's, occlusion_warp.cl; only places that a hole looks up are wanted
+//  history    out     (3, R+2, C+2, 4)  oldest, middle, newest; warped rgb >= 0, mask
+//  x0         out     (R+2, C+2, 24)    occlusion_warp, warped (both >= 0), the six * mask, gbuffer, 0 0 0
+//  color3     out     (R, C, 4)         rgb of occlusion_warp, 0
+//  mask       out     (H, W)            1 = newest frame to be trusted
+//
+// R, C = rows, columns = H, W rounded up to multiples of 8, filled by repeating the last row and column. Pixel (y, x) of history
+// and x0 is at (y + 1, x + 1); their border of zeros is never written.
+// history, x0 and color3 may be a strip of the frame: R rows whose row 0 is the frame's row `top`; mask and keys are of the whole.
+// Build: -D of motion_chain.cl and holes.cl, optionally -D HALF (history and x0).  Order: chain_steps, prepare, splat_nearest and splat_first (depth in gbuffer),
+// fill_holes; then erm.cl's downsample_8.  Launch (W, H); prepare (C, 3, R); fill_holes (C, R); all rounded up.
+#include "motion_chain.cl"
+#include "prepare.clh"
+
+static inline void chain_pixel(global const float2 *motions, const int newest, const int middle, const int oldest,
+                               global float2 *chained, global uint *keys, global uint *first,
+                               const int height, const int width, const int x, const int y)
+{
+    const int pixel = y * width + x, plane = height * width;
+    keys[pixel] = UNWANTED;
+    first[pixel] = NOBODY;
+    float2 motion = motions[pixel];
+    for (int j = 1; j <= oldest; ++j) {
+        if (j > 1) motion = chain_on(motion, motions + (j - 1) * plane, x, y, height, width);
+        if (j == newest) chained[pixel] = motion;
+        if (j == middle) chained[plane + pixel] = motion;
+        if (j == oldest) chained[2 * plane + pixel] = motion;
+    }
+}
+
+kernel void chain_steps(global const float2 *restrict motions, const int newest, const int middle, const int oldest,
+                        global float2 *restrict chained, global uint *restrict keys, global uint *restrict first,
+                        const int height, const int width)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x < width && y < height)
+        chain_pixel(motions, newest, middle, oldest, chained, keys, first, height, width, x, y);
+}
+
+kernel void prepare(PREPARE_ARGUMENTS)
+{
+    const int x = get_global_id(0), i = get_global_id(1), y = get_global_id(2);
+    if (x >= columns || y >= rows) return;
+    const Frame f = FRAME(i);  // a step equal to the one before it stands for a missing frame
+    prepare_pixel(f, x, y);
+}
+
+// occlusion_warp where prepare left a hole; there colour * mask is 0 already.
+kernel void fill_holes(global const float *restrict color, global const float2 *restrict motion, global const uint *restrict first,
+                       global const uchar *restrict mask, global stored *restrict x0, global float4 *restrict color3,
+                       const int height, const int width, const int rows, const int columns, const int top)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= columns || y >= rows) return;
+    const int shown_x = x < width ? x : width - 1, shown_y = top + y < height ? top + y : height - 1, pixel = shown_y * width + shown_x;
+    if (mask[pixel]) return;
+    const Taps at = taps(follow(motion[pixel], shown_x, shown_y), height, width);
+    const float3 c = not_negative(look_instead(color, splatted(motion, first, at.nw), shown_x, shown_y, height, width));
+    global stored *to = x0 + ((y + 1) * (columns + 2) + x + 1) * 24;
+    STORE(c.x, 0, to);
+    STORE(c.y, 1, to);
+    STORE(c.z, 2, to);
+    color3[y * columns + x] = (float4)(c, 0.0f);
+}

@@ -1,0 +1,82 @@
+// SPDX-License-Identifier: MIT
+// Stage holes, reference stss_ref/holes.py::holes.
+//
+//  buffer             dir  shape      unit
+//  motion             in   (H, W, 2)  px, current -> earlier; non-finite is off screen
+//  stencil_previous   in   (H, W)     object number of the earlier frame, 0 = static
+//  stencil            in   (H, W)     object number
+//  normal_previous    in   (H, W, 3)  world space
+//  normal             in   (H, W, 3)  world space
+//  position_previous  in   (H, W, 3)  cm; may be non-finite
+//  position           in   (H, W, 3)  cm; may be non-finite
+//  nov                in   (H, W)     dot of normal and view vector
+//  depth              in   (H, W)     normalised to [0, 1]
+//  valid              out  (H, W)     1 = to be trusted, 0 = hole
+//
+// Build -D FACING, GRAZING, DEPTH (cm), COSINE, MESH = the limits, float literals.  Launch (W, H) rounded up.
+#if !defined(FACING) || !defined(GRAZING) || !defined(DEPTH) || !defined(COSINE) || !defined(MESH)
+#error "holes.cl needs -D FACING, GRAZING, DEPTH, COSINE and MESH"
+#endif
+#include "sample.clh"
+
+// Whether a squared distance is beyond bias; one that is NaN is.
+static __attribute__((noinline)) bool is_beyond(const float4 squared, const float bias)
+{
+    const float4 d = sqrt(squared);
+    return !(d.x <= bias && d.y <= bias && d.z <= bias && d.w <= bias);
+}
+
+// Whether any of the four places is farther than bias.
+INLINE bool is_far(global const float *previous, const float3 position, const Taps at, const float bias)
+{
+    const float8 top = read_pair3(previous, at.nw, at.right), bottom = read_pair3(previous, at.nw + at.below, at.right);
+    const float4 x = (float4)(top.s04, bottom.s04) - position.x;
+    const float4 y = (float4)(top.s15, bottom.s15) - position.y;
+    const float4 z = (float4)(top.s26, bottom.s26) - position.z;
+    const float4 squared = x * x + y * y + z * z;
+    // Most are near by more than the roundings of a square: then no root is asked for.
+    const float surely = bias > 1.0f && bias < 1e18f ? bias * bias * 0.99999f : -1.0f;
+    if (squared.x <= surely && squared.y <= surely && squared.z <= surely && squared.w <= surely) return false;
+    return is_beyond(squared, bias);
+}
+
+// Takes float4: Intel 2026.2 hands float3 to a function that it does not inline wrongly.
+static __attribute__((noinline)) bool is_turned(const float4 of, const float4 earlier)
+{
+    const float3 normal = of.xyz, n = earlier.xyz;
+    const float length = sqrt(sum3(n * n));
+    const bool surface = length > 0.0f || normal.x != 0.0f || normal.y != 0.0f || normal.z != 0.0f;
+    return surface && sum3(normal * n) / (length + 1e-5f) < COSINE;
+}
+
+// The largest trusted distance on a static surface; of one pixel or of several.
+#define BIAS(nov, depth) \
+    (FACING * ((nov) < 0.0f ? -(nov) : (nov)) + GRAZING * (1.0f - ((nov) < 0.0f ? -(nov) : (nov))) + DEPTH * (depth))
+
+// Whether the pixel's warped colour is to be trusted, if it is on screen; s is the stencil read at its taps. Positions are read
+// where s is 0 only, normals elsewhere only: the other is not asked for.
+INLINE bool same_surface(const Taps at, const int pixel, const float s, const float stencil, const float bias,
+                                global const float *normal_previous, global const float *normal,
+                                global const float *position_previous, global const float *position)
+{
+    const float change = 3.0f * (s - stencil);
+    if (change > MESH || change < -(MESH)) return false;
+    if (s != 0.0f) return !is_turned((float4)(read3(normal, pixel), 0.0f), (float4)(bilinear3(normal_previous, at), 0.0f));
+    return !is_far(position_previous, read3(position, pixel), at, bias);
+}
+
+kernel void holes(global const float2 *restrict motion, global const float *restrict stencil_previous,
+                  global const float *restrict stencil, global const float *restrict normal_previous,
+                  global const float *restrict normal, global const float *restrict position_previous,
+                  global const float *restrict position, global const float *restrict nov, global const float *restrict depth,
+                  global uchar *restrict valid, const int height, const int width)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= width || y >= height) return;
+    const int pixel = y * width + x;
+    const float2 place = follow(motion[pixel], x, y);
+    const Taps at = taps(place, height, width);
+    valid[pixel] = leads_inside(motion[pixel], place, height, width) &&
+                   same_surface(at, pixel, bilinear1(stencil_previous, at), stencil[pixel], BIAS(nov[pixel], depth[pixel]),
+                                normal_previous, normal, position_previous, position);
+}

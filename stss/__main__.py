@@ -1,0 +1,6 @@
+# SPDX-License-Identifier: MIT
+"""``python -m stss``."""
+
+from stss.cli import main
+
+main()

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: MIT
+"""What computes a frame: the reference, or an OpenCL device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from stss.errors import InputError
+from stss_ref.arrays import Image, Mask
+from stss_ref.frame import FrameInputs, frame, prepare
+from stss_ref.motion_chain import Gather
+from stss_ref.resample import upsample_centres
+from stss_ref.weights import Weights
+
+BACKENDS = ("cl", "ref")
+"""The names ``open_backend`` takes."""
+PRECISIONS = ("float32", "float32-direct", "half")
+"""See ``stss_cl.network.PRECISIONS``; the reference knows float32 alone."""
+
+
+class Backend(Protocol):
+    """Computes stage ``frame``.
+
+    Attributes:
+        name: goes into the metadata of every output file, and into what ``--resume`` compares.
+    """
+
+    name: str
+
+    def frame(self, inputs: FrameInputs) -> tuple[Image, Mask]:
+        """``(image (2H, 2W, 3), valid (H, W))`` as ``stss_ref.frame.frame``."""
+        ...
+
+
+class ReferenceBackend:
+    """``stss_ref``, in the dtype of the inputs."""
+
+    name = "ref"
+
+    def __init__(self, weights: Weights, gather: Gather = "longest"):
+        self._weights = weights
+        self._gather: Gather = gather
+        # With a last layer of zeros the network adds exactly 0 to the upsampled frame, whatever the rest of it computes.
+        self._residual = bool(weights["outc.weight"].any() or weights["outc.bias"].any())
+
+    def frame(self, inputs: FrameInputs) -> tuple[Image, Mask]:
+        """See ``Backend``."""
+        if self._residual:
+            return frame(inputs, self._weights, self._gather)
+        prepared = prepare(inputs, self._gather)
+        return upsample_centres(prepared.color[..., :3]), prepared.mask.astype(bool)
+
+
+class OpenCLBackend:
+    """``stss_cl`` on one device; the name holds precision, device and driver, for their bits may differ."""
+
+    def __init__(
+        self,
+        weights: Weights,
+        gather: Gather = "longest",
+        *,
+        device: str | None = None,
+        precision: str = "float32",
+        memory_limit: int | None = None,
+        tell: Callable[[str], None] = lambda line: None,
+    ):
+        # Imported here: the OpenCL library is opened only by those who use it.
+        from stss.devices import choose
+        from stss_cl.frame import Frame
+
+        chosen = choose(device, tell)
+        self._frame = Frame(weights, chosen, precision, gather, memory_limit)  # pyright: ignore[reportArgumentType]
+        self.name = f"cl {precision} on {chosen.name}, {chosen.driver}"
+
+    def frame(self, inputs: FrameInputs) -> tuple[Image, Mask]:
+        """See ``Backend``."""
+        return self._frame(**vars(inputs))
+
+
+def open_backend(
+    name: str,
+    weights: Weights,
+    gather: Gather = "longest",
+    *,
+    device: str | None = None,
+    precision: str = "float32",
+    memory_limit: int | None = None,
+    tell: Callable[[str], None] = lambda line: None,
+) -> Backend:
+    """Make the backend of this name ready to compute.
+
+    Args:
+        name: one of ``BACKENDS``.
+        weights: the 92 tensors.
+        gather: how the motion chain reads between pixels.
+        device: part of an OpenCL device's name; None: ``$STSS_DEVICE``, or the fastest that passed its self-test.
+        precision: one of ``PRECISIONS``; the reference takes ``float32`` only.
+        memory_limit: bytes for the buffers of the OpenCL backend; larger frames go in strips, with the same bits.
+        tell: is handed lines for the user, such as that a self-test is being run.
+
+    Raises:
+        InputError: ``name`` or ``precision`` is none of these, or does not go with the other options.
+        stss_cl.errors.DeviceError: there is no such device.
+    """
+    if name not in BACKENDS:
+        raise InputError(f"backend: expected one of {', '.join(BACKENDS)}, got {name!r}")
+    if precision not in PRECISIONS:
+        raise InputError(f"precision: expected one of {', '.join(PRECISIONS)}, got {precision!r}")
+    if name == "cl":
+        return OpenCLBackend(weights, gather, device=device, precision=precision, memory_limit=memory_limit, tell=tell)
+    if device is not None or precision != "float32":
+        raise InputError("backend ref: expected neither a device nor another precision than float32")
+    return ReferenceBackend(weights, gather)

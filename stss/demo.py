@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: MIT
+"""A small sequence from nothing: an analytic scene at low resolution and half rate, its truth, a sheet to look at."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import Progress
+
+from conformance.scenes import DEMO, Rendered, render
+from stss.backends import open_backend
+from stss.color import transfer
+from stss.compare import compare, print_comparison
+from stss.contact_sheet import COMPARISON, comparison, contact_sheet, magnify
+from stss.errors import InputError
+from stss.images import read_rgb, write_channels, write_rgb
+from stss.run import RunOptions, frame_path, run
+from stss.sequence import open_sequence
+from stss.weights import BILINEAR, load
+from stss_ref.arrays import Array, Plane
+
+FRAMES = 16
+SIZE = (90, 160)
+"""H, W of the frames; the truth has twice that."""
+INPUT_SAMPLES = 1
+"""Rays for each pixel of a rendered frame: one, through its centre, so edges are jagged as an engine leaves them."""
+SAMPLES = 16
+"""Rays for each pixel of the truth."""
+BACKGROUND = 1e10
+"""Depth written where nothing was hit: the profile ``stss`` takes 1e9 and more as that."""
+
+_CHANNELS: Mapping[str, tuple[str, ...]] = {
+    "motion": ("motion.X", "motion.Y"),
+    "normal": ("normal.X", "normal.Y", "normal.Z"),
+    "depth": ("depth.Z",),
+    "position": ("position.X", "position.Y", "position.Z"),
+    "stencil": ("stencil.X",),
+    "nov": ("nov.X",),
+    "base_color": ("basecolor.R", "basecolor.G", "basecolor.B"),
+    "roughness": ("roughness.X",),
+    "metallic": ("metallic.X",),
+}
+_HALF = ("R", "G", "B", *_CHANNELS["base_color"], *_CHANNELS["roughness"], *_CHANNELS["metallic"])
+_CROPS = {"pole and ball": (0.5, 0.57), "gold sphere": (0.4, 0.0)}  # corner as a share of height and width
+_MAGNIFIED = 4
+
+
+def demo(
+    out: Path,
+    *,
+    weights: str = "bilinear",
+    backend: str = "cl",
+    device: str | None = None,
+    precision: str = "float32",
+    memory_limit: int | None = None,
+    overwrite: bool = False,
+    frames: int = FRAMES,
+    size: tuple[int, int] = SIZE,
+    console: Console,
+) -> None:
+    """Render the scene, run the main job on it, compare with the truth, and make a sheet of pictures.
+
+    Writes ``out/frames``, ``out/truth``, ``out/output``, ``out/pictures`` and ``out/sheet.png``; with weights other than ``bilinear`` also
+    ``out/bilinear``, to compare with.
+
+    Args:
+        out: the folder; made if need be.
+        weights: a safetensors file, or ``bilinear``.
+        backend, device, precision, memory_limit (MiB): what computes; see ``stss.backends.open_backend``.
+        overwrite: replace an earlier demo.
+        frames: how many display frames.
+        size: H, W of the frames.
+        console: where the table of scores is printed.
+
+    Raises:
+        InputError: ``out`` holds an earlier demo and ``overwrite`` is not set, or cannot be written to.
+    """
+    loaded = load(weights)
+    limit = None if memory_limit is None else memory_limit << 20
+    with Progress(console=console, transient=True) as progress:
+        task = progress.add_task("rendering", total=frames)
+        write_demo_sequence(out, frames, size, overwrite=overwrite, on_frame=lambda _: progress.advance(task))
+    sequence = open_sequence(out / "frames", "stss")
+    methods = {"output": loaded} if weights == BILINEAR else {"bilinear": load(BILINEAR), "output": loaded}
+    for name, method in methods.items():
+        engine = open_backend(backend, method.weights, device=device, precision=precision, memory_limit=limit)
+        run(sequence, out / name, engine, method.identity, RunOptions(overwrite=overwrite))
+        console.print(f"{method.source} against the truth:", highlight=False, markup=False)
+        print_comparison(compare(out / name, out / "truth", frames=None, pictures=out / "pictures" / name), console)
+    outputs = {number: frame_path(out / "output", number, "exr") for number in sequence.numbers}
+    write_rgb(out / "sheet.png", demo_sheet(out, outputs))
+    console.print(f"pictures to look at: {out / 'sheet.png'}", soft_wrap=True, highlight=False, markup=False)
+
+
+def write_demo_sequence(
+    out: Path,
+    frames: int = FRAMES,
+    size: tuple[int, int] = SIZE,
+    *,
+    overwrite: bool = False,
+    on_frame: Callable[[int], None] = lambda number: None,
+) -> None:
+    """Write ``out/frames/demo.NNNN.exr``, profile ``stss``, and the truth ``out/truth/demo.NNNN.exr``, scene-linear.
+
+    Frames are numbered from 0; the odd ones are not rendered: they have a G-buffer and motion, but no R, G, B.
+
+    Args:
+        out: the folder; made if need be.
+        frames: how many display frames.
+        size: H, W of the frames.
+        overwrite: replace the frames of an earlier demo.
+        on_frame: called with a frame's number after its files are written.
+
+    Raises:
+        InputError: ``out`` holds frames of an earlier demo and ``overwrite`` is not set, or cannot be written to.
+    """
+    folders = out / "frames", out / "truth"
+    _claim(*folders, overwrite=overwrite)
+    height, width = size
+    for number in range(frames):
+        low = render(DEMO, number, height, width, samples=INPUT_SAMPLES)
+        channels = frame_channels(low, rendered=number % 2 == 0)
+        write_channels(demo_path(folders[0], number), channels, half=_HALF, metadata={"stss:scene": DEMO.name})
+        truth = render(DEMO, number, 2 * height, 2 * width, samples=SAMPLES).color
+        write_rgb(demo_path(folders[1], number), truth, metadata={"stss:scene": DEMO.name})
+        on_frame(number)
+
+
+def frame_channels(frame: Rendered, *, rendered: bool) -> dict[str, Plane]:
+    """Channels of the profile ``stss``: name -> (H, W) float32; with R, G, B if the frame counts as ``rendered``."""
+    planes: dict[str, Plane] = {name: frame.color[..., i] for i, name in enumerate("RGB")} if rendered else {}
+    for buffer, names in _CHANNELS.items():
+        values = np.atleast_3d(getattr(frame, buffer))
+        planes.update({name: values[..., i] for i, name in enumerate(names)})
+    planes["depth.Z"] = np.where(np.isinf(frame.depth), BACKGROUND, frame.depth)
+    return {name: plane.astype(np.float32) for name, plane in planes.items()}
+
+
+def demo_sheet(out: Path, outputs: Mapping[int, Path]) -> Array:
+    """Rendered frames, what was made of them and the truth, side by side: one EF and one SF, whole and magnified.
+
+    Args:
+        out: the folder of `write_demo_sequence`.
+        outputs: display frame -> its output, EXR; the last two are shown. The frames they came from must be in ``out``.
+
+    Returns:
+        (H', W', 3) display-referred; see `contact_sheet`.
+    """
+    rows: list[tuple[str, list[Array]]] = []
+    for number in sorted(outputs)[-2:]:
+        images = _row(out, number, outputs[number])
+        rendered = number % 2 == 0
+        caption = f"SF {number}" if rendered else f"EF {number}: not rendered, the two left columns show frame {number - 1}"
+        rows.append((caption, images))
+        height, width, _ = images[0].shape
+        crop = height // _MAGNIFIED, width // _MAGNIFIED
+        for name, (y, x) in _CROPS.items():
+            part = (int(y * height), int(x * width), *crop)
+            caption = f"{'SF' if rendered else 'EF'} {number}, {name}, x{_MAGNIFIED}"
+            rows.append((caption, [_fill(magnify(image, part, _MAGNIFIED), image.shape) for image in images]))
+    return contact_sheet(rows, COMPARISON)
+
+
+def demo_path(folder: Path, number: int) -> Path:
+    """Where a frame of the demo lies."""
+    return folder / f"demo.{number:04d}.exr"
+
+
+def _row(out: Path, number: int, output: Path) -> list[Array]:
+    paths = demo_path(out / "frames", number - number % 2), output, demo_path(out / "truth", number)
+    low, image, truth = (transfer("srgb").display(read_rgb(path)) for path in paths)
+    return comparison(low, image, truth)
+
+
+def _fill(image: Array, shape: tuple[int, ...]) -> Array:
+    """Repeat the last row and column up to ``shape``: a magnified part is up to three pixels short of the whole."""
+    return np.pad(image, ((0, shape[0] - image.shape[0]), (0, shape[1] - image.shape[1]), (0, 0)), mode="edge")
+
+
+def _claim(*folders: Path, overwrite: bool) -> None:
+    for folder in folders:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be made a folder: {error.strerror}") from None
+    earlier = [p for folder in folders for p in folder.iterdir() if re.fullmatch(r"demo\.\d+\.exr", p.name)]
+    if earlier and not overwrite:
+        raise InputError(f"{earlier[0].parent}: holds frames of an earlier demo; --overwrite replaces them")
+    for path in earlier:
+        path.unlink()

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: MIT
+"""Headers of EXR and PNG files, checked before memory is taken.
+
+A file is refused, with one line, when it is larger than `MAX_SIDE`, `MAX_CHANNELS` or `MAX_BYTES` allow, when its data
+window is not its display window (a cropped render has nothing where it was not rendered) and when it is
+deep. OpenImageIO is told the same limits, so that its own header code keeps to them too.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import OpenImageIO as oiio  # noqa: N813
+
+from stss.errors import InputError
+
+MAX_SIDE = 16384
+MAX_CHANNELS = 1024
+MAX_BYTES = 4 << 30
+MAX_PARTS = 256
+
+_FORMATS = {"uint": "uint32"}
+"""OpenImageIO name -> the usual one."""
+_MAGIC = {".exr": b"\x76\x2f\x31\x01", ".png": b"\x89PNG\r\n\x1a\n"}
+
+oiio.attribute("limits:channels", MAX_CHANNELS)
+oiio.attribute("limits:imagesize_MB", MAX_BYTES >> 20)
+oiio.attribute("limits:resolution", MAX_SIDE)
+
+Value = str | int | float | tuple[int | float, ...]
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a file says of itself.
+
+    Attributes:
+        path: the file.
+        width: pixels.
+        height: pixels.
+        channels: full names. Where parts of a multipart file repeat a name, the later one is ``PART.NAME``.
+        formats: name -> "half", "float", "uint32", "uint8", "uint16".
+        compression: "zip", "dwaa", ...; "" where the format has none to choose.
+        data_window: x, y, width, height of the stored pixels.
+        display_window: x, y, width, height of the picture; always equal to ``data_window``.
+        attributes: metadata of all parts; the first part's value stands.
+    """
+
+    path: Path
+    width: int
+    height: int
+    channels: tuple[str, ...]
+    formats: Mapping[str, str]
+    compression: str
+    data_window: tuple[int, int, int, int]
+    display_window: tuple[int, int, int, int]
+    attributes: Mapping[str, Value]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(H, W)."""
+        return self.height, self.width
+
+
+def read_header(path: Path) -> Header:
+    """Read and check a file's header; no pixel is read.
+
+    Raises:
+        InputError: the file is not there, not an EXR or PNG, broken, too large, cropped or deep.
+    """
+    with opened(path) as image:
+        return locate(path, image)[0]
+
+
+@contextmanager
+def opened(path: Path) -> Generator[oiio.ImageInput, None, None]:
+    """A file open for reading, its kind checked; what it leaves to say is taken, for it would be printed."""
+    magic = _MAGIC.get(path.suffix.lower())
+    if magic is None:
+        raise InputError(f"{path}: expected an .exr or .png file")
+    if not path.is_file():
+        raise InputError(f"{path}: " + ("not a regular file" if path.exists() else "no such file"))
+    try:
+        with path.open("rb") as file:
+            if file.read(len(magic)) != magic:
+                raise InputError(f"{path}: empty, or not the kind of file its name says")
+            if path.suffix.lower() == ".png" and not _whole_png(file):
+                raise InputError(f"{path}: truncated or corrupt")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    config = oiio.ImageSpec()
+    config.attribute("oiio:UnassociatedAlpha", 1)
+    image = oiio.ImageInput.open(str(path), config)
+    if image is None:
+        raise InputError(f"{path}: header cannot be read: {last_error(oiio)}")
+    try:
+        yield image
+    finally:
+        image.close()
+        last_error(image)  # a pending message would be printed when the object goes
+
+
+def _whole_png(file: BinaryIO) -> bool:
+    """Whether each chunk up to the last is there with its checksum; libpng itself would complain on standard error."""
+    while len(head := file.read(8)) == 8:
+        length, kind = int.from_bytes(head[:4], "big"), head[4:]
+        data = file.read(min(length, MAX_BYTES))
+        if len(data) != length or file.read(4) != zlib.crc32(data, zlib.crc32(kind)).to_bytes(4, "big"):
+            return False
+        if kind == b"IEND":
+            return True
+    return False
+
+
+def locate(path: Path, image: oiio.ImageInput) -> tuple[Header, dict[str, tuple[int, int]]]:
+    """The header of all parts, and where each channel lies: name -> (part, index)."""
+    places: dict[str, tuple[int, int]] = {}
+    formats: dict[str, str] = {}
+    attributes: dict[str, Value] = {}
+    first = image.spec()
+    part, size = 0, 0
+    while image.seek_subimage(part, 0):
+        spec = image.spec()
+        _check(path, spec, first)
+        size += int(spec.image_bytes(True))
+        for index, name in enumerate(_names(path, spec)):
+            full = f"{spec.get_string_attribute('oiio:subimagename')}.{name}" if name in places else name
+            if full in places:
+                raise InputError(f"{path}: channel {full} is there twice")
+            places[full] = part, index
+            formats[full] = _FORMATS.get(kind := str(spec.channelformat(index)), kind)
+        attributes = _attributes(spec) | attributes
+        part += 1
+        if part > MAX_PARTS or len(places) > MAX_CHANNELS or size > MAX_BYTES:
+            limits = f"{MAX_PARTS}, {MAX_CHANNELS} and {MAX_BYTES}"
+            raise InputError(f"{path}: {part} parts, {len(places)} channels, {size} bytes; at most {limits}")
+    last_error(image)
+    window = first.x, first.y, first.width, first.height
+    compression = str(attributes.get("compression", ""))
+    header = Header(path, first.width, first.height, tuple(places), formats, compression, window, window, attributes)
+    return header, places
+
+
+def _check(path: Path, spec: oiio.ImageSpec, first: oiio.ImageSpec) -> None:
+    window = spec.x, spec.y, spec.width, spec.height
+    display = spec.full_x, spec.full_y, spec.full_width, spec.full_height
+    if not (1 <= spec.width <= MAX_SIDE and 1 <= spec.height <= MAX_SIDE and 1 <= spec.nchannels <= MAX_CHANNELS):
+        found = f"{spec.width} x {spec.height}, {spec.nchannels} channels"
+        raise InputError(f"{path}: {found}; expected 1 to {MAX_SIDE} pixels a side, 1 to {MAX_CHANNELS} channels")
+    if spec.deep:
+        raise InputError(f"{path}: deep image; expected flat channels")
+    if spec.depth != 1 or spec.full_depth != 1:
+        raise InputError(f"{path}: volume; expected a flat image")
+    if window != display:
+        raise InputError(f"{path}: data window {window} is not the display window {display}; render the whole frame")
+    if window != (first.x, first.y, first.width, first.height):
+        raise InputError(f"{path}: parts of different size: {first.width} x {first.height}, {spec.width} x {spec.height}")
+
+
+def _names(path: Path, spec: oiio.ImageSpec) -> tuple[str, ...]:
+    try:
+        return tuple(spec.channelnames)
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: a channel name is not UTF-8") from error
+
+
+def _attributes(spec: oiio.ImageSpec) -> dict[str, Value]:
+    found: dict[str, Value] = {}
+    for i in range(len(spec.extra_attribs)):
+        try:
+            item = spec.extra_attribs[i]
+            name, value = item.name, item.value
+        except UnicodeDecodeError:
+            continue
+        if isinstance(value, str | int | float):
+            found[name] = value
+        elif isinstance(value, tuple | list | np.ndarray):
+            found[name] = tuple(x.item() if isinstance(x, np.generic) else x for x in np.ravel(value))
+    return found
+
+
+def last_error(source: Any) -> str:
+    """The pending message of OpenImageIO, on one line; asking for it keeps it from being printed."""
+    try:
+        return " ".join(str(source.geterror()).split())[:300]
+    except UnicodeDecodeError:
+        return "corrupt"

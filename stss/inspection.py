@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: MIT
+"""What weights hold, and what the network costs: `stss weights inspect`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from stss.errors import InputError
+from stss_ref.weights import LAYERS, Layer, Weights
+
+
+@dataclass(frozen=True)
+class LayerRow:
+    """One layer of the table: its multiply-adds for a frame, and its largest weight or bias."""
+
+    layer: Layer
+    multiply_adds: int
+    largest: float
+
+
+@dataclass(frozen=True)
+class ComponentRow:
+    """One row of the paper's cost table."""
+
+    name: str
+    parameters: int
+    multiply_adds: int
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What weights hold and what the network costs for frames of (height, width), once padded to multiples of 8."""
+
+    height: int
+    width: int
+    layers: tuple[LayerRow, ...]
+    components: tuple[ComponentRow, ...]
+
+
+def inspect(weights: Weights, height: int, width: int) -> Inspection:
+    """What ``weights`` hold and what the network costs for frames of (height, width)."""
+    if height < 1 or width < 1:
+        raise InputError(f"size {width}x{height}: expected at least 1x1")
+    rows = tuple(
+        LayerRow(
+            layer,
+            layer.multiply_adds(height, width),
+            max(float(np.abs(weights[name]).max()) for name, _ in layer.tensors()),
+        )
+        for layer in LAYERS
+    )
+    return Inspection(-(-height // 8) * 8, -(-width // 8) * 8, rows, component_costs(height, width))
+
+
+def component_costs(height: int, width: int) -> tuple[ComponentRow, ...]:
+    """The paper's cost table (Tab. "Cost analysis for each component"), for frames of (height, width).
+
+    A row is what its component adds: the history and the ERM also widen the input of ``up1``, by 32 channels each.
+    Beside the convolutions, 11 operations are counted for each number that the decoder's three upsamplings give. The
+    paper's own numbers are those of 968 x 544: its authors pad a width of 960 by 8 more.
+    """
+    rows: list[ComponentRow] = []
+    parameters = multiply_adds = 0
+    layers: list[Layer] = []
+    for name, component, inputs in (
+        ("Backbone", "backbone", 64),
+        ("HistoryEmbedding", "history", 96),
+        ("ERM", "erm", 128),
+    ):
+        layers += [layer for layer in LAYERS if layer.component == component and not layer.name.startswith("up1")]
+        all_layers = [*layers, *_up1(inputs)]
+        before = parameters, multiply_adds
+        parameters = sum(layer.parameters for layer in all_layers)
+        multiply_adds = sum(layer.multiply_adds(height, width) for layer in all_layers)
+        multiply_adds += _upsampling(height, width, inputs)
+        rows.append(ComponentRow(name, parameters - before[0], multiply_adds - before[1]))
+    return (*rows, ComponentRow("Full", parameters, multiply_adds))
+
+
+def _up1(inputs: int) -> list[Layer]:
+    first, second = (layer for layer in LAYERS if layer.name.startswith("up1"))
+    return [replace(first, inputs=inputs, outputs=inputs // 2), replace(second, inputs=inputs // 2)]
+
+
+def _upsampling(height: int, width: int, inputs: int) -> int:
+    pixels = -(-height // 8) * -(-width // 8)
+    channels_of_up = (inputs - 32, 32, 24)
+    return sum(11 * channels * pixels * 4**step for step, channels in enumerate(channels_of_up, start=1))
+
+
+def print_inspection(inspection: Inspection, console: Console) -> None:
+    """Print the layers, and the components as in the paper's cost table."""
+    layers = _table(
+        f"Layers; multiply-adds in millions for one frame of {inspection.width} x {inspection.height}",
+        ("layer", "component", "weight"),
+        ("parameters", "mult-adds", "largest"),
+    )
+    for row in inspection.layers:
+        layer = row.layer
+        shape = f"{layer.outputs}x{layer.inputs}x{layer.kernel}x{layer.kernel}" + (" gated" if layer.gated else "")
+        layers.add_row(
+            *(layer.name, layer.component, shape),
+            *(f"{layer.parameters:,}", f"{row.multiply_adds / 1e6:,.1f}", f"{row.largest:.4g}"),
+        )
+    components = _table("What each component adds, upsampling included", ("component",), ("parameters, K", "mult-adds, G"))
+    for part in inspection.components:
+        components.add_row(part.name, f"{part.parameters / 1e3:.2f}", f"{part.multiply_adds / 1e9:.2f}")
+    console.print(layers, components)
+
+
+def _table(title: str, words: tuple[str, ...], numbers: tuple[str, ...]) -> Table:
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
+    for column in words:
+        table.add_column(column, no_wrap=True)
+    for column in numbers:
+        table.add_column(column, justify="right", no_wrap=True)
+    return table

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: MIT
+"""Packages that only some commands need: imported when they are, and missed in one line."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from stss.errors import InputError
+
+
+def installed(name: str) -> bool:
+    """Whether the package ``name`` can be imported."""
+    return importlib.util.find_spec(name) is not None
+
+
+def require(name: str) -> Any:
+    """The module ``name``; without types, since these packages have none or need not be there.
+
+    Raises:
+        InputError: its package is not installed.
+    """
+    package = name.partition(".")[0]
+    # colour-science leaves an empty stand-in for a missing Matplotlib among the modules: what has no file is not there.
+    if package in sys.modules and getattr(sys.modules[package], "__file__", None) is None:
+        raise InputError(f"{package} is not installed: pip install 'stss[bench]'")
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        raise InputError(f"{package} is not installed: pip install 'stss[bench]'") from error
+
+
+def versions(names: tuple[str, ...]) -> dict[str, str]:
+    """Version of each of the distributions that is installed."""
+    found: dict[str, str] = {}
+    for name in names:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: MIT
+"""Three steps in a row on one item after the other, the steps of neighbouring items at the same time."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import islice
+from typing import TypeVar
+
+AHEAD = 2
+"""So many items are read ahead of the one that is computed, and so many of those before it may still wait to be written."""
+
+Item = TypeVar("Item")
+Read = TypeVar("Read")
+Computed = TypeVar("Computed")
+Written = TypeVar("Written")
+
+
+def overlap(
+    items: Iterable[Item],
+    read: Callable[[Item], Read],
+    compute: Callable[[Read], Computed],
+    write: Callable[[Computed], Written],
+    done: Callable[[Written], None],
+) -> None:
+    """Do ``done(write(compute(read(item))))`` for every item; later items are read and earlier ones written meanwhile.
+
+    Each step takes the items in order. An error is raised when its item's turn comes, after the items before it are done: what
+    fails is what would fail one item at a time. No thread is left when this returns or raises.
+
+    Args:
+        items: what to work on.
+        read: runs in a thread of its own.
+        compute: runs in the caller's thread.
+        write: runs in a third thread.
+        done: runs in the caller's thread.
+    """
+    reader, writer = ThreadPoolExecutor(1, "stss-read"), ThreadPoolExecutor(1, "stss-write")
+    todo = iter(items)
+    reading: deque[Future[Read]] = deque()
+    writing: deque[Future[Written]] = deque()
+
+    def finish(most: int) -> None:
+        while len(writing) > most or (writing and writing[0].done()):
+            written = writing[0].result()  # where it failed it stays: whoever asks again gets the same error
+            writing.popleft()
+            done(written)
+
+    try:
+        reading.extend(reader.submit(read, item) for item in islice(todo, AHEAD + 1))
+        while reading:
+            ready = reading.popleft().result()
+            finish(AHEAD - 1)
+            writing.append(writer.submit(write, compute(ready)))
+            reading.extend(reader.submit(read, item) for item in islice(todo, 1))
+    finally:
+        try:
+            finish(0)
+        finally:
+            for thread in (writer, reader):
+                thread.shutdown(cancel_futures=True)

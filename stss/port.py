@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: MIT
+"""The project's own backends as ports: ``stss port --backend ref|cl JOB`` (spec 11)."""
+
+from __future__ import annotations
+
+import hashlib
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from conformance.job import WEIGHTS, JobError, case_folders, clear, read_inputs, read_stage, write_outputs, write_unsupported
+from conformance.port import Arrays, Outputs, Port
+from conformance.stages import STAGES, reference
+from stss.errors import InputError
+from stss.weights import MAX_BYTES, load
+from stss_cl.errors import DeviceError
+from stss_ref.arrays import ArrayError
+from stss_ref.weights import Weights
+
+CACHED_WEIGHTS = 16
+WITH_WEIGHTS = ("stss_cl.network", "stss_cl.frame")
+"""Modules with the stages that take weights: ``STAGES`` and ``run_stage(stage, inputs, weights, device)``."""
+
+
+class ReferencePort:
+    """``stss_ref``, in the dtype of the inputs: a job's are float32."""
+
+    name = "ref"
+    dtype = "float32"
+
+    def stages(self) -> frozenset[str]:
+        """All of them."""
+        return frozenset(STAGES)
+
+    def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
+        """See ``conformance.port.Port``."""
+        return reference(stage, inputs, weights)
+
+
+class OpenCLPort:
+    """``stss_cl`` on the device of ``$STSS_DEVICE`` or the best one there is, in float32: what its modules name in ``STAGES``."""
+
+    name = "cl"
+    dtype = "float32"
+
+    def __init__(self):
+        self._image = _module("stss_cl.image_stages")
+        self._network = [module for name in WITH_WEIGHTS if (module := _module(name)) is not None]
+        self._device: Any = None
+
+    def stages(self) -> frozenset[str]:
+        """Those of the image space, and those of the network."""
+        modules = self._network if self._image is None else [self._image, *self._network]
+        return frozenset(stage for module in modules for stage in module.STAGES)
+
+    def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
+        """See ``conformance.port.Port``; the device is opened for the first case, and stays."""
+        if self._device is None:
+            self._device = import_module("stss_cl.device").open_device()
+        if self._image is not None and stage in self._image.STAGES:
+            return self._image.ImageStages(self._device).run_stage(stage, inputs)
+        for module in self._network:
+            if stage in module.STAGES:
+                return module.run_stage(stage, inputs, weights, self._device)
+        raise InputError(f"backend cl: it has no stage {stage}")
+
+
+def _module(name: str) -> ModuleType | None:
+    """Imported only when asked for: it opens the OpenCL library. None where this version has no such module."""
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name == name:
+            return None
+        raise InputError(f"backend cl: {error}") from error
+    except ImportError as error:
+        raise InputError(f"backend cl: {error}") from error
+
+
+PORTS = {"ref": ReferencePort, "cl": OpenCLPort}
+"""The names that ``run_job`` takes. Each is also a factory for ``module:factory``."""
+
+
+def run_job(job: Path, backend: str) -> None:
+    """Compute every case of a job folder.
+
+    Args:
+        job: the folder; outputs, or ``unsupported``, go into its cases.
+        backend: a name of ``PORTS``.
+
+    Raises:
+        InputError: the job is malformed, the message names the file; or the backend or its device is not there.
+        WeightsError: a tensor is not what the network takes.
+    """
+    if backend not in PORTS:
+        raise InputError(f"backend: expected one of {', '.join(PORTS)}, got {backend!r}")
+    port: Port = PORTS[backend]()
+    weights = _WeightsFiles()
+    try:
+        for case in case_folders(job):
+            _run_case(case, port, weights)
+    except JobError as error:
+        raise InputError(str(error)) from error
+    except OSError as error:
+        raise InputError(f"{error.filename or job}: {error.strerror or error}") from error
+
+
+def _run_case(case: Path, port: Port, weights: _WeightsFiles) -> None:
+    clear(case)
+    stage = read_stage(case)
+    if stage not in STAGES or stage not in port.stages():
+        write_unsupported(case)
+        return
+    inputs = read_inputs(case, stage)
+    given = weights.read(case / "in" / WEIGHTS) if STAGES[stage].weights else None
+    try:
+        outputs = port.run(stage, inputs, given)
+    except (ArrayError, DeviceError) as error:
+        raise InputError(f"{case}: {error}") from error
+    write_outputs(case, outputs)
+
+
+class _WeightsFiles:
+    """Weights files, each read once: a job has the same one in many cases, and a backend uploads what is the same object once."""
+
+    def __init__(self):
+        self._read: dict[str, Weights] = {}
+
+    def read(self, path: Path) -> Weights:
+        if not path.is_file() or path.stat().st_size > MAX_BYTES:
+            return load(path).weights  # which says what is wrong
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        if digest not in self._read:
+            if len(self._read) == CACHED_WEIGHTS:
+                self._read.pop(next(iter(self._read)))
+            self._read[digest] = load(path).weights
+        return self._read[digest]

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: MIT
+"""A whole display frame on an OpenCL device: from uploaded buffers to the image, with no transfer in between."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+import pyopencl.array as cla
+from numpy.typing import NDArray
+
+from stss_cl.buffers import Outgoing, on_device
+from stss_cl.device import Device
+from stss_cl.image_stages import Gather
+from stss_cl.network import Network, Precision
+from stss_cl.prepare import FINITE, Prepare
+from stss_ref.arrays import Array, require_finite, require_shape
+from stss_ref.weights import Weights
+
+Given = Array | cla.Array
+
+
+class Frame:
+    """Stage frame (spec 11), ready for one set of weights; buffers are made once for each size and reused.
+
+    Args:
+        weights: the 92 tensors.
+        device: to run on; None = ``stss_cl.device.open_device()``.
+        precision: see ``stss_cl.network.PRECISIONS``.
+        gather: how the motion chain reads between pixels.
+        memory_limit: see ``Network``.
+    """
+
+    def __init__(
+        self,
+        weights: Weights,
+        device: Device | None = None,
+        precision: Precision = "float32",
+        gather: Gather = "longest",
+        memory_limit: int | None = None,
+    ):
+        self.network = Network(weights, device, precision, memory_limit)
+        self.device, self.precision = self.network.device, precision
+        self._gather: Gather = gather
+        self._prepare: Prepare | None = None
+
+    def __call__(
+        self,
+        colors: Given,
+        steps: Sequence[int],
+        motions: Given,
+        gbuffer: Given,
+        nov: Given,
+        stencils: Given,
+        normals: Given,
+        positions: Given,
+    ) -> tuple[Any, NDArray[np.bool_]]:
+        """Compute one display frame; the arguments are those of ``stss_ref.frame.FrameInputs``.
+
+        Args:
+            colors, motions, gbuffer, nov, stencils, normals, positions: float32, C-contiguous; NumPy arrays, or ``pyopencl.array``
+                of this device's context.
+            steps: how many display frames back the three colour frames lie.
+
+        Returns:
+            image: (2H, 2W, 3) float32, not clipped; a ``pyopencl.array`` if ``colors`` is one.
+            valid: (H, W) False in the warping holes of the newest colour frame.
+
+        Raises:
+            ArrayError: shapes, dtypes or steps are not a frame's, or an array other than motions and positions is not finite.
+        """
+        stays = isinstance(colors, cla.Array)
+        require_shape("gbuffer", gbuffer, (None, None, 9))
+        height, width = gbuffer.shape[:2]
+        layers = self.network.layers(height, width)
+        if self._prepare is None or self._prepare.inputs is not layers.inputs:
+            self._prepare = Prepare(self.device, height, width, self._gather, inputs=layers.inputs)
+        color, motion, *rest = (
+            on_device(a) if isinstance(a, cla.Array) else a for a in (colors, motions, gbuffer, nov, stencils, normals, positions)
+        )
+        self._prepare.begin(color, steps, motion, *rest, tops=[strip.top for strip in layers.strips])
+        image = Outgoing(self.device, (2 * height, 2 * width, 3), on_device=stays)
+        for strip in layers.strips:
+            self._prepare.strip(strip.top)
+            layers.place(strip)
+            layers.run(image.data)
+        valid = np.empty((height, width), np.uint8)
+        cl.enqueue_copy(self.device.queue, valid, self._prepare.mask)
+        made = image.finish()
+        name = self._prepare.not_finite()
+        if name is not None:
+            given = (colors, gbuffer, nov, stencils, normals)[FINITE.index(name)]
+            require_finite(name, given.get() if isinstance(given, cla.Array) else given)
+        return made, valid.view(np.bool_)
+
+    def timings(self) -> dict[str, float]:
+        """Seconds of the network's stages, as ``Network.timings``."""
+        return self.network.timings()
+
+
+STAGES = frozenset({"frame"})
+"""The stages that ``run_stage`` knows."""
+
+
+def run_stage(stage: str, inputs: Mapping[str, Array], weights: Weights, device: Device | None = None) -> dict[str, Array]:
+    """Stage ``frame`` by the names of the port protocol (docs/ports.md)."""
+    names = ("colors", "motions", "gbuffer", "nov", "stencils", "normals", "positions")
+    arrays = {name: np.ascontiguousarray(inputs[name], np.float32) for name in names}
+    image, _ = Frame(weights, device)(steps=[int(step) for step in inputs["steps"]], **arrays)
+    return {"image": image}

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: MIT
+"""Launches: a kernel with its arguments set, made once and enqueued for every frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from stss_cl.buffers import Padded, constant
+from stss_cl.device import Device
+from stss_cl.packing import Packed, ceil_div
+from stss_cl.program import build
+from stss_cl.tuning import tuning_for
+
+FAST_MULTIPLY_ADD = "-cl-mad-enable"
+"""The network's kernels may contract ``a * b + c``; fma() itself is a slow call on PoCL 3.0."""
+
+
+@dataclass(frozen=True)
+class Launch:
+    """One kernel, ready to go.
+
+    Attributes:
+        stage: the stage it belongs to, e.g. ``encoder``.
+        name: what it computes, e.g. ``down1.conv2``.
+        kernel: with its arguments set.
+        size: global size.
+        group: work-group size; None = the runtime's choice.
+        held: the buffers among its arguments: OpenCL does not keep them alive.
+    """
+
+    stage: str
+    name: str
+    kernel: cl.Kernel
+    size: tuple[int, ...]
+    group: tuple[int, ...] | None = None
+    held: tuple[object, ...] = ()
+
+    def enqueue(self, queue: cl.CommandQueue) -> None:
+        """Put it into the queue."""
+        cl.enqueue_nd_range_kernel(queue, self.kernel, self.size, self.group)
+
+
+@dataclass(frozen=True)
+class Final:
+    """What the decoder's last layer needs to write the image itself (kernels/decoder.clh).
+
+    ``color`` (rows, columns, 4), ``weight`` (24, 16) and ``bias`` (16) of outc, and the frame's own height and width.
+    """
+
+    color: cl.Buffer
+    weight: cl.Buffer
+    bias: cl.Buffer
+    rows: int
+    columns: int
+    height: int
+    width: int
+
+
+ROW_ARGUMENTS = {"image": (9, 10), "winograd": (20, 21)}
+"""Which arguments of either kernel are the first row written and the strip's top."""
+HEIGHT_ARGUMENT = 8
+"""Which argument of winograd is the row after the last one written."""
+IMAGE_ARGUMENT = {"image": 4, "winograd": 17}
+"""Which argument of either kernel is the image."""
+
+
+def half(dtype: np.dtype[Any]) -> bool:
+    """Whether activations of this dtype are stored as half."""
+    return dtype == np.float16
+
+
+def conv(
+    device: Device,
+    stage: str,
+    name: str,
+    packed: Packed,
+    a: Padded,
+    b: Padded | None,
+    out: Padded,
+    *,
+    out_first: int = 0,
+    stride: int = 1,
+    relu: bool = True,
+    winograd: bool = True,
+    image: int = 0,
+    final: Final | None = None,
+) -> Launch:
+    """A convolution of ``a`` and ``b`` side by side into channels ``out_first`` .. of ``out``.
+
+    Args:
+        device: to run on.
+        stage: for the launch.
+        name: for the launch.
+        packed: the layer's tensors.
+        a: first input; its image ``image`` is read.
+        b: second input, if any.
+        out: the output; its size is the input's over ``stride``.
+        out_first: its first channel written.
+        stride: 1 or 2.
+        relu: whether ReLU follows.
+        winograd: take the fast variant where there is one.
+        image: which of ``a``'s images.
+        final: write the image instead of ``out``; the image's buffer is argument ``IMAGE_ARGUMENT``.
+    """
+    fast = winograd and tuning_for(device).winograd is not None and stride == 1 and packed.winograd is not None
+    shape = (_winograd if fast else _direct)(device, packed, out, stride, final)
+    options = shape.options | {
+        "A": a.channels,
+        "B": b.channels if b else 0,
+        "OUT": packed.direct.shape[-1],
+        "GATED": packed.gate_direct is not None,
+        "RELU": relu,
+        "HALF": half(out.dtype),
+        "IMAGE": final is not None,
+    }
+    kernel = cl.Kernel(build(device, shape.file, options, FAST_MULTIPLY_ADD), shape.file.removesuffix(".cl"))
+    weight = constant(device, shape.weight)
+    gate = weight if shape.gate is None else constant(device, shape.gate)
+    numbers = (image * a.rows * a.columns * a.channels, *shape.dimensions, a.columns, out.columns, out.channels, out_first)
+    arguments: list[Any] = [a.data, b.data if b else a.data, weight, gate, constant(device, packed.bias)]
+    arguments += [np.float32(packed.gate_bias), out.data, *map(np.int32, numbers)]
+    if final:
+        # The caller puts its image in the second bias' place before every run.
+        arguments += [final.color, final.weight, final.bias, final.bias]
+        arguments += [np.int32(n) for n in (final.rows, final.columns, 0, 0)]
+    kernel.set_args(*arguments)
+    return Launch(stage, name, kernel, shape.size, shape.group, tuple(arguments))
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """How one of the two kernels is built and launched."""
+
+    file: str
+    options: dict[str, object]
+    weight: NDArray[np.float32]
+    gate: NDArray[np.float32] | None
+    size: tuple[int, ...]
+    group: tuple[int, ...]
+    dimensions: tuple[int, ...]
+
+
+def _winograd(device: Device, packed: Packed, out: Padded, stride: int, final: Final | None) -> _Shape:
+    table = tuning_for(device).winograd
+    assert table is not None
+    assert packed.winograd is not None
+    assert stride == 1
+    row = table[packed.direct.shape[-1]]
+    return _Shape(
+        file="winograd.cl",
+        options={"USED": packed.used, "TILES": row.tiles, "ROWS": row.rows, "BLOCK": row.block, "PREFETCH": row.prefetch},
+        weight=packed.winograd,
+        gate=packed.gate_winograd,
+        size=(ceil_div(ceil_div(out.width, 4), row.tiles), ceil_div(out.height, 4)),
+        group=(1, 1),
+        dimensions=(final.height, final.width) if final else (out.height, out.width),
+    )
+
+
+def _direct(device: Device, packed: Packed, out: Padded, stride: int, final: Final | None) -> _Shape:
+    assert final is None
+    kernel, _, _, outputs = packed.direct.shape
+    row = tuning_for(device).direct[outputs]
+    columns = ceil_div(ceil_div(out.width, row.pixels), row.group) * row.group
+    return _Shape(
+        file="conv.cl",
+        options={"KERNEL": kernel, "STRIDE": stride, "PIXELS": row.pixels, "BLOCK": row.block, "GROUP": row.group},
+        weight=packed.direct,
+        gate=packed.gate_direct,
+        size=(outputs // 8 // row.block, columns, out.height),
+        group=(1, row.group, 1),
+        dimensions=(out.width,),
+    )

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: MIT
+"""Stage erm: the Efficient Reshading Module, attention to nearby pixels of similar material."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stss_ref.arrays import Image, Plane, require_shape
+from stss_ref.conv import conv_chain
+from stss_ref.resample import downsample_8
+from stss_ref.weights import Weights
+
+WINDOW = 5
+"""Side of the attention window, in pixels at 1/8 size (paper, Eq. 5)."""
+
+
+def erm(x4: Image, gbuffer: Image, mask: Plane, weights: Weights) -> Image:
+    """Reshade each place with the light of its neighbours, weighted by how alike their materials are.
+
+    ``V = latentEncoder(concat(x4, f)) m``, ``K = KEncoder(f) / |KEncoder(f)|``,
+    ``phi(p) = sum_d w(d) V(p + d) / max(sum_d w(d), 1e-6)``, ``w(d) = relu(m(p + d) K(p + d) . K(p))``,
+    where ``f``, ``m`` are gbuffer and mask at 1/8 size.
+
+    Source: spec 8; paper, Eq. 4, 5.
+
+    Args:
+        x4: (H/8, W/8, 32) from the encoder.
+        gbuffer: (H, W, 9).
+        mask: (H, W) 1 = to be trusted.
+        weights: the network's tensors.
+
+    Returns:
+        reshaded: (H/8, W/8, 64); 0 where nothing in the window is to be trusted.
+
+    Raises:
+        ArrayError: shapes differ.
+    """
+    height, width, _ = x4.shape
+    require_shape("x4", x4, (None, None, 32))
+    require_shape("gbuffer", gbuffer, (8 * height, 8 * width, 9))
+    require_shape("mask", mask, (8 * height, 8 * width))
+
+    f, m = downsample_8(gbuffer), downsample_8(mask[..., None])
+    light = conv_chain(np.concatenate([x4, f], axis=-1), weights, "latentEncoder", (1, 1, 1), last_relu=False) * m
+    material = normalise(conv_chain(f, weights, "KEncoder", (1, 1, 1), last_relu=False))
+    return attend(material, material * m, light)
+
+
+def normalise(x: Image) -> Image:
+    """``x`` (H, W, C) divided by its length over the channels, at least 1e-12."""
+    return x / np.maximum(np.sqrt((x * x).sum(axis=-1, keepdims=True)), x.dtype.type(1e-12))
+
+
+def attend(query: Image, key: Image, value: Image) -> Image:
+    """``sum_d relu(key(p + d) . query(p)) value(p + d) / max(sum_d relu(key(p + d) . query(p)), 1e-6)`` over the window.
+
+    Args:
+        query: (H, W, K).
+        key: (H, W, K); outside the frame 0.
+        value: (H, W, V); outside the frame 0.
+
+    Returns:
+        (H, W, V).
+    """
+    height, width, _ = query.shape
+    r = WINDOW // 2
+    key, value = (np.pad(a, ((r, r), (r, r), (0, 0))) for a in (key, value))
+    total = np.zeros((height, width, value.shape[-1]), value.dtype)
+    weight_sum = np.zeros((height, width, 1), value.dtype)
+    for v in range(WINDOW):
+        for u in range(WINDOW):
+            there = np.s_[v : v + height, u : u + width]
+            weight = np.maximum((key[there] * query).sum(axis=-1, keepdims=True), 0)
+            total += weight * value[there]
+            weight_sum += weight
+    return total / np.maximum(weight_sum, weight_sum.dtype.type(1e-6))

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: MIT
+"""Stage frame: one display frame from its buffers to its image."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stss_ref.arrays import Array, ArrayError, Image, Mask, Plane, require_dtype, require_finite, require_shape
+from stss_ref.holes import holes
+from stss_ref.motion_chain import Gather, chain_steps
+from stss_ref.network import network
+from stss_ref.occlusion_warp import occlusion_warp
+from stss_ref.warp import warp
+from stss_ref.weights import Weights
+
+
+@dataclass(frozen=True)
+class FrameInputs:
+    """What stage ``frame`` takes (spec 11), one dtype throughout.
+
+    Attributes:
+        colors: (3, H, W, 3) the three colour frames, newest first; display-referred, [0, 1].
+        steps: how many display frames back each lies; 0, 2, 4 for an SF; 1, 3, 5 for an EF. A step equal to the one before it stands
+            for a missing frame (spec 1): its mask is 0.
+        motions: (k, H, W, 2) of frames t, t-1, ...; k at least the largest step; pixels, current -> previous.
+        gbuffer: (H, W, 9) normal 3, depth (normalised), roughness, metallic, base colour 3.
+        nov: (H, W) dot of normal and view vector.
+        stencils: (4, H, W); normals, positions: (4, H, W, 3); of the frame itself, then those of ``colors``; positions in cm.
+    """
+
+    colors: Array
+    steps: tuple[int, int, int]
+    motions: Array
+    gbuffer: Image
+    nov: Plane
+    stencils: Array
+    normals: Array
+    positions: Array
+
+
+@dataclass(frozen=True)
+class NetworkInputs:
+    """What stage ``network`` takes: color (H, W, 6), gbuffer (H, W, 9), mask (H, W), history (3, H, W, 4)."""
+
+    color: Image
+    gbuffer: Image
+    mask: Plane
+    history: Array
+
+
+def frame(inputs: FrameInputs, weights: Weights, gather: Gather = "longest") -> tuple[Image, Mask]:
+    """Compute one display frame: motion chain, warp, holes, occlusion warp, network.
+
+    Source: spec 1 to 8, 11; paper, Eq. 1.
+
+    Args:
+        inputs: the buffers.
+        weights: the network's 92 tensors.
+        gather: how the motion chain reads between pixels.
+
+    Returns:
+        image: (2H, 2W, 3), not clipped.
+        valid: (H, W) False in the warping holes of the newest colour frame; all True for an SF.
+
+    Raises:
+        ArrayError: shapes or dtypes differ, or an array that must be finite is not.
+    """
+    prepared = prepare(inputs, gather)
+    image = network(prepared.color, prepared.gbuffer, prepared.mask, prepared.history, weights)
+    return image, prepared.mask.astype(bool)
+
+
+def prepare(inputs: FrameInputs, gather: Gather = "longest") -> NetworkInputs:
+    """Warp the three colour frames to now: everything that comes before the network; arguments and errors as ``frame``."""
+    _check(inputs)
+    motions = _motion_by_step(inputs.motions, inputs.steps, gather)
+
+    warped: list[Image] = []
+    valids: list[Mask] = []
+    for i, step in enumerate(inputs.steps):
+        w, valid = _warp_one(inputs, i, motions.get(step))
+        missing = i > 0 and step == inputs.steps[i - 1]
+        warped.append(w)
+        valids.append(np.zeros_like(valid) if missing else valid)
+
+    newest, instead = warped[0], warped[0]
+    if (motion := motions.get(inputs.steps[0])) is not None:
+        _, instead = occlusion_warp(inputs.colors[0], newest, motion, inputs.gbuffer[..., 3], valids[0])
+    color = np.maximum(np.concatenate([instead, newest], axis=-1), 0)
+    masks = [valid[..., None].astype(color.dtype) for valid in valids]
+    history = np.stack([np.concatenate([np.maximum(w, 0), m], axis=-1) for w, m in zip(warped, masks, strict=True)])
+    return NetworkInputs(color, inputs.gbuffer, masks[0][..., 0], np.ascontiguousarray(history[::-1]))
+
+
+def _motion_by_step(motions: Array, steps: Sequence[int], gather: Gather) -> dict[int, Image]:
+    """Chained motion over each of the steps that is not 0."""
+    chained = chain_steps(motions[: max(steps)], gather) if max(steps) > 0 else ()
+    return {step: motion for step, motion in enumerate(chained, start=1) if step in steps}
+
+
+def _warp_one(inputs: FrameInputs, i: int, motion: Image | None) -> tuple[Image, Mask]:
+    """Colour frame ``i`` seen from now and where it is to be trusted; the frame itself (no motion) everywhere."""
+    if motion is None:
+        return inputs.colors[i], np.ones(inputs.nov.shape, bool)
+    warped, _ = warp(inputs.colors[i], motion)
+    valid = holes(
+        motion,
+        stencil_previous=inputs.stencils[i + 1],
+        stencil=inputs.stencils[0],
+        normal_previous=inputs.normals[i + 1],
+        normal=inputs.normals[0],
+        position_previous=inputs.positions[i + 1],
+        position=inputs.positions[0],
+        nov=inputs.nov,
+        depth=inputs.gbuffer[..., 3],
+    )
+    return warped, valid
+
+
+def _check(inputs: FrameInputs) -> None:
+    require_shape("gbuffer", inputs.gbuffer, (None, None, 9))
+    height, width, _ = inputs.gbuffer.shape
+    require_shape("colors", inputs.colors, (3, height, width, 3))
+    require_shape("nov", inputs.nov, (height, width))
+    require_shape("stencils", inputs.stencils, (4, height, width))
+    require_shape("normals", inputs.normals, (4, height, width, 3))
+    require_shape("positions", inputs.positions, (4, height, width, 3))
+    if len(inputs.steps) != 3 or list(inputs.steps) != sorted(inputs.steps) or inputs.steps[0] < 0:
+        raise ArrayError(f"steps: expected three numbers >= 0, newest (smallest) first, got {tuple(inputs.steps)}")
+    if inputs.motions.ndim != 4 or inputs.motions.shape[1:] != (height, width, 2) or len(inputs.motions) < max(inputs.steps):
+        raise ArrayError(f"motions: expected (k, {height}, {width}, 2) with k >= {max(inputs.steps)}, got {inputs.motions.shape}")
+    dtype = inputs.colors.dtype
+    # Motion and position may be non-finite: such pixels are off screen, or holes.
+    for name in ("motions", "positions"):
+        require_dtype(name, getattr(inputs, name), dtype)
+    for name in ("colors", "gbuffer", "nov", "stencils", "normals"):
+        require_dtype(name, getattr(inputs, name), dtype)
+        require_finite(name, getattr(inputs, name))

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: MIT
+"""The training loss."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stss_ref.arrays import Image, Plane, require_shape
+from stss_ref.resample import upsample_centres
+
+
+def loss(output: Image, truth: Image, mask: Plane, perceptual: float = 0.0) -> float:
+    """L1 over the frame, once more over the reshading regions, and the perceptual term.
+
+    ``mean |o - y| + sum |o - y| (1 - M) / max(sum (1 - M), 1e-6) + 0.01 perceptual``
+
+    Source: spec 6; paper, Loss Function (its weight 2 in the masked regions, split in two means).
+
+    Args:
+        output, truth: (2H, 2W, 3) display-referred.
+        mask: (H, W) 1 = to be trusted, the RRM's rectangle included.
+        perceptual: the perceptual distance of ``output`` and ``truth``; which one is the trainer's choice.
+
+    Returns:
+        The loss, >= 0. The sums run over pixels and channels alike.
+
+    Raises:
+        ArrayError: shapes differ.
+    """
+    require_shape("mask", mask, (None, None))
+    height, width = mask.shape
+    require_shape("output", output, (2 * height, 2 * width, 3))
+    require_shape("truth", truth, (2 * height, 2 * width, 3))
+
+    m = upsample_mask(mask)[..., None].astype(output.dtype)
+    error = np.abs(output - truth)
+    masked = np.broadcast_to(1 - m, error.shape)
+    return float(error.mean() + (error * masked).sum() / max(masked.sum(), 1e-6) + 0.01 * perceptual)
+
+
+def upsample_mask(mask: Plane) -> Plane:
+    """``M``: the mask (H, W) upsampled bilinearly by 2 and set to 1 where > 0; (2H, 2W) in {0, 1}."""
+    return (upsample_centres(mask[..., None])[..., 0] > 0).astype(mask.dtype)

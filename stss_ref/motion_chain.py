@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: MIT
+"""Stage motion_chain: motion over several frames, followed from the newest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Literal
+
+import numpy as np
+
+from stss_ref.arrays import Image, require_shape
+from stss_ref.sample import Index, grid
+
+Gather = Literal["longest", "nearest", "bilinear"]
+
+
+def motion_chain(motions: Image, gather: Gather = "longest") -> Image:
+    """Motion from a frame back over as many frames as there are motions.
+
+    ``m_1(p) = motion_t(p)``, ``m_{j+1}(p) = m_j(p) + gather(motion_{t-j}, p + m_j(p))``.
+
+    Source: spec 2.
+
+    Args:
+        motions: (k, H, W, 2) motion of frames t, t-1, ..., newest first; pixels, current -> previous, x right, y down.
+        gather: how a motion is read between pixels: see ``GATHERS``.
+
+    Returns:
+        motion: (H, W, 2) pixels from frame t to frame t-k; non-finite where any motion on the way was.
+
+    Raises:
+        ArrayError: ``motions`` is not (k, H, W, 2) with k >= 1.
+    """
+    *_, last = chain_steps(motions, gather)
+    return last
+
+
+def chain_steps(motions: Image, gather: Gather = "longest") -> Iterator[Image]:
+    """``m_1``, ``m_2``, ..., ``m_k`` of ``motion_chain``, one after the other; arguments and errors as there."""
+    require_shape("motions", motions, (None, None, None, 2))
+
+    chained = motions[0]
+    yield chained
+    for earlier in motions[1:]:
+        chained = chained + GATHERS[gather](earlier, chained)
+        yield chained
+
+
+def _position(chained: Image) -> tuple[Image, Image]:
+    """``p + m(p)`` as x, y; anything beyond the frame's neighbourhood, NaN too, is moved to two pixels before its corner."""
+    height, width, _ = chained.shape
+    x, y = grid(height, width, chained.dtype)
+    x, y = x + chained[..., 0], y + chained[..., 1]
+    near = (x > -2) & (x < width + 1) & (y > -2) & (y < height + 1)
+    # An integer has no NaN and no infinity: whatever is far outside reads 0 from one place that is.
+    return np.where(near, x, -2), np.where(near, y, -2)
+
+
+def _read(motion: Image, x: Index, y: Index) -> Image:
+    """``motion`` at whole pixels, 0 outside the frame."""
+    height, width, _ = motion.shape
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    return np.where(inside[..., None], motion[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)], 0)
+
+
+def gather_longest(motion: Image, chained: Image) -> Image:
+    """The longest of the 2 x 2 motions whose corner is ``trunc(p + m(p))``; 0 when any of the four is 0.
+
+    The faster surface wins at a silhouette, a still one over both. Among equally long ones the first in raster order stays; a
+    non-finite motion is longer than any other.
+    """
+    x, y = (np.trunc(c).astype(np.intp) for c in _position(chained))
+    corners = np.stack([_read(motion, x + i, y + j) for j in (0, 1) for i in (0, 1)])
+    with np.errstate(over="ignore", invalid="ignore"):
+        length = (corners * corners).sum(axis=-1)
+    length = np.where(np.isfinite(corners).all(axis=-1), length, np.inf)
+    longest = np.take_along_axis(corners, length.argmax(axis=0)[None, ..., None], axis=0)[0]
+    still = (corners == 0).all(axis=-1).any(axis=0)
+    return np.where(still[..., None], 0, longest)
+
+
+def gather_nearest(motion: Image, chained: Image) -> Image:
+    """The motion of the nearest pixel, ``floor(p + m(p) + 1/2)``."""
+    x, y = (np.floor(c + c.dtype.type(0.5)).astype(np.intp) for c in _position(chained))
+    return _read(motion, x, y)
+
+
+def gather_bilinear(motion: Image, chained: Image) -> Image:
+    """The motion between the four pixels around ``p + m(p)``, with 0 outside the frame."""
+    x, y = _position(chained)
+    x0, y0 = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
+    fx, fy = (x - np.floor(x))[..., None], (y - np.floor(y))[..., None]
+    nw, ne, sw, se = (_read(motion, x0 + i, y0 + j) for j in (0, 1) for i in (0, 1))
+    with np.errstate(invalid="ignore"):
+        top, bottom = nw + (ne - nw) * fx, sw + (se - sw) * fx
+        return top + (bottom - top) * fy
+
+
+GATHERS: dict[Gather, Callable[[Image, Image], Image]] = {
+    "longest": gather_longest,
+    "nearest": gather_nearest,
+    "bilinear": gather_bilinear,
+}

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: MIT
+"""Stage schedule: which earlier frames a display frame is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Container
+from enum import Enum
+from typing import NamedTuple
+
+
+class FrameKind(Enum):
+    """SF: rendered, gains resolution only. EF: not rendered, extrapolated from earlier frames."""
+
+    SF = "SF"
+    EF = "EF"
+
+
+STEPS = {FrameKind.SF: (0, 2, 4), FrameKind.EF: (1, 3, 5)}
+"""How many display frames back the three colour frames lie, newest first (paper, Eq. 1)."""
+
+
+class Schedule(NamedTuple):
+    """The plan for one display frame.
+
+    Attributes:
+        kind: SF or EF.
+        steps: how far back each of the three colour frames lies, newest first. A step equal to the one before it stands for a
+            frame that is missing: the oldest one there is is repeated, and its mask is 0 (spec 1).
+    """
+
+    kind: FrameKind
+    steps: tuple[int, int, int]
+
+
+def schedule(number: int, rendered: Container[int], *, reach: int = 5) -> Schedule | None:
+    """Choose the three colour frames of display frame ``number``.
+
+    ``SF: t, t-2, t-4; EF: t-1, t-3, t-5``. No frame after ``t`` is asked for.
+
+    Source: spec 1; paper, Eq. 1.
+
+    Args:
+        number: the display frame ``t``.
+        rendered: the display frames that have colour.
+        reach: how far back the chain of motion is unbroken; older frames count as missing.
+
+    Returns:
+        The schedule; None for an extrapolation frame with no rendered frame just before it: there is nothing to make it of.
+    """
+    kind = FrameKind.SF if number in rendered else FrameKind.EF
+    steps: list[int] = []
+    for step in STEPS[kind]:
+        here = step <= reach and number - step in rendered
+        # Past the first gap everything counts as missing: a history has no holes in the middle.
+        if here and len(set(steps)) == len(steps):
+            steps.append(step)
+        elif steps:
+            steps.append(steps[-1])
+        else:
+            return None
+    newest, middle, oldest = steps
+    return Schedule(kind, (newest, middle, oldest))

@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: MIT
+"""The network's 92 named arrays: their table, the check of them, and weights to start from.
+
+Source: spec 7, 8, 10; paper, Tab. "Cost analysis for each component".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from math import prod, sqrt
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from stss_ref.arrays import Array
+
+Weights = Mapping[str, Array]
+"""Array of each name of `TENSORS`; a convolution's weight is (out, in, kh, kw), its bias (out,)."""
+
+Component = Literal["backbone", "history", "erm"]
+
+
+class WeightsError(ValueError):
+    """Weights are not what the network takes; the message names the tensor, what was expected and what was found."""
+
+
+def _padded(length: int) -> int:
+    return -(-length // 8) * 8
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One convolution of the network.
+
+    Attributes:
+        name: module path in the authors' checkpoint, without ``.weight`` and ``.bias``.
+        inputs: channels in.
+        outputs: channels out; a gated layer's gate has one more, of its own weights.
+        component: row of the paper's cost table that it belongs to.
+        divisor: its output grid is (H / divisor, W / divisor); the input grid is ``stride`` times finer.
+        kernel: side of the window, in pixels of the input grid.
+        stride: step of the window, in pixels of the input grid.
+        gated: multiplied by the sigmoid of a second convolution to one channel (spec 7, ``G``).
+        repeats: times it runs for one frame; the history's layers run for each of the three frames.
+    """
+
+    name: str
+    inputs: int
+    outputs: int
+    component: Component
+    divisor: int
+    kernel: int = 3
+    stride: int = 1
+    gated: bool = False
+    repeats: int = 1
+
+    def tensors(self) -> Iterator[tuple[str, tuple[int, ...]]]:
+        """Name and shape of each of its arrays, in the checkpoint's order."""
+        branches = {"": self.outputs}
+        if self.gated:
+            branches = {".conv_feature": self.outputs, ".conv_mask.0": 1}
+        for branch, outputs in branches.items():
+            yield f"{self.name}{branch}.weight", (outputs, self.inputs, self.kernel, self.kernel)
+            yield f"{self.name}{branch}.bias", (outputs,)
+
+    @property
+    def parameters(self) -> int:
+        """How many numbers its arrays hold."""
+        return sum(prod(shape) for _, shape in self.tensors())
+
+    def multiply_adds(self, height: int, width: int) -> int:
+        """Multiply-adds for one frame of (height, width): see `multiply_adds` of the module."""
+        pixels = (_padded(height) // self.divisor) * (_padded(width) // self.divisor)
+        outputs = self.outputs + (1 if self.gated else 0)
+        return self.repeats * pixels * outputs * self.inputs * self.kernel**2
+
+
+def _gated(name: str, inputs: int, outputs: int, component: Component, divisor: int, *, stride: int = 1) -> Layer:
+    return Layer(name, inputs, outputs, component, divisor, stride=stride, gated=True)
+
+
+def _down(name: str, inputs: int, outputs: int, divisor: int) -> tuple[Layer, ...]:
+    return (
+        _gated(f"{name}.downsample", inputs, inputs, "backbone", divisor, stride=2),
+        _gated(f"{name}.conv1", inputs, outputs, "backbone", divisor),
+        _gated(f"{name}.conv2", outputs, outputs, "backbone", divisor),
+    )
+
+
+def _up(name: str, inputs: int, middle: int, outputs: int, divisor: int) -> tuple[Layer, ...]:
+    return (
+        Layer(f"{name}.conv.double_conv.0", inputs, middle, "backbone", divisor),
+        Layer(f"{name}.conv.double_conv.2", middle, outputs, "backbone", divisor),
+    )
+
+
+def _history(name: str, inputs: int, outputs: int, divisor: int) -> tuple[Layer, ...]:
+    return (
+        Layer(f"{name}.0", inputs, outputs, "history", divisor, stride=2, repeats=3),
+        Layer(f"{name}.2", outputs, outputs, "history", divisor, repeats=3),
+        Layer(f"{name}.4", outputs, outputs, "history", divisor, repeats=3),
+    )
+
+
+def _encoder(name: str, inputs: int, outputs: int) -> tuple[Layer, ...]:
+    return (
+        Layer(f"{name}.0", inputs, outputs, "erm", 8),
+        Layer(f"{name}.2", outputs, outputs, "erm", 8),
+        Layer(f"{name}.4", outputs, outputs, "erm", 8),
+    )
+
+
+LAYERS: tuple[Layer, ...] = (
+    _gated("conv1", 21, 24, "backbone", 1),
+    _gated("conv2", 24, 24, "backbone", 1),
+    *_down("down1", 24, 24, 2),
+    *_down("down2", 24, 32, 4),
+    *_down("down3", 32, 32, 8),
+    *_history("convHis1", 4, 24, 2),
+    *_history("convHis2", 24, 32, 4),
+    *_history("convHis3", 32, 32, 8),
+    _gated("lowlevelGated", 96, 32, "history", 8),
+    *_encoder("latentEncoder", 41, 64),
+    *_encoder("KEncoder", 9, 32),
+    *_up("up1", 128, 64, 32, 4),
+    *_up("up2", 56, 28, 24, 2),
+    *_up("up3", 48, 24, 24, 1),
+    Layer("outc", 24, 12, "backbone", 1, kernel=1),
+)
+"""Every convolution, in the order of computation."""
+
+TENSORS: dict[str, tuple[int, ...]] = {name: shape for layer in LAYERS for name, shape in layer.tensors()}
+"""Shape of each of the 92 arrays."""
+
+
+def multiply_adds(height: int, width: int) -> dict[str, int]:
+    """Multiply-adds of each layer for one frame of (height, width) padded to multiples of 8, by the layer's name.
+
+    Convolutions and gates are counted, biases and activations are not, nor is what lies between the layers. The
+    paper's 31.50 G are these at 968 x 544 (its authors pad a width of 960 by 8 more), and 11 for each number that the
+    decoder's three upsamplings give.
+    """
+    return {layer.name: layer.multiply_adds(height, width) for layer in LAYERS}
+
+
+def check(tensors: Mapping[str, NDArray[Any]]) -> Weights:
+    """Say that ``tensors`` are weights of this network, in the table's order and safe from change.
+
+    Args:
+        tensors: array by name.
+
+    Returns:
+        The same numbers, in the order of `TENSORS`, as C-contiguous read-only arrays of float32.
+
+    Raises:
+        WeightsError: a tensor is missing, not of this network, misshapen, not float32 in the machine's byte order, or
+            holds NaN or infinity. The message names it.
+    """
+    require_names(tensors)
+    return {name: _check_one(name, tensors[name]) for name in TENSORS}
+
+
+def require_names(names: Collection[str]) -> None:
+    """Raise WeightsError unless ``names`` are those of `TENSORS`, in any order."""
+    missing = [name for name in TENSORS if name not in names]
+    extra = sorted(name for name in names if name not in TENSORS)
+    if missing:
+        raise WeightsError(f"{missing[0]}: missing{_more(missing)}, of {len(TENSORS)} tensors")
+    if extra:
+        raise WeightsError(f"{extra[0][:80]!r}: not a tensor of this network{_more(extra)}")
+
+
+def require_shape(name: str, shape: tuple[int, ...]) -> None:
+    """Raise WeightsError unless ``shape`` is that of the tensor ``name``."""
+    if shape != TENSORS[name]:
+        raise WeightsError(f"{name}: expected shape {TENSORS[name]}, got {shape}")
+
+
+def _more(names: list[str]) -> str:
+    return f" (and {len(names) - 1} more)" if len(names) > 1 else ""
+
+
+def _check_one(name: str, tensor: NDArray[Any]) -> Array:
+    require_shape(name, tensor.shape)
+    if tensor.dtype != np.float32:
+        raise WeightsError(f"{name}: expected dtype float32, got {tensor.dtype}")
+    bad = np.argwhere(~np.isfinite(tensor))
+    if len(bad):
+        first = tuple(int(i) for i in bad[0])
+        raise WeightsError(f"{name}: {len(bad)} non-finite values, first at index {first}")
+    return _frozen(tensor)
+
+
+def _frozen(tensor: NDArray[Any]) -> Array:
+    copy = np.array(tensor, order="C")
+    copy.flags.writeable = False
+    return copy
+
+
+def zeros() -> Weights:
+    """Weights of the method ``bilinear``: the network adds nothing to the upsampled colour, whatever its inputs."""
+    return {name: _frozen(np.zeros(shape, np.float32)) for name, shape in TENSORS.items()}
+
+
+def random(seed: int) -> Weights:
+    """Weights that keep the size of a signal from layer to layer (He et al. 2015), the same for the same ``seed``.
+
+    Biases are drawn as well, with a tenth of a standard deviation, so that a port that forgets one is found out.
+    """
+    generator = np.random.default_rng(seed)
+
+    def draw(shape: tuple[int, ...]) -> Array:
+        scale = sqrt(2 / prod(shape[1:])) if len(shape) == 4 else 0.1
+        return _frozen((generator.standard_normal(shape) * scale).astype(np.float32))
+
+    return {name: draw(shape) for name, shape in TENSORS.items()}
+
+
+def astype(weights: Weights, dtype: DTypeLike) -> Weights:
+    """The same weights in another floating point ``dtype``; float64 for the truth."""
+    return {name: _frozen(tensor.astype(dtype)) for name, tensor in weights.items()}

@@ -1,0 +1,64 @@
+"""A small sequence on disk, in the project's own layout."""
+
+import numpy as np
+import pytest
+
+from stss.images import write_channels
+
+VELOCITY = (1.5, 0.75)
+"""Pixels a frame, right and down."""
+
+
+def frame_channels(number, size=(48, 64), color=True):
+    """A textured plane that slides past a still camera at (0, 0, 0), 2 m away, looking along z."""
+    y, x = np.mgrid[: size[0], : size[1]].astype(np.float64)
+    u, v = x - VELOCITY[0] * number, y - VELOCITY[1] * number
+    one = np.ones(size)
+    channels = {
+        "motion.X": -VELOCITY[0] * one,
+        "motion.Y": -VELOCITY[1] * one,
+        "normal.X": 0 * one,
+        "normal.Y": 0 * one,
+        "normal.Z": -one,
+        "depth.Z": 200 * one,
+        "position.X": x - size[1] / 2,
+        "position.Y": y - size[0] / 2,
+        "position.Z": 200 * one,
+        "stencil.X": np.where(x < 8, 0.0, 1.0),
+        "nov.X": one,
+        "basecolor.R": 0.5 + 0.4 * np.sin(u / 3),
+        "basecolor.G": 0.5 + 0.4 * np.sin(v / 4 + u / 7),
+        "basecolor.B": 0.5 + 0.4 * np.cos(u / 5 - v / 3),
+        "roughness.X": 0.5 * one,
+        "metallic.X": 0 * one,
+    }
+    if color:
+        channels |= {name: 2 * channels[f"basecolor.{name}"] for name in "RGB"}
+    return channels
+
+
+@pytest.fixture
+def write_frames(tmp_path):
+    """Write frames ``seq.NNNN.exr``; ``change(number, channels)`` may alter or replace the channels."""
+
+    def write(numbers, *, change=None, rendered=None, folder="in", half=(), size=(48, 64), stem="seq"):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        for number in numbers:
+            channels = frame_channels(number, size, rendered is None or number in rendered)
+            channels = (change(number, channels) if change else None) or channels
+            # Not through write_channels where a test wants values that it refuses to write.
+            write_raw(tmp_path / folder / f"{stem}.{number:04d}.exr", channels, half)
+        return tmp_path / folder
+
+    return write
+
+
+def write_raw(path, channels, half=()):
+    """Write an EXR, non-finite values too."""
+    from stss import images
+
+    finite, images._require_finite = images._require_finite, lambda *_: None
+    try:
+        write_channels(path, channels, half=half)
+    finally:
+        images._require_finite = finite

@@ -1,0 +1,162 @@
+"""The benchmark: its bookkeeping, never its times."""
+
+import io
+import json
+import platform
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from stss import bench_report
+from stss.bench import Row, SizeResult, bench
+from stss.contenders import FRAMES, OURS, default_ours, frame_inputs, inputs_for, truth
+from stss.errors import InputError
+from stss.optional import require
+from stss.peers import PEERS, Setup
+from stss_ref.frame import FrameInputs, prepare
+from stss_ref.weights import random as random_weights
+
+WEIGHTS = random_weights(2)
+
+
+def setup(height=8, width=16, **changes):
+    return Setup(**({"weights": WEIGHTS, "height": height, "width": width, "device": None, "threads": 1} | changes))
+
+
+def printed(results):
+    console = Console(width=100, record=True, file=io.StringIO())
+    bench_report.print_results(results, console)
+    return console.export_text()
+
+
+RESULT = SizeResult(
+    540,
+    960,
+    (
+        Row("cl", (0.2, 0.25, 0.9), 1e-6, 300 * 2**20, {"erm": 0.01}, {"precision": "float32"}),
+        Row("cl-frame", (0.3, 0.3, 0.3), 1e-6),
+        Row("openvino", fault="not installed"),
+        Row("pytorch", (0.6, 0.7, 0.8), float("inf")),
+    ),
+)
+
+
+def test_the_reference_is_timed_and_judged():
+    steps = []
+    (result,) = bench([setup()], ["ref"], [], repeat=3, on_step=steps.append)
+    (row,) = result.rows
+    assert row.fault is None
+    assert len(row.times) == 3
+    assert row.minimum <= row.median
+    assert 0 < row.error < 1
+    assert steps[0] == "16x8: float64 reference"
+    assert steps[-1] == "16x8: run 3 of 3"
+    if platform.system() == "Linux":
+        assert row.peak_memory > 2**20
+
+
+def test_a_contender_that_fails_is_a_row_and_the_others_go_on():
+    (result,) = bench([setup(device="no such device")], ["ref", "cl"], [], repeat=1)
+    good, bad = result.rows
+    assert good.fault is None
+    assert bad.fault
+    assert "\n" not in bad.fault
+    assert "no such device" in printed([result])
+
+
+def test_a_process_that_dies_is_a_row(monkeypatch):
+    from stss import bench as module
+
+    def die(self, *_):
+        self._process.kill()
+        self._process.join()
+
+    start = module._Worker.start
+    monkeypatch.setattr(module._Worker, "start", lambda self, want: (start(self, want), die(self)))
+    (result,) = bench([setup()], ["ref"], [], repeat=2)
+    assert "ended with status -9" in result.rows[0].fault
+
+
+@pytest.mark.parametrize(
+    ("ours", "peers", "repeat", "said"),
+    [
+        (["pytorch"], [], 1, "ours: expected"),
+        ([], ["cl"], 1, "peers: expected"),
+        ([], [], 1, "at least one"),
+        (["ref"], [], 0, "at least one"),
+    ],
+)
+def test_wrong_names_are_one_line(ours, peers, repeat, said):
+    with pytest.raises(InputError, match=said):
+        bench([setup()], ours, peers, repeat)
+
+
+def test_the_peers_run_in_turns_with_ours():
+    pytest.importorskip("torch", reason="the package torch is not installed: pip install '.[bench]'")
+    (result,) = bench([setup()], ["ref"], ["pytorch", "pytorch-tuned"], repeat=2)
+    assert [(row.name, row.fault, len(row.times)) for row in result.rows] == [
+        ("ref", None, 2),
+        ("pytorch", None, 2),
+        ("pytorch-tuned", None, 2),
+    ]
+    assert result.ratio(result.rows[1]) == 1
+
+
+def test_ratios_are_to_the_first_peer_that_ran_and_not_of_whole_frames():
+    assert [result and round(result, 6) for result in map(RESULT.ratio, RESULT.rows)] == [3, None, None, 1]
+
+
+def test_the_table_shows_stages_and_faults():
+    text = printed([RESULT])
+    assert "960 x 540 to 1920 x 1080, 3 runs" in text
+    assert "openvino: not installed" in text
+    lines = [line.split() for line in text.splitlines()]
+    assert ["cl", "200.0", "250.0", "3.00", "1.0e-06", "300"] in lines
+    assert ["erm", "10.0"] in lines
+
+
+def test_json_can_be_read_and_names_no_place():
+    text = bench_report.to_json([RESULT], "abc", 2)
+    data = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    assert data["machine"]["threads"] == 2
+    (size,) = data["sizes"]
+    assert size["output"] == [1920, 1080]
+    assert [row["peer"] for row in size["rows"]] == [False, False, True, True]
+    assert [row.get("error") for row in size["rows"]] == [1e-6, 1e-6, None, "inf"]
+    assert platform.node() not in text
+    assert "/home" not in text
+
+
+def test_a_picture_is_drawn(tmp_path):
+    try:
+        require("matplotlib")
+    except InputError as error:
+        pytest.skip(str(error))
+    bench_report.plot([RESULT, RESULT], tmp_path / "bench.png")
+    assert (tmp_path / "bench.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(InputError, match=r"bench\.txt"):
+        bench_report.plot([RESULT], tmp_path / "bench.txt")
+
+
+def test_inputs_are_the_same_in_every_process():
+    for name in ("cl", "cl-frame"):
+        first, second = (vars(inputs_for(name, 8, 16)) for _ in range(2))
+        for key, value in first.items():
+            np.testing.assert_array_equal(value, second[key])
+
+
+def test_whole_frames_have_holes_only_where_the_plane_enters():
+    inputs = frame_inputs(16, 24)
+    assert isinstance(inputs, FrameInputs)
+    mask = prepare(inputs, "longest").mask
+    want = np.zeros((16, 24))
+    want[:15, :22] = 1  # the newest frame is one step back: 1.5 to the right, 0.75 down
+    np.testing.assert_array_equal(mask, want)
+    assert truth(inputs, WEIGHTS).shape == (32, 48, 3)
+
+
+def test_no_name_means_two_things():
+    assert not OURS.keys() & PEERS.keys()
+    assert OURS.keys() >= FRAMES
+    assert set(default_ours()) <= OURS.keys()

@@ -1,0 +1,221 @@
+"""The check says what is wrong with a sequence, the most likely thing first."""
+
+import io
+import json
+import math
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from stss.check import check, print_report
+from stss.errors import InputError
+from stss.profiles import load_profile
+from stss.reprojection import CHOICES
+
+
+def texts(report, level):
+    return [finding.text for finding in report.findings if finding.level == level]
+
+
+def with_constant_base_color(number, channels):
+    for name in "RGB":
+        channels[f"basecolor.{name}"] = 0 * channels["nov.X"] + 0.5
+
+
+def test_a_sound_sequence(write_frames):
+    report = check(write_frames([1, 2, 3, 4, 5], rendered={1, 3, 5}), "stss")
+    assert report.status == 0
+    assert not texts(report, "warning")
+    assert any("every second frame from 1 on" in text for text in texts(report, "note"))
+    assert any("motion: fits as profile stss says" in text for text in texts(report, "note"))
+    assert report.tables["channels"]["motion"]["channels"] == ["motion.X", "motion.Y"]
+    assert report.tables["frames"]["2"] == {"files": ["seq.0002.exr"], "color": False, "missing": []}
+    assert json.loads(report.to_json())["status"] == 0
+    printed = io.StringIO()
+    print_report(report, Console(width=100, file=printed))
+    assert "motion: fits as profile stss says" in printed.getvalue()
+    assert "basecolor.G" in printed.getvalue()
+
+
+def test_half_rate_g_buffers_are_said_first(write_frames):
+    """The likeliest mistake: everything was rendered at half rate."""
+    folder = write_frames([1, 3, 5, 7], change=lambda _, c: {k: v for k, v in c.items() if k != "nov.X"})
+    report = check(folder, "stss")
+    assert report.status == 2
+    assert report.findings[0].text.startswith("frames step by 2 (1, 3, 5, ...): the display frames between are not there")
+    assert "no nov and no camera" in report.findings[1].text
+
+
+def test_single_frames_that_are_missing(write_frames):
+    report = check(write_frames([1, 2, 4, 7]), "stss")
+    assert report.findings[0].text.startswith("display frames 3, 5, 6 are not there")
+    assert report.status == 2
+
+
+def test_motion_at_half_rate(write_frames):
+    def change(number, channels):
+        return {k: v for k, v in channels.items() if number % 2 or not k.startswith("motion")}
+
+    report = check(write_frames([1, 2, 3, 4], change=change), "stss")
+    assert report.findings[0].text.startswith("motion: not there in frames 2, 4; every display frame needs it")
+    assert report.status == 2
+
+
+@pytest.mark.parametrize("rendered", [{1, 2, 4}, {2, 3}, {4}])
+def test_colour_at_odd_frames(write_frames, rendered):
+    report = check(write_frames([1, 2, 3, 4], rendered=rendered), "stss")
+    found = [text for text in texts(report, "warning") if text.startswith("colour: expected every frame or every second")]
+    assert len(found) == (0 if rendered == {4} else 1)
+
+
+@pytest.mark.parametrize("choice", list(CHOICES)[1:])
+@pytest.mark.parametrize("guide", ["base colour and normal", "colour"])
+def test_every_wrong_choice_of_motion_is_told(write_frames, choice, guide):
+    """Motion stored wrongly in each of the seven ways; the report names the way back."""
+    swap, x, y = CHOICES[choice]
+
+    def change(number, channels):
+        wanted = np.stack([channels["motion.X"], channels["motion.Y"]], axis=-1) * (x, y)
+        channels["motion.X"], channels["motion.Y"] = np.moveaxis(wanted[..., ::-1] if swap else wanted, -1, 0)
+        if guide == "colour":
+            with_constant_base_color(number, channels)
+
+    report = check(write_frames([1, 2, 3], change=change), "stss")
+    (text,) = texts(report, "warning")
+    assert report.status == 1
+    assert f"with {choice}, so profile stss seems wrong ({guide} of the frame before" in text
+
+
+def test_the_right_choice_beats_all_others(write_frames):
+    report = check(write_frames([1, 2, 3]), "stss")
+    ratios = report.tables["reprojection"]["ratios"]
+    assert set(ratios) == set(list(CHOICES)[1:])
+    assert min(ratios.values()) > 2
+
+
+def test_a_still_scene_tells_nothing(write_frames):
+    def change(number, channels):
+        channels["motion.X"] = channels["motion.Y"] = 0 * channels["nov.X"] + 0.1
+
+    report = check(write_frames([1, 2, 3], change=change), "stss")
+    assert report.status == 0
+    assert any("cannot tell whether its signs are right" in text for text in texts(report, "note"))
+
+
+def scaled(name, factor, offset=0.0):
+    def change(number, channels):
+        channels[name] = channels[name] * factor + offset
+
+    return change
+
+
+def one_pixel(name, value):
+    def change(number, channels):
+        channels[name][2, 3] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "level", "text"),
+    [
+        (scaled("normal.Z", 0.7), "warning", "normal: 100.0% of the pixels not of unit length"),
+        (scaled("normal.Z", 0.5, 0.5), "warning", "normal: no negative component anywhere; expected -1..1"),
+        (scaled("stencil.X", 0), "note", "stencil: 0 everywhere, so everything counts as static"),
+        (scaled("stencil.X", 0, 3), "warning", "stencil: 3 everywhere, so everything counts as moving"),
+        (scaled("stencil.X", 1, 1), "warning", "stencil: 0 nowhere"),
+        (scaled("stencil.X", 0.5), "warning", "stencil: 87.5% of the pixels are not whole numbers"),
+        (scaled("nov.X", -1), "warning", "nov: 100.0% of the pixels face away from the camera"),
+        (scaled("motion.X", 1000), "warning", "motion: 100.0% of the pixels move by more than the frame"),
+        (scaled("R", -1), "warning", "colour: 33.33% of the values negative"),
+        (scaled("R", 100), "note", "colour: largest value 180"),
+        (one_pixel("depth.Z", 1e10), "note", "depth: 0.0% background, stored as: 3 far"),
+        (one_pixel("depth.Z", 0), "note", "depth: 0.0% background, stored as: 3 0 or less"),
+        (scaled("depth.Z", 0), "warning", "depth: nothing was hit anywhere"),
+        (one_pixel("R", np.nan), "error", "color: 3 non-finite values, first in frame 1; refused unless"),
+        (one_pixel("motion.X", np.nan), "note", "motion: 3 non-finite values, first in frame 1; taken as off screen"),
+        (one_pixel("position.X", np.inf), "note", "position: 3 non-finite values, first in frame 1; taken as a hole"),
+    ],
+)
+def test_values(write_frames, change, level, text):
+    report = check(write_frames([1, 2, 3], change=change), "stss")
+    assert any(found.startswith(text) for found in texts(report, level)), report.findings
+    assert report.status == {"error": 2, "warning": 1, "note": report.status}[level]
+
+
+def test_masked_values_are_a_warning(write_frames):
+    report = check(write_frames([1, 2], change=one_pixel("R", np.nan)), "stss", non_finite="mask")
+    assert "color: 2 non-finite values, first in frame 1; masked" in texts(report, "warning")
+
+
+@pytest.mark.parametrize(("far", "level", "step"), [(1, "note", "0.12"), (200, "warning", "32")])
+def test_half_positions(write_frames, far, level, step):
+    """Half's steps are 1/8 from 128 to 256, and 32 from 32768 on."""
+
+    def change(number, channels):
+        channels["position.Z"] = channels["position.Z"] * far
+        channels["depth.Z"][:4] = 1e10  # the place that stands for the sky is no position
+
+    report = check(write_frames([1, 2], change=change, half=("position.X", "position.Y", "position.Z")), "stss")
+    assert f"position: half precision, in steps of {step} cm; holes are told apart from 7.5 cm on" in texts(report, level)
+
+
+def test_lossy_compression(write_frames, monkeypatch):
+    from stss import images
+
+    spec = images.oiio.ImageSpec
+
+    class Lossy(spec):
+        def attribute(self, name, *value):
+            super().attribute(name, *(("dwaa",) if name == "compression" else value))
+
+    monkeypatch.setattr(images.oiio, "ImageSpec", Lossy)
+    folder = write_frames([1, 2])
+    monkeypatch.undo()
+    (text,) = (t for t in texts(check(folder, "stss"), "warning") if "compression" in t)
+    assert text.startswith("dwaa")
+    assert "motion" in text
+    assert "color" not in text.replace("base_color", "")
+
+
+def test_frames_and_files_that_do_not_fit(write_frames, tmp_path):
+    folder = write_frames([1, 2, 3])
+    assert "no frames from (8, 9)" in texts(check(folder, "stss", frames=(8, 9)), "error")[0]
+    assert list(check(folder, "stss", frames=(2, 3)).tables["frames"]) == ["2", "3"]
+    (folder / "seq.0002.exr").write_bytes((folder / "seq.0002.exr").read_bytes()[:-100])
+    assert "truncated or corrupt" in texts(check(folder, "stss"), "error")[0]
+    assert check(tmp_path / "no", "stss").status == 2
+    with pytest.raises(InputError, match="profile no: expected one of"):
+        check(folder, "no")
+
+
+@pytest.fixture
+def camera(tmp_path):
+    table = tmp_path / "camera.csv"
+    lines = ["frame,x,y,z"]
+    for t in range(1, 15):
+        s = t / 60
+        lines.append(f"{t},{2.5 * math.sin(1.2 * s)},{-8 + 0.8 * s},{2.2 + 0.2 * math.sin(2 * s)}")
+    table.write_text("\n".join(lines))
+    return table
+
+
+@pytest.mark.parametrize(
+    ("direction", "y", "back"),
+    [
+        ("to_previous", "up", None),
+        ("to_previous", "down", "y negated"),
+        ("from_previous", "down", "x negated"),
+        ("from_previous", "up", "x and y negated"),
+    ],
+)
+def test_blender_reference(reference_data, camera, tmp_path, direction, y, back):
+    """On real renders the check agrees with the right convention and sees through the wrong ones."""
+    text = load_profile("blender").path.read_text()
+    text = text.replace('direction = "to_previous"', f'direction = "{direction}"').replace('y = "up"', f'y = "{y}"')
+    (tmp_path / "mine.toml").write_text(text)
+    report = check(reference_data / "blender" / "lr", tmp_path / "mine.toml", camera=camera)
+    warnings = texts(report, "warning")
+    assert report.status == (0 if back is None else 1)
+    assert back is None or f"with {back}, so profile blender seems wrong" in warnings[0]

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: MIT
+"""Transfers (spec section 9)."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from stss.color import BLOCK, LARGEST, TRANSFERS, transfer
+from stss.errors import InputError
+from stss_ref.arrays import ArrayError
+
+quick = settings(deadline=None, max_examples=50)  # the first call imports colour-science: a second
+names = st.sampled_from(TRANSFERS)
+sizes = st.tuples(st.integers(1, 5), st.integers(1, 5), st.just(3))
+
+
+@st.composite
+def images(draw, largest):
+    """Drawn numbers, or ones of all magnitudes from a drawn seed: drawn ones are simple and seldom round."""
+    size = draw(sizes)
+    if draw(st.booleans()):
+        return draw(arrays(np.float32, size, elements=st.floats(0, largest, width=32)))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    return np.float32(largest * 2.0 ** rng.uniform(-24, 0, size))
+
+
+# What is lost on the way through float32, in linear light. An encoded value in [0.5, 1] is rounded by at most 2**-25,
+# and the sRGB curve back has a slope of at most 2.4 / 1.055 < 2.28. The curve's two pieces miss each other by 2.9e-8
+# at 0.0031308, where the slope is 1 / 12.92: 2.3e-9 < 0.08 * 2**-25 more.
+LOST = 2.4 * 2.0**-25
+
+
+def test_known_values_of_the_srgb_curve():
+    """IEC 61966-2-1, worked by hand: the linear piece, mid grey, both ends, and what lies outside."""
+    linear = np.float32([[[0, 0.001, 0.0031308]], [[0.18, 0.5, 1]], [[-1, 2, 65504]]])
+    expected = [[[0, 0.01292, 0.0404499]], [[0.4613561, 0.7353570, 1]], [[0, 1, 1]]]
+    assert np.abs(transfer("srgb").encode(linear) - expected).max() < 1e-7  # the digits given
+
+
+def test_known_values_of_the_tone_curve():
+    """(3, 1, 0) becomes (3/4, 1/4, 0) before the sRGB curve; 65504 and infinity reach the top, without NaN."""
+    encoded = transfer("hdr").encode(np.float32([[[3, 1, 0], [np.inf, 1, np.nan], [-np.inf, -2, 0]]]))
+    assert np.abs(encoded[0, 0] - [0.8808250, 0.5370987, 0]).max() < 1e-7  # the digits given
+    assert encoded[0, 1].tolist() == transfer("hdr").encode(np.float32([[[LARGEST, 1, 0]]]))[0, 0].tolist()
+    assert encoded[0, 2].tolist() == [0, 0, 0]
+
+
+@quick
+@given(name=names, color=arrays(np.float32, sizes, elements=st.floats(width=32)))
+def test_anything_a_renderer_gives_becomes_finite_and_within_range(name, color):
+    """NaN, infinities and negative light never reach the network or a picture."""
+    for found in (transfer(name).encode(color), transfer(name).display(color)):
+        assert found.dtype == np.float32
+        assert found.shape == color.shape
+        assert found.flags.c_contiguous
+        assert ((found >= 0) & (found <= 1)).all()
+
+
+@quick
+@given(name=names, image=arrays(np.float32, sizes, elements=st.floats(-2, 2, width=32)))
+def test_anything_a_network_gives_becomes_light(name, image):
+    """A network that leaves [0, 1] gives black or the brightest value, never NaN nor negative light."""
+    found = transfer(name).decode(image)
+    assert found.dtype == np.float32
+    assert ((found >= 0) & (found <= (LARGEST if name == "hdr" else 1))).all()
+
+
+@quick
+@given(image=images(1.0))
+def test_none_leaves_a_displayed_image_as_it_is(image):
+    """Bit for bit, both ways."""
+    none = transfer("none")
+    assert np.array_equal(none.encode(image), image)
+    assert np.array_equal(none.decode(image), image)
+
+
+@quick
+@example(color=np.full((1, 1, 3), 0.0031308, np.float32))
+@given(color=images(1.0))
+def test_srgb_round_trip(color):
+    """Light in [0, 1] comes back."""
+    back = transfer("srgb").decode(transfer("srgb").encode(color))
+    assert np.abs(back.astype(np.float64) - color).max() <= LOST + 2.0**-25  # and the result's own rounding
+
+
+@quick
+@example(color=np.full((1, 1, 3), LARGEST, np.float32))
+@given(color=images(LARGEST))
+def test_hdr_round_trip(color):
+    """Light up to 65504 comes back: near black to 1e-7, at the top to half a percent."""
+    back = transfer("hdr").decode(transfer("hdr").encode(color))
+    # c = t / u with u = 1 - max(t) = 1 / (1 + max(c)). With t and u off by at most d, c is off by at most
+    # d (t + u) / (u (u - d)), where t + u <= 1.
+    far = 1 + color.astype(np.float64).max(axis=-1, keepdims=True)
+    allowed = LOST * far**2 / (1 - LOST * far) + 2.0**-24 * far
+    assert (np.abs(back.astype(np.float64) - color) <= allowed).all()
+
+
+@quick
+@given(name=names, color=images(LARGEST), stops=st.integers(0, 6))
+def test_more_light_is_never_darker(name, color, stops):
+    """Opening the aperture by some stops darkens no pixel of the image."""
+    brighter = color * np.float32(2**stops)  # a power of two: exact
+    assert (transfer(name).encode(brighter) >= transfer(name).encode(color)).all()
+
+
+@pytest.mark.parametrize("name", TRANSFERS)
+def test_every_8_bit_level_survives(name):
+    """A PNG's 256 levels, taken to light and back, are the same 256 levels."""
+    levels = np.arange(256)
+    image = np.repeat(np.float32(levels / 255)[None, :, None], 3, axis=-1)
+    back = transfer(name).encode(transfer(name).decode(image))
+    assert np.rint(back[0] * 255).tolist() == np.stack([levels] * 3, axis=-1).tolist()
+
+
+def test_the_network_s_white_is_the_brightest_hdr_value():
+    """The pole: an encoded 1 would be infinite light."""
+    assert transfer("hdr").decode(np.ones((1, 1, 3), np.float32)).tolist() == [[[LARGEST] * 3]]
+
+
+def test_a_screen_shows_hdr_without_tone_curve():
+    """Display of hdr is that of srgb: what is above 1 is white."""
+    color = np.float32([[[0.2, 0.9, 7]]])
+    assert np.array_equal(transfer("hdr").display(color), transfer("srgb").encode(color))
+
+
+def test_blocks_leave_no_seam():
+    """An image larger than a block is the same as its rows alone."""
+    rng = np.random.default_rng(0)
+    color = rng.random((3, BLOCK // 2 + 1, 3), dtype=np.float32) * 4
+    hdr = transfer("hdr")
+    rows = [hdr.encode(color[i : i + 1]) for i in range(3)]
+    assert np.array_equal(hdr.encode(color), np.concatenate(rows))
+
+
+def test_mistakes_are_named():
+    """A wrong name, a wrong shape, and a network that gives NaN."""
+    with pytest.raises(InputError, match="expected one of none, srgb, hdr, got 'sRGB'"):
+        transfer("sRGB")
+    with pytest.raises(ArrayError, match=r"color: expected shape \(any, any, 3\), got \(2, 2\)"):
+        transfer("none").encode(np.zeros((2, 2), np.float32))
+    with pytest.raises(ArrayError, match=r"image: 1 non-finite values, first at index \(0, 0, 1\)"):
+        transfer("srgb").decode(np.float32([[[0, np.nan, 0]]]))
+
+
+def test_colour_science_is_imported_late_and_silently():
+    """Starting `stss` does not wait for colour-science, and its warnings do not reach the user."""
+    program = """if True:
+        import sys, numpy, stss.color
+        assert "colour" not in sys.modules
+        stss.color.transfer("none").encode(numpy.zeros((1, 1, 3)))
+        assert "colour" not in sys.modules
+        stss.color.transfer("srgb").encode(numpy.zeros((1, 1, 3)))
+        assert "colour" in sys.modules
+    """
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stdout, result.stderr) == (0, "", "")

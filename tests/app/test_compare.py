@@ -1,0 +1,274 @@
+# SPDX-License-Identifier: MIT
+"""`stss compare`: an output folder against a folder of truth (spec section 9)."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+
+import cv2
+import numpy as np
+import pytest
+from rich.console import Console
+
+from stss.color import transfer
+from stss.compare import compare, listed, print_comparison
+from stss.errors import InputError
+from stss.images import read_header, read_rgb, write_mask, write_rgb
+
+SIZE = (24, 32)
+LEVEL = 1 / 255
+
+
+@pytest.fixture
+def out(tmp_path):
+    (tmp_path / "out" / "holes").mkdir(parents=True)
+    return tmp_path / "out"
+
+
+@pytest.fixture
+def truth(tmp_path):
+    (tmp_path / "truth").mkdir()
+    return tmp_path / "truth"
+
+
+def flat(level, size=SIZE):
+    """A grey PNG image of this 8-bit level."""
+    return np.full((*size, 3), level * LEVEL, np.float32)
+
+
+def labels(kind, transfer="srgb"):
+    return {"stss:kind": kind, "stss:transfer": transfer, "stss:weights": "arena", "stss:backend": "ref"}
+
+
+def write_pair(out, truth, number, kind, off):
+    """An output that is `off` levels brighter than its truth; an EF's upper left quarter is a hole."""
+    write_rgb(out / f"frame.{number:04d}.png", flat(100 + off), metadata=labels(kind) if kind else None)
+    write_rgb(truth / f"shot.{number:04d}.png", flat(100))
+    if kind == "EF":
+        hole = np.zeros((SIZE[0] // 2, SIZE[1] // 2), np.bool_)
+        hole[: SIZE[0] // 4, : SIZE[1] // 4] = True
+        write_mask(out / "holes" / f"frame.{number:04d}.png", hole)
+
+
+def decibels(off):
+    return 20 * math.log10(255 / off)
+
+
+def near(found, expected):
+    """Equal but for the last digits of float64 arithmetic on numbers below 100."""
+    return abs(found - expected) < 1e-10
+
+
+def test_known_differences_give_known_scores(out, truth):
+    """SF off by 1 and 2 levels, EF by 4: the means are of decibels, MEAN is the mean of the kinds' means."""
+    write_pair(out, truth, 2, "SF", 1)
+    write_pair(out, truth, 3, "EF", 4)
+    write_pair(out, truth, 4, "SF", 2)
+    found = compare(out, truth)
+    assert [(r.number, r.kind) for r in found.rows] == [(2, "SF"), (3, "EF"), (4, "SF")]
+    assert [(m.name, m.frames) for m in found.means] == [("SF", 2), ("EF", 1), ("MEAN", 3)]
+    sf, ef, mean = (m.scores["all"].psnr_rgb for m in found.means)
+    assert near(sf, (decibels(1) + decibels(2)) / 2)
+    assert near(ef, decibels(4))
+    assert near(mean, (sf + ef) / 2)
+    assert near(found.means[1].scores["holes"].psnr_rgb, decibels(4))
+    assert near(found.means[1].scores["all"].psnr_luma, decibels(4 * 219 / 255))
+    assert found.means[0].scores["holes"].psnr_rgb is None
+    assert found.means[2].scores["holes"].psnr_rgb is None
+    assert found.means[0].scores["edges"].psnr_rgb is None  # a flat truth has no edges
+    assert found.notes == []
+    assert found.made_with == {"weights": ["arena"], "backend": ["ref"], "transfer": ["srgb"]}
+
+
+def test_scores_in_holes_are_of_the_holes(out, truth):
+    """Wrong only where nothing is hidden: perfect in the holes. And the other way round."""
+    write_pair(out, truth, 3, "EF", 0)
+    image = flat(100)
+    image[12:] = 0
+    write_rgb(out / "frame.0003.png", image, metadata=labels("EF"))
+    assert compare(out, truth).rows[0].scores["holes"].psnr_rgb == math.inf
+    image = flat(100)
+    image[:10, :14] = 0
+    write_rgb(out / "frame.0003.png", image, metadata=labels("EF"))
+    found = compare(out, truth).rows[0].scores
+    assert found["holes"].psnr_rgb < found["all"].psnr_rgb
+
+
+@pytest.mark.parametrize("name", ["none", "srgb", "hdr"])
+def test_exr_and_png_are_judged_alike(out, truth, name):
+    """EXR in the renderer's domain against PNG of the same frame, either way round: nothing is wrong but rounding."""
+    rng = np.random.default_rng(5)
+    color = rng.random((*SIZE, 3), dtype=np.float32) * (1 if name == "none" else 2)
+    write_rgb(out / "frame.0001.exr", color, metadata=labels("SF", name))
+    write_rgb(truth / "frame.0001.png", transfer(name).display(color))
+    # One level (a PNG is rounded, an EXR cut off) everywhere would be 48.1 dB. Half of the pixels have it.
+    assert compare(out, truth).rows[0].scores["all"].psnr_rgb > decibels(1)
+    write_rgb(truth / "frame.0001.exr", color)
+    (truth / "frame.0001.png").unlink()
+    assert compare(out, truth).rows[0].scores["all"].psnr_rgb == math.inf
+
+
+def test_an_exr_stands_before_a_png_of_the_same_frame(out, truth):
+    """A run resumed in the other format leaves both."""
+    write_pair(out, truth, 1, "SF", 3)
+    write_rgb(out / "frame.0001.exr", flat(0), metadata=labels("SF"))
+    assert compare(out, truth).rows[0].output.name == "frame.0001.exr"
+
+
+def test_frames_without_partner_are_listed(out, truth):
+    """Nothing is dropped in silence; a range limits both folders."""
+    for number in range(1, 7):
+        write_pair(out, truth, number, "SF", 1)
+    (truth / "shot.0001.png").unlink()
+    (out / "frame.0006.png").unlink()
+    found = compare(out, truth)
+    assert (found.without_truth, found.without_output) == ([1], [6])
+    found = compare(out, truth, frames=(3, 6))
+    assert [r.number for r in found.rows] == [3, 4, 5]
+    assert (found.without_truth, found.without_output) == ([], [6])
+
+
+def test_somebody_else_s_output_is_one_group(out, truth):
+    """No labels: one mean over all, and the reader is told."""
+    write_pair(out, truth, 1, None, 1)
+    write_rgb(out / "frame.0002.exr", np.zeros((*SIZE, 3), np.float32))
+    write_rgb(truth / "shot.0002.png", flat(0))
+    found = compare(out, truth)
+    assert [(m.name, m.frames) for m in found.means] == [("all", 2)]
+    assert [note.partition(": ")[2] for note in found.notes] == [
+        "kinds of frame are not known (no stss:kind); means are over all frames",
+        "no transfer named (no stss:transfer); EXR is taken as scene-linear and shown as srgb",
+        "no holes of frames 1 to 2; not scored there",
+    ]
+
+
+def test_missing_holes_are_told(out, truth):
+    """An EF without its holes is scored elsewhere."""
+    write_pair(out, truth, 3, "EF", 2)
+    (out / "holes" / "frame.0003.png").unlink()
+    found = compare(out, truth)
+    assert found.rows[0].scores["holes"].psnr_luma is None
+    assert found.notes == [f"{out / 'holes'}: no holes of frame 3; not scored there"]
+
+
+def test_json_is_valid_and_says_infinite(out, truth):
+    """No NaN or Infinity, which JSON lacks: "inf" and null."""
+    write_pair(out, truth, 3, "EF", 0)
+    text = compare(out, truth).to_json()
+    found = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    frame = found["frames"][0]
+    assert (frame["frame"], frame["kind"], frame["output"], frame["truth"]) == (
+        3,
+        "EF",
+        "frame.0003.png",
+        "shot.0003.png",
+    )
+    assert frame["all"] == {"psnr_luma": "inf", "ssim": 1, "psnr_rgb": "inf"}
+    assert frame["edges"] == {"psnr_luma": None, "ssim": None, "psnr_rgb": None}
+    assert found["means"]["EF"]["frames"] == 1
+
+
+def test_pictures_stand_side_by_side(out, truth, tmp_path):
+    """Output, truth, four times the difference."""
+    write_pair(out, truth, 2, "SF", 10)
+    compare(out, truth, pictures=tmp_path / "a" / "pictures")
+    picture = np.rint(read_rgb(tmp_path / "a" / "pictures" / "frame.0002.png") * 255)
+    assert picture.shape == (SIZE[0], 3 * SIZE[1], 3)
+    assert [picture[0, SIZE[1] * i + 1, 0] for i in range(3)] == [110, 100, 40]
+
+
+def test_pictures_never_replace_what_is_compared(out, truth):
+    """They have the output's names."""
+    write_pair(out, truth, 3, "EF", 10)
+    for folder in (out, truth, out / "holes"):
+        with pytest.raises(InputError, match="expected another folder for the pictures"):
+            compare(out, truth, pictures=folder)
+    assert read_header(out / "frame.0003.png").size == SIZE
+
+
+def test_what_does_not_fit_is_named(out, truth):
+    """Sizes of truth and of holes, with both files and both sizes."""
+    write_pair(out, truth, 3, "EF", 1)
+    write_rgb(truth / "shot.0003.png", flat(100, (12, 16)))
+    with pytest.raises(InputError, match=r"shot\.0003\.png: expected 32 x 24 .*frame\.0003\.png, found 16 x 12"):
+        compare(out, truth)
+    write_rgb(truth / "shot.0003.png", flat(100))
+    write_mask(out / "holes" / "frame.0003.png", np.zeros(SIZE, np.bool_))
+    with pytest.raises(InputError, match=r"holes/frame\.0003\.png: expected 16 x 12 .*, found 32 x 24"):
+        compare(out, truth)
+
+
+def test_folders_that_do_not_fit(out, truth, tmp_path):
+    """Not there, empty, without a common frame, with a frame twice."""
+    with pytest.raises(InputError, match="nowhere: no such folder"):
+        compare(tmp_path / "nowhere", truth)
+    write_pair(out, truth, 3, "SF", 1)
+    with pytest.raises(InputError, match="found no frames within 7 to 9"):
+        compare(out, truth, frames=(7, 9))
+    (truth / "shot.0003.png").rename(truth / "shot.0004.png")
+    with pytest.raises(InputError, match=r"one of frame 3; found frame 4$"):
+        compare(out, truth)
+    write_rgb(truth / "other.0004.png", flat(1))
+    with pytest.raises(InputError, match=r"frame 4 is there twice: other\.0004\.png, shot\.0004\.png"):
+        compare(out, truth)
+
+
+@pytest.mark.parametrize(
+    ("label", "value", "message"),
+    [
+        ("stss:kind", "IF", "expected SF or EF, found 'IF'"),
+        ("stss:transfer", "pq", "expected one of none, srgb, hdr, found 'pq'"),
+    ],
+)
+def test_wrong_labels_are_named(out, truth, label, value, message):
+    """A label that stss never writes is a mistake, not a new kind."""
+    write_pair(out, truth, 3, "SF", 1)
+    write_rgb(out / "frame.0003.png", flat(1), metadata={**labels("SF"), label: value})
+    with pytest.raises(InputError, match=rf"frame\.0003\.png: {label}: {message}"):
+        compare(out, truth)
+
+
+def test_files_of_two_origins_are_refused(out, truth):
+    """Means over a mixture would mean nothing."""
+    write_pair(out, truth, 3, "SF", 1)
+    write_pair(out, truth, 4, None, 1)
+    with pytest.raises(InputError, match="frame 4 without stss:kind"):
+        compare(out, truth)
+
+
+def test_the_table_holds_every_frame_and_note(out, truth):
+    """80 columns wide, plain text when not a terminal."""
+    for number, kind in ((2, "SF"), (3, "EF"), (1004, "SF")):
+        write_pair(out, truth, number, kind, number % 10)
+    (truth / "shot.1004.png").unlink()
+    console = Console(file=io.StringIO(), width=80)
+    print_comparison(compare(out, truth), console)
+    lines = console.file.getvalue().splitlines()
+    assert max(map(len, lines)) <= 80
+    table = {tuple(line.split()[:2]): line.split() for line in lines if len(line.split()) == 11}
+    means = {line.split()[2]: line.split() for line in lines if line.strip().startswith("of ")}
+    # SSIM of flat luma: 1 - (a - b)^2 / (a^2 + b^2 + C1), a and b 101.9 and 104.5.
+    assert table["3", "EF"][2:] == ["39.91", "-", "39.91", "0.9997", "-", "0.9997", "38.59", "-", "38.59"]
+    assert means["MEAN"][9] == f"{(decibels(2) + decibels(3)) / 2:.2f}"
+    assert lines[-1] == "not compared, no truth: frame 1004"
+
+
+def test_bilinear_upsampling_scores_what_the_specification_says(out, reference_data):
+    """29.7 dB over RGB, the supersampling frames of 6 to 14 of the Blender reference."""
+    srgb = transfer("srgb")
+    for number in range(6, 15, 2):
+        small = srgb.encode(read_rgb(reference_data / "blender" / "lr" / f"a.{number:04d}.exr"))
+        large = cv2.resize(small, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
+        write_rgb(out / f"a.{number:04d}.exr", srgb.decode(large), metadata=labels("SF"))
+    found = compare(out, reference_data / "blender" / "hr", frames=(6, 14))
+    assert abs(found.means[0].scores["all"].psnr_rgb - 29.7) < 0.05  # the digits given
+    assert found.without_output == [7, 9, 11, 13]
+
+
+def test_numbers_in_words():
+    """Runs are joined."""
+    assert listed([7, 1, 2, 3, 5]) == "frames 1 to 3, 5, 7"
+    assert listed([4]) == "frame 4"
+    assert listed([]) == "no frames"

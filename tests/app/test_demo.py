@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: MIT
+"""The demo's files and its contact sheet."""
+
+import numpy as np
+import pytest
+
+from conformance.scenes import DEMO, render
+from stss.contact_sheet import COMPARISON, comparison, contact_sheet, magnify
+from stss.demo import BACKGROUND, INPUT_SAMPLES, demo_path, demo_sheet, frame_channels, write_demo_sequence
+from stss.errors import InputError
+from stss.images import read_channels, read_header, read_rgb, write_rgb
+from stss_ref.arrays import ArrayError
+from stss_ref.resample import upsample_centres
+
+SIZE = (18, 32)
+
+
+@pytest.fixture(scope="module")
+def sequence(tmp_path_factory):
+    out = tmp_path_factory.mktemp("demo")
+    seen = []
+    write_demo_sequence(out, 4, SIZE, on_frame=seen.append)
+    assert seen == [0, 1, 2, 3]
+    return out
+
+
+def test_odd_frames_are_not_rendered(sequence):
+    for number in range(4):
+        header = read_header(demo_path(sequence / "frames", number))
+        assert header.size == SIZE
+        assert ({"R", "G", "B"} <= set(header.channels)) == (number % 2 == 0)
+        assert len(header.channels) == 16 + 3 * (number % 2 == 0)
+
+
+def test_files_hold_what_was_rendered(sequence):
+    """Float channels to the bit; the rest to half precision: 11 bits."""
+    path, frame = demo_path(sequence / "frames", 2), render(DEMO, 2, *SIZE, samples=INPUT_SAMPLES)
+    names = read_header(path).channels
+    written, expected = read_channels(path, names), frame_channels(frame, rendered=True)
+    assert set(names) == set(expected)
+    for name, plane in expected.items():
+        if name[0] in "RGB" or name.startswith(("basecolor", "roughness", "metallic")):
+            assert np.max(np.abs(written[name] - plane) - 2.0**-11 * np.abs(plane)) <= 0, name
+        else:
+            np.testing.assert_array_equal(written[name], plane, err_msg=name)
+
+
+def test_channels_mean_what_the_buffers_mean():
+    frame = render(DEMO, 2, *SIZE)
+    channels = frame_channels(frame, rendered=False)
+    sky = np.isinf(frame.depth)
+    assert "R" not in channels
+    assert np.all(channels["depth.Z"][sky] == np.float32(BACKGROUND))
+    np.testing.assert_array_equal(channels["depth.Z"][~sky], frame.depth[~sky].astype(np.float32))
+    np.testing.assert_array_equal(channels["motion.Y"], frame.motion[..., 1].astype(np.float32))
+    np.testing.assert_array_equal(channels["normal.Z"], frame.normal[..., 2].astype(np.float32))
+    np.testing.assert_array_equal(channels["basecolor.B"], frame.base_color[..., 2].astype(np.float32))
+    assert all(np.isfinite(plane).all() for plane in channels.values())
+
+
+def test_truth_has_twice_the_size_for_every_frame(sequence):
+    for number in range(4):
+        truth = read_rgb(demo_path(sequence / "truth", number))
+        assert truth.shape == (2 * SIZE[0], 2 * SIZE[1], 3)
+
+
+def test_an_earlier_demo_is_only_replaced_when_asked(tmp_path):
+    write_demo_sequence(tmp_path, 2, (4, 8))
+    (tmp_path / "frames" / "notes.txt").write_text("kept")
+    with pytest.raises(InputError, match="--overwrite"):
+        write_demo_sequence(tmp_path, 1, (4, 8))
+    write_demo_sequence(tmp_path, 1, (4, 8), overwrite=True)
+    assert sorted(p.name for p in (tmp_path / "frames").iterdir()) == ["demo.0000.exr", "notes.txt"]
+    assert [p.name for p in (tmp_path / "truth").iterdir()] == ["demo.0000.exr"]
+
+
+def test_same_demo_same_bytes(sequence, tmp_path):
+    write_demo_sequence(tmp_path, 2, SIZE)
+    for folder in ("frames", "truth"):
+        for number in range(2):
+            first, second = (demo_path(out / folder, number).read_bytes() for out in (sequence, tmp_path))
+            assert first == second
+
+
+def test_sheet_of_the_demo(sequence, tmp_path):
+    outputs = {number: tmp_path / f"frame.{number:04d}.exr" for number in (1, 2, 3)}
+    for number, path in outputs.items():
+        write_rgb(path, read_rgb(demo_path(sequence / "truth", number)))
+    sheet = demo_sheet(sequence, outputs)
+    write_rgb(tmp_path / "sheet.png", sheet)
+    assert read_rgb(tmp_path / "sheet.png").shape == sheet.shape
+    # Six rows and five columns of pictures, and what lies around them.
+    assert sheet.shape[0] > 6 * 2 * SIZE[0]
+    assert sheet.shape[1] > len(COMPARISON) * 2 * SIZE[1]
+    # The output is the truth: the last column, away from its caption, is black.
+    last = sheet[-20 - 2 * SIZE[0] : -20, -20 - 2 * SIZE[1] : -20]
+    assert not last.any()
+
+
+def test_comparison_is_bilinear_about_pixel_centres():
+    low = np.random.default_rng(5).random((6, 7, 3)).astype(np.float32)
+    output, truth = np.zeros((12, 14, 3)), np.full((12, 14, 3), 0.125)
+    nearest, bilinear, *rest, difference = comparison(low, output, truth)
+    np.testing.assert_array_equal(nearest[::2, 1::2], low)
+    assert np.max(np.abs(bilinear - upsample_centres(low))) < 1e-6  # values below 1, 6 float32 roundings of 6e-8
+    np.testing.assert_array_equal(rest[0], output)
+    np.testing.assert_array_equal(rest[1], truth)
+    assert np.all(difference == 0.5)
+
+
+def test_comparison_names_the_image_of_another_size():
+    with pytest.raises(ArrayError, match="truth: expected shape"):
+        comparison(np.zeros((4, 4, 3)), np.zeros((8, 8, 3)), np.zeros((8, 9, 3)))
+
+
+def test_sheet_shows_each_pixel_as_a_square():
+    image = np.random.default_rng(1).random((5, 8, 3))
+    sheet = contact_sheet([("row", [image, 1 - image])], ("one", "two"), crop=(1, 2, 3, 4), zoom=3)
+    shown = sheet[-20 - 9 : -20, 20 : 20 + 12]
+    np.testing.assert_array_equal(shown, image[1:4, 2:6].repeat(3, axis=0).repeat(3, axis=1))
+    assert np.ptp(sheet[:, -20:]) == 0  # the margin
+    assert sheet[:20].max() < sheet[20:54].max()  # the captions of the columns
+    assert sheet.min() >= 0
+    assert sheet.max() <= 1
+
+
+def test_sheet_clips_what_no_screen_shows():
+    image = np.full((2, 2, 3), 7.0)
+    assert contact_sheet([("", [image, -image])], ("a", "b")).max() == 1
+
+
+@pytest.mark.parametrize("crop", [(-1, 0, 2, 2), (0, 0, 5, 2), (0, 3, 2, 2), (0, 0, 0, 2)])
+def test_crop_must_lie_within(crop):
+    with pytest.raises(ValueError, match=r"crop: expected to lie within \(4, 4\)"):
+        magnify(np.zeros((4, 4, 3)), crop, 2)
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "message"),
+    [
+        ([], ("a",), "rows: expected at least 1"),
+        ([("x", [])], (), "row 'x': expected 0 images, at least 1, got 0"),
+        ([("x", [np.zeros((2, 2, 3))])], ("a", "b"), "row 'x': expected 2 images"),
+        ([("x", [np.zeros((2, 2, 3)), np.zeros((2, 3, 3))])], ("a", "b"), "image: expected shape"),
+    ],
+)
+def test_a_sheet_that_cannot_be_laid_out(rows, columns, message):
+    with pytest.raises(ValueError, match=message):
+        contact_sheet(rows, columns)

@@ -1,0 +1,316 @@
+"""Which device computes, and how its self-test decides: fake devices and fake self-tests, and the real ones once."""
+
+import io
+import json
+import os
+import sys
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pyopencl as cl
+import pytest
+from rich.console import Console
+
+from stss import devices, selftest, verdicts
+from stss.devices import choose
+from stss.verdicts import Verdict, known, run_selftest, verdict
+from stss_cl import device as cl_device
+from stss_cl.device import DeviceError, found, open_device
+
+PASSED = {"why": "", "gflops": 5.0}
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    for name in ("STSS_DEVICE", "STSS_TRUST_DEVICE", "STSS_SELFTEST_SECONDS"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def fake(platform, name, kind=cl.device_type.CPU, driver="1"):
+    return SimpleNamespace(
+        platform=SimpleNamespace(name=platform, version="OpenCL 1.2"),
+        name=name,
+        type=kind,
+        driver_version=driver,
+        global_mem_size=2**34,
+        extensions="cl_khr_fp16",
+    )
+
+
+GPU, CPU = cl.device_type.GPU, cl.device_type.CPU
+
+
+@pytest.fixture
+def machine(monkeypatch):
+    """``machine({name: (kind, verdict)})``: such devices; answers are kept nowhere and asking is noted."""
+
+    def make(table):
+        handles = {name: fake(*name.split(": "), kind) for name, (kind, _) in table.items()}
+        monkeypatch.setattr(cl_device, "found", lambda: sorted(handles.values(), key=cl_device.full_name))
+        monkeypatch.setattr(devices, "open_handle", cl_device.full_name)
+        monkeypatch.setattr(devices, "known", lambda name, handle: None)
+        tested = []
+
+        def answer(name, handle, *, again=False):
+            tested.append(name)
+            return table[name][1]
+
+        monkeypatch.setattr(devices, "verdict", answer)
+        return tested
+
+    return make
+
+
+def passed(gflops):
+    return Verdict("passed", gflops=gflops)
+
+
+def test_the_fastest_processor_is_the_default(machine):
+    machine({"A: slow": (CPU, passed(1)), "B: fast": (CPU, passed(3)), "C: wrong": (CPU, Verdict("failed", "exp"))})
+    assert choose() == "B: fast"
+
+
+def test_a_graphics_processor_goes_before_and_processors_are_not_tested(machine):
+    tested = machine({"A: cpu": (CPU, passed(100)), "B: gpu": (GPU, passed(1)), "C: gpu": (GPU, passed(2))})
+    assert choose() == "C: gpu"
+    assert tested == ["B: gpu", "C: gpu"]
+
+
+def test_a_graphics_processor_that_fails_is_passed_over_and_named(machine):
+    machine({"A: cpu": (CPU, passed(1)), "B: gpu": (GPU, Verdict("hung", "no answer within 60 s"))})
+    said = []
+    assert choose(None, said.append) == "A: cpu"
+    assert said[-1] == "not used: B: gpu hung: no answer within 60 s"
+
+
+def test_a_named_device_is_taken_however_slow(machine, monkeypatch):
+    table = {"A: cpu": (CPU, passed(1)), "B: gpu": (GPU, passed(2))}
+    tested = machine(table)
+    assert choose("a: CPU") == "A: cpu"
+    assert tested == ["A: cpu"]
+    monkeypatch.setenv("STSS_DEVICE", "A:")
+    assert choose() == "A: cpu"
+    assert choose("gpu") == "B: gpu"
+
+
+def test_a_named_device_that_failed_is_refused_unless_trusted(machine, monkeypatch):
+    machine({"A: cpu": (CPU, passed(1)), "B: gpu": (GPU, Verdict("failed", "exp: off by 90 ulp"))})
+    with pytest.raises(DeviceError) as caught:
+        choose("gpu")
+    assert str(caught.value) == (
+        "self-test: B: gpu failed: exp: off by 90 ulp: stss devices --again tests anew, STSS_TRUST_DEVICE=1 uses it all the same"
+    )
+    monkeypatch.setenv("STSS_TRUST_DEVICE", "1")
+    assert choose("gpu") == "B: gpu"
+
+
+def test_a_device_that_is_not_there_lists_those_that_are(machine):
+    machine({"A: cpu": (CPU, passed(1)), "B: gpu": (GPU, passed(2))})
+    with pytest.raises(DeviceError, match=r"^device 'radeon': expected part of one of A: cpu, B: gpu$"):
+        choose("radeon")
+
+
+def test_no_device_says_what_to_install(machine):
+    machine({})
+    for ask in (choose, devices.rows):
+        with pytest.raises(DeviceError, match=r"^no OpenCL device: pip install"):
+            ask()
+
+
+def test_the_table_has_every_device_the_best_first(machine):
+    machine({"A: wrong": (CPU, Verdict("failed", "x")), "B: cpu": (CPU, passed(7)), "C: gpu": (GPU, passed(1))})
+    rows = devices.rows()
+    assert [row.name for row in rows] == ["C: gpu", "B: cpu", "A: wrong"]
+    out = io.StringIO()
+    devices.print_rows(rows, Console(file=out, width=120))
+    table = [line.split() for line in out.getvalue().splitlines()]
+    assert table[2] == ["B:", "cpu", "CPU", "1", "16.0", "GiB", "yes", "passed", "(7", "GFLOP/s)"]
+    assert table[3][-2:] == ["failed:", "x"]
+    data = json.loads(devices.to_json(rows))
+    assert data[2]["verdict"]["why"] == "x"
+    assert data[0]["memory"] == 2**34
+
+
+# The child process
+
+
+def child(text):
+    return (sys.executable, "-c", "import os, sys, json, time\n" + text)
+
+
+def answer(result):
+    return child(f"print('a driver says hello'); print({json.dumps(json.dumps(result))})")
+
+
+def test_a_pass_is_a_pass():
+    got = run_selftest("any", answer(PASSED))
+    assert got.passed
+    assert str(got) == "passed"
+    assert got.gflops == PASSED["gflops"]
+    assert 0 < got.seconds < 30
+
+
+def test_a_failure_says_why():
+    got = run_selftest("any", answer({"why": "exp: off by 90 ulp", "gflops": 0}))
+    assert str(got) == "failed: exp: off by 90 ulp"
+
+
+def test_the_child_is_told_the_name():
+    got = run_selftest("A: b #2", child("print(json.dumps({'why': sys.argv[1], 'gflops': 0}))"))
+    assert got.why == "A: b #2"
+
+
+@pytest.mark.skipif(not hasattr(os, "killpg"), reason="no process groups on this system")
+def test_a_hang_is_killed_with_all_that_it_started(monkeypatch, tmp_path):
+    """Grandchildren and threads too, though they ignore every polite signal."""
+    monkeypatch.setenv("STSS_SELFTEST_SECONDS", "1.5")
+    pids = tmp_path / "pids"
+    hang = (
+        "import signal, threading\n"
+        "signal.signal(signal.SIGTERM, signal.SIG_IGN)\n"
+        "threading.Thread(target=time.sleep, args=(60,)).start()\n"
+        "grandchild = os.fork()\n"
+        f"open({str(pids)!r}, 'a').write(f'{{os.getpid()}} ')\n"
+        "time.sleep(60)\n"
+    )
+    start = time.monotonic()
+    got = run_selftest("any", child("import warnings; warnings.simplefilter('ignore')\n" + hang))
+    assert time.monotonic() - start < 20
+    assert str(got) == "hung: no answer within 1.5 s"
+    started = [int(pid) for pid in pids.read_text().split()]
+    assert len(started) == 2
+    deadline = time.monotonic() + 10
+    while any(running(pid) for pid in started):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def running(pid):
+    try:
+        with open(f"/proc/{pid}/stat") as stat:  # noqa: PTH123
+            return stat.read().rsplit(")", 1)[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+@pytest.mark.skipif(os.name != "posix", reason="no signals on this system")
+def test_a_crash_names_its_signal():
+    got = run_selftest("any", child("print('llvm: out of luck', file=sys.stderr, flush=True); os.kill(os.getpid(), 11)"))
+    assert str(got) == "crashed: SIGSEGV: llvm: out of luck"
+    assert run_selftest("any", child("os.kill(os.getpid(), 6)")).why == "SIGABRT"
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("raise ImportError('no numpy')", "ImportError: no numpy"),
+        ("sys.exit(3)", "ended with status 3 and no result"),
+        ("print('done')", "ended with status 0 and no result"),
+        ("print('[]')", "ended with status 0 and no result"),
+    ],
+)
+def test_no_result_is_a_failure(text, why):
+    assert str(run_selftest("any", child(text))) == f"failed: {why}"
+
+
+@pytest.mark.parametrize("limit", ["soon", "0", "-1", "nan"])
+def test_a_wrong_time_limit_is_the_users_mistake(monkeypatch, limit):
+    monkeypatch.setenv("STSS_SELFTEST_SECONDS", limit)
+    with pytest.raises(DeviceError, match=r"^STSS_SELFTEST_SECONDS: expected a number of seconds > 0, got"):
+        run_selftest("any", answer(PASSED))
+
+
+# The kept verdict
+
+
+NEVER = child("raise SystemExit('a kept verdict needs no child')")
+
+
+def test_a_verdict_is_kept_until_told_otherwise():
+    handle = fake("A", "cpu")
+    assert known("A: cpu", handle) is None
+    first = verdict("A: cpu", handle, command=answer(PASSED))
+    assert verdict("A: cpu", handle, command=NEVER) == first == known("A: cpu", handle)
+    assert verdict("A: cpu", handle, again=True, command=answer({"why": "x", "gflops": 0})).why == "x"
+    assert verdict("A: cpu", handle, command=NEVER).why == "x"
+
+
+def test_a_verdict_lapses_when_anything_changes(monkeypatch):
+    handle = fake("A", "cpu")
+    verdict("A: cpu", handle, command=answer(PASSED))
+    assert known("A: cpu #2", handle) is None
+    assert known("A: cpu", fake("A", "cpu", driver="2")) is None
+    for change in (
+        lambda m: m.setattr(verdicts, "VERSION", "0"),
+        lambda m: m.setattr(verdicts, "_sources", lambda: "others"),
+        lambda m: m.setenv("POCL_WORK_GROUP_METHOD", "cbs"),
+    ):
+        with monkeypatch.context() as changed:
+            change(changed)
+            assert known("A: cpu", handle) is None
+    assert known("A: cpu", handle)
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"device": "x"', '{"device": "x", "outcome": "passed", "more": 1}'])
+def test_a_broken_file_is_no_verdict(text):
+    handle = fake("A", "cpu")
+    verdict("A: cpu", handle, command=answer(PASSED))
+    verdicts._path("A: cpu", handle).write_text(text)
+    assert known("A: cpu", handle) is None
+    assert verdict("A: cpu", handle, command=answer(PASSED)).passed
+
+
+# A real device
+
+
+@pytest.fixture(scope="module")
+def device():
+    if not found():
+        pytest.skip("no OpenCL device")
+    return open_device()
+
+
+@pytest.mark.parametrize("check", selftest.CHECKS[:-1], ids=lambda check: check.__name__)
+def test_the_device_here_passes(device, check):
+    check(device, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(
+    ("kernel", "wrong", "check", "why"),
+    [
+        ("a[i] * b[i] + c[i]", "fma(a[i], b[i], c[i])", "arithmetic", r"a \* b \+ c: \d+ of 1003 wrong"),
+        ("(a[i] + b[i]) + c[i]", "a[i] + (b[i] + c[i])", "arithmetic", r"\(a \+ b\) \+ c: "),
+        ("exp(c[i])", "exp2(c[i] * 1.44269504f)", "arithmetic", "exp: off by .* ulp, 3.0 allowed"),
+        ("a[i] / b[i]", "a[i] * (float)(half_recip(b[i]) * 1.00001f)", "arithmetic", "divide: off by .* ulp"),
+        ("vload8(i, in + 1)", "vload8(i, in)", "vectors", "vload8: "),
+        ("atomic_min(", "atomic_max(", "nearest", "atomic_min: 50 of 50 wrong"),
+        ("part[i] += part[i + half_of]", "part[i] += part[i]", "groups", "local memory and barrier: "),
+    ],
+)
+def test_a_device_that_computes_wrongly_is_found_out(device, monkeypatch, tmp_path, kernel, wrong, check, why):
+    """Planted faults: the kernel does what a bad driver might."""
+    from stss_cl import program
+
+    text = program.source("selftest.cl")
+    assert kernel in text
+    (tmp_path / "selftest.cl").write_text(text.replace(kernel, wrong))
+    monkeypatch.setattr(program, "KERNELS", tmp_path)
+    with pytest.raises(selftest.MismatchError, match=why):
+        getattr(selftest, check)(open_device(device.name), np.random.default_rng(0))
+
+
+def test_speed_is_measured(device):
+    assert selftest.gflops(device) > 0
+
+
+def test_choosing_a_tested_device_costs_next_to_nothing(device):
+    """The kept verdict is read in less than 20 ms, and no process is started."""
+    handle = device.handle
+    verdict(device.name, handle, command=answer(PASSED))
+    known(device.name, handle)
+    start = time.perf_counter()
+    assert verdict(device.name, handle, command=NEVER).passed
+    assert time.perf_counter() - start < 0.02
+    assert choose(device.name).name == device.name

@@ -1,0 +1,315 @@
+"""EXR and PNG files: whole or refused, found again as written, replaced at once."""
+
+import struct
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from stss import headers, images
+from stss.errors import InputError
+
+
+def exr_bytes(channels, *, window=None, display=None, extra=b""):
+    """An uncompressed EXR by hand: channels is {name: (kind, array (H, W))}, kind u4, f2 or f4."""
+
+    def attribute(name, kind, data):
+        return name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<i", len(data)) + data
+
+    height, width = next(iter(channels.values()))[1].shape
+    names = sorted(channels)
+    kinds = {"u4": 0, "f2": 1, "f4": 2}
+    listed = b"".join(n.encode("latin-1") + b"\0" + struct.pack("<iBxxxii", kinds[channels[n][0]], 0, 1, 1) for n in names)
+    window = window or (0, 0, width - 1, height - 1)
+    head = struct.pack("<ii", 20000630, 2)
+    head += attribute("channels", "chlist", listed + b"\0")
+    head += attribute("compression", "compression", b"\0")
+    head += attribute("dataWindow", "box2i", struct.pack("<4i", *window))
+    head += attribute("displayWindow", "box2i", struct.pack("<4i", *(display or window)))
+    head += attribute("lineOrder", "lineOrder", b"\0")
+    head += attribute("pixelAspectRatio", "float", struct.pack("<f", 1))
+    head += attribute("screenWindowCenter", "v2f", struct.pack("<2f", 0, 0))
+    head += attribute("screenWindowWidth", "float", struct.pack("<f", 1))
+    head += extra + b"\0"
+    rows = [b"".join(channels[n][1][y].astype("<" + channels[n][0]).tobytes() for n in names) for y in range(height)]
+    start, table, lines = len(head) + 8 * height, b"", b""
+    for y, row in enumerate(rows):
+        table += struct.pack("<Q", start + len(lines))
+        lines += struct.pack("<ii", window[1] + y, len(row)) + row
+    return head + table + lines
+
+
+def planes(*names, size=(9, 7), seed=0):
+    random = np.random.default_rng(seed)
+    return {name: random.normal(size=size).astype(np.float32) for name in names}
+
+
+def test_channels_come_back_by_their_full_name(tmp_path):
+    path = tmp_path / "a.exr"
+    written = planes("R", "G", "B", "motion.X", "motion.Y", "depth.Z", "A.b.c.R")
+    images.write_channels(path, written, half=("R", "G"), metadata={"stss:key": 'é {"a": 1}\nb'})
+
+    header = images.read_header(path)
+    assert set(header.channels) == set(written)
+    assert {name for name, kind in header.formats.items() if kind == "half"} == {"R", "G"}
+    assert header.compression == "zip"
+    assert header.attributes["stss:key"] == 'é {"a": 1}\nb'
+    assert (header.height, header.width) == header.size == (9, 7)
+    read = images.read_channels(path, ["depth.Z", "R", "motion.Y"])
+    assert list(read) == ["depth.Z", "R", "motion.Y"]
+    for name, plane in read.items():
+        assert plane.dtype == np.float32
+        assert plane.flags.c_contiguous
+        want = written[name].astype(np.float16) if name == "R" else written[name]
+        np.testing.assert_array_equal(plane, want.astype(np.float32))
+
+
+def test_whole_numbers_keep_their_value(tmp_path):
+    ids = np.arange(12, dtype=np.uint32).reshape(3, 4) * 1000
+    path = tmp_path / "a.exr"
+    path.write_bytes(exr_bytes({"id": ("u4", ids), "x": ("f4", ids + 0.5), "y": ("f2", ids % 7)}))
+    read = images.read_channels(path, ["id", "x", "y"])
+    np.testing.assert_array_equal(read["id"], ids)
+    np.testing.assert_array_equal(read["x"], ids + 0.5)
+    np.testing.assert_array_equal(read["y"], ids % 7)
+
+
+def test_a_missing_channel_names_file_channel_and_what_there_is(tmp_path):
+    images.write_channels(tmp_path / "a.exr", planes("R", "depth.Z"))
+    with pytest.raises(InputError, match=r"a\.exr: no channel depth\.V; it has R, depth\.Z"):
+        images.read_channels(tmp_path / "a.exr", ["depth.V"])
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".png"])
+def test_no_truncated_file_is_read_and_nothing_is_printed(tmp_path, suffix):
+    """At any length, also where only the last pixels are gone."""
+    whole = tmp_path / f"a{suffix}"
+    images.write_rgb(whole, np.random.default_rng(0).random((40, 30, 3)))
+    data = whole.read_bytes()
+    lengths = sorted({*range(0, len(data), 61), *range(len(data) - 20, len(data))})
+    for length in lengths:
+        (tmp_path / f"cut{length}{suffix}").write_bytes(data[:length])
+    code = (
+        "import sys, pathlib\nfrom stss.errors import InputError\nfrom stss.images import read_rgb\n"
+        "for path in pathlib.Path(sys.argv[1]).glob('cut*'):\n"
+        "    try:\n        read_rgb(path)\n        print('read', path)\n    except InputError as error:\n"
+        "        assert str(error).startswith(str(path)) and '\\n' not in str(error), error\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr, done.returncode) == ("", "", 0)
+    assert len(lengths) > 50
+
+
+def test_a_lost_scan_line_is_not_black(tmp_path):
+    """As a crashed render leaves it: the table of lines holds 0 for those never written."""
+    values = np.ones((3, 4), dtype=np.float32)
+    data = bytearray(exr_bytes({"R": ("f4", values)}))
+    line = 4 + 4 + 16
+    table = len(data) - 3 * line - 3 * 8
+    data[table + 16 : table + 24] = bytes(8)
+    path = tmp_path / "a.exr"
+    path.write_bytes(data[: len(data) - line])
+    with pytest.raises(InputError, match=r"a\.exr: "):
+        images.read_channels(path, ["R"])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"window": (0, 0, 99999, 2)}, "a.exr: "),
+        ({"window": (0, 0, 2**31 - 2, 2**31 - 2)}, "a.exr: "),
+        ({"window": (3, 0, 0, 2)}, "a.exr: "),
+        ({"display": (0, 0, 9, 9)}, "data window .* is not the display window"),
+        ({"window": (1, 1, 4, 3), "display": (0, 0, 3, 2)}, "data window .* is not the display window"),
+    ],
+)
+def test_headers_are_refused_before_memory_is_taken(tmp_path, change, message):
+    path = tmp_path / "a.exr"
+    path.write_bytes(exr_bytes({"R": ("f4", np.ones((3, 4)))}, **change))
+    with pytest.raises(InputError, match=message):
+        images.read_header(path)
+    with pytest.raises(InputError, match=message):
+        images.read_channels(path, ["R"])
+
+
+def test_an_equal_window_may_start_anywhere(tmp_path):
+    path = tmp_path / "a.exr"
+    path.write_bytes(exr_bytes({"R": ("f4", np.full((3, 4), 2.0))}, window=(5, -6, 8, -4)))
+    assert images.read_header(path).data_window == (5, -6, 4, 3)
+    np.testing.assert_array_equal(images.read_channels(path, ["R"])["R"], 2)
+
+
+def test_limits_on_channels_and_bytes(tmp_path, monkeypatch):
+    path = tmp_path / "a.exr"
+    images.write_channels(path, planes("R", "G", "B"))
+    monkeypatch.setattr(headers, "MAX_BYTES", 9 * 7 * 3 * 4)
+    images.read_header(path)
+    monkeypatch.setattr(headers, "MAX_BYTES", 9 * 7 * 3 * 4 - 1)
+    with pytest.raises(InputError, match="756 bytes; at most"):
+        images.read_header(path)
+    monkeypatch.setattr(headers, "MAX_CHANNELS", 2)
+    with pytest.raises(InputError, match="3 channels; expected"):
+        images.read_header(path)
+
+
+def test_strange_names_and_texts(tmp_path):
+    """A channel name that is not UTF-8 does no harm; nor does such a comment, which is left out."""
+    path = tmp_path / "a.exr"
+    path.write_bytes(exr_bytes({"R\xe9": ("f4", np.ones((3, 4))), "Z": ("f4", np.full((3, 4), 2.0))}))
+    np.testing.assert_array_equal(images.read_channels(path, ["Z"])["Z"], 2)
+    comment = b"comments\0string\0" + struct.pack("<i", 2) + b"\xe9\xff"
+    path.write_bytes(exr_bytes({"R": ("f4", np.ones((3, 4)))}, extra=comment))
+    assert "comments" not in images.read_header(path).attributes
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.exr", None, "no such file"),
+        ("a.exr", b"", "empty, or not the kind"),
+        ("a.exr", b"\x89PNG\r\n\x1a\n", "empty, or not the kind"),
+        ("a.tif", b"II*\0", r"expected an \.exr or \.png file"),
+    ],
+)
+def test_other_files_are_refused(tmp_path, name, content, message):
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=message):
+        images.read_header(tmp_path / name)
+
+
+def test_a_folder_is_not_a_file(tmp_path):
+    (tmp_path / "a.exr").mkdir()
+    with pytest.raises(InputError, match="not a regular file"):
+        images.read_header(tmp_path / "a.exr")
+
+
+def test_png_holds_display_values_and_texts(tmp_path):
+    path = tmp_path / "a.png"
+    picture = (np.arange(256, dtype=np.float32) / 255).reshape(16, 16)[..., None] * np.ones(3, dtype=np.float32)
+    texts = {"stss:key": 'é {"a": 1}\nb', "Software": "stss", "stss:long": "z" * 100_000}
+    images.write_rgb(path, picture, metadata=texts)
+    read = images.read_rgb(path)
+    np.testing.assert_array_equal(np.rint(read * 255), np.rint(picture * 255))
+    assert texts.items() <= images.read_header(path).attributes.items()
+    images.write_rgb(path, read)
+    np.testing.assert_array_equal(images.read_rgb(path), read)
+
+
+def test_png_rounds_to_nearest_and_clips(tmp_path):
+    values = np.array([-1, 0.49 / 255, 0.51 / 255, 254.51 / 255, 7])
+    images.write_rgb(tmp_path / "a.png", np.broadcast_to(values[None, :, None], (1, 5, 3)))
+    np.testing.assert_array_equal(np.rint(images.read_rgb(tmp_path / "a.png")[0, :, 0] * 255), [0, 0, 1, 255, 255])
+
+
+def test_transparency_does_not_darken(tmp_path):
+    """OpenImageIO would multiply by alpha."""
+    oiio = images.oiio
+    spec = oiio.ImageSpec(2, 2, 4, "uint8")
+    spec.attribute("oiio:UnassociatedAlpha", 1)
+    output = oiio.ImageOutput.create(str(tmp_path / "a.png"))
+    assert output.open(str(tmp_path / "a.png"), spec)
+    assert output.write_image(np.full((2, 2, 4), (255, 51, 0, 51), dtype=np.uint8))
+    output.close()
+    np.testing.assert_array_equal(np.rint(images.read_rgb(tmp_path / "a.png") * 255), np.full((2, 2, 3), (255, 51, 0)))
+
+
+def test_a_mask_is_grey_and_255_is_true(tmp_path):
+    mask = np.array([[True, False, False]])
+    images.write_mask(tmp_path / "a.png", mask)
+    assert len(images.read_header(tmp_path / "a.png").channels) == 1
+    np.testing.assert_array_equal(images.read_rgb(tmp_path / "a.png")[..., 1], mask)
+
+
+def test_rgb_comes_from_one_layer(tmp_path):
+    path = tmp_path / "a.exr"
+    written = planes("X.Combined.R", "X.Combined.G", "X.Combined.B", "X.base.R", "X.base.G", "X.base.B")
+    images.write_channels(path, written)
+    np.testing.assert_array_equal(images.read_rgb(path)[..., 2], written["X.Combined.B"])
+    images.write_channels(path, planes("a.R", "a.G", "a.B", "b.R", "b.G", "b.B"))
+    with pytest.raises(InputError, match="expected channels R, G, B or one layer"):
+        images.read_rgb(path)
+
+
+def test_parts_are_one_file(tmp_path):
+    """A later part's channel whose name is taken goes by its part's name."""
+    oiio, path = images.oiio, tmp_path / "a.exr"
+    specs = []
+    for part, names in (("rgb", ("R", "G", "B")), ("depth", ("Z",)), ("normal", ("R", "G", "B"))):
+        spec = oiio.ImageSpec(5, 4, len(names), "float")
+        spec.channelnames = names
+        spec.attribute("oiio:subimagename", part)
+        specs.append(spec)
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), tuple(specs))
+    for index, spec in enumerate(specs):
+        assert index == 0 or output.open(str(path), spec, "AppendSubimage")
+        assert output.write_image(np.full((4, 5, spec.nchannels), index + 0.5, dtype=np.float32))
+    output.close()
+    assert images.read_header(path).channels == ("R", "G", "B", "Z", "normal.R", "normal.G", "normal.B")
+    read = images.read_channels(path, ["normal.G", "R", "Z"])
+    assert [plane[0, 0] for plane in read.values()] == [2.5, 0.5, 1.5]
+
+
+@pytest.mark.parametrize("name", ["a.exr", "a.png"])
+def test_equal_pictures_are_equal_files(tmp_path, name):
+    picture = np.random.default_rng(0).random((8, 8, 3))
+    images.write_rgb(tmp_path / name, picture, metadata={"a": "b"})
+    (tmp_path / "b").mkdir()
+    images.write_rgb(tmp_path / "b" / name, picture, metadata={"a": "b"})
+    assert (tmp_path / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    assert not images.read_header(tmp_path / name).attributes.get("DateTime")
+
+
+@pytest.mark.parametrize("name", ["a.exr", "a.png"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_nothing_non_finite_is_written(tmp_path, name, value):
+    picture = np.zeros((2, 3, 3))
+    images.write_rgb(tmp_path / name, picture)
+    before = (tmp_path / name).read_bytes()
+    picture[1, 2, 1] = value
+    with pytest.raises(ValueError, match=r"a\.\w+: channel G: 1 non-finite values, first at \(y=1, x=2\)"):
+        images.write_rgb(tmp_path / name, picture)
+    assert (tmp_path / name).read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_half_does_not_overflow(tmp_path):
+    """Where half would become infinite, the channel is float."""
+    picture = np.full((2, 2, 3), 1.5)
+    picture[0, 0, 0] = 1e6
+    images.write_rgb(tmp_path / "a.exr", picture)
+    assert images.read_header(tmp_path / "a.exr").formats == {"R": "float", "G": "half", "B": "half"}
+    np.testing.assert_array_equal(images.read_rgb(tmp_path / "a.exr"), picture)
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_other(tmp_path, monkeypatch):
+    path = tmp_path / "a.exr"
+    images.write_rgb(path, np.zeros((2, 2, 3)))
+    before = path.read_bytes()
+
+    def fail(file):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(images.os, "fsync", fail)
+    with pytest.raises(OSError, match="No space"):
+        images.write_rgb(path, np.ones((2, 2, 3)))
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["a.exr"]
+
+
+def test_a_folder_that_is_not_there(tmp_path):
+    with pytest.raises(InputError, match=r"a\.exr: cannot be written"):
+        images.write_rgb(tmp_path / "no" / "a.exr", np.zeros((2, 2, 3)))
+    with pytest.raises(InputError, match="expected a name ending in"):
+        images.write_rgb(tmp_path / "a.jpg", np.zeros((2, 2, 3)))
+
+
+def test_real_renders(reference_data):
+    path = next((reference_data / "blender" / "lr").glob("*.exr"))
+    header = images.read_header(path)
+    read = images.read_channels(path, header.channels)
+    assert all(plane.shape == header.size for plane in read.values())
+    assert header.formats["ViewLayer.Combined.R"] == "half"
+    assert header.formats["ViewLayer.Position.X"] == "float"

@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: MIT
+"""PSNR and SSIM (spec section 9)."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stss import metrics
+from stss_ref.arrays import ArrayError
+
+quick = settings(deadline=None, max_examples=30)
+
+# What float64 loses of an SSIM. A variance is a mean of squares minus the square of a mean, both below 235^2 < 2**16:
+# fewer than 64 roundings (11 taps, twice, each a product and a sum) of at most 2**(16 - 53). Four such terms stand in
+# the second factor, whose divisor is at least C2 > 58; the first factor's own rounding is far below that.
+SSIM_LOST = 4 * 64 * 2.0 ** (16 - 53) / 58
+
+
+@st.composite
+def image_pairs(draw):
+    """Two 8-bit images of one size, some of them the same, some smaller than SSIM's window."""
+    size = draw(st.tuples(st.integers(1, 24), st.integers(1, 24)))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    truth = rng.integers(0, 256, (*size, 3), dtype=np.uint8)
+    noise = rng.integers(-draw(st.integers(0, 255)), 256, truth.shape) * draw(st.sampled_from([0, 1]))
+    return np.clip(truth + noise, 0, 255).astype(np.uint8), truth
+
+
+def slow_ssim(a, b):
+    """The formula, one window at a time, with plain Python sums."""
+    weight = np.array([math.exp(-((i - 5) ** 2) / (2 * 1.5**2)) for i in range(11)])
+    weight = np.outer(weight, weight) / weight.sum() ** 2
+    result = np.empty((a.shape[0] - 10, a.shape[1] - 10))
+    for y, x in np.ndindex(result.shape):
+        p, q = a[y : y + 11, x : x + 11], b[y : y + 11, x : x + 11]
+        mp, mq = (weight * p).sum(), (weight * q).sum()
+        spp, sqq = (weight * (p - mp) ** 2).sum(), (weight * (q - mq) ** 2).sum()
+        spq = (weight * (p - mp) * (q - mq)).sum()
+        top = (2 * mp * mq + 6.5025) * (2 * spq + 58.5225)
+        result[y, x] = top / ((mp**2 + mq**2 + 6.5025) * (spp + sqq + 58.5225))
+    return result
+
+
+def test_8_bit_cuts_off_the_fraction():
+    """As the authors: 0.999 is 254, and what lies outside [0, 1] is clipped."""
+    image = np.float32([[[0, 0.999, 1], [-0.5, 1.5, 0.5]]])
+    assert metrics.to_8bit(image).tolist() == [[[0, 254, 255], [0, 255, 127]]]
+
+
+def test_all_levels_of_an_8_bit_file_come_back():
+    """Cutting off the fraction must not lose a level to rounding: the trap of a PNG read as float."""
+    levels = np.arange(256, dtype=np.uint8)
+    assert metrics.to_8bit(np.float32(levels) / np.float32(255)).tolist() == levels.tolist()
+
+
+def test_luma_of_known_colours():
+    """MATLAB: black 16, white 235, red, green and blue 65.481, 128.553, 24.966 above black."""
+    colors = np.uint8([[[0, 0, 0], [255, 255, 255], [255, 0, 0], [0, 255, 0], [0, 0, 255]]])
+    expected = [[16, 235, 81.481, 144.553, 40.966]]
+    # A sum of four numbers below 256 in float64: 4 roundings of at most 2**-46 each.
+    assert np.abs(metrics.luma(colors) - expected).max() <= 4 * 2.0**-46
+
+
+@pytest.mark.parametrize(("difference", "expected"), [(1, 48.130803609), (16, 24.048403956)])
+def test_psnr_worked_by_hand(difference, expected):
+    """A difference of 1 everywhere: 20 log10 255 = 48.13 dB."""
+    truth = np.full((3, 5, 3), 100, np.uint8)
+    assert abs(metrics.psnr(truth + np.uint8(difference), truth) - expected) < 1e-9  # the digits given
+
+
+def test_psnr_of_one_wrong_channel():
+    """One of 3 x 4 values off by 51, a fifth of 255: 10 log10 (12 * 25) dB."""
+    truth = np.zeros((2, 2, 3), np.uint8)
+    image = truth.copy()
+    image[1, 0, 2] = 51
+    assert abs(metrics.psnr(image, truth) - 24.771212547) < 1e-9  # the digits given
+
+
+def test_luma_psnr_of_grey_is_above_that_of_rgb():
+    """Studio range: 219 levels stand for 255, so a grey difference scores 20 log10 (255 / 219) = 1.3 dB higher."""
+    truth = np.full((11, 11, 3), 100 / 255, np.float32)
+    scores = metrics.score(truth + np.float32(10 / 255), truth)["all"]
+    assert abs(scores.psnr_luma - scores.psnr_rgb - 20 * math.log10(255 / 219)) < 1e-12  # float64, numbers near 30
+
+
+def test_a_region_counts_its_own_pixels_only():
+    """What is wrong outside the region is not seen; what is wrong inside is not diluted."""
+    truth = np.zeros((20, 20, 3), np.uint8)
+    image = truth.copy()
+    image[:10] = 1
+    region = np.zeros((20, 20), np.bool_)
+    region[:10] = True
+    assert metrics.psnr(image, truth, ~region) == math.inf
+    assert metrics.psnr(image, truth, region) == metrics.psnr(truth + np.uint8(1), truth)
+
+
+def test_an_empty_region_has_no_score():
+    """Neither 0 nor infinity nor NaN: there is nothing to judge."""
+    plane = np.zeros((20, 20))
+    nowhere = np.zeros((20, 20), np.bool_)
+    assert metrics.psnr(plane, plane, nowhere) is None
+    assert metrics.ssim(plane, plane, nowhere) is None
+    rim = ~nowhere
+    rim[5:-5, 5:-5] = False
+    assert metrics.psnr(plane, plane, rim) == math.inf
+    assert metrics.ssim(plane, plane, rim) is None
+
+
+@quick
+@given(pair=image_pairs())
+def test_ssim_agrees_with_the_formula_taken_literally(pair):
+    """Against an independent implementation, window by window."""
+    a, b = metrics.luma(pair[0]), metrics.luma(pair[1])
+    if min(a.shape) < 11:
+        assert metrics.ssim(a, b) is None
+        return
+    assert np.abs(metrics.ssim_map(a, b) - slow_ssim(a, b)).max() <= SSIM_LOST
+
+
+@quick
+@given(pair=image_pairs())
+def test_swapping_the_images_changes_nothing(pair):
+    """Both metrics are symmetric, bit for bit; only the edges are the truth's."""
+    a, b = metrics.luma(pair[0]), metrics.luma(pair[1])
+    assert metrics.psnr(a, b) == metrics.psnr(b, a)
+    assert metrics.ssim(a, b) == metrics.ssim(b, a)
+
+
+@quick
+@given(pair=image_pairs())
+def test_an_image_agrees_with_itself(pair):
+    """Infinite PSNR and an SSIM of exactly 1."""
+    a = metrics.luma(pair[1])
+    assert metrics.psnr(a, a) == math.inf
+    assert metrics.ssim(a, a) == (1 if min(a.shape) >= 11 else None)
+
+
+@quick
+@given(pair=image_pairs())
+def test_ssim_is_at_most_one(pair):
+    """And at least -1, up to rounding."""
+    assert (np.abs(metrics.ssim_map(metrics.luma(pair[0]), metrics.luma(pair[1]))) <= 1 + SSIM_LOST).all()
+
+
+def test_ssim_of_flat_images():
+    """Two flat greys: no structure, only the first factor, (2ab + C1) / (a^2 + b^2 + C1)."""
+    a, b = np.full((12, 13), 100.0), np.full((12, 13), 150.0)
+    expected = (2 * 100 * 150 + 6.5025) / (100**2 + 150**2 + 6.5025)
+    assert abs(metrics.ssim(a, b) - expected) <= SSIM_LOST
+
+
+def test_more_noise_is_worse():
+    """PSNR and SSIM fall as the same noise is made stronger."""
+    rng = np.random.default_rng(1)
+    truth = np.float32(0.5 + 0.3 * np.sin(np.mgrid[:40, :40].sum(axis=0) / 3))[..., None].repeat(3, axis=-1)
+    noise = rng.standard_normal(truth.shape).astype(np.float32)
+    found = [metrics.score(truth + np.float32(s) * noise, truth)["all"] for s in (0.01, 0.02, 0.05, 0.1, 0.2)]
+    for less, more in pairwise(found):
+        assert less.psnr_luma > more.psnr_luma
+        assert less.psnr_rgb > more.psnr_rgb
+        assert less.ssim > more.ssim
+
+
+def test_edges_are_those_of_the_truth():
+    """A black and a white half: the edge runs along the border between them, nowhere else."""
+    truth = np.zeros((16, 16, 3), np.uint8)
+    truth[:, 8:] = 255
+    found = metrics.edges(truth)
+    assert found.any(axis=1).all()
+    assert not found[:, :6].any()
+    assert not found[:, 10:].any()
+    assert not metrics.edges(np.full_like(truth, 128)).any()
+
+
+def test_edge_scores_see_only_the_edge():
+    """An error in a flat corner changes the score over all pixels, not the one over edges."""
+    truth = np.zeros((32, 32, 3), np.float32)
+    truth[:, 16:] = 1
+    image = truth.copy()
+    image[:2, :2] = 0.5
+    scores = metrics.score(image, truth)
+    assert scores["all"].psnr_rgb < math.inf
+    assert scores["edges"].psnr_rgb == math.inf
+    assert scores["holes"] == metrics.Scores(None, None, None)
+
+
+def test_holes_at_output_size_worked_by_hand():
+    """Upsampled, a hole loses the rim that reads a neighbour that can be trusted; at the frame's edge it keeps it."""
+    hole = np.array([[1, 1, 0, 0], [1, 1, 0, 0], [0, 0, 0, 1]], np.bool_)
+    expected = np.zeros((6, 8), np.bool_)
+    expected[:3, :3] = True
+    expected[5, 7] = True
+    assert metrics.upsample_holes(hole).tolist() == expected.tolist()
+
+
+@pytest.mark.parametrize("hole", [True, False])
+def test_holes_everywhere_and_nowhere(hole):
+    """Nothing appears or is lost."""
+    assert (metrics.upsample_holes(np.full((3, 5), hole)) == np.full((6, 10), hole)).all()
+
+
+def test_score_says_what_does_not_fit():
+    """Sizes that differ are never stretched."""
+    with pytest.raises(ArrayError, match=r"truth: expected shape \(4, 4, 3\), got \(4, 5, 3\)"):
+        metrics.score(np.zeros((4, 4, 3), np.float32), np.zeros((4, 5, 3), np.float32))

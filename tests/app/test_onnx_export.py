@@ -1,0 +1,92 @@
+"""The exported model: what it takes, and that engines compute the network with it."""
+
+import numpy as np
+import pytest
+
+from conformance.tolerance import ratio
+from stss import onnx_export
+from stss.contenders import network_inputs
+from stss.errors import InputError
+from stss.peers import OnnxRuntime, OpenVino, PyTorch, Setup
+from stss_ref.network import network
+from stss_ref.weights import astype
+from stss_ref.weights import random as random_weights
+
+WEIGHTS = random_weights(5)
+NEEDS = {"onnxruntime": OnnxRuntime, "openvino": OpenVino}
+
+
+def truth(inputs):
+    exact = {name: array.astype(np.float64) for name, array in vars(inputs).items()}
+    return network(**exact, weights=astype(WEIGHTS, np.float64))
+
+
+def need(*names):
+    for name in names:
+        pytest.importorskip(name, reason=f"the package {name} is not installed: pip install '.[bench]'")
+
+
+def shapes(values):
+    return {v.name: tuple(d.dim_value for d in v.type.tensor_type.shape.dim) for v in values}
+
+
+def test_the_model_says_what_it_takes():
+    need("onnx")
+    model = onnx_export.export(WEIGHTS, 16, 24)
+    lead = {"color": (1, 6), "gbuffer": (1, 9), "mask": (1, 1), "history": (3, 4)}
+    assert shapes(model.graph.input) == {name: (*n, 16, 24) for name, n in lead.items()}
+    assert shapes(model.graph.output) == {"image": (1, 3, 32, 48)}
+    assert [(o.domain, o.version >= 17) for o in model.opset_import] == [("", True)]
+
+
+def test_it_holds_every_weight_once_and_nothing_unused():
+    need("onnx")
+    model = onnx_export.export(WEIGHTS, 8, 8)
+    used = {name for node in model.graph.node for name in node.input}
+    assert {c.name for c in model.graph.initializer} <= used
+    numbers = sum(int(np.prod(c.dims)) for c in model.graph.initializer if c.name.endswith((".weight", ".bias")))
+    assert numbers == sum(w.size for w in WEIGHTS.values())
+
+
+@pytest.mark.parametrize("size", [(0, 8), (12, 16), (16, 20)])
+def test_other_sizes_are_refused_with_the_next_one(size):
+    with pytest.raises(InputError, match="expected multiples of 8, such as"):
+        onnx_export.export(WEIGHTS, *size)
+
+
+def test_a_file_is_whole_or_not_there(tmp_path):
+    need("onnx")
+    import onnx
+
+    onnx_export.write(tmp_path / "m.onnx", WEIGHTS, 8, 16)
+    assert onnx.load(tmp_path / "m.onnx") == onnx_export.export(WEIGHTS, 8, 16)
+    with pytest.raises(InputError, match="nowhere"):
+        onnx_export.write(tmp_path / "nowhere" / "m.onnx", WEIGHTS, 8, 16)
+    assert [path.name for path in tmp_path.iterdir()] == ["m.onnx"]
+
+
+@pytest.mark.parametrize("size", [(8, 8), (16, 40), (13, 21)])
+@pytest.mark.parametrize("engine", ["onnxruntime", "openvino"])
+def test_engines_compute_the_network_with_it(engine, size):
+    need("onnx", engine)
+    options = {"float32": True} if engine == "openvino" else {}
+    peer = NEEDS[engine](Setup(WEIGHTS, *size, device=None, threads=1), **options)
+    inputs = network_inputs(*size)
+    assert ratio("network.peer", peer(**vars(inputs)), truth(inputs)) <= 1
+
+
+@pytest.mark.parametrize("size", [(8, 8), (16, 40), (13, 21)])
+@pytest.mark.parametrize("tuned", [False, True])
+def test_pytorch_computes_the_network_either_way(tuned, size):
+    need("torch")
+    peer = PyTorch(Setup(WEIGHTS, *size, device=None, threads=1), tuned=tuned)
+    inputs = network_inputs(*size)
+    assert ratio("network.peer", peer(**vars(inputs)), truth(inputs)) <= 1
+
+
+def test_a_peer_told_apart_from_another_network():
+    """The comparison above sees other weights."""
+    need("torch")
+    peer = PyTorch(Setup(random_weights(6), 16, 24, device=None, threads=1), tuned=True)
+    inputs = network_inputs(16, 24)
+    assert ratio("network.peer", peer(**vars(inputs)), truth(inputs)) > 1

@@ -1,0 +1,462 @@
+"""``stss port``: the project's backends as programs that are handed a job folder."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from conformance import job as jobs
+from conformance.folder_port import FolderPort, smallest_case
+from conformance.port import Case, PortError, Unsupported
+from conformance.stages import STAGES, check_inputs, check_outputs, reference
+from stss import port as ports
+from stss.errors import InputError
+from stss.weights import load
+from stss_cl.errors import DeviceError
+from stss_ref.arrays import ArrayError
+from stss_ref.weights import WeightsError
+from stss_ref.weights import random as random_weights
+from stss_ref.weights import zeros as zero_weights
+
+DOCS = Path(__file__).parents[2] / "docs" / "ports.md"
+ANY_SIZE = ("motion_chain", "warp", "holes", "occlusion_warp", "rrm", "network", "frame")
+
+
+def command(backend):
+    """``stss port`` without the command line."""
+    return [sys.executable, "-c", f"import pathlib, sys, stss.port; stss.port.run_job(pathlib.Path(sys.argv[1]), {backend!r})"]
+
+
+def random_case(stage, size, seed=0, k=5, channels=3):
+    random = np.random.default_rng(seed)
+    sizes = {"H": size[0], "W": size[1], "C": channels, "k": k}
+    makers = {
+        "float": lambda shape: random.random(shape).astype(np.float32),
+        "uint8": lambda shape: random.integers(0, 2, shape, dtype=np.uint8),
+        "int": lambda shape: np.zeros(shape, np.int32),
+    }
+    inputs = {name: makers[spec.kind](spec.shape(sizes)) for name, spec in STAGES[stage].inputs.items()}
+    if "rectangle" in inputs:
+        inputs["rectangle"][:] = (size[0] // 2, size[1] // 3, 1, 1)
+    if "steps" in inputs:
+        inputs["steps"][:] = (1, 3, 5)
+    return Case(stage, inputs, random_weights(seed) if STAGES[stage].weights else None)
+
+
+def warp_case():
+    return random_case("warp", (3, 4))
+
+
+@pytest.fixture
+def job(tmp_path):
+    """Write cases into a job folder."""
+
+    def write(*cases):
+        jobs.write_job(tmp_path / "job", cases or [warp_case()])
+        return tmp_path / "job"
+
+    return write
+
+
+def refused(job, *words, backend="ref", error=InputError):
+    with pytest.raises(error) as caught:
+        ports.run_job(job, backend)
+    message = str(caught.value)
+    assert len(message.splitlines()) == 1
+    for word in words:
+        assert str(word) in message
+
+
+def bits(arrays):
+    return {name: (array.dtype, array.shape, array.tobytes()) for name, array in arrays.items()}
+
+
+# what a job carries
+
+
+def test_the_reference_as_a_program_has_the_bits_of_the_reference():
+    """Every stage, from 1 x 1 up where it takes any size, at one start of the program."""
+    cases = [random_case(stage, size, seed) for stage in ANY_SIZE for seed, size in enumerate([(1, 1), (1, 7), (5, 3)])]
+    cases += [random_case(stage, size, 9) for stage in STAGES if stage not in ANY_SIZE for size in [(8, 8), (8, 24), (16, 8)]]
+    cases.append(random_case("motion_chain", (6, 5), k=1))
+    cases.append(random_case("warp", (6, 5), channels=1))
+
+    results = FolderPort(command("ref"), timeout=120).run_many(cases)
+
+    for case, got in zip(cases, results, strict=True):
+        assert bits(got) == bits(reference(case.stage, case.inputs, case.weights)), case.stage
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_the_reference_gives_what_the_table_says(stage):
+    for dtype in ("float32", "float64"):
+        case = random_case(stage, (8, 16))
+        inputs = {name: array.astype(dtype) if array.dtype.kind == "f" else array for name, array in case.inputs.items()}
+        outputs = reference(stage, inputs, case.weights)
+        check_outputs(stage, outputs, check_inputs(stage, inputs, dtype), dtype)
+        assert list(outputs) == list(STAGES[stage].outputs)
+
+
+def test_non_finite_motion_goes_through_a_job(job):
+    case = warp_case()
+    case.inputs["motion"][0, 0] = np.nan
+    case.inputs["motion"][1, 1, 0] = -np.inf
+    folder = job(case)
+    read = jobs.read_inputs(folder / "0000", "warp")
+    assert bits(read) == bits(case.inputs)
+
+
+def test_files_are_plain(job):
+    """Version 1.0, little-endian, C order, whatever the arrays were: what a porter's reader has to know."""
+    case = random_case("frame", (8, 8))
+    turned = {name: np.asfortranarray(a.astype(np.int64) if a.dtype == np.int32 else a) for name, a in case.inputs.items()}
+    folder = job(Case("frame", turned, case.weights)) / "0000"
+    assert (folder / "stage").read_text() == "frame\n"
+    for name in case.inputs:
+        data = (folder / "in" / f"{name}.npy").read_bytes()
+        assert data.startswith(b"\x93NUMPY\x01\x00")
+        kind = b"<i4" if name == "steps" else b"<f4"
+        assert b"'descr': '" + kind + b"', 'fortran_order': False" in data[:128]
+    assert bits(jobs.read_inputs(folder, "frame")) == bits(case.inputs)
+    assert bits(load(folder / "in" / "weights.safetensors").weights) == bits(case.weights)
+
+
+def test_other_layouts_are_read(tmp_path):
+    """Programs write with libraries of their own: Fortran's order and the other order of bytes hold the same numbers."""
+    array = np.arange(24, dtype=np.float32).reshape(2, 3, 4)
+    for name, written in {"f": np.asfortranarray(array), "big": array.astype(">f4")}.items():
+        np.save(tmp_path / f"{name}.npy", written)
+        assert bits({"a": jobs.read_array(tmp_path / f"{name}.npy")}) == bits({"a": array})
+
+
+def test_cases_come_in_the_order_of_their_numbers(tmp_path):
+    for name in ("10000", "0002", "9999", "0000", "notes", "12"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "0003").touch()
+    assert [path.name for path in jobs.case_folders(tmp_path)] == ["0000", "0002", "9999", "10000"]
+
+
+def test_one_weights_file_is_read_once(job, monkeypatch):
+    weights = random_weights(1)
+    case = random_case("history", (8, 8))
+    folder = job(*(Case("history", case.inputs, w) for w in (weights, weights, random_weights(2), dict(weights))))
+    read, given = [], []
+    monkeypatch.setattr(ports, "load", lambda path: read.append(path) or load(path))
+    monkeypatch.setattr(ports, "reference", lambda *a: given.append(a[2]) or reference(*a))
+    ports.run_job(folder, "ref")
+    assert len(read) == 2
+    assert given[0] is given[1] is given[3]
+    assert given[0] is not given[2]
+
+
+def test_results_of_two_runs_never_stand_side_by_side(job):
+    folder = job()
+    ports.run_job(folder, "ref")
+    (folder / "0000" / "stage").write_text("later_stage\n")
+    ports.run_job(folder, "ref")
+    assert (folder / "0000" / "unsupported").exists()
+    assert not list((folder / "0000" / "out").iterdir())
+    (folder / "0000" / "stage").write_text("warp")
+    ports.run_job(folder, "ref")
+    assert not (folder / "0000" / "unsupported").exists()
+    assert sorted(path.name for path in (folder / "0000" / "out").iterdir()) == ["inside.npy", "warped.npy"]
+
+
+# malformed jobs
+
+
+def header(text, version=b"\x01\x00"):
+    size = len(text).to_bytes(2 if version == b"\x01\x00" else 4, "little")
+    return b"\x93NUMPY" + version + size + text
+
+
+def literal(descr="'<f4'", shape="(3, 4, 2)"):
+    return header(f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n".encode())
+
+
+def damaged(path, damage):
+    array = np.load(path)
+    if isinstance(damage, bytes):
+        path.write_bytes(damage)
+    elif damage == "cut":
+        path.write_bytes(path.read_bytes()[:-1])
+    elif damage == "longer":
+        path.write_bytes(path.read_bytes() + b"\0")
+    elif damage == "objects":
+        np.save(path, array.astype(object), allow_pickle=True)
+    elif damage == "names":
+        np.save(path, np.zeros(3, [("x", "f4")]))
+    elif damage == "folder":
+        path.unlink()
+        path.mkdir()
+    elif damage == "pipe":
+        path.unlink()
+        os.mkfifo(path)
+
+
+@pytest.mark.parametrize(
+    ("damage", "word"),
+    [
+        (b"", "not a .npy file"),
+        (b"PK\x03\x04", "not a .npy file"),
+        (header(b"x" * 40), "not a .npy file"),
+        (header(b"-" * 9000 + b"1\n"), "not a .npy file"),
+        (header(b"{[]: 1}\n"), "not a .npy file"),
+        (header(b" " * 60000), "not a .npy file"),
+        (header(b" " * 10**6, b"\x02\x00"), "not a .npy file"),
+        (header(b"{}", b"\x03\x00"), "version 1.0 or 2.0"),
+        (literal(shape="(1000000, 1000000, 1000000)"), "bytes"),
+        (literal(shape="(-1, -1, 24)"), "negative"),
+        (literal(shape="(-3, 4)"), "negative"),
+        (literal(descr="('<f4', (2,))"), "expected an array of numbers"),
+        (literal(descr="'<U0'"), "expected an array of numbers"),
+        (literal(descr="'|O'"), "objects"),
+        ("cut", "bytes"),
+        ("longer", "bytes"),
+        ("objects", "objects"),
+        ("names", "expected an array of numbers"),
+        ("folder", "not a file"),
+        ("pipe", "not a file"),
+    ],
+)
+def test_a_damaged_array_is_named(job, damage, word):
+    path = job() / "0000" / "in" / "motion.npy"
+    damaged(path, damage)
+    refused(path.parents[2], path, word)
+
+
+@pytest.mark.parametrize(
+    ("array", "words"),
+    [
+        (np.zeros((3, 4, 2), np.float64), ["dtype float32", "float64"]),
+        (np.zeros((3, 4, 2), np.int32), ["dtype float32", "int32"]),
+        (np.zeros((4, 3, 2), np.float32), ["shape (3, 4, 2)", "(4, 3, 2)"]),
+        (np.zeros((3, 4), np.float32), ["shape (3, 4, 2)", "(3, 4)"]),
+        (np.float32(1), ["shape (3, 4, 2)", "()"]),
+        (np.zeros((0, 4, 2), np.float32), ["shape (3, 4, 2)", "(0, 4, 2)"]),
+    ],
+)
+def test_an_array_that_does_not_fit_is_named(job, array, words):
+    path = job() / "0000" / "in" / "motion.npy"
+    np.save(path, array)
+    refused(path.parents[2], path, *words)
+
+
+def test_a_mask_of_other_numbers_is_named(job):
+    path = job(random_case("rrm", (3, 4))) / "0000" / "in" / "valid.npy"
+    np.save(path, np.full((3, 4), 255, np.uint8))
+    refused(path.parents[2], path, "expected 0 and 1, got 255, first at index (0, 0)")
+    np.save(path, np.ones((3, 4), bool))
+    refused(path.parents[2], path, "dtype uint8", "bool")
+
+
+def test_sizes_that_a_stage_does_not_take_are_named(job):
+    path = job(random_case("encoder", (8, 8))) / "0000" / "in" / "color.npy"
+    np.save(path, np.zeros((9, 8, 6), np.float32))
+    refused(path.parents[2], path.with_name("gbuffer.npy"), "(9, 8, 9)")
+    for name, channels in (("gbuffer", (9,)), ("mask", ())):
+        np.save(path.with_name(f"{name}.npy"), np.zeros((9, 8, *channels), np.float32))
+    refused(path.parents[2], path, "H to be a multiple of 8, got 9")
+
+
+def test_missing_and_foreign_files_are_named(job, tmp_path):
+    folder = job()
+    case = folder / "0000"
+    refused(tmp_path / "nowhere", "nowhere", "no such folder")
+    refused(case, case, "no case")
+    (case / "in" / "colour.npy").touch()
+    refused(folder, case / "in" / "colour.npy", "not an input of stage warp (color, motion)")
+    (case / "in" / "colour.npy").unlink()
+    (case / "in" / "motion.npy").unlink()
+    refused(folder, case / "in" / "motion.npy", "missing")
+    (case / "in").rename(case / "into")
+    refused(folder, case / "in", "no such folder")
+    for text in (b"", b"warp\nholes\n", b"\xff\xfe\0", b"../warp", b"warp" * 1000):
+        (case / "stage").write_bytes(text)
+        refused(folder, case / "stage", "one line")
+    (case / "stage").unlink()
+    refused(folder, case / "stage", "missing")
+
+
+def test_wrong_weights_are_named(job):
+    path = job(random_case("history", (8, 8))) / "0000" / "in" / "weights.safetensors"
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-4])
+    refused(path.parents[2], path)
+    path.write_bytes(whole.replace(b"outc.bias", b"outc.bjas"))
+    refused(path.parents[2], path, "outc.bias", error=WeightsError)
+    with path.open("wb") as file:
+        file.truncate(2**30)
+    refused(path.parents[2], path, "larger")
+    path.unlink()
+    refused(path.parents[2], path)
+
+
+def test_what_the_stage_itself_refuses_names_the_case(job):
+    case = warp_case()
+    case.inputs["color"][0, 1, 2] = np.nan
+    folder = job(case)
+    refused(folder, folder / "0000", "color: 1 non-finite values, first at index (0, 1, 2)")
+
+
+def test_what_cannot_be_written_is_refused_before(tmp_path):
+    case = random_case("history", (8, 8))
+    bad = [
+        Case("history", case.inputs),
+        Case("history", {}, case.weights),
+        Case("history", {**case.inputs, "more": np.zeros(1)}, case.weights),
+        Case("story", case.inputs),
+        Case("rrm", {"valid": np.ones((2, 2), np.uint8), "rectangle": np.array([0, 0, 2**40, 1])}),
+    ]
+    for number, wrong in enumerate(bad):
+        with pytest.raises(ArrayError):
+            jobs.write_job(tmp_path / str(number), [wrong])
+    with pytest.raises(ArrayError, match="weights: missing"):
+        reference("history", case.inputs)
+    with pytest.raises(WeightsError):
+        jobs.write_job(tmp_path / "weights", [Case("history", case.inputs, {})])
+
+
+# backends
+
+
+def test_an_unknown_stage_or_backend(job):
+    folder = job(warp_case(), warp_case())
+    (folder / "0000" / "stage").write_text("raytrace\n")
+    ports.run_job(folder, "ref")
+    assert (folder / "0000" / "unsupported").read_bytes() == b""
+    assert (folder / "0001" / "out" / "warped.npy").exists()
+    refused(folder, "backend", "ref, cl", "'cuda'", backend="cuda")
+
+
+def fake_backend(monkeypatch, **modules):
+    def import_module(name):
+        found = modules.get(name.removeprefix("stss_cl."))
+        if isinstance(found, Exception):
+            raise found
+        if found is None:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+        return found
+
+    monkeypatch.setattr(ports, "import_module", import_module)
+
+
+class FakeStages:
+    def __init__(self, device):
+        assert device == "device"
+
+    def run_stage(self, stage, inputs):
+        return reference(stage, inputs)
+
+
+def test_the_opencl_backend_does_what_its_modules_name(job, monkeypatch):
+    """One device for all of them, opened once."""
+    opened = []
+    device = types.SimpleNamespace(open_device=lambda: opened.append(1) or "device")
+    image = types.SimpleNamespace(STAGES={"warp": None}, ImageStages=FakeStages)
+    network = types.SimpleNamespace(STAGES={"history"}, run_stage=lambda *a: reference(*a[:3]) if a[3] == "device" else None)
+    fake_backend(monkeypatch, image_stages=image, network=network, device=device)
+    cases = [warp_case(), random_case("rrm", (2, 2)), random_case("history", (8, 8))]
+    folder = job(*cases)
+    ports.run_job(folder, "cl")
+    found = [jobs.read_outputs(folder / f"000{i}", c.stage, check_inputs(c.stage, c.inputs)) for i, c in enumerate(cases)]
+    assert bits(found[0]) == bits(reference("warp", cases[0].inputs))
+    assert found[1] == Unsupported("rrm")
+    assert bits(found[2]) == bits(reference("history", cases[2].inputs, cases[2].weights))
+    assert opened == [1]
+
+
+def test_an_opencl_backend_that_is_not_whole(job, monkeypatch):
+    folder = job()
+    fake_backend(monkeypatch)
+    ports.run_job(folder, "cl")
+    assert (folder / "0000" / "unsupported").exists()
+    for error in (ModuleNotFoundError("No module named 'pyopencl'", name="pyopencl"), ImportError("libOpenCL.so.1: missing")):
+        fake_backend(monkeypatch, image_stages=error)
+        refused(folder, "backend cl", error, backend="cl")
+
+    def fail():
+        raise DeviceError("no OpenCL device")
+
+    image = types.SimpleNamespace(STAGES={"warp"})
+    fake_backend(monkeypatch, image_stages=image, device=types.SimpleNamespace(open_device=fail))
+    refused(folder, folder / "0000", "no OpenCL device", backend="cl")
+    fake_backend(monkeypatch, image_stages=image, device=types.SimpleNamespace(open_device=lambda: "device"))
+    with pytest.raises(InputError, match="no stage holes"):
+        ports.OpenCLPort().run("holes", {})
+
+
+def test_the_opencl_backend_is_a_port():
+    """Small cases of all it has, on whatever device there is: names, shapes and dtypes are the table's."""
+    port = FolderPort(command("cl"), timeout=300)
+    try:
+        assert port.stages() <= frozenset(STAGES)
+    except PortError as error:
+        if "no OpenCL device" in str(error):
+            pytest.skip("no OpenCL device")
+        raise
+
+
+# the command line and the page
+
+
+def test_the_command(job):
+    folder = job()
+
+    def run(*arguments):
+        return subprocess.run(
+            [sys.executable, "-m", "stss", "port", *arguments], capture_output=True, text=True, timeout=60, check=False
+        )
+
+    assert run("--backend", "ref", str(folder)).returncode == 0
+    assert (folder / "0000" / "out" / "inside.npy").exists()
+    (folder / "0000" / "in" / "color.npy").unlink()
+    result = run("--backend", "ref", str(folder))
+    assert result.returncode == 2
+    assert result.stderr.splitlines() == [f"stss: {folder / '0000' / 'in' / 'color.npy'}: missing"]
+
+
+def row(stage):
+    """The stage's row of docs/ports.md."""
+
+    def cell(specs):
+        suffix = {"float": "", "uint8": " uint8", "int": " int32"}
+        return "<br>".join(f"`{name}` {spec}{suffix[spec.kind]}" for name, spec in specs.items())
+
+    return f"| `{stage.name}` | {cell(stage.inputs)} | {'yes' if stage.weights else ''} | {cell(stage.outputs)} |"
+
+
+def test_the_page_has_the_table():
+    rows = [line for line in DOCS.read_text().splitlines() if re.match(r"\| `\w", line) and line.count("|") == 5]
+    assert rows == [row(stage) for stage in STAGES.values()]
+
+
+def test_the_page_can_be_followed(tmp_path):
+    """Its Python runs as it stands there, one block after the other, with our program for the reader's."""
+    blocks = re.findall(r"```python\n(.*?)```", DOCS.read_text(), flags=re.DOTALL)
+    assert len(blocks) >= 2
+    text = "\n".join(blocks).replace('["./my_port"]', json.dumps(command("ref")))
+    subprocess.run([sys.executable, "-W", "error", "-c", text], cwd=tmp_path, check=True, timeout=60)
+
+
+def test_unsupported_is_an_error_only_where_outputs_are_asked_for(monkeypatch, tmp_path):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    program = "import pathlib, sys; [(p.parent / 'unsupported').touch() for p in pathlib.Path(sys.argv[1]).glob('*/stage')]"
+    port = FolderPort([sys.executable, "-c", program], timeout=60)
+    assert port.stages() == frozenset()
+    assert port.run_many([smallest_case("erm")]) == [Unsupported("erm")]
+    with pytest.raises(PortError, match="stage erm is unsupported"):
+        port.run("erm", smallest_case("erm").inputs, zero_weights())
+    assert not list(tmp_path.iterdir())
+
+
+def test_stages_of_a_program_are_asked_once():
+    port = FolderPort(command("ref"), timeout=60)
+    assert port.stages() == frozenset(STAGES)
+    assert port.stages() is port.stages()

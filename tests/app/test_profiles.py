@@ -1,0 +1,133 @@
+"""Profiles: each convention spelled out, each mistake in a file named."""
+
+import re
+
+import numpy as np
+import pytest
+
+from stss.convert import linear_depth, motion_in_pixels
+from stss.errors import InputError
+from stss.profiles import BUFFERS, DepthRule, MotionRule, load_profile, profile_names
+
+BUILT_IN = ("blender", "mitsuba", "stss", "unreal", "unreal-mrq")
+
+
+def toml(name="stss"):
+    return load_profile(name).path.read_text(encoding="utf-8")
+
+
+def test_built_in_profiles_load():
+    assert profile_names() == BUILT_IN
+    for name in BUILT_IN:
+        profile = load_profile(name)
+        assert profile.name == name
+        assert set(profile.channels) == set(BUFFERS)
+
+
+def test_a_profile_is_a_file_like_any_other(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(toml("blender").replace('name = "blender"', 'name = "mine"').replace("0.01 ", "1 "), encoding="utf-8")
+    mine, blender = load_profile(path), load_profile("blender")
+    assert (mine.name, mine.units_per_cm, blender.units_per_cm) == ("mine", 1, 0.01)
+    assert mine.channels == blender.channels
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("units_per_cm = 1", "", "units_per_cm: expected a number > 0, found nothing"),
+        ("units_per_cm = 1", "units_per_cm = 0", "units_per_cm: expected a number > 0, found 0.0"),
+        ("units_per_cm = 1", "units_per_cm = true", "units_per_cm: expected a number > 0, found True"),
+        ("units_per_cm = 1", "units_per_cm = 1\nunits = 2", "units: unknown key; known are name, title"),
+        ('"linear"', '"srgb"', "color_domain: expected one of linear, display, found 'srgb'"),
+        ('"scale"', '"minmax"', "depth_normalisation: expected one of clip, scale, found 'minmax'"),
+        ('y = "down"', "", "motion.y: expected one of up, down, found nothing"),
+        ('"to_previous"', '"back"', "motion.direction: expected one of to_previous, from_previous, found 'back'"),
+        ('"pixels"', "7", "motion.unit: expected one of pixels, uv, ndc, found 7"),
+        ("bias = [0, 0]", "bias = [0]", "motion.bias: expected 2 numbers, found [0]"),
+        ("scale = [1, 1]", "scale = [1, nan]", "motion.scale: expected 2 numbers, found [1, nan]"),
+        ('[["motion.X", "motion.Y"]]', '[["motion.X"]]', "channels.motion: expected a list of lists of 2 names"),
+        ('[["depth.Z"]]', '["depth.Z"]', "channels.depth: expected a list of lists of 1 names"),
+        ('depth = [["depth.Z"]]', "", "channels.depth: expected a list of lists of 1 names each, found nothing"),
+        ("nov =", "NoV =", "channels.nov: expected a list of lists of 1 names each, found nothing"),
+        ("[normal]", "[files]\nalbedo = 'x'\n[normal]", "files.albedo: unknown key; known are color, motion"),
+        ("[normal]", "[constants]\nroughness = 'x'\n[normal]", "constants.roughness: expected a number, found 'x'"),
+        ("[normal]", "[constants]\ndepth = 1\n[normal]", "constants.depth: unknown key"),
+        ("[normal]", "[hints]\ndepth = ''\n[normal]", "hints.depth: expected one line of text, found ''"),
+        ('kind = "planar"', 'kind = "device"', "depth.near: expected a number > 0, found nothing"),
+        ("background = 1e9", "", "depth.background: expected a number > 0, found nothing"),
+        ("bias = 0\nscale = 1", "bias = 0\nscale = 1\nspace = 'view'", "normal.space: unknown key"),
+        ("[normal]", "[normal", "cannot be read as TOML"),
+    ],
+)
+def test_each_mistake_is_named(tmp_path, old, new, message):
+    text = toml()
+    assert text.count(old) >= 1
+    path = tmp_path / "mine.toml"
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(InputError, match=r"mine\.toml: " + re.escape(message)) as caught:
+        load_profile(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_unknown_name_lists_the_known_ones():
+    with pytest.raises(InputError, match="profile blendr: expected one of blender, mitsuba, stss, unreal, unreal-mrq or"):
+        load_profile("blendr")
+
+
+@pytest.mark.parametrize(
+    ("name", "stored", "motion"),
+    [
+        # The point came from 3 pixels right of and 2 pixels below where it is now, in an image 40 wide and 20 high.
+        ("stss", (3, 2), (3, 2)),
+        ("blender", (3, -2), (3, 2)),
+        ("unreal", (-3, 2), (3, 2)),
+        ("unreal-mrq", (0.5 - 3 / 80, 0.5 + 2 / 40), (3, 2)),
+        ("mitsuba", (3, 2), (3, 2)),
+    ],
+)
+def test_motion_of_every_profile(name, stored, motion):
+    """One displacement as each renderer writes it. The comparison is exact after rounding to thousandths of a pixel."""
+    values = np.broadcast_to(np.array(stored, dtype=np.float32), (20, 40, 2))
+    pixels = motion_in_pixels(values, load_profile(name).motion)
+    assert pixels.dtype == np.float32
+    np.testing.assert_array_equal(np.rint(pixels * 1000), np.broadcast_to(np.array(motion) * 1000, (20, 40, 2)))
+
+
+def test_unreal_motion_is_that_of_a_public_decoder():
+    """x = -(R - 0.5) * 2 * W, y = (G - 0.5) * 2 * H."""
+    stored = np.array([[[0.25, 0.75], [0.5, 0.5]]], dtype=np.float32)
+    pixels = motion_in_pixels(stored, load_profile("unreal-mrq").motion)
+    np.testing.assert_array_equal(pixels, [[[1, 0.5], [0, 0]]])
+
+
+def test_units_of_motion():
+    stored = np.full((20, 40, 2), 0.25, dtype=np.float32)
+    for unit, want in (("pixels", (0.25, 0.25)), ("uv", (10, 5)), ("ndc", (5, 2.5))):
+        rule = MotionRule("to_previous", unit, "down", (0, 0), (1, 1))
+        np.testing.assert_array_equal(motion_in_pixels(stored, rule)[0, 0], want)
+
+
+def test_motion_keeps_what_is_not_finite_and_what_is_huge():
+    stored = np.array([[[np.nan, 1], [np.inf, -np.inf], [1e30, -3e38]]], dtype=np.float32)
+    pixels = motion_in_pixels(stored, MotionRule("from_previous", "pixels", "down", (0, 0), (1, 1)))
+    np.testing.assert_array_equal(pixels, -stored)
+
+
+def test_background_of_planar_depth():
+    stored = np.array([[1.5, 0, -1, np.nan, np.inf, 1e9, 1e10, 9e8]], dtype=np.float32)
+    depth = linear_depth(stored, DepthRule("planar", 1e9))
+    np.testing.assert_array_equal(depth, np.float32([[1.5, np.inf, np.inf, np.inf, np.inf, np.inf, np.inf, 9e8]]))
+
+
+@pytest.mark.parametrize("reverse", [True, False])
+@pytest.mark.parametrize("far", [64.0, np.inf])
+def test_device_depth(reverse, far):
+    """z = near at one end, far at the other, 1 / z linear between; the far plane is background."""
+    z = np.array([[0.5, 1, 2, 8, 32]])
+    stored = (1 / z - 1 / far) / (1 / 0.5 - 1 / far)
+    stored = np.append(stored, [[0]], axis=1)
+    rule = DepthRule("device", np.inf, 0.5, far, reverse)
+    depth = linear_depth((stored if reverse else 1 - stored).astype(np.float64), rule)
+    np.testing.assert_array_equal(np.rint(depth[0, :5] * 1000), z[0] * 1000)
+    assert np.isinf(depth[0, 5])

@@ -1,0 +1,242 @@
+"""The main job: steps that overlap, and what that must not change."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from stss.backends import ReferenceBackend
+from stss.errors import InputError
+from stss.images import read_rgb
+from stss.pipeline import AHEAD, overlap
+from stss.run import RunOptions, run
+from stss.sequence import Sequence, open_sequence
+from stss.weights import BILINEAR, load
+from stss_ref.arrays import ArrayError
+
+SOON = 30
+"""Seconds after which something that should happen at once counts as not happening."""
+
+
+@pytest.fixture(autouse=True)
+def _no_thread_is_left():
+    before = set(threading.enumerate())
+    yield
+    assert set(threading.enumerate()) == before
+
+
+class Steps:
+    """Steps that note what they do, in order, and fail where told."""
+
+    def __init__(self, fail=None):
+        self.log, self.threads, self._fail = [], {}, fail or {}
+
+    def step(self, name, pause=0.0):
+        def do(item):
+            self.threads.setdefault(name, set()).add(threading.get_ident())
+            self.log.append((name, item))
+            time.sleep(pause)
+            if error := self._fail.get((name, item)):
+                raise error
+            self.log.append((name + " end", item))
+            return item
+
+        return do
+
+    def run(self, count, **pauses):
+        steps = [self.step(name, pauses.get(name, 0)) for name in ("read", "compute", "write", "done")]
+        overlap(range(count), *steps)
+
+    def items(self, name):
+        return [item for step, item in self.log if step == name]
+
+
+def test_every_item_passes_every_step_in_order():
+    steps = Steps()
+    steps.run(20)
+    for name in ("read", "compute", "write", "done"):
+        assert steps.items(name) == list(range(20))
+    assert steps.threads["compute"] == steps.threads["done"] == {threading.get_ident()}
+    assert len(set.union(*steps.threads.values())) == 3
+
+
+def test_nothing_to_do():
+    steps = Steps()
+    steps.run(0)
+    assert not steps.log
+
+
+def test_neighbours_are_read_and_written_while_one_is_computed():
+    """``compute`` 3 goes on only when both are under way; one step after the other would wait for ever."""
+    reads_next, writes_last = threading.Event(), threading.Event()
+
+    def read(item):
+        if item == 4:
+            reads_next.set()
+        return item
+
+    def compute(item):
+        if item == 3:
+            assert reads_next.wait(SOON)
+            assert writes_last.wait(SOON)
+        return item
+
+    def write(item):
+        if item == 2:
+            writes_last.set()
+        return item
+
+    overlap(range(6), read, compute, write, lambda item: None)
+
+
+@pytest.mark.parametrize("slow", ["read", "compute", "write", "done"])
+def test_the_look_ahead_is_bounded(slow):
+    steps = Steps()
+    steps.run(12, **{slow: 0.02})
+    ahead = waiting = 0
+    most_ahead = most_waiting = 0
+    for name, _ in steps.log:
+        ahead += (name == "read") - (name == "compute end")
+        waiting += (name == "compute end") - (name == "write end")
+        most_ahead, most_waiting = max(most_ahead, ahead), max(most_waiting, waiting)
+    assert most_ahead <= AHEAD + 1  # with the one that is computed
+    assert most_waiting <= AHEAD  # with the one that is written
+    if slow == "compute":
+        assert most_ahead == AHEAD + 1
+    if slow == "write":
+        assert most_waiting == AHEAD
+
+
+def test_an_error_of_reading_waits_for_its_turn():
+    steps = Steps({("read", 3): InputError("frame 3")})
+    with pytest.raises(InputError, match="frame 3"):
+        steps.run(9, compute=0.03, write=0.03)
+    assert steps.log.index(("read", 3)) < steps.log.index(("compute end", 1))  # it was known early
+    assert steps.items("done") == steps.items("compute") == [0, 1, 2]
+
+
+@pytest.mark.parametrize("step", ["compute", "done"])
+def test_an_error_of_the_callers_thread_comes_after_the_items_before_it(step):
+    steps = Steps({(step, 4): InputError("frame 4")})
+    with pytest.raises(InputError, match="frame 4"):
+        steps.run(9, write=0.02)
+    assert steps.items("done")[:4] == [0, 1, 2, 3]
+
+
+def test_an_error_of_writing_stops_the_rest():
+    steps = Steps({("write", 2): OSError("disk full")})
+    with pytest.raises(OSError, match="disk full"):
+        steps.run(100, read=0.05)
+    assert steps.items("done") == [0, 1]
+    assert steps.items("compute") == [0, 1, 2]  # the error was there long before 3 was read
+
+
+def test_of_two_errors_the_earlier_frame_s_is_raised():
+    steps = Steps({("write", 1): OSError("disk full"), ("read", 2): InputError("frame 2")})
+    with pytest.raises(OSError, match="disk full"):
+        steps.run(9, write=0.1)
+
+
+def test_an_interrupt_loses_nothing_that_was_computed():
+    steps = Steps({("compute", 3): KeyboardInterrupt()})
+    with pytest.raises(KeyboardInterrupt):
+        steps.run(9, read=0.02, write=0.05)
+    assert steps.items("done") == [0, 1, 2]
+
+
+class Noted(ReferenceBackend):
+    """Notes the thread of every call; ``spoil`` is given call and image."""
+
+    def __init__(self, spoil=lambda call, image: image):
+        super().__init__(load(BILINEAR).weights)
+        self.threads, self._spoil = [], spoil
+
+    def frame(self, inputs):
+        image, valid = super().frame(inputs)
+        self.threads.append(threading.get_ident())
+        return self._spoil(len(self.threads) - 1, image), valid
+
+
+@pytest.fixture
+def sequence(write_frames):
+    return open_sequence(write_frames(range(12), rendered=range(0, 12, 2), size=(16, 24)), "stss")
+
+
+@pytest.fixture
+def loads(monkeypatch):
+    """The display frames whose pixels were read."""
+    numbers, original = [], Sequence.load
+
+    def noted(self, number, *, color=True):
+        numbers.append(number)
+        return original(self, number, color=color)
+
+    monkeypatch.setattr(Sequence, "load", noted)
+    return numbers
+
+
+def written(out):
+    return sorted(int(path.stem.split(".")[1]) for path in out.glob("frame.*"))
+
+
+def hidden(out):
+    return [path for path in out.rglob("*") if path.name.startswith(".")]
+
+
+def test_the_backend_is_used_from_the_callers_thread(sequence, tmp_path, loads):
+    backend = Noted()
+    reports = []
+    summary = run(sequence, tmp_path / "out", backend, "w", RunOptions(), reports.append)
+    assert backend.threads == [threading.get_ident()] * 12
+    assert loads == list(range(12))
+    assert reports == summary.frames
+    assert [report.number for report in reports] == list(range(12))
+
+
+def test_a_frame_is_on_disk_when_it_is_reported(sequence, tmp_path):
+    out = tmp_path / "out"
+
+    def check(report):
+        assert report.number in written(out)
+        assert report.number % 2 == 0 or (out / "holes" / f"frame.{report.number:04d}.png").exists()
+
+    run(sequence, out, Noted(), "w", RunOptions(), check)
+
+
+def test_resume_reads_only_what_is_computed(sequence, tmp_path, loads):
+    out = tmp_path / "out"
+    run(sequence, out, Noted(), "w", RunOptions())
+    whole = {path: path.read_bytes() for path in out.rglob("*.*")}
+    loads.clear()
+    summary = run(sequence, out, Noted(), "w", RunOptions(resume=True))
+    assert summary.count("kept") == 12
+    assert not loads
+    (out / "frame.0008.exr").unlink()
+    summary = run(sequence, out, Noted(), "w", RunOptions(resume=True))
+    assert summary.count("kept") == 11
+    assert loads == list(range(3, 9))
+    assert {path: path.read_bytes() for path in out.rglob("*.*")} == whole
+
+
+def test_a_broken_frame_stops_the_run_at_its_turn(sequence, tmp_path):
+    broken = sequence.files(7)[0]
+    broken.write_bytes(broken.read_bytes()[:2000])
+    reports = []
+    with pytest.raises(InputError, match=broken.name):
+        run(sequence, tmp_path / "out", Noted(), "w", RunOptions(), reports.append)
+    assert [report.number for report in reports] == list(range(7))
+    assert written(tmp_path / "out") == list(range(7))
+    assert np.isfinite(read_rgb(tmp_path / "out" / "frame.0006.exr")).all()
+    assert not hidden(tmp_path / "out")
+
+
+def test_an_error_of_the_writer_stops_the_run(sequence, tmp_path):
+    """A network's NaN is found as the image is converted, in the writer."""
+    backend = Noted(lambda call, image: image * np.float32(np.nan) if call == 5 else image)
+    with pytest.raises(ArrayError, match="image"):
+        run(sequence, tmp_path / "out", backend, "w", RunOptions())
+    assert written(tmp_path / "out")[:5] == list(range(5))
+    assert 5 not in written(tmp_path / "out")
+    assert len(backend.threads) <= 5 + 1 + AHEAD
+    assert not hidden(tmp_path / "out")

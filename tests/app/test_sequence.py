@@ -1,0 +1,391 @@
+"""Sequences of files as frames in the conventions of the specification."""
+
+import math
+import re
+import shutil
+
+import numpy as np
+import pytest
+
+from stss.buffers import Buffers
+from stss.errors import InputError
+from stss.images import read_channels, write_channels
+from stss.profiles import load_profile
+from stss.sequence import BACKGROUND_POSITION, open_sequence
+
+
+def set_pixels(name, *values):
+    """A change for `write_frames`: the first values of a channel."""
+
+    def change(number, channels):
+        channels[name].ravel()[: len(values)] = values
+
+    return change
+
+
+def test_frames_are_found_and_read_as_written(write_frames):
+    folder = write_frames([1, 2, 3, 4], rendered={2, 4})
+    sequence = open_sequence(folder, "stss")
+    assert sequence.numbers == (1, 2, 3, 4)
+    assert sequence.rendered == {2, 4}
+    assert sequence.size == (48, 64)
+    assert sequence.files(3) == (folder / "seq.0003.exr",)
+    stored = read_channels(folder / "seq.0004.exr", ["R", "motion.Y", "position.X", "basecolor.G", "nov.X"])
+    frame = sequence.load(4)
+    assert frame.color is not None
+    np.testing.assert_array_equal(frame.color[..., 0], stored["R"])
+    np.testing.assert_array_equal(frame.motion[..., 1], stored["motion.Y"])
+    np.testing.assert_array_equal(frame.position[..., 0], stored["position.X"])
+    np.testing.assert_array_equal(frame.base_color[..., 1], stored["basecolor.G"])
+    np.testing.assert_array_equal(frame.nov, stored["nov.X"])
+    assert sequence.load(3).color is None
+    assert sequence.load(4, color=False).color is None
+
+
+def test_every_array_is_float32_and_contiguous(write_frames):
+    sequence = open_sequence(write_frames([1]), "stss")
+    frame = sequence.load(1)
+    shapes = {"color": 3, "motion": 2, "normal": 3, "position": 3, "base_color": 3}
+    for name in Buffers.__dataclass_fields__:
+        if name != "number":
+            array = getattr(frame, name)
+            assert (array.dtype, array.flags.c_contiguous) == (np.float32, True), name
+            assert array.shape == ((48, 64, shapes[name]) if name in shapes else (48, 64)), name
+
+
+def test_a_frame_that_is_not_there(write_frames):
+    sequence = open_sequence(write_frames([3, 5]), "stss")
+    expected = "frame 4: not there; STSS needs the G-buffer and motion of every display frame, rendered or not"
+    for ask in (sequence.load, sequence.files):
+        with pytest.raises(InputError, match=expected):
+            ask(4)
+
+
+def test_a_buffer_that_one_frame_lacks(write_frames):
+    folder = write_frames([1, 2, 3], change=lambda n, c: c if n != 2 else {k: v for k, v in c.items() if k != "motion.X"})
+    sequence = open_sequence(folder, "stss")
+    sequence.load(1)
+    with pytest.raises(InputError, match=r"seq\.0002\.exr: no motion: profile stss expects motion\.X, motion\.Y; found B, G"):
+        sequence.load(2)
+
+
+@pytest.mark.parametrize("buffer", ["motion.X", "depth.Z", "stencil.X", "R"])
+def test_a_buffer_that_no_frame_has_is_said_at_once(write_frames, buffer):
+    folder = write_frames([1, 2], change=lambda _, c: {k: v for k, v in c.items() if k != buffer})
+    with pytest.raises(InputError, match=r"in: no \w+: profile stss expects .*" + buffer):
+        open_sequence(folder, "stss")
+
+
+def test_the_odd_size_is_named(write_frames):
+    write_frames([1, 2, 4])
+    folder = write_frames([3], size=(48, 66))
+    with pytest.raises(InputError, match=r"seq\.0003\.exr: 66 x 48; expected 64 x 48, as seq\.0001\.exr is"):
+        open_sequence(folder, "stss")
+
+
+def test_which_files_belong_to_the_sequence(write_frames):
+    """The number is the last group of digits; hidden files, other kinds and names without a number are not frames."""
+    folder = write_frames([7, 12], stem="shot2_v03")
+    (folder / ".shot2_v03.0008.exr").write_bytes(b"partial")
+    (folder / "notes.0009.txt").write_text("")
+    shutil.copy(folder / "shot2_v03.0007.exr", folder / "still.exr")
+    assert open_sequence(folder, "stss").numbers == (7, 12)
+    write_frames([1], stem="other")
+    with pytest.raises(InputError, match=r"in: several sequences: other, shot2_v03; give one as a pattern"):
+        open_sequence(folder, "stss")
+    assert open_sequence(folder / "other.####.exr", "stss").numbers == (1,)
+    assert open_sequence(folder / "shot2_v03.#.exr", "stss").numbers == (7, 12)
+    shutil.copy(folder / "other.0001.exr", folder / "other.01.exr")
+    with pytest.raises(InputError, match=r"other\.01\.exr: the same frame as other\.0001\.exr"):
+        open_sequence(folder / "other.####.exr", "stss")
+
+
+def test_no_sequence(tmp_path):
+    with pytest.raises(InputError, match=r"expected a folder, or a pattern like .*; found nothing"):
+        open_sequence(tmp_path / "no", "stss")
+    with pytest.raises(InputError, match=r"no frames; expected files named like NAME\.0001\.exr"):
+        open_sequence(tmp_path, "stss")
+    (tmp_path / "a.0001.exr").write_bytes(b"")
+    with pytest.raises(InputError, match=r"a\.0001\.exr: empty"):
+        open_sequence(tmp_path, "stss")
+    with pytest.raises(InputError, match="found a file"):
+        open_sequence(tmp_path / "a.0001.exr", "stss")
+
+
+@pytest.mark.parametrize("stored", [np.nan, np.inf, 0, 1e10, -1])
+def test_where_nothing_was_hit(write_frames, stored):
+    def change(number, channels):
+        channels["depth.Z"][5, 20] = stored
+
+    frame = open_sequence(write_frames([1], change=change), "stss").load(1)
+    assert np.isinf(frame.depth[5, 20])
+    assert np.isfinite(frame.depth).sum() == frame.depth.size - 1
+    assert (frame.position[5, 20] == BACKGROUND_POSITION).all()
+    for name in ("normal", "nov", "stencil"):
+        assert not getattr(frame, name)[5, 20].any(), name
+        assert getattr(frame, name)[5, 21].any(), name
+
+
+@pytest.mark.parametrize("name", ["R", "normal.Z", "basecolor.B", "roughness.X", "metallic.X", "nov.X", "stencil.X"])
+def test_non_finite_values_are_refused_or_masked(write_frames, name):
+    folder = write_frames([1], change=set_pixels(name, 1, np.nan, 1, np.inf, -np.inf))
+    with pytest.raises(
+        InputError, match=rf"seq\.0001\.exr: channel {re.escape(name)}: 3 non-finite values, first at \(y=0, x=1\)"
+    ):
+        open_sequence(folder, "stss").load(1)
+    frame = open_sequence(folder, "stss", non_finite="mask").load(1)
+    untrusted = np.isnan(frame.position).all(axis=-1)
+    expected = np.zeros(frame.size, dtype=bool)
+    expected[0, [1, 3, 4]] = name == "R"
+    np.testing.assert_array_equal(untrusted, expected)
+    for buffer in ("color", "normal", "base_color", "roughness", "metallic", "nov", "stencil"):
+        assert np.isfinite(getattr(frame, buffer)).all()
+    assert frame.color is not None
+    if name == "R":
+        assert not frame.color[0, [1, 3, 4], 0].any()
+
+
+def test_non_finite_values_that_mean_something(write_frames):
+    """Motion: off screen, kept. Position: a hole. Huge motion is kept too."""
+
+    def change(number, channels):
+        channels["motion.X"][0, :3] = np.nan, np.inf, 3e7
+        channels["position.Y"][0, :2] = np.nan, -np.inf
+
+    frame = open_sequence(write_frames([1], change=change), "stss").load(1)
+    np.testing.assert_array_equal(frame.motion[0, :3, 0], np.float32([np.nan, np.inf, 3e7]))
+    assert np.isnan(frame.position[0, :2]).all()
+    assert np.isfinite(frame.position[0, 2:]).all()
+
+
+def test_ranges(write_frames):
+    """Base colour, roughness and metallic are clipped; colour and fractional object numbers are passed on."""
+
+    def change(number, channels):
+        for name in ("basecolor.R", "roughness.X", "metallic.X"):
+            channels[name][0, :2] = -0.5, 1.5
+        channels["R"][0, :2] = -3, 70000
+        channels["stencil.X"] = channels["stencil.X"] + 0.25
+
+    frame = open_sequence(write_frames([1], change=change), "stss").load(1)
+    for plane in (frame.base_color[..., 0], frame.roughness, frame.metallic):
+        np.testing.assert_array_equal(plane[0, :2], [0, 1])
+    assert frame.color is not None
+    np.testing.assert_array_equal(frame.color[0, :2, 0], [-3, 70000])
+    np.testing.assert_array_equal(np.unique(frame.stencil), [0.25, 1.25])
+
+
+def without(*names):
+    return lambda _, channels: {k: v for k, v in channels.items() if k not in names}
+
+
+def test_constants_stand_in_where_there_is_no_channel(write_frames):
+    folder = write_frames([1], change=without("roughness.X", "metallic.X"))
+    with pytest.raises(InputError, match="no roughness"):
+        open_sequence(folder, "stss", metallic=0)
+    sequence = open_sequence(folder, "stss", metallic=0, roughness=0.25)
+    frame = sequence.load(1)
+    np.testing.assert_array_equal(frame.roughness, np.full((48, 64), 0.25))
+    np.testing.assert_array_equal(frame.metallic, np.zeros((48, 64)))
+    with pytest.raises(InputError, match=r"roughness: expected a number from 0 to 1, found 1\.5"):
+        open_sequence(folder, "stss", metallic=0, roughness=1.5)
+    folder = write_frames([1])
+    np.testing.assert_array_equal(open_sequence(folder, "stss", roughness=0.1).load(1).roughness, np.full((48, 64), 0.5))
+
+
+def test_settings_tell_runs_apart(write_frames, tmp_path):
+    folder = write_frames([1], change=without("nov.X"))
+    table = tmp_path / "camera.csv"
+    settings = []
+    for text, options in (
+        ("1,0,0,0", {}),
+        ("1,0,0,1", {}),
+        ("1,0,0,1", {"metallic": 0.5}),
+        ("1,0,0,1", {"non_finite": "mask"}),
+    ):
+        table.write_text(f"frame,x,y,z\n{text}\n")
+        settings.append(open_sequence(folder, "stss", camera=table, **options).settings)
+    assert all(a != b for i, a in enumerate(settings) for b in settings[:i])
+
+
+def test_nov_from_the_camera(write_frames, tmp_path):
+    """A plane at z = 200 seen from the origin, its normal towards us but not of unit length."""
+
+    def change(number, channels):
+        channels["normal.Z"] = channels["normal.Z"] * 3
+        channels["position.X"][0, 0] = np.nan
+        return without("nov.X")(number, channels)
+
+    folder = write_frames([1, 2], change=change)
+    with pytest.raises(InputError, match=r"no nov and no camera: give --camera CSV .* or a channel nov\.X"):
+        open_sequence(folder, "stss")
+    table = tmp_path / "camera.csv"
+    table.write_text("frame,x,y,z\n1,0,0,0\n2,0,0,400\n")
+    sequence = open_sequence(folder, "stss", camera=table)
+    frame = sequence.load(1)
+    x, y = frame.position[..., 0], frame.position[..., 1]
+    expected = 200 / np.sqrt(x.astype(np.float64) ** 2 + y.astype(np.float64) ** 2 + 200**2)
+    expected[0, 0] = 0
+    assert np.abs(frame.nov - expected).max() <= 2.0**-24
+    assert (sequence.load(2).nov[1:] < 0).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "expected the first line to be frame,x,y,z; found nothing"),
+        ("frame;x;y;z\n", "expected the first line to be frame,x,y,z; found frame;x;y;z"),
+        ("frame,x,y,z\n1,0,0\n", "line 2: expected a frame number and three numbers; found 1,0,0"),
+        ("frame,x,y,z\n\n1,0,0,nan\n", "line 3: expected a frame number and three numbers"),
+        ("frame,x,y,z\n1,0,0,0\n1,0,0,0\n", "line 3: frame 1 is there twice"),
+        ("frame,x,y,z\n2,0,0,0\n", "no line for frame 1"),
+        (None, "cannot be read"),
+    ],
+)
+def test_camera_tables(write_frames, tmp_path, text, message):
+    folder = write_frames([1])
+    table = tmp_path / "camera.csv"
+    if text is not None:
+        table.write_text(text)
+    with pytest.raises(InputError, match=rf"camera\.csv: {message}"):
+        open_sequence(folder, "stss", camera=table)
+
+
+def test_one_file_a_buffer(tmp_path):
+    """ExtraNet's dump: Unreal's axes and signs, sky by its normal, files of no interest beside."""
+    one = np.ones((4, 6))
+
+    def write(kind, number, r, g=None, b=None):
+        planes = {"R": r * one, "G": (r if g is None else g) * one, "B": (r if b is None else b) * one}
+        write_channels(tmp_path / f"Bunker{kind}.{number:04d}.exr", planes)
+
+    for number in (10, 11):
+        write("WorldPosition", number, 5, 6, 7)
+        write("SceneDepth", number, 300)
+        write("MotionVector", number, -3, 2, 0)
+        for kind in ("MyStencil", "NoV", "BaseColor", "Roughness", "Metallic", "Specular", "FinalImage"):
+            write(kind, number, 1)
+        write("WorldNormal", number, np.where(np.arange(6) == 2, -1, 0), np.where(np.arange(6) == 2, -1, 1), -1)
+    write("PreTonemapHDRColor", 10, 8)
+    sequence = open_sequence(tmp_path, "unreal")
+    assert sequence.numbers == (10, 11)
+    assert sequence.rendered == {10}
+    assert len(sequence.files(10)) == 10
+    assert len(sequence.files(11)) == 9
+    frame = sequence.load(11)
+    np.testing.assert_array_equal(frame.motion[0, 0], [3, 2])
+    np.testing.assert_array_equal(frame.position[0, 0], [5, 6, 7])
+    np.testing.assert_array_equal(np.isinf(frame.depth), one * (np.arange(6) == 2) > 0)
+    assert not frame.normal[:, 2].any()
+    (tmp_path / "BunkerMotionVector.0011.exr").unlink()
+    with pytest.raises(
+        InputError, match=r"frame 11: no motion: .* in a file NAMEMotionVector\.NNNN\.exr; found .*; a MotionVector"
+    ):
+        open_sequence(tmp_path / "Bunker.####.exr", "unreal").load(11)
+
+
+def test_mitsuba_takes_motion_from_files_of_its_own(tmp_path):
+    one = np.ones((4, 6))
+    names = ["R", "G", "B", "normal.X", "normal.Y", "normal.Z", "depth.T", "nov.X", "albedo.R", "albedo.G", "albedo.B"]
+    planes = dict.fromkeys([*names, "position.X", "position.Y", "position.Z"], one)
+    write_channels(tmp_path / "render.0001.exr", planes)
+    with pytest.raises(InputError, match=r"no motion: .*; Mitsuba has no motion AOV: project position .*NAME_motion\.NNNN\.exr"):
+        open_sequence(tmp_path, "mitsuba", metallic=0, roughness=0.5)
+    write_channels(tmp_path / "render_motion.0001.exr", {"X": 2 * one, "Y": 3 * one})
+    sequence = open_sequence(tmp_path, "mitsuba", metallic=0, roughness=0.5)
+    frame = sequence.load(1)
+    np.testing.assert_array_equal(frame.motion[1, 1], [2, 3])
+    np.testing.assert_array_equal(frame.position[1, 1], np.float32([100, 100, 100]))
+    assert len(sequence.files(1)) == 2
+
+
+def blender_channels(layer, value=1.0):
+    names = "Combined.R Combined.G Combined.B Vector.X Vector.Y Normal.X Normal.Y Normal.Z Depth.Z Position.X Position.Y "
+    names += "Position.Z IndexOB.X DiffCol.R DiffCol.G DiffCol.B nov.X roughness.X metallic.X"
+    return {f"{layer}.{name}": value * np.ones((4, 6)) for name in names.split()}
+
+
+@pytest.mark.parametrize("layer", ["ViewLayer", "View Layer", "RenderLayer", "my.own layer"])
+def test_any_layer_name(tmp_path, layer):
+    write_channels(tmp_path / "a.0001.exr", blender_channels(layer))
+    frame = open_sequence(tmp_path, "blender").load(1)
+    np.testing.assert_array_equal(frame.motion[0, 0], [1, -1])
+    np.testing.assert_array_equal(frame.base_color[0, 0], [1, 1, 1])
+
+
+def test_several_layers(tmp_path):
+    """Blender's own name is preferred, a layer with fewer buffers is not; otherwise it must be said."""
+    few = {f"A.Combined.{name}": np.ones((4, 6)) for name in "RGB"}
+    write_channels(tmp_path / "a.0001.exr", blender_channels("b", 0.5) | few)
+    assert open_sequence(tmp_path, "blender").load(1).metallic[0, 0] == 0.5
+    write_channels(tmp_path / "a.0001.exr", blender_channels("A", 0.5) | blender_channels("ViewLayer", 0.25))
+    assert open_sequence(tmp_path, "blender").load(1).metallic[0, 0] == 0.25
+    write_channels(tmp_path / "a.0001.exr", blender_channels("b", 0.5) | blender_channels("c", 0.25))
+    with pytest.raises(InputError, match=r"a\.0001\.exr: layers b, c all fit profile blender"):
+        open_sequence(tmp_path, "blender")
+
+
+@pytest.mark.parametrize("row_vectors", [True, False])
+def test_world_to_camera(tmp_path, row_vectors):
+    """It gives NoV its camera and turns ray lengths into depths; both ways of storing it are understood."""
+    angle = 0.3
+    rotation = np.array([[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]])
+    eye = np.array([1.0, 2.0, -5.0])
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, -rotation @ eye
+    in_camera = np.array([0.5, -0.25, 4.0])
+    position = rotation.T @ in_camera + eye
+    planes = {f"position.{name}": np.full((4, 6), value) for name, value in zip("XYZ", position, strict=True)}
+    planes |= {name: np.ones((4, 6)) for name in ("R", "G", "B", "albedo.R", "albedo.G", "albedo.B", "normal.X", "normal.Y")}
+    planes |= {"normal.Z": -np.ones((4, 6)), "depth.T": np.full((4, 6), np.linalg.norm(in_camera))}
+    write_with_matrix(tmp_path / "a.0001.exr", planes, matrix.T if row_vectors else matrix)
+    write_channels(tmp_path / "a_motion.0001.exr", {"X": np.ones((4, 6)), "Y": np.ones((4, 6))})
+    frame = open_sequence(tmp_path, "mitsuba", metallic=0, roughness=0.5).load(1)
+    assert np.abs(frame.depth - 4).max() <= 4 * 2.0**-20
+    normal, view = np.array([1, 1, -1]) / math.sqrt(3), eye - position
+    assert np.abs(frame.nov - normal @ view / np.linalg.norm(view)).max() <= 2.0**-20
+
+
+def write_with_matrix(path, planes, matrix):
+    from stss.images import oiio
+
+    names = tuple(planes)
+    spec = oiio.ImageSpec(6, 4, len(names), "float")
+    spec.channelnames = names
+    spec.attribute("worldToCamera", oiio.TypeDesc("matrix"), [float(x) for x in matrix.ravel()])
+    output = oiio.ImageOutput.create(str(path))
+    assert output.open(str(path), spec)
+    assert output.write_image(np.stack([np.asarray(planes[name], dtype=np.float32) for name in names], axis=-1))
+    output.close()
+
+
+def test_unreal_says_where_its_camera_was(tmp_path):
+    one = np.ones((4, 6))
+    planes = dict.fromkeys(("R", "G", "B"), one)
+    for buffer, alternatives in load_profile("unreal-mrq").channels.items():
+        if buffer not in ("color", "nov"):
+            planes |= dict.fromkeys(alternatives[0], one)
+    eye = {f"unreal/camera/curPos/{axis}": value for axis, value in zip("xyz", ("1.0", "1.0", "5.0"), strict=True)}
+    write_channels(tmp_path / "a.0001.exr", planes, metadata=eye)
+    frame = open_sequence(tmp_path, "unreal-mrq").load(1)
+    assert np.abs(frame.nov - 1 / math.sqrt(3)).max() <= 2.0**-20
+    np.testing.assert_array_equal(frame.motion[0, 0], [-6, 4])
+
+
+def test_blender_reference(reference_data, tmp_path):
+    """Real renders: their camera's path reproduces what they show."""
+    table = tmp_path / "camera.csv"
+    lines = ["frame,x,y,z"]
+    for t in range(1, 15):
+        s = t / 60
+        lines.append(f"{t},{2.5 * math.sin(1.2 * s)},{-8 + 0.8 * s},{2.2 + 0.2 * math.sin(2 * s)}")
+    table.write_text("\n".join(lines))
+    sequence = open_sequence(reference_data / "blender" / "lr", "blender", camera=table)
+    assert sequence.numbers == tuple(range(1, 15))
+    frame = sequence.load(7)
+    stored = read_channels(sequence.files(7)[0], ["ViewLayer.Vector.Y", "ViewLayer.Position.X"])
+    np.testing.assert_array_equal(frame.motion[..., 1], -stored["ViewLayer.Vector.Y"])
+    np.testing.assert_array_equal(frame.position[..., 0], np.float32(stored["ViewLayer.Position.X"] / 0.01))
+    # Nothing that is seen faces away, except where a pixel mixes surfaces.
+    assert (frame.nov < 0).mean() < 0.001
+    assert 5 < frame.depth.min() < frame.depth.max() < 20

@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: MIT
+"""Weights as files, their identity, and the table of costs."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+from safetensors import numpy as safetensors_numpy
+
+from stss import weights as files
+from stss.errors import InputError
+from stss.inspection import component_costs, inspect, print_inspection
+from stss.weights import identity, load, save
+from stss_ref.checkpoint import read_checkpoint
+from stss_ref.weights import TENSORS, Weights, WeightsError, random, zeros
+
+VERSION = {"stss_weights_version": "1"}
+
+
+def _same(one: Weights, other: Weights) -> bool:
+    return all(np.array_equal(one[name], other[name]) for name in TENSORS)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "some.safetensors"
+
+
+def test_saved_weights_come_back_bit_for_bit(path: Path):
+    save(path, random(1), {"made by": "test", "a": "ä"})
+    loaded = load(path)
+    assert _same(loaded.weights, random(1))
+    assert loaded.metadata == {"made by": "test", "a": "ä"}
+    assert loaded.source == str(path)
+    assert loaded.identity == identity(random(1))
+
+
+def test_the_safetensors_library_reads_the_file(path: Path):
+    save(path, random(1), {})
+    tensors = safetensors_numpy.load_file(path)
+    assert set(tensors) == set(TENSORS)
+    assert _same(tensors, random(1))
+
+
+def test_a_file_of_the_safetensors_library_is_read(path: Path):
+    safetensors_numpy.save_file(dict(random(1)), path, VERSION)
+    assert _same(load(path).weights, random(1))
+
+
+def test_the_numbers_start_at_a_multiple_of_eight_bytes(path: Path):
+    for metadata in ({}, {"a": "1"}, {"a": "12"}):
+        save(path, zeros(), metadata)
+        assert int.from_bytes(path.read_bytes()[:8], "little") % 8 == 0
+
+
+def test_equal_weights_make_equal_bytes(path: Path, tmp_path: Path):
+    other = tmp_path / "other.safetensors"
+    save(path, random(1), {"a": "1", "b": "2", "c": "3"})
+    save(other, dict(reversed([*random(1).items()])), {"c": "3", "b": "2", "a": "1"})
+    assert path.read_bytes() == other.read_bytes()
+
+
+def test_the_name_bilinear_is_all_zeros():
+    loaded = load("bilinear")
+    assert _same(loaded.weights, zeros())
+    assert (loaded.source, loaded.metadata) == ("bilinear", {})
+
+
+def test_identity_sees_every_number_and_nothing_else(path: Path):
+    save(path, random(1), {"made by": "somebody else"})
+    assert load(path).identity == identity(random(1))
+    assert identity(dict(reversed([*random(1).items()]))) == identity(random(1))
+    changed: dict[str, Any] = dict(random(1))
+    changed["outc.bias"] = np.nextafter(changed["outc.bias"], np.float32(1))
+    assert identity(changed) != identity(random(1))
+
+
+def test_identity_stays_what_it_was():
+    """Runs that are resumed, and reports, compare it with those of earlier versions."""
+    assert identity(zeros()) == "8fca74d080362d00aa60b05204d03ef029f9f8c03b2ec12f59ce7d1df5976f6a"
+
+
+@pytest.mark.parametrize("suffix", [".pkl", ".pth", ".pt", ".PKL"])
+def test_a_checkpoint_is_sent_to_import(tmp_path: Path, suffix: str):
+    with pytest.raises(InputError, match="stss weights import"):
+        load(tmp_path / f"arena{suffix}")
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("missing.safetensors", "No such file"),
+        ("folder.safetensors", "not a file"),
+        ("bicubic", "expected a .safetensors file or the name bilinear"),
+    ],
+)
+def test_what_is_no_weights_file_is_named(tmp_path: Path, name: str, message: str):
+    (tmp_path / "folder.safetensors").mkdir()
+    with pytest.raises(InputError, match=message) as caught:
+        load(tmp_path / name)
+    assert str(caught.value).startswith(str(tmp_path / name))
+
+
+def test_a_huge_file_is_refused_before_it_is_read(path: Path):
+    with path.open("wb") as file:
+        file.truncate(files.MAX_BYTES + 1)
+    with pytest.raises(InputError, match="larger than 64 MiB"):
+        load(path)
+
+
+@pytest.mark.parametrize("metadata", [None, {}, {"format": "pt"}, {"stss_weights_version": "2"}])
+def test_another_version_is_refused(path: Path, metadata: dict[str, str] | None):
+    safetensors_numpy.save_file(dict(zeros()), path, metadata)
+    with pytest.raises(InputError, match=r"some\.safetensors: expected stss_weights_version 1 in the metadata, found"):
+        load(path)
+
+
+@pytest.mark.parametrize("keep", [0, 4, 8, 100, 20_000, -1])
+def test_a_truncated_file_is_refused(path: Path, keep: int):
+    save(path, zeros(), {})
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(InputError, match=r"some\.safetensors: damaged safetensors file"):
+        load(path)
+
+
+def test_a_longer_file_is_refused(path: Path):
+    save(path, zeros(), {})
+    path.write_bytes(path.read_bytes() + b"more")
+    with pytest.raises(InputError, match="damaged safetensors file"):
+        load(path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"outc.bias": None}, "outc.bias: missing, of 92 tensors"),
+        ({"outc.scale": np.zeros(1, np.float32)}, "'outc.scale': not a tensor of this network"),
+        ({"outc.bias": np.zeros(13, np.float32)}, "outc.bias: expected shape (12,), got (13,)"),
+        ({"outc.bias": np.zeros(12, np.float16)}, "outc.bias: expected dtype F32, got F16"),
+        ({"outc.bias": np.full(12, np.inf, np.float32)}, "outc.bias: 12 non-finite values, first at index (0,)"),
+    ],
+)
+def test_a_wrong_tensor_is_named_with_its_file(path: Path, changes: dict[str, Any], message: str):
+    tensors = {name: tensor for name, tensor in {**zeros(), **changes}.items() if tensor is not None}
+    safetensors_numpy.save_file(tensors, path, VERSION)
+    with pytest.raises(WeightsError) as caught:
+        load(path)
+    assert str(caught.value) == f"{path}: {message}"
+
+
+def test_a_type_that_numpy_lacks_is_named(path: Path):
+    save(path, zeros(), {})
+    data = path.read_bytes()
+    size = int.from_bytes(data[:8], "little")
+    header = json.loads(data[8 : 8 + size])
+    for name, entry in header.items():
+        if name != "__metadata__":
+            entry["data_offsets"] = [n // 2 for n in entry["data_offsets"]]
+            entry["dtype"] = "BF16"
+    text = json.dumps(header).encode()
+    path.write_bytes(len(text).to_bytes(8, "little") + text + bytes((len(data) - 8 - size) // 2))
+    with pytest.raises(WeightsError, match=r"conv1\.conv_feature\.weight: expected dtype F32, got BF16"):
+        load(path)
+
+
+def test_weights_are_checked_before_they_are_saved(path: Path):
+    with pytest.raises(WeightsError, match="missing"):
+        save(path, {}, {})
+    assert not path.exists()
+
+
+def test_a_failed_save_leaves_the_old_file_and_nothing_else(path: Path, monkeypatch: pytest.MonkeyPatch):
+    save(path, random(1), {})
+    before = path.read_bytes()
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(InputError, match="No space left on device"):
+        save(path, random(2), {})
+    assert path.read_bytes() == before
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_missing_folder_is_named(tmp_path: Path):
+    with pytest.raises(InputError, match=r"absent.+: No such file"):
+        save(tmp_path / "absent" / "a.safetensors", zeros(), {})
+
+
+def test_costs_are_those_of_the_paper():
+    """The authors counted at 968 x 544; their 141.00 K is 141.008 cut off."""
+    rows = [(row.name, row.parameters, round(row.multiply_adds / 1e9, 2)) for row in component_costs(544, 968)]
+    assert rows == [
+        ("Backbone", 141_008, 20.53),
+        ("HistoryEmbedding", 120_697, 8.78),
+        ("ERM", 155_536, 2.20),
+        ("Full", 417_241, 31.50),
+    ]
+
+
+def test_components_add_up():
+    *parts, full = component_costs(544, 960)
+    assert sum(part.parameters for part in parts) == full.parameters
+    assert sum(part.multiply_adds for part in parts) == full.multiply_adds
+
+
+def test_inspection_shows_each_layer_and_its_largest_weight():
+    weights: dict[str, Any] = dict(zeros())
+    weights["conv1.conv_mask.0.bias"] = np.full(1, -3.5, np.float32)
+    seen = inspect(weights, 540, 955)
+    assert (seen.height, seen.width) == (544, 960)
+    assert len(seen.layers) == 34
+    assert [row.layer.name for row in seen.layers if row.largest == 3.5] == ["conv1"]
+    assert [row.largest for row in seen.layers[1:]] == [0.0] * 33
+
+
+def test_inspection_refuses_an_empty_frame():
+    with pytest.raises(InputError, match="size 8x0"):
+        inspect(zeros(), 0, 8)
+
+
+def test_the_printed_table_fits_a_terminal():
+    console = Console(width=80, record=True, file=open(os.devnull, "w"))  # noqa: PTH123, SIM115
+    with console.file:
+        print_inspection(inspect(random(1), 540, 960), console)
+    text = console.export_text()
+    assert "…" not in text
+    for word in ("up1.conv.double_conv.0", "64x128x3x3", "73,792", "2,406.5", "HistoryEmbedding", "155.54"):
+        assert word in text
+
+
+@pytest.mark.parametrize("scene", ["arena", "lewis"])
+def test_the_authors_weights_survive_the_conversion(reference_data: Path, path: Path, scene: str):
+    weights = read_checkpoint(reference_data / "checkpoints" / f"{scene}.pkl")
+    save(path, weights, {"scene": scene})
+    assert _same(load(path).weights, weights)

@@ -1,0 +1,324 @@
+"""Devices, their caches, and what happens to them after a fork."""
+
+import os
+import subprocess
+import sys
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pyopencl as cl
+import pytest
+
+from stss_cl import caches, program
+from stss_cl import device as devices
+from stss_cl.device import DeviceError, matching, named, open_device
+from stss_cl.program import build
+
+DEMO = "kernel void three(global float *out) { out[get_global_id(0)] = THREE; }\n"
+
+
+@pytest.fixture
+def kernels(tmp_path, monkeypatch):
+    """A folder of kernels of our own."""
+    monkeypatch.setattr(program, "KERNELS", tmp_path)
+    (tmp_path / "demo.cl").write_text(DEMO)
+    return tmp_path
+
+
+@pytest.fixture
+def cache_home(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def fake(platform, name, kind=cl.device_type.CPU, version="1"):
+    return SimpleNamespace(platform=SimpleNamespace(name=platform, version=version), name=name, type=kind)
+
+
+@pytest.fixture
+def machine(monkeypatch):
+    """Two GPUs of one name, two platforms on one CPU, and a simulator that calls itself everything."""
+    handles = [
+        fake("Maker", "GPU  X", cl.device_type.GPU),
+        fake("Maker", "GPU X", cl.device_type.GPU),
+        fake("Portable", "cpu", version="PoCL 3.1"),
+        fake("Other", "cpu"),
+        fake("Sim", "ulator", cl.device_type.CPU | cl.device_type.GPU),
+    ]
+    monkeypatch.setattr(devices, "found", lambda: sorted(handles, key=devices.full_name))
+    return handles
+
+
+def run_three(device):
+    out = np.zeros(5, np.float32)
+    buffer = cl.Buffer(device.context, cl.mem_flags.WRITE_ONLY, out.nbytes)
+    cl.Kernel(build(device, "demo.cl", {"THREE": 3}), "three")(device.queue, out.shape, None, buffer)
+    cl.enqueue_copy(device.queue, out, buffer)
+    assert (out == 3).all()
+
+
+def test_a_device_answers_every_question(device, kernels):
+    assert device.name in named()
+    assert device.kind in ("CPU", "GPU", "other")
+    assert (device.is_cpu, device.is_gpu) != (True, True)
+    assert device.memory > device.local_memory > 0
+    assert device.max_work_group >= 1
+    assert device.driver
+    assert device.platform_version.startswith("OpenCL ")
+    assert {device.has_fp16, device.has_fp64, device.correctly_rounded_divide} <= {True, False}
+    run_three(device)
+
+
+def test_a_divide_that_is_said_to_round_correctly_does(device, kernels):
+    if not device.correctly_rounded_divide:
+        pytest.skip("the device does not say so")
+    (kernels / "divide.cl").write_text(
+        "kernel void divide(global const float *a, global const float *b, global float *c)"
+        "{ const int i = get_global_id(0); c[i] = a[i] / b[i]; }\n"
+    )
+    random = np.random.default_rng(0)
+    a, b = random.random((2, 4000)).astype(np.float32) + np.float32(0.5)
+    given = [cl.Buffer(device.context, cl.mem_flags.COPY_HOST_PTR, hostbuf=array) for array in (a, b, a)]
+    built = build(device, "divide.cl", flags="-cl-fp32-correctly-rounded-divide-sqrt")
+    cl.Kernel(built, "divide")(device.queue, a.shape, None, *given)
+    got = np.empty_like(a)
+    cl.enqueue_copy(device.queue, got, given[2])
+    np.testing.assert_array_equal(got, a / b)
+
+
+def test_names_are_sorted_and_each_its_own(machine):
+    assert list(named()) == ["Maker: GPU X", "Maker: GPU X #2", "Other: cpu", "Portable: cpu", "Sim: ulator"]
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        (None, ["Maker: GPU X", "Maker: GPU X #2", "Other: cpu", "Portable: cpu", "Sim: ulator"]),
+        ("", ["Maker: GPU X", "Maker: GPU X #2", "Other: cpu", "Portable: cpu", "Sim: ulator"]),
+        ("CPU", ["Other: cpu", "Portable: cpu"]),
+        ("maker:  gpu x", ["Maker: GPU X"]),
+        ("gpu", ["Maker: GPU X", "Maker: GPU X #2"]),
+        ("#2", ["Maker: GPU X #2"]),
+        ("pocl", ["Portable: cpu"]),
+    ],
+)
+def test_a_part_of_the_name_will_do(machine, name, expected):
+    assert list(matching(name)) == expected
+
+
+def test_a_wrong_name_lists_the_right_ones(machine):
+    with pytest.raises(DeviceError, match=r"^device 'nope': expected part of one of Maker: GPU X, Maker: GPU X #2, .*ulator$"):
+        matching("nope")
+
+
+def test_no_device_says_what_to_install(monkeypatch):
+    monkeypatch.setattr(devices, "found", list)
+    with pytest.raises(DeviceError, match=r"^no OpenCL device: pip install 'pyopencl\[pocl\]'"):
+        open_device()
+
+
+def test_a_graphics_processor_comes_first_and_a_simulator_is_none(machine, monkeypatch):
+    monkeypatch.delenv("STSS_DEVICE", raising=False)
+    monkeypatch.setattr(devices, "open_handle", lambda handle: handle)
+    assert open_device() is machine[0]
+    assert open_device("ulator") is machine[4]
+    assert not devices.is_gpu(machine[4])
+    monkeypatch.setenv("STSS_DEVICE", "other")
+    assert open_device() is machine[3]
+
+
+def test_a_driver_that_refuses_is_one_line(device, monkeypatch):
+    def refuse(handles):
+        raise cl.Error("out of\nmemory")
+
+    monkeypatch.setattr(cl, "Context", refuse)
+    with pytest.raises(DeviceError, match=r"cannot be opened: out of memory$"):
+        devices.open_handle(device.handle)
+
+
+def test_a_kernel_that_does_not_build_shows_its_line(device, kernels):
+    (kernels / "broken.cl").write_text("kernel void f(global float *a)\n{\n    a[0] = nowhere;\n}\n")
+    with pytest.raises(DeviceError, match="nowhere") as caught:
+        build(device, "broken.cl", {"COUNT": 1, "FLAG": True, "NONE": None, "NO": False})
+    assert "\n" not in str(caught.value)
+    assert "kernels/broken.cl (-cl-std=CL1.2 -D COUNT=1 -D FLAG)" in str(caught.value)
+    assert "nowhere" in caught.value.log
+
+
+def test_a_kernel_is_built_once(device, kernels):
+    assert build(device, "demo.cl", {"THREE": 3}) is build(device, "demo.cl", {"THREE": 3})
+    assert build(device, "demo.cl", {"THREE": 3}) is not build(device, "demo.cl", {"THREE": 4})
+
+
+def test_includes_are_spelled_out_once(kernels):
+    (kernels / "a.clh").write_text("float a;\n")
+    (kernels / "two.cl").write_text('#include "a.clh"\n#include "a.clh"\nfloat b;\n')
+    assert program.source("two.cl").split() == ["float", "a;", "float", "b;"]
+
+
+# Processes
+
+
+def forked(action):
+    """What ``action`` returns or raises in a fork of this process."""
+    read, write = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            os.write(write, str(action()).encode())
+        except BaseException as error:
+            os.write(write, f"{type(error).__name__}: {error}".encode())
+        finally:
+            os._exit(0)
+    os.close(write)
+    deadline = time.monotonic() + 20
+    while os.waitpid(child, os.WNOHANG) == (0, 0):
+        if time.monotonic() > deadline:
+            os.kill(child, 9)
+            pytest.fail("the fork hangs")
+        time.sleep(0.01)
+    with os.fdopen(read) as pipe:
+        return pipe.read()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+@pytest.mark.parametrize("use", ["queue", "context", "build", "open", "found"])
+def test_a_fork_is_refused(device, kernels, use):
+    """Instead of hanging: the threads of the driver are not there."""
+    run_three(device)
+    actions = {
+        "queue": lambda: device.queue,
+        "context": lambda: device.context,
+        "build": lambda: build(device, "demo.cl", {"THREE": 3}),
+        "open": open_device,
+        "found": devices.found,
+    }
+    said = forked(actions[use])
+    assert said.startswith(f"DeviceError: OpenCL was opened in process {os.getpid()}, this is ")
+    assert "does not survive a fork; use multiprocessing's spawn" in said
+    run_three(device)
+
+
+def test_spawn_works(device, tmp_path, monkeypatch):
+    monkeypatch.setenv("STSS_DEVICE", device.name)
+    script = (
+        "import multiprocessing as m\n"
+        "from stss_cl.device import open_device\n"
+        "def name(_):\n"
+        "    return open_device().name\n"
+        "if __name__ == '__main__':\n"
+        "    name(0)\n"
+        "    with m.get_context('spawn').Pool(1) as pool:\n"
+        "        print(pool.map(name, [0])[0])\n"
+    )
+    (tmp_path / "spawn.py").write_text(script)
+    done = subprocess.run([sys.executable, tmp_path / "spawn.py"], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.strip() == device.name
+
+
+# Caches
+
+
+def mode(path):
+    return path.stat().st_mode & 0o777
+
+
+def test_a_cache_is_private(cache_home):
+    folder = caches.private("pocl", "1")
+    assert folder == cache_home / "stss" / "pocl" / "1"
+    assert [mode(cache_home / part) for part in ("stss", "stss/pocl", "stss/pocl/1")] == [0o700] * 3
+    assert caches.private("pocl", "1") == folder
+
+
+def test_a_cache_that_others_may_write_to_is_closed(cache_home):
+    """And emptied: what lies in it may be another's."""
+    folder = caches.private("pocl", "1")
+    (folder / "OK").mkdir()
+    (folder / "OK" / "parallel.so").write_text("")
+    folder.chmod(0o777)
+    caches.private("pocl", "1")
+    assert mode(folder) == 0o755
+    assert not list(folder.iterdir())
+
+
+def test_the_top_folder_is_never_emptied(cache_home):
+    """It may be a checkout of ours, if the cache is said to be beside it."""
+    (caches.private() / "kept").write_text("")
+    (cache_home / "stss").chmod(0o777)
+    caches.private("pocl")
+    assert mode(cache_home / "stss") == 0o755
+    assert (cache_home / "stss" / "kept").exists()
+
+
+def test_a_cache_of_another_user_is_refused(cache_home, monkeypatch):
+    folder = caches.private("pocl")
+    monkeypatch.setattr(os, "getuid", lambda: folder.stat().st_uid + 1)
+    with pytest.raises(DeviceError, match=r"^kernel cache .*stss: belongs to user \d+, not to you; set XDG_CACHE_HOME"):
+        caches.private("pocl")
+
+
+@pytest.mark.parametrize("kind", ["link", "file"])
+def test_a_cache_that_is_no_folder_is_refused(cache_home, tmp_path, kind):
+    caches.private()
+    (tmp_path / "elsewhere").mkdir()
+    if kind == "link":
+        (cache_home / "stss" / "pocl").symlink_to(tmp_path / "elsewhere")
+    else:
+        (cache_home / "stss" / "pocl").write_text("")
+    with pytest.raises(DeviceError, match=r"^kernel cache "):
+        caches.private("pocl")
+
+
+def test_a_cache_where_others_may_replace_it_is_refused(cache_home):
+    cache_home.mkdir()
+    cache_home.chmod(0o777)
+    with pytest.raises(DeviceError, match="only you can write to"):
+        caches.private("pocl")
+    cache_home.chmod(0o1777)  # as /tmp: nobody may replace what is another's
+    caches.private("pocl")
+
+
+def test_without_a_home_the_cache_is_temporary(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    for named_home in (tmp_path / "file" / "below", "/proc/none"):
+        monkeypatch.setenv("XDG_CACHE_HOME", str(named_home))
+        folder = caches.private("pocl")
+        assert folder.is_dir()
+        assert mode(folder.parent) == 0o700
+        assert not folder.is_relative_to(tmp_path / "file")
+    monkeypatch.setenv("XDG_CACHE_HOME", "relative")
+    monkeypatch.setenv("HOME", str(tmp_path / "file"))
+    assert caches.private("pocl").is_dir()
+
+
+OPEN = "import os; from stss_cl.device import open_device as o; d = o(); print(d.name, os.environ.get('POCL_CACHE_DIR'))"
+BUILD = f"{OPEN}; from stss_cl.program import build as b; b(d, 'selftest.cl')"
+
+
+def test_compiled_kernels_lie_in_the_private_cache(device, cache_home):
+    done = subprocess.run(
+        [sys.executable, "-c", BUILD],
+        env={**os.environ, "STSS_DEVICE": device.name, "HOME": str(cache_home)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    assert done.stdout.strip().endswith(" None")  # the environment is as it was
+    written = [path for path in cache_home.rglob("*") if path.is_file()]
+    assert not {path.relative_to(cache_home).parts[0] for path in written} & {"pocl", "pyopencl"}  # where all programs share
+    if "pocl" in device.platform_version.lower():
+        assert [path for path in written if path.is_relative_to(cache_home / "stss" / "pocl")]
+
+
+def test_the_users_own_cache_is_kept(device, cache_home, tmp_path):
+    if "pocl" not in device.platform_version.lower():
+        pytest.skip("not PoCL")
+    own = tmp_path / "own"
+    env = {**os.environ, "STSS_DEVICE": device.name, "POCL_CACHE_DIR": str(own)}
+    done = subprocess.run([sys.executable, "-c", BUILD], env=env, capture_output=True, text=True, timeout=120, check=True)
+    assert done.stdout.strip().endswith(str(own))
+    assert list(own.iterdir())
+    assert not (cache_home / "stss" / "pocl").exists()

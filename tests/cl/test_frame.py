@@ -1,0 +1,127 @@
+"""A whole frame on OpenCL against the reference, and as a backend and a port."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from conformance.strategies import SEEDS, motions, sizes
+from conformance.tolerance import ratio
+from stss_cl import Frame
+from stss_cl.frame import run_stage
+from stss_cl.network import PRECISIONS
+from stss_ref.arrays import ArrayError
+from stss_ref.frame import FrameInputs, frame
+from stss_ref.weights import random as random_weights
+from stss_ref.weights import zeros
+
+few = settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@st.composite
+def frame_inputs(draw, size):
+    random = np.random.default_rng(draw(SEEDS))
+    steps = draw(st.sampled_from([(0, 2, 4), (1, 3, 5), (0, 0, 0), (1, 1, 1), (0, 2, 2), (1, 3, 3)]))
+
+    def noise(*shape):
+        return random.random(shape, dtype=np.float32)
+
+    chain = [draw(motions(size)) for _ in range(max(steps))]
+    return FrameInputs(
+        colors=noise(3, *size, 3),
+        steps=steps,
+        motions=np.stack(chain).astype(np.float32) if chain else np.zeros((0, *size, 2), np.float32),
+        gbuffer=noise(*size, 9),
+        nov=noise(*size),
+        stencils=(noise(4, *size) > 0.8).astype(np.float32),
+        normals=noise(4, *size, 3),
+        positions=noise(4, *size, 3) * 30,
+    )
+
+
+def arguments(inputs):
+    return {f.name: getattr(inputs, f.name) for f in fields(inputs)}
+
+
+@pytest.fixture(scope="module", params=PRECISIONS)
+def made(request, device):
+    return Frame(random_weights(5), device, request.param)
+
+
+@few
+@given(data=st.data(), size=sizes(24))
+def test_the_frame_is_the_references(made, data, size):
+    """The holes are the float32 reference's bit for bit, the image within the network's bound."""
+    inputs = data.draw(frame_inputs(size))
+    image, valid = made(**arguments(inputs))
+    want, want_valid = frame(inputs, random_weights(5))
+    np.testing.assert_array_equal(valid, want_valid)
+    assert ratio(f"network.cl.{made.precision}", image, want.astype(np.float64)) <= 1
+
+
+def test_without_a_residual_it_is_the_references_bits(device):
+    """The `bilinear` weights: warping, holes and upsampling alone, which are exact."""
+    random = np.random.default_rng(3)
+    size = (13, 21)
+    inputs = FrameInputs(
+        colors=random.random((3, *size, 3), dtype=np.float32),
+        steps=(1, 3, 5),
+        motions=random.uniform(-3, 3, (5, *size, 2)).astype(np.float32),
+        gbuffer=random.random((*size, 9), dtype=np.float32),
+        nov=random.random(size, dtype=np.float32),
+        stencils=np.zeros((4, *size), np.float32),
+        normals=random.random((4, *size, 3), dtype=np.float32),
+        positions=random.random((4, *size, 3), dtype=np.float32) * 40,
+    )
+    image, valid = Frame(zeros(), device)(**arguments(inputs))
+    want, want_valid = frame(inputs, zeros())
+    np.testing.assert_array_equal(image, want)
+    np.testing.assert_array_equal(valid, want_valid)
+    np.testing.assert_array_equal(run_stage("frame", arguments(inputs), zeros(), device)["image"], want)
+
+
+def test_frames_on_the_device_stay_there(device):
+    import pyopencl.array as cla
+
+    size = (10, 12)
+    random = np.random.default_rng(4)
+    inputs = {
+        "colors": random.random((3, *size, 3), dtype=np.float32),
+        "motions": random.uniform(-2, 2, (5, *size, 2)).astype(np.float32),
+        "gbuffer": random.random((*size, 9), dtype=np.float32),
+        "nov": random.random(size, dtype=np.float32),
+        "stencils": np.zeros((4, *size), np.float32),
+        "normals": np.ones((4, *size, 3), np.float32),
+        "positions": np.zeros((4, *size, 3), np.float32),
+    }
+    made = Frame(random_weights(1), device)
+    from_host, _ = made(steps=(1, 3, 5), **inputs)
+    image, _ = made(steps=(1, 3, 5), **{name: cla.to_device(device.queue, a) for name, a in inputs.items()})
+    assert isinstance(image, cla.Array)
+    np.testing.assert_array_equal(image.get(), from_host)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("name", ["colors", "gbuffer", "nov", "stencils", "normals"])
+def test_what_is_not_finite_is_refused_as_by_the_reference(device, name, bad):
+    """A NaN ends as 0 in some ReLU: it must be seen before; and the next frame is none the worse."""
+    size = (9, 11)
+    shapes = {"colors": (3, *size, 3), "gbuffer": (*size, 9), "nov": size, "stencils": (4, *size), "normals": (4, *size, 3)}
+    arrays = {n: np.full(shape, 0.5, np.float32) for n, shape in shapes.items()}
+    arrays |= {"motions": np.zeros((5, *size, 2), np.float32), "positions": np.zeros((4, *size, 3), np.float32)}
+    made = Frame(random_weights(1), device)
+    first, _ = made(steps=(1, 3, 5), **arrays)
+    arrays[name].flat[-1] = bad
+    with pytest.raises(ArrayError, match=f"{name}: 1 non-finite values"):
+        made(steps=(1, 3, 5), **arrays)
+    with pytest.raises(ArrayError, match=f"{name}: 1 non-finite values"):
+        frame(FrameInputs(steps=(1, 3, 5), **arrays), random_weights(1))
+    arrays[name].flat[-1] = 0.5
+    np.testing.assert_array_equal(made(steps=(1, 3, 5), **arrays)[0], first)
+
+
+def test_errors_name_the_array(device):
+    with pytest.raises(ArrayError, match="gbuffer"):
+        Frame(zeros(), device)(*(np.zeros((1, 1, 1), np.float32),) * 1, (0, 0, 0), *(np.zeros((2, 2), np.float32),) * 6)

@@ -1,0 +1,323 @@
+"""The image-space stages in OpenCL: every value is the float32 reference's, bit for bit."""
+
+import dataclasses
+
+import numpy as np
+import pyopencl as cl
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from conformance.strategies import SEEDS, frames, masks, motions, sizes
+from stss_cl.buffers import read
+from stss_cl.image_stages import ImageStages
+from stss_cl.prepare import Prepare
+from stss_ref.arrays import ArrayError
+from stss_ref.frame import FrameInputs, prepare
+from stss_ref.holes import holes
+from stss_ref.motion_chain import motion_chain
+from stss_ref.occlusion_warp import occlusion_warp, splat
+from stss_ref.resample import downsample_8, pad_to_8
+from stss_ref.rrm import rrm
+from stss_ref.warp import warp
+
+GATHERS = ("longest", "nearest", "bilinear")
+BROKEN = (np.nan, np.inf, -np.inf, 3e38, -3e38, -0.0, 1e-42)
+
+
+@pytest.fixture(scope="module")
+def stages(device):
+    return ImageStages(device)
+
+
+@st.composite
+def broken(draw, arrays):
+    """An array in float32 with a few values that are no numbers, huge, or as small as they get."""
+    array = draw(arrays).astype(np.float32)
+    random = np.random.default_rng(draw(SEEDS))
+    if draw(st.booleans()):
+        bad = random.random(array.shape) < 0.1
+        array[bad] = random.choice(np.array(BROKEN, np.float32), int(bad.sum()))
+    return array
+
+
+@st.composite
+def depths(draw, size):
+    """Normalised depth in float32: all different, many ties, -0 among 0, and beyond where the splat starts."""
+    random = np.random.default_rng(draw(SEEDS))
+    kinds = {
+        "any": random.random(size),
+        "ties": random.integers(0, 4, size) / 4,
+        "zeros": random.choice([0.0, -0.0, 1e-42], size),
+        "edge": random.choice([0.5, 10.0, np.nextafter(np.float32(10), np.float32(0)), 11.0, -1.0, -2.0], size),
+    }
+    return kinds[draw(st.sampled_from(sorted(kinds)))].astype(np.float32)
+
+
+@st.composite
+def surfaces(draw, size):
+    """Stencil, normal and position of two frames that agree in most places, NoV and depth: what ``holes`` takes but motion."""
+    random = np.random.default_rng(draw(SEEDS))
+    objects = random.choice([0.0, 0.0, 1.0, 2.0, 1 / 3], size)
+    normal = random.normal(size=(*size, 3))
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    if draw(st.booleans()):
+        normal[...] = normal[0, 0]
+    normal[random.random(size) < 0.1] = 0
+    position = np.stack([*np.indices(size) * 5.0, random.random(size)], axis=-1)
+    values = {
+        "stencil_previous": np.where(random.random(size) < 0.1, 0, objects),
+        "stencil": objects,
+        "normal_previous": normal + random.normal(size=(*size, 3)) * 0.1 * (random.random(size) < 0.5)[..., None],
+        "normal": normal,
+        "position_previous": position + random.normal(size=(*size, 3)) * 20 * (random.random(size) < 0.3)[..., None],
+        "position": position,
+        "nov": random.uniform(-1, 1, size),
+        "depth": draw(depths(size)),
+    }
+    values = {name: value.astype(np.float32) for name, value in values.items()}
+    for name in ("position_previous", "position"):
+        values[name] = draw(broken(st.just(values[name])))
+    return values
+
+
+def assert_same(got, want):
+    """Same dtype, shape and bits, but for the sign of 0 and the payload of NaN."""
+    assert got.dtype == want.dtype
+    np.testing.assert_array_equal(got, want)
+
+
+@pytest.mark.parametrize("gather", GATHERS)
+@given(data=st.data(), size=sizes(), k=st.integers(1, 5))
+def test_motion_chain(device, gather, data, size, k):
+    chain = np.stack([data.draw(broken(motions(size))) for _ in range(k)])
+    got = ImageStages(device, gather).run_stage("motion_chain", {"motions": chain})["motion"]
+    with np.errstate(over="ignore", invalid="ignore"):
+        assert_same(got, motion_chain(chain, gather))
+
+
+def test_motion_chain_among_equally_long_motions(stages):
+    """Contracted to a fused multiply-add, one of the two squared lengths would be larger."""
+    motion = np.array([[(0.5, 0.5), (3.1, 1.7)], [(1.7, 3.1), (-3.1, 1.7)]], np.float32)
+    chain = np.stack([np.full_like(motion, 0.25), motion])
+    assert_same(stages.run_stage("motion_chain", {"motions": chain})["motion"], motion_chain(chain))
+
+
+@given(data=st.data(), size=sizes(), channels=st.integers(1, 4))
+def test_warp(stages, data, size, channels):
+    color, motion = data.draw(frames(size, channels)).astype(np.float32), data.draw(broken(motions(size)))
+    got = stages.run_stage("warp", {"color": color, "motion": motion})
+    warped, inside = warp(color, motion)
+    assert_same(got["warped"], warped)
+    assert_same(got["inside"], inside.astype(np.uint8))
+
+
+@settings(max_examples=300)
+@given(data=st.data(), size=sizes())
+def test_holes(stages, data, size):
+    inputs = {"motion": data.draw(broken(motions(size))), **data.draw(surfaces(size))}
+    with np.errstate(invalid="ignore", over="ignore"):
+        assert_same(stages.run_stage("holes", inputs)["valid"], holes(**inputs).astype(np.uint8))
+
+
+@settings(max_examples=300)
+@given(data=st.data(), size=sizes())
+def test_occlusion_warp(stages, data, size):
+    color, motion = data.draw(frames(size, 3)).astype(np.float32), data.draw(broken(motions(size)))
+    inputs = {"color": color, "motion": motion, "depth": data.draw(depths(size)), "valid": data.draw(masks(size))}
+    inputs["warped"], _ = warp(color, motion)
+    got = stages.run_stage("occlusion_warp", {**inputs, "valid": inputs["valid"].astype(np.uint8)})
+    occlusion_motion, filled = occlusion_warp(**inputs)
+    assert_same(got["occlusion_motion"], occlusion_motion)
+    assert_same(got["occlusion_warp"], filled)
+
+
+def test_a_splat_of_many_ties_is_the_same_every_time(stages):
+    """A hundred thousand pixels of three depths fall on a small part of the frame: the sequential splat, every time."""
+    size = (270, 480)
+    random = np.random.default_rng(5)
+    to = random.uniform((100, 50), (180, 100), (*size, 2))
+    motion = (to - np.stack(np.indices(size)[::-1], axis=-1)).astype(np.float32)
+    color = random.random((*size, 3)).astype(np.float32)
+    depth = random.choice([0.0, -0.0, 0.25, 0.5], size).astype(np.float32)
+    inputs = {"color": color, "warped": color, "motion": motion, "depth": depth, "valid": np.zeros(size, np.uint8)}
+    want, filled = occlusion_warp(**inputs)
+    assert np.count_nonzero(splat(motion, depth)) > 0
+    for _ in range(5):
+        got = stages.run_stage("occlusion_warp", inputs)
+        assert_same(got["occlusion_motion"], want)
+        assert_same(got["occlusion_warp"], filled)
+
+
+@given(data=st.data(), size=sizes())
+def test_rrm(stages, data, size):
+    valid = data.draw(masks(size)).astype(np.uint8)
+    y, x = (data.draw(st.integers(0, n)) for n in size)
+    rectangle = np.array([y, x, data.draw(st.integers(0, size[0] - y)), data.draw(st.integers(0, size[1] - x))])
+    got = stages.run_stage("rrm", {"valid": valid, "rectangle": rectangle})["valid"]
+    assert_same(got, rrm(valid, tuple(rectangle)))
+
+
+@pytest.mark.parametrize(
+    ("stage", "inputs", "message"),
+    [
+        ("warp", {"color": np.zeros((2, 3, 3)), "motion": np.zeros((2, 3, 2))}, "color: expected dtype float32, got float64"),
+        ("warp", {"color": np.full((1, 1, 3), np.nan, "f"), "motion": np.zeros((1, 1, 2), "f")}, "color: 3 non-finite"),
+        ("motion_chain", {"motions": np.zeros((0, 2, 3, 2), "f")}, "motions: expected shape"),
+        (
+            "rrm",
+            {"valid": np.ones((4, 5), np.uint8), "rectangle": np.array([3, 0, 2, 1])},
+            "rectangle: expected to lie within 4 x 5",
+        ),
+    ],
+)
+def test_errors_name_the_array(stages, stage, inputs, message):
+    with pytest.raises(ArrayError, match=message):
+        stages.run_stage(stage, inputs)
+
+
+STEPS = ((1, 3, 5), (0, 2, 4), (1, 3, 3), (1, 1, 1), (0, 2, 2), (0, 0, 0), (2, 3, 7))
+
+
+@st.composite
+def frame_inputs(draw, size):
+    steps = draw(st.sampled_from(STEPS))
+    pairs = [draw(surfaces(size)) for _ in range(2)]
+    random = np.random.default_rng(draw(SEEDS))
+    gbuffer = random.random((*size, 9)).astype(np.float32)
+    gbuffer[..., 3] = pairs[0]["depth"]
+
+    def four(name):
+        return np.stack([pair[name + end] for end in ("", "_previous") for pair in pairs])
+
+    return FrameInputs(
+        colors=np.stack([draw(frames(size, 3)) for _ in range(3)]).astype(np.float32)
+        - np.float32(draw(st.sampled_from([0, 0.5]))),
+        steps=steps,
+        motions=np.stack([draw(broken(motions(size))) for _ in range(max(*steps, 1))]),
+        gbuffer=gbuffer,
+        nov=pairs[0]["nov"],
+        stencils=four("stencil"),
+        normals=four("normal"),
+        positions=four("position"),
+    )
+
+
+def downloaded(device, buffer, shape, dtype=np.float32):
+    array = np.empty(shape, dtype)
+    assert buffer.size >= array.nbytes  # behind it lies room for strips that stick out
+    cl.enqueue_copy(device.queue, array, buffer)
+    return array
+
+
+def arguments(inputs):
+    return [getattr(inputs, field.name) for field in dataclasses.fields(inputs)]
+
+
+def assert_prepared(device, preparation, inputs, size):
+    """All that the network is given, padding and borders too."""
+    rows, columns = preparation.rows, preparation.columns
+    got = preparation.inputs
+    with np.errstate(invalid="ignore", over="ignore"):
+        want = prepare(inputs)
+    color, gbuffer, mask = pad_to_8(want.color), pad_to_8(want.gbuffer), pad_to_8(want.mask[..., None])
+    packed = np.concatenate([color, color * mask, gbuffer, np.zeros((rows, columns, 3), np.float32)], axis=-1)
+    border = ((1, 1), (1, 1), (0, 0))
+    assert_same(downloaded(device, got.input.data, (rows + 2, columns + 2, 24)), np.pad(packed, border))
+    history = np.pad(pad_to_8(want.history), ((0, 0), *border))
+    assert_same(downloaded(device, got.earlier.data, (3, rows + 2, columns + 2, 4)), history)
+    color3 = np.pad(color[..., :3], ((0, 0), (0, 0), (0, 1)))
+    assert_same(downloaded(device, got.base, (rows, columns, 4)), color3)
+    f = np.concatenate([downsample_8(gbuffer), downsample_8(mask), np.zeros((rows // 8, columns // 8, 6), np.float32)], axis=-1)
+    assert_same(read(device, got.eighth), f)
+    assert_same(downloaded(device, preparation.mask, size, np.uint8), want.mask.astype(np.uint8))
+
+
+@pytest.mark.parametrize("eights", [False, True])
+@settings(max_examples=200)
+@given(data=st.data(), size=sizes(26))
+def test_prepare(device, eights, data, size):
+    """One frame after another in the same buffers: nothing of the first is left in the second."""
+    preparation = Prepare(device, *size, eights=eights)
+    for _ in range(2):
+        inputs = data.draw(frame_inputs(size))
+        preparation.begin(*arguments(inputs))
+        preparation.strip()
+        assert_prepared(device, preparation, inputs, size)
+
+
+@pytest.mark.parametrize("eights", [False, True])
+@settings(max_examples=20)
+@given(seed=SEEDS)
+def test_prepare_where_few_pixels_are_holes(device, eights, seed):
+    """Only places that a hole looks up are splatted to: a frame with many rows of eight of which none is wanted."""
+    size = (24, 100)
+    random = np.random.default_rng(seed)
+    stencils = np.zeros((4, *size), np.float32)
+    stencils[0] = random.random(size) < 0.02
+    inputs = FrameInputs(
+        colors=random.random((3, *size, 3)).astype(np.float32),
+        steps=(1, 3, 5),
+        motions=random.uniform(-2, 2, (5, *size, 2)).astype(np.float32),
+        gbuffer=random.random((*size, 9)).astype(np.float32),
+        nov=random.random(size).astype(np.float32),
+        stencils=stencils,
+        normals=np.ones((4, *size, 3), np.float32),
+        positions=np.zeros((4, *size, 3), np.float32),
+    )
+    preparation = Prepare(device, *size, eights=eights)
+    preparation.begin(*arguments(inputs))
+    preparation.strip()
+    assert_prepared(device, preparation, inputs, size)
+
+
+@pytest.mark.parametrize("gather", GATHERS)
+def test_prepare_takes_buffers_and_gathers(device, gather):
+    """What is on the device already need not come from arrays; whole-frame values change with the gather as the reference's."""
+    size = (19, 33)
+    random = np.random.default_rng(2)
+    inputs = FrameInputs(
+        colors=random.random((3, *size, 3)).astype(np.float32),
+        steps=(1, 3, 5),
+        motions=random.uniform(-3, 3, (5, *size, 2)).astype(np.float32),
+        gbuffer=random.random((*size, 9)).astype(np.float32),
+        nov=random.random(size).astype(np.float32),
+        stencils=random.integers(0, 2, (4, *size)).astype(np.float32),
+        normals=np.ones((4, *size, 3), np.float32),
+        positions=(random.random((4, *size, 3)) * 50).astype(np.float32),
+    )
+    preparation = Prepare(device, *size, gather)
+    upload = ImageStages(device).upload
+    on_device = [upload(a) if isinstance(a, np.ndarray) else a for a in arguments(inputs)]
+    want = prepare(inputs, gather)
+    for given_arguments in (arguments(inputs), on_device):
+        preparation.begin(*given_arguments)
+        preparation.strip()
+        x0 = downloaded(device, preparation.inputs.input.data, (preparation.rows + 2, preparation.columns + 2, 24))
+        assert_same(x0[1:20, 1:34, :6], want.color)
+        assert_same(downloaded(device, preparation.mask, size, np.uint8), want.mask.astype(np.uint8))
+
+
+def test_prepare_errors_name_the_array(device):
+    preparation = Prepare(device, 1, 1)
+    given_arguments = {
+        "colors": np.zeros((3, 1, 1, 3), "f"),
+        "steps": (1, 3, 5),
+        "motions": np.zeros((5, 1, 1, 2), "f"),
+        "gbuffer": np.zeros((1, 1, 9), "f"),
+        "nov": np.zeros((1, 1), "f"),
+        "stencils": np.zeros((4, 1, 1), "f"),
+        "normals": np.zeros((4, 1, 1, 3), "f"),
+        "positions": np.zeros((4, 1, 1, 3), "f"),
+    }
+    preparation.begin(**given_arguments)
+    wrong = (
+        ("steps", (3, 1, 5), "steps: expected three numbers >= 0, newest"),
+        ("motions", np.zeros((4, 1, 1, 2), "f"), "motions: expected at least 5, got 4"),
+        ("nov", np.zeros((1, 1)), "nov: expected dtype float32, got float64"),
+        ("stencils", np.zeros((3, 1, 1), "f"), r"stencils: expected shape \(4, 1, 1\), got \(3, 1, 1\)"),
+        ("gbuffer", ImageStages(device).upload(np.zeros(8, "f")), "gbuffer: expected at least 36 bytes, got 32"),
+    )
+    for name, value, message in wrong:
+        with pytest.raises(ArrayError, match=message):
+            preparation.begin(**{**given_arguments, name: value})

@@ -1,0 +1,257 @@
+"""Every kernel in Oclgrind, a simulator that sees each access: none is invalid, none races, and nothing is read before it is written.
+
+Oclgrind's own search for uninitialised values does not serve: 21.10 ends the process at a shuffle that leaves a lane open, which
+is what clang makes of ``(float8)(v.xyz, ...)``, and it takes for uninitialised what lies in the host's memory, what
+``clEnqueueFillBuffer`` wrote, and open lanes that nobody reads. Instead each case runs twice, the second time with every new buffer
+and private variable full of ones, which are NaN as floats, and must give the same bits.
+"""
+
+import hashlib
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyopencl as cl
+import pyopencl.array as cla
+import pytest
+
+ROOT = Path(__file__).parents[2]
+LIBRARIES = (
+    ("/usr/lib", "oclgrind/liboclgrind-rt-icd.so"),
+    ("/usr/lib", "*/oclgrind/liboclgrind-rt-icd.so"),
+    (str(ROOT / "build" / "portability"), "lib/python*/site-packages/pyopencl/.libs/liboclgrind-rt-icd*.so"),
+)
+ONES = "-ftrivial-auto-var-init=pattern"
+"""Of clang: private variables start as NaN or as 0xaa."""
+
+SIZES = ((1, 1), (3, 5), (8, 8), (9, 13))
+STEPS = ((1, 3, 5), (0, 2, 4), (1, 1, 1))
+
+NETWORK = {"pack_input", "pack_history", "downsample_8", "conv", "upsample_corners", "normalise", "attend"}
+FRAME = ("chain_steps", "prepare", "splat_nearest", "splat_first")
+KERNELS = {
+    "network float32": NETWORK | {"winograd"},
+    "network float32-direct": NETWORK | {"image"},
+    "network half": NETWORK | {"winograd"},
+    "frame": {*FRAME, "fill_holes", "downsample_8"} | {f"{name}8" for name in FRAME},
+    "stages": {"motion_chain", "warp", "holes", "splat_clear", "splat_nearest", "splat_first", "occlusion_warp", "rrm"},
+    "selftest": {"arithmetic", "vectors", "reduce_group", "nearest", "speed"},
+}
+"""The kernels that each case runs."""
+
+REPORT = re.compile(r"^(?=Invalid|Uninitialized|Read-write|Write-write|Work-group|Error|\w+ data race)", re.MULTILINE)
+
+
+def library():
+    """Oclgrind's library, or skip."""
+    named = os.environ.get("OCL_ICD_VENDORS", "")
+    if named and "oclgrind" not in named:
+        pytest.skip("OCL_ICD_VENDORS names another runtime than Oclgrind")
+    for place, pattern in LIBRARIES:
+        for path in sorted(Path(place).glob(pattern)):
+            return path
+    pytest.skip("Oclgrind is not installed: apt-get install oclgrind, or make portability")
+
+
+def is_harmless(report):
+    """Whether it is the splat's look before its atomic minimum: a value that is old is larger (kernels/occlusion_warp.cl)."""
+    accesses = re.findall(r"entity:.*\n\s*(.*)", report)
+    kinds = ["atomic" if "atomic_min" in access else "look" if "load volatile i32" in access else "other" for access in accesses]
+    return report.startswith("Read-write data race") and sorted(kinds) == ["atomic", "look"]
+
+
+def simulated(case, tmp_path, **settings):
+    """The digests that the case prints, the kernels that ran, what Oclgrind reported."""
+    log = tmp_path / "log"
+    env = {
+        **os.environ,
+        "OCL_ICD_VENDORS": str(library()),
+        "OCLGRIND_LOG": str(log),
+        "OCLGRIND_MAX_ERRORS": "100000",
+        "OCLGRIND_INST_COUNTS": "1",
+        "PYOPENCL_NO_CACHE": "1",  # binaries of other build options
+        "PYTHONPATH": str(ROOT),
+        **settings,
+    }
+    done = subprocess.run([sys.executable, __file__, case], env=env, capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    reports = [report for report in REPORT.split(log.read_text()) if report.strip()]
+    ran = set(re.findall(r"Instructions executed for kernel '(\w+)'", done.stdout))
+    return re.findall(r"^digest (.*)", done.stdout, re.MULTILINE), ran, reports
+
+
+@pytest.mark.parametrize("case", KERNELS)
+def test_memory(case, tmp_path):
+    digests, ran, reports = simulated(case, tmp_path, OCLGRIND_DATA_RACES="1")
+    harmful = [report for report in reports if not is_harmless(report)]
+    assert not harmful, f"{len(harmful)} reports, the first: {harmful[0]}"
+    assert digests
+    assert ran == KERNELS[case]
+    again, _, reports = simulated(case, tmp_path, OCLGRIND_BUILD_OPTIONS=ONES, STSS_TEST_ONES="1")
+    assert not reports, reports[0]
+    assert again == digests
+
+
+def test_no_kernel_is_left_out():
+    written = {
+        name
+        for path in (ROOT / "kernels").glob("*.cl")
+        for name in re.findall(r"^(?:kernel[^;{]*?)?void (\w+)\(", path.read_text(), re.MULTILINE)
+    }
+    assert set().union(*KERNELS.values()) == written
+
+
+@pytest.mark.parametrize(
+    ("body", "found"),
+    [
+        ("out[get_global_id(0) + 61] = 1.0f;", "Invalid write"),
+        ("out[0] = in[get_global_id(0) + 61];", "Invalid read"),
+        ("out[0] = (float)get_global_id(0);", "Write-write data race"),
+        ("out[get_global_id(0)] = out[3 - get_global_id(0)];", "Read-write data race"),
+        ("out[get_global_id(0)] = in[get_global_id(0)];", "digest"),
+        ("float a[4]; a[get_global_id(0) / 4] = 0.0f; out[get_global_id(0)] = a[get_global_id(0) < 9 ? 1 : 0];", "digest"),
+        ("out[get_global_id(0)] = (float)get_global_id(0);", None),
+    ],
+)
+def test_a_fault_is_seen(body, found, tmp_path):
+    """The comparison can fail."""
+    digests, _, reports = simulated(f"fault {body}", tmp_path, OCLGRIND_DATA_RACES="1")
+    again, _, _ = simulated(f"fault {body}", tmp_path, OCLGRIND_BUILD_OPTIONS=ONES, STSS_TEST_ONES="1")
+    seen = [report.split(" at ")[0] for report in reports if not is_harmless(report)]
+    if found in (None, "digest"):
+        assert not seen
+        assert (digests != again) == (found == "digest")
+    else:
+        assert any(report.startswith(found) for report in seen)
+
+
+# What runs in the child
+
+
+def show(name, array):
+    print("digest", name, hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()[:16])  # noqa: T201
+
+
+def fill_new_buffers(device, value):
+    """New buffers hold ``value`` in every byte; and what is filled is copied, so that it counts as written."""
+    buffer = cl.Buffer
+
+    class Filled(buffer):
+        def __init__(self, context, flags, size=0, hostbuf=None):
+            super().__init__(context, flags, size, hostbuf)
+            if hostbuf is None:
+                cl.enqueue_copy(device.queue, self, np.full(self.size, value, np.uint8))
+
+    cl.Buffer = Filled
+
+
+def on_device(device, random, shape):
+    return cla.to_device(device.queue, random.random(shape, dtype=np.float32))
+
+
+def run_network(device, precision, height, width):
+    from stss_cl.network import Network
+    from stss_ref.weights import random as random_weights
+
+    random = np.random.default_rng(0)
+    shapes = (height, width, 6), (height, width, 9), (height, width), (3, height, width, 4)
+    network = Network(random_weights(5), device, precision)
+    image = network(*(on_device(device, random, shape) for shape in shapes)).get()
+    assert np.isfinite(image).all()
+    show(f"{height} x {width}", image)
+
+
+def run_frame(device, height, width):
+    """Up to the network, whose buffers it writes, in strips of eight rows; pixel by pixel, and eight at once."""
+    from stss_cl.buffers import inputs_for, read
+    from stss_cl.prepare import Prepare
+
+    size, columns = (height, width), -(-width // 8) * 8
+    for steps, gather in zip(STEPS, ("longest", "nearest", "bilinear"), strict=True):
+        made = {}
+        for eights in (False, True):
+            random = np.random.default_rng(1)
+            inputs = inputs_for(device, 8, columns, np.dtype(np.float16 if gather == "nearest" else np.float32))
+            preparation = Prepare(device, *size, gather, eights=eights, inputs=inputs)
+            shapes = (3, *size, 3), (*size, 9), size, (4, *size), (4, *size, 3), (4, *size, 3)
+            speed = 0.2 if gather == "longest" else 2  # where all eight stay in the frame, and where some leave it
+            motions = cla.to_device(device.queue, random.normal(0, speed, (max(steps), *size, 2)).astype(np.float32))
+            color, *others = (on_device(device, random, shape).base_data for shape in shapes)
+            tops = range(0, height, 8)
+            preparation.begin(color, steps, motions.base_data, *others, tops=tops)
+            made[eights] = {}
+            for top in tops:
+                preparation.strip(top)
+                for name in ("input", "earlier", "eighth"):
+                    made[eights][f"{gather} {top} {name}"] = read(device, getattr(inputs, name))
+        for name, array in made[True].items():
+            np.testing.assert_array_equal(array, made[False][name])
+            show(f"{height} x {width} {name}", array)
+
+
+def run_stages(device, height, width):
+    from stss_cl.image_stages import ImageStages
+
+    random = np.random.default_rng(2)
+    size = height, width
+    channels = {"color": 3, "warped": 3, "motion": 2, "normal": 3, "normal_previous": 3, "position": 3, "position_previous": 3}
+    flat = ("depth", "nov", "stencil", "stencil_previous", "valid")
+    inputs = {name: random.normal(0, 2, (*size, count)).astype(np.float32) for name, count in channels.items()}
+    inputs |= {name: random.integers(0, 2, size).astype(np.float32) for name in flat}
+    inputs |= {"motions": random.normal(0, 2, (3, *size, 2)).astype(np.float32), "rectangle": np.array([0, 0, 1, 1])}
+    for gather in ("longest", "nearest", "bilinear"):
+        stages = ImageStages(device, gather)
+        for stage in ("motion_chain", "warp", "holes", "occlusion_warp", "rrm") if gather == "longest" else ("motion_chain",):
+            for name, array in stages.run_stage(stage, inputs).items():
+                show(f"{height} x {width} {gather} {name}", array)
+
+
+def run_selftest(device):
+    from stss import selftest
+    from stss_cl.program import build
+
+    selftest.COUNT = 37
+    for check in (selftest.arithmetic, selftest.vectors, selftest.groups, selftest.nearest):
+        check(device, np.random.default_rng(3))
+    out = cl.Buffer(device.context, cl.mem_flags.READ_WRITE, 4 * 32)
+    weight = cl.Buffer(device.context, cl.mem_flags.COPY_HOST_PTR, hostbuf=np.ones((2, 8), np.float32))
+    cl.Kernel(build(device, "selftest.cl", flags="-cl-mad-enable"), "speed")(device.queue, (4,), None, weight, out, np.int32(2))
+    got = np.empty(32, np.float32)
+    cl.enqueue_copy(device.queue, got, out)
+    show("speed", got)
+
+
+def run_fault(device, body):
+    text = f"kernel void fault(global const float *in, global float *out) {{ {body} }}"
+    given, out = (cl.Buffer(device.context, cl.mem_flags.READ_WRITE, 256) for _ in range(2))
+    cl.Kernel(cl.Program(device.context, text).build(), "fault")(device.queue, (4,), None, given, out)
+    got = np.empty(4, np.float32)
+    cl.enqueue_copy(device.queue, got, out)
+    show("fault", got)
+
+
+def main(case):
+    from stss_cl.device import open_device
+
+    device = open_device("Oclgrind")
+    fill_new_buffers(device, 255 if "STSS_TEST_ONES" in os.environ else 0)
+    kind, _, how = case.partition(" ")
+    if kind == "fault":
+        run_fault(device, how)
+    elif kind == "selftest":
+        run_selftest(device)
+    else:
+        for size in SIZES if how in ("", "float32") else (SIZES[0], SIZES[-1]):
+            if kind == "network":
+                run_network(device, how, *size)
+            elif kind == "frame":
+                run_frame(device, *size)
+            else:
+                run_stages(device, *size)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

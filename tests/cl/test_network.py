@@ -1,0 +1,263 @@
+"""The network on OpenCL: layers and stages against the reference, properties that need none."""
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from conformance.strategies import SEEDS, sizes
+from conformance.tolerance import ratio, sum_bound, worst
+from stss_cl.buffers import padded, read, write
+from stss_cl.launch import conv
+from stss_cl.network import PRECISIONS, Network, run_stage
+from stss_cl.packing import POINTS, pack, winograd_matrix
+from stss_ref import conv as reference
+from stss_ref.arrays import ArrayError
+from stss_ref.decoder import decoder
+from stss_ref.encoder import encoder
+from stss_ref.erm import erm
+from stss_ref.history import history_embedding
+from stss_ref.network import network
+from stss_ref.resample import upsample_centres
+from stss_ref.weights import astype, zeros
+from stss_ref.weights import random as random_weights
+
+few = settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def polynomial(roots):
+    """Coefficients of the product of (x - root), lowest power first."""
+    return np.poly(roots)[::-1]
+
+
+def transforms():
+    """A^T (4, 6) and B^T (6, 6) of F(4x4, 3x3) from the points alone, independent of the kernel's constants."""
+    a = np.array([[x**i for x in POINTS] + [float(i == 3)] for i in range(4)])
+    rows = [np.append(polynomial([p for p in POINTS if p != x]), 0) for x in POINTS]
+    return a, np.array([*rows, polynomial(POINTS)])
+
+
+def tensors(random, name, inputs, outputs, gated):
+    """A layer's tensors under the checkpoint's names, scaled so that activations stay of order 1."""
+    branches = {".conv_feature": outputs, ".conv_mask.0": 1} if gated else {"": outputs}
+    made = {}
+    for branch, channels in branches.items():
+        made[f"{name}{branch}.weight"] = (random.normal(size=(channels, inputs, 3, 3)) / np.sqrt(9 * inputs)).astype(np.float32)
+        made[f"{name}{branch}.bias"] = random.normal(size=channels).astype(np.float32)
+    return made
+
+
+def winograd_scale(x, weight):
+    """What one rounding anywhere in F(4x4, 3x3) can move the result by: the algorithm on absolute values."""
+    a, b = (np.abs(m) for m in transforms())
+    g = np.abs(winograd_matrix())
+    u = np.einsum("ku,ocuv,lv->klco", g, np.abs(weight.astype(np.float64)), g)
+    height, width, channels = x.shape
+    tiled = np.zeros((-(-height // 4) * 4 + 2, -(-width // 4) * 4 + 2, channels))
+    tiled[1 : height + 1, 1 : width + 1] = np.abs(x)
+    scale = np.zeros((tiled.shape[0] - 2, tiled.shape[1] - 2, weight.shape[0]))
+    for i in range(0, scale.shape[0], 4):
+        for j in range(0, scale.shape[1], 4):
+            v = np.einsum("ki,ijc,lj->klc", b, tiled[i : i + 6, j : j + 6], b)
+            scale[i : i + 4, j : j + 4] = np.einsum("yk,klo,xl->yxo", a, np.einsum("klc,klco->klo", v, u), a)
+    return scale[:height, :width]
+
+
+@few
+@example(size=(5, 7), shape=(24, 24, 24), gated=False, relu=True, seed=0)
+@given(
+    size=sizes(21),
+    shape=st.sampled_from([(24, 0, 24), (32, 0, 32), (24, 24, 24), (96, 0, 32), (32, 16, 64), (32, 96, 64)]),
+    gated=st.booleans(),
+    relu=st.booleans(),
+    seed=SEEDS,
+)
+def test_both_convolutions_are_the_references(device, size, shape, gated, relu, seed):
+    """Direct and Winograd, one and two inputs, gated or not, any size: within the bound that follows from their own arithmetic."""
+    first, second, outputs = shape
+    random = np.random.default_rng(seed)
+    x = random.random((*size, first + second), dtype=np.float32)
+    weights = tensors(random, "layer", first + second, outputs, gated)
+    packed = pack(weights, "layer", tuple((n, n) for n in (first, second) if n))
+
+    wide = astype(weights, np.float64)
+    feature = "layer.conv_feature" if gated else "layer"
+    exact = x.astype(np.float64)
+    want = reference.gated(exact, wide, "layer") if gated else reference.conv_named(exact, wide, "layer")
+    want = reference.relu(want) if relu else want
+    absolute = {name: np.abs(array) for name, array in wide.items()}
+    terms = 9 * (first + second) + 2
+
+    buffers = [padded(device, *size, n, np.dtype(np.float32)) for n in (first, second, outputs) if n]
+    write(device, buffers[0], x[..., :first])
+    if second:
+        write(device, buffers[1], x[..., first:])
+    for fast in (False, True):
+        launch = conv(
+            device, "test", "layer", packed, buffers[0], buffers[1] if second else None, buffers[-1], relu=relu, winograd=fast
+        )
+        launch.enqueue(device.queue)
+        got = read(device, buffers[-1])
+        if fast:
+            scales = {
+                b: winograd_scale(x, weights[f"{b}.weight"]) for b in ([feature, "layer.conv_mask.0"] if gated else [feature])
+            }
+            allowed = sum_bound(first + second + 28, scales[feature] + absolute[f"{feature}.bias"], np.float32)
+            spread = sum_bound(first + second + 28, scales["layer.conv_mask.0"] + 1, np.float32) if gated else 0
+        else:
+            allowed = sum_bound(terms, reference.conv_named(exact, absolute, feature), np.float32)
+            spread = sum_bound(terms, reference.conv_named(exact, absolute, "layer.conv_mask.0"), np.float32) if gated else 0
+        # The gate's error counts a quarter (the sigmoid's steepest slope) times the feature; the sigmoid's own 8 roundings too.
+        if gated:
+            magnitude = reference.conv_named(exact, absolute, feature)
+            allowed = allowed + magnitude * (spread / 4 + 8 * 2.0**-24)
+        assert worst(np.abs(got - want), allowed) <= 1, "winograd" if fast else "direct"
+
+
+@few
+@given(size=sizes(13), gated=st.booleans(), seed=SEEDS)
+def test_every_second_pixel(device, size, gated, seed):
+    """Stride 2 from both an eight-channel and a four-channel input."""
+    random = np.random.default_rng(seed)
+    for inputs in (24,) if gated else (24, 4):
+        x = random.random((2 * size[0], 2 * size[1], inputs), dtype=np.float32)
+        weights = tensors(random, "layer", inputs, 24, gated)
+        source = padded(device, *x.shape[:2], inputs, np.dtype(np.float32))
+        out = padded(device, *size, 24, np.dtype(np.float32))
+        write(device, source, x)
+        conv(device, "test", "layer", pack(weights, "layer", ((inputs, inputs),)), source, None, out, stride=2).enqueue(
+            device.queue
+        )
+        wide = astype(weights, np.float64)
+        made = (reference.gated if gated else reference.conv_named)(x.astype(np.float64), wide, "layer", 2)
+        assert ratio("conv.stride_2", read(device, out), reference.relu(made), 9 * inputs) <= 1
+
+
+def test_the_kernels_constants_are_the_points():
+    """A^T [(G g G^T) * (B^T d B)] A is the correlation, exactly as the algebra says."""
+    a, b = transforms()
+    random = np.random.default_rng(0)
+    d, g = random.random((6, 6)), random.random((3, 3))
+    m = winograd_matrix()
+    got = a @ ((m @ g @ m.T) * (b @ d @ b.T)) @ a.T
+    want = reference.conv(d[..., None], g[None, None], np.zeros(1))[1:5, 1:5, 0]
+    assert ratio("network.float64", got, want) <= 1
+
+
+def network_inputs(size, seed, share=0.7):
+    random = np.random.default_rng(seed)
+    shapes = ((*size, 6), (*size, 9), size, (3, *size, 4))
+    color, gbuffer, mask, history = (random.random(shape, dtype=np.float32) for shape in shapes)
+    return [color, gbuffer, (mask < share).astype(np.float32), history]
+
+
+@pytest.fixture(scope="module", params=PRECISIONS)
+def net(request, device):
+    return Network(random_weights(5), device, request.param)
+
+
+@few
+@example(size=(1, 1), seed=0, share=0.7)
+@example(size=(8, 16), seed=0, share=0.0)
+@given(size=sizes(40), seed=SEEDS, share=st.sampled_from([0.0, 0.5, 1.0]))
+def test_the_image_is_the_references(net, size, seed, share):
+    inputs = network_inputs(size, seed, share)
+    image = net(*inputs)
+    assert image.dtype == np.float32
+    want = network(*(x.astype(np.float64) for x in inputs), random_weights(5))
+    assert ratio(f"network.cl.{net.precision}", image, want) <= 1
+
+
+@pytest.mark.parametrize("name", ["arena_small", "arena_mid", "lewis_wide"])
+def test_the_image_is_the_authors(reference_data, device, name):
+    from safetensors.numpy import load_file
+
+    from stss_ref.checkpoint import read_checkpoint
+
+    data = load_file(reference_data / "network" / f"{name}.safetensors")
+    inputs = [np.ascontiguousarray(np.moveaxis(data[f"input.{key}"], -3, -1)) for key in ("color", "gbuffer", "mask", "history")]
+    inputs[2] = inputs[2][..., 0]
+    weights = read_checkpoint(reference_data / "checkpoints" / f"{name.split('_')[0]}.pkl")
+    want = np.moveaxis(data["output.float64"], 0, -1)
+    for precision in PRECISIONS:
+        image = Network(weights, device, precision)(*inputs)
+        assert ratio(f"network.cl.{precision}", image, want) <= 1, precision
+
+
+@few
+@given(eighths=sizes(4), seed=SEEDS)
+def test_every_stage_is_the_references(device, eighths, seed):
+    """One stage at a time, on the same inputs: which of them differs shows here."""
+    size = 8 * eighths[0], 8 * eighths[1]
+    color, gbuffer, mask, history = network_inputs(size, seed)
+    weights = random_weights(seed)
+    wide = astype(weights, np.float64)
+    c, g, m, h = (x.astype(np.float64) for x in (color, gbuffer, mask, history))
+    x1, x2, x3, x4 = encoder(c, g, m, wide)
+    feature, reshaded = history_embedding(h, wide), erm(x4, g, m, wide)
+    image = decoder(reshaded, feature, x1, x2, x3, c, wide)
+    small = {"x1": x1, "x2": x2, "x3": x3, "x4": x4, "feature": feature, "reshaded": reshaded}
+    given = {"color": color, "gbuffer": gbuffer, "mask": mask, "history": history}
+    given |= {name: array.astype(np.float32) for name, array in small.items()}
+    for stage, names, outputs in (
+        ("encoder", ("color", "gbuffer", "mask"), ("x1", "x2", "x3", "x4")),
+        ("history", ("history",), ("feature",)),
+        ("erm", ("x4", "gbuffer", "mask"), ("reshaded",)),
+        ("decoder", ("reshaded", "feature", "x1", "x2", "x3", "color"), ("image",)),
+    ):
+        made = run_stage(stage, {name: given[name] for name in names}, weights, device)
+        for name in outputs:
+            assert ratio("stage.cl", made[name], image if name == "image" else small[name], 1.0) <= 1, (stage, name)
+
+
+def test_without_a_residual_it_is_the_bilinear_image(device):
+    inputs = network_inputs((13, 17), 3)
+    image = Network(zeros(), device)(*inputs)
+    np.testing.assert_array_equal(image, upsample_centres(inputs[0][..., :3]))
+
+
+def test_the_same_bits_every_time(net):
+    """Repeated, after another size, and from arrays that lie elsewhere."""
+    inputs = network_inputs((24, 33), 1)
+    first = net(*inputs)
+    net(*network_inputs((8, 8), 2))
+    np.testing.assert_array_equal(net(*(x.copy() for x in inputs)), first)
+    np.testing.assert_array_equal(net(*inputs), first)
+
+
+def test_arrays_on_the_device_stay_there(net, device):
+    import pyopencl.array as cla
+
+    inputs = network_inputs((9, 10), 4)
+    image = net(*(cla.to_device(device.queue, x) for x in inputs))
+    assert isinstance(image, cla.Array)
+    np.testing.assert_array_equal(image.get(), net(*inputs))
+
+
+def test_the_inputs_are_left_alone(net):
+    inputs = network_inputs((9, 10), 4)
+    before = [x.copy() for x in inputs]
+    net(*inputs)
+    for array, copy in zip(inputs, before, strict=True):
+        np.testing.assert_array_equal(array, copy)
+
+
+@pytest.mark.parametrize(
+    ("which", "value", "message"),
+    [
+        (0, np.zeros((8, 8, 5), np.float32), r"color: expected shape \(any, any, 6\)"),
+        (1, np.zeros((8, 9, 9), np.float32), r"gbuffer: expected shape \(8, 8, 9\)"),
+        (2, np.full((8, 8), np.nan, np.float32), "mask: 64 non-finite"),
+        (3, np.zeros((3, 8, 8, 4)), "history: expected dtype float32, got float64"),
+    ],
+)
+def test_errors_name_the_array(net, which, value, message):
+    inputs = network_inputs((8, 8), 0)
+    inputs[which] = value
+    with pytest.raises(ArrayError, match=message):
+        net(*inputs)
+
+
+def test_timings_name_the_stages(net):
+    net(*network_inputs((16, 16), 0))
+    assert set(net.timings()) == {"encoder", "history", "erm", "decoder"}

@@ -1,0 +1,123 @@
+"""Frames in strips: the plan, and the bits of the whole frame."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from stss_cl.errors import DeviceError
+from stss_cl.frame import Frame
+from stss_cl.network import PRECISIONS, Network
+from stss_cl.strips import OVERLAP, STEP, bytes_for, rows_within, strips
+from stss_ref.frame import FrameInputs
+from stss_ref.frame import frame as reference_frame
+from stss_ref.weights import LAYERS
+from stss_ref.weights import random as random_weights
+
+WIDTH = 24
+
+
+@given(
+    eighths=st.integers(1, 600), cut=st.integers(0, 7), steps=st.integers(1, 90), overlap=st.sampled_from(list(OVERLAP.values()))
+)
+def test_every_row_is_written_once_and_far_from_a_strips_edge(eighths, cut, steps, overlap):
+    height = 8 * eighths
+    shown = height - cut
+    limit = bytes_for(2 * overlap + steps * STEP + height % STEP, WIDTH, np.float32)
+    try:
+        rows = rows_within(height, WIDTH, np.float32, limit, overlap)
+    except DeviceError:
+        assert bytes_for(height, WIDTH, np.float32) > limit
+        return
+    assert bytes_for(rows, WIDTH, np.float32) <= limit or rows == height
+    written = np.zeros(shown, int)
+    for strip in strips(height, shown, rows, overlap):
+        written[strip.top + strip.first : strip.top + strip.last] += 1
+        assert strip.top % STEP == 0
+        assert 0 <= strip.top <= height - rows
+        assert strip.first >= (overlap if strip.top else 0)
+        assert rows - strip.last >= overlap or strip.top + rows == height
+    assert (written == 1).all()
+
+
+@pytest.mark.parametrize(("winograd", "reach"), [(False, 106), (True, 310)])
+def test_the_overlap_covers_the_layers(winograd, reach):
+    """Counted along the longest path, from the table of layers: what a rounding that tests seldom meet would need."""
+    path = [x for x in LAYERS if x.component != "history" and not x.name.startswith("KEncoder") and x.kernel == 3]
+    rows = sum(x.divisor * (4 if winograd else 1) for x in path if x.stride == 1)
+    rows += sum(x.divisor // 2 for x in path if x.stride == 2)
+    rows += 8 * 2 + (8 + 4 + 2 + 1)  # the attention's window, the decoder's upsamplings, the image's
+    assert rows == reach <= OVERLAP[winograd]
+
+
+def test_too_small_a_limit_says_what_is_needed():
+    with pytest.raises(DeviceError, match=r"memory limit: 1 MiB; a frame 960 wide needs at least \d+ MiB"):
+        rows_within(4320, 960, np.float32, 2**20, 128)
+
+
+def network_inputs(height, seed=0):
+    random = np.random.default_rng(seed)
+    shapes = ((height, WIDTH, 6), (height, WIDTH, 9), (height, WIDTH), (3, height, WIDTH, 4))
+    color, gbuffer, mask, history = (random.random(shape, dtype=np.float32) for shape in shapes)
+    return color, gbuffer, (mask < 0.7).astype(np.float32), history
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("height", [1200, 1221])
+def test_strips_have_the_bits_of_the_whole(device, precision, height):
+    weights = random_weights(2)
+    inputs = network_inputs(height)
+    whole = Network(weights, device, precision)(*inputs)
+    dtype = np.float16 if precision == "half" else np.float32
+    limit = bytes_for(2 * OVERLAP[precision != "float32-direct"] + 3 * STEP, WIDTH, dtype)
+    narrow = Network(weights, device, precision, memory_limit=limit)
+    image = narrow(*inputs)
+    assert len(narrow.layers(height, WIDTH).strips) > 2
+    np.testing.assert_array_equal(image, whole)
+
+
+def test_a_pixel_depends_on_no_more_than_the_overlap(device):
+    """One input pixel changed, everything else equal: the rows that change are within 109, as the specification says."""
+    weights = random_weights(4)
+    inputs = network_inputs(680)
+    network = Network(weights, device, "float32-direct")
+    before = network(*inputs)
+    changed = [x.copy() for x in inputs]
+    changed[0][340] += 1
+    changed[1][340] += 1
+    changed[3][:, 340] += 1
+    rows = np.flatnonzero((network(*changed) != before).any(axis=(1, 2))) // 2
+    assert len(rows)
+    assert np.abs(rows - 340).max() <= 109
+
+
+@pytest.mark.parametrize("steps", [(1, 3, 5), (0, 2, 4), (1, 1, 1)])
+def test_whole_frames_in_strips(device, steps):
+    """Motion and splat reach across strips; the image and the holes are those of the whole frame."""
+    height = 1210
+    random = np.random.default_rng(1)
+
+    def noise(*shape):
+        return random.random(shape, dtype=np.float32)
+
+    inputs = FrameInputs(
+        colors=noise(3, height, WIDTH, 3),
+        steps=steps,
+        motions=(noise(5, height, WIDTH, 2) - 0.5) * 300,
+        gbuffer=noise(height, WIDTH, 9),
+        nov=noise(height, WIDTH),
+        stencils=(noise(4, height, WIDTH) > 0.8).astype(np.float32),
+        normals=noise(4, height, WIDTH, 3),
+        positions=noise(4, height, WIDTH, 3) * 30,
+    )
+    given_arguments = {f.name: getattr(inputs, f.name) for f in fields(inputs)}
+    weights = random_weights(6)
+    whole, valid = Frame(weights, device)(**given_arguments)
+    limit = bytes_for(2 * OVERLAP[True] + 3 * STEP, WIDTH, np.float32)
+    image, valid_in_strips = Frame(weights, device, memory_limit=limit)(**given_arguments)
+    np.testing.assert_array_equal(image, whole)
+    np.testing.assert_array_equal(valid_in_strips, valid)
+    _, expected = reference_frame(replace(inputs), weights)
+    np.testing.assert_array_equal(valid, expected)

@@ -1,0 +1,236 @@
+"""Tile sizes: what is read is checked, what is kept comes back, and nothing wrong or slower is ever kept."""
+
+import io
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from stss import trials, tune
+from stss.trials import SHAPES, Trials, direct_candidates, winograd_candidates
+from stss_cl import tuning
+from stss_cl.device import DeviceError
+from stss_cl.tuning import OUTPUTS, Direct, Strip, Tuning, Winograd, built_in, keep, kept, kept_path, to_toml, trial, tuning_for
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    for cached in (tuning._in_force, tuning._built_in):
+        cached.cache_clear()
+    yield
+    for cached in (tuning._in_force, tuning._built_in):
+        cached.cache_clear()
+
+
+def fake(name="P: one", *, is_cpu=True, driver="1"):
+    return SimpleNamespace(name=name, driver=driver, is_cpu=is_cpu, max_work_group=64)
+
+
+ROW = Tuning(
+    winograd={24: Winograd(4, 2, 1, True), 32: Winograd(1, 1, 4), 64: Winograd(6, 3, 8)},
+    direct={24: Direct(1, 3, 8), 32: Direct(8, 1, 1), 64: Direct(2, 2, 64)},
+    strip=Strip(8, 2),
+)
+
+
+def test_the_built_in_rows():
+    assert built_in(fake()).winograd is not None
+    assert built_in(fake(is_cpu=False)).winograd is None
+    for row in (built_in(fake()), built_in(fake(is_cpu=False))):
+        assert tuple(row.direct) == OUTPUTS
+
+
+def test_a_device_may_have_a_row_of_its_own(tmp_path, monkeypatch):
+    text = tuning.BUILT_IN.read_text() + '\n[device."P: one"]\n' + to_toml(ROW).replace("\n[", '\n[device."P: one".')
+    path = tmp_path / "tuning.toml"
+    path.write_text(text)
+    monkeypatch.setattr(tuning, "BUILT_IN", path)
+    assert built_in(fake()) == ROW
+    assert built_in(fake("P: two")) != ROW
+
+
+@pytest.mark.parametrize("row", [ROW, replace(ROW, winograd=None)])
+def test_what_is_kept_comes_back(row):
+    device = fake('P: a "name" with \\ and é')
+    before = tuning_for(device)
+    assert kept(device) is None
+    keep(device, row)
+    assert kept(device) == row == tuning_for(device)
+    for other in (fake("P: two"), replace_driver(device)):
+        assert tuning_for(other) == built_in(other)
+    keep(device, None)
+    assert tuning_for(device) == before
+
+
+def replace_driver(device):
+    return fake(device.name, driver="2")
+
+
+def test_other_kernels_need_other_rows(monkeypatch):
+    keep(fake(), ROW)
+    monkeypatch.setattr(tuning, "_kernels", lambda: ("changed",))
+    assert kept(fake()) is None
+
+
+def test_only_the_owner_can_write_to_it():
+    assert keep(fake(), ROW).parent.stat().st_mode & 0o077 == 0
+
+
+def test_a_trial_ends():
+    device = fake()
+    with trial(ROW):
+        assert tuning_for(device) == ROW
+    assert tuning_for(device) == built_in(device)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("tiles = 4, rows = 2", "tiles = 4, rows = 3", r"winograd\.24\.rows: expected a divisor of 4, found 3"),
+        ("block = 8", "block = 5", r"winograd\.64\.block: expected a divisor of 8, found 5"),
+        ("block = 3, group = 8", "block = 2, group = 8", r"direct\.24\.block: expected a divisor of 3, found 2"),
+        ("pixels = 8, block", "pixels = 9, block", r"direct\.32\.pixels: expected a whole number from 1 to 8, found 9"),
+        ("pixels = 8, group", "pixels = 6, group", r"strip\.pixels: expected a multiple of 4, found 6"),
+        ("tiles = 4", "tiles = true", r"winograd\.24\.tiles: expected a whole number from 1 to 32, found True"),
+        ("prefetch = true", "prefetch = 1", r"winograd\.24\.prefetch: expected true or false, found 1"),
+        ("prefetch = true", "prefetch = true, lanes = 8", r"winograd\.24\.lanes: unknown key"),
+        ("[winograd]", "[winogard]", r"winogard: unknown key"),
+        ("[direct]", "[strip2]", r"direct: expected a table, found nothing"),
+        ('"P: one"', '"P: two"', r"device: expected 'P: one', found 'P: two'"),
+        ("[direct]", "[direct", "cannot be read as TOML"),
+    ],
+)
+def test_a_wrong_row_is_named(old, new, message):
+    path = keep(fake(), ROW)
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(DeviceError, match=f"tuning {path}: {message}") as raised:
+        tuning_for(fake())
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("is_cpu", [True, False])
+@pytest.mark.parametrize("outputs", OUTPUTS)
+def test_every_candidate_could_be_kept(outputs, is_cpu):
+    device = fake(is_cpu=is_cpu)
+    assert all(sizes.group <= device.max_work_group for sizes in direct_candidates(device, outputs))
+    for sizes in [*direct_candidates(device, outputs), *winograd_candidates(device, outputs)]:
+        key = "winograd" if isinstance(sizes, Winograd) else "direct"
+        row = replace(ROW, **{key: {**getattr(ROW, key), outputs: sizes}})
+        keep(device, row)
+        assert kept(device) == row
+
+
+def shape_like(outputs, stride, gated):
+    return next(s for s in SHAPES if (s.outputs, s.stride, s.gated) == (outputs, stride, gated))
+
+
+@pytest.mark.parametrize("shape", [shape_like(24, 1, True), shape_like(24, 2, False), shape_like(64, 1, False)], ids=str)
+def test_what_departs_from_the_plain_kernel_is_refused(device, shape, monkeypatch):
+    """Rows left out by one candidate, one wrong bias by another: neither has a time; the others do."""
+    short, wrong, good = Direct(2, shape.outputs // 8, 1), Direct(4, 1, 1), Direct(2, 1, 1)
+    real = trials.conv
+
+    def faulty(device, stage, name, packed, *args, **kwargs):
+        sizes = tuning_for(device).direct.get(shape.outputs)
+        if sizes == wrong:
+            bias = packed.bias.copy()
+            bias[-1] += 0.01
+            packed = replace(packed, bias=bias)
+        launch = real(device, stage, name, packed, *args, **kwargs)
+        return replace(launch, size=(*launch.size[:2], launch.size[2] - 1)) if sizes == short else launch
+
+    monkeypatch.setattr(trials, "conv", faulty)
+    found = Trials()
+    fast = [built_in(device).winograd[shape.outputs]] if shape.stride == 1 and built_in(device).winograd else []
+    found.time(device, shape, (32, 64), [short, wrong, good, *fast], 1)
+    assert set(found.times[shape]) == {good, *fast}
+    assert set(found.refused) == {(shape.outputs, short), (shape.outputs, wrong)}
+    assert found.total(short, [shape]) == np.inf
+    assert 0 < found.total(good, [shape]) < np.inf
+
+
+def test_what_does_not_build_is_refused(device):
+    shape, wide = shape_like(24, 2, False), Direct(1, 3, 2**20)
+    found = Trials()
+    found.time(device, shape, (16, 16), [wide], 1)
+    assert found.refused[24, wide]
+
+
+def timed(monkeypatch, seconds):
+    """Have ``seconds(sizes, again)`` in place of a measurement; ``again``: in the second round."""
+
+    def time(self, device, shape, size, candidates, rounds):
+        self.times[shape] = {c: seconds(c, rounds == tune.DUEL) for c in candidates}
+
+    monkeypatch.setattr(Trials, "time", time)
+
+
+@pytest.mark.parametrize(
+    ("first", "again", "taken"), [(0.97, 0.97, True), (0.985, 0.9, False), (0.9, 0.985, False), (1.1, 0.9, False)]
+)
+def test_the_built_in_stays_unless_beaten_twice(monkeypatch, first, again, taken):
+    """By more than 2 % among all candidates, and again one against one."""
+    device = fake()
+    quick = Winograd(12, 4, 3, True)
+    timed(monkeypatch, lambda sizes, second: (again if second else first) if sizes == quick else 1.0)
+    found, _, _ = tune.tune(device, (8, 8))
+    want = built_in(device)
+    assert found == (replace(want, winograd={**want.winograd, 24: quick}) if taken else want)
+
+
+def test_direct_sizes_may_not_lose_elsewhere(monkeypatch):
+    """A CPU uses them at stride 2 only, but float32-direct everywhere."""
+    device, quick = fake(), Direct(2, 3, 1)
+
+    def time(self, device, shape, size, candidates, rounds):
+        self.times[shape] = {c: (0.5 if shape.stride == 2 else 1.5) if c == quick else 1.0 for c in candidates}
+
+    monkeypatch.setattr(Trials, "time", time)
+    assert tune.tune(device, (8, 8))[0] == built_in(device)
+
+
+@pytest.mark.parametrize(("seconds", "wins"), [(0.5, True), (0.99, False), (2.0, False)])
+def test_winograd_comes_where_it_is_faster(monkeypatch, seconds, wins):
+    device = fake(is_cpu=False)
+    timed(monkeypatch, lambda sizes, _: seconds if isinstance(sizes, Winograd) else 1.0)
+    assert (tune.tune(device, (8, 8))[0].winograd is not None) == wins
+
+
+def test_winograd_goes_where_it_is_slower(monkeypatch):
+    timed(monkeypatch, lambda sizes, _: 2.0 if isinstance(sizes, Winograd) else 1.0)
+    assert tune.tune(fake(), (8, 8))[0].winograd is None
+
+
+def run(device, monkeypatch, **kwargs):
+    monkeypatch.setattr(tune, "choose", lambda name, tell: device)
+    out, told = io.StringIO(), []
+    tune.run(None, (32, 32), console=Console(file=out, width=200), tell=told.append, **{"show": False, **kwargs})
+    return out.getvalue(), told
+
+
+def test_the_command_on_a_device(device, monkeypatch):
+    """A few shapes with few candidates, for real: whatever it finds can be read and run."""
+    monkeypatch.setattr(tune, "SHAPES", [shape_like(n, 1, False) for n in OUTPUTS] + [shape_like(24, 2, True)])
+    for kind, of in ((direct_candidates, "direct_candidates"), (winograd_candidates, "winograd_candidates")):
+        monkeypatch.setattr(tune, of, lambda device, outputs, kind=kind: kind(device, outputs)[:1])
+    out, told = run(device, monkeypatch)
+    assert "winograd 24" in out
+    assert len(told) == 4
+    assert (kept(device) is not None) == ("kept: " in out)
+    shown, _ = run(device, monkeypatch, show=True)
+    assert to_toml(tuning_for(device)) in shown
+
+
+def test_a_wrong_row_is_replaced(device, monkeypatch):
+    path = kept_path(device)
+    path.write_text("nonsense")
+    timed(monkeypatch, lambda sizes, _: 1.0)
+    out, told = run(device, monkeypatch)
+    assert "the built-in row stays" in out
+    assert any("removed" in line and str(path) in line for line in told)
+    assert tuning_for(device) == built_in(device)

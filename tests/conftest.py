@@ -1,0 +1,24 @@
+"""Fixtures shared by all tests."""
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+# CI runs the same cases every time; a developer's machine looks for new ones.
+settings.register_profile("ci", derandomize=True, deadline=None)
+settings.register_profile("dev", deadline=None)
+settings.load_profile("ci" if os.environ.get("CI") else "dev")
+
+
+@pytest.fixture(scope="session")
+def reference_data() -> Path:
+    """The folder of reference data, which is not part of the project."""
+    places = [Path(__file__).parents[2] / "shared" / "reference"]
+    if named := os.environ.get("STSS_REFERENCE_DATA"):
+        places.insert(0, Path(named))
+    for place in places:
+        if place.is_dir():
+            return place
+    pytest.skip("no reference data: neither ../shared/reference nor $STSS_REFERENCE_DATA is there")

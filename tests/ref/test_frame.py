@@ -1,0 +1,164 @@
+"""The whole frame and the whole network: properties that need no other implementation."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from conformance.strategies import SEEDS, motions, sizes
+from stss_ref.arrays import ArrayError
+from stss_ref.conv import sigmoid
+from stss_ref.frame import FrameInputs, frame, prepare
+from stss_ref.network import network
+from stss_ref.resample import upsample_centres
+from stss_ref.weights import random as random_weights
+from stss_ref.weights import zeros
+
+
+def still_scene(size, seed, steps=(1, 3, 5)):
+    """A scene in which nothing moves, seen by a still camera."""
+    random = np.random.default_rng(seed)
+    color, gbuffer = random.random((*size, 3)), random.random((*size, 9))
+    inputs = FrameInputs(
+        colors=np.stack([color] * 3),
+        steps=steps,
+        motions=np.zeros((max(steps), *size, 2)),
+        gbuffer=gbuffer,
+        nov=random.random(size),
+        stencils=np.zeros((4, *size)),
+        normals=np.stack([gbuffer[..., :3]] * 4),
+        positions=np.zeros((4, *size, 3)),
+    )
+    return astype(inputs, np.float64)
+
+
+def astype(inputs, dtype):
+    arrays = {f.name: getattr(inputs, f.name).astype(dtype) for f in fields(inputs) if f.name != "steps"}
+    return replace(inputs, **arrays)
+
+
+def network_inputs(size, seed, dtype=np.float64):
+    random = np.random.default_rng(seed)
+    shapes = ((*size, 6), (*size, 9), size, (3, *size, 4))
+    return [random.random(shape).astype(dtype) for shape in shapes]
+
+
+@given(size=sizes(12), seed=SEEDS)
+def test_a_still_scene_needs_no_extrapolation(size, seed):
+    """Nothing moves: the extrapolation frame is the supersampled one, bit for bit."""
+    weights = random_weights(7)
+    ef, valid = frame(still_scene(size, seed, (1, 3, 5)), weights)
+    sf, _ = frame(still_scene(size, seed, (0, 2, 4)), weights)
+    assert valid.all()
+    np.testing.assert_array_equal(ef, sf)
+
+
+@given(data=st.data(), size=sizes(10), seed=SEEDS)
+def test_without_a_residual_it_is_the_bilinear_image(data, size, seed):
+    """The `bilinear` weights add exactly 0, for any motion."""
+    inputs = replace(still_scene(size, seed), motions=np.stack([data.draw(motions(size)) for _ in range(5)]))
+    image, valid = frame(inputs, zeros())
+    prepared = prepare(inputs)
+    np.testing.assert_array_equal(image, upsample_centres(prepared.color[..., :3]))
+    np.testing.assert_array_equal(valid, prepared.mask == 1)
+
+
+def test_what_the_network_is_given():
+    """Order and content of the channels, by hand: an EF whose middle frame is there and whose oldest is missing."""
+    inputs = still_scene((3, 4), 0, (1, 3, 3))
+    colors = np.stack([np.full((3, 4, 3), v) for v in (0.25, 0.5, 0.5)])
+    prepared = prepare(replace(inputs, colors=colors, motions=np.zeros((3, 3, 4, 2))))
+    assert prepared.history.shape == (3, 3, 4, 4)
+    oldest, middle, newest = prepared.history
+    for entry, color, mask in ((oldest, 0.5, 0), (middle, 0.5, 1), (newest, 0.25, 1)):
+        assert (entry[..., :3] == color).all()
+        assert (entry[..., 3] == mask).all()
+    assert (prepared.color == 0.25).all()
+    assert prepared.color.shape == (3, 4, 6)
+
+
+def test_holes_are_filled_in_the_first_three_channels_only():
+    """Occlusion warp first, then the warped frame with what was read in its holes."""
+    size = (1, 6)
+    motion = np.zeros((1, *size, 2))
+    motion[0, 0, 2, 0] = -2.0  # pixel 2 shows what was at 0; its motion splats to pixels 0 and 1
+    inputs = still_scene(size, 3, (1, 1, 1))
+    stencils = np.zeros((4, *size))
+    stencils[0, 0, 0] = 5.0  # pixel 0 is another object now: a hole
+    prepared = prepare(replace(inputs, motions=motion, stencils=stencils))
+    assert prepared.mask[0].tolist() == [0, 1, 1, 1, 1, 1]
+    color = inputs.colors[0]
+    np.testing.assert_array_equal(prepared.color[0, 0, 3:], color[0, 0])
+    np.testing.assert_array_equal(prepared.color[0, 0, :3], color[0, 0])  # 0 - 2 is clamped to the border
+    np.testing.assert_array_equal(prepared.color[0, 2, :3], color[0, 0])
+
+
+def test_a_frame_off_screen_is_all_hole():
+    """Everything came from outside: no pixel is valid, and the result is still a finite image."""
+    inputs = replace(still_scene((9, 7), 5), motions=np.full((5, 9, 7, 2), 1e6))
+    image, valid = frame(inputs, random_weights(1))
+    assert not valid.any()
+    assert np.isfinite(image).all()
+
+
+@settings(max_examples=25)
+@given(size=sizes(20), seed=SEEDS)
+def test_any_size_gives_twice_the_size_in_the_dtype_given(size, seed):
+    weights = random_weights(seed)
+    images = [network(*network_inputs(size, seed, dtype), weights) for dtype in (np.float32, np.float64)]
+    for image, dtype in zip(images, (np.float32, np.float64), strict=True):
+        assert image.shape == (2 * size[0], 2 * size[1], 3)
+        assert image.dtype == dtype
+
+
+@settings(max_examples=20)
+@given(size=sizes(20), seed=SEEDS)
+def test_padding_is_repeating_the_last_row_and_column(size, seed):
+    """Extending the inputs by hand to multiples of 8 gives the same image, bit for bit."""
+    height, width = size
+    inputs = network_inputs(size, seed)
+    weights = random_weights(seed)
+    rows, columns = (np.minimum(np.arange(-(-n // 8) * 8), n - 1) for n in size)
+    color, gbuffer, mask, history = inputs
+    padded = [x[np.ix_(rows, columns)] for x in (color, gbuffer, mask)] + [history[:, rows[:, None], columns]]
+    extended = network(*(np.ascontiguousarray(x) for x in padded), weights)
+    np.testing.assert_array_equal(network(*inputs, weights), extended[: 2 * height, : 2 * width])
+
+
+@pytest.mark.parametrize(
+    ("which", "value", "message"),
+    [
+        (0, np.zeros((8, 8, 5)), r"color: expected shape \(any, any, 6\), got \(8, 8, 5\)"),
+        (1, np.zeros((8, 9, 9)), r"gbuffer: expected shape \(8, 8, 9\), got \(8, 9, 9\)"),
+        (2, np.full((8, 8), np.inf), r"mask: 64 non-finite values, first at index \(0, 0\)"),
+        (3, np.zeros((3, 8, 8, 4), np.float32), r"history: expected dtype float64, got float32"),
+    ],
+)
+def test_network_errors_name_the_array(which, value, message):
+    inputs = network_inputs((8, 8), 0)
+    inputs[which] = value
+    with pytest.raises(ArrayError, match=message):
+        network(*inputs, random_weights(0))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("steps", (3, 1, 5), "steps: expected three numbers >= 0, newest"),
+        ("motions", np.zeros((4, 4, 4, 2)), r"motions: expected \(k, 4, 4, 2\) with k >= 5, got \(4, 4, 4, 2\)"),
+        ("nov", np.full((4, 4), np.nan), "nov: 16 non-finite"),
+        ("positions", np.zeros((4, 4, 4, 3), np.float32), "positions: expected dtype float64, got float32"),
+    ],
+)
+def test_frame_errors_name_the_array(name, value, message):
+    with pytest.raises(ArrayError, match=message):
+        frame(replace(still_scene((4, 4), 0), **{name: value}), zeros())
+
+
+def test_sigmoid_has_no_overflow_and_two_accurate_tails():
+    x = np.array([-1000.0, -50.0, 0.0, 50.0, 1000.0])
+    with np.errstate(all="raise", under="ignore"):
+        y = sigmoid(x)
+    assert y.tolist() == [0.0, np.exp(-50.0) / (1 + np.exp(-50.0)), 0.5, 1 / (1 + np.exp(-50.0)), 1.0]

@@ -1,0 +1,367 @@
+"""Hand-computed cases and properties of the image-space stages."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from conformance.strategies import SEEDS, frames, masks, motions, sizes
+from stss_ref.arrays import ArrayError
+from stss_ref.depth import normalise_depth
+from stss_ref.holes import HoleLimits, holes
+from stss_ref.loss import loss, upsample_mask
+from stss_ref.motion_chain import motion_chain
+from stss_ref.occlusion_warp import occlusion_warp, splat
+from stss_ref.rrm import draw_rectangle, rrm
+from stss_ref.warp import warp
+
+
+def constant(size, *values):
+    return np.broadcast_to(np.array(values, np.float64), (*size, len(values))).copy()
+
+
+class TestWarp:
+    def test_a_shifted_image(self):
+        """The image moved right by 1 and down by 2: what is at (x, y) now was at (x - 1, y - 2)."""
+        earlier = np.arange(30.0).reshape(5, 6, 1)
+        warped, inside = warp(earlier, constant((5, 6), -1, -2))
+        np.testing.assert_array_equal(warped[2:, 1:], earlier[:3, :5])
+        expected = np.zeros((5, 6), bool)
+        expected[2:, 1:] = True
+        np.testing.assert_array_equal(inside, expected)
+        assert warped[0, 0, 0] == earlier[0, 0, 0]  # the nearest border pixel
+
+    def test_between_pixels(self):
+        """A quarter to the right, half down: (3/4 a + 1/4 b) above and below, then their mean."""
+        earlier = np.array([[0.0, 4.0], [8.0, 16.0]])[..., None]
+        warped, _ = warp(earlier, constant((2, 2), 0.25, 0.5))
+        assert warped[0, 0, 0] == (1.0 + 10.0) / 2
+
+    def test_the_last_pixel_is_inside_and_a_hair_beyond_is_not(self):
+        motion = np.zeros((1, 4, 2))
+        motion[0, 2, 0] = 1.0
+        motion[0, 3, 0] = 2.0**-20
+        np.testing.assert_array_equal(warp(np.zeros((1, 4, 1)), motion)[1], [[True, True, True, False]])
+
+    @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+    def test_non_finite_motion_is_off_screen_and_reads_its_own_pixel(self, bad):
+        earlier = np.arange(6.0).reshape(2, 3, 1)
+        motion = np.zeros((2, 3, 2))
+        motion[1, 1, 1] = bad
+        warped, inside = warp(earlier, motion)
+        np.testing.assert_array_equal(warped, earlier)
+        assert not inside[1, 1]
+        assert inside.sum() == 5
+
+    @given(data=st.data(), size=sizes())
+    def test_one_colour_stays_one_colour(self, data, size):
+        """A flat frame comes back bit for bit, wherever it is read."""
+        for dtype in (np.float32, np.float64):
+            flat = data.draw(frames(size, 3, kind="flat")).astype(dtype)
+            warped, _ = warp(flat, data.draw(motions(size)).astype(dtype))
+            assert warped.dtype == dtype
+            np.testing.assert_array_equal(warped, flat)
+
+    @given(data=st.data(), size=sizes())
+    def test_no_motion_changes_nothing(self, data, size):
+        color = data.draw(frames(size, 3))
+        warped, inside = warp(color, np.zeros((*size, 2)))
+        np.testing.assert_array_equal(warped, color)
+        assert inside.all()
+
+    @given(data=st.data(), size=sizes())
+    def test_no_new_extremes(self, data, size):
+        """Interpolation stays between the darkest and the brightest pixel; 2 roundings of a lerp may exceed it by as many ulp."""
+        color = data.draw(frames(size, 1))
+        warped, _ = warp(color, data.draw(motions(size)))
+        assert color.min() - 2**-51 <= warped.min() <= warped.max() <= color.max() + 2**-51
+
+    def test_errors_name_the_array(self):
+        with pytest.raises(ArrayError, match=r"motion: expected shape \(2, 3, 2\), got \(2, 3, 3\)"):
+            warp(np.zeros((2, 3, 1)), np.zeros((2, 3, 3)))
+        color = np.zeros((2, 3, 1))
+        color[0, 2] = np.nan
+        with pytest.raises(ArrayError, match=r"color: 1 non-finite values, first at index \(0, 2, 0\)"):
+            warp(color, np.zeros((2, 3, 2)))
+
+
+class TestMotionChain:
+    def test_steady_motion_adds_up(self):
+        """A whole pixel a frame over three frames is three pixels, as long as the chain stays inside."""
+        chained = motion_chain(np.stack([constant((4, 9), -1, 0)] * 3))
+        np.testing.assert_array_equal(chained[:3, 4:], constant((3, 5), -3, 0))
+        # Pixel 1 lands on 0 and takes one more step there, then leaves the frame and stops; pixel 0 stops at once:
+        # trunc(-1) is outside, and outside reads 0.
+        np.testing.assert_array_equal(chained[0, :4, 0], [-1, -2, -3, -3])
+        # In the last row two of the four pixels lie outside: 0, so the chain stops.
+        np.testing.assert_array_equal(chained[3, 4:], constant((5,), -1, 0))
+
+    def test_the_longest_of_four_wins(self):
+        earlier = np.array([[[1.0, 0], [0, -3]], [[2, 2], [-1, 1]]])
+        first = np.zeros((2, 2, 2))
+        first[0, 0] = 0.25
+        assert motion_chain(np.stack([first, earlier]))[0, 0].tolist() == [0.25, -2.75]
+
+    def test_a_still_pixel_stops_the_chain(self):
+        earlier = np.array([[[1.0, 0], [0, -3]], [[0, 0], [-1, 1]]])
+        first = np.full((2, 2, 2), 0.25)
+        assert motion_chain(np.stack([first, earlier]))[0, 0].tolist() == [0.25, 0.25]
+
+    def test_truncation_is_towards_zero(self):
+        """Half a pixel left of the frame still reads its first column."""
+        earlier = constant((2, 2), 5, 0)
+        first = np.zeros((2, 2, 2))
+        first[0, 0] = (-0.5, 0)
+        assert motion_chain(np.stack([first, earlier]))[0, 0].tolist() == [4.5, 0]
+
+    def test_the_first_of_equally_long_ones_stays(self):
+        earlier = np.array([[[3.0, 4], [5, 0]], [[0, 5], [-4, 3]]])
+        assert motion_chain(np.stack([np.zeros((2, 2, 2)), earlier]))[0, 0].tolist() == [3, 4]
+
+    def test_non_finite_motion_stays_non_finite(self):
+        earlier = constant((3, 3), 1, 1)
+        earlier[1, 1, 0] = np.nan
+        first = np.zeros((3, 3, 2))
+        first[2, 2, 0] = np.inf
+        chained = motion_chain(np.stack([first, earlier]))
+        finite = np.isfinite(chained).all(axis=-1)
+        # Whoever has the bad pixel among its four; and the one that was bad to begin with.
+        assert finite.tolist() == [[False, False, True], [False, False, True], [True, True, False]]
+
+    @pytest.mark.parametrize(("gather", "expected"), [("nearest", 2.0 + 0.75), ("bilinear", 1.75 + 0.75)])
+    def test_other_gathers(self, gather, expected):
+        earlier = np.zeros((1, 3, 2))
+        earlier[0, :, 0] = (1, 2, 3)
+        first = np.zeros((1, 3, 2))
+        first[0, 0, 0] = 0.75
+        assert motion_chain(np.stack([first, earlier]), gather)[0, 0, 0] == expected
+
+    @given(data=st.data(), size=sizes())
+    def test_one_motion_is_itself(self, data, size):
+        motion = data.draw(motions(size))
+        np.testing.assert_array_equal(motion_chain(motion[None]), motion)
+
+    @given(data=st.data(), size=sizes())
+    def test_swapping_the_axes_swaps_the_motion(self, data, size):
+        """x and y are treated alike; in the choice among equally long motions the raster order shows, so none is equally long."""
+        seed = data.draw(SEEDS)
+        chain = np.random.default_rng(seed).uniform(-3, 3, (3, *size, 2))
+        turned = motion_chain(np.ascontiguousarray(chain.transpose(0, 2, 1, 3)[..., ::-1]))
+        np.testing.assert_array_equal(turned.transpose(1, 0, 2)[..., ::-1], motion_chain(chain))
+
+
+def hole_inputs(size=(4, 4), **changed):
+    inputs = {
+        "motion": constant(size, 0, 0),
+        "stencil_previous": np.zeros(size),
+        "stencil": np.zeros(size),
+        "normal_previous": constant(size, 0, 0, 1),
+        "normal": constant(size, 0, 0, 1),
+        "position_previous": constant(size, 0, 0, 0),
+        "position": constant(size, 0, 0, 0),
+        "nov": np.ones(size),
+        "depth": np.zeros(size),
+    }
+    return {name: np.asarray(changed.get(name, array), array.dtype) for name, array in inputs.items()}
+
+
+class TestHoles:
+    def test_an_unmoved_scene_has_none(self):
+        assert holes(**hole_inputs()).all()
+
+    @pytest.mark.parametrize(
+        ("nov", "depth", "bias"),
+        [(1, 0, 7.5), (-1, 0, 7.5), (0, 0, 45), (0.5, 0, 26.25), (1, 0.5, 32.5), (0, 1, 95)],
+    )
+    def test_the_bias_of_a_static_surface(self, nov, depth, bias):
+        """A distance of exactly the bias is no hole yet; the next number is."""
+        for distance, valid in ((bias, True), (np.nextafter(bias, np.inf), False)):
+            position = constant((4, 4), distance, 0, 0)
+            inputs = hole_inputs(position=position, nov=np.full((4, 4), nov), depth=np.full((4, 4), depth))
+            assert (holes(**inputs) == valid).all()
+
+    def test_the_farthest_of_four_taps_counts_even_with_no_weight(self):
+        previous = constant((4, 4), 0, 0, 0)
+        previous[2, 2] = (100, 0, 0)
+        valid = holes(**hole_inputs(position_previous=previous))
+        assert not valid[1:3, 1:3].any()
+        assert valid.sum() == 12
+
+    def test_moving_objects_are_judged_by_their_normals(self):
+        angle = np.arccos(0.97)
+        one = np.ones((4, 4))
+        turned = constant((4, 4), np.sin(angle), 0, np.cos(angle))
+        moving = {"stencil": one, "stencil_previous": one, "position": constant((4, 4), 1e6, 0, 0)}
+        assert holes(**hole_inputs(**moving)).all()  # far away, but it moves
+        assert not holes(**hole_inputs(**moving, normal=turned)).any()
+        assert holes(**hole_inputs(**moving, normal=constant((4, 4), 0, 0, 0), normal_previous=constant((4, 4), 0, 0, 0))).all()
+        assert not holes(**hole_inputs(**moving, normal=constant((4, 4), 0, 0, 0))).any()
+
+    def test_another_object_is_a_hole(self):
+        inputs = hole_inputs(stencil=np.full((4, 4), 2.0), stencil_previous=np.full((4, 4), 1.0))
+        assert not holes(**inputs).any()
+        inputs = hole_inputs(stencil=np.full((4, 4), 1 / 3), stencil_previous=np.zeros((4, 4)))
+        assert holes(**inputs).all()  # 3 |s - s'| = 1 is not > 1
+
+    def test_off_screen_is_a_hole(self):
+        valid = holes(**hole_inputs(motion=constant((4, 4), 1, 0)))
+        assert valid[:, :3].all()
+        assert not valid[:, 3].any()
+
+    @pytest.mark.parametrize("bad", [np.nan, np.inf])
+    def test_a_position_that_is_no_number_is_a_hole(self, bad):
+        position = constant((4, 4), 0, 0, 0)
+        position[3, 3, 1] = bad
+        valid = holes(**hole_inputs(position=position))
+        assert not valid[3, 3]
+        assert valid.sum() == 15
+        assert not holes(**hole_inputs(position=position, position_previous=position))[3, 3]
+
+    def test_the_limits_are_parameters(self):
+        inputs = hole_inputs(position=constant((4, 4), 10, 0, 0))
+        assert not holes(**inputs).any()
+        assert holes(**inputs, limits=HoleLimits(facing=11)).all()
+
+    @given(data=st.data(), size=sizes(8))
+    def test_moving_the_whole_world_changes_nothing(self, data, size):
+        """Only differences of position count; whole centimetres are moved exactly."""
+        random = np.random.default_rng(data.draw(SEEDS))
+        position, previous = (random.integers(-60, 60, (*size, 3)).astype(np.float64) for _ in range(2))
+        inputs = hole_inputs(size, motion=data.draw(motions(size)), nov=random.random(size), depth=random.random(size))
+        first = holes(**{**inputs, "position": position, "position_previous": previous})
+        moved = holes(**{**inputs, "position": position + 4096, "position_previous": previous + 4096})
+        np.testing.assert_array_equal(first, moved)
+
+
+class TestOcclusionWarp:
+    def test_a_disc_over_a_background(self):
+        """A disc that moved right by 3 uncovers background; there the splat holds the disc's motion, which looks where it came from."""
+        size = (9, 15)
+        y, x = np.indices(size)
+        disc = (x - 9) ** 2 + (y - 4) ** 2 <= 4
+        was = (x - 6) ** 2 + (y - 4) ** 2 <= 4
+        motion = np.where(disc[..., None], (-3.0, 0.0), (0.0, 0.0))
+        depth = np.where(disc, 0.2, 0.8)
+        color = np.where(was, 1.0, 0.25)[..., None]
+        warped, _ = warp(color, motion)
+        valid = disc | ~was
+        occlusion_motion, filled = occlusion_warp(color, warped, motion, depth, valid)
+        uncovered = was & ~disc
+        assert uncovered.any()
+        # The uncovered background shows what the disc's own motion leads to: background, 3 pixels to the left.
+        np.testing.assert_array_equal(occlusion_motion[uncovered], np.broadcast_to((-3.0, 0.0), (uncovered.sum(), 2)))
+        np.testing.assert_array_equal(filled[..., 0], np.where(disc, 1.0, 0.25))
+
+    def test_the_nearer_of_two_splats_stays(self):
+        motion = np.zeros((1, 4, 2))
+        motion[0, :, 0] = (2, 1, 0, -3)
+        depth = np.array([[0.3, 0.2, 0.4, 0.5]])
+        # (0): pixel 3; (1): nobody but 3 (its right neighbour); (2): pixels 0, 1, 2: 1 is nearest; (3): those again.
+        np.testing.assert_array_equal(splat(motion, depth)[0, :, 0], [-3, -3, 1, 1])
+
+    def test_among_equal_depths_the_first_in_raster_order_stays(self):
+        motion = np.zeros((2, 2, 2))
+        motion[0, 0], motion[0, 1], motion[1, 0], motion[1, 1] = (1, 1), (0, 1), (1, 0), (0, 0)
+        result = splat(motion, np.full((2, 2), 0.5))
+        assert result[1, 1].tolist() == [1, 1]
+        assert result[0, 0].tolist() == [0, 0]
+
+    def test_what_lies_deeper_than_ten_never_splats(self):
+        motion = constant((1, 2), 0.5, 0)
+        depth = np.array([[10.0, np.nextafter(10, 0)]])
+        assert splat(motion, depth).tolist() == [[[0, 0], [0.5, 0]]]
+
+    @given(data=st.data(), size=sizes(8))
+    def test_it_is_the_sequential_splat(self, data, size):
+        """The sort gives what one loop over pixels in raster order gives, ties included."""
+        motion = data.draw(motions(size))
+        random = np.random.default_rng(data.draw(SEEDS))
+        depth = random.integers(0, 4, size) / 4 if data.draw(st.booleans()) else random.random(size)
+        buffer, expected = np.full(size, 10.0), np.zeros((*size, 2))
+        for y, x in np.ndindex(size):
+            dx, dy = motion[y, x]
+            for j in (0, 1):
+                for i in (0, 1):
+                    u, v = int(np.floor(x + dx)) + i, int(np.floor(y + dy)) + j
+                    if 0 <= u < size[1] and 0 <= v < size[0] and depth[y, x] < buffer[v, u]:
+                        buffer[v, u], expected[v, u] = depth[y, x], (dx, dy)
+        np.testing.assert_array_equal(splat(motion, depth), expected)
+
+    @given(data=st.data(), size=sizes(10))
+    def test_valid_pixels_are_left_alone(self, data, size):
+        color, motion, valid = data.draw(frames(size, 3)), data.draw(motions(size)), data.draw(masks(size))
+        warped, _ = warp(color, motion)
+        depth = np.full(size, 0.5)
+        _, filled = occlusion_warp(color, warped, motion, depth, valid)
+        np.testing.assert_array_equal(filled[valid], warped[valid])
+
+    def test_non_finite_motion_writes_nothing(self):
+        motion = constant((2, 2), np.nan, 0)
+        np.testing.assert_array_equal(splat(motion, np.zeros((2, 2))), np.zeros((2, 2, 2)))
+
+
+class TestRRM:
+    def test_a_rectangle_is_cleared(self):
+        masked = rrm(np.ones((4, 5), np.uint8), (1, 2, 2, 3))
+        assert masked.sum() == 20 - 6
+        assert not masked[1:3, 2:5].any()
+        assert masked.dtype == np.uint8
+
+    @pytest.mark.parametrize("rectangle", [(-1, 0, 1, 1), (0, 0, 5, 1), (3, 0, 2, 1), (0, 5, 1, 1)])
+    def test_a_rectangle_outside_is_an_error(self, rectangle):
+        with pytest.raises(ArrayError, match="rectangle"):
+            rrm(np.ones((4, 5)), rectangle)
+
+    @given(height=st.integers(4, 90), width=st.integers(4, 90), seed=SEEDS)
+    def test_drawn_rectangles_keep_the_rule(self, height, width, seed):
+        y, x, h, w = draw_rectangle(height, width, np.random.default_rng(seed))
+        assert 1 <= h <= height // 4
+        assert 1 <= w <= min(height * width // (16 * h), width // 4)
+        assert 0 <= y <= height - h
+        assert 0 <= x <= width - w
+        assert h * w * 16 <= height * width
+
+    def test_every_height_and_both_corners_occur(self):
+        drawn = {draw_rectangle(8, 8, np.random.default_rng(seed)) for seed in range(800)}
+        assert {h for _, _, h, _ in drawn} == {1, 2}
+        assert {w for _, _, _, w in drawn} == {1, 2}
+        assert {y + h for y, _, h, _ in drawn} >= {1, 8}
+
+    def test_too_small_a_mask_is_an_error(self):
+        with pytest.raises(ArrayError, match="at least 4 x 4, got 3 x 9"):
+            draw_rectangle(3, 9, np.random.default_rng(0))
+
+
+class TestLoss:
+    def test_by_hand(self):
+        """One of four low-resolution pixels is masked; its error counts once in each mean."""
+        truth, output = np.zeros((4, 4, 3)), np.zeros((4, 4, 3))
+        output[:2, :2] = 0.5
+        mask = np.array([[0.0, 1], [1, 1]])
+        # Upsampled, M is 0 only where no valid pixel has weight: the corner pixel (0, 0).
+        expected_mask = np.ones((4, 4))
+        expected_mask[0, 0] = 0
+        np.testing.assert_array_equal(upsample_mask(mask), expected_mask)
+        assert loss(output, truth, mask, perceptual=1.0) == 0.5 * 4 / 16 + 0.5 + 0.01
+
+    def test_no_hole_is_plain_l1(self):
+        assert loss(np.ones((4, 4, 3)), np.zeros((4, 4, 3)), np.ones((2, 2))) == 1.0
+
+
+class TestDepth:
+    def test_background_takes_the_largest_real_depth(self):
+        depth = np.array([[0.0, 2.0], [1e10, 4.0], [np.inf, np.nan], [-1.0, 3.0]])
+        scaled = normalise_depth(depth, "scale")
+        np.testing.assert_array_equal(scaled, (np.array([[4.0, 2], [4, 4], [4, 4], [4, 3]]) - 2) / (2 + 1e-6))
+        np.testing.assert_array_equal(normalise_depth(depth / 8, "clip")[0], [0.5, 0.25])
+
+    def test_constant_and_empty_frames(self):
+        np.testing.assert_array_equal(normalise_depth(np.full((2, 2), 5.0), "scale"), np.zeros((2, 2)))
+        np.testing.assert_array_equal(normalise_depth(np.full((2, 2), np.inf), "clip"), np.ones((2, 2)))
+
+    @given(data=st.data(), size=sizes())
+    def test_it_stays_in_0_to_1(self, data, size):
+        depth = data.draw(frames(size, 1))[..., 0] * 1000
+        for mode in ("clip", "scale"):
+            normalised = normalise_depth(depth, mode)
+            assert 0 <= normalised.min() <= normalised.max() <= 1

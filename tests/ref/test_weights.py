@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: MIT
+"""The table of the network's tensors, the check, and the weights to start from."""
+
+import math
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stss_ref.weights import (
+    LAYERS,
+    TENSORS,
+    Weights,
+    WeightsError,
+    astype,
+    check,
+    multiply_adds,
+    random,
+    zeros,
+)
+
+
+def test_the_network_has_the_papers_size():
+    assert len(TENSORS) == 92
+    assert sum(math.prod(shape) for shape in TENSORS.values()) == 417_241
+    assert sum(layer.parameters for layer in LAYERS) == 417_241
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [
+        ("conv1.conv_feature.weight", (24, 21, 3, 3)),
+        ("down1.conv2.conv_mask.0.weight", (1, 24, 3, 3)),
+        ("down2.downsample.conv_feature.weight", (24, 24, 3, 3)),
+        ("down2.conv1.conv_mask.0.weight", (1, 24, 3, 3)),
+        ("down2.conv2.conv_feature.weight", (32, 32, 3, 3)),
+        ("lowlevelGated.conv_mask.0.bias", (1,)),
+        ("KEncoder.0.weight", (32, 9, 3, 3)),
+        ("up1.conv.double_conv.0.weight", (64, 128, 3, 3)),
+        ("up1.conv.double_conv.2.bias", (32,)),
+        ("up2.conv.double_conv.2.weight", (24, 28, 3, 3)),
+        ("outc.weight", (12, 24, 1, 1)),
+    ],
+)
+def test_names_and_shapes_are_the_authors(name: str, shape: tuple[int, ...]):
+    assert TENSORS[name] == shape
+
+
+def test_a_layer_is_counted_once_for_each_output_pixel_and_history_frame():
+    counted = multiply_adds(16, 24)
+    assert counted["conv2"] == 16 * 24 * (24 + 1) * 24 * 9
+    assert counted["down1.downsample"] == 8 * 12 * (24 + 1) * 24 * 9
+    assert counted["convHis3.0"] == 3 * 2 * 3 * 32 * 32 * 9
+    assert counted["outc"] == 16 * 24 * 12 * 24
+
+
+def test_the_frame_is_padded_before_it_is_counted():
+    assert multiply_adds(540, 955) == multiply_adds(544, 960)
+    assert multiply_adds(1, 1) == multiply_adds(8, 8)
+
+
+def test_no_layer_reads_another_grid_than_the_one_before_it_writes():
+    """A stride of 2 halves the grid; otherwise the grid of a layer's neighbour in the same module is its own."""
+    by_module: dict[str, list[Any]] = {}
+    for layer in LAYERS:
+        by_module.setdefault(layer.name.split(".")[0], []).append(layer)
+    for layers in by_module.values():
+        assert len({layer.divisor for layer in layers}) == 1
+        assert [layer.stride for layer in layers[1:]] == [1] * (len(layers) - 1)
+        for before, after in pairwise(layers):
+            assert after.inputs == before.outputs
+
+
+@pytest.mark.parametrize("make", [zeros, lambda: random(3)])
+def test_weights_to_start_from_pass_the_check(make: Callable[[], Weights]):
+    weights = make()
+    checked = check(weights)
+    assert list(checked) == list(TENSORS)
+    assert all(np.array_equal(checked[name], weights[name]) for name in TENSORS)
+
+
+def test_zeros_are_zero():
+    assert not any(tensor.any() for tensor in zeros().values())
+
+
+def test_random_weights_depend_on_the_seed_alone():
+    one, same, other = random(1), random(1), random(2)
+    assert all(np.array_equal(one[name], same[name]) for name in TENSORS)
+    assert not any(np.array_equal(one[name], other[name]) for name in TENSORS)
+    assert all(tensor.any() for tensor in one.values())
+
+
+def test_random_weights_are_scaled_to_their_fan_in():
+    weight = random(1)["up1.conv.double_conv.0.weight"]
+    expected = math.sqrt(2 / (128 * 9))
+    assert 0.98 < float(weight.std()) / expected < 1.02
+
+
+def test_astype_changes_the_type_alone():
+    weights = random(1)
+    wide = astype(weights, np.float64)
+    assert all(wide[name].dtype == np.float64 and np.array_equal(wide[name], weights[name]) for name in TENSORS)
+
+
+def test_checked_weights_can_not_be_changed_by_anybody():
+    tensors = {name: np.zeros(shape, np.float32) for name, shape in TENSORS.items()}
+    weights = check(tensors)
+    tensors["outc.bias"][0] = 1
+    assert not weights["outc.bias"].any()
+    with pytest.raises(ValueError, match="read-only"):
+        weights["outc.bias"][0] = 1
+
+
+def test_checked_weights_are_contiguous():
+    tensors = dict(random(1))
+    tensors["outc.weight"] = np.asfortranarray(tensors["outc.weight"])
+    assert check(tensors)["outc.weight"].flags.c_contiguous
+
+
+def _without(name: str) -> Callable[[dict[str, Any]], object]:
+    return lambda tensors: tensors.pop(name)
+
+
+def _with(name: str, tensor: Any) -> Callable[[dict[str, Any]], object]:
+    return lambda tensors: tensors.update({name: tensor})
+
+
+def _spoilt(value: float) -> Any:
+    tensor = np.zeros((24, 21, 3, 3), np.float32)
+    tensor[2, 3, 1, 0] = tensor[5, 0, 0, 0] = value
+    return tensor
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (_without("outc.bias"), "outc.bias: missing, of 92 tensors"),
+        (dict[str, Any].clear, "conv1.conv_feature.weight: missing (and 91 more), of 92 tensors"),
+        (_with("outc.scale", np.zeros(1, np.float32)), "'outc.scale': not a tensor of this network"),
+        (_with("outc.bias", np.zeros(13, np.float32)), "outc.bias: expected shape (12,), got (13,)"),
+        (_with("outc.bias", np.zeros((), np.float32)), "outc.bias: expected shape (12,), got ()"),
+        (_with("outc.bias", np.zeros(12)), "outc.bias: expected dtype float32, got float64"),
+        (_with("outc.bias", np.zeros(12, ">f4")), "outc.bias: expected dtype float32, got >f4"),
+        (_with("outc.bias", np.zeros(12, np.int32)), "outc.bias: expected dtype float32, got int32"),
+        (
+            _with("conv1.conv_feature.weight", _spoilt(np.nan)),
+            "conv1.conv_feature.weight: 2 non-finite values, first at index (2, 3, 1, 0)",
+        ),
+        (
+            _with("conv1.conv_feature.weight", _spoilt(-np.inf)),
+            "conv1.conv_feature.weight: 2 non-finite values, first at index (2, 3, 1, 0)",
+        ),
+    ],
+)
+def test_a_defect_is_an_error_that_names_the_tensor(damage: Callable[[dict[str, Any]], object], message: str):
+    tensors: dict[str, Any] = dict(zeros())
+    damage(tensors)
+    with pytest.raises(WeightsError) as caught:
+        check(tensors)
+    assert str(caught.value) == message

@@ -1,0 +1,66 @@
+"""The rules of CONTRIBUTING.md that a machine can hold us to."""
+
+import ast
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("stss_ref", "stss_cl", "conformance", "stss")
+SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+TESTS = sorted((ROOT / "tests").rglob("*.py"))
+
+MAY_IMPORT = {
+    "stss_ref": {"stss_ref"},
+    "conformance": {"conformance", "stss_ref"},
+    "stss_cl": {"stss_cl", "stss_ref.arrays", "stss_ref.weights"},
+    "stss": {"stss", "stss_cl", "conformance", "stss_ref"},
+}
+
+
+def name(path):
+    return str(path.relative_to(ROOT))
+
+
+def imports(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            yield node.module
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=name)
+def test_imports_go_one_way(path):
+    package = path.relative_to(ROOT).parts[0]
+    for module in imports(path):
+        top = module.split(".")[0]
+        if top in PACKAGES:
+            assert any(module == allowed or module.startswith(allowed + ".") for allowed in MAY_IMPORT[package]), module
+        elif package == "stss_ref":
+            assert top == "numpy" or top in sys.stdlib_module_names, module
+
+
+@pytest.mark.parametrize("path", [p for p in SOURCES + TESTS if p.name not in ("tolerance.py", "test_house_rules.py")], ids=name)
+def test_bounds_stand_in_one_table(path):
+    found = re.findall(r"\b(?:atol|rtol|isclose|allclose|approx|assert_almost_equal)\b", path.read_text())
+    assert not found
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=name)
+def test_sizes(path):
+    """A file fits a few screens, a function one: docstrings do not count."""
+    tree = ast.parse(path.read_text())
+    assert len(path.read_text().splitlines()) <= 300
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            body = node.body[1:] if ast.get_docstring(node) else node.body
+            lines = sum(statement.end_lineno - statement.lineno + 1 for statement in body)
+            assert lines <= 40, f"{node.name}: {lines} lines"
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=name)
+def test_every_file_says_its_licence(path):
+    assert path.read_text().startswith("# SPDX-License-Identifier: MIT\n")
