@@ -5,7 +5,7 @@
 //  bad     out  (arrays)  `which` is set to 1 if one of them is not finite; the caller clears it
 //
 // Launch any number of work-items; each takes a stretch.
-kernel void finite(global const uint *restrict values, const ulong count, global int *restrict bad, const int which)
+kernel void finite(global const uint *restrict values, const ulong count, global int *bad, const int which)
 {
     const ulong part = (count + get_global_size(0) - 1) / get_global_size(0), first = get_global_id(0) * part;
     const ulong last = first + part < count ? first + part : count;
@@ -14,5 +14,5 @@ kernel void finite(global const uint *restrict values, const ulong count, global
         const uint size = values[i] & 0x7fffffffu;
         largest = size > largest ? size : largest;
     }
-    if (largest >= 0x7f800000u) bad[which] = 1;
+    if (largest >= 0x7f800000u) atomic_or(bad + which, 1);
 }

@@ -36,7 +36,7 @@ KERNELS = {
     "network float32": NETWORK | {"winograd"},
     "network float32-direct": NETWORK | {"image"},
     "network half": NETWORK | {"winograd"},
-    "frame": {*FRAME, "fill_holes", "downsample_8"} | {f"{name}8" for name in FRAME},
+    "frame": {*FRAME, "finite", "fill_holes", "downsample_8"} | {f"{name}8" for name in FRAME},
     "stages": {"motion_chain", "warp", "holes", "splat_clear", "splat_nearest", "splat_first", "occlusion_warp", "rrm"},
     "selftest": {"arithmetic", "vectors", "reduce_group", "nearest", "speed"},
 }
