@@ -91,12 +91,14 @@ static inline void input_tile(global const stored *source, const int pixel, cons
 }
 
 #ifdef PREFETCH
-// The k-th of 36 parts of `rows` rows of a strip of tiles: line by line, for OpenCL's own prefetch() does nothing on PoCL.
+// The k-th of 36 parts of `rows` rows of a strip of tiles: line by line, for OpenCL's own prefetch() does nothing on PoCL. Six parts
+// are a row (or four rows are 36 parts of 9 to a row), so that no division is left when the loop runs.
 static inline void fetch(global const stored *buffer, const int channels, const int pixel, const int columns, const int rows, const int k)
 {
-    const int line = 64 / sizeof(stored), lines = 4 * TILES * channels / line, part = (rows * lines + 35) / 36;
-    for (int i = k * part; i < (k + 1) * part; ++i)
-        __builtin_prefetch((const void *)(size_t)(buffer + (pixel + i / lines * columns) * channels + i % lines * line));
+    const int line = 64 / sizeof(stored), lines = 4 * TILES * channels / line, parts = 36 / rows, part = (lines + parts - 1) / parts;
+    global const stored *from = buffer + (pixel + k / parts * columns) * channels + k % parts * part * line;
+#pragma unroll
+    for (int i = 0; i < part; ++i) __builtin_prefetch((const void *)(size_t)(from + i * line));
 }
 #endif
 
