@@ -26,7 +26,6 @@ void image(global const stored *restrict feature, global const float4 *restrict 
         // Beyond the row lie zeros or the next one: computed, not written.
         for (int c = 0; c < 12; ++c) f[c] = LOAD8(feature, ((y + 1) * feature_columns + x + 1) * 3 + c);
         residual((const float *)f, weight, bias, sums);
-        for (int i = 0; i < 4 && x + i < last; ++i)
-            write_pixel(sums[2 * i], sums[2 * i + 1], color, out, y, x + i, width, rows, columns, top);
+        write_pixels(sums, color, out, y, x, last, width, rows, columns, top);
     }
 }

@@ -221,8 +221,7 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
         for (int i = max(from - y, 0); i < 4 && y + i < height; ++i) {
             float8 sums[8];
             residual((const float *)(features + 4 * i * OUT8), outc_weight, outc_bias, sums);
-            for (int j = 0; j < 4 && x + j < width; ++j)
-                write_pixel(sums[2 * j], sums[2 * j + 1], color, image, y + i, x + j, width, rows, columns, top);
+            write_pixels(sums, color, image, y + i, x, width, width, rows, columns, top);
         }
 #endif
     }

@@ -276,8 +276,10 @@ class Layers:
 
     def _final(self) -> Final:
         outc = pack(self._weights, "outc", ((24, 24),))
-        weight = np.pad(outc.direct.reshape(24, -1), ((0, 0), (0, 16 - outc.direct.shape[-1])))
-        bias = np.pad(outc.bias, (0, 16 - len(outc.bias)))
+        weight, bias = np.zeros((24, 16), np.float32), np.zeros(16, np.float32)
+        # Output channel 4c + 2i + j at 8i + 3j + c: see kernels/decoder.clh.
+        places = [8 * i + 3 * j + c for c in range(3) for i in range(2) for j in range(2)]
+        weight[:, places], bias[places] = outc.direct.reshape(24, -1)[:, :12], outc.bias[:12]
         return Final(
             self.inputs.base, constant(self._device, weight), constant(self._device, bias), self._height, self._width, *self.size
         )
