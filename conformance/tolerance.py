@@ -28,6 +28,17 @@ class Bound:
 
 
 BOUNDS = {
+    # what the suite allows a port; docs/conformance.md derives each row
+    "position": Bound(2, 0, "p + m, or by way of pixel centres (p + 1/2) + m - 1/2; exact where the arithmetic holds the sum"),
+    "bilinear": Bound(10, 0, "inner lerp: difference of at most 2 peaks, product, sum: 5; the outer one doubles it; scale: the taps"),
+    "length": Bound(8, 0, "sum of three squares and a root, once each way; scale: the length"),
+    "bias": Bound(8, 0, "three products and their sum; scale: on absolute values"),
+    "dot": Bound(4, 0, "three products and their sum; scale: on absolute values"),
+    "layer": Bound(2, 0, "gamma_n: n = products in one sum, and these for bias and activation; scale: weights (backward error)"),
+    "layer.float16": Bound(3, 0, "activation, weight and result stored once each in float16; sums as in float32"),
+    "layer.winograd": Bound(12, 0, "rms amplification of F(4x4,3x3), points 0, +-1, +-2: 11.4 (tests/meta/test_bounds.py)"),
+    "spread": Bound(8, 0, "times the rms of the reference's answer to random changes of that size: no tail reaches 8 sigma"),
+    "image": Bound(16, 0, "upsampled colour: 10; pixel shuffle and its sum; the sigmoids' own; scale: largest output"),
     # agreement of two implementations in one dtype: each may err by the bound, hence twice the roundings of one
     "warp.warped": Bound(2 * (6 + 4), 0, "3 lerps of 2 roundings; x and y rounded to u |position|, times contrast <= 2 peak"),
     "resample.upsampled": Bound(2 * 6, 0, "weight rounded once, 2 lerps of (difference, product, sum)"),

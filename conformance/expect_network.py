@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: MIT
+"""The network's stages: how far rounding may carry a port, found by changing the weights of the float64 reference.
+
+What a port computes for a layer is, whatever the order of its sums, the exact layer of weights each changed by at most gamma_n
+relative (backward error; Higham, Accuracy and Stability, section 3.1). So the reference is run again with weights changed at random
+by that much, and the root mean square of what its outputs then do, times the row ``spread``, is what a port may be off by. It
+grows with data, weights and depth exactly as rounding does, and needs no constant for any of them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conformance.arithmetic import Arithmetic
+from conformance.expect_chain import expect_motion_chain
+from conformance.expect_holes import expect_holes
+from conformance.expect_occlusion import expect_occlusion_warp
+from conformance.expected import Expected
+from conformance.stages import STAGES
+from conformance.tolerance import BOUNDS, UNIT
+from stss_ref.weights import Weights, astype
+
+RUNS = 3
+"""Of changed weights; every number of every output is a sample."""
+
+
+def expect_with_weights(stage: str, inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: Arithmetic) -> dict[str, Expected]:
+    """Truth and allowed error of a stage that takes weights.
+
+    Args:
+        stage: its name.
+        inputs: float64.
+        weights: float32.
+        arithmetic: of the port.
+    """
+    compute = STAGES[stage].compute
+    exact = astype(weights, np.dtype(np.float64))
+    truth = compute(inputs, exact)
+    random = np.random.default_rng(0)
+    runs = [compute(inputs, _changed(exact, arithmetic, random)) for _ in range(RUNS)]
+    expected: dict[str, Expected] = {}
+    for name, want in truth.items():
+        spread = np.sqrt(np.mean([(run[name] - want) ** 2 for run in runs]))
+        floor = BOUNDS["image"].roundings * (arithmetic.unit * np.abs(want).max(initial=0) + arithmetic.tiny)
+        expected[name] = Expected(want, float(BOUNDS["spread"].roundings * spread + floor))
+    return expected
+
+
+def layer_change(terms: int, arithmetic: Arithmetic) -> float:
+    """Largest relative change of a layer's weights that stands for its rounding: gamma_n, and what is stored in between.
+
+    Args:
+        terms: products in one sum.
+        arithmetic: of the port.
+    """
+    change = (terms + BOUNDS["layer"].roundings) * UNIT["float32"]
+    if arithmetic.winograd:
+        change *= BOUNDS["layer.winograd"].roundings
+    if arithmetic.dtype == "float16":
+        change += BOUNDS["layer.float16"].roundings * arithmetic.unit
+    return change
+
+
+def _changed(weights: Weights, arithmetic: Arithmetic, random: np.random.Generator) -> Weights:
+    changed: Weights = {}
+    for name, tensor in weights.items():
+        layer = weights[name.replace(".bias", ".weight")]
+        size = layer_change(int(np.prod(layer.shape[1:])), arithmetic)
+        changed[name] = tensor * (1 + size * random.uniform(-1, 1, tensor.shape))
+    return changed
+
+
+def undecided_before(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic) -> int:
+    """Of stage ``frame``: how many decisions before the network (motion, holes, splat) come within rounding of their threshold.
+
+    One of them may change the whole image, so a frame that has any is not judged; it is counted.
+    """
+    steps = [int(step) for step in inputs["steps"]]
+    count = 0
+    for i, step in enumerate(steps):
+        if step == 0:
+            continue
+        chain = expect_motion_chain({"motions": inputs["motions"][:step]}, arithmetic)["motion"]
+        motion = chain.want
+        planes = {
+            "stencil_previous": inputs["stencils"][i + 1], "stencil": inputs["stencils"][0],
+            "normal_previous": inputs["normals"][i + 1], "normal": inputs["normals"][0],
+            "position_previous": inputs["positions"][i + 1], "position": inputs["positions"][0],
+            "nov": inputs["nov"], "depth": inputs["gbuffer"][..., 3],
+        }  # fmt: skip
+        valid = expect_holes({"motion": motion, **planes}, arithmetic)["valid"]
+        count += chain.undecided + valid.undecided
+        if i == 0:
+            color = inputs["colors"][0]
+            given = {"color": color, "warped": color, "motion": motion, "depth": inputs["gbuffer"][..., 3], "valid": valid.want}
+            count += expect_occlusion_warp(given, arithmetic)["occlusion_motion"].undecided
+        # An inexact chain moves positions by more than these allow for.
+        count += int((np.asarray(chain.allowed) > arithmetic.tiny).sum())
+    return count

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: MIT
+"""What a port may answer: the truth, what it may be off by, and other answers that are as right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conformance.tolerance import worst
+
+Float64 = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Of one output.
+
+    Attributes:
+        want: the truth.
+        allowed: what each number may be off by; shape of ``want``, or a number.
+        others: further right answers, each of the shape of ``want``: where rounding decides, either side is right.
+        vectors: whether the last axis belongs together: an answer is right as a whole, and non-finite as a whole.
+    """
+
+    want: NDArray[Any]
+    allowed: NDArray[Any] | float
+    others: tuple[NDArray[Any], ...] = ()
+    vectors: bool = False
+
+    @property
+    def undecided(self) -> int:
+        """How many numbers have more than one right answer."""
+        different = np.zeros(self.want.shape, bool)
+        for other in self.others:
+            different |= (other != self.want) & ~(np.isnan(other) & np.isnan(self.want))
+        return int(different.sum())
+
+    def ratios(self, got: NDArray[Any]) -> Float64:
+        """``error / allowed`` of each number, against the right answer nearest to it; a wrong mask is infinitely wrong."""
+        return np.minimum.reduce([self._against(got, want) for want in (self.want, *self.others)])
+
+    def _against(self, got: NDArray[Any], want: NDArray[Any]) -> Float64:
+        allowed = np.broadcast_to(np.asarray(self.allowed, np.float64), want.shape)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            error = np.abs(got.astype(np.float64) - want)
+            ratio = np.where(error == 0, 0.0, error / allowed)
+        ratio = np.where(np.isnan(ratio), np.inf, ratio)
+        if not self.vectors:
+            return ratio
+        ratio = np.broadcast_to(ratio.max(axis=-1, keepdims=True), ratio.shape)
+        lost = [~np.isfinite(a).all(axis=-1, keepdims=True) for a in (got, want)]
+        return np.where(lost[0] & lost[1], 0.0, ratio)
+
+
+def exact(want: NDArray[Any]) -> Expected:
+    """Nothing is computed: the same numbers."""
+    return Expected(want, 0.0)
+
+
+def mask(want: Bool, unsure: Bool) -> Expected:
+    """A mask whose ``unsure`` elements may be either."""
+    others = (np.where(unsure, ~want, want).astype(np.uint8),) if unsure.any() else ()
+    return Expected(want.astype(np.uint8), 0.0, others)
+
+
+def largest(expected: Expected, got: NDArray[Any]) -> float:
+    """Largest ``error / allowed``; infinite where shapes differ."""
+    if got.shape != expected.want.shape:
+        return np.inf
+    return worst(expected.ratios(got), np.ones(got.shape))
