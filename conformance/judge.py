@@ -75,7 +75,7 @@ class Tier:
     dear: int
 
 
-TIERS = {"quick": Tier("quick", 40, 8), "full": Tier("full", 500, 150)}
+TIERS = {"quick": Tier("quick", 100, 20), "full": Tier("full", 500, 150)}
 
 
 class Judge:
@@ -99,6 +99,7 @@ class Judge:
         self._rehearsed: list[Case] | None = None
         self._answers: dict[bytes, Outputs] = {}
         self._last: Case | None = None
+        self._near: dict[str, float] = {}  # of one case: what Hypothesis is steered by
 
     def for_all(self, strategy: st.SearchStrategy[Any], body: Callable[[Any], None], *, dear: bool = False) -> None:
         """Run ``body`` on cases of ``strategy``; a program is started once for many of them.
@@ -125,7 +126,11 @@ class Judge:
         )  # fmt: skip
         @hypothesis.given(strategy)
         def run(case: Any) -> None:
+            self._near = {}
             body(case)
+            if Phase.target in phases:
+                for output, worst in self._near.items():
+                    hypothesis.target(worst, label=output)
 
         run()
 
@@ -207,8 +212,7 @@ class Judge:
         if worst > 1:
             assert self._last is not None
             raise Departure(Finding(_say(output, got, expected, worst), self._last, output.split(".")[-1], got, expected))
-        if not isinstance(self.port, FolderPort) and 0 < worst:
-            hypothesis.target(worst, label=output)
+        self._near[output] = max(worst, self._near.get(output, 0.0))
 
 
 def _say(output: str, got: NDArray[Any], expected: Expected, worst: float) -> str:

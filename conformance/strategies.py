@@ -42,10 +42,37 @@ def frames(draw: st.DrawFn, size: Size, channels: int, kind: Literal["any", "fla
 
 
 @st.composite
-def motions(draw: st.DrawFn, size: Size) -> Float64:
-    """(H, W, 2) that float32 holds exactly: still, whole pixels, halves, short, frame-sized and far outside."""
+def colors(draw: st.DrawFn, size: Size, channels: int, kind: str = "any") -> Float64:
+    """(H, W, channels): in [0, 1], one colour, and what HDR and broken renderers give: 0, denormal, negative, 65504 and beyond."""
     random = np.random.default_rng(draw(SEEDS))
-    kind = draw(st.sampled_from(["still", "whole", "half", "short", "long", "far", "mixed"]))
+    filled = draw(st.sampled_from(["unit", "unit", "flat", "sparse", "high", "negative", "denormal", "mixed"])) if kind == "any" else kind
+    values = random.random((*size, channels))
+    if filled == "flat":
+        values = np.broadcast_to(values[:1, :1] * draw(st.sampled_from([0.0, 1.0, 1e3])), values.shape)
+    elif filled == "sparse":
+        values = values * (random.random(values.shape) < 0.1)
+    elif filled == "high":
+        values = values * draw(st.sampled_from([65504.0, 1e6]))
+    elif filled == "negative":
+        values = values - 0.5
+    elif filled == "denormal":
+        values = values * 1e-39
+    elif filled == "mixed":
+        values = values * 10.0 ** random.integers(-6, 5, values.shape)
+    return values.astype(np.float32).astype(np.float64)
+
+
+@st.composite
+def motions(draw: st.DrawFn, size: Size, *, broken: bool = False) -> Float64:
+    """(H, W, 2) that float32 holds exactly: still, whole pixels, halves, short, frame-sized and far outside.
+
+    Args:
+        draw: Hypothesis's.
+        size: (H, W).
+        broken: whether some may be NaN or infinite.
+    """
+    random = np.random.default_rng(draw(SEEDS))
+    kind = draw(st.sampled_from(["still", "whole", "half", "short", "long", "far", "tiny", "one", "alike", "mixed"]))
     shape = (*size, 2)
     reach = max(size)
     kinds = {
@@ -55,13 +82,32 @@ def motions(draw: st.DrawFn, size: Size) -> Float64:
         "short": random.uniform(-1.5, 1.5, shape),
         "long": random.uniform(-1.5 * reach, 1.5 * reach, shape),
         "far": random.uniform(-1, 1, shape) * 10.0 ** random.integers(0, 12, shape),
+        "tiny": random.uniform(-1, 1, shape) * 10.0 ** random.integers(-12, -3, shape),
+        "one": np.broadcast_to(random.uniform(-2, 2, 2), shape),
+        "alike": np.sort(random.choice([0.3, 0.7, -0.3], shape), axis=-1)[..., :: random.choice([-1, 1])],
     }
     if kind == "mixed":
         choice = random.integers(0, len(kinds), size)[..., None]
         motion = np.select([choice == i for i in range(len(kinds))], list(kinds.values()))
     else:
-        motion = kinds[kind]
+        motion = kinds[kind].copy()
+    if broken and draw(st.integers(0, 7)) == 0:
+        motion[random.random(size) < 0.2, random.integers(2)] = draw(st.sampled_from([np.nan, np.inf, -np.inf]))
     return motion.astype(np.float32).astype(np.float64)
+
+
+@st.composite
+def dyadic_motions(draw: st.DrawFn, size: Size, kind: str) -> Float64:
+    """(H, W, 2) of ``still``, ``whole``, ``half`` or ``short`` (quarters) motion, whose sums with positions no arithmetic rounds."""
+    random = np.random.default_rng(draw(SEEDS))
+    reach = min(max(size), 40)
+    if kind == "still":
+        return np.zeros((*size, 2))
+    if kind == "whole":
+        return random.integers(-reach, reach + 1, (*size, 2)).astype(np.float64)
+    if kind == "half":
+        return random.integers(-reach, reach + 1, (*size, 2)) / 2
+    return random.integers(-6, 7, (*size, 2)) / 4
 
 
 @st.composite
