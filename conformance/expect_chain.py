@@ -34,9 +34,10 @@ def expect_motion_chain(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic)
     answers = {(int(y), int(x)): _answers(motions, int(y), int(x), arithmetic) for y, x in np.argwhere(unsure)}
     want, others = chained.copy(), [chained.copy() for _ in range(max((len(a) for a in answers.values()), default=1) - 1)]
     for pixel, found in answers.items():
-        want[pixel] = found[0]
+        want[pixel] = found[0][0]
+        off[pixel] = np.max([wrong for _, wrong in found], axis=0)
         for i, other in enumerate(others):
-            other[pixel] = found[min(i + 1, len(found) - 1)]
+            other[pixel] = found[min(i + 1, len(found) - 1)][0]
     return {"motion": Expected(want, off + arithmetic.tiny, tuple(others), vectors=True)}
 
 
@@ -68,11 +69,15 @@ def _lengths(vectors: NDArray[Any]) -> NDArray[np.float64]:
     return np.where(np.isfinite(vectors).all(axis=-1) & (squared <= FLOAT32_MAX), squared, np.inf)
 
 
-def _answers(motions: NDArray[Any], y: int, x: int, arithmetic: Arithmetic) -> list[NDArray[np.float64]]:
+Answer = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""A chained motion, and how far it may be off."""
+
+
+def _answers(motions: NDArray[Any], y: int, x: int, arithmetic: Arithmetic) -> list[Answer]:
     """All that pixel (y, x) may come to."""
-    ways = [(motions[0, y, x], np.zeros(2))]
+    ways: list[Answer] = [(motions[0, y, x], np.zeros(2))]
     for earlier in motions[1:]:
-        further: dict[bytes, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
+        further: dict[bytes, Answer] = {}
         for chained, off in ways:
             for step in _steps(earlier, (x, y), chained, off, arithmetic):
                 with np.errstate(invalid="ignore"):
@@ -80,7 +85,7 @@ def _answers(motions: NDArray[Any], y: int, x: int, arithmetic: Arithmetic) -> l
                     wrong = np.where(np.isfinite(total), off + sum_error(total, off, arithmetic), 0)
                 further[total.tobytes()] = (total, wrong)
         ways = list(further.values())[:MOST_ANSWERS]
-    return [chained for chained, _ in ways]
+    return ways
 
 
 def _steps(

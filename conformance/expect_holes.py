@@ -86,7 +86,7 @@ def _too_far(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic)
         previous[np.clip(cell.y0 + j, 0, height - 1), np.clip(cell.x0 + i, 0, width - 1)] for j in range(-1, 3) for i in range(-1, 3)
     ]
     highest = np.where(at.unsure, _distance(around, position), own)
-    lowest = np.where(at.unsure & np.isfinite(own), 0, own)
+    lowest = np.where(at.unsure, 0, own)
     wrong = BOUNDS["length"].roundings * unit
     # A distance that is no number is a hole.
     return Maybe(~(lowest * (1 - wrong) <= bias + off), ~(highest * (1 + wrong) <= bias - off))

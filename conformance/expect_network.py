@@ -23,6 +23,8 @@ from conformance.stages import STAGES
 from conformance.tolerance import BOUNDS, UNIT
 from stss_ref.weights import Weights, astype
 
+OPEN = 100.0
+"""A gate's bias at which its sigmoid is 1."""
 RUNS = 3
 """Of changed weights; every number of every output is a sample."""
 
@@ -41,10 +43,12 @@ def expect_with_weights(stage: str, inputs: dict[str, NDArray[Any]], weights: We
     truth = compute(inputs, exact)
     random = np.random.default_rng(0)
     runs = [compute(inputs, _changed(exact, arithmetic, random)) for _ in range(RUNS)]
+    opened = compute(inputs, _opened(exact))
     expected: dict[str, Expected] = {}
     for name, want in truth.items():
         spread = np.sqrt(np.mean([(run[name] - want) ** 2 for run in runs]))
-        floor = BOUNDS["image"].roundings * (arithmetic.unit * np.abs(want).max(initial=0) + arithmetic.tiny)
+        ungated = BOUNDS["gate"].roundings * arithmetic.unit * np.abs(opened[name]).max(initial=0)
+        floor = ungated + BOUNDS["image"].roundings * (arithmetic.unit * np.abs(want).max(initial=0) + arithmetic.tiny)
         expected[name] = Expected(want, float(BOUNDS["spread"].roundings * spread + floor))
     return expected
 
@@ -69,8 +73,16 @@ def _changed(weights: Weights, arithmetic: Arithmetic, random: np.random.Generat
     for name, tensor in weights.items():
         layer = weights[name.replace(".bias", ".weight")]
         size = layer_change(int(np.prod(layer.shape[1:])), arithmetic)
-        changed[name] = tensor * (1 + size * random.uniform(-1, 1, tensor.shape))
+        # Winograd mixes the taps of a window, so that one of them bears the others' roundings.
+        scale = np.abs(tensor).max(axis=(2, 3), keepdims=True) if arithmetic.winograd and tensor.ndim == 4 else tensor
+        changed[name] = tensor + scale * size * random.uniform(-1, 1, tensor.shape)
     return changed
+
+
+def _opened(weights: Weights) -> Weights:
+    """All gates open: what a gate's own rounding multiplies, be it as good as closed."""
+    gates = {name: tensor * 0 + (OPEN if name.endswith("bias") else 0) for name, tensor in weights.items() if "conv_mask" in name}
+    return {**weights, **gates}
 
 
 def undecided_before(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic) -> int:

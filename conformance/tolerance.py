@@ -37,6 +37,7 @@ BOUNDS = {
     "layer": Bound(2, 0, "gamma_n: n = products in one sum, and these for bias and activation; scale: weights (backward error)"),
     "layer.float16": Bound(3, 0, "activation, weight and result stored once each in float16; sums as in float32"),
     "layer.winograd": Bound(12, 0, "rms amplification of F(4x4,3x3), points 0, +-1, +-2: 11.4 (tests/meta/test_bounds.py)"),
+    "gate": Bound(4, 0, "1 / (1 + exp(-x)) or (1 + tanh(x / 2)) / 2: absolutely, times what the gate is to close"),
     "spread": Bound(8, 0, "times the rms of the reference's answer to random changes of that size: no tail reaches 8 sigma"),
     "image": Bound(16, 0, "upsampled colour: 10; pixel shuffle and its sum; the sigmoids' own; scale: largest output"),
     # agreement of two implementations in one dtype: each may err by the bound, hence twice the roundings of one
