@@ -44,11 +44,13 @@ class Arithmetic:
             return np.asarray(x.astype(self.dtype) == x)
 
     def rounded(self, x: NDArray[Any]) -> NDArray[Any]:
-        """``x`` as float32 numbers that the port holds; floats only, other kinds as they are."""
+        """``x`` as float32 numbers that the port holds: the nearest, finite where ``x`` is; other kinds than floats as they are."""
         if x.dtype.kind != "f":
             return np.ascontiguousarray(x)
+        most = np.finfo(self.dtype).max
         with np.errstate(over="ignore"):
-            return np.ascontiguousarray(x.astype(self.dtype).astype(np.float32))
+            held = np.where(np.isfinite(x), np.clip(x, -most, most), x).astype(self.dtype)
+        return np.ascontiguousarray(held.astype(np.float32))
 
 
 @dataclass(frozen=True)
@@ -79,9 +81,9 @@ def reach(motion: Float64, arithmetic: Arithmetic, off: Float64 | float = 0.0) -
         off: (H, W, 2) how far the port's motion itself may be off.
     """
     height, width, _ = motion.shape
-    finite = np.isfinite(motion).all(axis=-1)
-    x, y = grid(height, width, motion.dtype)
-    position = np.stack([x, y], axis=-1) + np.where(finite[..., None], motion, 0)
+    finite: Bool = np.asarray(np.isfinite(motion).all(axis=-1))
+    pixel = np.stack(grid(height, width, motion.dtype), axis=-1).astype(np.float64)
+    position: Float64 = pixel + np.where(finite[..., None], motion, 0)
     wrong = off + sum_error(position, off, arithmetic)
     return Reach(position[..., 0], position[..., 1], wrong[..., 0], wrong[..., 1], finite)
 

@@ -114,7 +114,11 @@ def _longest(earlier: NDArray[Any], row: int, column: int, arithmetic: Arithmeti
     found = [four[first]]
     for i in range(4):
         alike = (np.abs(four[i]) == np.abs(four[first])).all() or lengths[i] == np.inf == lengths[first]
-        if not alike and lengths[i] >= lengths[first] * (1 - _margin()) and not _surely_shorter(four, lengths, i, first, arithmetic):
+        if (
+            not alike
+            and lengths[i] >= lengths[first] * (1 - _margin())
+            and not _surely_shorter(four, lengths, i, first, arithmetic)
+        ):
             found.append(four[i])
     return [*found, np.zeros(2)] if ((size > 0) & (size < SMALL)).any() else found
 

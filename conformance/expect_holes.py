@@ -54,7 +54,7 @@ def expect_holes(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic) -> dic
         difference = 3 * np.abs(s - inputs["stencil"])
         mesh = _exceeds(difference, 3 * s_off + 4 * arithmetic.unit * difference, LIMITS.mesh)
     hole = outside | static | moving | mesh
-    return {"valid": mask(holes(**inputs), hole.possible & ~hole.sure)}
+    return {"valid": mask(holes(**inputs, limits=None), hole.possible & ~hole.sure)}
 
 
 def _exceeds(value: Float64, off: Float64, threshold: Float64 | float) -> Maybe:
@@ -83,7 +83,9 @@ def _too_far(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic)
     own = _distance([previous[j, i] for j in (cell.y0, cell.y1) for i in (cell.x0, cell.x1)], position)
     height, width = facing.shape
     around = [
-        previous[np.clip(cell.y0 + j, 0, height - 1), np.clip(cell.x0 + i, 0, width - 1)] for j in range(-1, 3) for i in range(-1, 3)
+        previous[np.clip(cell.y0 + j, 0, height - 1), np.clip(cell.x0 + i, 0, width - 1)]
+        for j in range(-1, 3)
+        for i in range(-1, 3)
     ]
     highest = np.where(at.unsure, _distance(around, position), own)
     lowest = np.where(at.unsure, 0, own)
@@ -98,7 +100,7 @@ def _distance(previous: list[Float64], position: Float64) -> Float64:
 
 
 def _turned(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic) -> Maybe:
-    """cos < 0.98 on a surface, that is, where either normal has a length."""
+    """Cos < 0.98 on a surface, that is, where either normal has a length."""
     unit, normal = arithmetic.unit, inputs["normal"]
     n, n_off = _read(inputs["normal_previous"], at, arithmetic)
     length = np.sqrt((n * n).sum(axis=-1))

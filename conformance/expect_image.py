@@ -43,7 +43,7 @@ def interpolated(image: Float64, at: Reach, arithmetic: Arithmetic) -> tuple[Flo
     off = (at.off_x + at.off_y)[..., None]
     with np.errstate(invalid="ignore", over="ignore"):
         allowed = BOUNDS["bilinear"].roundings * (arithmetic.unit * peak + arithmetic.tiny)
-        return bilinear(image, taps(at.x, at.y)), allowed + np.minimum(off, 1) * around[1]
+        return bilinear(image, taps(at.x, at.y)).astype(np.float64), allowed + np.minimum(off, 1) * around[1]
 
 
 def peaks(image: Float64, at: Reach) -> tuple[Float64, tuple[Float64, Float64]]:

@@ -29,7 +29,9 @@ RUNS = 3
 """Of changed weights; every number of every output is a sample."""
 
 
-def expect_with_weights(stage: str, inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: Arithmetic) -> dict[str, Expected]:
+def expect_with_weights(
+    stage: str, inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: Arithmetic
+) -> dict[str, Expected]:
     """Truth and allowed error of a stage that takes weights.
 
     Args:

@@ -60,8 +60,8 @@ def _splats(at: Reach, depth: NDArray[Any]) -> tuple[dict[Cell, Key], dict[Cell,
     for index, (y, x) in enumerate(np.ndindex(height, width)):
         if not at.finite[y, x] or not depth[y, x] < FARTHEST:
             continue
-        columns = _floors(at.x[y, x], at.off_x[y, x], width)
-        rows = _floors(at.y[y, x], at.off_y[y, x], height)
+        columns = _floors(float(at.x[y, x]), float(at.off_x[y, x]), width)
+        rows = _floors(float(at.y[y, x]), float(at.off_y[y, x]), height)
         key = (float(depth[y, x]), index)
         written = [{(r + j, c + i) for j in (0, 1) for i in (0, 1)} for r, c in product(rows, columns)]
         for cell in set[Cell].union(*written):
@@ -86,8 +86,8 @@ def _look_up(
     flat = np.concatenate([motion.reshape(-1, 2), np.zeros((1, 2))])  # the last: nobody wrote
     answers: dict[Cell, list[NDArray[np.float64]]] = {}
     for y, x in np.ndindex(height, width):
-        columns = _floors(at.x[y, x], at.off_x[y, x], width)
-        rows = _floors(at.y[y, x], at.off_y[y, x], height)
+        columns = _floors(float(at.x[y, x]), float(at.off_x[y, x]), width)
+        rows = _floors(float(at.y[y, x]), float(at.off_y[y, x]), height)
         found: dict[int, None] = {}
         for r, c in product(sorted(rows), sorted(columns)):
             cell = min(max(r, 0), height - 1), min(max(c, 0), width - 1)

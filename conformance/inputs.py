@@ -128,11 +128,15 @@ def network_inputs(draw: st.DrawFn, stage: str, size: st.SearchStrategy[Size] | 
 
 
 @st.composite
-def frame_inputs(draw: st.DrawFn, size: st.SearchStrategy[Size] | None = None, steps: tuple[int, int, int] | None = None) -> Inputs:
+def frame_inputs(
+    draw: st.DrawFn, size: st.SearchStrategy[Size] | None = None, steps: tuple[int, int, int] | None = None
+) -> Inputs:
     """Stage frame: SF, EF, missing frames; motion of halves and quarters, so that no rounding decides what is a hole."""
     full = draw(size or sizes(16))
     rng = np.random.default_rng(draw(SEEDS))
-    back = steps or draw(st.sampled_from([(0, 2, 4), (1, 3, 5), (0, 0, 0), (1, 1, 1), (0, 2, 2), (1, 3, 3), (0, 1, 2), (2, 3, 5)]))
+    back = steps or draw(
+        st.sampled_from([(0, 2, 4), (1, 3, 5), (0, 0, 0), (1, 1, 1), (0, 2, 2), (1, 3, 3), (0, 1, 2), (2, 3, 5)])
+    )
     reach = draw(st.sampled_from(["still", "whole", "half", "short"]))
     position = rng.integers(-200, 200, (*full, 3)) / 4
     positions = position + rng.integers(-40, 40, (4, *full, 3)) / 2 * draw(st.sampled_from([0, 1, 4]))

@@ -24,11 +24,12 @@ from conformance.stages import STAGES, check_inputs, check_outputs
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
 
+EVERY_CHECK: list[HealthCheck] = [*HealthCheck]  # pyright: ignore[reportAssignmentType]
 BATCH = 64
 """Cases of a program's one start."""
 
 
-class Departure(AssertionError):
+class DepartureError(AssertionError):
     """A port's answer is wrong: the message says where and by how much."""
 
     def __init__(self, finding: Finding):
@@ -122,7 +123,7 @@ class Judge:
         @hypothesis.seed(self.seed)
         @settings(
             max_examples=count, phases=phases, database=None, deadline=None, report_multiple_bugs=False,
-            suppress_health_check=list(HealthCheck), print_blob=False,
+            suppress_health_check=EVERY_CHECK, print_blob=False,
         )  # fmt: skip
         @hypothesis.given(strategy)
         def run(case: Any) -> None:
@@ -158,7 +159,7 @@ class Judge:
             weights: for a stage that takes them.
 
         Raises:
-            Departure: the port fails, or an output is missing, misshapen or of another dtype.
+            DepartureError: the port fails, or an output is missing, misshapen or of another dtype.
         """
         case = Case(stage, self.given(inputs), None if weights is None else dict(self.given(weights)))
         self._last = case
@@ -173,7 +174,7 @@ class Judge:
                 outputs = self.port.run(stage, case.inputs, case.weights)
             check_outputs(stage, outputs, sizes)
         except (ArrayError, PortError) as error:
-            raise Departure(Finding(f"{stage}: {error}", case, "", None, None)) from error
+            raise DepartureError(Finding(f"{stage}: {error}", case, "", None, None)) from error
         return outputs
 
     def given(self, arrays: Arrays) -> dict[str, NDArray[Any]]:
@@ -203,7 +204,7 @@ class Judge:
         self.holds(output, got, exact(np.asarray(want)))
 
     def holds(self, output: str, got: NDArray[Any], expected: Expected) -> None:
-        """Raise Departure unless ``got`` is right; ``output`` is ``stage.name``, as in the table of bounds."""
+        """Raise DepartureError unless ``got`` is right; ``output`` is ``stage.name``, as in the table of bounds."""
         if self._rehearsed is not None:
             return
         worst = largest(expected, got)
@@ -211,7 +212,9 @@ class Judge:
         self.record.worst[output] = max(worst, self.record.worst.get(output, 0.0))
         if worst > 1:
             assert self._last is not None
-            raise Departure(Finding(_say(output, got, expected, worst), self._last, output.split(".")[-1], got, expected))
+            raise DepartureError(
+                Finding(_say(output, got, expected, worst), self._last, output.rsplit(".", maxsplit=1)[-1], got, expected)
+            )
         self._near[output] = max(worst, self._near.get(output, 0.0))
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from conformance.judge import Departure, Judge, Record
+from conformance.judge import DepartureError, Judge, Record
 from conformance.stages import STAGES
 
 HERE = Path(__file__).parent
@@ -144,7 +144,9 @@ class _Plugin:
             self.broken = str(report.longrepr)
 
     @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_makereport(self, item: pytest.Item, call: pytest.CallInfo[None]) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    def pytest_runtest_makereport(
+        self, item: pytest.Item, call: pytest.CallInfo[None]
+    ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
         report = yield
         if call.when == "call" or report.skipped or report.failed:
             self._take(item, call, report)
@@ -158,7 +160,7 @@ class _Plugin:
         if report.skipped:
             result.message, result.record = str(error), Record()
         elif report.failed:
-            if isinstance(error, Departure):
+            if isinstance(error, DepartureError):
                 result.message, result.record.finding = str(error), error.finding
             else:
                 result.outcome, result.message = "error", f"{type(error).__name__}: {error}"

@@ -45,7 +45,11 @@ def frames(draw: st.DrawFn, size: Size, channels: int, kind: Literal["any", "fla
 def colors(draw: st.DrawFn, size: Size, channels: int, kind: str = "any") -> Float64:
     """(H, W, channels): in [0, 1], one colour, and what HDR and broken renderers give: 0, denormal, negative, 65504 and beyond."""
     random = np.random.default_rng(draw(SEEDS))
-    filled = draw(st.sampled_from(["unit", "unit", "flat", "sparse", "high", "negative", "denormal", "mixed"])) if kind == "any" else kind
+    filled = (
+        draw(st.sampled_from(["unit", "unit", "flat", "sparse", "high", "negative", "denormal", "mixed"]))
+        if kind == "any"
+        else kind
+    )
     values = random.random((*size, channels))
     if filled == "flat":
         values = np.broadcast_to(values[:1, :1] * draw(st.sampled_from([0.0, 1.0, 1e3])), values.shape)

@@ -54,7 +54,9 @@ def test_equal_light_stays_equal(judge: Judge, case: tuple[Inputs, Weights]):
     right = expect("erm", judge.exactly(open_), judge.given(dark), judge.arithmetic, {})["reshaded"]
     got = judge.run("erm", open_, dark)["reshaded"]
     light = judge.given(dark)["latentEncoder.4.bias"].astype(np.float64)
-    faint = np.abs(right.want - light).max(axis=-1, keepdims=True) > np.abs(light).max() / 2  # no key to speak of: 0, not the light
+    faint = (
+        np.abs(right.want - light).max(axis=-1, keepdims=True) > np.abs(light).max() / 2
+    )  # no key to speak of: 0, not the light
     judge.holds("erm.reshaded", got, Expected(np.where(faint, right.want, light), right.allowed))
 
 

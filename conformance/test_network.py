@@ -27,7 +27,10 @@ def test_padding_repeats_the_last_row_and_column(judge: Judge, case: tuple[Input
     inputs, given = case
     height, width = inputs["mask"].shape
     rows, columns = (np.minimum(np.arange(-(-n // 8) * 8), n - 1) for n in (height, width))
-    padded = {name: array[..., rows[:, None], columns] if array.ndim == 2 else _pad(array, rows, columns) for name, array in inputs.items()}
+    padded = {
+        name: array[..., rows[:, None], columns] if array.ndim == 2 else _pad(array, rows, columns)
+        for name, array in inputs.items()
+    }
     right = expect("network", judge.exactly(inputs), judge.given(given), judge.arithmetic, {})["image"]
     got, whole = judge.run("network", inputs, given)["image"], judge.run("network", padded, given)["image"]
     judge.holds("network.image", got, Expected(whole[: 2 * height, : 2 * width], 2 * np.asarray(right.allowed)))

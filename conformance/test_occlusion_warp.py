@@ -66,7 +66,7 @@ def _looped(motion: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """Spec 5 as it is written, for motion of halves and quarters."""
     height, width = depth.shape
     nearest, earlier = np.full((height, width), 10.0), np.zeros_like(motion)
-    corner = np.floor(motion + np.stack(np.indices((height, width))[::-1], axis=-1)).astype(int)
+    corner = np.floor(motion + np.moveaxis(np.indices((height, width))[::-1], 0, -1)).astype(int)
     for y, x in np.ndindex(height, width):
         for j, i in ((0, 0), (0, 1), (1, 0), (1, 1)):
             at = corner[y, x, 1] + j, corner[y, x, 0] + i

@@ -9,7 +9,7 @@ from conformance.expected import Expected
 from conformance.inputs import Inputs, warp_inputs
 from conformance.judge import Judge
 from conformance.properties import cases
-from conformance.strategies import colors, dyadic_motions, sizes
+from conformance.strategies import Float64, colors, dyadic_motions, sizes
 
 
 @cases(warp_inputs())
@@ -62,11 +62,15 @@ def test_channels_do_not_mix(judge: Judge, case: tuple[Inputs, list[int]]):
 @cases(
     st.tuples(st.integers(2, 20), st.integers(2, 20)).flatmap(
         lambda size: st.tuples(
-            st.just(size), colors(size, 2), dyadic_motions(size, "short"), st.integers(0, size[0] - 2), st.integers(0, size[1] - 2)
+            st.just(size),
+            colors(size, 2),
+            dyadic_motions(size, "short"),
+            st.integers(0, size[0] - 2),
+            st.integers(0, size[1] - 2),
         )
     )
 )
-def test_a_part_is_as_the_whole(judge: Judge, case: tuple[tuple[int, int], Inputs, Inputs, int, int]):
+def test_a_part_is_as_the_whole(judge: Judge, case: tuple[tuple[int, int], Float64, Float64, int, int]):
     """A crop of the frame, warped, is the crop of the warped frame, where all that is read lies in the crop: no pixel knows its place."""
     (height, width), color, motion, top, left = case
     whole = judge.run("warp", {"color": color, "motion": motion})["warped"]
@@ -77,8 +81,10 @@ def test_a_part_is_as_the_whole(judge: Judge, case: tuple[tuple[int, int], Input
     judge.same("warp.warped", np.where(read, part, 0), np.where(read, whole[top:, left:], 0))
 
 
-@cases(sizes(12).flatmap(lambda size: st.tuples(colors(size, 3), dyadic_motions(size, "short"), st.sampled_from([np.nan, np.inf]))))
-def test_lost_motion_is_off_screen(judge: Judge, case: tuple[Inputs, Inputs, float]):
+@cases(
+    sizes(12).flatmap(lambda size: st.tuples(colors(size, 3), dyadic_motions(size, "short"), st.sampled_from([np.nan, np.inf])))
+)
+def test_lost_motion_is_off_screen(judge: Judge, case: tuple[Float64, Float64, float]):
     """Non-finite motion, in either component, is off screen, and spoils no other pixel."""
     color, motion, lost = case
     broken = motion.copy()

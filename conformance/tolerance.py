@@ -30,7 +30,9 @@ class Bound:
 BOUNDS = {
     # what the suite allows a port; docs/conformance.md derives each row
     "position": Bound(2, 0, "p + m, or by way of pixel centres (p + 1/2) + m - 1/2; exact where the arithmetic holds the sum"),
-    "bilinear": Bound(10, 0, "inner lerp: difference of at most 2 peaks, product, sum: 5; the outer one doubles it; scale: the taps"),
+    "bilinear": Bound(
+        10, 0, "inner lerp: difference of at most 2 peaks, product, sum: 5; the outer one doubles it; scale: the taps"
+    ),
     "length": Bound(8, 0, "sum of three squares and a root, once each way; scale: the length"),
     "bias": Bound(8, 0, "three products and their sum; scale: on absolute values"),
     "dot": Bound(4, 0, "three products and their sum; scale: on absolute values"),

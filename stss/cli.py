@@ -18,6 +18,7 @@ from stss import compare as comparing
 from stss import demo as demonstration
 from stss import inspection
 from stss.backends import open_backend
+from stss.cli_conform import conform
 from stss.cli_devices import bench_command, devices, export, port, tune
 from stss.color import TRANSFERS
 from stss.errors import InputError
@@ -176,7 +177,7 @@ def inspect(file: str, size: tuple[int, int], as_json: bool) -> None:
         inspection.print_inspection(found, Console())
 
 
-for command in (bench_command, devices, export, port, tune):
+for command in (bench_command, conform, devices, export, port, tune):
     stss.add_command(command)
 
 

@@ -17,8 +17,12 @@ def installed(name: str) -> bool:
     return importlib.util.find_spec(name) is not None
 
 
-def require(name: str) -> Any:
+def require(name: str, extra: str = "bench") -> Any:
     """The module ``name``; without types, since these packages have none or need not be there.
+
+    Args:
+        name: of the module.
+        extra: which of the distribution's extras has its package.
 
     Raises:
         InputError: its package is not installed.
@@ -26,11 +30,11 @@ def require(name: str) -> Any:
     package = name.partition(".")[0]
     # colour-science leaves an empty stand-in for a missing Matplotlib among the modules: what has no file is not there.
     if package in sys.modules and getattr(sys.modules[package], "__file__", None) is None:
-        raise InputError(f"{package} is not installed: pip install 'stss[bench]'")
+        raise InputError(f"{package} is not installed: pip install 'stss[{extra}]'")
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
-        raise InputError(f"{package} is not installed: pip install 'stss[bench]'") from error
+        raise InputError(f"{package} is not installed: pip install 'stss[{extra}]'") from error
 
 
 def versions(names: tuple[str, ...]) -> dict[str, str]:

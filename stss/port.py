@@ -39,15 +39,26 @@ class ReferencePort:
 
 
 class OpenCLPort:
-    """``stss_cl`` on the device of ``$STSS_DEVICE`` or the best one there is, in float32: what its modules name in ``STAGES``."""
+    """``stss_cl`` on the device of ``$STSS_DEVICE`` or the best one there is.
 
-    name = "cl"
-    dtype = "float32"
+    Args:
+        precision: see ``stss_cl.network.PRECISIONS``.
+    """
 
-    def __init__(self):
+    def __init__(self, precision: str = "float32"):
+        self.name = "cl" if precision == "float32" else f"cl-{precision.removeprefix('float32-')}"
+        self.dtype = "float16" if precision == "half" else "float32"
+        self._precision = precision
         self._image = _module("stss_cl.image_stages")
         self._network = [module for name in WITH_WEIGHTS if (module := _module(name)) is not None]
-        self._device: Any = None
+        self._opened: Any = None
+
+    @property
+    def winograd(self) -> bool:
+        """Whether its convolutions are Winograd's."""
+        return (
+            self._precision != "float32-direct" and import_module("stss_cl.tuning").tuning_for(self._device).winograd is not None
+        )
 
     def stages(self) -> frozenset[str]:
         """Those of the image space, and those of the network."""
@@ -56,14 +67,28 @@ class OpenCLPort:
 
     def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
         """See ``conformance.port.Port``; the device is opened for the first case, and stays."""
-        if self._device is None:
-            self._device = import_module("stss_cl.device").open_device()
         if self._image is not None and stage in self._image.STAGES:
             return self._image.ImageStages(self._device).run_stage(stage, inputs)
         for module in self._network:
             if stage in module.STAGES:
-                return module.run_stage(stage, inputs, weights, self._device)
+                return module.run_stage(stage, inputs, weights, self._device, self._precision)
         raise InputError(f"backend cl: it has no stage {stage}")
+
+    @property
+    def _device(self) -> Any:
+        if self._opened is None:
+            self._opened = import_module("stss_cl.device").open_device()
+        return self._opened
+
+
+def cl_direct() -> OpenCLPort:
+    """The OpenCL backend without Winograd, for ``stss conform --port stss.port:cl_direct``."""
+    return OpenCLPort("float32-direct")
+
+
+def cl_half() -> OpenCLPort:
+    """The OpenCL backend with activations stored as half."""
+    return OpenCLPort("half")
 
 
 def _module(name: str) -> ModuleType | None:

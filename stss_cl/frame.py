@@ -104,9 +104,11 @@ STAGES = frozenset({"frame"})
 """The stages that ``run_stage`` knows."""
 
 
-def run_stage(stage: str, inputs: Mapping[str, Array], weights: Weights, device: Device | None = None) -> dict[str, Array]:
+def run_stage(
+    stage: str, inputs: Mapping[str, Array], weights: Weights, device: Device | None = None, precision: Precision = "float32"
+) -> dict[str, Array]:
     """Stage ``frame`` by the names of the port protocol (docs/ports.md)."""
     names = ("colors", "motions", "gbuffer", "nov", "stencils", "normals", "positions")
     arrays = {name: np.ascontiguousarray(inputs[name], np.float32) for name in names}
-    image, _ = Frame(weights, device)(steps=[int(step) for step in inputs["steps"]], **arrays)
+    image, _ = Frame(weights, device, precision)(steps=[int(step) for step in inputs["steps"]], **arrays)
     return {"image": image}
