@@ -38,16 +38,21 @@ class Arithmetic:
         """Smallest normal number: what is below it may have become 0."""
         return float(np.finfo(self.dtype).tiny)
 
+    @property
+    def spacing(self) -> float:
+        """Distance of the smallest numbers: what storing a small one may lose."""
+        return float(np.finfo(self.dtype).smallest_subnormal)
+
     def holds(self, x: Float64) -> Bool:
         """Where ``x`` is one of its numbers."""
         with np.errstate(over="ignore"):
             return np.asarray(x.astype(self.dtype) == x)
 
-    def rounded(self, x: NDArray[Any]) -> NDArray[Any]:
-        """``x`` as float32 numbers that the port holds: the nearest, finite where ``x`` is; other kinds than floats as they are."""
+    def rounded(self, x: NDArray[Any], most: float | None = None) -> NDArray[Any]:
+        """``x`` as float32 numbers that the port holds: the nearest, finite where ``x`` is, at most ``most``; other kinds as they are."""
         if x.dtype.kind != "f":
             return np.ascontiguousarray(x)
-        most = np.finfo(self.dtype).max
+        most = float(np.finfo(self.dtype).max) if most is None else most
         with np.errstate(over="ignore"):
             held = np.where(np.isfinite(x), np.clip(x, -most, most), x).astype(self.dtype)
         return np.ascontiguousarray(held.astype(np.float32))

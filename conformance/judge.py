@@ -25,6 +25,7 @@ from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
 
 EVERY_CHECK: list[HealthCheck] = [*HealthCheck]  # pyright: ignore[reportAssignmentType]
+MOST_FLOAT16 = 1.0
 BATCH = 64
 """Cases of a program's one start."""
 
@@ -161,7 +162,7 @@ class Judge:
         Raises:
             DepartureError: the port fails, or an output is missing, misshapen or of another dtype.
         """
-        case = Case(stage, self.given(inputs), None if weights is None else dict(self.given(weights)))
+        case = Case(stage, self.given(inputs, stage), None if weights is None else self.given(weights))
         self._last = case
         sizes = check_inputs(stage, case.inputs, "float32")
         if self._rehearsed is not None:
@@ -177,13 +178,17 @@ class Judge:
             raise DepartureError(Finding(f"{stage}: {error}", case, "", None, None)) from error
         return outputs
 
-    def given(self, arrays: Arrays) -> dict[str, NDArray[Any]]:
-        """``arrays`` as the port is given them: float32, of numbers that its arithmetic holds."""
-        return {name: self.arithmetic.rounded(array) for name, array in arrays.items()}
+    def given(self, arrays: Arrays, stage: str = "") -> dict[str, NDArray[Any]]:
+        """``arrays`` as the port is given them: float32, of numbers that its arithmetic holds.
 
-    def exactly(self, arrays: Arrays) -> dict[str, NDArray[Any]]:
+        The network's stages of a float16 port get none beyond ``MOST_FLOAT16``: its activations have to fit, too.
+        """
+        narrow = self.arithmetic.dtype == "float16" and stage in STAGES and STAGES[stage].weights
+        return {name: self.arithmetic.rounded(array, MOST_FLOAT16 if narrow else None) for name, array in arrays.items()}
+
+    def exactly(self, arrays: Arrays, stage: str) -> dict[str, NDArray[Any]]:
         """The same numbers in float64, for the reference."""
-        given = self.given(arrays)
+        given = self.given(arrays, stage)
         return {name: array.astype(np.float64) if array.dtype.kind == "f" else array for name, array in given.items()}
 
     def agrees(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Outputs:
@@ -192,7 +197,7 @@ class Judge:
         if self._rehearsed is None:
             case = self._last
             assert case is not None
-            expected = expect(stage, self.exactly(inputs), case.weights, self.arithmetic, outputs)
+            expected = expect(stage, self.exactly(inputs, stage), case.weights, self.arithmetic, outputs)
             if not expected:
                 self.record.unjudged += 1
             for name, right in expected.items():

@@ -34,7 +34,7 @@ def test_one_colour_stays_one_colour(judge: Judge, case: tuple[Inputs, Weights])
     inputs, given = case
     still = {name: tensor * 0 for name, tensor in given.items()}
     got = judge.run("decoder", inputs, still)["image"]
-    judge.same("decoder.image", got, np.broadcast_to(judge.given(inputs)["color"][:1, :1, :3], got.shape))
+    judge.same("decoder.image", got, np.broadcast_to(judge.given(inputs, "decoder")["color"][:1, :1, :3], got.shape))
 
 
 @cases(CASES, dear=True)

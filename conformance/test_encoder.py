@@ -31,7 +31,7 @@ def test_what_is_masked_is_read_once(judge: Judge, case: tuple[Inputs, Weights])
     for name in ("conv1.conv_feature.weight", "conv1.conv_mask.0.weight"):
         other[name] = given[name].copy()
         other[name][:, 6:12] = 0
-    right = expect("encoder", judge.exactly(closed), judge.given(given), judge.arithmetic, {})
+    right = expect("encoder", judge.exactly(closed, "encoder"), judge.given(given), judge.arithmetic, {})
     first, second = (judge.run("encoder", closed, w) for w in (given, other))
     for name, expected in right.items():
         judge.holds(f"encoder.{name}", second[name], Expected(first[name], 2 * np.asarray(expected.allowed)))
@@ -46,7 +46,7 @@ def test_a_pixel_is_seen_from_nearby_only(judge: Judge, case: tuple[Inputs, Weig
     changed = {**inputs, "color": inputs["color"].copy(), "gbuffer": inputs["gbuffer"].copy()}
     changed["color"][y, x] = 0.75 - changed["color"][y, x] / 2
     changed["gbuffer"][y, x, 4:] = 0.75 - changed["gbuffer"][y, x, 4:] / 2
-    right = expect("encoder", judge.exactly(inputs), judge.given(given), judge.arithmetic, {})
+    right = expect("encoder", judge.exactly(inputs, "encoder"), judge.given(given), judge.arithmetic, {})
     first, second = (judge.run("encoder", i, given) for i in (inputs, changed))
     for name, expected in right.items():
         side = height // first[name].shape[0]

@@ -27,7 +27,7 @@ def test_the_three_frames_share_their_weights(judge: Judge, case: tuple[tuple[In
     blocks = np.concatenate([np.arange(32) + 32 * i for i in order])
     read = {name: tensor[:, blocks] for name, tensor in given.items() if name.startswith("lowlevelGated") and tensor.ndim == 4}
     whole = judge.run("history", inputs, given)["feature"]
-    right = expect("history", judge.exactly(inputs), judge.given(given), judge.arithmetic, {})["feature"]
+    right = expect("history", judge.exactly(inputs, "history"), judge.given(given), judge.arithmetic, {})["feature"]
     got = judge.run("history", {"history": inputs["history"][order]}, {**given, **read})["feature"]
     judge.holds("history.feature", got, Expected(whole, 2 * np.asarray(right.allowed)))
 
@@ -38,7 +38,7 @@ def test_without_weights_the_bias_is_left(judge: Judge, case: tuple[Inputs, Weig
     inputs, given = case
     still = {name: tensor if name == "lowlevelGated.conv_feature.bias" else tensor * 0 for name, tensor in given.items()}
     bias = judge.given(still)["lowlevelGated.conv_feature.bias"].astype(np.float64)
-    right = expect("history", judge.exactly(inputs), judge.given(still), judge.arithmetic, {})["feature"]
+    right = expect("history", judge.exactly(inputs, "history"), judge.given(still), judge.arithmetic, {})["feature"]
     got = judge.run("history", inputs, still)["feature"]
     judge.holds("history.feature", got, Expected(np.broadcast_to(bias / 2, got.shape), right.allowed))
 

@@ -22,7 +22,7 @@ def test_agrees_with_the_reference(judge: Judge, inputs: Inputs):
 def test_what_is_valid_is_in_the_frame(judge: Judge, inputs: Inputs):
     """Nothing off screen is trusted."""
     valid = judge.run("holes", inputs)["valid"]
-    inside, edge = within_frame(reach(judge.exactly(inputs)["motion"], judge.arithmetic))
+    inside, edge = within_frame(reach(judge.exactly(inputs, "holes")["motion"], judge.arithmetic))
     judge.same("holes.valid", np.where(inside | edge, 0, valid), np.zeros_like(valid))
 
 

@@ -31,7 +31,7 @@ def test_padding_repeats_the_last_row_and_column(judge: Judge, case: tuple[Input
         name: array[..., rows[:, None], columns] if array.ndim == 2 else _pad(array, rows, columns)
         for name, array in inputs.items()
     }
-    right = expect("network", judge.exactly(inputs), judge.given(given), judge.arithmetic, {})["image"]
+    right = expect("network", judge.exactly(inputs, "network"), judge.given(given), judge.arithmetic, {})["image"]
     got, whole = judge.run("network", inputs, given)["image"], judge.run("network", padded, given)["image"]
     judge.holds("network.image", got, Expected(whole[: 2 * height, : 2 * width], 2 * np.asarray(right.allowed)))
 
@@ -41,8 +41,8 @@ def test_without_a_residual_it_is_bilinear(judge: Judge, case: tuple[Inputs, Wei
     """With weights of 0 the image is the first three colours upsampled, within their own range."""
     inputs, given = case
     still = {name: tensor * 0 for name, tensor in given.items()}
-    got, color = judge.run("network", inputs, still)["image"], judge.exactly(inputs)["color"][..., :3]
-    right = expect("network", judge.exactly(inputs), judge.given(still), judge.arithmetic, {})["image"]
+    got, color = judge.run("network", inputs, still)["image"], judge.exactly(inputs, "network")["color"][..., :3]
+    right = expect("network", judge.exactly(inputs, "network"), judge.given(still), judge.arithmetic, {})["image"]
     judge.holds("network.image", got, Expected(np.clip(got, color.min(axis=(0, 1)), color.max(axis=(0, 1))), right.allowed))
 
 

@@ -18,7 +18,7 @@ def test_agrees_with_the_reference(judge: Judge, inputs: Inputs):
 @cases(occlusion_inputs())
 def test_what_is_valid_is_left_alone(judge: Judge, inputs: Inputs):
     """Outside the holes the warped colour comes back bit for bit."""
-    got, given = judge.run("occlusion_warp", inputs)["occlusion_warp"], judge.given(inputs)
+    got, given = judge.run("occlusion_warp", inputs)["occlusion_warp"], judge.given(inputs, "occlusion_warp")
     valid = given["valid"][..., None] == 1
     judge.same("occlusion_warp.occlusion_warp", np.where(valid, got, 0), np.where(valid, given["warped"], 0))
 
@@ -27,13 +27,17 @@ def test_what_is_valid_is_left_alone(judge: Judge, inputs: Inputs):
 def test_as_one_pixel_after_the_other(judge: Judge, inputs: Inputs):
     """The splat gives the map of a loop over the pixels in raster order, ties and all."""
     got = judge.run("occlusion_warp", inputs)["occlusion_motion"]
-    judge.same("occlusion_warp.occlusion_motion", got, _looped(inputs["motion"], judge.given(inputs)["depth"]).astype(np.float32))
+    judge.same(
+        "occlusion_warp.occlusion_motion",
+        got,
+        _looped(inputs["motion"], judge.given(inputs, "occlusion_warp")["depth"]).astype(np.float32),
+    )
 
 
 @cases(occlusion_inputs(motion="half"))
 def test_only_the_order_of_depths_counts(judge: Judge, inputs: Inputs):
     """Halving all depths below the far end, which is exact, changes no motion."""
-    near = {**inputs, "depth": np.minimum(judge.exactly(inputs)["depth"], 1)}
+    near = {**inputs, "depth": np.minimum(judge.exactly(inputs, "occlusion_warp")["depth"], 1)}
     halved = {**near, "depth": near["depth"] / 2}
     first, second = (judge.run("occlusion_warp", i)["occlusion_motion"] for i in (near, halved))
     judge.same("occlusion_warp.occlusion_motion", second, first)
@@ -42,7 +46,7 @@ def test_only_the_order_of_depths_counts(judge: Judge, inputs: Inputs):
 @cases(occlusion_inputs())
 def test_one_colour_fills_with_itself(judge: Judge, inputs: Inputs):
     """In a flat frame every hole is filled with its colour, bit for bit."""
-    flat = np.broadcast_to(judge.given(inputs)["color"][:1, :1], inputs["color"].shape)
+    flat = np.broadcast_to(judge.given(inputs, "occlusion_warp")["color"][:1, :1], inputs["color"].shape)
     got = judge.run("occlusion_warp", {**inputs, "color": flat, "warped": flat})["occlusion_warp"]
     judge.same("occlusion_warp.occlusion_warp", got, flat)
 

@@ -21,21 +21,21 @@ def test_agrees_with_the_reference(judge: Judge, inputs: Inputs):
 @cases(warp_inputs(color="flat"))
 def test_one_colour_stays_one_colour(judge: Judge, inputs: Inputs):
     """A flat frame comes back bit for bit: no weight is lost, nothing leaks in at the border."""
-    judge.same("warp.warped", judge.run("warp", inputs)["warped"], judge.given(inputs)["color"])
+    judge.same("warp.warped", judge.run("warp", inputs)["warped"], judge.given(inputs, "warp")["color"])
 
 
 @cases(warp_inputs(motion="still"))
 def test_nothing_moves(judge: Judge, inputs: Inputs):
     """Without motion the frame is itself, bit for bit, and all of it lies in the frame."""
     got = judge.run("warp", inputs)
-    judge.same("warp.warped", got["warped"], judge.given(inputs)["color"])
+    judge.same("warp.warped", got["warped"], judge.given(inputs, "warp")["color"])
     judge.same("warp.inside", got["inside"], np.ones_like(got["inside"]))
 
 
 @cases(warp_inputs(motion="whole"))
 def test_whole_pixels_move_exactly(judge: Judge, inputs: Inputs):
     """Motion of whole pixels copies them; outside, the nearest border pixel."""
-    got, color, motion = judge.run("warp", inputs), judge.given(inputs)["color"], inputs["motion"].astype(int)
+    got, color, motion = judge.run("warp", inputs), judge.given(inputs, "warp")["color"], inputs["motion"].astype(int)
     height, width, _ = color.shape
     y, x = np.indices((height, width))
     x, y = x + motion[..., 0], y + motion[..., 1]
@@ -46,8 +46,8 @@ def test_whole_pixels_move_exactly(judge: Judge, inputs: Inputs):
 @cases(warp_inputs())
 def test_no_colour_is_made_up(judge: Judge, inputs: Inputs):
     """Nothing comes out that is darker or brighter than anything that went in, but for rounding."""
-    got, color = judge.run("warp", inputs)["warped"], judge.exactly(inputs)["color"]
-    allowed = expect_warp(judge.exactly(inputs), judge.arithmetic)["warped"].allowed
+    got, color = judge.run("warp", inputs)["warped"], judge.exactly(inputs, "warp")["color"]
+    allowed = expect_warp(judge.exactly(inputs, "warp"), judge.arithmetic)["warped"].allowed
     judge.holds("warp.warped", got, Expected(np.clip(got, color.min(axis=(0, 1)), color.max(axis=(0, 1))), allowed))
 
 

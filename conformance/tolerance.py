@@ -40,7 +40,7 @@ BOUNDS = {
     "layer.float16": Bound(3, 0, "activation, weight and result stored once each in float16; sums as in float32"),
     "layer.winograd": Bound(12, 0, "rms amplification of F(4x4,3x3), points 0, +-1, +-2: 11.4 (tests/meta/test_bounds.py)"),
     "gate": Bound(4, 0, "1 / (1 + exp(-x)) or (1 + tanh(x / 2)) / 2: absolutely, times what the gate is to close"),
-    "spread": Bound(8, 0, "times the rms of the reference's answer to random changes of that size: no tail reaches 8 sigma"),
+    "spread": Bound(8, 0, "times the rms of the reference's answer to random changes of that size, or twice its largest"),
     "image": Bound(16, 0, "upsampled colour: 10; pixel shuffle and its sum; the sigmoids' own; scale: largest output"),
     # agreement of two implementations in one dtype: each may err by the bound, hence twice the roundings of one
     "warp.warped": Bound(2 * (6 + 4), 0, "3 lerps of 2 roundings; x and y rounded to u |position|, times contrast <= 2 peak"),
