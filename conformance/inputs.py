@@ -66,6 +66,40 @@ def holes_inputs(draw: st.DrawFn, largest: int = 16) -> Inputs:
 
 
 @st.composite
+def thresholds(draw: st.DrawFn, largest: int = 16) -> Inputs:
+    """Stage holes where one test alone decides, and is about to: how far, how turned, or another object."""
+    size = draw(sizes(largest))
+    rng = np.random.default_rng(draw(SEEDS))
+    what = draw(st.sampled_from(["far", "turned", "turned", "other"]))
+    normal = _unit(rng, size)
+    position = rng.normal(0, draw(st.sampled_from([5.0, 500.0])), (*size, 3))
+    nov, depth = rng.uniform(-1, 1, size), rng.random(size)
+    objects = _stencil(rng, size, "one") / 2 if what == "other" else np.full(size, float(what == "turned"))
+    inputs = {"normal": normal, "normal_previous": normal, "position": position, "position_previous": position}
+    if what == "far":
+        bias = 7.5 * np.abs(nov) + 45 * (1 - np.abs(nov)) + 50 * depth
+        inputs["position_previous"] = position + _unit(rng, size) * (bias * rng.uniform(0.8, 1.2, size))[..., None]
+    if what == "turned":
+        # An angle about that of cosine 0.98, or any; lengths other than 1, of which only one is divided by.
+        aside = np.cross(normal, _unit(rng, size))
+        aside /= np.maximum(np.linalg.norm(aside, axis=-1, keepdims=True), 1e-6)
+        angle = np.where(rng.random(size) < 0.2, rng.uniform(0, np.pi, size), rng.uniform(0.1, 0.4, size))[..., None]
+        lengths = [(1.0, 1.0), (1.0, 0.5), (0.99, 1.0), (1.5, 1.0), (1.0, 1e-4), (1.0, 0.0), (0.0, 1.0), (0.0, 0.0)]
+        now, before = draw(st.sampled_from(lengths))
+        inputs["normal_previous"] = (normal * np.cos(angle) + aside * np.sin(angle)) * before
+        inputs["normal"] = normal * now
+    moved = draw(st.one_of(dyadic_motions(size, "still"), dyadic_motions(size, "short"), motions(size)))
+    same = draw(st.booleans()) or what != "other"
+    other = objects if same else np.zeros(size)
+    return {**inputs, "motion": moved, "stencil_previous": objects, "stencil": other, "nov": nov, "depth": depth}
+
+
+def _unit(rng: np.random.Generator, size: Size) -> NDArray[np.float64]:
+    vector = rng.normal(0, 1, (*size, 3))
+    return vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-6)
+
+
+@st.composite
 def occlusion_inputs(draw: st.DrawFn, largest: int = 16, motion: str = "any") -> Inputs:
     """Stage occlusion_warp: depths that tie, that are all the same, and that never splat."""
     size = draw(sizes(largest))
@@ -76,15 +110,17 @@ def occlusion_inputs(draw: st.DrawFn, largest: int = 16, motion: str = "any") ->
         "color": color,
         "warped": draw(colors(size, 3)),
         "motion": moved,
-        "depth": depths(rng, size, draw(st.sampled_from(["any", "ties", "flat", "far"]))),
+        "depth": depths(rng, size, draw(st.sampled_from(["any", "ties", "close", "flat", "far"]))),
         "valid": draw(masks(size)).astype(np.uint8),
     }
 
 
 def depths(rng: np.random.Generator, size: Size, kind: str) -> NDArray[np.float64]:
-    """(H, W): of any value, of few values, of one, or some too far to splat."""
+    """(H, W): of any value, of few values, of hardly different ones, of one, or some too far to splat."""
     if kind == "ties":
-        return rng.integers(0, 3, size) / 4
+        return rng.choice([0.0, -0.0, 0.25, 0.5], size)
+    if kind == "close":
+        return 0.5 + rng.integers(0, 8, size) * 2.0**-18
     if kind == "flat":
         return np.full(size, rng.random(dtype=np.float32), np.float64)
     depth = rng.random(size, dtype=np.float32).astype(np.float64)
@@ -140,16 +176,18 @@ def frame_inputs(
     reach = draw(st.sampled_from(["still", "whole", "half", "short"]))
     position = rng.integers(-200, 200, (*full, 3)) / 4
     positions = position + rng.integers(-40, 40, (4, *full, 3)) / 2 * draw(st.sampled_from([0, 1, 4]))
-    ground = draw(st.booleans())
-    stencil = _stencil(rng, full, "ground" if ground else "one")
+    objects = draw(st.sampled_from(["ground", "one", "many"]))
+    stencils = [_stencil(rng, full, objects)] * 4 if draw(st.booleans()) else [_stencil(rng, full, objects) for _ in range(4)]
+    normals = [_normals(draw, rng, full)] * 4 if draw(st.booleans()) else [_normals(draw, rng, full) for _ in range(4)]
+    color = draw(st.sampled_from(["unit", "unit", "negative", "bright"]))
     return {
-        "colors": np.stack([draw(colors(full, 3, "unit")) for _ in range(3)]),
+        "colors": np.stack([draw(colors(full, 3, color)) for _ in range(3)]),
         "steps": np.array(back, np.int32),
         "motions": np.stack([draw(dyadic_motions(full, reach)) for _ in range(max(1, *back))]),
         "gbuffer": _gbuffer(draw, rng, full),
         "nov": rng.uniform(-1, 1, full),
-        "stencils": np.stack([stencil] * 4),
-        "normals": np.stack([_normals(draw, rng, full)] * 4),
+        "stencils": np.stack(stencils),
+        "normals": np.stack(normals),
         "positions": positions,
     }
 

@@ -57,6 +57,8 @@ def colors(draw: st.DrawFn, size: Size, channels: int, kind: str = "any") -> Flo
         values = values * (random.random(values.shape) < 0.1)
     elif filled == "high":
         values = values * draw(st.sampled_from([65504.0, 1e6]))
+    elif filled == "bright":
+        values = values * 3
     elif filled == "negative":
         values = values - 0.5
     elif filled == "denormal":
@@ -68,7 +70,7 @@ def colors(draw: st.DrawFn, size: Size, channels: int, kind: str = "any") -> Flo
 
 @st.composite
 def motions(draw: st.DrawFn, size: Size, *, broken: bool = False) -> Float64:
-    """(H, W, 2) that float32 holds exactly: still, whole pixels, halves, short, frame-sized and far outside.
+    """(H, W, 2) that float32 holds exactly: still, whole pixels and nearly so, halves, short, frame-sized and far outside.
 
     Args:
         draw: Hypothesis's.
@@ -76,7 +78,7 @@ def motions(draw: st.DrawFn, size: Size, *, broken: bool = False) -> Float64:
         broken: whether some may be NaN or infinite.
     """
     random = np.random.default_rng(draw(SEEDS))
-    kind = draw(st.sampled_from(["still", "whole", "half", "short", "long", "far", "tiny", "one", "alike", "mixed"]))
+    kind = draw(st.sampled_from(["still", "whole", "half", "short", "long", "far", "tiny", "nearly", "one", "alike", "mixed"]))
     shape = (*size, 2)
     reach = max(size)
     kinds = {
@@ -87,6 +89,8 @@ def motions(draw: st.DrawFn, size: Size, *, broken: bool = False) -> Float64:
         "long": random.uniform(-1.5 * reach, 1.5 * reach, shape),
         "far": random.uniform(-1, 1, shape) * 10.0 ** random.integers(0, 12, shape),
         "tiny": random.uniform(-1, 1, shape) * 10.0 ** random.integers(-12, -3, shape),
+        "nearly": random.integers(-reach, reach + 1, shape)
+        + random.choice([-1, 1], shape) * 2.0 ** random.integers(-14, -8, shape),
         "one": np.broadcast_to(random.uniform(-2, 2, 2), shape),
         "alike": np.sort(random.choice([0.3, 0.7, -0.3], shape), axis=-1)[..., :: random.choice([-1, 1])],
     }

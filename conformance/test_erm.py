@@ -9,6 +9,7 @@ from conformance.expected import Expected
 from conformance.inputs import Inputs, multiples, network_inputs, weights
 from conformance.judge import Judge
 from conformance.properties import cases
+from conformance.strategies import SEEDS
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("erm", multiples(48)), weights())
@@ -60,6 +61,17 @@ def test_equal_light_stays_equal(judge: Judge, case: tuple[Inputs, Weights]):
     judge.holds("erm.reshaded", got, Expected(np.where(faint, right.want, light), right.allowed))
 
 
+@cases(st.tuples(CASES, SEEDS), dear=True)
+def test_opposite_materials_share_no_light(judge: Judge, case: tuple[tuple[Inputs, Weights], int]):
+    """Where a key is the sign of the first normal, each place averages the light of its own sign: less than none is none."""
+    (inputs, given), seed = case
+    height, width, _ = inputs["x4"].shape
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (height, width))
+    signed = {**inputs, "gbuffer": inputs["gbuffer"].copy()}
+    signed["gbuffer"][..., 0] = signs.repeat(8, axis=0).repeat(8, axis=1)
+    judge.agrees("erm", signed, {**given, **_sign_of_the_first(given)})
+
+
 @cases(CASES, dear=True)
 def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     """The same frame gives the same bits again."""
@@ -71,6 +83,14 @@ def _centre(weight: np.ndarray) -> np.ndarray:
     kept = np.zeros_like(weight)
     kept[:, :, 1, 1] = weight[:, :, 1, 1]
     return kept
+
+
+def _sign_of_the_first(weights: Weights) -> dict[str, np.ndarray]:
+    """A KEncoder whose only key is the sign of its first input."""
+    keys = {name: np.zeros_like(tensor) for name, tensor in weights.items() if name.startswith("KEncoder")}
+    for layer, output, read, value in ((0, 0, 0, 1), (0, 1, 0, -1), (2, 0, 0, 1), (2, 1, 1, 1), (4, 0, 0, 1), (4, 0, 1, -1)):
+        keys[f"KEncoder.{layer}.weight"][output, read, 1, 1] = value
+    return keys
 
 
 def _quarter(inputs: Inputs) -> Inputs:

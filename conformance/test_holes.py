@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from conformance.arithmetic import reach
 from conformance.expect_image import within_frame
-from conformance.inputs import Inputs, holes_inputs
+from conformance.inputs import Inputs, holes_inputs, thresholds
 from conformance.judge import Judge
 from conformance.properties import cases
 from conformance.strategies import SEEDS, Size, sizes
@@ -15,6 +15,12 @@ from conformance.strategies import SEEDS, Size, sizes
 @cases(holes_inputs())
 def test_agrees_with_the_reference(judge: Judge, inputs: Inputs):
     """The mask is the float64 reference's; where a test comes within rounding of its threshold, either answer is right."""
+    judge.agrees("holes", inputs)
+
+
+@cases(thresholds())
+def test_agrees_near_the_thresholds(judge: Judge, inputs: Inputs):
+    """The same where one test alone decides: a surface about as far away, or as turned, as is trusted; another object's edge."""
     judge.agrees("holes", inputs)
 
 

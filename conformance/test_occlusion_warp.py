@@ -58,6 +58,16 @@ def test_what_is_too_far_writes_nothing(judge: Judge, inputs: Inputs):
     judge.same("occlusion_warp.occlusion_motion", got, np.zeros_like(got))
 
 
+@cases(occlusion_inputs(motion="whole").flatmap(lambda inputs: st.tuples(st.just(inputs), st.sampled_from([np.nan, np.inf]))))
+def test_lost_motion_writes_nothing(judge: Judge, case: tuple[Inputs, float]):
+    """Where all motion is lost nothing is splatted: there is nowhere else to look."""
+    inputs, lost = case
+    motion = inputs["motion"].copy()
+    motion[..., 0] = lost
+    got = judge.run("occlusion_warp", {**inputs, "motion": motion, "depth": inputs["depth"] / 32})["occlusion_motion"]
+    judge.same("occlusion_warp.occlusion_motion", got, np.zeros_like(got))
+
+
 @cases(occlusion_inputs())
 def test_the_same_twice(judge: Judge, inputs: Inputs):
     """A splat that depends on which write comes first would not give the same bits again."""
