@@ -43,6 +43,10 @@ class Arithmetic:
         """Distance of the smallest numbers: what storing a small one may lose."""
         return float(np.finfo(self.dtype).smallest_subnormal)
 
+    def flushed(self, x: NDArray[Any]) -> Float64:
+        """What copying ``x`` may be off by: a number too small to be normal may become 0."""
+        return np.where(np.abs(x) < self.tiny, self.tiny, 0.0)
+
     def holds(self, x: Float64) -> Bool:
         """Where ``x`` is one of its numbers."""
         with np.errstate(over="ignore"):
@@ -89,14 +93,20 @@ def reach(motion: Float64, arithmetic: Arithmetic, off: Float64 | float = 0.0) -
     finite: Bool = np.asarray(np.isfinite(motion).all(axis=-1))
     pixel = np.stack(grid(height, width, motion.dtype), axis=-1).astype(np.float64)
     position: Float64 = pixel + np.where(finite[..., None], motion, 0)
-    wrong = off + sum_error(position, off, arithmetic)
+    wrong = off + position_error(position, off, arithmetic)
     return Reach(position[..., 0], position[..., 1], wrong[..., 0], wrong[..., 1], finite)
 
 
+def position_error(position: Float64, off: Float64 | float, arithmetic: Arithmetic) -> Float64:
+    """What rounding a position adds, be it ``p + m`` or ``(p + 1/2) + m - 1/2``: nothing where both are exact."""
+    exact = (np.broadcast_to(off, position.shape) == 0) & arithmetic.holds(position) & arithmetic.holds(position + 0.5)
+    return np.where(exact, 0, BOUNDS["position"].roundings * arithmetic.unit * (np.abs(position) + 1))
+
+
 def sum_error(total: Float64, off: Float64 | float, arithmetic: Arithmetic) -> Float64:
-    """What rounding a sum of coordinates adds: nothing where its terms are exact and the arithmetic holds it."""
+    """What rounding a sum of motions adds: nothing where its terms are exact and the arithmetic holds it."""
     exact = (np.broadcast_to(off, total.shape) == 0) & arithmetic.holds(total)
-    return np.where(exact, 0, BOUNDS["position"].roundings * arithmetic.unit * np.abs(total))
+    return np.where(exact, 0, BOUNDS["sum"].roundings * arithmetic.unit * np.abs(total))
 
 
 def _near_whole(x: Float64, off: Float64) -> Bool:

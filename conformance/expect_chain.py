@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from conformance.arithmetic import Arithmetic, reach, sum_error
+from conformance.arithmetic import Arithmetic, position_error, reach, sum_error
 from conformance.expected import Expected
 from conformance.tolerance import BOUNDS
 from stss_ref.motion_chain import gather_longest
@@ -96,7 +96,7 @@ def _steps(
     at = np.asarray(pixel, np.float64) + chained
     if not np.isfinite(chained).all() or (at <= -2).any() or at[0] >= width + 1 or at[1] >= height + 1:
         return [np.zeros(2)]
-    wrong = off + sum_error(at, off, arithmetic)
+    wrong = off + position_error(at, off, arithmetic)
     columns, rows = ({int(np.trunc(c - e)), int(np.trunc(c)), int(np.trunc(c + e))} for c, e in zip(at, wrong, strict=True))
     return [step for row in sorted(rows) for column in sorted(columns) for step in _longest(earlier, row, column, arithmetic)]
 

@@ -43,7 +43,7 @@ def expect_occlusion_warp(
     by = maps[0] if got is None else got["occlusion_motion"].astype(np.float64)
     valid = inputs["valid"].astype(bool)[..., None]
     instead, allowed = interpolated(inputs["color"], reach(by, arithmetic), arithmetic)
-    warped = Expected(np.where(valid, inputs["warped"], instead), np.where(valid, 0, allowed))
+    warped = Expected(np.where(valid, inputs["warped"], instead), np.where(valid, arithmetic.flushed(inputs["warped"]), allowed))
     return {"occlusion_motion": expected, "occlusion_warp": warped}
 
 

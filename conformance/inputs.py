@@ -96,7 +96,7 @@ def thresholds(draw: st.DrawFn, largest: int = 16) -> Inputs:
 
 def _unit(rng: np.random.Generator, size: Size) -> NDArray[np.float64]:
     vector = rng.normal(0, 1, (*size, 3))
-    return vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-6)
+    return np.asarray(vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-6), np.float64)
 
 
 @st.composite

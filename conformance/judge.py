@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from conformance.arithmetic import Arithmetic
 from conformance.expect import expect
-from conformance.expected import Expected, exact, largest
+from conformance.expected import Expected, largest
 from conformance.folder_port import FolderPort
 from conformance.port import Arrays, Case, Outputs, Port, PortError, Unsupported
 from conformance.shapes import Sizes
@@ -205,8 +205,9 @@ class Judge:
         return outputs
 
     def same(self, output: str, got: NDArray[Any], want: NDArray[Any]) -> None:
-        """The very same numbers; 0 and -0 are the same."""
-        self.holds(output, got, exact(np.asarray(want)))
+        """The very same numbers; 0 and -0 are the same, and numbers too small to be normal may be 0."""
+        want = np.asarray(want)
+        self.holds(output, got, Expected(want, self.arithmetic.flushed(want)))
 
     def holds(self, output: str, got: NDArray[Any], expected: Expected) -> None:
         """Raise DepartureError unless ``got`` is right; ``output`` is ``stage.name``, as in the table of bounds."""

@@ -29,7 +29,10 @@ class Bound:
 
 BOUNDS = {
     # what the suite allows a port; docs/conformance.md derives each row
-    "position": Bound(2, 0, "p + m, or by way of pixel centres (p + 1/2) + m - 1/2; exact where the arithmetic holds the sum"),
+    "position": Bound(
+        2, 0, "p + m, or by way of pixel centres (p + 1/2) + m - 1/2; scale: |p + m| + 1; exact where both are held"
+    ),
+    "sum": Bound(1, 0, "two motions added; exact where the arithmetic holds the sum"),
     "bilinear": Bound(
         10, 0, "inner lerp: difference of at most 2 peaks, product, sum: 5; the outer one doubles it; scale: the taps"
     ),
@@ -38,7 +41,7 @@ BOUNDS = {
     "dot": Bound(4, 0, "three products and their sum; scale: on absolute values"),
     "layer": Bound(2, 0, "gamma_n: n = products in one sum, and these for bias and activation; scale: weights (backward error)"),
     "layer.float16": Bound(3, 0, "activation, weight and result stored once each in float16; sums as in float32"),
-    "layer.winograd": Bound(12, 0, "rms amplification of F(4x4,3x3), points 0, +-1, +-2: 11.4 (tests/meta/test_bounds.py)"),
+    "layer.winograd": Bound(12, 0, "rms amplification of F(4x4,3x3) on 0, +-1, +-2: 10.8 (tests/meta/test_bounds.py)"),
     "gate": Bound(4, 0, "1 / (1 + exp(-x)) or (1 + tanh(x / 2)) / 2: absolutely, times what the gate is to close"),
     "spread": Bound(8, 0, "times the rms of the reference's answer to random changes of that size, or twice its largest"),
     "image": Bound(16, 0, "upsampled colour: 10; pixel shuffle and its sum; the sigmoids' own; scale: largest output"),

@@ -20,6 +20,7 @@ from stss import inspection
 from stss.backends import open_backend
 from stss.cli_conform import conform
 from stss.cli_devices import bench_command, devices, export, port, tune
+from stss.cli_stress import stress_command
 from stss.color import TRANSFERS
 from stss.errors import InputError
 from stss.options import PATH, FrameRange, backend_options, sequence_options
@@ -177,7 +178,7 @@ def inspect(file: str, size: tuple[int, int], as_json: bool) -> None:
         inspection.print_inspection(found, Console())
 
 
-for command in (bench_command, conform, devices, export, port, tune):
+for command in (bench_command, conform, devices, export, port, stress_command, tune):
     stss.add_command(command)
 
 

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: MIT
+"""Every planted fault still applies to the reference, runs as a port must, and is no reference in other words."""
+
+import sys
+from collections import Counter
+from functools import cache
+
+import numpy as np
+import pytest
+
+from conformance.stages import STAGES, check_inputs, check_outputs, reference
+from tests.meta import mutants
+from tests.meta.mutants import MUTANTS, find, of_stage, samples
+from tests.meta.variants import PACKAGE, VariantError, departs, load
+
+
+def by_id(mutant):
+    return mutant.id
+
+
+@cache
+def truth(stage):
+    """Of each sample what the reference computes, in float64 and in float32."""
+    with np.errstate(all="ignore"):
+        return [
+            (reference(stage, as_float64(case.inputs), case.weights), reference(stage, case.inputs, case.weights))
+            for case in samples(stage)
+        ]
+
+
+def as_float64(inputs):
+    return {name: a.astype(np.float64) if a.dtype.kind == "f" else a for name, a in inputs.items()}
+
+
+def is_found_out(port, stage, *, bits):
+    """Whether a sample tells the port from the reference, by its bits or by more than any bound of a stage allows.
+
+    Everything it gives must fit the table of stages: a fault is to be found by its numbers, not by a crash.
+    """
+    found = False
+    for case, (exact, rounded) in zip(samples(stage), truth(stage), strict=True):
+        got = port.run(stage, case.inputs, case.weights)
+        check_outputs(stage, got, check_inputs(stage, case.inputs))
+        found |= departs(got, rounded, None) if bits else departs(got, exact, "stage.cl")
+        # Only where indices are computed can one sample crash and another not; the others are dear.
+        if found and case.weights is not None:
+            break
+    return found
+
+
+@pytest.mark.parametrize("mutant", MUTANTS, ids=by_id)
+def test_a_fault_is_one(mutant):
+    """It applies, runs, and shows in every stage whose tests ought to catch it."""
+    port = mutant.port()
+    for stage in (mutant.stage, *mutant.also):
+        assert is_found_out(port, stage, bits=mutant.bits), stage
+
+
+@pytest.mark.parametrize("mutant", [mutant for mutant in MUTANTS if mutant.bits], ids=by_id)
+def test_a_fault_of_bits_is_within_the_bounds(mutant):
+    """Otherwise its mark would excuse a suite that misses it."""
+    assert not is_found_out(mutant.port(), mutant.stage, bits=False)
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_an_unchanged_copy_is_the_reference(stage):
+    """Bit for bit, so that what a mutant does differently is its fault alone; and float32 alone is none."""
+    copy = load("copy")
+    assert copy.stages() == set(STAGES)
+    assert not is_found_out(copy, stage, bits=True)
+    assert not is_found_out(copy, stage, bits=False)
+
+
+def test_there_are_enough():
+    counts = Counter(mutant.stage for mutant in MUTANTS)
+    assert set(counts) == set(STAGES)
+    assert min(counts.values()) >= 10
+    assert len({mutant.id for mutant in MUTANTS}) == len(MUTANTS) >= 70
+
+
+def test_no_two_are_the_same():
+    assert len({mutant.changes for mutant in MUTANTS}) == len(MUTANTS)
+
+
+def test_they_are_found_by_stage_and_by_name():
+    assert find("warp_x_sign") in of_stage("warp")
+    assert find("warp_x_sign") not in of_stage("holes")
+    assert find("warp_x_sign") in of_stage("holes", shared=True)
+    assert mutants.warp_x_sign().name == "warp_x_sign"
+    with pytest.raises(AttributeError):
+        mutants.warp_z_sign  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("changes", "functions", "words"),
+    [
+        ([("warp.py", "no such text", "")], {}, "warp.py: expected once, found 0 times: 'no such text'"),
+        ([("conv.py", "bias", "")], {}, "conv.py: expected once, found"),
+        ([("warp.py", "follow(motion)", "no such text"), ("warp.py", "follow(motion)", "")], {}, "found 0 times"),
+        ([("cows.py", "a", "b")], {}, "cows.py: no such file"),
+        ([], {"conv.no_such_function": abs}, "conv.no_such_function: no such function"),
+        ([], {"cows.conv": abs}, "cows.conv: no such function"),
+    ],
+)
+def test_a_change_that_does_not_fit_is_an_error(changes, functions, words):
+    with pytest.raises(VariantError) as caught:
+        load("wrong", changes, functions)
+    assert words in str(caught.value)
+
+
+def test_nothing_is_left_of_a_copy():
+    """Neither in what Python takes for imported nor in how it imports, whether or not the copy could be made."""
+    before = list(sys.meta_path)
+    load("copy")
+    with pytest.raises(SyntaxError):
+        load("broken", [("warp.py", "return bilinear", "return return bilinear")])
+    assert not [name for name in sys.modules if name.partition(".")[0] == PACKAGE]
+    assert sys.meta_path == before
+
+
+def test_two_copies_share_nothing():
+    """A mutant leaves the reference and the next mutant alone."""
+    (case, *_) = samples("rrm")
+    wrong, right = find("rrm_filled").port(), load("copy")
+    assert not departs(right.run("rrm", case.inputs), reference("rrm", case.inputs), None)
+    assert departs(wrong.run("rrm", case.inputs), reference("rrm", case.inputs), None)

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: MIT
+"""Copies of the reference with changed source, as ports: planted faults, and correct ports with other arithmetic.
+
+A copy is all of `stss_ref` and, on top of it, ``conformance/stages.py``, under another package name. It is made in memory, and no
+trace of it is left in ``sys.modules``; it runs in the dtype of its inputs, so as a port in float32.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from pathlib import Path
+from types import CodeType, ModuleType
+from typing import Any
+
+import numpy as np
+
+from conformance.port import AnyArray, Arrays, Outputs
+from conformance.stages import STAGES
+from conformance.tolerance import ratio
+from stss_ref.weights import Weights
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = "stss_variant"
+"""Name of every copy; only one is being made at a time."""
+
+Change = tuple[str, str, str]
+"""File, old text, new text. Files go by their names alone: those of `stss_ref`, and ``stages.py``."""
+Functions = Mapping[str, Callable[..., Any]]
+"""What takes a function's place, by ``module.function``."""
+
+
+class VariantError(ValueError):
+    """A change does not fit the reference as it is now; the message names the file and the text."""
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A mistake that a porter could make.
+
+    Attributes:
+        stage: whose tests ought to catch it: the narrowest one. Stages that contain it (``network``, ``frame``) see it as well.
+        name: with the stage before it, unique.
+        what: the mistake, in one line.
+        changes: what it is in the reference's source.
+        also: other stages of the narrow kind whose tests ought to catch it, since they share the code.
+        bits: the numbers stay within any bound; only a test that asks for exactness can catch it.
+    """
+
+    stage: str
+    name: str
+    what: str
+    changes: tuple[Change, ...]
+    also: tuple[str, ...] = ()
+    bits: bool = False
+
+    @property
+    def id(self) -> str:
+        """An identifier: ``warp_x_sign``."""
+        return f"{self.stage}_{self.name}"
+
+    def port(self) -> Variant:
+        """The reference with this mistake; VariantError if it no longer applies."""
+        return load(self.id, self.changes)
+
+
+def fault(stage: str, name: str, what: str, *change: str, more: Sequence[Change] = (), **marks: Any) -> Mutant:
+    """A mutant of the change ``file, old, new``, and ``more`` where that is not enough."""
+    file, old, new = change
+    return Mutant(stage, name, what, ((file, old, new), *more), **marks)
+
+
+class Variant:
+    """A copy as a port (`conformance.port.Port`).
+
+    Attributes:
+        name: stands in reports.
+        dtype: ``float32`` or ``float16``, what picks the bounds.
+        winograd: whether its convolutions at stride 1 are Winograd's, whose bits and errors depend on more than the window.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        reference: Callable[..., Outputs],
+        dtype: str = "float32",
+        winograd: bool = False,
+        entry: Callable[[AnyArray], AnyArray] | None = None,
+    ):
+        """Make a port of a copy's ``reference``; ``entry`` is done to every float array and weight before."""
+        self.name = name
+        self.dtype = dtype
+        self.winograd = winograd
+        self._reference = reference
+        self._entry = entry
+
+    def __repr__(self) -> str:
+        return f"Variant({self.name!r})"
+
+    def stages(self) -> frozenset[str]:
+        """All of them."""
+        return frozenset(STAGES)
+
+    def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
+        """See `conformance.port.Port`. A wrong number is no warning: other languages give none."""
+        if (entry := self._entry) is not None:
+            inputs = {name: entry(array) if array.dtype.kind == "f" else array for name, array in inputs.items()}
+            weights = None if weights is None else {name: entry(tensor) for name, tensor in weights.items()}
+        with np.errstate(all="ignore"):
+            return self._reference(stage, inputs, weights)
+
+
+def load(name: str, changes: Sequence[Change] = (), functions: Functions | None = None, **port: Any) -> Variant:
+    """Make a copy of the reference and change it.
+
+    Args:
+        name: of the port.
+        changes: texts to be replaced, one after the other; each must be there exactly once.
+        functions: functions to be replaced. Whoever imports one gets the new one.
+        port: further arguments of `Variant`.
+
+    Raises:
+        VariantError: a text is not there exactly once, or there is no such file or function.
+    """
+    finder = _Copy(_changed(changes), functions or {})
+    sys.meta_path.insert(0, finder)
+    try:
+        stages = import_module(f"{PACKAGE}.stages")
+    finally:
+        sys.meta_path.remove(finder)
+        for module in [module for module in sys.modules if module.partition(".")[0] == PACKAGE]:
+            del sys.modules[module]
+    if missing := sorted(set(finder.functions) - finder.replaced):
+        raise VariantError(f"{missing[0]}: no such function in the reference")
+    return Variant(name, stages.reference, **port)
+
+
+def departs(got: Outputs, want: Outputs, row: str | None) -> bool:
+    """Whether outputs differ by more than a row of the table of bounds allows, or at all (None); masks may never differ.
+
+    The row's floor is meant for numbers of order 1, so larger outputs are divided by their largest number.
+    """
+    for name, right in want.items():
+        if right.dtype == np.uint8 or row is None:
+            if not np.array_equal(got[name], right, equal_nan=right.dtype.kind == "f"):
+                return True
+            continue
+        finite = np.isfinite(right) & np.isfinite(got[name])
+        if not np.array_equal(got[name][~finite], right[~finite], equal_nan=True):
+            return True
+        largest = max(1, np.abs(right[finite]).max(initial=0))
+        if ratio(row, got[name][finite] / largest, right[finite] / largest) > 1:
+            return True
+    return False
+
+
+class _Copy(MetaPathFinder, Loader):
+    """Finds and executes the modules of one copy."""
+
+    def __init__(self, sources: Mapping[str, str], functions: Functions):
+        self._sources = sources
+        self.functions = functions
+        self.replaced: set[str] = set()
+
+    def find_spec(self, fullname: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        return ModuleSpec(fullname, self, is_package=fullname == PACKAGE) if fullname.partition(".")[0] == PACKAGE else None
+
+    def exec_module(self, module: ModuleType) -> None:
+        word = module.__name__.partition(".")[2]
+        file = f"{word or '__init__'}.py"
+        if file not in self._sources:
+            raise ModuleNotFoundError(f"no module {module.__name__}", name=module.__name__)
+        exec(_code(file, self._sources[file]), vars(module))
+        for name, function in self.functions.items():
+            owner, _, attribute = name.partition(".")
+            if owner == word and callable(getattr(module, attribute, None)):
+                setattr(module, attribute, function)
+                self.replaced.add(name)
+
+
+@cache
+def _sources() -> dict[str, str]:
+    # `arrays` stays the original: it computes nothing, and its errors are those that the suite knows.
+    paths = [path for path in (ROOT / "stss_ref").glob("*.py") if path.name != "arrays.py"]
+    return {path.name: path.read_text(encoding="utf-8") for path in [*paths, ROOT / "conformance" / "stages.py"]}
+
+
+def _changed(changes: Sequence[Change]) -> dict[str, str]:
+    sources = dict(_sources())
+    for file, old, new in changes:
+        if file not in sources:
+            raise VariantError(f"{file}: no such file in the reference")
+        if (count := sources[file].count(old)) != 1:
+            raise VariantError(f"{file}: expected once, found {count} times: {old!r}")
+        sources[file] = sources[file].replace(old, new)
+    return sources
+
+
+@cache
+def _code(file: str, source: str) -> CodeType:
+    source = re.sub(r"^from stss_ref\b(?!\.arrays\b)", f"from {PACKAGE}", source, flags=re.MULTILINE)
+    return compile(source, f"<{PACKAGE}/{file}>", "exec", dont_inherit=True)
