@@ -118,9 +118,9 @@ def occlusion_inputs(draw: st.DrawFn, largest: int = 16, motion: str = "any") ->
 def depths(rng: np.random.Generator, size: Size, kind: str) -> NDArray[np.float64]:
     """(H, W): of any value, of few values, of hardly different ones, of one, or some too far to splat."""
     if kind == "ties":
-        return rng.choice([0.0, -0.0, 0.25, 0.5], size)
+        return np.asarray(rng.choice([0.0, -0.0, 0.25, 0.5], size), np.float64)
     if kind == "close":
-        return 0.5 + rng.integers(0, 8, size) * 2.0**-18
+        return np.asarray(0.5 + rng.integers(0, 8, size) * 2.0**-18, np.float64)
     if kind == "flat":
         return np.full(size, rng.random(dtype=np.float32), np.float64)
     depth = rng.random(size, dtype=np.float32).astype(np.float64)
@@ -227,8 +227,9 @@ def _normals(draw: st.DrawFn, rng: np.random.Generator, size: Size) -> NDArray[n
     if kind == "flat":
         normal = np.broadcast_to(normal[:1, :1], normal.shape)
     factor = {"long": 3.0, "denormal": 1e-39, "zero": 0.0}.get(kind, 1.0)
-    normal = normal * factor
-    return np.where(rng.random((*size, 1)) < 0.4, 0, normal) if kind == "some zero" else normal
+    if kind == "some zero":
+        normal = np.where(rng.random((*size, 1)) < 0.4, 0, normal)
+    return np.asarray(normal * factor, np.float64)
 
 
 def _gbuffer(draw: st.DrawFn, rng: np.random.Generator, size: Size) -> NDArray[np.float64]:

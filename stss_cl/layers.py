@@ -13,7 +13,7 @@ import pyopencl as cl
 from stss_cl.buffers import FLAGS, Outgoing, Padded, constant, incoming, inputs_for, padded, read, write
 from stss_cl.device import Device
 from stss_cl.launch import FAST_MULTIPLY_ADD, HEIGHT_ARGUMENT, IMAGE_ARGUMENT, ROW_ARGUMENTS, Final, Launch, conv, half
-from stss_cl.packing import ceil8, ceil_div, pack
+from stss_cl.packing import ceil8, ceil_div, pack, pack_outc
 from stss_cl.program import build
 from stss_cl.strips import OVERLAP, Strip, rows_within, strips
 from stss_cl.tuning import tuning_for
@@ -275,14 +275,8 @@ class Layers:
             self._image(self._conv("decoder", name, wide, self._padded(1, 24)))
 
     def _final(self) -> Final:
-        outc = pack(self._weights, "outc", ((24, 24),))
-        weight, bias = np.zeros((24, 16), np.float32), np.zeros(16, np.float32)
-        # Output channel 4c + 2i + j at 8i + 3j + c: see kernels/decoder.clh.
-        places = [8 * i + 3 * j + c for c in range(3) for i in range(2) for j in range(2)]
-        weight[:, places], bias[places] = outc.direct.reshape(24, -1)[:, :12], outc.bias[:12]
-        return Final(
-            self.inputs.base, constant(self._device, weight), constant(self._device, bias), self._height, self._width, *self.size
-        )
+        weight, bias = (constant(self._device, array) for array in pack_outc(self._weights))
+        return Final(self.inputs.base, weight, bias, self._height, self._width, *self.size)
 
     def _image(self, feature: Padded) -> None:
         """outc, and the upsampled frame; where outc is 0 any finite feature will do."""

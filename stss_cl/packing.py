@@ -78,6 +78,14 @@ def pack(weights: Weights, name: str, inputs: tuple[tuple[int, int], ...]) -> Pa
     )
 
 
+def pack_outc(weights: Weights) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The 1 x 1 convolution outc as kernels/decoder.clh reads it: (24, 16) and (16), output channel 4c + 2i + j at 8i + 3j + c."""
+    weight, bias = np.zeros((24, 16), np.float32), np.zeros(16, np.float32)
+    places = [8 * i + 3 * j + c for c in range(3) for i in range(2) for j in range(2)]
+    weight[:, places], bias[places] = weights["outc.weight"][:, :, 0, 0].T, weights["outc.bias"]
+    return weight, bias
+
+
 def _spread(weight: NDArray[Any], inputs: tuple[tuple[int, int], ...]) -> NDArray[Any]:
     """Put each input's channels at the start of its buffer's."""
     spread = np.zeros((weight.shape[0], sum(size for _, size in inputs), *weight.shape[2:]), weight.dtype)

@@ -1,0 +1,15 @@
+# SPDX-License-Identifier: MIT
+"""Right ports pass: a part of ``make alarms``, which runs the full tier on all of them."""
+
+import pytest
+
+from tests.meta.alarms import judged
+
+
+@pytest.mark.parametrize("name", ["centres", "flush", "fma", "half", "winograd_4"])
+def test_no_false_alarm(name):
+    alarms, worst, (cases, _, unjudged) = judged(name, "quick")
+    assert not alarms
+    assert 0 < max(worst.values()) <= 1
+    assert cases > 4000
+    assert unjudged < 40

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: MIT
+"""``stss conform`` as a porter types it."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from conformance.expected import Expected, largest
+from conformance.judge import TIERS, DepartureError, Judge
+from conformance.runner import run_suite
+from stss.cli import stss
+from stss.conform import load_port
+from stss.errors import InputError
+from stss.images import read_rgb
+from stss.port import ReferencePort
+from tests.meta.mutants import find
+
+EXAMPLE = Path(__file__).parents[2] / "conformance" / "examples" / "cpp"
+WRONG = """
+from stss.port import ReferencePort
+
+class Port(ReferencePort):
+    name = "wrong"
+    def stages(self):
+        return frozenset({"warp", "rrm"})
+    def run(self, stage, inputs, weights=None):
+        if stage == "warp":
+            inputs = {**inputs, "motion": -inputs["motion"]}
+        return super().run(stage, inputs, weights)
+
+class Crash(Port):
+    def run(self, stage, inputs, weights=None):
+        raise MemoryError("no device")
+
+class Shape(Port):
+    def run(self, stage, inputs, weights=None):
+        return {name: array[:-1] for name, array in super().run(stage, inputs, weights).items()}
+
+class Nothing: pass
+class Unknown(Port):
+    def stages(self):
+        return frozenset({"warp", "wrap"})
+"""
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty folder with a wrong port in it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "wrong_port.py").write_text(WRONG)
+    monkeypatch.delitem(sys.modules, "wrong_port", raising=False)
+    return tmp_path
+
+
+def run(*arguments):
+    return CliRunner().invoke(stss, ["conform", *arguments])
+
+
+def test_the_reference_passes(here):
+    done = run("--port", "stss.port:ReferencePort", "--stages", "warp,rrm", "--json", "found.json")
+    assert done.exit_code == 0, done.output
+    found = json.loads((here / "found.json").read_text())
+    assert found["passed"]
+    assert {test["stage"] for test in found["tests"]} == {"warp", "rrm"}
+    assert 0 < max(test["error_over_bound"].get("warp.warped", 0) for test in found["tests"]) <= 1
+    assert not (here / "conform-failures").exists()
+
+
+def test_a_wrong_port_leaves_what_is_needed(here):
+    done = run("--port", "wrong_port:Port", "--report", "page.html", "--junit", "junit.xml", "--json", "found.json")
+    assert done.exit_code == 1
+    assert "warp.agrees_with_the_reference: warp.warped: error / bound" in done.output
+    assert "the port lacks it" in done.output
+    kept = here / "conform-failures" / "warp.agrees_with_the_reference"
+    color = np.load(kept / "0000" / "in" / "color.npy")
+    assert max(color.shape) <= 2  # as small as it gets
+    assert read_rgb(kept / "picture.png").size
+    assert "--replay" in (kept / "README.txt").read_text()
+    page = (here / "page.html").read_text()
+    assert "departs from the specification" in page
+    assert "data:image/png;base64," in page
+    assert int(ElementTree.parse(here / "junit.xml").getroot()[0].get("failures", 0)) > 0
+    found = json.loads((here / "found.json").read_text())
+    assert {test["outcome"] for test in found["tests"] if test["stage"] == "holes"} == {"skipped"}
+
+    assert run("--port", "wrong_port:Port", "--replay", str(kept)).exit_code == 1
+    assert run("--port", "stss.port:ReferencePort", "--replay", str(kept)).exit_code == 0
+
+
+def test_the_same_failure_again(here):
+    """The command finds the same smallest case every time."""
+    texts = set()
+    for _ in range(2):
+        run("--port", "wrong_port:Port", "--stages", "warp")
+        texts.add((here / "conform-failures" / "warp.agrees_with_the_reference" / "0000" / "in" / "motion.npy").read_bytes())
+        shutil.rmtree(here / "conform-failures")
+    assert len(texts) == 1
+
+
+def test_known_failures(here):
+    run("--port", "wrong_port:Port", "--stages", "warp,rrm", "--json", "found.json")
+    failed = [test["id"] for test in json.loads((here / "found.json").read_text())["tests"] if test["outcome"] == "failed"]
+    (here / "known").write_text("# our list\n" + "".join(f"{name} https://example.org/1\n" for name in failed))
+    done = run("--port", "wrong_port:Port", "--stages", "warp,rrm", "--known-failures", "known")
+    assert done.exit_code == 0, done.output
+    # On a right port the list is wrong, and that is said.
+    done = run("--port", "stss.port:ReferencePort", "--stages", "warp,rrm", "--known-failures", "known")
+    assert done.exit_code == 1
+    assert "take it off the list" in done.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "expected either --port"),
+        (["--port", "a:b", "--exec", "c"], "expected either --port"),
+        (["--port", "wrong_port"], "expected package.module:factory, got 'wrong_port'"),
+        (["--port", "no_such_module:Port"], "No module named 'no_such_module'"),
+        (["--port", "wrong_port:Prot"], "module wrong_port has no Prot"),
+        (["--port", "wrong_port:Nothing"], "without name, dtype, stages, run"),
+        (["--port", "wrong_port:Unknown"], "stages: not in the table: wrap"),
+        (["--exec", "./no_such_program"], "./no_such_program: cannot be started"),
+        (["--exec", "'"], "--exec: No closing quotation"),
+        (["--exec", ""], "--exec: expected a command"),
+        (["--port", "wrong_port:Port", "--stages", "wrap"], "--stages: expected some of motion_chain"),
+        (["--port", "wrong_port:Port", "--replay", "nowhere"], "nowhere: no such folder"),
+        (["--port", "wrong_port:Port", "--known-failures", "nowhere"], "nowhere: No such file"),
+    ],
+)
+def test_mistakes_are_one_line(here, arguments, words):
+    done = subprocess.run([sys.executable, "-m", "stss", "conform", *arguments], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "words"), [("warp.no_such_test x\n", "no such test: warp.no_such_test"), ("warp\n", "known:1: expected")]
+)
+def test_a_wrong_list_of_known_failures(here, text, words):
+    (here / "known").write_text(text)
+    with pytest.raises(InputError) as caught:
+        CliRunner().invoke(
+            stss, ["conform", "--port", "wrong_port:Port", "--stages", "rrm", "--known-failures", "known"], catch_exceptions=False
+        )
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(("port", "words"), [("Crash", "MemoryError: no device"), ("Shape", "expected shape")])
+def test_a_port_that_breaks_is_judged(here, port, words):
+    """It neither ends the run nor passes."""
+    done = run("--port", f"wrong_port:{port}", "--stages", "rrm")
+    assert done.exit_code == 1
+    assert words in done.output
+
+
+def test_seeds_differ_and_repeat():
+    def worst(seed):
+        results = run_suite(Judge(ReferencePort(), TIERS["quick"], seed), ["warp"])
+        return [result.record.worst for result in results]
+
+    assert worst(1) == worst(1) != worst(2)
+
+
+def test_steering_does_not_lose_the_failure():
+    """What is reported is a real failure of the port, on the case that is kept."""
+    results = run_suite(Judge(find("warp_x_sign").port()), ["warp"])
+    finding = next(result.record.finding for result in results if result.record.finding)
+    got = find("warp_x_sign").port().run("warp", finding.case.inputs)[finding.output]
+    assert largest(finding.expected, got) > 1
+
+
+def test_the_nearest_right_answer_counts():
+    expected = Expected(np.array([[1.0, 2.0], [np.nan, 1.0]]), 0.5, (np.array([[5.0, 6.0], [np.nan, 1.0]]),), vectors=True)
+    assert largest(expected, np.array([[5.0, 6.25], [3.0, np.inf]])) == 0.5
+    assert largest(expected, np.array([[1.0, 6.0], [np.nan, 1.0]])) > 1  # half of one, half of the other
+    assert largest(expected, np.array([[1.0, 2.0], [0.0, 1.0]])) == np.inf
+    assert largest(expected, np.zeros((1, 2))) == np.inf
+
+
+def test_a_departure_says_where():
+    judge = Judge(find("rrm_filled").port())
+    with pytest.raises(DepartureError, match=r"rrm\.valid: wrong at \[\d+, \d+\]: got"):
+        judge.agrees("rrm", {"valid": np.ones((4, 4), np.uint8), "rectangle": np.array([1, 1, 2, 2], np.int32)})
+
+
+@pytest.mark.skipif(not shutil.which("make") or not shutil.which("g++"), reason="needs make and g++")
+def test_the_example_in_cpp_passes(tmp_path):
+    """As a porter builds it: the quick tier of all its stages, each batch of cases at one start."""
+    shutil.copytree(EXAMPLE, tmp_path / "cpp", ignore=shutil.ignore_patterns("port"))
+    subprocess.run(["make", "-s"], cwd=tmp_path / "cpp", check=True)
+    port = load_port(None, str(tmp_path / "cpp" / "port"), 60, None, False)
+    results = run_suite(Judge(port))
+    assert not [f"{result.id}: {result.message}" for result in results if result.outcome != "passed"]
