@@ -40,9 +40,15 @@ class Maybe:
         return Maybe(~self.possible, ~self.sure)
 
 
-def expect_holes(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic) -> dict[str, Expected]:
-    """The mask of the float64 reference; either answer where a test that matters comes within rounding of its threshold."""
-    at = reach(inputs["motion"], arithmetic)
+def expect_holes(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic, off: Float64 | float = 0.0) -> dict[str, Expected]:
+    """The mask of the float64 reference; either answer where a test that matters comes within rounding of its threshold.
+
+    Args:
+        inputs: of the stage, float64.
+        arithmetic: of the port.
+        off: (H, W, 2) how far its motion may be off.
+    """
+    at = reach(inputs["motion"], arithmetic, off)
     inside, edge = within_frame(at)
     outside = Maybe(~inside & ~edge, ~inside | edge)
     with np.errstate(invalid="ignore", over="ignore"):

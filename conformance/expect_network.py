@@ -103,19 +103,18 @@ def undecided_before(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic) ->
         if step == 0:
             continue
         chain = expect_motion_chain({"motions": inputs["motions"][:step]}, arithmetic)["motion"]
-        motion = chain.want
+        motion, allowed = chain.want, np.asarray(chain.allowed)
+        off = np.where(allowed > arithmetic.tiny, allowed, 0)
         planes = {
             "stencil_previous": inputs["stencils"][i + 1], "stencil": inputs["stencils"][0],
             "normal_previous": inputs["normals"][i + 1], "normal": inputs["normals"][0],
             "position_previous": inputs["positions"][i + 1], "position": inputs["positions"][0],
             "nov": inputs["nov"], "depth": inputs["gbuffer"][..., 3],
         }  # fmt: skip
-        valid = expect_holes({"motion": motion, **planes}, arithmetic)["valid"]
+        valid = expect_holes({"motion": motion, **planes}, arithmetic, off)["valid"]
         count += chain.undecided + valid.undecided
         if i == 0:
             color = inputs["colors"][0]
             given = {"color": color, "warped": color, "motion": motion, "depth": inputs["gbuffer"][..., 3], "valid": valid.want}
-            count += expect_occlusion_warp(given, arithmetic)["occlusion_motion"].undecided
-        # An inexact chain moves positions by more than these allow for.
-        count += int((np.asarray(chain.allowed) > arithmetic.tiny).sum())
+            count += expect_occlusion_warp(given, arithmetic, off=off)["occlusion_motion"].undecided
     return count

@@ -21,7 +21,10 @@ NOBODY: Key = (np.inf, -1)
 
 
 def expect_occlusion_warp(
-    inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic, got: dict[str, NDArray[Any]] | None = None
+    inputs: dict[str, NDArray[Any]],
+    arithmetic: Arithmetic,
+    got: dict[str, NDArray[Any]] | None = None,
+    off: NDArray[np.float64] | float = 0.0,
 ) -> dict[str, Expected]:
     """The splat's map looked up, which copies motions and so is exact; and the colour, read by the port's own motion.
 
@@ -29,9 +32,10 @@ def expect_occlusion_warp(
         inputs: of the stage, float64.
         arithmetic: of the port.
         got: the port's outputs; None: the truth's motion is read by.
+        off: (H, W, 2) how far its motion may be off.
     """
     motion = inputs["motion"]
-    at = reach(motion, arithmetic)
+    at = reach(motion, arithmetic, off)
     definite, maybe = _splats(at, inputs["depth"])
     answers = _look_up(at, motion, definite, maybe)
     most = max(len(found) for found in answers.values())

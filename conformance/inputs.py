@@ -10,6 +10,7 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from conformance.scenes import SCENES, Rendered, render
 from conformance.strategies import SEEDS, Size, colors, dyadic_motions, masks, motions, sizes
 from stss_ref.weights import TENSORS, Weights, random
 
@@ -190,6 +191,35 @@ def frame_inputs(
         "normals": np.stack(normals),
         "positions": positions,
     }
+
+
+@st.composite
+def scene_inputs(draw: st.DrawFn) -> Inputs:
+    """Stage frame on an analytic scene: exact motion of a camera and of objects, real holes, cuts, small size."""
+    name, number = draw(st.sampled_from(sorted(SCENES))), draw(st.integers(5, 12))
+    size = draw(st.tuples(st.integers(4, 14), st.integers(4, 14)))
+    back = draw(st.sampled_from([(0, 2, 4), (1, 3, 5), (1, 1, 1)]))
+    frames = [_rendered(name, number - step, size) for step in range(max(back) + 1)]
+    now = frames[0]
+    depth = np.where(np.isfinite(now.depth), now.depth, 0)
+    depth = depth / max(depth.max(), 1e-6)
+    rest = np.stack([depth, now.roughness, now.metallic], axis=-1)
+    seen = [now, *(frames[step] for step in back)]
+    return {
+        "colors": np.stack([np.clip(frames[step].color, 0, 1) for step in back]),
+        "steps": np.array(back, np.int32),
+        "motions": np.stack([frame.motion for frame in frames[: max(back)]]),
+        "gbuffer": np.concatenate([now.normal, rest, now.base_color], axis=-1),
+        "nov": now.nov,
+        "stencils": np.stack([frame.stencil for frame in seen]),
+        "normals": np.stack([frame.normal for frame in seen]),
+        "positions": np.stack([frame.position for frame in seen]),
+    }
+
+
+@lru_cache(512)
+def _rendered(name: str, number: int, size: Size) -> Rendered:
+    return render(SCENES[name], number, *size)
 
 
 @st.composite

@@ -4,7 +4,7 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from conformance.inputs import Inputs, frame_inputs, weights
+from conformance.inputs import Inputs, frame_inputs, scene_inputs, weights
 from conformance.judge import Judge
 from conformance.properties import cases
 from stss_ref.weights import Weights
@@ -16,6 +16,12 @@ STANDS = frame_inputs().map(lambda inputs: {**inputs, "motions": inputs["motions
 @cases(CASES, dear=True)
 def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
     """The image is the float64 reference's: SF, EF, missing frames; cases in which rounding decides what is a hole are counted."""
+    judge.agrees("frame", *case)
+
+
+@cases(st.tuples(scene_inputs(), weights()), dear=True)
+def test_agrees_on_rendered_scenes(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same on scenes whose motion, geometry and holes are a renderer's."""
     judge.agrees("frame", *case)
 
 

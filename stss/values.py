@@ -166,12 +166,16 @@ class Values:
 
     def _position_lines(self, sequence: Sequence) -> list[Line]:
         source = next((f.sources["position"] for f in sequence.frames.values() if "position" in f.sources), None)
-        if source is None or read_header(source.path).formats[source.names[0]] != "half" or "position" not in self._most:
+        if source is None or "position" not in self._most:
             return []
-        unit = sequence.profile.units_per_cm
-        step = float(np.spacing(np.float32(self._most["position"] * unit))) * 2**13 / unit
-        level: Level = "warning" if step > HOLE_CM / 8 else "note"
-        return [(level, f"position: half precision, in steps of {step:.2g} cm; holes are told apart from {HOLE_CM} cm on")]
+        unit, half = sequence.profile.units_per_cm, read_header(source.path).formats[source.names[0]] == "half"
+        step = float(np.spacing(np.float32(self._most["position"] * unit))) * (2**13 if half else 1) / unit
+        coarse = step > HOLE_CM / 8
+        if not half and not coarse:
+            return []
+        level: Level = "warning" if coarse else "note"
+        stored = "half" if half else "single"
+        return [(level, f"position: {stored} precision, in steps of {step:.2g} cm; holes are told apart from {HOLE_CM} cm on")]
 
     def _color_lines(self, sequence: Sequence) -> list[Line]:
         if "color" not in self._most:

@@ -161,6 +161,18 @@ def test_half_positions(write_frames, far, level, step):
     assert f"position: half precision, in steps of {step} cm; holes are told apart from 7.5 cm on" in texts(report, level)
 
 
+@pytest.mark.parametrize(("far", "said"), [(1, False), (2e5, True)])
+def test_single_positions_far_from_the_origin(write_frames, far, said):
+    """From 2**24 cm on float32's steps are an eighth of the smallest distance that tells a hole, and more."""
+
+    def change(number, channels):
+        channels["position.Z"] = channels["position.Z"] * far
+        channels["depth.Z"][:4] = 1e10
+
+    report = check(write_frames([1, 2], change=change), "stss")
+    assert any(text.startswith("position: single precision") for text in texts(report, "warning")) == said
+
+
 def test_lossy_compression(write_frames, monkeypatch):
     from stss import images
 
