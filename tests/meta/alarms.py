@@ -16,9 +16,9 @@ PAGE = Path(__file__).parents[2] / "docs" / "conformance.md"
 FIRST, LAST = "<!-- written by make alarms -->", "<!-- end -->"
 
 
-def judged(name, tier="full"):
+def judged(name, tier=TIERS["full"]):
     """What a right port fails, largest error / bound by stage, cases, undecided numbers, cases not judged."""
-    results = run_suite(Judge(port(name), TIERS[tier]))
+    results = run_suite(Judge(port(name), tier))
     worst = dict.fromkeys(STAGES, 0.0)
     for result in results:
         for output, ratio in result.record.worst.items():

@@ -1,0 +1,14 @@
+"""The OpenCL backend before its own judge, on whatever runtime is found: a part of what ``stss conform`` does."""
+
+import pytest
+
+from conformance.judge import Judge, Tier
+from conformance.runner import run_suite
+from stss.port import OpenCLPort
+
+
+@pytest.mark.parametrize("precision", ["float32", "float32-direct", "half"])
+def test_conforms(device, precision):
+    results = run_suite(Judge(OpenCLPort(precision), Tier("some", 12, 2)))
+    assert len(results) > 50
+    assert not [f"{result.id}: {result.message}" for result in results if result.outcome != "passed"]
