@@ -32,7 +32,7 @@ BOUNDS = {
     "position": Bound(
         2, 0, "p + m, or by way of pixel centres (p + 1/2) + m - 1/2; scale: |p + m| + 1; exact where both are held"
     ),
-    "sum": Bound(1, 0, "two motions added; exact where the arithmetic holds the sum"),
+    "sum": Bound(2, 0, "two motions added, once; exact where the arithmetic holds the sum, so that one rounding is seen as 1/2"),
     "bilinear": Bound(
         10, 0, "inner lerp: difference of at most 2 peaks, product, sum: 5; the outer one doubles it; scale: the taps"
     ),
