@@ -29,7 +29,21 @@ def chain_inputs(draw: st.DrawFn, largest: int = 16) -> Inputs:
     """Stage motion_chain: one to five motions of the same or of different kinds."""
     size = draw(sizes(largest))
     count = draw(st.integers(1, 5))
+    if draw(st.booleans()):
+        # Short steps, none of them 0, that stay in the frame: the chain is followed to its end.
+        rng = np.random.default_rng(draw(SEEDS))
+        kinds = [draw(st.sampled_from(["whole", "half", "nearly", "any"])) for _ in range(count)]
+        return {"motions": np.stack([_short_steps(rng, size, kind) for kind in kinds])}
     return {"motions": np.stack([draw(motions(size, broken=True)) for _ in range(count)])}
+
+
+def _short_steps(rng: np.random.Generator, size: Size, kind: str) -> NDArray[np.float64]:
+    steps: NDArray[np.float64] = rng.choice(np.array([-2.0, -1.0, 1.0, 2.0]), (*size, 2))
+    if kind == "half":
+        return steps / 2
+    if kind == "nearly":
+        return steps + np.sign(steps) * 2.0 ** rng.integers(-14, -8, steps.shape) * rng.choice(np.array([-1.0, 1.0]), steps.shape)
+    return steps * rng.random(steps.shape) if kind == "any" else steps
 
 
 @st.composite

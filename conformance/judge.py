@@ -77,7 +77,7 @@ class Tier:
     dear: int
 
 
-TIERS = {"quick": Tier("quick", 100, 20), "full": Tier("full", 500, 150)}
+TIERS = {"quick": Tier("quick", 200, 24), "full": Tier("full", 500, 150)}
 
 
 class Judge:

@@ -19,6 +19,15 @@ def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
     judge.agrees("frame", *case)
 
 
+STARTS = st.sampled_from([(0, 0, 0), (1, 1, 1), (0, 2, 2), (1, 3, 3)])
+
+
+@cases(st.tuples(STARTS.flatmap(lambda steps: frame_inputs(steps=steps)), weights()), dear=True)
+def test_agrees_at_the_start_of_a_sequence(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same where older frames are missing: the oldest one there is stands in, with nothing of it to be trusted."""
+    judge.agrees("frame", *case)
+
+
 @cases(st.tuples(scene_inputs(), weights()), dear=True)
 def test_agrees_on_rendered_scenes(judge: Judge, case: tuple[Inputs, Weights]):
     """The same on scenes whose motion, geometry and holes are a renderer's."""

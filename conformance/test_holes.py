@@ -32,6 +32,22 @@ def test_what_is_valid_is_in_the_frame(judge: Judge, inputs: Inputs):
     judge.same("holes.valid", np.where(inside | edge, 0, valid), np.zeros_like(valid))
 
 
+@cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS, st.sampled_from([np.nan, np.inf]))))
+def test_a_lost_position_is_a_hole(judge: Judge, case: tuple[Size, int, float]):
+    """Where nothing moved, a pixel is a hole if any of the four positions read, its own and those right and below, is lost."""
+    size, seed, lost = case
+    rng = np.random.default_rng(seed)
+    position = rng.integers(-8, 8, (*size, 3)) / 8
+    inputs = {name: np.zeros_like(array) for name, array in _quarters(size, seed).items()}
+    broken = rng.random(size) < 0.2
+    previous = np.where((broken & (rng.random(size) < 0.8))[..., None] & (rng.random((*size, 3)) < 0.7), lost, position)
+    gone = ~np.asarray(np.isfinite(previous).all(axis=-1))
+    down, right = (np.minimum(np.arange(n) + 1, n - 1) for n in size)
+    holes = gone | gone[down] | gone[:, right] | gone[down][:, right]
+    got = judge.run("holes", {**inputs, "position": position, "position_previous": previous})["valid"]
+    judge.same("holes.valid", got, (~holes).astype(np.uint8))
+
+
 @cases(holes_inputs())
 def test_the_view_has_no_sign(judge: Judge, inputs: Inputs):
     """A normal that points away counts as one that points here."""

@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""``make mutants``: which test of the quick tier finds out each planted fault; the table of docs/mutants.md."""
+"""``make mutants``: which test of the quick tier finds out each planted fault; the table of docs/mutants.md.
+
+``python -m tests.meta.killed SEED`` tries other cases than a user's default ones.
+"""
 
 import os
 import sys
 from concurrent.futures import ProcessPoolExecutor
+from itertools import repeat
 from pathlib import Path
 from time import perf_counter
 
@@ -15,10 +19,10 @@ PAGE = Path(__file__).parents[2] / "docs" / "mutants.md"
 MARK = "<!-- written by make mutants -->"
 
 
-def killers(name):
+def killers(name, seed=0):
     """The tests of its stage's quick tier that a mutant fails, and the seconds that took; the first one only, unshrunken."""
     mutant, start = find(name), perf_counter()
-    results = run_suite(Judge(mutant.port(), TIERS["quick"], shrink=False), [mutant.stage], first_only=True)
+    results = run_suite(Judge(mutant.port(), TIERS["quick"], seed, shrink=False), [mutant.stage], first_only=True)
     return [result.id for result in results if result.outcome in ("failed", "error")], perf_counter() - start
 
 
@@ -34,15 +38,15 @@ def table(found):
 
 def main():
     os.environ["OMP_NUM_THREADS"] = "1"
-    names = [mutant.id for mutant in MUTANTS]
+    names, seed = [mutant.id for mutant in MUTANTS], int(sys.argv[1]) if sys.argv[1:] else 0
     start = perf_counter()
     with ProcessPoolExecutor() as pool:
-        found = dict(zip(names, pool.map(killers, names, chunksize=2), strict=True))
+        found = dict(zip(names, pool.map(killers, names, repeat(seed), chunksize=2), strict=True))
     survivors = [name for name, (by, _) in found.items() if not by]
     for name, (by, seconds) in found.items():
         print(f"{name:42s} {seconds:5.1f} s  {', '.join(by) or 'SURVIVES'}")
     print(f"{len(names) - len(survivors)} of {len(names)} found out, {perf_counter() - start:.0f} s")
-    if PAGE.exists():
+    if seed == 0:
         head = PAGE.read_text(encoding="utf-8").split(MARK)[0]
         PAGE.write_text(f"{head}{MARK}\n\n{table(found)}\n", encoding="utf-8")
     sys.exit(1 if survivors else 0)
