@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: MIT
+"""A random scene from a seed, as plain data: the same seed and split give the same scene everywhere.
+
+Needs no Blender, so that what is in a set can be said, and tested, without rendering it.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from typing import Any
+
+from looks import CUTOUTS, PICTURES, lights, material, sky
+from paths import add, camera, distance
+
+VERSION = 1
+"""Raise it when the same seed no longer gives the same scene."""
+
+SPLITS = ("train", "validation", "test")
+LAYOUTS = ("hall", "street", "field", "table", "yard")
+SOLIDS = ("cube", "cube", "sphere", "cylinder", "cone", "torus", "monkey")
+THIN = ("fence", "lattice", "wheel", "cables", "ladder")
+MOVES = ("orbit", "pan", "truck", "dolly", "crane", "tilt", "rest")
+WIDTH = 160
+"""The speeds are drawn in pixels of a frame as wide as this."""
+
+Thing = dict[str, Any]
+
+
+class Scene:
+    """A scene in the making: what has been put where."""
+
+    def __init__(self, seed: int, split: str, frames: int):
+        if split not in SPLITS:
+            raise ValueError(f"split: expected one of {', '.join(SPLITS)}, got {split!r}")
+        # The split is part of the seed, so no scene of one split can be in another.
+        self.rng = random.Random(f"stss blender {VERSION} {split} {seed}")
+        rng = self.rng
+        self.seed, self.split, self.frames = seed, split, frames
+        self.layout, self.mood = rng.choice(LAYOUTS), rng.choice(("day", "day", "day", "dusk", "night"))
+        self.fov = rng.uniform(0.7, 1.2)
+        self.materials: list[Thing] = []
+        self.objects: list[Thing] = []
+        self.moving = 0
+        self.centre = [0.0, 0.0, 0.4 if self.layout == "table" else 1.2]
+        self.away = rng.uniform(3.5, 5.0) if self.layout == "table" else rng.uniform(7.0, 12.0)
+        self.shots = self._shots()
+        self.walk = [camera(self.shots, t)[0] for t in range(-1, frames + 1)]
+
+    @property
+    def focal(self) -> float:
+        """Pixels of a frame WIDTH wide that one radian takes in the middle."""
+        return 0.5 * WIDTH / math.tan(0.5 * self.fov)
+
+    def speed(self) -> float:
+        """Pixels a frame: mostly slow, sometimes fast."""
+        return self.rng.choice((self.rng.uniform(0.2, 1), self.rng.uniform(1, 3), self.rng.uniform(1, 3), self.rng.uniform(3, 7)))
+
+    def _shots(self) -> list[Thing]:
+        """One shot, or two with a cut between."""
+        rng, shots = self.rng, []
+        cuts = [0, rng.randint(self.frames // 3, 2 * self.frames // 3)] if rng.random() < 0.25 and self.frames >= 8 else [0]
+        for first in cuts:
+            angle, low = rng.uniform(0, 2 * math.pi), rng.uniform(0.08, 0.5)
+            eye = add(self.centre, (math.cos(angle) * math.cos(low), math.sin(angle) * math.cos(low), math.sin(low)), self.away)
+            move = rng.choice(MOVES)
+            # Radians a frame, or metres where the camera itself moves: nearer things then pass by faster.
+            rate = rng.choice((-1, 1)) * self.speed() / self.focal * (self.away if move in ("truck", "dolly", "crane") else 1)
+            shake = rng.choice((0, 0, 0, rng.uniform(0.3, 1), rng.uniform(1, 4))) / self.focal
+            target = add(self.centre, [rng.uniform(-1, 1), rng.uniform(-1, 1), rng.uniform(-0.3, 0.3)], 0.12 * self.away)
+            shot = {"first": first, "move": move, "eye": eye, "target": target}
+            shots.append(shot | {"rate": rate, "shake": shake, "phase": rng.uniform(0, 6)})
+        return shots
+
+    def paint(self, texture: str | None = None, metal: float = 0.2) -> int:
+        """A new material; its number."""
+        made = material(self.rng, texture, metal)
+        made["scale"] *= 9 / self.away
+        self.materials.append(made)
+        return len(self.materials) - 1
+
+    def put(self, shape: str, at: Any, size: Any, paint: int, turn: Any = (0, 0, 0), motion: Thing | None = None) -> None:
+        """Put a thing into the scene; what moves gets a number of its own."""
+        self.moving += motion is not None
+        number = self.moving if motion is not None else 0
+        made = {"shape": shape, "at": list(at), "size": list(size), "turn": list(turn), "material": paint}
+        self.objects.append(made | {"motion": motion, "index": number, "seed": self.rng.randrange(2**31)})
+
+    def spot(self, radius: float, reach: float) -> tuple[float, float] | None:
+        """A free place within `reach` of the middle that the camera does not run into; None if there is none."""
+        for _ in range(20):
+            angle, far = self.rng.uniform(0, 2 * math.pi), reach * math.sqrt(self.rng.random())
+            x, y = self.centre[0] + far * math.cos(angle), self.centre[1] + far * math.sin(angle)
+            if self.free((x, y, 1.0), radius):
+                return x, y
+        return None
+
+    def free(self, at: Any, radius: float) -> bool:
+        """Whether a thing so wide stays clear of the camera's way."""
+        return all(distance((eye[0], eye[1], 0), (at[0], at[1], 0)) > radius + 0.25 * self.away for eye in self.walk)
+
+
+def _ground(scene: Scene) -> None:
+    """What everything stands on."""
+    rng = scene.rng
+    kind = {"field": "noise", "table": None, "hall": rng.choice(("checker", "brick"))}.get(scene.layout)
+    floor = scene.paint(kind or rng.choice(("checker", "brick", "noise", "voronoi", "wave", "text")), metal=0.05)
+    if scene.layout == "table":
+        scene.put("cube", (0, 0, -0.1), (6, 6, 0.2), floor)
+        scene.put("plane", (0, 0, -1.5), (60, 60, 1), scene.paint("noise", 0))
+    else:
+        scene.put("plane", (0, 0, 0), (90, 90, 1), floor)
+
+
+def _walls(scene: Scene) -> None:
+    """The walls of a hall, the houses of a street, or a few far things."""
+    rng, far = scene.rng, scene.away + 4
+    if scene.layout == "hall":
+        for i in range(4):
+            c, s = (1, 0, -1, 0)[i], (0, 1, 0, -1)[i]
+            scene.put("cube", (c * far, s * far, 3), (0.4 if c else 2 * far, 0.4 if s else 2 * far, 6), scene.paint(metal=0.1))
+    elif scene.layout == "street":
+        for _ in range(rng.randint(6, 12)):
+            angle, tall = rng.uniform(0, 2 * math.pi), rng.uniform(2, 14)
+            away, wide = rng.uniform(1.1, 2.2) * scene.away, rng.uniform(2, 6)
+            at = (away * math.cos(angle), away * math.sin(angle), tall / 2)
+            if scene.free(at, wide):
+                scene.put("cube", at, (wide, wide, tall), scene.paint(rng.choice(("windows", "brick", "text"))))
+    elif scene.layout == "yard":
+        for i in range(2):
+            turn = (0, 0, i * math.pi / 2)
+            at = (0, 1.3 * scene.away, 1) if i == 0 else (1.3 * scene.away, 0, 1)
+            scene.put("fence", at, (2.5 * scene.away, 2, 2), scene.paint("plain", 0.5), turn)
+
+
+def _furnish(scene: Scene) -> None:
+    """Things that rest: solids, thin things, signs, foliage."""
+    rng, unit = scene.rng, scene.away / 9
+    solids, thin, signs, plants = rng.randint(4, 10), rng.randint(1, 4), rng.randint(0, 3), rng.randint(0, 3)
+    if scene.layout == "field":
+        plants += 7
+    leaves = [scene.paint("leaves") for _ in range(2)]
+    for shape in [rng.choice(SOLIDS) for _ in range(solids)]:
+        size = [unit * rng.uniform(0.5, 2.2) for _ in range(3)]
+        size = size if shape in ("cube", "cylinder") else [size[0]] * 3
+        if spot := scene.spot(max(size) / 2, 5 * unit):
+            scene.put(shape, (*spot, size[2] / 2), size, scene.paint(), (0, 0, rng.uniform(0, 6)))
+    for shape in [rng.choice(THIN) for _ in range(thin)]:
+        size = [unit * rng.uniform(1.5, 5)] * 3
+        if spot := scene.spot(size[0] / 2, 6 * unit):
+            scene.put(shape, (*spot, size[2] / 2), size, scene.paint("plain", 0.5), (0, 0, rng.uniform(0, 6)))
+    for _ in range(signs):
+        if spot := scene.spot(unit, 6 * unit):
+            written = scene.paint(rng.choice(("text", "text", "stripes", "mesh")), 0)
+            facing = math.atan2(scene.walk[0][1] - spot[1], scene.walk[0][0] - spot[0]) + math.pi / 2 + rng.uniform(-0.5, 0.5)
+            scene.put("card", (*spot, 1.4 * unit), [unit * rng.uniform(1.5, 3)] * 3, written, (0, 0, facing))
+            scene.put("cylinder", (*spot, 0.7 * unit), (0.05 * unit, 0.05 * unit, 1.4 * unit), scene.paint("plain"))
+    for _ in range(plants):
+        tall = unit * rng.uniform(0.8, 3.5)
+        if spot := scene.spot(tall / 2, 7 * unit):
+            scene.put("bush", (*spot, tall / 2), [tall] * 3, rng.choice(leaves))
+
+
+def _motion(scene: Scene) -> Thing:
+    """How something moves; half of all slide through the picture, one in six of them fast."""
+    rng = scene.rng
+    speed = rng.uniform(7, 16) if rng.random() < 0.17 else scene.speed()
+    metres, angle = speed * scene.away / scene.focal, rng.uniform(0, 2 * math.pi)
+    kind = rng.choice(("slide", "slide", "slide", "circle", "bob", "swing", "spin"))
+    spin = [rng.uniform(-0.15, 0.15) for _ in range(3)] if kind == "spin" or rng.random() < 0.4 else [0.0, 0.0, 0.0]
+    motion: Thing = {"kind": kind, "rate": metres, "phase": angle, "spin": spin}
+    if kind == "slide":
+        motion |= {"along": [math.cos(angle), math.sin(angle), 0.0], "middle": rng.uniform(0.2, 0.8) * scene.frames}
+    if kind in ("circle", "bob", "swing"):
+        radius = (
+            {"circle": 0.15, "bob": 0.06, "swing": 0.6}[kind] * rng.uniform(0.5, 1.5) * (1 if kind == "swing" else scene.away)
+        )
+        motion |= {"radius": radius, "rate": min(0.5, metres / radius)}
+    return motion
+
+
+def _actors(scene: Scene) -> None:
+    """Things that move: solids, thin things, writing and foliage."""
+    rng, unit = scene.rng, scene.away / 9
+    for _ in range(rng.randint(2, 6)):
+        shape = rng.choice((*SOLIDS, *SOLIDS, "wheel", "lattice", "fence", "card", "card", "letters", "letters"))
+        texture = rng.choice(CUTOUTS + PICTURES) if shape == "card" else "plain" if shape in THIN else None
+        size = unit * rng.uniform(0.6, 2.0)
+        if spot := scene.spot(size, 3.5 * unit):
+            at = (*spot, size / 2 + unit * rng.choice((0, 0.2, 1, 2)))
+            scene.put(shape, at, [size] * 3, scene.paint(texture), (0, 0, rng.uniform(0, 6)), _motion(scene))
+
+
+def describe(seed: int, split: str, frames: int) -> Thing:
+    """The scene of a seed.
+
+    Args:
+        seed: any number.
+        split: "train", "validation" or "test": the same seed gives another scene in each.
+        frames: how many there will be.
+
+    Returns:
+        what `assemble.py` builds and `scene.json` holds: plain numbers, lists and words.
+    """
+    if frames < 1:
+        raise ValueError(f"frames: expected 1 or more, got {frames}")
+    scene = Scene(seed, split, frames)
+    for step in (_ground, _walls, _furnish, _actors):
+        step(scene)
+    behind, lamps = sky(scene.rng, scene.mood), lights(scene.rng, scene.mood, scene.centre, frames)
+    used = {scene.materials[thing["material"]]["texture"] for thing in scene.objects}
+    contents = sorted({thing["shape"] for thing in scene.objects} | used)
+    moves = [shot["move"] for shot in scene.shots] + ["shake"] * any(shot["shake"] for shot in scene.shots)
+    return {
+        "version": VERSION,
+        "seed": seed,
+        "split": split,
+        "frames": frames,
+        "layout": scene.layout,
+        "mood": scene.mood,
+        "camera": moves,
+        "cuts": [shot["first"] + 1 for shot in scene.shots[1:]],
+        "contents": contents,
+        "moving": scene.moving,
+        "fov": scene.fov,
+        "shots": scene.shots,
+        "sky": behind,
+        "lights": lamps,
+        "materials": scene.materials,
+        "objects": scene.objects,
+    }
