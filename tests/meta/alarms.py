@@ -10,7 +10,7 @@ from time import perf_counter
 from conformance.judge import TIERS, Judge
 from conformance.runner import run_suite
 from conformance.stages import STAGES
-from tests.meta.arithmetics import PORTS, port  # codespell:ignore
+from tests.meta.arithmetics import PORTS, port
 
 PAGE = Path(__file__).parents[2] / "docs" / "conformance.md"
 FIRST, LAST = "<!-- written by make alarms -->", "<!-- end -->"

@@ -8,7 +8,7 @@ import pytest
 
 from conformance.stages import STAGES, check_inputs, check_outputs, reference
 from stss_ref.conv import conv
-from tests.meta import arithmetics as others  # codespell:ignore
+from tests.meta import arithmetics as others
 from tests.meta.mutants import samples, weights_of
 from tests.meta.variants import departs
 
