@@ -1,0 +1,95 @@
+"""The trainable network and loss against the specification."""
+
+import numpy as np
+import pytest
+
+from conformance.arithmetic import Arithmetic
+from conformance.expect_network import expect_with_weights
+from conformance.tolerance import ratio, sum_bound
+from stss_ref.loss import loss as reference_loss
+from stss_ref.weights import TENSORS, zeros
+from stss_ref.weights import random as random_weights
+
+torch = pytest.importorskip("torch", reason="the package torch is not installed: pip install '.[train]'")
+torch.set_num_threads(1)
+
+from training.loss import loss, structure  # noqa: E402
+from training.network import Network, initialise, load_weights, to_weights  # noqa: E402
+from training.validate import bilinear  # noqa: E402
+
+
+def inputs(seed, height=24, width=16):
+    random = np.random.default_rng(seed)
+    return {
+        "color": random.random((height, width, 6)),
+        "gbuffer": random.normal(size=(height, width, 9)),
+        "mask": (random.random((height, width)) < 0.7).astype(np.float64),
+        "history": random.random((3, height, width, 4)),
+    }
+
+
+def tensors(arrays):
+    """The arrays as a batch of one."""
+    moved = {name: np.moveaxis(array, -1, -3) for name, array in arrays.items() if name != "mask"} | {
+        "mask": arrays["mask"][None]
+    }
+    return [torch.from_numpy(np.ascontiguousarray(moved[n], np.float32))[None] for n in ("color", "gbuffer", "mask", "history")]
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_network_is_the_specification_s(seed):
+    weights, network, arrays = random_weights(seed), Network(), inputs(seed)
+    load_weights(network, weights)
+    arrays = {name: array.astype(np.float32).astype(np.float64) for name, array in arrays.items()}
+    with torch.no_grad():
+        got = np.moveaxis(network(*tensors(arrays))[0].numpy(), 0, -1)
+    assert expect_with_weights("network", arrays, weights, Arithmetic())["image"].ratios(got).max() <= 1
+
+
+def test_samples_of_a_batch_do_not_mix():
+    network, one, two = Network(), tensors(inputs(2)), tensors(inputs(3))
+    load_weights(network, random_weights(0))
+    with torch.no_grad():
+        apart = torch.cat([network(*one), network(*two)])
+        together = network(*(torch.cat(pair) for pair in zip(one, two, strict=True)))
+    assert ratio("image", together.numpy(), apart.numpy(), 1000) <= 1
+
+
+def test_names_and_weights_go_there_and_back():
+    network, weights = Network(), random_weights(5)
+    assert {n: tuple(t.shape) for n, t in network.state_dict().items()} == TENSORS
+    load_weights(network, weights)
+    for name, tensor in to_weights(network.state_dict()).items():
+        np.testing.assert_array_equal(tensor, weights[name])
+
+
+def test_every_tensor_has_a_gradient():
+    network = Network()
+    load_weights(network, random_weights(1))
+    network(*tensors(inputs(1))).square().mean().backward()
+    assert all(tensor.grad is not None and tensor.grad.abs().max() > 0 for tensor in network.parameters())
+
+
+def test_training_starts_at_bilinear():
+    network, zero = Network(), Network()
+    initialise(network, 0)
+    load_weights(zero, zeros())
+    batch = tensors(inputs(4))
+    for same in (network, zero):
+        assert torch.equal(same(*batch), bilinear(*batch))
+
+
+def test_loss_is_the_specification_s():
+    random = np.random.default_rng(0)
+    for mask in ((random.random((8, 12)) < 0.6).astype(np.float64), np.ones((8, 12))):
+        output, truth = random.random((2, 16, 24, 3))
+        batch = [torch.from_numpy(np.moveaxis(a, -1, 0))[None] for a in (output, truth)]
+        got = loss(*batch, torch.from_numpy(mask)[None, None], 0.7).item()
+        want = reference_loss(output, truth, mask, 0.7)
+        assert abs(got - want) <= sum_bound(output.size, abs(want), np.float64)
+
+
+def test_structure_sees_blur_and_not_equality():
+    truth = torch.rand(2, 3, 32, 32, generator=torch.Generator().manual_seed(0))
+    blurred = torch.nn.functional.avg_pool2d(truth, 3, 1, 1)
+    assert structure(truth, truth).abs() < structure(0.5 * truth + 0.5 * blurred, truth) < structure(blurred, truth)

@@ -1,0 +1,117 @@
+"""Samples, augmentation and batches."""
+
+import json
+
+import numpy as np
+import pytest
+
+from conformance.scenes import SCENES
+from stss.errors import InputError
+from stss.supersample import prepare, supersample
+from stss_ref.frame import NetworkInputs
+from stss_ref.resample import upsample_centres
+from stss_ref.schedule import FrameKind
+from training import samples as module
+from training.augment import MASK, NORMAL, augment, collate, mask_at_random, turn_of_the_world
+from training.samples import film_frames, pack, samples, split_of, unpack
+from training.scenes import Film, random_film
+
+SIZE = (24, 32)
+
+
+@pytest.fixture(scope="module")
+def film():
+    scene = SCENES["object"]
+    return Film(scene, lambda frame: scene.light)
+
+
+class Bilinear:
+    name = "bilinear"
+
+    def frame(self, inputs):
+        prepared = module.warp_all(inputs)
+        return upsample_centres(prepared.color[..., :3]), prepared.mask.astype(bool)
+
+
+def test_samples_are_what_the_tool_feeds_the_network(film):
+    """Frame by frame the colours are those that `supersample` upsamples in a run at half rate."""
+    curve = module.transfer("srgb")
+    buffers = list(film_frames(film, SIZE, 8))
+    frames = [prepare(b, curve, "scale") for b in buffers]
+    made = list(samples(frames, {n: np.zeros((48, 64, 3), np.float32) for n in (6, 7)}))
+    assert [(s.number, s.kind.value) for s in made] == [(6, "SF"), (6, "EF"), (7, "SF"), (7, "EF")]
+    for odd in (0, 1):
+        half = [b if b.number % 2 == odd else module.replace(b, color=None) for b in buffers]
+        outputs = {output.number: output for output in supersample(half, Bilinear())}
+        for sample in (s for s in made if (s.number % 2 == odd) == (s.kind is FrameKind.SF)):
+            inputs = unpack(sample.inputs)
+            image = curve.decode(upsample_centres(inputs.color[..., :3]))
+            np.testing.assert_array_equal(image, outputs[sample.number].image)
+            np.testing.assert_array_equal(inputs.mask.astype(bool), outputs[sample.number].valid)
+
+
+def test_pack_loses_nothing():
+    random = np.random.default_rng(0)
+    history = random.random((3, 6, 5, 4))
+    newest = history[2]
+    color = np.concatenate([random.random((6, 5, 3)), newest[..., :3]], axis=-1)
+    inputs = NetworkInputs(color, random.random((6, 5, 9)), newest[..., 3], history)
+    for got, want in zip(vars(unpack(pack(inputs))).values(), vars(inputs).values(), strict=True):
+        np.testing.assert_array_equal(got, want)
+
+
+def test_random_films_differ_and_repeat():
+    images = [next(film_frames(random_film(seed), SIZE, 1)).color for seed in (1, 1, 2)]
+    np.testing.assert_array_equal(images[0], images[1])
+    assert (images[0] != images[2]).any()
+
+
+def test_a_scene_is_in_one_split():
+    splits = [split_of(f"analytic-{n:05d}") for n in range(1000)]
+    assert all(70 <= splits.count(name) <= 130 for name in ("validation", "test"))
+    assert split_of("analytic-00000") == splits[0]
+
+
+def test_augmentation_keeps_what_belongs_together():
+    """Where all pictures are one picture, they still are; normals keep their length and their up; masks stay masks."""
+    random = np.random.default_rng(3)
+    inputs = np.zeros((16, 16, 24), np.float32)
+    picture = random.random((16, 16, 3)).astype(np.float32)
+    for first in (0, 12, 16, 20):
+        inputs[..., first : first + 3] = picture
+    inputs[..., [15, 19, 23]] = random.integers(0, 2, (16, 16, 1))
+    inputs[..., NORMAL] = [0.6, 0, 0.8]
+    truth = picture.repeat(2, 0).repeat(2, 1)
+    for seed in range(8):
+        new, large = augment(inputs, truth, np.random.default_rng(seed))
+        for first in (12, 16, 20):
+            np.testing.assert_array_equal(new[..., first : first + 3], new[..., :3])
+        np.testing.assert_array_equal(large[::2, ::2], new[..., :3])
+        np.testing.assert_array_equal(np.unique(new[..., [15, 19, 23]]), [0, 1])
+        np.testing.assert_array_equal(new[..., 5], np.float32(0.8))
+        assert np.abs(np.hypot(new[..., 3], new[..., 4]) - 0.6).max() < 1e-6
+
+
+def test_the_mirrored_world():
+    np.testing.assert_array_equal(turn_of_the_world(0, mirrored=True) @ [1, 2, 3], [-1, 2, 3])
+
+
+def test_rrm_touches_the_newest_mask_alone():
+    inputs = np.ones((16, 16, 24), np.float32)
+    mask = mask_at_random(inputs, np.random.default_rng(0))
+    assert 0 < (mask == 0).sum() <= 16
+    batch = collate(inputs[None], mask[None], np.ones((1, 32, 32, 3)))
+    assert (batch.mask == 0).sum() == (mask == 0).sum()
+    assert batch.history.all()
+    assert inputs[..., MASK].all()
+
+
+def test_a_shard_is_whole_or_not_there(tmp_path):
+    sample = module.Sample(3, FrameKind.SF, np.full((8, 8, 24), 0.5), np.full((16, 16, 3), 0.25))
+    assert module.write(tmp_path / "one", "scene", "test", [sample]) == 1
+    index = json.loads((tmp_path / "one" / "index.json").read_text())
+    assert index == {"scene": "scene", "split": "test", "frames": [3], "kinds": ["SF"]}
+    broken = module.replace(sample, truth=np.full((16, 16, 3), np.inf))
+    with pytest.raises(InputError, match="two: truth: not finite"):
+        module.write(tmp_path / "two", "scene", "test", [broken])
+    assert [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")] == ["one"]

@@ -1,0 +1,123 @@
+"""A short run, and one that is stopped and resumed."""
+
+import json
+
+import numpy as np
+import pytest
+
+from stss.errors import InputError
+from stss.weights import load
+from stss_ref.schedule import FrameKind
+from training.samples import Sample, write
+
+torch = pytest.importorskip("torch", reason="the package torch is not installed: pip install '.[train]'")
+torch.set_num_threads(1)
+
+from training.data import Batches, load_shards  # noqa: E402
+from training.train import Settings, main, rate_at, start  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    """Frames whose truth is 0.1 brighter than what bilinear gives; an odd size, so that validation has to pad."""
+    folder, random = tmp_path_factory.mktemp("data"), np.random.default_rng(0)
+    for split in ("training", "validation"):
+        made = []
+        for kind in (FrameKind.SF, FrameKind.EF):
+            inputs = random.random((17, 20, 24)) * 0.2 + 0.3
+            inputs[..., [15, 19, 23]] = 1
+            inputs[..., :3] = 0.4
+            made.append(Sample(0, kind, inputs, np.full((34, 40, 3), 0.5)))
+        write(folder / split, split, split, made)
+    return folder
+
+
+def run(data, out, steps, *more):
+    common = ["--crop", "16", "--batch", "2", "--warm-up", "4", "--rate", "1e-3", "--device", "cpu", "--threads", "1"]
+    main([str(data), "-o", str(out), "--steps", str(steps), "--validate", "4", "--log", "2", *common, *more])
+    return [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+
+
+def test_a_run_beats_bilinear_and_writes_weights(data, tmp_path):
+    records = run(data, tmp_path, 40)
+    start, end = records[0]["bilinear"], records[-1]["validation"]
+    assert end["SF"] > start["SF"] + 3
+    assert end["EF"] > start["EF"] + 3
+    assert load(tmp_path / "weights.safetensors").metadata["steps"] == "40"
+    assert json.loads(load(tmp_path / "best.safetensors").metadata["validation"])["SF"] >= end["SF"]
+
+
+def test_a_resumed_run_is_the_same_run(data, tmp_path, monkeypatch):
+    whole = run(data, tmp_path / "whole", 8)
+    with monkeypatch.context() as patch:
+        patch.setattr("training.train.keep", killed_after(4))
+        with pytest.raises(KeyboardInterrupt):
+            run(data, tmp_path / "two", 8)
+    resumed = run(data, tmp_path / "two", 8, "--resume")
+    for name in ("weights.safetensors", "state.safetensors"):
+        assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+    assert [{k: v for k, v in r.items() if k != "ms"} for r in whole] == [
+        {k: v for k, v in r.items() if k != "ms"} for r in resumed
+    ]
+
+
+def killed_after(step):
+    from training.train import keep
+
+    def keep_and_die(out, state, means):
+        keep(out, state, means)
+        if state.step == step:
+            raise KeyboardInterrupt
+
+    return keep_and_die
+
+
+def test_a_run_is_not_overwritten_and_not_mixed(data, tmp_path):
+    run(data, tmp_path, 4)
+    with pytest.raises(InputError, match="holds a run"):
+        run(data, tmp_path, 4)
+    with pytest.raises(InputError, match="made with seed 0, not 1"):
+        run(data, tmp_path, 4, "--resume", "--seed", "1")
+
+
+def test_batches_are_half_and_half_and_depend_on_the_step_alone(data):
+    shards = load_shards(data)
+    batches = Batches(shards, side=16, batch=4, seed=0)
+    ahead = dict(batches.between(3, 9))
+    assert list(ahead) == [3, 4, 5, 6, 7, 8]
+    for got, want in zip(ahead[5], batches[5], strict=True):
+        np.testing.assert_array_equal(got, want)
+    assert [array.shape for array in batches[0]] == [
+        (4, 6, 16, 16),
+        (4, 9, 16, 16),
+        (4, 1, 16, 16),
+        (4, 3, 4, 16, 16),
+        (4, 3, 32, 32),
+    ]
+
+
+def test_a_scene_in_two_splits_is_refused(data, tmp_path):
+    sample = Sample(0, FrameKind.SF, np.zeros((16, 16, 24)), np.zeros((32, 32, 3)))
+    for split in ("training", "test"):
+        write(tmp_path / split, "the same", split, [sample])
+    with pytest.raises(InputError, match="scene the same is in the splits"):
+        load_shards(tmp_path)
+
+
+def test_the_rate_rises_and_falls():
+    settings = Settings(crop=16, batch=2, rate=1.0, warm_up=10, seed=0, half=False)
+    rates = [rate_at(step, 100, settings) for step in range(101)]
+    assert max(rates) == rates[9] == 1
+    assert sorted(rates[:10]) == rates[:10]
+    assert sorted(rates[10:], reverse=True) == rates[10:]
+    assert 0 < rates[100] < 0.011
+
+
+def test_bfloat16_on_the_cpu_trains_too(data):
+    from training.train import advance, tensors
+
+    settings = Settings(crop=16, batch=2, rate=1e-3, warm_up=1, seed=0, half=True)
+    state = start(settings, torch.device("cpu"))
+    batches = Batches(load_shards(data), side=16, batch=2, seed=0)
+    values = [advance(state, tensors(batches[i], torch.device("cpu")), 3e-3, half=True).item() for i in range(12)]
+    assert values[-1] < values[0]

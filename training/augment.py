@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: MIT
+"""From stored samples to batches: crops, turns, mirrors, exposure, colours, and Random Reshading Masking (spec 6).
+
+Motion is not among the network's inputs: the pictures are warped already, so a crop or a turn needs no care for it. Normals
+are in world space, and to turn the picture by 90 degrees is to roll the camera: the world, and with it every normal, stays. A
+mirrored picture is that of a mirrored world: normals are mirrored too, in x. And since nothing says where north is, the
+normals of a sample are turned about the vertical axis, z, by any angle. What is up stays up.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stss_ref.arrays import Array
+from stss_ref.rrm import draw_rectangle, rrm
+
+Random = np.random.Generator
+NORMAL = slice(3, 6)
+BASE_COLOR = slice(9, 12)
+COLORS = (slice(0, 3), slice(12, 15), slice(16, 19), slice(20, 23))
+"""The pictures among the 24 channels; the masks follow the last three."""
+MASK = 23
+EXPOSURE = 0.3
+"""Largest change, as natural logarithm of the factor on display-referred values."""
+
+
+class Batch(NamedTuple):
+    """What the network takes and the truth, channels first, float32.
+
+    color (N, 6, H, W), gbuffer (N, 9, H, W), mask (N, 1, H, W) after RRM, history (N, 3, 4, H, W), truth (N, 3, 2H, 2W).
+    """
+
+    color: NDArray[np.float32]
+    gbuffer: NDArray[np.float32]
+    mask: NDArray[np.float32]
+    history: NDArray[np.float32]
+    truth: NDArray[np.float32]
+
+
+def crop(inputs: Array, truth: Array, side: int, random: Random) -> tuple[Array, Array]:
+    """The same random square of both: ``side`` pixels of the low resolution."""
+    height, width, _ = inputs.shape
+    y, x = (int(random.integers(0, length - side, endpoint=True)) for length in (height, width))
+    small, large = inputs[y : y + side, x : x + side], truth[2 * y : 2 * (y + side), 2 * x : 2 * (x + side)]
+    return small.astype(np.float32), large.astype(np.float32)
+
+
+def augment(inputs: Array, truth: Array, random: Random) -> tuple[Array, Array]:
+    """Turn, mirror, and change exposure and colours of one crop; float32, new arrays."""
+    quarters, mirrored = int(random.integers(4)), bool(random.random() < 0.5)
+    inputs, truth = np.rot90(inputs, quarters).copy(), np.rot90(truth, quarters).copy()
+    if mirrored:
+        inputs, truth = inputs[:, ::-1].copy(), truth[:, ::-1].copy()
+    inputs[..., NORMAL] = inputs[..., NORMAL] @ turn_of_the_world(random.uniform(0, 2 * math.pi), mirrored=mirrored).T
+    order = random.permutation(3)
+    # Display curves are near enough to powers that a factor on the light is one on the display-referred value.
+    exposure = np.float32(math.exp(random.uniform(-EXPOSURE, EXPOSURE)))
+    for part in COLORS:
+        inputs[..., part] = np.minimum(inputs[..., part][..., order] * exposure, 1)
+    inputs[..., BASE_COLOR] = inputs[..., BASE_COLOR][..., order]
+    return inputs, np.minimum(truth[..., order] * exposure, 1)
+
+
+def turn_of_the_world(angle: float, *, mirrored: bool) -> NDArray[np.float32]:
+    """(3, 3) matrix for normals: about z by ``angle``, after a mirror in x."""
+    cos, sin, sign = math.cos(angle), math.sin(angle), -1 if mirrored else 1
+    return np.array([[sign * cos, -sin, 0], [sign * sin, cos, 0], [0, 0, 1]], np.float32)
+
+
+def mask_at_random(inputs: Array, random: Random) -> Array:
+    """RRM on the newest frame's mask (H, W). The histories' masks, its own among them, stay as they are."""
+    height, width, _ = inputs.shape
+    return np.asarray(rrm(inputs[..., MASK], draw_rectangle(height, width, random)), inputs.dtype)
+
+
+def collate(inputs: Array, masks: Array, truth: Array) -> Batch:
+    """Batch of inputs (N, H, W, 24), masks (N, H, W) and truth (N, 2H, 2W, 3)."""
+    planes = np.ascontiguousarray(np.moveaxis(inputs, -1, 1), np.float32)
+    n, _, height, width = planes.shape
+    return Batch(
+        color=np.concatenate([planes[:, :3], planes[:, 20:23]], axis=1),
+        gbuffer=np.ascontiguousarray(planes[:, 3:12]),
+        mask=np.ascontiguousarray(masks[:, None], np.float32),
+        history=np.ascontiguousarray(planes[:, 12:]).reshape(n, 3, 4, height, width),
+        truth=np.ascontiguousarray(np.moveaxis(truth, -1, 1), np.float32),
+    )

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: MIT
+"""A training run's state as one safetensors file: nothing in it is executed when it is read."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor, nn
+
+from stss.errors import InputError
+
+ENTRY = "stss_training"
+
+
+@dataclass
+class State:
+    """What training needs to go on as if it had never stopped.
+
+    Attributes:
+        step: how many steps are done.
+        network: the network, trained in place.
+        average: running mean of its tensors, by name.
+        optimiser: Adam.
+        best: highest validation PSNR so far (mean of SF and EF), dB.
+        settings: what decides the numbers; a resumed run must have the same.
+    """
+
+    step: int
+    network: nn.Module
+    average: dict[str, Tensor]
+    optimiser: torch.optim.Optimizer
+    best: float
+    settings: dict[str, Any]
+
+
+def write(path: Path, state: State) -> None:
+    """Write ``state`` so that ``path`` is either as before or whole."""
+    tensors = {f"network/{name}": t.detach().contiguous() for name, t in state.network.named_parameters()}
+    tensors |= {f"average/{name}": t.contiguous() for name, t in state.average.items()}
+    for name, parameter in state.network.named_parameters():
+        for kind, value in state.optimiser.state[parameter].items():
+            tensors[f"optimiser/{kind}/{name}"] = torch.as_tensor(value).contiguous()
+    # One entry: safetensors writes several in another order each time.
+    metadata = {ENTRY: json.dumps({"step": state.step, "best": state.best, "settings": state.settings})}
+    temporary = path.with_name(f".{path.name}.tmp")
+    temporary.write_bytes(save({name: t.cpu() for name, t in tensors.items()}, metadata))
+    temporary.replace(path)
+
+
+def read(path: Path, state: State, device: torch.device) -> None:
+    """Put what ``path`` holds into ``state``.
+
+    Raises:
+        InputError: it can't be read, or was made with other settings.
+    """
+    try:
+        with safe_open(path, "pt", device=str(device)) as file:
+            found = json.loads(file.metadata()[ENTRY])
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (OSError, KeyError, TypeError, ValueError, SafetensorError) as error:
+        raise InputError(f"{path}: {error}") from error
+    before = found["settings"]
+    if different := [k for k in state.settings if before.get(k) != state.settings[k]]:
+        name = different[0]
+        raise InputError(
+            f"{path}: made with {name} {before.get(name)}, not {state.settings[name]}; resume with the same settings"
+        )
+    state.step, state.best = found["step"], found["best"]
+    state.network.load_state_dict(_below("network/", tensors))
+    for name, tensor in _below("average/", tensors).items():
+        state.average[name].copy_(tensor)
+    for name, parameter in state.network.named_parameters():
+        kept = {kind: tensors[f"optimiser/{kind}/{name}"] for kind in ("step", "exp_avg", "exp_avg_sq")}
+        kept = {k: t if k == "step" else t.to(memory_format=_layout(parameter)) for k, t in kept.items()}
+        state.optimiser.state[parameter] = kept
+
+
+def _layout(parameter: Tensor) -> torch.memory_format:
+    return torch.channels_last if parameter.ndim == 4 else torch.contiguous_format
+
+
+def _below(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: MIT
+"""The shards of a data folder: which samples there are, and batches of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from stss.errors import InputError
+from stss_ref.arrays import Array
+from training.augment import MASK, Batch, augment, collate, crop, mask_at_random
+
+Kind = Literal["SF", "EF"]
+KINDS: tuple[Kind, Kind] = ("SF", "EF")
+
+
+@dataclass(frozen=True)
+class Shard:
+    """The samples of a sequence, memory-mapped; see `training.samples`."""
+
+    name: str
+    scene: str
+    split: str
+    kinds: tuple[str, ...]
+    inputs: Array = field(repr=False)
+    truth: Array = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Place:
+    """A sample: the shard and the position in it."""
+
+    shard: Shard
+    index: int
+
+
+def load_shards(folder: Path) -> list[Shard]:
+    """Every complete shard below ``folder``, by name.
+
+    Raises:
+        InputError: there is none, or one scene is in two splits.
+    """
+    shards: list[Shard] = []
+    for path in sorted(folder.rglob("index.json")):
+        index = json.loads(path.read_text())
+        inputs, truth = (np.load(path.parent / f"{name}.npy", mmap_mode="r") for name in ("inputs", "truth"))
+        name = str(path.parent.relative_to(folder))
+        shards.append(Shard(name, index["scene"], index["split"], tuple(index["kinds"]), inputs, truth))
+    if not shards:
+        raise InputError(f"{folder}: no samples; python -m training.samples makes them")
+    splits: dict[str, str] = {}
+    for shard in shards:
+        if splits.setdefault(shard.scene, shard.split) != shard.split:
+            raise InputError(f"{folder}: scene {shard.scene} is in the splits {splits[shard.scene]} and {shard.split}")
+    return shards
+
+
+def places(shards: list[Shard], split: str, kind: str) -> list[Place]:
+    """The samples of a split and a kind of frame."""
+    return [Place(s, i) for s in shards if s.split == split for i, k in enumerate(s.kinds) if k == kind]
+
+
+class Batches:
+    """Training batches, half SF and half EF; a batch depends on the seed and its number alone, so a resumed run sees the same."""
+
+    def __init__(self, shards: list[Shard], *, side: int, batch: int, seed: int):
+        self._places = {kind: places(shards, "training", kind) for kind in KINDS}
+        if not all(self._places.values()):
+            raise InputError("the training split lacks SF or EF samples")
+        smallest = min(min(s.inputs.shape[1:3]) for s in shards if s.split == "training")
+        if side % 8 or not 8 <= side <= smallest:
+            raise InputError(f"crop: expected a multiple of 8, at most the frames' {smallest}, got {side}")
+        if batch < 2 or batch % 2:
+            raise InputError(f"batch: expected an even number, one half SF, one half EF, got {batch}")
+        self._side, self._batch, self._seed = side, batch, seed
+
+    def __getitem__(self, step: int) -> Batch:
+        random = np.random.default_rng([self._seed, step])
+        made: list[tuple[Array, Array, Array]] = []
+        for i in range(self._batch):
+            choice = self._places[KINDS[i % 2]]
+            place = choice[int(random.integers(len(choice)))]
+            inputs, truth = crop(place.shard.inputs[place.index], place.shard.truth[place.index], self._side, random)
+            inputs, truth = augment(inputs, truth, random)
+            made.append((inputs, mask_at_random(inputs, random), truth))
+        inputs, masks, truth = (np.stack(arrays) for arrays in zip(*made, strict=True))
+        return collate(inputs, masks, truth)
+
+    def between(self, first: int, last: int, ahead: int = 4, workers: int = 1) -> Iterator[tuple[int, Batch]]:
+        """``(step, batch)`` for ``first <= step < last``, made ahead by threads."""
+        with ThreadPoolExecutor(workers) as pool:
+            waiting = [pool.submit(self.__getitem__, step) for step in range(first, min(first + ahead, last))]
+            for step in range(first, last):
+                batch = waiting.pop(0).result()
+                if step + ahead < last:
+                    waiting.append(pool.submit(self.__getitem__, step + ahead))
+                yield step, batch
+
+
+def whole(place: Place) -> Batch:
+    """A whole frame as a batch of one, nothing augmented, its own mask; padded to multiples of 8 as the network is (spec 7)."""
+    inputs = place.shard.inputs[place.index].astype(np.float32)
+    truth = place.shard.truth[place.index].astype(np.float32)
+    below, right = (-length % 8 for length in inputs.shape[:2])
+    inputs = np.pad(inputs, ((0, below), (0, right), (0, 0)), mode="edge")
+    return collate(inputs[None], inputs[None, ..., MASK], truth[None])
+
+
+def spread(choice: list[Place], most: int) -> list[Place]:
+    """At most ``most`` of the samples, spread evenly: over as many scenes as may be."""
+    if len(choice) <= most:
+        return choice
+    return [choice[i * len(choice) // most] for i in range(most)]

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: MIT
+"""STSSNet as a trainable module. Its parameters carry the names of the specification's 92 tensors."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import cast
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from stss_ref.weights import TENSORS, Weights, check
+
+
+class Gated(nn.Module):
+    """``conv(x) * sigmoid(gate(x))`` (spec 7, ``G``), computed as one convolution with one channel more."""
+
+    def __init__(self, inputs: int, outputs: int, stride: int = 1):
+        super().__init__()
+        self.stride = stride
+        self.conv_feature = nn.Conv2d(inputs, outputs, 3, stride, 1)
+        self.conv_mask = nn.Sequential(nn.Conv2d(inputs, 1, 3, stride, 1))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, outputs, H / stride, W / stride)."""
+        feature, gate = self.conv_feature, cast(nn.Conv2d, self.conv_mask[0])
+        weight, bias = torch.cat([feature.weight, gate.weight]), torch.cat([_bias(feature), _bias(gate)])
+        y = nn.functional.conv2d(x, weight, bias, self.stride, 1)
+        return y[:, :-1] * y[:, -1:].sigmoid()
+
+
+def _bias(convolution: nn.Conv2d) -> Tensor:
+    assert convolution.bias is not None
+    return convolution.bias
+
+
+class Down(nn.Module):
+    """Half the size: three gated convolutions, the first with stride 2 and no ReLU."""
+
+    def __init__(self, inputs: int, outputs: int):
+        super().__init__()
+        self.downsample = Gated(inputs, inputs, 2)
+        self.conv1 = Gated(inputs, outputs)
+        self.conv2 = Gated(outputs, outputs)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(N, outputs, H / 2, W / 2)."""
+        return nn.functional.relu(self.conv2(nn.functional.relu(self.conv1(self.downsample(x)))))
+
+
+class DoubleConv(nn.Module):
+    """Two convolutions with ReLU; a module of its own for the sake of the names."""
+
+    def __init__(self, inputs: int, middle: int, outputs: int):
+        super().__init__()
+        self.double_conv = chain(inputs, middle, outputs)
+
+
+class Up(nn.Module):
+    """Twice the size, corners aligned, joined with ``skip`` before it; then two convolutions."""
+
+    def __init__(self, inputs: int, middle: int, outputs: int):
+        super().__init__()
+        self.conv = DoubleConv(inputs, middle, outputs)
+
+    def forward(self, skip: Tensor, x: Tensor) -> Tensor:
+        """(N, outputs, H, W) of ``skip`` (N, S, H, W) and ``x`` (N, C, H / 2, W / 2)."""
+        x = nn.functional.interpolate(x, scale_factor=2, mode="bilinear", align_corners=True)
+        return self.conv.double_conv(torch.cat([skip, x], 1))
+
+
+def chain(*channels: int, stride: int = 1, last_relu: bool = True) -> nn.Sequential:
+    """Convolutions 3 x 3 from each number of channels to the next, a ReLU after each; the first has the ``stride``."""
+    layers: list[nn.Module] = []
+    for i, (inputs, outputs) in enumerate(pairwise(channels)):
+        layers += [nn.Conv2d(inputs, outputs, 3, stride if i == 0 else 1, 1), nn.ReLU()]
+    return nn.Sequential(*(layers if last_relu else layers[:-1]))
+
+
+class Network(nn.Module):
+    """STSSNet on batches. H and W are multiples of 8.
+
+    Source: spec 7, 8; paper, Fig. 5.
+    """
+
+    def __init__(self):
+        super().__init__()
+        self.conv1, self.conv2 = Gated(21, 24), Gated(24, 24)
+        self.down1, self.down2, self.down3 = Down(24, 24), Down(24, 32), Down(32, 32)
+        self.convHis1, self.convHis2 = chain(4, 24, 24, 24, stride=2), chain(24, 32, 32, 32, stride=2)
+        self.convHis3 = chain(32, 32, 32, 32, stride=2)
+        self.lowlevelGated = Gated(96, 32)
+        self.latentEncoder = chain(41, 64, 64, 64, last_relu=False)
+        self.KEncoder = chain(9, 32, 32, 32, last_relu=False)
+        self.up1, self.up2, self.up3 = Up(128, 64, 32), Up(56, 28, 24), Up(48, 24, 24)
+        self.outc = nn.Conv2d(24, 12, 1)
+
+    def forward(self, color: Tensor, gbuffer: Tensor, mask: Tensor, history: Tensor) -> Tensor:
+        """Image (N, 3, 2H, 2W) of color (N, 6, H, W), gbuffer (N, 9, H, W), mask (N, 1, H, W), history (N, 3, 4, H, W)."""
+        x1 = nn.functional.relu(self.conv2(nn.functional.relu(self.conv1(torch.cat([color, color * mask, gbuffer], 1)))))
+        x2 = self.down1(x1)
+        x3 = self.down2(x2)
+        x4 = self.down3(x3)
+        u = torch.cat([self.reshade(x4, gbuffer, mask), self.embed(history)], 1)
+        u = self.up3(x1, self.up2(x2, self.up1(x3, u)))
+        residual = nn.functional.pixel_shuffle(self.outc(u), 2)
+        return residual + nn.functional.interpolate(color[:, :3], scale_factor=2, mode="bilinear", align_corners=False)
+
+    def embed(self, history: Tensor) -> Tensor:
+        """The history's feature (N, 32, H/8, W/8)."""
+        x = self.convHis3(self.convHis2(self.convHis1(history.flatten(0, 1))))
+        return self.lowlevelGated(x.reshape(len(history), 96, *x.shape[-2:]))
+
+    def reshade(self, x4: Tensor, gbuffer: Tensor, mask: Tensor) -> Tensor:
+        """The ERM's result (N, 64, H/8, W/8) (spec 8)."""
+        f, m = (nn.functional.interpolate(x, scale_factor=0.125, mode="bilinear", align_corners=False) for x in (gbuffer, mask))
+        light = self.latentEncoder(torch.cat([x4, f], 1)) * m
+        material = nn.functional.normalize(self.KEncoder(f), eps=1e-12)
+        return _attend(material, material * m, light)
+
+
+def _attend(query: Tensor, key: Tensor, value: Tensor) -> Tensor:
+    n, channels, height, width = query.shape
+    key, value = (nn.functional.unfold(x, 5, padding=2).view(n, x.shape[1], 25, height * width) for x in (key, value))
+    weight = (key * query.reshape(n, channels, 1, -1)).sum(1).relu()
+    total = (value * weight[:, None]).sum(2)
+    return (total / weight.sum(1).clamp(min=1e-6)[:, None]).view(n, -1, height, width)
+
+
+def initialise(network: Network, seed: int) -> None:
+    """He's initialisation with biases of 0, gates half open, and an ``outc`` of zeros: training starts at ``bilinear``."""
+    generator = torch.Generator().manual_seed(seed)
+    with torch.no_grad():
+        for name, tensor in network.named_parameters():
+            if name.endswith("bias") or name.startswith("outc"):
+                tensor.zero_()
+            else:
+                # A half open gate halves its feature.
+                gain = 2.0 if ".conv_feature." in name else 0.1 if ".conv_mask." in name else 1.0
+                deviation = gain * math.sqrt(2 / math.prod(tensor.shape[1:]))
+                tensor.copy_(torch.randn(tensor.shape, generator=generator) * deviation)
+
+
+def load_weights(network: nn.Module, weights: Weights) -> None:
+    """Copy the specification's 92 tensors into ``network``."""
+    network.load_state_dict({name: torch.from_numpy(np.array(tensor)) for name, tensor in weights.items()})
+
+
+def to_weights(tensors: dict[str, Tensor]) -> Weights:
+    """The tensors of a state dict as the specification's 92 arrays, checked."""
+    return check({name: tensors[name].detach().float().cpu().contiguous().numpy() for name in TENSORS})

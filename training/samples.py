@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: MIT
+"""Training samples: what the network gets for a display frame, made by the project's own pipeline, and the truth.
+
+A folder for each sequence: ``inputs.npy`` (N, H, W, 24) and ``truth.npy`` (N, 2H, 2W, 3), float16, display-referred, and
+``index.json``, written last: a folder without it does not count. Channels of the inputs: occlusion_warp 3, gbuffer 9,
+history 3 x (warped 3, mask 1). The network's color 6 and mask are among them (`unpack`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import re
+import shutil
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conformance.scenes import render
+from stss.buffers import Buffers
+from stss.color import transfer
+from stss.errors import InputError
+from stss.images import read_rgb
+from stss.sequence import BACKGROUND_POSITION, open_sequence
+from stss.supersample import WINDOW, Prepared, frame_inputs, plan, prepare
+from stss_ref.arrays import Array, Image
+from stss_ref.frame import NetworkInputs
+from stss_ref.frame import prepare as warp_all
+from stss_ref.schedule import FrameKind
+from training.command import command
+from training.scenes import Film, random_film
+
+SPLITS = ("training", "validation", "test")
+CHANNELS = 24
+SAMPLES = 16
+"""Rays for each pixel of the analytic truth."""
+HISTORIES = (6, 7, 9)
+"""Display frames of a film with a truth; their five predecessors are there."""
+START = 2
+"""One more frame with a truth: its history is cut short by the start of the film."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One display frame, as SF or as EF: ``inputs`` (H, W, 24), ``truth`` (2H, 2W, 3), display-referred."""
+
+    number: int
+    kind: FrameKind
+    inputs: Image
+    truth: Image
+
+
+def samples(frames: Sequence[Prepared], truths: Mapping[int, Image]) -> Iterator[Sample]:
+    """Every frame with a truth twice: once as if it had been rendered, once as if it had not.
+
+    Args:
+        frames: consecutive display frames, each with its colour.
+        truths: frame number -> (2H, 2W, 3) display-referred.
+    """
+    for i, last in enumerate(frames):
+        if last.number not in truths:
+            continue
+        for kind, odd in ((FrameKind.SF, 0), (FrameKind.EF, 1)):
+            window = [
+                frame if (last.number - frame.number) % 2 == odd else replace(frame, color=None)
+                for frame in frames[max(0, i - WINDOW + 1) : i + 1]
+            ]
+            planned = plan(window)
+            if planned is not None:
+                yield Sample(last.number, kind, pack(warp_all(frame_inputs(window, planned.steps))), truths[last.number])
+
+
+def pack(inputs: NetworkInputs) -> Image:
+    """(H, W, 24) of what the network takes; what is there twice is stored once."""
+    height, width, _ = inputs.gbuffer.shape
+    history = np.moveaxis(inputs.history, 0, 2).reshape(height, width, 12)
+    return np.concatenate([inputs.color[..., :3], inputs.gbuffer, history], axis=-1)
+
+
+def unpack(packed: Array) -> NetworkInputs:
+    """The inverse of `pack`."""
+    height, width, _ = packed.shape
+    history = np.moveaxis(packed[..., 12:].reshape(height, width, 3, 4), 2, 0)
+    color = np.concatenate([packed[..., :3], packed[..., 20:23]], axis=-1)
+    return NetworkInputs(color, packed[..., 3:12], packed[..., 23], np.ascontiguousarray(history))
+
+
+def film_frames(film: Film, size: tuple[int, int], count: int) -> Iterator[Buffers]:
+    """The first ``count`` display frames of a film."""
+    for number in range(count):
+        r = render(film.at(number), number, *size, samples=film.rays)
+        missed = np.isinf(r.depth)[..., None]
+        planes = {name: getattr(r, name).astype(np.float32) for name in r.__dataclass_fields__}
+        planes["position"] = np.where(missed, np.float32(BACKGROUND_POSITION), planes["position"])
+        yield Buffers(number=number, **planes)
+
+
+def film_samples(film: Film, size: tuple[int, int]) -> Iterator[Sample]:
+    """The samples of an analytic film."""
+    curve, numbers = transfer("srgb"), (START, *HISTORIES)
+    frames = [prepare(buffers, curve, "scale") for buffers in film_frames(film, size, max(numbers) + 1)]
+    doubled = 2 * size[0], 2 * size[1]
+    truths = {n: curve.encode(render(film.at(n), n, *doubled, samples=SAMPLES).color) for n in numbers}
+    return samples(frames, truths)
+
+
+def sequence_samples(low: Path, high: Path, profile: str, camera: Path | None) -> Iterator[Sample]:
+    """The samples of a renderer's sequence: frames that have a truth, within runs of consecutive frames."""
+    sequence, curve = open_sequence(low, profile, camera=camera), transfer("srgb")
+    truths = _numbered(high)
+    window: list[Prepared] = []
+    for number in sequence.numbers:
+        if number not in sequence.rendered:
+            raise InputError(f"{low}: frame {number} has no colour; training needs that of every frame")
+        if window and number != window[-1].number + 1:
+            window.clear()
+        window = [*window[1 - WINDOW :], prepare(sequence.load(number), curve, "scale")]
+        if number in truths:
+            truth = curve.encode(read_rgb(truths[number]))
+            expected = (2 * sequence.size[0], 2 * sequence.size[1], 3)
+            if truth.shape != expected:
+                raise InputError(f"{truths[number]}: expected {expected}, got {truth.shape}")
+            yield from samples(window, {number: truth})
+
+
+def _numbered(folder: Path) -> dict[int, Path]:
+    paths = sorted(p for p in folder.iterdir() if p.suffix.lower() in (".exr", ".png"))
+    return {int(digits[-1]): path for path in paths if (digits := re.findall(r"\d+", path.stem))}
+
+
+def split_of(scene: str) -> str:
+    """Every sequence of a scene is in one split: of ten scenes about one is for validation, one for the test."""
+    return {0: "validation", 1: "test"}.get(int(hashlib.sha256(scene.encode()).hexdigest(), 16) % 10, "training")
+
+
+def write(folder: Path, scene: str, split: str, made: Iterable[Sample]) -> int:
+    """Write samples as a shard; ``folder`` is either as before or whole. Returns how many there are."""
+    kept = list(made)
+    if not kept:
+        raise InputError(f"{folder.name}: no frame has a truth and a history")
+    temporary = folder.with_name(f".{folder.name}.tmp")
+    shutil.rmtree(temporary, ignore_errors=True)
+    temporary.mkdir(parents=True)
+    for name, arrays in (("inputs", [s.inputs for s in kept]), ("truth", [s.truth for s in kept])):
+        half: NDArray[np.float16] = np.stack(arrays).astype(np.float16)
+        if not np.isfinite(half).all():
+            raise InputError(f"{folder.name}: {name}: not finite as float16")
+        np.save(temporary / f"{name}.npy", half)
+    index = {"scene": scene, "split": split, "frames": [s.number for s in kept], "kinds": [s.kind.value for s in kept]}
+    (temporary / "index.json").write_text(json.dumps(index))
+    shutil.rmtree(folder, ignore_errors=True)
+    temporary.rename(folder)
+    return len(kept)
+
+
+def write_film(seed: int, size: tuple[int, int], out: Path) -> str:
+    """The shard of the analytic film number ``seed``, unless it is there. Returns a line to print."""
+    film = random_film(seed)
+    name = film.scene.name
+    if (out / name / "index.json").exists():
+        return f"{name}: there"
+    return f"{name}: {write(out / name, name, split_of(name), film_samples(film, size))} samples"
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """``python -m training.samples``."""
+    parser = argparse.ArgumentParser(prog="python -m training.samples", description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("-o", "--out", type=Path, required=True, help="folder of the shards")
+    parser.add_argument("--analytic", type=int, metavar="N", help="make N random analytic films")
+    parser.add_argument("--first", type=int, default=0, help="number of the first film")
+    parser.add_argument("--size", default="160x96", help="WxH of the low resolution of the films")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--sequence", nargs=2, type=Path, metavar=("LR", "HR"), help="frames of a renderer and their truth")
+    parser.add_argument("--profile", default="blender")
+    parser.add_argument("--camera", type=Path)
+    parser.add_argument("--name", help="of the shard; default: that of the folder above LR")
+    parser.add_argument("--scene", help="sequences of one scene go into one split; default: the name")
+    parser.add_argument("--split", choices=SPLITS, help="default: drawn from the scene's name, 8 : 1 : 1")
+    chosen = parser.parse_args(arguments)
+    chosen.out.mkdir(parents=True, exist_ok=True)
+    if chosen.sequence:
+        low, high = chosen.sequence
+        name = chosen.name or low.resolve().parent.name
+        scene = chosen.scene or name
+        made = sequence_samples(low, high, chosen.profile, chosen.camera)
+        count = write(chosen.out / name, scene, chosen.split or split_of(scene), made)
+        sys.stdout.write(f"{name}: {count} samples\n")
+    if chosen.analytic:
+        width, height = (int(v) for v in chosen.size.split("x"))
+        work = partial(write_film, size=(height, width), out=chosen.out)
+        seeds = range(chosen.first, chosen.first + chosen.analytic)
+        with ProcessPoolExecutor(chosen.jobs) as pool:
+            for line in pool.map(work, seeds):
+                sys.stdout.write(line + "\n")
+                sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    command(main)

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: MIT
+"""Train the network: Adam, warm-up and cosine, a running mean of the weights, checkpoints, a log."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from stss.errors import InputError
+from stss.weights import load, save
+from training import checkpoint
+from training.checkpoint import State
+from training.command import command
+from training.data import Batches, Shard, load_shards
+from training.loss import loss, structure
+from training.network import Network, initialise, load_weights, to_weights
+from training.plot import plot
+from training.validate import Means, bilinear, evaluating, tensors, validate
+
+CLIP = 1.0
+"""Largest norm of a step's gradient."""
+AVERAGE = 0.999
+"""Share of the running mean that a step leaves, once there are enough steps."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What decides the numbers of a run besides the data; steps may be raised when it is resumed."""
+
+    crop: int
+    batch: int
+    rate: float
+    warm_up: int
+    seed: int
+    half: bool
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How long, and how often what is written.
+
+    Attributes:
+        steps: to have been done at the end.
+        validate: every so many steps: scores, weights, checkpoint.
+        log: every so many steps: loss.
+        most: validation frames of each kind.
+    """
+
+    steps: int
+    validate: int
+    log: int
+    most: int
+
+
+def rate_at(step: int, steps: int, settings: Settings) -> float:
+    """Learning rate: linear up over ``warm_up`` steps, then half a cosine down to a hundredth."""
+    if step < settings.warm_up:
+        return settings.rate * (step + 1) / settings.warm_up
+    share = (step - settings.warm_up) / max(1, steps - settings.warm_up)
+    return settings.rate * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(share, 1.0))))
+
+
+def start(settings: Settings, device: torch.device, initial: str | None = None) -> State:
+    """A run at step 0; ``initial`` names weights to go on from."""
+    network = Network()
+    if initial is None:
+        initialise(network, settings.seed)
+    else:
+        load_weights(network, load(initial).weights)
+    network.to(device).to(memory_format=torch.channels_last)
+    average = {name: t.detach().clone() for name, t in network.named_parameters()}
+    optimiser = torch.optim.Adam(network.parameters(), settings.rate, betas=(0.9, 0.99), fused=True)
+    return State(0, network, average, optimiser, -math.inf, asdict(settings))
+
+
+def advance(state: State, batch: tuple[Tensor, ...], rate: float, *, half: bool) -> Tensor:
+    """One step of Adam. Returns the loss, on the device."""
+    color, gbuffer, mask, history, truth = batch
+    for group in state.optimiser.param_groups:
+        group["lr"] = rate
+    with torch.autocast(color.device.type, torch.bfloat16, enabled=half):
+        output = state.network(color, gbuffer, mask, history)
+    output = output.float()
+    value = loss(output, truth, mask, structure(output, truth))
+    state.optimiser.zero_grad(set_to_none=True)
+    value.backward()
+    nn.utils.clip_grad_norm_(state.network.parameters(), CLIP)
+    state.optimiser.step()
+    state.step += 1
+    keep = min(AVERAGE, state.step / (state.step + 10))
+    with torch.no_grad():
+        for name, tensor in state.network.named_parameters():
+            state.average[name].lerp_(tensor, 1 - keep)
+    return value.detach()
+
+
+class Log:
+    """``log.jsonl`` of a run, a line a record; also to the terminal."""
+
+    def __init__(self, folder: Path):
+        self.path = folder / "log.jsonl"
+
+    def __call__(self, **record: object) -> None:
+        """Append a record."""
+        line = json.dumps(record)
+        with self.path.open("a") as file:
+            file.write(line + "\n")
+        sys.stdout.write(line + "\n")
+        sys.stdout.flush()
+
+    def cut(self, step: int) -> None:
+        """Drop records after ``step``: those of a run that was killed after its last checkpoint."""
+        if self.path.exists():
+            lines = [line for line in self.path.read_text().splitlines() if json.loads(line)["step"] <= step]
+            self.path.write_text("".join(line + "\n" for line in lines))
+
+
+def keep(out: Path, state: State, means: Means) -> None:
+    """Write ``weights.safetensors``, ``best.safetensors`` if these are, and last the checkpoint."""
+    weights, metadata = to_weights(state.average), {"steps": str(state.step), "validation": json.dumps(means)}
+    metadata["settings"] = json.dumps(state.settings)
+    save(out / "weights.safetensors", weights, metadata)
+    mean = (means["SF"] + means["EF"]) / 2
+    if mean > state.best:
+        state.best = mean
+        save(out / "best.safetensors", weights, metadata)
+    checkpoint.write(out / "state.safetensors", state)
+
+
+def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan: Plan, device: torch.device) -> None:
+    """Go on from ``state`` up to ``plan.steps``; see the module's README for what is written to ``out``."""
+    log = Log(out)
+    log.cut(state.step)
+    if state.step == 0:
+        log(step=0, bilinear=validate(bilinear, shards, "validation", most=plan.most, device=device))
+    batches = Batches(shards, side=settings.crop, batch=settings.batch, seed=settings.seed)
+    total, count, since = torch.zeros((), device=device), 0, time.perf_counter()
+    for step, batch in batches.between(state.step, plan.steps):
+        rate = rate_at(step, plan.steps, settings)
+        total += advance(state, tensors(batch, device), rate, half=settings.half)
+        count += 1
+        if state.step % plan.log == 0:
+            value, now = float(total) / count, time.perf_counter()
+            log(step=state.step, loss=round(value, 6), rate=rate, ms=round((now - since) / count * 1e3, 1))
+            if not math.isfinite(value):
+                raise InputError(f"step {state.step}: the loss is {value}; resume with a smaller --rate in another run")
+            total, count, since = torch.zeros((), device=device), 0, now
+        if state.step % plan.validate == 0 or state.step == plan.steps:
+            means = validate(evaluating(state.average), shards, "validation", most=plan.most, device=device)
+            log(step=state.step, validation=means)
+            keep(out, state, means)
+            plot(log.path, out / "curves.png")
+            since = time.perf_counter()
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """``python -m training.train``."""
+    parser = argparse.ArgumentParser(prog="python -m training.train", description=__doc__)
+    parser.add_argument("data", type=Path, help="folder of shards, made by python -m training.samples")
+    parser.add_argument("-o", "--out", type=Path, required=True, help="folder of the run")
+    parser.add_argument("--steps", type=int, default=100_000)
+    parser.add_argument("--crop", type=int, default=64, help="side of a crop in pixels of the low resolution")
+    parser.add_argument("--batch", type=int, default=8, help="crops in a step: half SF, half EF")
+    parser.add_argument("--rate", type=float, default=1e-3, help="learning rate after the warm-up")
+    parser.add_argument("--warm-up", type=int, default=500)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--initial", help="safetensors file to start from; default: bilinear and a random rest")
+    parser.add_argument("--validate", type=int, default=1000, metavar="STEPS")
+    parser.add_argument("--log", type=int, default=100, metavar="STEPS")
+    parser.add_argument("--most", type=int, default=32, help="validation frames of each kind")
+    parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
+    parser.add_argument("--half", choices=("auto", "on", "off"), default="auto", help="bfloat16; auto: on GPUs")
+    parser.add_argument("--threads", type=int, default=0, help="of the CPU; 0: PyTorch's choice")
+    parser.add_argument("--resume", action="store_true", help="go on from the run's checkpoint, if there is one")
+    chosen = parser.parse_args(arguments)
+    if chosen.threads:
+        torch.set_num_threads(chosen.threads)
+    device = torch.device(chosen.device)
+    half = chosen.half == "on" or (chosen.half == "auto" and device.type == "cuda")
+    settings = Settings(chosen.crop, chosen.batch, chosen.rate, chosen.warm_up, chosen.seed, half)
+    state = start(settings, device, chosen.initial)
+    path = chosen.out / "state.safetensors"
+    if path.exists():
+        if not chosen.resume:
+            raise InputError(f"{chosen.out}: holds a run; --resume goes on with it")
+        checkpoint.read(path, state, device)
+    chosen.out.mkdir(parents=True, exist_ok=True)
+    plan = Plan(chosen.steps, chosen.validate, chosen.log, chosen.most)
+    train(chosen.out, load_shards(chosen.data), state, settings, plan, device)
+
+
+if __name__ == "__main__":
+    command(main)

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: MIT
+"""PSNR of SF and EF over whole frames, as `stss compare` takes it, beside that of bilinear upsampling."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from stss.errors import InputError
+from stss.metrics import mean_scores, score, upsample_holes
+from stss.weights import load
+from training.augment import Batch
+from training.command import command
+from training.data import KINDS, Place, Shard, load_shards, places, spread, whole
+from training.network import Network, load_weights
+
+Model = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
+Means = dict[str, float]
+"""``SF``, ``EF`` and, over the warping holes, ``EF holes``: PSNR over R, G and B, dB; ``SF ssim``, ``EF ssim``: of the luma."""
+
+
+def bilinear(color: Tensor, gbuffer: Tensor, mask: Tensor, history: Tensor) -> Tensor:
+    """The network without its residual."""
+    return nn.functional.interpolate(color[:, :3], scale_factor=2, mode="bilinear", align_corners=False)
+
+
+def tensors(batch: Batch, device: torch.device) -> tuple[Tensor, ...]:
+    """The batch on the device; planes as the convolutions like them, channels last."""
+    made = [torch.from_numpy(array).to(device, non_blocking=True) for array in batch]
+    return tuple(t.contiguous(memory_format=torch.channels_last) if t.ndim == 4 else t for t in made)
+
+
+def validate(model: Model, shards: list[Shard], split: str, *, most: int, device: torch.device) -> Means:
+    """Means over at most ``most`` frames of each kind, spread over the scenes of the split.
+
+    Raises:
+        InputError: the split lacks a kind.
+    """
+    means: Means = {}
+    for kind in KINDS:
+        chosen = spread(places(shards, split, kind), most)
+        if not chosen:
+            raise InputError(f"split {split}: no {kind} samples")
+        scores = mean_scores([_score(model, place, device) for place in chosen])
+        for name, value in (
+            (kind, scores["all"].psnr_rgb),
+            (f"{kind} holes", scores["holes"].psnr_rgb),
+            (f"{kind} ssim", scores["all"].ssim),
+        ):
+            if value is not None:
+                means[name] = round(value, 4)
+    return means
+
+
+def _score(model: Model, place: Place, device: torch.device):
+    batch = whole(place)
+    with torch.no_grad():
+        image = model(*tensors(batch, device)[:4])[0].float().cpu().numpy()
+    truth = np.moveaxis(batch.truth[0], 0, -1)
+    height, width, _ = truth.shape
+    hole = batch.mask[0, 0, : height // 2, : width // 2] == 0
+    return score(np.moveaxis(image, 0, -1)[:height, :width], truth, upsample_holes(hole))
+
+
+def evaluating(state: dict[str, Tensor]) -> Model:
+    """A network with the tensors of ``state``."""
+    copy = Network().to(next(iter(state.values())).device).to(memory_format=torch.channels_last)
+    copy.load_state_dict(state)
+    return copy.eval()
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """``python -m training.validate``."""
+    parser = argparse.ArgumentParser(prog="python -m training.validate", description=__doc__)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--weights", default="bilinear", help="safetensors file")
+    parser.add_argument("--split", default="test", choices=("training", "validation", "test"))
+    parser.add_argument("--most", type=int, default=10**6, help="frames of each kind")
+    chosen = parser.parse_args(arguments)
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    network = Network().to(device)
+    load_weights(network, load(chosen.weights).weights)
+    shards = load_shards(chosen.data)
+    for name, model in (("bilinear", bilinear), (chosen.weights, network)):
+        found = validate(model, shards, chosen.split, most=chosen.most, device=device)
+        sys.stdout.write(f"{name}: {json.dumps(found)}\n")
+
+
+if __name__ == "__main__":
+    command(main)
