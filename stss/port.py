@@ -67,11 +67,12 @@ class OpenCLPort:
 
     def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
         """See ``conformance.port.Port``; the device is opened for the first case, and stays."""
+        device = self._device
         if self._image is not None and stage in self._image.STAGES:
-            return self._image.ImageStages(self._device).run_stage(stage, inputs)
+            return self._image.ImageStages(device).run_stage(stage, inputs)
         for module in self._network:
             if stage in module.STAGES:
-                return module.run_stage(stage, inputs, weights, self._device, self._precision)
+                return module.run_stage(stage, inputs, weights, device, self._precision)
         raise InputError(f"backend cl: it has no stage {stage}")
 
     @property
