@@ -61,8 +61,8 @@ def conform(
     port = conforming.load_port(spec, program, timeout, dtype, winograd)
     if replay is not None:
         sys.exit(_replay(port, replay))
-    unknown = set(stages or ()) - set(SUITE)
-    if unknown:
+    _require_places((json_file, junit, report), failures)
+    if unknown := set(stages or ()) - set(SUITE):
         raise InputError(f"--stages: expected some of {', '.join(SUITE)}, got {', '.join(sorted(unknown))}")
     console = Console(stderr=True)
     judge = Judge(port, TIERS[tier], seed)
@@ -85,13 +85,22 @@ def conform(
         if r.outcome == "failed" and r.record.finding is not None
     }
     conform_report.print_results(results, Console())
-    for name, folder in folders.items():
-        click.echo(f"{name}: {again} --replay {shlex.quote(str(folder))}")
+    click.echo("".join(f"{name}: {again} --replay {shlex.quote(str(folder))}\n" for name, folder in folders.items()), nl=False)
     if json_file is not None:
         conform_report.write_json(json_file, conform_report.to_json(judge, results, folders))
     if report is not None:
         conform_report.write_page(report, judge, results, folders)
     sys.exit(0 if conform_report.passed(results) else 1)
+
+
+def _require_places(files: tuple[Path | None, ...], failures: Path) -> None:
+    """Say of places that cannot be written to before minutes of work, not after."""
+    for path in (*files, failures):
+        if path is None:
+            continue
+        folder = path is failures
+        if not path.absolute().parent.is_dir() or (path.exists() and path.is_dir() != folder):
+            raise InputError(f"{path}: expected {'a folder' if folder else 'a file'} in a folder that is there")
 
 
 def _command(spec: str | None, program: str | None, dtype: str | None, winograd: bool) -> str:

@@ -133,6 +133,13 @@ def test_known_failures(here):
         (["--port", "wrong_port:Port", "--stages", "wrap"], "--stages: expected some of motion_chain"),
         (["--port", "wrong_port:Port", "--replay", "nowhere"], "nowhere: no such folder"),
         (["--port", "wrong_port:Port", "--known-failures", "nowhere"], "nowhere: No such file"),
+        (
+            ["--port", "wrong_port:Port", "--json", "nowhere/found.json"],
+            "nowhere/found.json: expected a file in a folder that is there",
+        ),
+        (["--port", "wrong_port:Port", "--report", "."], ".: expected a file"),
+        (["--port", "wrong_port:Port", "--junit", "nowhere/junit.xml"], "nowhere/junit.xml: expected a file"),
+        (["--port", "wrong_port:Port", "--failures", "wrong_port.py"], "wrong_port.py: expected a folder"),
     ],
 )
 def test_mistakes_are_one_line(here, arguments, words):
