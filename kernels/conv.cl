@@ -12,11 +12,17 @@
 // at once) -D GROUP (work-group along x), optionally -D GATED -D RELU -D HALF.  Launch (OUT / 8 / BLOCK, ceil(width / PIXELS), height) of the output.
 //
 // One work-item holds PIXELS x BLOCK accumulators of eight channels: 4 x 3 and 3 x 4 fill a CPU's registers.
+//
+// -D SKIP -D SPAN (a multiple of PIXELS) -D TALL: only pixels that a change reaches, see changes.clh; a_changes (its map begins at
+// a_tile), b_changes, changes are the maps of a, b, out. Launch (OUT / 8 / BLOCK, ceil(width / SPAN), ceil(height / TALL)).
 #if !defined(A) || !defined(B) || !defined(OUT) || !defined(KERNEL) || !defined(STRIDE) || !defined(PIXELS) || !defined(BLOCK) || \
     !defined(GROUP)
 #error "conv.cl needs -D A, B, OUT, KERNEL, STRIDE, PIXELS, BLOCK, GROUP"
 #endif
 #include "common.clh"
+#ifdef SKIP
+#include "changes.clh"
+#endif
 
 #define IN (A + B)
 #define OUT8 (OUT / 8)
@@ -41,16 +47,16 @@
             gate[p] += LOAD8(buffer, (at + shift + p * STRIDE) * (channels / 8) + c) * w;                                 \
     }
 
-kernel __attribute__((reqd_work_group_size(1, GROUP, 1)))
-void conv(global const stored *restrict a, global const stored *restrict b, global const float8 *restrict weight,
-                 global const float8 *restrict gate_weight, global const float8 *restrict bias, const float gate_bias,
-                 global stored *restrict out, const int a_first, const int width, const int in_columns, const int out_columns,
-                 const int out_channels, const int out_first)
+// PIXELS pixels from (y, x0) on, BLOCK eights of channels from `block` on.
+static inline void compute(global const stored *restrict a, global const stored *restrict b, global const float8 *restrict weight,
+                           global const float8 *restrict gate_weight, global const float8 *restrict bias, const float gate_bias,
+                           global stored *restrict out, const int width, const int in_columns, const int out_columns,
+                           const int out_channels, const int out_first, const int block, const int x0, const int y
+#ifdef SKIP
+                           , global uchar *restrict changes, const float tolerance
+#endif
+                           )
 {
-    const int block = get_global_id(0) * BLOCK, x0 = get_global_id(1) * PIXELS, y = get_global_id(2);
-    if (x0 >= width) return;
-    a += a_first;
-
     // Input pixel under the kernel's corner. Pixels beyond the row are computed too, from whatever lies there, and not stored.
     const int at = (y * STRIDE + 1 - PAD) * in_columns + x0 * STRIDE + 1 - PAD;
     global const stored *from;
@@ -85,6 +91,9 @@ void conv(global const stored *restrict a, global const stored *restrict b, glob
 #ifdef GATED
         const float8 open = sigmoid8((float8)(sum8(gate[p]) + gate_bias));
 #endif
+#ifdef SKIP
+        stored8 differs = 0;
+#endif
         for (int j = 0; j < BLOCK; ++j) {
             float8 value = sum[p * BLOCK + j];
 #ifdef GATED
@@ -93,7 +102,56 @@ void conv(global const stored *restrict a, global const stored *restrict b, glob
 #ifdef RELU
             value = relu8(value);
 #endif
+#ifdef SKIP
+            differs |= replace8(value, pixel + j, out, tolerance);
+#else
             STORE8(value, pixel + j, out);
+#endif
         }
+#ifdef SKIP
+        if (any_bit(differs)) changes[y / 4 * ((out_columns - 2) / 4) + (x0 + p) / 4] = 1;
+#endif
     }
+}
+
+#ifdef SKIP
+// Whether a change reaches pixels (top .. bottom, left .. right) of the output.
+static inline int reached(global const uchar *a, global const uchar *b, const int rows, const int columns, const int top,
+                          const int bottom, const int left, const int right)
+{
+    const int north = top * STRIDE - PAD, south = bottom * STRIDE + PAD, west = left * STRIDE - PAD, east = right * STRIDE + PAD;
+    if (marked(a, rows, columns, north, south, west, east)) return 1;
+    return B && marked(b, rows, columns, north, south, west, east);
+}
+#endif
+
+kernel __attribute__((reqd_work_group_size(1, GROUP, 1)))
+void conv(global const stored *restrict a, global const stored *restrict b, global const float8 *restrict weight,
+          global const float8 *restrict gate_weight, global const float8 *restrict bias, const float gate_bias,
+          global stored *restrict out, const int a_first, const int width, const int in_columns, const int out_columns,
+          const int out_channels, const int out_first
+#ifdef SKIP
+          , global const uchar *restrict a_changes, global const uchar *restrict b_changes, global uchar *restrict changes,
+          const int a_tile, const int height, const float tolerance
+#endif
+          )
+{
+    const int block = get_global_id(0) * BLOCK;
+    a += a_first;
+#ifdef SKIP
+    const int left = get_global_id(1) * SPAN, top = get_global_id(2) * TALL;
+    const int right = min(left + SPAN, width), bottom = min(top + TALL, height);
+    const int rows = (STRIDE * height + 3) / 4, columns = (in_columns - 2) / 4;
+    a_changes += a_tile;
+    if (!reached(a_changes, b_changes, rows, columns, top, bottom - 1, left, right - 1)) return;
+    for (int y = top; y < bottom; ++y)
+        for (int x = left; x < right; x += PIXELS)
+            if (reached(a_changes, b_changes, rows, columns, y, y, x, x + PIXELS - 1))
+                compute(a, b, weight, gate_weight, bias, gate_bias, out, width, in_columns, out_columns, out_channels, out_first,
+                        block, x, y, changes, tolerance);
+#else
+    const int x = get_global_id(1) * PIXELS, y = get_global_id(2);
+    if (x < width)
+        compute(a, b, weight, gate_weight, bias, gate_bias, out, width, in_columns, out_columns, out_channels, out_first, block, x, y);
+#endif
 }

@@ -9,19 +9,31 @@
 //
 // Build -D STRIP (pixels of one work-item, a multiple of 4) -D GROUP (work-group along x), optionally -D HALF.  Launch (ceil(W / STRIP), rows to write).
 // winograd.cl -D IMAGE does the same at the end of up3.
+// -D SKIP: only pixels that a change reaches, see changes.clh; the last arguments are the maps of feature and color.
 #if !defined(STRIP) || !defined(GROUP)
 #error "decoder.cl needs -D STRIP, GROUP"
 #endif
 #include "common.clh"
+#ifdef SKIP
+#include "changes.clh"
+#endif
 #include "decoder.clh"
 
 kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void image(global const stored *restrict feature, global const float4 *restrict color, global const float8 *restrict weight,
            global const float8 *restrict bias, global float *restrict out, const int width, const int rows, const int columns,
-           const int feature_columns, const int from, const int top)
+           const int feature_columns, const int from, const int top
+#ifdef SKIP
+           , global const uchar *restrict feature_changes, global const uchar *restrict color_changes
+#endif
+           )
 {
     const int y = from + get_global_id(1), first = get_global_id(0) * STRIP, last = min(first + STRIP, width);
     for (int x = first; x < last; x += 4) {
+#ifdef SKIP
+        const int high = rows / 4, wide = columns / 4;
+        if (!feature_changes[y / 4 * wide + x / 4] && !marked(color_changes, high, wide, y - 1, y + 1, x - 1, x + 4)) continue;
+#endif
         float8 f[12], sums[8];
         // Beyond the row lie zeros or the next one: computed, not written.
         for (int c = 0; c < 12; ++c) f[c] = LOAD8(feature, ((y + 1) * feature_columns + x + 1) * 3 + c);

@@ -2,11 +2,13 @@
 // Stage frame up to the network, reference stss_ref/frame.py::prepare: every image-space stage of a frame, fused.
 //
 //  buffer     dir     shape             unit
-//  motions    in      (k, H, W, 2)      px, newest first, k >= the largest step
-//  colors     in      (3, H, W, 3)      the three colour frames, newest first
+//  motion0..4 in      (H, W, 2)         px, newest first; as many as the largest step are read
+//  color0..2  in      (H, W, 3)         the three colour frames, newest first
 //  gbuffer    in      (H, W, 9)         normal 3, depth, roughness, metallic, base colour 3
 //  nov        in      (H, W)
-//  stencils   in      (4, H, W)         of the frame itself, then of colors; normals, positions (cm): (4, H, W, 3), likewise
+//  stencil, stencil0..2 in (H, W)       of the frame itself, and of the colour frames
+//  normal, normal0..2   in (H, W, 3)    likewise; from pixel to pixel normal_stride floats: 3, or 9 within a G-buffer
+//  position, position0..2 in (H, W, 3)  likewise, cm
 //  chained    in/out  (3, H, W, 2)      px, current -> each colour frame; not written where its step is 0
 //  keys,first in/out  (H, W)            the splat's, occlusion_warp.cl; only places that a hole looks up are wanted
 //  history    out     (3, R+2, C+2, 4)  oldest, middle, newest; warped rgb >= 0, mask
@@ -22,27 +24,41 @@
 #include "motion_chain.cl"
 #include "prepare.clh"
 
-static inline void chain_pixel(global const float2 *motions, const int newest, const int middle, const int oldest,
+// The map of what is to be computed; elsewhere nothing has moved, and `chained` is 0 already.
+#ifdef SKIP
+#define BUSY_ARGUMENT , global const uchar *restrict busy
+#define IS_BUSY(x, y) busy[tile_of(x, y, (width + 7) / 8 * 8)]
+#else
+#define BUSY_ARGUMENT
+#define IS_BUSY(x, y) true
+#endif
+
+// Of at most five frames, newest first; those that no step needs are not read.
+#define MOTIONS                                                                                                                \
+    global const float2 *restrict motion0, global const float2 *restrict motion1, global const float2 *restrict motion2,       \
+        global const float2 *restrict motion3, global const float2 *restrict motion4
+
+static inline void chain_pixel(global const float2 *const *motions, const int newest, const int middle, const int oldest,
                                global float2 *chained, global uint *keys, global uint *first,
                                const int height, const int width, const int x, const int y)
 {
     const int pixel = y * width + x, plane = height * width;
     keys[pixel] = UNWANTED;
     first[pixel] = NOBODY;
-    float2 motion = motions[pixel];
+    float2 motion = motions[0][pixel];
     for (int j = 1; j <= oldest; ++j) {
-        if (j > 1) motion = chain_on(motion, motions + (j - 1) * plane, x, y, height, width);
+        if (j > 1) motion = chain_on(motion, motions[j - 1], x, y, height, width);
         if (j == newest) chained[pixel] = motion;
         if (j == middle) chained[plane + pixel] = motion;
         if (j == oldest) chained[2 * plane + pixel] = motion;
     }
 }
 
-kernel void chain_steps(global const float2 *restrict motions, const int newest, const int middle, const int oldest,
-                        global float2 *restrict chained, global uint *restrict keys, global uint *restrict first,
-                        const int height, const int width)
+kernel void chain_steps(MOTIONS, const int newest, const int middle, const int oldest, global float2 *restrict chained,
+                        global uint *restrict keys, global uint *restrict first, const int height, const int width)
 {
     const int x = get_global_id(0), y = get_global_id(1);
+    global const float2 *motions[] = {motion0, motion1, motion2, motion3, motion4};
     if (x < width && y < height)
         chain_pixel(motions, newest, middle, oldest, chained, keys, first, height, width, x, y);
 }
@@ -52,13 +68,20 @@ kernel void prepare(PREPARE_ARGUMENTS)
     const int x = get_global_id(0), i = get_global_id(1), y = get_global_id(2);
     if (x >= columns || y >= rows) return;
     const Frame f = FRAME(i);  // a step equal to the one before it stands for a missing frame
+#ifdef SKIP
+    if (is_quiet(f, x, y, 1)) return;
+#endif
     prepare_pixel(f, x, y);
 }
 
 // occlusion_warp where prepare left a hole; there colour * mask is 0 already.
 kernel void fill_holes(global const float *restrict color, global const float2 *restrict motion, global const uint *restrict first,
                        global const uchar *restrict mask, global stored *restrict x0, global float4 *restrict color3,
-                       const int height, const int width, const int rows, const int columns, const int top)
+                       const int height, const int width, const int rows, const int columns, const int top
+#ifdef SKIP
+                       , global uchar *restrict input_changes, const float tolerance
+#endif
+                       )
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= columns || y >= rows) return;
@@ -66,9 +89,17 @@ kernel void fill_holes(global const float *restrict color, global const float2 *
     if (mask[pixel]) return;
     const Taps at = taps(follow(motion[pixel], shown_x, shown_y), height, width);
     const float3 c = not_negative(look_instead(color, splatted(motion, first, at.nw), shown_x, shown_y, height, width));
-    global stored *to = x0 + ((y + 1) * (columns + 2) + x + 1) * 24;
+    const int padded = (y + 1) * (columns + 2) + x + 1;
+#ifdef SKIP
+    float8 eight = LOAD8(x0, padded * 3);
+    eight.s012 = c;
+    const int changed = any_bit(replace8(eight, padded * 3, x0, tolerance));
+    if (replace_float4((float4)(c, 0.0f), color3 + y * columns + x, tolerance) || changed) input_changes[tile_of(x, y, columns)] = 1;
+#else
+    global stored *to = x0 + padded * 24;
     STORE(c.x, 0, to);
     STORE(c.y, 1, to);
     STORE(c.z, 2, to);
     color3[y * columns + x] = (float4)(c, 0.0f);
+#endif
 }

@@ -30,12 +30,13 @@ INLINE Pair8 gather_longest8(global const float2 *motion, const int8 corner, con
 }
 
 // chain_steps for gather_longest, one work-item a row of eight pixels.
-kernel void chain_steps8(global const float2 *restrict motions, const int newest, const int middle, const int oldest,
-                         global float2 *restrict chained, global uint *restrict keys, global uint *restrict first,
-                         const int height, const int width)
+kernel void chain_steps8(MOTIONS, const int newest, const int middle, const int oldest, global float2 *restrict chained,
+                         global uint *restrict keys, global uint *restrict first, const int height, const int width
+                         BUSY_ARGUMENT)
 {
     const int x = get_global_id(0) * 8, y = get_global_id(1);
-    if (x >= width || y >= height) return;
+    if (x >= width || y >= height || !(IS_BUSY(x, y) || IS_BUSY(x + 4, y))) return;
+    global const float2 *motions[] = {motion0, motion1, motion2, motion3, motion4};
     const int pixel = y * width + x, plane = height * width;
     if (x + 8 > width) {
         for (int i = 0; x + i < width; ++i)
@@ -45,11 +46,11 @@ kernel void chain_steps8(global const float2 *restrict motions, const int newest
     *(global uint8_anywhere *)(keys + pixel) = (uint8)(UNWANTED);
     *(global uint8_anywhere *)(first + pixel) = (uint8)(NOBODY);
     const float8 px = (float8)(0, 1, 2, 3, 4, 5, 6, 7) + (float)x, py = (float8)((float)y);
-    const float8 left = read8((global const float *)(motions + pixel)), right = read8((global const float *)(motions + pixel + 4));
+    const float8 left = read8((global const float *)(motion0 + pixel)), right = read8((global const float *)(motion0 + pixel + 4));
     float8 mx = (float8)(left.even, right.even), my = (float8)(left.odd, right.odd);
     for (int j = 1; j <= oldest; ++j) {
         if (j > 1) {
-            global const float2 *restrict earlier = motions + (j - 1) * plane;
+            global const float2 *restrict earlier = motions[j - 1];
             const float8 ax = px + mx, ay = py + my;
             const int8 inside = ax >= 0.0f && ax < (float)(width - 1) && ay >= 0.0f && ay < (float)(height - 1);
             if (all8(inside)) {
@@ -86,6 +87,9 @@ kernel void prepare8(PREPARE_ARGUMENTS)
     const int x = get_global_id(0) * 8, i = get_global_id(1), y = get_global_id(2);
     if (x >= columns || y >= rows) return;
     const Frame f = FRAME(i);
+#ifdef SKIP
+    if (is_quiet(f, x, y, 8)) return;
+#endif
     const int pixel = (top + y) * width + x;
     if (f.step > 0 && x + 8 <= width && top + y < height) {
         const float16 motion = *(global const float16_anywhere *)(f.chained + pixel);
@@ -103,7 +107,7 @@ kernel void prepare8(PREPARE_ARGUMENTS)
     {                                                                                                                          \
         const Taps at = {nw.s##I, 1, width, fx.s##I, fy.s##I};                                                                 \
         const bool valid = same_surface(at, pixel + I, s.s##I, stencil.s##I, bias.s##I, f.normal_previous, f.normal,           \
-                                        f.position_previous, f.position);                                                     \
+                                        f.normal_stride, f.position_previous, f.position);                                    \
         write_pixel(f, x + I, y, pixel + I, bilinear3(f.color, at), valid, at.nw);                                             \
     }
             LANES(WRITE)

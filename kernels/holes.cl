@@ -49,6 +49,21 @@ static __attribute__((noinline)) bool is_turned(const float4 of, const float4 ea
     return surface && sum3(normal * n) / (length + 1e-5f) < COSINE;
 }
 
+// A normal, and one read between four pixels, whose normals are `stride` floats apart.
+INLINE float3 normal_at(global const float *normal, const int pixel, const int stride)
+{
+    global const float *n = normal + pixel * stride;
+    return (float3)(n[0], n[1], n[2]);
+}
+
+INLINE float3 normal_between(global const float *normal, const Taps at, const int stride)
+{
+    const int south = at.nw + at.below;
+    const float3 nw = normal_at(normal, at.nw, stride), ne = normal_at(normal, at.nw + at.right, stride);
+    const float3 sw = normal_at(normal, south, stride), se = normal_at(normal, south + at.right, stride);
+    return BILINEAR(nw, ne, sw, se, at.fx, at.fy);
+}
+
 // The largest trusted distance on a static surface; of one pixel or of several.
 #define BIAS(nov, depth) \
     (FACING * ((nov) < 0.0f ? -(nov) : (nov)) + GRAZING * (1.0f - ((nov) < 0.0f ? -(nov) : (nov))) + DEPTH * (depth))
@@ -56,12 +71,14 @@ static __attribute__((noinline)) bool is_turned(const float4 of, const float4 ea
 // Whether the pixel's warped colour is to be trusted, if it is on screen; s is the stencil read at its taps. Positions are read
 // where s is 0 only, normals elsewhere only: the other is not asked for.
 INLINE bool same_surface(const Taps at, const int pixel, const float s, const float stencil, const float bias,
-                                global const float *normal_previous, global const float *normal,
+                                global const float *normal_previous, global const float *normal, const int normal_stride,
                                 global const float *position_previous, global const float *position)
 {
     const float change = 3.0f * (s - stencil);
     if (change > MESH || change < -(MESH)) return false;
-    if (s != 0.0f) return !is_turned((float4)(read3(normal, pixel), 0.0f), (float4)(bilinear3(normal_previous, at), 0.0f));
+    if (s != 0.0f)
+        return !is_turned((float4)(normal_at(normal, pixel, normal_stride), 0.0f),
+                          (float4)(normal_between(normal_previous, at, normal_stride), 0.0f));
     return !is_far(position_previous, read3(position, pixel), at, bias);
 }
 
@@ -78,5 +95,5 @@ kernel void holes(global const float2 *restrict motion, global const float *rest
     const Taps at = taps(place, height, width);
     valid[pixel] = leads_inside(motion[pixel], place, height, width) &&
                    same_surface(at, pixel, bilinear1(stencil_previous, at), stencil[pixel], BIAS(nov[pixel], depth[pixel]),
-                                normal_previous, normal, position_previous, position);
+                                normal_previous, normal, 3, position_previous, position);
 }

@@ -8,19 +8,25 @@
 // once however large the frame. The buffers may hold a strip of the frame: their row 0 is row `top` of `full_height` (2 `top` of the
 // output).
 // Build -D CHANNELS=n (multiple of 8), optionally -D HALF.  Launch (2 width, 2 height).
+//
+// -D SKIP -D SPAN (tiles of a work-item): only tiles that a change reaches, see changes.clh; in_changes, changes are the maps of in, out.
+// Launch (ceil(width / 2 / SPAN), ceil(height / 2)): `top` is 0.
 #ifndef CHANNELS
 #error "resample.cl needs -D CHANNELS=n"
 #endif
 #pragma OPENCL FP_CONTRACT OFF
 #include "common.clh"
+#ifdef SKIP
+#include "changes.clh"
+#endif
 
 #define CHANNELS8 (CHANNELS / 8)
 
-kernel void upsample_corners(global const stored *restrict in, global stored *restrict out, const int height, const int width,
-                             const int in_columns, const int out_columns, const int full_height, const int top)
+// Output pixel (y, x); whether it came to differ.
+static inline int corners(global const stored *restrict in, global stored *restrict out, const int height, const int width,
+                          const int in_columns, const int out_columns, const int full_height, const int top, const int x, const int y,
+                          const float tolerance)
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= 2 * width || y >= 2 * height) return;
     const int along_x = x * (width - 1), along_y = (2 * top + y) * (full_height - 1);
     const int x0 = along_x / (2 * width - 1), row = along_y / (2 * full_height - 1);
     const int y0 = min(max(row - top, 0), height - 1);
@@ -28,11 +34,48 @@ kernel void upsample_corners(global const stored *restrict in, global stored *re
     const float fy = (along_y - row * (2 * full_height - 1)) / (2 * full_height - 1.0f);
     const int x1 = min(x0 + 1, width - 1), y1 = min(y0 + 1, height - 1);
     const int upper = (y0 + 1) * in_columns + 1, lower = (y1 + 1) * in_columns + 1;
+#ifdef SKIP
+    stored8 differs = 0;
+#endif
     for (int c = 0; c < CHANNELS8; ++c) {
         const float8 nw = LOAD8(in, (upper + x0) * CHANNELS8 + c), ne = LOAD8(in, (upper + x1) * CHANNELS8 + c);
         const float8 sw = LOAD8(in, (lower + x0) * CHANNELS8 + c), se = LOAD8(in, (lower + x1) * CHANNELS8 + c);
         // First down, then across, as the reference.
         const float8 west = nw + (sw - nw) * fy, east = ne + (se - ne) * fy;
+#ifdef SKIP
+        differs |= replace8(west + (east - west) * fx, ((y + 1) * out_columns + x + 1) * CHANNELS8 + c, out, tolerance);
+    }
+    return any_bit(differs);
+#else
         STORE8(west + (east - west) * fx, ((y + 1) * out_columns + x + 1) * CHANNELS8 + c, out);
     }
+    return 1;
+#endif
+}
+
+kernel void upsample_corners(global const stored *restrict in, global stored *restrict out, const int height, const int width,
+                             const int in_columns, const int out_columns, const int full_height, const int top
+#ifdef SKIP
+                             , global const uchar *restrict in_changes, global uchar *restrict changes, const float tolerance
+#endif
+                             )
+{
+#ifdef SKIP
+    const int rows = (height + 3) / 4, columns = (in_columns - 2) / 4, out_tiles = (out_columns - 2) / 4;
+    const int first = get_global_id(0) * SPAN, last = min(first + SPAN, out_tiles) - 1, tile_y = get_global_id(1);
+    // Rows 4 t .. 4 t + 3 of the output read the input's rows 2 t - 1 .. 2 t + 2.
+    if (!marked(in_changes, rows, columns, 2 * tile_y - 1, 2 * tile_y + 2, 2 * first - 1, 2 * last + 2)) return;
+    for (int tile = first; tile <= last; ++tile) {
+        if (!marked(in_changes, rows, columns, 2 * tile_y - 1, 2 * tile_y + 2, 2 * tile - 1, 2 * tile + 2)) continue;
+        int differs = 0;
+        for (int y = 4 * tile_y; y < min(4 * tile_y + 4, 2 * height); ++y)
+            for (int x = 4 * tile; x < min(4 * tile + 4, 2 * width); ++x)
+                differs |= corners(in, out, height, width, in_columns, out_columns, full_height, top, x, y, tolerance);
+        if (differs) changes[tile_y * out_tiles + tile] = 1;
+    }
+#else
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x < 2 * width && y < 2 * height)
+        corners(in, out, height, width, in_columns, out_columns, full_height, top, x, y, 0.0f);
+#endif
 }

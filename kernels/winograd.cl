@@ -13,6 +13,9 @@
 // outputs held at once, divides OUT / 8), optionally -D GATED -D RELU -D HALF -D IMAGE (the decoder's output in place of `out`, see
 // decoder.clh; rows `from` .. height - 1 are written, rows and columns are those of `color`; row 0 is the frame's row `top`).
 // Launch (ceil(ceil(width / 4) / TILES), ceil(height / 4)), work-groups of 1: a work-item is a strip of tiles whose scratch stays in L2.
+//
+// -D SKIP: only tiles that a change reaches, see changes.clh; a_changes (its map begins at a_tile), b_changes, color_changes are the
+// maps of the inputs, changes that of `out`.
 #if !defined(A) || !defined(B) || !defined(OUT) || !defined(USED) || !defined(TILES) || !defined(ROWS) || !defined(BLOCK)
 #error "winograd.cl needs -D A, B, OUT, USED, TILES, ROWS, BLOCK"
 #endif
@@ -20,6 +23,9 @@
 #undef PREFETCH
 #endif
 #include "common.clh"
+#ifdef SKIP
+#include "changes.clh"
+#endif
 #ifdef IMAGE
 #include "decoder.clh"
 #endif
@@ -102,6 +108,36 @@ static inline void fetch(global const stored *buffer, const int channels, const 
 }
 #endif
 
+#ifdef SKIP
+// Which tiles of the strip have a marked tile beside them, in compact order behind each other; how many.
+static inline int reached(global const uchar *a, global const uchar *b, const int rows, const int columns, const int first,
+                          const int last, const int tile_y, int *tiles)
+{
+    const int top = max(tile_y - 1, 0), bottom = min(tile_y + 1, rows - 1), left = max(first - 1, 0), right = min(first + TILES, columns - 1);
+    if (!marked_tiles(a, columns, top, bottom, left, right) && !(b && marked_tiles(b, columns, top, bottom, left, right))) return 0;
+    uchar column[TILES + 2];
+    for (int i = 0; i < TILES + 2; ++i) {
+        const int x = min(max(first - 1 + i, left), right);
+        column[i] = 0;
+        for (int y = top; y <= bottom; ++y) column[i] |= a[y * columns + x] | (b ? b[y * columns + x] : 0);
+    }
+    int count = 0;
+    for (int i = 0; i < TILES && first + i <= last; ++i)
+        if (column[i] | column[i + 1] | column[i + 2]) tiles[count++] = first + i;
+    return count;
+}
+
+// The t-th tile that is computed, how many there are, and with those that fill up the last ROWS.
+#define TILE(t) tiles[t]
+#define COUNT count
+#define HELD held
+#else
+// Beyond the row the last tile stands in: its results are not stored.
+#define TILE(t) min(first + (t), last)
+#define COUNT min(TILES, last + 1 - first)
+#define HELD TILES
+#endif
+
 kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void winograd(global const stored *restrict a, global const stored *restrict b, global const float8 *restrict weight,
               global const float8 *restrict gate_weight, global const float8 *restrict bias, const float gate_bias,
@@ -112,6 +148,15 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
               global const float8 *restrict outc_bias, global float *restrict image, const int rows, const int columns,
               const int from, const int top
 #endif
+#ifdef SKIP
+              , global const uchar *restrict a_changes, global const uchar *restrict b_changes,
+#ifdef IMAGE
+              global const uchar *restrict color_changes,
+#else
+              global uchar *restrict changes,
+#endif
+              const int a_tile, const float tolerance
+#endif
               )
 {
     const int first = get_global_id(0) * TILES, tile_y = get_global_id(1), last = (width + 3) / 4 - 1;
@@ -119,14 +164,26 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
 #ifdef IMAGE
     if (4 * tile_y + 4 <= from) return;
 #endif
+#ifdef SKIP
+    int tiles[TILES + ROWS];
+    const int tile_columns = (in_columns - 2) / 4;
+#ifdef IMAGE
+    const int count = reached(a_changes + a_tile, color_changes, rows / 4, tile_columns, first, last, tile_y, tiles);
+#else
+    global const uchar *others = B ? b_changes : 0;
+    const int count = reached(a_changes + a_tile, others, (height + 3) / 4, tile_columns, first, last, tile_y, tiles);
+#endif
+    if (!count) return;
+    int held = count;
+    for (; held % ROWS; ++held) tiles[held] = tiles[count - 1];
+#endif
     float8 V[36 * TILES * IN8], M[36 * TILES * OUT8];
 #ifdef GATED
     float8 gates[36 * TILES];
 #endif
 
-    for (int t = 0; t < TILES; ++t) {
-        // Beyond the row the last tile stands in: its results are not stored.
-        const int corner = 4 * tile_y * in_columns + 4 * min(first + t, last);
+    for (int t = 0; t < HELD; ++t) {
+        const int corner = 4 * tile_y * in_columns + 4 * TILE(t);
         for (int c = 0; c < A / 8; ++c) input_tile(a, corner, in_columns, A / 8, c, V + t * IN8 + c, TILES * IN8);
 #if B
         for (int c = 0; c < B / 8; ++c) input_tile(b, corner, in_columns, B / 8, c, V + t * IN8 + A / 8 + c, TILES * IN8);
@@ -146,7 +203,7 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
 #endif
         for (int block = 0; block < OUT8; block += BLOCK) {
             global const float8 *restrict w = weight + k * IN * OUT8 + block;
-            for (int t = 0; t < TILES; t += ROWS) {
+            for (int t = 0; t < HELD; t += ROWS) {
                 const float *v = (const float *)(V + (k * TILES + t) * IN8);
                 float8 sum[ROWS * BLOCK];
 #pragma unroll
@@ -172,7 +229,7 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
 #ifdef GATED
     // The output transform is linear: it may run on the eight lanes' partial sums, which are added only at its end.
     for (int k = 0; k < 36; ++k)
-        for (int t = 0; t < TILES; ++t) {
+        for (int t = 0; t < HELD; ++t) {
             float8 gate = 0.0f;
 #pragma unroll
             for (int c = 0; c < IN8; ++c) gate += V[(k * TILES + t) * IN8 + c] * gate_weight[k * IN8 + c];
@@ -180,8 +237,11 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
         }
 #endif
 
-    for (int t = 0; t < TILES && first + t <= last; ++t) {
-        const int x = 4 * (first + t), y = 4 * tile_y;
+    for (int t = 0; t < COUNT; ++t) {
+        const int x = 4 * TILE(t), y = 4 * tile_y;
+#if defined(SKIP) && !defined(IMAGE)
+        stored8 differs = 0;
+#endif
 #ifdef GATED
         float8 partial[16], open8[2];
         float4 *open4 = (float4 *)open8;
@@ -211,6 +271,8 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
 #endif
 #ifdef IMAGE
                     features[(4 * i + j) * OUT8 + c] = value;
+#elif defined(SKIP)
+                    if (x + j < width) differs |= replace8(value, pixel + j * (out_channels / 8), out, tolerance);
 #else
                     if (x + j < width) STORE8(value, pixel + j * (out_channels / 8), out);
 #endif
@@ -223,6 +285,8 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
             residual((const float *)(features + 4 * i * OUT8), outc_weight, outc_bias, sums);
             write_pixels(sums, color, image, y + i, x, width, width, rows, columns, top);
         }
+#elif defined(SKIP)
+        if (any_bit(differs)) changes[tile_y * ((out_columns - 2) / 4) + TILE(t)] = 1;
 #endif
     }
 }

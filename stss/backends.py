@@ -3,20 +3,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Protocol
 
 from stss.errors import InputError
+from stss.methods import NETWORK
+from stss.prepared import OnArrays, Prepared
 from stss_ref.arrays import Image, Mask
 from stss_ref.frame import FrameInputs, frame, prepare
 from stss_ref.motion_chain import Gather
 from stss_ref.resample import upsample_centres
 from stss_ref.weights import Weights
 
+if TYPE_CHECKING:
+    from stss_cl.stream import Report
+
 BACKENDS = ("cl", "ref")
 """The names ``open_backend`` takes."""
 PRECISIONS = ("float32", "float32-direct", "half")
 """See ``stss_cl.network.PRECISIONS``; the reference knows float32 alone."""
+SKIPS = ("off", "exact", "bounded")
+"""See ``stss_cl.stream.SKIPS``."""
 
 
 class Backend(Protocol):
@@ -24,19 +31,28 @@ class Backend(Protocol):
 
     Attributes:
         name: goes into the metadata of every output file, and into what ``--resume`` compares.
+        method: likewise: ``network``, or one of ``stss.methods.METHODS``.
+        accumulates: True: an output depends on all outputs before it, and ``frame`` must be called for each in turn.
     """
 
     name: str
+    method: str
+    accumulates: bool
 
-    def frame(self, inputs: FrameInputs) -> tuple[Image, Mask]:
-        """``(image (2H, 2W, 3), valid (H, W))`` as ``stss_ref.frame.frame``."""
+    def compute(self, window: Sequence[Prepared], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
+        """``(image (2H, 2W, 3), valid (H, W))`` as ``stss_ref.frame.frame``, for the last frame of ``window``.
+
+        Args:
+            window: consecutive display frames, oldest first; what was handed in once is not changed afterwards.
+            steps: how many frames back the three colour frames lie, newest first.
+        """
         ...
 
 
-class ReferenceBackend:
+class ReferenceBackend(OnArrays):
     """``stss_ref``, in the dtype of the inputs."""
 
-    name = "ref"
+    name, method, accumulates = "ref", NETWORK, False
 
     def __init__(self, weights: Weights, gather: Gather = "longest"):
         self._weights = weights
@@ -55,6 +71,8 @@ class ReferenceBackend:
 class OpenCLBackend:
     """``stss_cl`` on one device; the name holds precision, device and driver, for their bits may differ."""
 
+    method, accumulates = NETWORK, False
+
     def __init__(
         self,
         weights: Weights,
@@ -63,19 +81,25 @@ class OpenCLBackend:
         device: str | None = None,
         precision: str = "float32",
         memory_limit: int | None = None,
+        skip: str = "exact",
         tell: Callable[[str], None] = lambda line: None,
     ):
         # Imported here: the OpenCL library is opened only by those who use it.
         from stss.devices import choose
-        from stss_cl.frame import Frame
+        from stss_cl.stream import Stream
 
         chosen = choose(device, tell)
-        self._frame = Frame(weights, chosen, precision, gather, memory_limit)  # pyright: ignore[reportArgumentType]
+        self._stream = Stream(weights, chosen, precision, gather, memory_limit, skip)  # pyright: ignore[reportArgumentType]
         self.name = f"cl {precision} on {chosen.name}, {chosen.driver}"
 
-    def frame(self, inputs: FrameInputs) -> tuple[Image, Mask]:
+    def compute(self, window: Sequence[Prepared], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
         """See ``Backend``."""
-        return self._frame(**vars(inputs))
+        return self._stream(window, steps)
+
+    @property
+    def report(self) -> Report:
+        """What the last frame cost."""
+        return self._stream.report
 
 
 def open_backend(
@@ -86,6 +110,7 @@ def open_backend(
     device: str | None = None,
     precision: str = "float32",
     memory_limit: int | None = None,
+    skip: str = "exact",
     tell: Callable[[str], None] = lambda line: None,
 ) -> Backend:
     """Make the backend of this name ready to compute.
@@ -97,6 +122,7 @@ def open_backend(
         device: part of an OpenCL device's name; None: ``$STSS_DEVICE``, or the fastest that passed its self-test.
         precision: one of ``PRECISIONS``; the reference takes ``float32`` only.
         memory_limit: bytes for the buffers of the OpenCL backend; larger frames go in strips, with the same bits.
+        skip: one of ``SKIPS``: what the OpenCL backend leaves out; the reference computes everything.
         tell: is handed lines for the user, such as that a self-test is being run.
 
     Raises:
@@ -108,7 +134,7 @@ def open_backend(
     if precision not in PRECISIONS:
         raise InputError(f"precision: expected one of {', '.join(PRECISIONS)}, got {precision!r}")
     if name == "cl":
-        return OpenCLBackend(weights, gather, device=device, precision=precision, memory_limit=memory_limit, tell=tell)
+        return OpenCLBackend(weights, gather, device=device, precision=precision, memory_limit=memory_limit, skip=skip, tell=tell)
     if device is not None or precision != "float32":
         raise InputError("backend ref: expected neither a device nor another precision than float32")
     return ReferenceBackend(weights, gather)

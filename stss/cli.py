@@ -17,13 +17,15 @@ from stss import check as checking
 from stss import compare as comparing
 from stss import demo as demonstration
 from stss import inspection
-from stss.backends import open_backend
 from stss.cli_conform import conform
 from stss.cli_devices import bench_command, devices, export, port, tune
+from stss.cli_methods import flicker_command, methods_command
 from stss.cli_stress import stress_command
 from stss.color import TRANSFERS
 from stss.errors import InputError
-from stss.options import PATH, FrameRange, backend_options, sequence_options
+from stss.method_table import open_method
+from stss.methods import METHODS, NETWORK
+from stss.options import PATH, FrameRange, backend_options, perceptual_options, sequence_options
 from stss.run import FrameReport, RunOptions, Summary
 from stss.run import run as run_sequence
 from stss.sequence import open_sequence
@@ -47,6 +49,13 @@ def stss() -> None:
 @click.option("-o", "--out", type=PATH, required=True, help="Folder for the frames.")
 @sequence_options
 @click.option("--weights", default="bilinear", show_default=True, help="A .safetensors file, or bilinear: no network.")
+@click.option(
+    "--method",
+    type=click.Choice([NETWORK, *METHODS]),
+    default=NETWORK,
+    show_default=True,
+    help="The network, or one without weights and device, to compare with.",
+)
 @backend_options
 @click.option(
     "--rendered",
@@ -73,6 +82,7 @@ def run(
     roughness: float | None,
     non_finite: Any,
     weights: str,
+    method: str,
     backend: str,
     device: str | None,
     precision: str,
@@ -95,15 +105,16 @@ def run(
     first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
     with _progress(console) as progress:
         task = progress.add_task("", total=last - first + 1)
-        engine = open_backend(
+        engine, identity = open_method(
+            method,
+            loaded,
             backend,
-            loaded.weights,
             device=device,
             precision=precision,
-            memory_limit=None if memory_limit is None else memory_limit << 20,
+            memory_limit=memory_limit,
             tell=lambda line: click.echo(line, err=True),
         )
-        summary = run_sequence(frames, out, engine, loaded.identity, options, on_frame=lambda _: progress.advance(task))
+        summary = run_sequence(frames, out, engine, identity, options, on_frame=lambda _: progress.advance(task))
     _report(summary, out, console)
     sys.exit(1 if any(frame.fault for frame in summary.frames) else 0)
 
@@ -131,10 +142,11 @@ def check(sequence: Path, profile: str, as_json: bool, **options: Any) -> None:
 @click.argument("truth", type=PATH)
 @click.option("--frames", type=FrameRange(), help="First and last frame to compare.")
 @click.option("--pictures", type=PATH, help="Folder for pictures of output, truth and difference.")
+@perceptual_options
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def compare(out: Path, truth: Path, frames: tuple[int, int] | None, pictures: Path | None, as_json: bool) -> None:
+def compare(out: Path, truth: Path, as_json: bool, **chosen: Any) -> None:
     """Hold the frames in OUT against those in TRUTH: PSNR and SSIM over all pixels, edges and holes."""
-    comparison = comparing.compare(out, truth, frames=frames, pictures=pictures)
+    comparison = comparing.compare(out, truth, **chosen)
     if as_json:
         click.echo(comparison.to_json())
     else:
@@ -178,7 +190,7 @@ def inspect(file: str, size: tuple[int, int], as_json: bool) -> None:
         inspection.print_inspection(found, Console())
 
 
-for command in (bench_command, conform, devices, export, port, stress_command, tune):
+for command in (bench_command, conform, devices, export, flicker_command, methods_command, port, stress_command, tune):
     stss.add_command(command)
 
 

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from stss.perceptual import flip_map
 from stss_ref.arrays import Image, Mask, Plane, require_shape
 
 REGIONS = ("all", "edges", "holes")
@@ -40,11 +41,15 @@ class Scores:
         psnr_luma: dB, infinite where the two agree; None where the region is empty.
         ssim: of the luma, at most 1; None where the region is empty, or lies within 5 pixels of the frame's edge.
         psnr_rgb: dB, over R, G and B together; as ``psnr_luma``.
+        flip: mean of FLIP's error map, 0 to 1, 0 where the two agree; None where the region is empty, or it was not taken.
+        vmaf: 0 to 100, of a whole frame within its sequence; None elsewhere, or where it was not taken.
     """
 
     psnr_luma: float | None
     ssim: float | None
     psnr_rgb: float | None
+    flip: float | None = None
+    vmaf: float | None = None
 
 
 def to_8bit(image: Image) -> Bytes:
@@ -162,13 +167,14 @@ def upsample_holes(hole: Mask) -> Mask:
     return cv2.resize(valid, (2 * width, 2 * height), interpolation=cv2.INTER_LINEAR) == 0
 
 
-def score(image: Image, truth: Image, hole: Mask | None = None) -> Mapping[str, Scores]:
+def score(image: Image, truth: Image, hole: Mask | None = None, *, flip: bool = False) -> Mapping[str, Scores]:
     """All scores of one frame.
 
     Args:
         image: (H, W, 3) display-referred.
         truth: as ``image``.
         hole: (H, W) True in a warping hole, at the images' size; None: there are none.
+        flip: take FLIP too; of the images as they are, not of 8 bits.
 
     Returns:
         Region name, in the order of ``REGIONS``, to its scores.
@@ -183,8 +189,15 @@ def score(image: Image, truth: Image, hole: Mask | None = None) -> Mapping[str, 
     similarity = ssim_map(y_a, y_b)
     nowhere = np.zeros(y_a.shape, dtype=np.bool_)
     regions = {"all": None, "edges": edges(b), "holes": nowhere if hole is None else hole}
+    different = flip_map(image, truth) if flip else None
     return {
-        name: Scores(psnr(y_a, y_b, region), _over(similarity, region), psnr(a, b, region)) for name, region in regions.items()
+        name: Scores(
+            psnr(y_a, y_b, region),
+            _over(similarity, region),
+            psnr(a, b, region),
+            None if different is None else mean_over(different, region),
+        )
+        for name, region in regions.items()
     }
 
 
@@ -210,6 +223,12 @@ def mean_scores(frames: Sequence[Mapping[str, Scores]], *, complete: bool = Fals
     return result
 
 
+def mean_over(plane: Plane, region: Mask | None) -> float | None:
+    """Mean of (H, W) over a region (H, W), None: everywhere; None where that is empty."""
+    values = plane if region is None else plane[region]
+    return float(values.mean(dtype=np.float64)) if values.size else None
+
+
 def _mean(plane: Plane) -> Plane:
     """Gaussian mean around each place where the window fits."""
     weights = cv2.getGaussianKernel(WINDOW, SIGMA)
@@ -217,6 +236,4 @@ def _mean(plane: Plane) -> Plane:
 
 
 def _over(similarity: Plane, region: Mask | None) -> float | None:
-    if region is not None:
-        similarity = similarity[region[MARGIN:-MARGIN, MARGIN:-MARGIN]]
-    return float(similarity.mean()) if similarity.size else None
+    return mean_over(similarity, None if region is None else region[MARGIN:-MARGIN, MARGIN:-MARGIN])

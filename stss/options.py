@@ -74,6 +74,17 @@ def backend_options(command: Command) -> Command:
     return command
 
 
+def perceptual_options(command: Command) -> Command:
+    """Add the options of what compares images, for metrics that need further packages."""
+    options = (
+        click.option("--flip", is_flag=True, help="FLIP too  [needs the extra metrics]"),
+        click.option("--vmaf", is_flag=True, help="VMAF too  [needs the extra metrics]"),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
 class Size(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
     """``WIDTHxHEIGHT``, as (height, width)."""
 

@@ -17,8 +17,9 @@ from stss.color import Transfer, transfer
 from stss.errors import InputError
 from stss.images import read_header, write_mask, write_rgb
 from stss.pipeline import overlap
+from stss.prepared import Prepared
 from stss.sequence import Sequence
-from stss.supersample import Output, Prepared, choose_rendered, frame_inputs, plan
+from stss.supersample import Output, choose_rendered, plan
 from stss.version import VERSION
 from stss.window import Keys, Window
 from stss_ref import SPEC_VERSION
@@ -102,10 +103,13 @@ def run(
     """
     rendered = choose_rendered(sequence.numbers, sequence.rendered, options.rendered)
     numbers = _numbers(sequence, options.frames)
+    if backend.accumulates and options.resume:
+        raise InputError(f"--resume: {backend.method} makes each output of all before it; run it anew, with --overwrite")
     curve = transfer(options.transfer)
     metadata = {
         "stss:version": VERSION,
         "stss:spec": SPEC_VERSION,
+        "stss:method": backend.method,
         "stss:weights": weights_id,
         "stss:backend": backend.name,
         "stss:transfer": options.transfer,
@@ -115,6 +119,9 @@ def run(
     keys = Keys(sequence, rendered, {**metadata, "format": options.format, "read": sequence.settings})
     job = _Job(Window(sequence, rendered, curve, options.depth), keys, backend, curve, out, options, metadata, rendered)
     _claim(out, options)
+    if backend.accumulates:
+        for number in range(sequence.numbers[0], numbers[0]):
+            job.compute(job.read(number))
 
     summary = Summary([])
 
@@ -182,7 +189,7 @@ class _Job:
             # At the start of a sequence this is how it must be; later on it is the work of a frame that could not be read.
             reason = f"frame {number}: no rendered frame just before it to extrapolate from"
             return FrameReport(number, FrameKind.EF, "left out", reason, fault=schedule(number, self.rendered) is not None)
-        image, valid = self.backend.frame(frame_inputs(read.window, planned.steps))
+        image, valid = self.backend.compute(read.window, planned.steps)
         return _Computed(number, read.key, planned.kind, image, valid)
 
     def write(self, made: _Computed | FrameReport) -> FrameReport:

@@ -7,19 +7,14 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from stss.backends import Backend
 from stss.buffers import Buffers
 from stss.color import Transfer, transfer
 from stss.errors import InputError
-from stss_ref.arrays import Array, Image, Mask, Plane
-from stss_ref.depth import DepthMode, normalise_depth
-from stss_ref.frame import FrameInputs
+from stss.prepared import WINDOW, Prepared, prepare
+from stss_ref.arrays import Image, Mask
+from stss_ref.depth import DepthMode
 from stss_ref.schedule import FrameKind, Schedule, schedule
-
-WINDOW = 6
-"""An output depends on its own display frame and on the five before it, and on nothing else."""
 
 
 @dataclass(frozen=True)
@@ -39,77 +34,11 @@ class Output:
     valid: Mask
 
 
-@dataclass(frozen=True)
-class Prepared:
-    """A display frame as stage ``frame`` takes it, made once and used by up to six outputs.
-
-    ``color`` (H, W, 3) display-referred or None, ``motion`` (H, W, 2), ``gbuffer`` (H, W, 9), ``nov`` and ``stencil`` (H, W),
-    ``position`` (H, W, 3) in cm.
-    """
-
-    number: int
-    color: Image | None
-    motion: Image
-    gbuffer: Image
-    nov: Plane
-    stencil: Plane
-    position: Image
-
-
-def prepare(buffers: Buffers, to_display: Transfer, depth: DepthMode) -> Prepared:
-    """Take one frame's colour through the transfer, normalise its depth and stack its G-buffer."""
-    planes = [
-        buffers.normal,
-        normalise_depth(buffers.depth, depth)[..., None],
-        buffers.roughness[..., None],
-        buffers.metallic[..., None],
-        buffers.base_color,
-    ]
-    return Prepared(
-        number=buffers.number,
-        color=None if buffers.color is None else to_display.encode(buffers.color),
-        motion=buffers.motion,
-        gbuffer=np.concatenate(planes, axis=-1),
-        nov=buffers.nov,
-        stencil=buffers.stencil,
-        position=buffers.position,
-    )
-
-
 def plan(window: Sequence[Prepared]) -> Schedule | None:
     """The schedule of the newest frame of ``window``; None where there is nothing to extrapolate it from."""
     newest = window[-1].number
     rendered = {prepared.number for prepared in window if prepared.color is not None}
     return schedule(newest, rendered, reach=newest - window[0].number)
-
-
-def frame_inputs(window: Sequence[Prepared], steps: tuple[int, int, int]) -> FrameInputs:
-    """Stack what stage ``frame`` takes for the newest frame of ``window``.
-
-    Args:
-        window: consecutive display frames, oldest first, at least ``max(steps) + 1`` of them.
-        steps: how many frames back the three colour frames lie, newest first.
-
-    Returns:
-        The inputs, float32.
-    """
-    back = window[::-1]
-    colors = [back[step].color for step in steps]
-    shown = (back[0], *(back[step] for step in steps))
-
-    def stack(arrays: list[Array]) -> Array:
-        return np.stack(arrays) if arrays else np.empty((0, *back[0].motion.shape), np.float32)
-
-    return FrameInputs(
-        colors=stack([color for color in colors if color is not None]),
-        steps=steps,
-        motions=stack([prepared.motion for prepared in back[: max(steps)]]),
-        gbuffer=back[0].gbuffer,
-        nov=back[0].nov,
-        stencils=stack([prepared.stencil for prepared in shown]),
-        normals=stack([prepared.gbuffer[..., :3] for prepared in shown]),
-        positions=stack([prepared.position for prepared in shown]),
-    )
 
 
 def compute(window: Sequence[Prepared], backend: Backend, from_display: Transfer) -> Output | None:
@@ -123,7 +52,7 @@ def compute(window: Sequence[Prepared], backend: Backend, from_display: Transfer
     planned = plan(window)
     if planned is None:
         return None
-    image, valid = backend.frame(frame_inputs(window, planned.steps))
+    image, valid = backend.compute(window, planned.steps)
     return Output(window[-1].number, planned.kind, from_display.decode(image), valid)
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from stss.color import Transfer
 from stss.errors import InputError
+from stss.prepared import WINDOW, Prepared, prepare
 from stss.sequence import Sequence
-from stss.supersample import WINDOW, Prepared, prepare
 from stss_ref.depth import DepthMode
 
 

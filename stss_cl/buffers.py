@@ -33,6 +33,7 @@ class Padded:
         height, width, channels: of what it holds.
         dtype: float32, or float16 for half storage.
         images: how many.
+        changes: its change map (kernels/changes.clh), ``images`` of them one behind the other; None: it has none.
     """
 
     data: cl.Buffer
@@ -41,6 +42,7 @@ class Padded:
     channels: int
     dtype: np.dtype[Any]
     images: int = 1
+    changes: cl.Buffer | None = None
 
     @property
     def rows(self) -> int:
@@ -69,17 +71,25 @@ def zeroed(device: Device, size: int) -> cl.Buffer:
     return data
 
 
-def padded(device: Device, height: int, width: int, channels: int, dtype: np.dtype[Any], images: int = 1) -> Padded:
-    """Allocate activations; all zero."""
+def map_bytes(height: int, width: int, images: int = 1) -> int:
+    """Size of a change map: a byte for each tile of 4 x 4 pixels."""
+    return images * -(-height // 4) * -(-width // 4)
+
+
+def padded(
+    device: Device, height: int, width: int, channels: int, dtype: np.dtype[Any], images: int = 1, changes: bool = False
+) -> Padded:
+    """Allocate activations; all zero. ``changes``: with a change map of their own, nothing marked."""
     shape = -(-height // 4) * 4 + 2, -(-width // 4) * 4 + 2
     size = (images * shape[0] * shape[1] + SLACK) * channels * dtype.itemsize
     data = zeroed(device, size)
-    return Padded(data, height, width, channels, dtype, images)
+    marks = zeroed(device, map_bytes(height, width, images)) if changes else None
+    return Padded(data, height, width, channels, dtype, images, marks)
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the network reads, at H8, W8 = H, W rounded up to multiples of 8.
+    """What the network reads, at H8, W8 = H, W rounded up to multiples of 8; where they have change maps, ``input``'s is ``base``'s, too.
 
     Attributes:
         input: (H8, W8, 24) color 6, color * mask 6, gbuffer 9, zeros 3.
@@ -94,12 +104,12 @@ class Inputs:
     base: cl.Buffer
 
 
-def inputs_for(device: Device, rows: int, columns: int, dtype: np.dtype[Any]) -> Inputs:
-    """Allocate the network's inputs for (rows, columns), multiples of 8: a frame, or a strip of it."""
+def inputs_for(device: Device, rows: int, columns: int, dtype: np.dtype[Any], changes: bool = False) -> Inputs:
+    """Allocate the network's inputs for (rows, columns), multiples of 8: a frame, or a strip of it; ``changes``: with change maps."""
     return Inputs(
-        input=padded(device, rows, columns, 24, dtype),
-        earlier=padded(device, rows, columns, 4, dtype, images=3),
-        eighth=padded(device, rows // 8, columns // 8, 16, dtype),
+        input=padded(device, rows, columns, 24, dtype, changes=changes),
+        earlier=padded(device, rows, columns, 4, dtype, images=3, changes=changes),
+        eighth=padded(device, rows // 8, columns // 8, 16, dtype, changes=changes),
         base=cl.Buffer(device.context, FLAGS.READ_WRITE, rows * columns * 16),
     )
 

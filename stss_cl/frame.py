@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from stss_cl.buffers import Outgoing, on_device
 from stss_cl.device import Device
 from stss_cl.image_stages import Gather
+from stss_cl.layers import Layers
 from stss_cl.network import Network, Precision
 from stss_cl.prepare import FINITE, Prepare
+from stss_cl.sources import Sources
 from stss_ref.arrays import Array, require_finite, require_shape
 from stss_ref.weights import Weights
 
@@ -75,25 +77,40 @@ class Frame:
         require_shape("gbuffer", gbuffer, (None, None, 9))
         height, width = gbuffer.shape[:2]
         layers = self.network.layers(height, width)
-        if self._prepare is None or self._prepare.inputs is not layers.inputs:
-            self._prepare = Prepare(self.device, height, width, self._gather, inputs=layers.inputs)
+        prepare = self._preparation(layers)
         color, motion, *rest = (
             on_device(a) if isinstance(a, cla.Array) else a for a in (colors, motions, gbuffer, nov, stencils, normals, positions)
         )
-        self._prepare.begin(color, steps, motion, *rest, tops=[strip.top for strip in layers.strips])
-        image = Outgoing(self.device, (2 * height, 2 * width, 3), on_device=stays)
-        for strip in layers.strips:
-            self._prepare.strip(strip.top)
-            layers.place(strip)
-            layers.run(image.data)
-        valid = np.empty((height, width), np.uint8)
-        cl.enqueue_copy(self.device.queue, valid, self._prepare.mask)
-        made = image.finish()
-        name = self._prepare.not_finite()
+        prepare.begin(color, steps, motion, *rest, tops=[strip.top for strip in layers.strips])
+        made, valid = self._finish(prepare, layers, on_device=stays)
+        name = prepare.not_finite()
         if name is not None:
             given = (colors, gbuffer, nov, stencils, normals)[FINITE.index(name)]
             require_finite(name, given.get() if isinstance(given, cla.Array) else given)
-        return made, valid.view(np.bool_)
+        return made, valid
+
+    def compute(self, sources: Sources, size: tuple[int, int]) -> tuple[Any, NDArray[np.bool_]]:
+        """The same for planes of (height, width) that are on the device, and known to be finite."""
+        layers = self.network.layers(*size)
+        prepare = self._preparation(layers)
+        prepare.start(sources, tops=[strip.top for strip in layers.strips])
+        return self._finish(prepare, layers, on_device=False)
+
+    def _preparation(self, layers: Layers) -> Prepare:
+        if self._prepare is None or self._prepare.inputs is not layers.inputs:
+            self._prepare = Prepare(self.device, *layers.size, self._gather, inputs=layers.inputs)
+        return self._prepare
+
+    def _finish(self, prepare: Prepare, layers: Layers, *, on_device: bool) -> tuple[Any, NDArray[np.bool_]]:
+        height, width = layers.size
+        image = Outgoing(self.device, (2 * height, 2 * width, 3), on_device=on_device)
+        for strip in layers.strips:
+            prepare.strip(strip.top)
+            layers.place(strip)
+            layers.run(image.data)
+        valid = np.empty((height, width), np.uint8)
+        cl.enqueue_copy(self.device.queue, valid, prepare.mask)
+        return image.finish(), valid.view(np.bool_)
 
     def timings(self) -> dict[str, float]:
         """Seconds of the network's stages, as ``Network.timings``."""

@@ -39,7 +39,12 @@ def kernels(device: Device, file: str, options: Mapping[str, object] | None = No
 
 
 def launch(
-    device: Device, kernel: cl.Kernel, width: int, height: int, *arguments: cl.Buffer | int, planes: int | None = None
+    device: Device,
+    kernel: cl.Kernel,
+    width: int,
+    height: int,
+    *arguments: cl.Buffer | int | np.float32,
+    planes: int | None = None,
 ) -> cl.Event:
     """Enqueue one work-item for each of ``width`` x ``height`` places, rounded up to whole work-groups.
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from stss_cl.buffers import Padded, constant
+from stss_cl.buffers import Padded, constant, map_bytes
 from stss_cl.device import Device
 from stss_cl.packing import Packed, ceil_div
 from stss_cl.program import build
@@ -18,6 +19,27 @@ from stss_cl.tuning import tuning_for
 
 FAST_MULTIPLY_ADD = "-cl-mad-enable"
 """The network's kernels may contract ``a * b + c``; fma() itself is a slow call on PoCL 3.0."""
+
+
+@dataclass(frozen=True)
+class Skip:
+    """What it takes to make a launch that computes only what changed (kernels/changes.clh) from one that computes everything.
+
+    Attributes:
+        file: of the kernel.
+        options: it is built with, SKIP besides.
+        flags: further ones.
+        size: global size.
+        arguments: behind the launch's own.
+        bounded: whether a tolerance follows.
+    """
+
+    file: str
+    options: Mapping[str, object]
+    flags: str
+    size: tuple[int, ...]
+    arguments: tuple[Any, ...]
+    bounded: bool = True
 
 
 @dataclass(frozen=True)
@@ -30,7 +52,8 @@ class Launch:
         kernel: with its arguments set.
         size: global size.
         group: work-group size; None = the runtime's choice.
-        held: the buffers among its arguments: OpenCL does not keep them alive.
+        held: its arguments, in order: OpenCL does not keep buffers alive.
+        skip: where inputs and outputs have change maps.
     """
 
     stage: str
@@ -38,7 +61,8 @@ class Launch:
     kernel: cl.Kernel
     size: tuple[int, ...]
     group: tuple[int, ...] | None = None
-    held: tuple[object, ...] = ()
+    held: tuple[Any, ...] = ()
+    skip: Skip | None = None
 
     def enqueue(self, queue: cl.CommandQueue) -> None:
         """Put it into the queue."""
@@ -49,7 +73,8 @@ class Launch:
 class Final:
     """What the decoder's last layer needs to write the image itself (kernels/decoder.clh).
 
-    ``color`` (rows, columns, 4), ``weight`` (24, 16) and ``bias`` (16) of outc, and the frame's own height and width.
+    ``color`` (rows, columns, 4), ``weight`` (24, 16) and ``bias`` (16) of outc, the frame's own height and width, and the change map
+    of ``color``, if any.
     """
 
     color: cl.Buffer
@@ -59,6 +84,7 @@ class Final:
     columns: int
     height: int
     width: int
+    changes: cl.Buffer | None = None
 
 
 ROW_ARGUMENTS = {"image": (9, 10), "winograd": (20, 21)}
@@ -67,6 +93,14 @@ HEIGHT_ARGUMENT = 8
 """Which argument of winograd is the row after the last one written."""
 IMAGE_ARGUMENT = {"image": 4, "winograd": 17}
 """Which argument of either kernel is the image."""
+
+
+def span(device: Device, pixels: int) -> int:
+    """Pixels of a row that a work-item looks after, where what it computes at once is ``pixels`` and only what changed is computed.
+
+    On a processor they are more: most work-items have nothing to do, and each of them costs something.
+    """
+    return ceil_div(32, pixels) * pixels if device.is_cpu else pixels
 
 
 def half(dtype: np.dtype[Any]) -> bool:
@@ -129,7 +163,22 @@ def conv(
         arguments += [final.color, final.weight, final.bias, final.bias]
         arguments += [np.int32(n) for n in (final.rows, final.columns, 0, 0)]
     kernel.set_args(*arguments)
-    return Launch(stage, name, kernel, shape.size, shape.group, tuple(arguments))
+    skip = None if a.changes is None else _skip(device, shape, options, a, b, final or out, image)
+    return Launch(stage, name, kernel, shape.size, shape.group, tuple(arguments), skip)
+
+
+def _skip(
+    device: Device, shape: _Shape, options: Mapping[str, object], a: Padded, b: Padded | None, out: Padded | Final, image: int
+) -> Skip:
+    a_tile = image * map_bytes(a.height, a.width)
+    arguments = (a.changes, b.changes if b else a.changes, out.changes, np.int32(a_tile))
+    if shape.file == "winograd.cl":
+        return Skip(shape.file, options, FAST_MULTIPLY_ADD, shape.size, arguments)
+    pixels, group = int(shape.options["PIXELS"]), shape.group[1]
+    wide, tall = span(device, pixels), 4 if device.is_cpu else 1
+    size = (shape.size[0], ceil_div(ceil_div(out.width, wide), group) * group, ceil_div(out.height, tall))
+    options = {**options, "SPAN": wide, "TALL": tall}
+    return Skip(shape.file, options, FAST_MULTIPLY_ADD, size, (*arguments, np.int32(out.height)))
 
 
 @dataclass(frozen=True)
@@ -137,7 +186,7 @@ class _Shape:
     """How one of the two kernels is built and launched."""
 
     file: str
-    options: dict[str, object]
+    options: dict[str, int]
     weight: NDArray[np.float32]
     gate: NDArray[np.float32] | None
     size: tuple[int, ...]

@@ -10,9 +10,22 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from stss_cl.buffers import FLAGS, Outgoing, Padded, constant, incoming, inputs_for, padded, read, write
+from stss_cl.buffers import Outgoing, Padded, constant, incoming, inputs_for, padded, read, write
+from stss_cl.changes import ChangedOnly, Maps, kept_bytes
 from stss_cl.device import Device
-from stss_cl.launch import FAST_MULTIPLY_ADD, HEIGHT_ARGUMENT, IMAGE_ARGUMENT, ROW_ARGUMENTS, Final, Launch, conv, half
+from stss_cl.launch import (
+    FAST_MULTIPLY_ADD,
+    HEIGHT_ARGUMENT,
+    IMAGE_ARGUMENT,
+    ROW_ARGUMENTS,
+    Final,
+    Launch,
+    Skip,
+    conv,
+    half,
+    span,
+)
+from stss_cl.pack_inputs import PackInputs
 from stss_cl.packing import ceil8, ceil_div, pack, pack_outc
 from stss_cl.program import build
 from stss_cl.strips import OVERLAP, Strip, rows_within, strips
@@ -37,6 +50,7 @@ class Layers:
         precision: see ``stss_cl.network.PRECISIONS``.
         memory_limit: bytes that the buffers may take; None = half of the device's memory.
         residual: False: leave out all layers but the last, whose weights are 0.
+        keep: every layer keeps what it wrote, so that ``run_changed`` can be had; without effect where the frame goes in strips.
 
     Raises:
         DeviceError: the limit is too small for any strip.
@@ -51,6 +65,7 @@ class Layers:
         precision: str,
         memory_limit: int | None = None,
         residual: bool = True,
+        keep: bool = False,
     ):
         self.size = height, width
         self.launches: list[Launch] = []
@@ -66,10 +81,13 @@ class Layers:
         # Kernels that must know where a strip lies: which of their arguments, and the divisor of their size.
         self._placed: list[tuple[cl.Kernel, int, int]] = []
 
-        self.inputs = inputs_for(device, self._height, self._width, self._dtype)
-        self.bad = cl.Buffer(device.context, FLAGS.READ_WRITE | FLAGS.COPY_HOST_PTR, hostbuf=np.zeros(2, np.int32))
+        self.keep = keep and kept_bytes(self._full, self._width, self._dtype) <= limit
+        self._maps = Maps(device, self._height, self._width)
+        self._shared: dict[tuple[str, int], Padded] = {}
+        self._changed: ChangedOnly | None = None
+        self.inputs = inputs_for(device, self._height, self._width, self._dtype, self.keep)
+        self._packing = PackInputs(device, self.inputs, height, width)
         self.features: dict[str, Padded] = {}
-        self._packing()
         if residual:
             self._encoder()
             self._history()
@@ -80,27 +98,11 @@ class Layers:
 
     def pack(self, color: cl.Buffer, gbuffer: cl.Buffer, mask: cl.Buffer, history: cl.Buffer) -> None:
         """Bring the four inputs, plain arrays on the device, to where the first layers read them."""
-        queue = self._device.queue
-        full, eighth = (self._width, self._height), (self._width // 8, self._height // 8)
-        size = [np.int32(n) for n in self.size]
-        top = np.int32(self._top)
-        columns = np.int32(self.inputs.input.columns)
-        self._pack_input(
-            queue, full, None, color, gbuffer, mask, self.inputs.input.data, self.inputs.base, self.bad, *size, columns, top
-        )
-        self._pack_eighth(
-            queue, eighth, None, gbuffer, mask, self.inputs.eighth.data, *size, np.int32(self.inputs.eighth.columns), top
-        )
-        columns, rows = np.int32(self.inputs.earlier.columns), np.int32(self.inputs.earlier.rows)
-        self._pack_history(queue, (*full, 3), None, history, self.inputs.earlier.data, self.bad, *size, rows, columns, top)
+        self._packing(color, gbuffer, mask, history, self._top)
 
     def all_finite(self) -> bool:
         """Whether all inputs packed since the last question were; waits for the queue."""
-        bad = np.empty(2, np.int32)
-        cl.enqueue_copy(self._device.queue, bad, self.bad)
-        if bad.any():
-            cl.enqueue_fill_buffer(self._device.queue, self.bad, np.zeros(1, np.int32), 0, 8)
-        return not bad.any()
+        return self._packing.all_finite()
 
     def place(self, strip: Strip) -> None:
         """Make the launches compute this strip."""
@@ -127,6 +129,20 @@ class Layers:
         for launch in self.ready(image):
             launch.enqueue(self._device.queue)
         self._device.queue.flush()
+
+    def run_changed(self, image: cl.Buffer, tolerance: float = 0.0) -> None:
+        """Enqueue what the marks in the change maps of ``inputs`` lead to; the rest of ``image``, the last one made, stays.
+
+        Whoever fills ``inputs`` marks the tiles that came to differ since the last run of either kind, and clears the marks after it.
+
+        Args:
+            image: as for ``run``.
+            tolerance: a stored value between two layers that is no further than this from the new one stays; 0: the image has the bits
+                of ``run``'s, if all runs since the last of those were so.
+        """
+        if self._changed is None:
+            self._changed = ChangedOnly(self._device, self.launches, self._maps)
+        self._changed.run(image, tolerance)
 
     def run_stage(self, stage: str, inputs: Mapping[str, Array]) -> dict[str, Array]:
         """Run one stage alone, on arrays; H, W are multiples of 8 and the frame is one strip."""
@@ -159,7 +175,15 @@ class Layers:
         return {name: read(self._device, self.features[key], first, n) for name, (key, first, n) in outputs[stage].items()}
 
     def _padded(self, divisor: int, channels: int) -> Padded:
-        return padded(self._device, self._height // divisor, self._width // divisor, channels, self._dtype)
+        height, width = self._height // divisor, self._width // divisor
+        made = padded(self._device, height, width, channels, self._dtype)
+        return replace(made, changes=self._maps.take(height, width)) if self.keep else made
+
+    def _scratch(self, name: str, divisor: int, channels: int) -> Padded:
+        """Activations that are soon done with: those that were last asked for by this name, but that each is kept if all are."""
+        if self.keep or (name, divisor) not in self._shared:
+            self._shared[name, divisor] = self._padded(divisor, channels)
+        return self._shared[name, divisor]
 
     def _conv(
         self,
@@ -196,17 +220,22 @@ class Layers:
         size: tuple[int, ...],
         *arguments: Any,
         group: tuple[int, ...] | None = None,
+        maps: tuple[cl.Buffer | None, ...] = (),
+        changed_size: tuple[int, ...] | None = None,
+        bounded: bool = True,
     ) -> None:
-        """Append any other kernel; whole numbers among the arguments are int32."""
+        """Append any other kernel; whole numbers among the arguments are int32. ``maps``, ``changed_size``: for -D SKIP."""
         # Interpolation is not contracted: it then has the reference's bits.
         flags = FAST_MULTIPLY_ADD if file == "erm.cl" else ""
-        kernel = cl.Kernel(build(self._device, file, {**options, "HALF": half(self._dtype)}, flags), name)
-        kernel.set_args(*(np.int32(a) if isinstance(a, int) else a for a in arguments))
-        self.launches.append(Launch(stage, name, kernel, size, group, arguments))
+        options = {**options, "HALF": half(self._dtype)}
+        kernel = cl.Kernel(build(self._device, file, options, flags), name)
+        held = tuple(np.int32(a) if isinstance(a, int) else a for a in arguments)
+        kernel.set_args(*held)
+        skip = Skip(file, options, flags, changed_size or size, maps, bounded) if self.keep else None
+        self.launches.append(Launch(stage, name, kernel, size, group, held, skip))
 
     def _encoder(self) -> None:
-        temporary = self._padded(1, 24)
-        x = self._conv("encoder", "conv1", self.inputs.input, temporary, channels=(21,))
+        x = self._conv("encoder", "conv1", self.inputs.input, self._scratch("full", 1, 24), channels=(21,))
         x = self.features["x1"] = self._conv("encoder", "conv2", x, self._padded(1, 24))
         for i, (channels, divisor) in enumerate(((24, 2), (32, 4), (32, 8)), start=1):
             name = f"down{i}"
@@ -214,48 +243,55 @@ class Layers:
             x = self._conv("encoder", f"{name}.conv1", x, self._padded(divisor, channels))
             x = self._conv("encoder", f"{name}.conv2", x, self._padded(divisor, channels))
             self.features[f"x{i + 1}"] = x
-        self._temporary = temporary
 
     def _history(self) -> None:
-        buffers = {
-            divisor: [self._padded(divisor, channels) for _ in range(2)] for channels, divisor in ((24, 2), (32, 4), (32, 8))
-        }
         joined = self._padded(8, 96)
         self.features["reshaded"] = self._padded(8, 96)
         for image in range(3):
             x = self.inputs.earlier
-            for name, divisor in (("convHis1", 2), ("convHis2", 4), ("convHis3", 8)):
-                one, other = buffers[divisor]
+            for name, channels, divisor in (("convHis1", 24, 2), ("convHis2", 32, 4), ("convHis3", 32, 8)):
+                one = self._scratch("history", divisor, channels)
                 x = self._conv("history", f"{name}.0", x, one, stride=2, image=image if divisor == 2 else 0)
-                x = self._conv("history", f"{name}.2", x, other)
+                x = self._conv("history", f"{name}.2", x, self._scratch("history.2", divisor, channels))
                 last = divisor == 8
-                x = self._conv("history", f"{name}.4", x, joined if last else one, out_first=32 * image if last else 0)
+                out = joined if last else self._scratch("history", divisor, channels)
+                x = self._conv("history", f"{name}.4", x, out, out_first=32 * image if last else 0)
         self._conv("history", "lowlevelGated", joined, self.features["reshaded"], relu=False, out_first=64)
 
     def _erm(self) -> None:
-        options: dict[str, object] = {"KEYS": 32, "VALUES": 64, "MASK": "float"}
+        tile = 4 if self._device.is_cpu else 1
+        options: dict[str, object] = {"KEYS": 32, "VALUES": 64, "MASK": "float", "SPAN": tile}
         out, size = self.features["reshaded"], (self._width // 8, self._height // 8)
-        keys, values = [self._padded(8, 32) for _ in range(2)], [self._padded(8, 64) for _ in range(2)]
-        light = self._conv("erm", "latentEncoder.0", self.features["x4"], values[0], b=self.inputs.eighth, channels=(32, GBUFFER))
-        light = self._conv("erm", "latentEncoder.2", light, values[1])
-        light = self._conv("erm", "latentEncoder.4", light, values[0], relu=False)
-        key = self._conv("erm", "KEncoder.0", self.inputs.eighth, keys[0], channels=(GBUFFER,))
-        key = self._conv("erm", "KEncoder.2", key, keys[1])
-        key = self._conv("erm", "KEncoder.4", key, keys[0], relu=False)
-        self._kernel("erm", "normalise", "erm.cl", options, size, key.data, keys[1].data, key.columns)
+        eighth = self.inputs.eighth
+        light = self._conv(
+            "erm", "latentEncoder.0", self.features["x4"], self._scratch("value", 8, 64), b=eighth, channels=(32, GBUFFER)
+        )
+        light = self._conv("erm", "latentEncoder.2", light, self._scratch("value.2", 8, 64))
+        light = self._conv("erm", "latentEncoder.4", light, self._scratch("value", 8, 64), relu=False)
+        key = self._conv("erm", "KEncoder.0", eighth, self._scratch("key", 8, 32), channels=(GBUFFER,))
+        key = self._conv("erm", "KEncoder.2", key, self._scratch("key.2", 8, 32))
+        key = self._conv("erm", "KEncoder.4", key, self._scratch("key", 8, 32), relu=False)
+        unit = self._scratch("key.2", 8, 32)
+        self._kernel(
+            "erm", "normalise", "erm.cl", options, size, key.data, unit.data, key.columns, maps=(key.changes, unit.changes)
+        )  # fmt: skip
         self._kernel(
             "erm", "attend", "erm.cl", options, size,
-            keys[1].data, light.data, self.inputs.eighth.data, out.data, size[1], size[0], light.columns, out.channels,
+            unit.data, light.data, eighth.data, out.data, size[1], size[0], light.columns, out.channels,
+            maps=(unit.changes, light.changes, eighth.changes, out.changes),
+            changed_size=(ceil_div(size[0], tile), ceil_div(size[1], tile)),
         )  # fmt: skip
 
     def _decoder(self) -> None:
         x = self.features["reshaded"]
         for i, (middle, outputs, divisor) in enumerate(((64, 32, 4), (32, 24, 2), (24, 24, 1)), start=1):
-            up = self._padded(divisor, x.channels) if divisor > 1 else self._temporary
-            size = (2 * x.width, 2 * x.height)
+            up = self._scratch("full" if divisor == 1 else "up", divisor, x.channels)
+            tiles = span(self._device, 4) // 4
+            options: dict[str, object] = {"CHANNELS": x.channels, "SPAN": tiles}
             self._kernel(
-                "decoder", "upsample_corners", "resample.cl", {"CHANNELS": x.channels}, size,
+                "decoder", "upsample_corners", "resample.cl", options, (up.width, up.height),
                 x.data, up.data, x.height, x.width, x.columns, up.columns, self._full // (2 * divisor), 0,
+                maps=(x.changes, up.changes), changed_size=(ceil_div(ceil_div(up.width, 4), tiles), ceil_div(up.height, 4)),
             )  # fmt: skip
             self._placed.append((self.launches[-1].kernel, 7, 2 * divisor))
             skip = self.features[f"x{4 - i}"]
@@ -276,7 +312,7 @@ class Layers:
 
     def _final(self) -> Final:
         weight, bias = (constant(self._device, array) for array in pack_outc(self._weights))
-        return Final(self.inputs.base, weight, bias, self._height, self._width, *self.size)
+        return Final(self.inputs.base, weight, bias, self._height, self._width, *self.size, self.inputs.input.changes)
 
     def _image(self, feature: Padded) -> None:
         """outc, and the upsampled frame; where outc is 0 any finite feature will do."""
@@ -285,12 +321,5 @@ class Layers:
         self._kernel(
             "decoder", "image", "decoder.cl", {"STRIP": strip.pixels, "GROUP": strip.group}, (columns, self.size[0]),
             feature.data, final.color, final.weight, final.bias, final.bias, width, final.rows, final.columns, feature.columns, 0, 0,
-            group=(strip.group, 1),
+            group=(strip.group, 1), maps=(feature.changes, final.changes), bounded=False,
         )  # fmt: skip
-
-    def _packing(self) -> None:
-        options: dict[str, object] = {"HALF": half(self._dtype)}
-        program = build(self._device, "encoder.cl", options)
-        erm = build(self._device, "erm.cl", {"KEYS": 32, "VALUES": 64, "MASK": "float", **options}, FAST_MULTIPLY_ADD)
-        self._pack_input, self._pack_history = cl.Kernel(program, "pack_input"), cl.Kernel(program, "pack_history")
-        self._pack_eighth = cl.Kernel(erm, "downsample_8")

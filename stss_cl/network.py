@@ -44,7 +44,7 @@ class Network:
         self.precision: Precision = precision
         self._weights, self._memory_limit = weights, memory_limit
         # With a last layer of zeros the network adds exactly 0 to the upsampled frame, whatever the rest of it computes.
-        self._residual = bool(weights["outc.weight"].any() or weights["outc.bias"].any())
+        self.residual = bool(weights["outc.weight"].any() or weights["outc.bias"].any())
         self._layers: Layers | None = None
 
     def __call__(self, color: Given, gbuffer: Given, mask: Given, history: Given) -> Any:
@@ -79,7 +79,7 @@ class Network:
         """Buffers and launches for one size, from the last call if it was of that size."""
         if self._layers is None or self._layers.size != (height, width):
             self._layers = None  # frees the old buffers before new ones are made
-            self._layers = Layers(self.device, self._weights, height, width, self.precision, self._memory_limit, self._residual)
+            self._layers = Layers(self.device, self._weights, height, width, self.precision, self._memory_limit, self.residual)
         return self._layers
 
     def timings(self) -> dict[str, float]:

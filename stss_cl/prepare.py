@@ -12,16 +12,14 @@ from stss_cl.buffers import Inputs, inputs_for
 from stss_cl.device import Device
 from stss_cl.image_stages import LIMITS, Gather, kernels, launch
 from stss_cl.program import build
-from stss_ref.arrays import Array, ArrayError, require_dtype, require_shape
-
-Source = Array | cl.Buffer
-"""A C-contiguous float32 array, or a buffer on the device that holds one."""
-
+from stss_cl.sources import Source, Sources, check_steps, planes, upload
 
 FINITE = ("colors", "gbuffer", "nov", "stencils", "normals")
 """The arrays that must be finite: a NaN would end as 0 in some ReLU, unseen."""
 SCANNERS = 64
 """Work-items that look for what is not finite."""
+NOBODY, UNWANTED = 0xFFFFFFFF, 0
+"""What the splat's two buffers hold where nothing is wanted (kernels/occlusion_warp.cl)."""
 
 
 class Prepare:
@@ -32,11 +30,12 @@ class Prepare:
         height, width: of the frames.
         gather: how the motion chain reads between pixels.
         eights: a work-item computes eight pixels in a row; None: on processors.
-        inputs: what to write to; None: buffers of its own.
+        inputs: what to write to; None: buffers of its own. If they have change maps, only what is ``busy`` is computed.
 
     Attributes:
         inputs: what the network is given, on the device; every frame writes to the same buffers.
         mask: (H, W) uint8, 1 = not a hole of the newest colour frame.
+        busy: a byte for each 4 x 4 pixels of ``inputs.input``: 0: the inputs there are those of the last frame, and no hole is filled.
     """
 
     def __init__(
@@ -54,18 +53,23 @@ class Prepare:
         eights = device.is_cpu if eights is None else eights
         self.inputs = inputs_for(device, self.rows, self.columns, np.dtype(np.float32)) if inputs is None else inputs
         self.rows = self.inputs.input.height  # of a strip, where the frame goes in strips
+        buffers = self.inputs.input, self.inputs.earlier, self.inputs.eighth
+        self._maps = tuple(buffer.changes for buffer in buffers if buffer.changes is not None)
         half = self.inputs.input.dtype == np.float16
-        options = {"GATHER": f"gather_{gather}", "HALF": half, **LIMITS}
-        self._kernels = kernels(device, "frame8.cl" if eights else "frame.cl", options)
+        options: dict[str, object] = {"HALF": half, "SKIP": bool(self._maps)}
+        self._kernels = kernels(
+            device, "frame8.cl" if eights else "frame.cl", {"GATHER": f"gather_{gather}", **options, **LIMITS}
+        )
         if gather != "longest":
             self._kernels.pop("chain_steps8", None)  # its gather is that one
-        eighth = build(device, "erm.cl", {"KEYS": 32, "VALUES": 64, "MASK": "uchar", "HALF": half})
+        eighth = build(device, "erm.cl", {"KEYS": 32, "VALUES": 64, "MASK": "uchar", **options})
         self._downsample = cl.Kernel(eighth, "downsample_8")
-        self.mask = self._zeros(height * width)
-        self._chained = self._zeros(3 * height * width * 2 * 4)
-        self._finite, self._bad = cl.Kernel(build(device, "finite.cl"), "finite"), self._zeros(4 * len(FINITE))
-        self._splat = self._zeros(height * width * 4), self._zeros(height * width * 4)
-        self._held: tuple[cl.Buffer, ...] = ()
+        self.mask = self._filled(height * width)
+        self.busy = self._filled(self.rows // 4 * (self.columns // 4), 1)
+        self._chained = self._filled(3 * height * width * 2 * 4)
+        self._finite, self._bad = cl.Kernel(build(device, "finite.cl"), "finite"), self._filled(4 * len(FINITE))
+        self._splat = self._filled(height * width * 4), self._filled(height * width * 4)
+        self._read: Sources | None = None
         self._done: cl.Event | None = None
 
     def begin(
@@ -90,33 +94,52 @@ class Prepare:
         Raises:
             ArrayError: shapes, dtypes or steps are not a frame's.
         """
-        newest, middle, oldest = self._check_steps(steps)
-        height, width = size = self.height, self.width
+        chosen, size, device = check_steps(steps), (self.height, self.width), self.device
         if self._done is not None:
             self._done.wait()  # until then the last frame's arrays are in use
-        color = self._source("colors", colors, (3, height, width, 3))
-        motion = self._source("motions", motions, (None, height, width, 2), oldest) if oldest else self._chained
-        g = self._source("gbuffer", gbuffer, (height, width, 9))
-        n = self._source("nov", nov, (height, width))
-        stencil = self._source("stencils", stencils, (4, height, width))
-        normal = self._source("normals", normals, (4, height, width, 3))
-        position = self._source("positions", positions, (4, height, width, 3))
-        self._held = (color, motion, g, n, stencil, normal, position)
-        sizes = (9, 9, 1, 4, 12)  # floats a pixel of each of FINITE
-        for i, (buffer, floats) in enumerate(zip((color, g, n, stencil, normal), sizes, strict=True)):
-            count = np.uint64(height * width * floats)
-            self._finite(self.device.queue, (SCANNERS,), None, buffer, count, self._bad, np.int32(i))
+        sources = Sources(
+            steps=chosen,
+            colors=planes(device, "colors", colors, 3, (*size, 3)),
+            motions=planes(device, "motions", motions, chosen[2], (*size, 2), more=True) if chosen[2] else (),
+            gbuffer=upload(device, "gbuffer", gbuffer, (*size, 9)),
+            nov=upload(device, "nov", nov, size),
+            stencils=planes(device, "stencils", stencils, 4, size),
+            normals=planes(device, "normals", normals, 4, (*size, 3)),
+            positions=planes(device, "positions", positions, 4, (*size, 3)),
+        )
+        scanned = zip(
+            (sources.colors, (sources.gbuffer,), (sources.nov,), sources.stencils, sources.normals), (3, 9, 1, 1, 3), strict=True
+        )
+        for which, (buffers, floats) in enumerate(scanned):
+            for buffer in buffers:
+                self.look_for_non_finite(buffer, floats, which)
+        self.start(sources, tops)
 
-        chosen = (newest, middle, oldest)
+    def look_for_non_finite(self, buffer: cl.Buffer, floats: int, which: int) -> None:
+        """Have ``not_finite`` name ``FINITE[which]`` if one of the ``floats`` values of a pixel is not finite."""
+        count = np.uint64(self.height * self.width * floats)
+        self._finite(self.device.queue, (SCANNERS,), None, buffer, count, self._bad, np.int32(which))
+
+    def start(self, sources: Sources, tops: Sequence[int] = (0,), tolerance: float = 0.0) -> None:
+        """``begin`` for what is on the device already, and known to be finite.
+
+        Args:
+            sources: what to read; kept until the next frame.
+            tops: see ``begin``.
+            tolerance: with change maps: inputs that differ by no more from what they were stay.
+        """
+        self._read, self._tops = sources, tuple(tops)
+        self._tolerance = np.float32(tolerance or -1)  # 0 is that bits count, which kernels call negative
+        newest, middle, oldest = sources.steps
+        size, skip = (self.height, self.width), self._clear(newest > 0)
         if oldest > 0:
-            self._run("chain_steps", size, motion, *chosen, self._chained, *self._splat, *size)
-        self._read = (color, *chosen, self._chained, g, n, stencil, normal, position)
-        self._tops = tuple(tops)
+            motions = (*sources.motions, *5 * [self._chained])[:5]
+            self._run("chain_steps", size, *motions, newest, middle, oldest, self._chained, *self._splat, *size, *skip)
         for top in self._tops:
             self._warp(top)
         if newest > 0:
-            self._run("splat_nearest", size, self._chained, g, 9, 3, self._splat[0], *size)
-            self._run("splat_first", size, self._chained, g, 9, 3, *self._splat, *size)
+            self._run("splat_nearest", size, self._chained, sources.gbuffer, 9, 3, self._splat[0], *size)
+            self._run("splat_first", size, self._chained, sources.gbuffer, 9, 3, *self._splat, *size)
 
     def not_finite(self) -> str | None:
         """Name of an array of the frame begun last that had to be finite and was not; waits for the queue."""
@@ -129,54 +152,64 @@ class Prepare:
 
     def strip(self, top: int = 0) -> None:
         """Enqueue what is left to do for the rows of ``inputs`` that begin at row ``top`` of the frame, one of ``begin``'s."""
+        assert self._read is not None
         if len(self._tops) > 1:
             self._warp(top)  # the strips before it have been written over
-        color, newest, g, size = self._read[0], self._read[1], self._read[5], (self.height, self.width)
-        if newest:
+        size, inputs = (self.height, self.width), self.inputs
+        if self._read.steps[0]:
             place = (*size, self.rows, self.columns, top)
-            written = self.inputs.input.data, self.inputs.base
-            self._run("fill_holes", place[2:4], color, self._chained, self._splat[1], self.mask, *written, *place)
-        eighth = self.inputs.eighth
+            changes = (self._maps[0], self._tolerance) if self._maps else ()
+            written = inputs.input.data, inputs.base
+            self._run(
+                "fill_holes",
+                place[2:4],
+                self._read.colors[0],
+                self._chained,
+                self._splat[1],
+                self.mask,
+                *written,
+                *place,
+                *changes,
+            )
+        eighth = inputs.eighth
         numbers = (np.int32(n) for n in (*size, eighth.columns, top))
+        changes = self._maps[2:]
         shape = (eighth.width, eighth.height)
-        self._done = self._downsample(self.device.queue, shape, None, g, self.mask, eighth.data, *numbers)
+        self._done = self._downsample(
+            self.device.queue, shape, None, self._read.gbuffer, self.mask, eighth.data, *numbers, *changes
+        )
+
+    def _clear(self, splats: bool) -> tuple[cl.Buffer, ...]:
+        """Unmark all inputs; the map that tells a kernel where to compute."""
+        if not self._maps:
+            return ()
+        for marks in self._maps:
+            cl.enqueue_fill_buffer(self.device.queue, marks, np.zeros(1, np.uint8), 0, marks.size)
+        if splats:  # where nothing is busy nobody clears them
+            for buffer, value in zip(self._splat, (UNWANTED, NOBODY), strict=True):
+                cl.enqueue_fill_buffer(self.device.queue, buffer, np.full(1, value, np.uint32), 0, buffer.size)
+        return (self.busy,)
 
     def _warp(self, top: int) -> None:
         """Warp and judge the three frames; for the newest, mark the places that holes look up."""
-        written = self.inputs.earlier.data, self.inputs.input.data, self.inputs.base, self.mask
+        s, inputs = self._read, self.inputs
+        assert s is not None
         place = (self.height, self.width, self.rows, self.columns, top)
-        self._run("prepare", place[2:4], *self._read, self._splat[0], *written, *place, planes=3)
+        read = *s.colors, *s.steps, self._chained, s.gbuffer, s.nov, *s.stencils, *s.normals, *s.positions, s.normal_stride
+        written = self._splat[0], inputs.earlier.data, inputs.input.data, inputs.base, self.mask
+        skip = (self.busy, *self._maps[:2], self._tolerance) if self._maps else ()
+        self._run("prepare", place[2:4], *read, *written, *place, *skip, planes=3)
 
-    def _run(self, name: str, size: tuple[int, int], *arguments: cl.Buffer | int, planes: int | None = None) -> cl.Event:
+    def _run(
+        self, name: str, size: tuple[int, int], *arguments: cl.Buffer | int | np.float32, planes: int | None = None
+    ) -> cl.Event:
         """Enqueue a kernel over ``size`` (rows, columns), eight pixels to a work-item if there is one that does so."""
         kernel, (rows, columns) = self._kernels[name], size
         if eight := self._kernels.get(f"{name}8"):
             kernel, columns = eight, -(-columns // 8)
         return launch(self.device, kernel, columns, rows, *arguments, planes=planes)
 
-    def _source(self, name: str, source: Source, shape: tuple[int | None, ...], least: int = 1) -> cl.Buffer:
-        """``source`` on the device: itself, the array in place, or a copy."""
-        if isinstance(source, cl.Buffer):
-            expected = int(np.prod([least if n is None else n for n in shape])) * 4
-            if source.size < expected:
-                raise ArrayError(f"{name}: expected at least {expected} bytes, got {source.size}")
-            return source
-        require_shape(name, source, shape)
-        require_dtype(name, source, np.dtype(np.float32))
-        if len(source) < least:
-            raise ArrayError(f"{name}: expected at least {least}, got {len(source)}")
-        in_place = self.device.is_cpu and source.flags.c_contiguous and source.ctypes.data % 8 == 0
-        flags = cl.mem_flags.USE_HOST_PTR if in_place else cl.mem_flags.COPY_HOST_PTR
-        return cl.Buffer(self.device.context, cl.mem_flags.READ_ONLY | flags, hostbuf=np.ascontiguousarray(source))
-
-    def _zeros(self, size: int) -> cl.Buffer:
+    def _filled(self, size: int, value: int = 0) -> cl.Buffer:
         buffer = cl.Buffer(self.device.context, cl.mem_flags.READ_WRITE, size)
-        cl.enqueue_fill_buffer(self.device.queue, buffer, np.zeros(1, np.uint8), 0, size)
+        cl.enqueue_fill_buffer(self.device.queue, buffer, np.full(1, value, np.uint8), 0, size)
         return buffer
-
-    @staticmethod
-    def _check_steps(steps: Sequence[int]) -> tuple[int, int, int]:
-        given = tuple(int(step) for step in steps)
-        if len(given) != 3 or list(given) != sorted(given) or given[0] < 0:
-            raise ArrayError(f"steps: expected three numbers >= 0, newest (smallest) first, got {given}")
-        return given

@@ -20,6 +20,10 @@ Kind = Literal["SF", "EF"]
 KINDS: tuple[Kind, Kind] = ("SF", "EF")
 
 
+DRAWN = 3
+"""Crops drawn for each one taken, the hardest: half of an average frame is flat, and there is little to learn from it."""
+
+
 @dataclass(frozen=True)
 class Shard:
     """The samples of a sequence, memory-mapped; see `training.samples`."""
@@ -84,13 +88,15 @@ class Batches:
         random = np.random.default_rng([self._seed, step])
         made: list[tuple[Array, Array, Array]] = []
         for i in range(self._batch):
-            choice = self._places[KINDS[i % 2]]
-            place = choice[int(random.integers(len(choice)))]
-            inputs, truth = crop(place.shard.inputs[place.index], place.shard.truth[place.index], self._side, random)
-            inputs, truth = augment(inputs, truth, random)
+            drawn = [self._draw(KINDS[i % 2], random) for _ in range(DRAWN)]
+            inputs, truth = augment(*max(drawn, key=lambda pair: difficulty(*pair)), random)
             made.append((inputs, mask_at_random(inputs, random), truth))
         inputs, masks, truth = (np.stack(arrays) for arrays in zip(*made, strict=True))
         return collate(inputs, masks, truth)
+
+    def _draw(self, kind: Kind, random: np.random.Generator) -> tuple[Array, Array]:
+        place = self._places[kind][int(random.integers(len(self._places[kind])))]
+        return crop(place.shard.inputs[place.index], place.shard.truth[place.index], self._side, random)
 
     def between(self, first: int, last: int, ahead: int = 4, workers: int = 1) -> Iterator[tuple[int, Batch]]:
         """``(step, batch)`` for ``first <= step < last``, made ahead by threads."""
@@ -101,6 +107,11 @@ class Batches:
                 if step + ahead < last:
                     waiting.append(pool.submit(self.__getitem__, step + ahead))
                 yield step, batch
+
+
+def difficulty(inputs: Array, truth: Array) -> float:
+    """How far the truth is from the colour that the network is given; of a crop."""
+    return float(np.abs(truth[::2, ::2] - inputs[..., :3]).mean())
 
 
 def whole(place: Place) -> Batch:

@@ -85,6 +85,8 @@ def _pattern(random: Random, size: float) -> Pattern:
     axes = (0, 1, 2) if random.random() < 0.5 else (0, 2)
     choices = (
         lambda: checker(period, axes=axes),
+        lambda: checker(period, axes=axes),
+        lambda: checker(period),
         lambda: stripes(period, axis=int(random.integers(3)), share=float(random.uniform(0.1, 0.6))),
         lambda: bricks(period * 2, period * 0.8, period * 0.15),
         lambda: rings(period, axes=(0, 2) if random.random() < 0.5 else (0, 1)),

@@ -28,8 +28,9 @@ from stss.buffers import Buffers
 from stss.color import transfer
 from stss.errors import InputError
 from stss.images import read_rgb
+from stss.prepared import WINDOW, Prepared, frame_inputs, prepare
 from stss.sequence import BACKGROUND_POSITION, open_sequence
-from stss.supersample import WINDOW, Prepared, frame_inputs, plan, prepare
+from stss.supersample import plan
 from stss_ref.arrays import Array, Image
 from stss_ref.frame import NetworkInputs
 from stss_ref.frame import prepare as warp_all
@@ -41,6 +42,8 @@ SPLITS = ("training", "validation", "test")
 CHANNELS = 24
 SAMPLES = 16
 """Rays for each pixel of the analytic truth."""
+SIDE = 3
+"""A mean over a pixel of the low resolution is that of so many rays squared; odd, so that one goes through the centre."""
 HISTORIES = (6, 7, 9)
 """Display frames of a film with a truth; their five predecessors are there."""
 START = 2
@@ -95,11 +98,28 @@ def unpack(packed: Array) -> NetworkInputs:
 def film_frames(film: Film, size: tuple[int, int], count: int) -> Iterator[Buffers]:
     """The first ``count`` display frames of a film."""
     for number in range(count):
-        r = render(film.at(number), number, *size, samples=film.rays)
-        missed = np.isinf(r.depth)[..., None]
-        planes = {name: getattr(r, name).astype(np.float32) for name in r.__dataclass_fields__}
+        planes = _planes(film, size, number)
+        missed = np.isinf(planes["depth"])[..., None]
         planes["position"] = np.where(missed, np.float32(BACKGROUND_POSITION), planes["position"])
         yield Buffers(number=number, **planes)
+
+
+def _planes(film: Film, size: tuple[int, int], number: int) -> dict[str, NDArray[np.float32]]:
+    height, width = size
+    if not film.averaged:
+        r = render(film.at(number), number, height, width)
+        return {name: getattr(r, name).astype(np.float32) for name in r.__dataclass_fields__}
+    r = render(film.at(number), number, SIDE * height, SIDE * width)
+    planes: dict[str, NDArray[np.float32]] = {}
+    for name in r.__dataclass_fields__:
+        plane: Array = getattr(r, name)
+        if name in film.averaged:
+            plane = plane.reshape(height, SIDE, width, SIDE, *plane.shape[2:]).mean(axis=(1, 3))
+        else:
+            plane = plane[SIDE // 2 :: SIDE, SIDE // 2 :: SIDE]
+        planes[name] = plane.astype(np.float32)
+    planes["motion"] /= SIDE
+    return planes
 
 
 def film_samples(film: Film, size: tuple[int, int]) -> Iterator[Sample]:

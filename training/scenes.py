@@ -15,6 +15,8 @@ from conformance.scenes.shapes import Box, Cylinder, Disc, Plane, Shape, Sphere
 from training.patterns import Random, filtered, random_material
 
 CAMERAS = ("still", "pan", "tilt", "dolly", "dolly", "forward", "orbit", "shake", "cut")
+AVERAGED = ((), ("color",), *2 * [("color", "normal", "nov", "base_color", "roughness", "metallic")])
+"""In turn: an engine without antialiasing; one with it; a path tracer, which filters its G-buffer as well, twice as often."""
 LENGTH = 12
 """Frames of a film that are worth looking at: paths are centred on its middle."""
 
@@ -26,12 +28,12 @@ class Film:
     Attributes:
         scene: at frame 0.
         light: the light at a frame.
-        rays: for each pixel of the low resolution: 1, as an engine without antialiasing, or 4, as one that has it.
+        averaged: the buffers that are means over the pixel of the low resolution, not the ray through its centre.
     """
 
     scene: Scene
     light: Callable[[float], Light]
-    rays: int = 1
+    averaged: tuple[str, ...] = ()
 
     def at(self, frame: float) -> Scene:
         """The scene to render for ``frame``; that of a neighbouring frame differs in its light alone."""
@@ -43,7 +45,7 @@ def random_film(seed: int) -> Film:
     random = np.random.default_rng([seed, 20240711])
     objects = (*_surroundings(random), *_things(random), *_thin(random), *_moving(random))
     scene = Scene(f"analytic-{seed:05d}", _camera(random, str(random.choice(CAMERAS))), objects)
-    return Film(scene, _light(random), rays=4 if seed % 2 else 1)
+    return Film(scene, _light(random), AVERAGED[seed % len(AVERAGED)])
 
 
 def _surroundings(random: Random) -> list[Object]:

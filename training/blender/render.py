@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Render one random scene with Cycles: aliased small frames with their G-buffer, and the truth at twice the size.
+"""Render one random scene with Cycles: small frames with their G-buffer, aliased or not, and the truth at twice the size.
 
 Runs where `bpy` is installed; needs nothing of stss::
 
@@ -25,6 +25,8 @@ from scenes import SPLITS, VERSION, describe
 
 POINT = 0.01
 """Filter width in pixels, the smallest there is: every sample lies at the pixel's centre."""
+ALIASED = 4
+"""Every so manieth scene has its samples at the pixels' centres; the others' are spread over the pixel, G-buffer and all."""
 
 
 def common(scene: Any, threads: int) -> None:
@@ -44,11 +46,12 @@ def common(scene: Any, threads: int) -> None:
     cycles.use_light_tree = False
 
 
-def small(scene: Any, size: tuple[int, int], samples: int) -> None:
-    """Colour and G-buffer, every sample at the pixel's centre: many samples only take the noise out of the light."""
+def small(scene: Any, size: tuple[int, int], samples: int, *, aliased: bool) -> None:
+    """Colour and G-buffer. Aliased, every sample lies at the pixel's centre: many only take the noise out of the light."""
     scene.render.resolution_x, scene.render.resolution_y = size
-    # Not BOX: Cycles takes that one 1 pixel wide, whatever the width says.
-    scene.cycles.pixel_filter_type, scene.cycles.filter_width, scene.cycles.samples = "GAUSSIAN", POINT, samples
+    # Not a small BOX: Cycles takes that one 1 pixel wide, whatever the width says.
+    scene.cycles.pixel_filter_type, scene.cycles.filter_width = ("GAUSSIAN", POINT) if aliased else ("BOX", 1.0)
+    scene.cycles.samples = samples
     layer = scene.view_layers[0]
     for name in ("combined", "z", "vector", "normal", "position", "object_index", "diffuse_color"):
         setattr(layer, f"use_pass_{name}", True)
@@ -115,7 +118,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--split", choices=SPLITS, default="train")
     parser.add_argument("--size", default="160x90", help="of the small frames; the truth has twice the size")
     parser.add_argument("--frames", type=int, default=16)
-    parser.add_argument("--samples", type=int, default=32, help="of a small frame's pixel, all at its centre")
+    parser.add_argument("--samples", type=int, default=32, help="of a small frame's pixel")
     parser.add_argument("--truth-samples", type=int, default=36, help="of a truth's pixel, 16 or more")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder; what is finished there is kept")
@@ -143,7 +146,8 @@ def main() -> None:
     """Render a scene; `scene.json` is written last: where it is, the scene is finished."""
     given = arguments()
     described = describe(given.scene, given.split, given.frames)
-    settings = {"size": given.size, "samples": given.samples, "truth_samples": given.truth_samples}
+    aliased = given.scene % ALIASED == 0
+    settings = {"aliased": aliased, "size": given.size, "samples": given.samples, "truth_samples": given.truth_samples}
     settings |= {"blender": bpy.app.version_string}
     claim(given.output, {"scene": given.scene, "split": given.split, "frames": given.frames, "scenes": VERSION} | settings)
     lines = [f"{t + 1},{x:.9g},{y:.9g},{z:.9g}" for t in range(given.frames) for x, y, z in [camera(described["shots"], t)[0]]]
@@ -152,7 +156,7 @@ def main() -> None:
         build(described)
     scene = bpy.context.scene
     common(scene, given.threads)
-    small(scene, given.size, given.samples)
+    small(scene, given.size, given.samples, aliased=aliased)
     seconds = {"lr": render_frames(given.output / "lr", given.frames)}
     truth(scene, given.size, given.truth_samples)
     seconds["hr"] = render_frames(given.output / "hr", given.frames)

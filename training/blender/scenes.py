@@ -13,7 +13,7 @@ from typing import Any
 from looks import CUTOUTS, PICTURES, lights, material, sky
 from paths import add, camera, distance
 
-VERSION = 1
+VERSION = 2
 """Raise it when the same seed no longer gives the same scene."""
 
 SPLITS = ("train", "validation", "test")
@@ -21,6 +21,8 @@ LAYOUTS = ("hall", "street", "field", "table", "yard")
 SOLIDS = ("cube", "cube", "sphere", "cylinder", "cone", "torus", "monkey")
 THIN = ("fence", "lattice", "wheel", "cables", "ladder")
 MOVES = ("orbit", "pan", "truck", "dolly", "crane", "tilt", "rest")
+CLEAN = ("checker", "checker", "checker", "plain", "brick", "stripes")
+"""Textures of the scenes that are all hard edges: flat surfaces, no bumps, nothing that glows."""
 WIDTH = 160
 """The speeds are drawn in pixels of a frame as wide as this."""
 
@@ -38,6 +40,7 @@ class Scene:
         rng = self.rng
         self.seed, self.split, self.frames = seed, split, frames
         self.layout, self.mood = rng.choice(LAYOUTS), rng.choice(("day", "day", "day", "dusk", "night"))
+        self.clean = rng.random() < 0.6
         self.fov = rng.uniform(0.7, 1.2)
         self.materials: list[Thing] = []
         self.objects: list[Thing] = []
@@ -74,7 +77,9 @@ class Scene:
 
     def paint(self, texture: str | None = None, metal: float = 0.2) -> int:
         """A new material; its number."""
-        made = material(self.rng, texture, metal)
+        made = material(self.rng, texture or (self.rng.choice(CLEAN) if self.clean else None), metal)
+        if self.clean:
+            made |= {"bump": 0.0, "glow": 0.0}
         made["scale"] *= 9 / self.away
         self.materials.append(made)
         return len(self.materials) - 1
@@ -104,6 +109,8 @@ def _ground(scene: Scene) -> None:
     """What everything stands on."""
     rng = scene.rng
     kind = {"field": "noise", "table": None, "hall": rng.choice(("checker", "brick"))}.get(scene.layout)
+    if scene.clean:
+        kind = rng.choice(("checker", "checker", "plain"))
     floor = scene.paint(kind or rng.choice(("checker", "brick", "noise", "voronoi", "wave", "text")), metal=0.05)
     if scene.layout == "table":
         scene.put("cube", (0, 0, -0.1), (6, 6, 0.2), floor)
@@ -139,6 +146,9 @@ def _furnish(scene: Scene) -> None:
     solids, thin, signs, plants = rng.randint(4, 10), rng.randint(1, 4), rng.randint(0, 3), rng.randint(0, 3)
     if scene.layout == "field":
         plants += 7
+    if scene.clean:
+        plants //= 3
+        _poles(scene)
     leaves = [scene.paint("leaves") for _ in range(2)]
     for shape in [rng.choice(SOLIDS) for _ in range(solids)]:
         size = [unit * rng.uniform(0.5, 2.2) for _ in range(3)]
@@ -159,6 +169,18 @@ def _furnish(scene: Scene) -> None:
         tall = unit * rng.uniform(0.8, 3.5)
         if spot := scene.spot(tall / 2, 7 * unit):
             scene.put("bush", (*spot, tall / 2), [tall] * 3, rng.choice(leaves))
+
+
+def _poles(scene: Scene) -> None:
+    """A row of poles a pixel or two wide, mostly, as far apart as they are high or less."""
+    rng, unit = scene.rng, scene.away / 9
+    width, tall = unit * math.exp(rng.uniform(math.log(0.03), math.log(0.2))), unit * rng.uniform(1.5, 4)
+    angle, far, step = rng.uniform(0, 2 * math.pi), rng.uniform(-3, 4) * unit, tall * rng.uniform(0.25, 1)
+    paint = scene.paint("plain", 0.3)
+    for i in range(-4, 5):
+        x, y = far * math.cos(angle) - i * step * math.sin(angle), far * math.sin(angle) + i * step * math.cos(angle)
+        if scene.free((scene.centre[0] + x, scene.centre[1] + y, 1.0), width):
+            scene.put("cylinder", (scene.centre[0] + x, scene.centre[1] + y, tall / 2), (width, width, tall), paint)
 
 
 def _motion(scene: Scene) -> Thing:

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: MIT
+"""Subcommands that say what a result is worth: every method side by side, and flicker."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+
+from stss.color import TRANSFERS
+from stss.options import PATH, FrameRange, Names, backend_options, perceptual_options, sequence_options
+from stss.sequence import open_sequence
+
+
+@click.command("methods")
+@click.argument("sequence", type=PATH)
+@click.argument("truth", type=PATH)
+@click.option("-o", "--out", type=PATH, required=True, help="Folder for a folder of each method, and for sheet.png.")
+@sequence_options
+@click.option("--weights", default="bilinear", show_default=True, help="The network's; with bilinear it is left out.")
+@click.option("--methods", type=Names(), default=(), help="Which, such as bilinear,taau,network  [default: all]")
+@backend_options
+@click.option("--rendered", type=click.Choice(["even", "odd", "all"]), help="As for stss run.")
+@click.option("--frames", type=FrameRange(), help="First and last frame to write and compare.")
+@click.option("--transfer", type=click.Choice(TRANSFERS), help="As for stss run.")
+@click.option("--depth", type=click.Choice(["clip", "scale"]), help="As for stss run.")
+@click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
+@perceptual_options
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def methods_command(
+    sequence: Path,
+    truth: Path,
+    out: Path,
+    profile: str,
+    camera: Path | None,
+    metallic: float | None,
+    roughness: float | None,
+    non_finite: Any,
+    weights: str,
+    methods: tuple[str, ...],
+    rendered: str | None,
+    frames: tuple[int, int] | None,
+    transfer: str | None,
+    depth: Any,
+    overwrite: bool,
+    flip: bool,
+    vmaf: bool,
+    as_json: bool,
+    **device: Any,
+) -> None:
+    """Run SEQUENCE by the network and without it, and hold all of it against TRUTH: one table, one picture.
+
+    Columns are means over the frames of a kind; --json has every frame.
+    """
+    from stss import method_table
+    from stss.images import write_rgb
+    from stss.method_sheet import method_sheet
+    from stss.run import RunOptions
+    from stss.weights import load
+
+    files = open_sequence(sequence, profile, camera=camera, metallic=metallic, roughness=roughness, non_finite=non_finite)
+    options = RunOptions(
+        transfer=transfer or ("srgb" if files.profile.color_domain == "linear" else "none"),
+        depth=depth or files.profile.depth_normalisation,
+        rendered=rendered,
+        frames=frames,
+        overwrite=overwrite,
+    )
+    chosen, loaded = method_table.choose_methods(methods, weights), load(weights)
+    console = Console(stderr=True)
+    with console.status("") as status:
+        results = method_table.run_methods(
+            files,
+            truth,
+            out,
+            chosen,
+            lambda method: method_table.open_method(method, loaded, **device, tell=lambda line: click.echo(line, err=True)),
+            options,
+            flip=flip,
+            vmaf=vmaf,
+            on_step=status.update,
+        )
+    write_rgb(out / "sheet.png", method_sheet(results, truth, frames))
+    if as_json:
+        click.echo(method_table.to_json(results))
+    else:
+        method_table.print_results(results, Console())
+    console.print(f"pictures to look at: {out / 'sheet.png'}", soft_wrap=True, highlight=False, markup=False)
+
+
+@click.command("flicker")
+@click.argument("out", type=PATH)
+@click.argument("truth", type=PATH)
+@click.option("--sequence", type=PATH, required=True, help="What OUT was made of: its motion and G-buffer are followed.")
+@sequence_options
+@click.option("--frames", type=FrameRange(), help="First and last frame to look at.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def flicker_command(
+    out: Path, truth: Path, sequence: Path, profile: str, frames: tuple[int, int] | None, as_json: bool, **options: Any
+) -> None:
+    """Measure how the frames in OUT change along the motion, against those in TRUTH: in 8-bit levels."""
+    from stss.flicker import flicker, print_flicker
+
+    found = flicker(out, truth, open_sequence(sequence, profile, **options), frames=frames)
+    if as_json:
+        click.echo(found.to_json())
+    else:
+        print_flicker(found, Console())

@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: MIT
+"""Display frames one after the other: stage ``frame`` for each, computing only where something changed."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from stss_cl.arrivals import Arrivals, DisplayFrame, Held, Tiles, sources
+from stss_cl.buffers import Outgoing
+from stss_cl.device import Device, open_device
+from stss_cl.frame import Frame
+from stss_cl.image_stages import Gather
+from stss_cl.layers import Layers
+from stss_cl.network import Precision
+from stss_cl.prepare import Prepare
+from stss_cl.sources import check_steps
+from stss_ref.arrays import ArrayError
+from stss_ref.weights import Weights
+
+Skip = Literal["off", "exact", "bounded"]
+SKIPS: tuple[Skip, ...] = ("off", "exact", "bounded")
+"""``off``: every frame is computed whole. ``exact``: what did not change is kept, with the bits of ``off``. ``bounded``: what changed
+little is kept as well."""
+MOST_CHANGED = 0.75
+"""Where a larger share of the network's inputs changed, all of it is computed: to look for the rest would not pay."""
+PATIENCE, REST = 8, 48
+"""After so many frames in a row of which nothing was left out, so many are computed without looking."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a frame cost.
+
+    Attributes:
+        prepared: share of the tiles of 4 x 4 pixels whose inputs were computed anew.
+        changed: share of those whose inputs then differed; 1 where nobody looked.
+        network: what of the network was run.
+    """
+
+    prepared: float
+    changed: float
+    network: Literal["none", "changed", "whole"]
+
+
+@dataclass(frozen=True)
+class Last:
+    """The last frame of a kind: its number and that of the oldest frame it read, whose colours it read, and its ``valid``."""
+
+    number: int
+    oldest: int
+    steps: tuple[int, int, int]
+    colors: tuple[Held, ...]
+    valid: NDArray[np.bool_]
+
+
+class Kept:
+    """All that is kept of the last frame of a kind. SF and EF differ at every silhouette: each would recompute the other's."""
+
+    def __init__(self, device: Device, layers: Layers, gather: Gather):
+        self.layers = layers
+        self.prepare = Prepare(device, *layers.size, gather, inputs=layers.inputs)
+        self.last: Last | None = None
+        self._device = device
+        self._image: Outgoing | None = None
+        self._alone = 0
+
+    @property
+    def image(self) -> NDArray[np.float32]:
+        """The last image, not to be written to."""
+        assert self._image is not None
+        shown = self._image.finish().view()
+        shown.flags.writeable = False
+        return shown
+
+    def target(self, *, whole: bool) -> cl.Buffer:
+        """Where to write the image: over the last one; over a copy of it if somebody still has that, or a new one if ``whole``."""
+        last = self._image
+        if last is None or sys.getrefcount(last.array) > self._alone:
+            height, width = self.layers.size
+            self._image = Outgoing(self._device, (2 * height, 2 * width, 3), on_device=False)
+            self._alone = sys.getrefcount(self._image.array)
+            if last is not None and not whole:
+                cl.enqueue_copy(self._device.queue, self._image.data, last.data)
+        assert self._image is not None
+        return self._image.data
+
+    def changed(self) -> float:
+        """The share of tiles whose inputs differ from the last ones; waits for them."""
+        most = 0.0
+        for buffer in (self.layers.inputs.input, self.layers.inputs.earlier):
+            assert buffer.changes is not None
+            marks = np.empty((buffer.images, buffer.changes.size // buffer.images), np.uint8)
+            cl.enqueue_copy(self._device.queue, marks, buffer.changes)
+            most = max(most, np.count_nonzero(marks.any(axis=0)) / marks.shape[1])
+        return most
+
+
+class Stream:
+    """Stage ``frame`` (spec 11) for display frames as they come; buffers are made once for each size and reused.
+
+    Args:
+        weights: the 92 tensors.
+        device: to run on; None = ``stss_cl.device.open_device()``.
+        precision: see ``stss_cl.network.PRECISIONS``.
+        gather: how the motion chain reads between pixels.
+        memory_limit: see ``stss_cl.network.Network``; where what is kept does not fit, nothing is left out.
+        skip: of ``SKIPS``.
+        tolerance: for ``bounded``: a value, of the inputs or between two layers, that moved no farther from what was stored stays.
+
+    Attributes:
+        report: what the last frame cost.
+    """
+
+    def __init__(
+        self,
+        weights: Weights,
+        device: Device | None = None,
+        precision: Precision = "float32",
+        gather: Gather = "longest",
+        memory_limit: int | None = None,
+        skip: Skip = "exact",
+        tolerance: float = 0.0,
+    ):
+        self.device = open_device() if device is None else device
+        self.precision: Precision = precision
+        self.report = Report(1.0, 1.0, "whole")
+        self._whole = Frame(weights, self.device, precision, gather, memory_limit)
+        self._gather: Gather = gather
+        self._weights, self._memory_limit = weights, memory_limit
+        self._skip, self._tolerance = skip, tolerance if skip == "bounded" else 0.0
+        self._arrivals: Arrivals | None = None
+        self._kept: dict[bool, Kept] = {}
+        self._tired = self._rests = 0
+
+    def __call__(self, window: Sequence[DisplayFrame], steps: Sequence[int]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Compute the last frame of ``window``.
+
+        Nothing of a call depends on those before it but the time it takes. Frames are known again by being the same objects.
+
+        Args:
+            window: consecutive display frames of one size, oldest first; read in place on a processor.
+            steps: how many frames back the three colour frames lie, newest first; ``window`` holds them.
+
+        Returns:
+            image: (2H, 2W, 3) float32, not clipped, and read-only where something is kept: it may be the last frame's.
+            valid: (H, W) False in the warping holes of the newest colour frame.
+
+        Raises:
+            ArrayError: shapes, dtypes or steps are not a frame's, or an array other than motion and position is not finite.
+        """
+        chosen = check_steps(steps)
+        if len(window) <= chosen[2]:
+            raise ArrayError(f"window: expected the {chosen[2] + 1} frames that the steps lead to, got {len(window)}")
+        if any(window[-1 - step].color is None for step in chosen):
+            raise ArrayError(f"window: expected a colour {', '.join(map(str, chosen))} frames back")
+        size = window[-1].nov.shape
+        if self._arrivals is None or self._arrivals.size != size:
+            self._kept.clear()
+            self._arrivals = Arrivals(self.device, *size)
+        kept = self._keep(size, extrapolates=chosen[0] > 0)
+        self._rests = max(0, self._rests - 1)
+        held = self._arrivals.take(window, compare=kept is not None and not self._rests)
+        if kept is None:
+            return self._whole.compute(sources(held, chosen), size)
+        busy = None if self._rests else self._busy(self._arrivals, kept, held, chosen)
+        if busy is not None and kept.last is not None and not busy.any():
+            self.report = Report(0.0, 0.0, "none")
+            kept.last = _last(held, chosen, kept.last.valid)
+            return kept.image, kept.last.valid
+        return self._compute(kept, held, chosen, busy)
+
+    def _compute(
+        self, kept: Kept, held: list[Held], steps: tuple[int, int, int], busy: Tiles | None
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """The frame, where anything is busy; None: everywhere."""
+        prepare, layers = kept.prepare, kept.layers
+        cl.enqueue_copy(self.device.queue, prepare.busy, _spread(busy, (prepare.rows, prepare.columns)), is_blocking=True)
+        prepare.start(sources(held, steps), tolerance=self._tolerance)
+        prepare.strip()
+        changed = kept.changed() if kept.last is not None and not self._rests else 1.0
+        whole = changed > MOST_CHANGED
+        image = kept.target(whole=whole)
+        if whole:
+            layers.run(image)
+        else:
+            layers.run_changed(image, self._tolerance)
+        valid = np.empty(layers.size, np.uint8)
+        cl.enqueue_copy(self.device.queue, valid, prepare.mask)
+        kept.last = _last(held, steps, valid.view(np.bool_))
+        self.report = Report(1.0 if busy is None else float(busy.mean()), changed, "whole" if whole else "changed")
+        if not self._rests:
+            self._tired = self._tired + 1 if whole else 0
+            if self._tired >= PATIENCE:
+                self._tired, self._rests = 0, REST
+        return kept.image, valid.view(np.bool_)
+
+    def _keep(self, size: tuple[int, int], *, extrapolates: bool) -> Kept | None:
+        """What is kept of SFs, or of EFs; None: nothing is."""
+        if self._skip == "off":
+            return None
+        if extrapolates not in self._kept:
+            limit = (self._memory_limit or int(self.device.handle.global_mem_size) // 2) // 2
+            layers = Layers(self.device, self._weights, *size, self.precision, limit, self._whole.network.residual, keep=True)
+            if not layers.keep:
+                self._skip = "off"
+                return None
+            self._kept[extrapolates] = Kept(self.device, layers, self._gather)
+        return self._kept[extrapolates]
+
+    def _busy(self, arrivals: Arrivals, kept: Kept, held: list[Held], steps: tuple[int, int, int]) -> Tiles | None:
+        """Where the network's inputs may differ from those of the last frame of the kind; None: everywhere.
+
+        They are the same where, in all frames that either read, nothing moves and the surface is the same, and so are the colours.
+        """
+        last = kept.last
+        if last is None or _missing(steps) != _missing(last.steps):
+            return None
+        oldest, newest = min(last.oldest, held[-1 - steps[2]].number), max(last.number, held[-1].number)
+        moved = arrivals.changed(oldest, newest)
+        if moved is None:
+            return None
+        for step, before in zip(steps, last.colors, strict=True):
+            moved = moved | arrivals.color_changed(held[-1 - step], before)
+        return moved
+
+
+def _last(held: list[Held], steps: tuple[int, int, int], valid: NDArray[np.bool_]) -> Last:
+    return Last(held[-1].number, held[-1 - steps[2]].number, steps, tuple(held[-1 - step] for step in steps), valid)
+
+
+def _missing(steps: tuple[int, int, int]) -> tuple[bool, bool]:
+    """Which older colour frames stand in for missing ones."""
+    return steps[1] == steps[0], steps[2] == steps[1]
+
+
+def _spread(changed: Tiles | None, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """The map of what is to be computed for a padded ``size``: a pixel reads its right and lower neighbours, and padding repeats."""
+    rows, columns = (length // 4 for length in size)
+    if changed is None:
+        return np.ones((rows, columns), np.uint8)
+    busy = changed.copy()
+    busy[:, :-1] |= changed[:, 1:]
+    busy[:-1] |= busy[1:].copy()
+    return np.pad(busy, ((0, rows - busy.shape[0]), (0, columns - busy.shape[1])), mode="edge").astype(np.uint8)

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: MIT
+"""`stss flicker`: what changes along the motion."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from stss.errors import InputError
+from stss.flicker import change_between, display_motion, flicker
+from stss.images import write_rgb
+from stss.sequence import open_sequence
+
+SIZE = (16, 24)
+
+
+def stss(*arguments):
+    command = [sys.executable, "-m", "stss", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+
+def slides_by(dx, dy):
+    """The frames of conftest's plane with this motion instead of its own."""
+
+    def change(number, channels):
+        channels["motion.X"], channels["motion.Y"] = np.full(SIZE, float(dx)), np.full(SIZE, float(dy))
+        channels["stencil.X"] = np.zeros(SIZE)
+        for i, name in enumerate(("position.X", "position.Y")):
+            y, x = np.indices(SIZE)
+            channels[name] = (x + dx * number, y + dy * number)[i].astype(float)  # the same point where motion leads
+
+    return change
+
+
+@pytest.fixture
+def sequence(write_frames):
+    """Make a sequence of six frames with this motion."""
+
+    def make(dx, dy):
+        return open_sequence(write_frames(range(6), size=SIZE, change=slides_by(dx, dy), folder=f"in{dx}{dy}"), "stss")
+
+    return make
+
+
+def texture(dx=0, dy=0):
+    """(2H, 2W, 3) levels of 8 bits, moved by whole pixels; the pattern repeats, so nothing comes into view."""
+    levels = np.random.default_rng(3).integers(60, 180, (2 * SIZE[0], 2 * SIZE[1], 3))
+    return np.roll(levels, (dy, dx), (0, 1)) / 255
+
+
+def write(folder, images, *, labelled=True):
+    folder.mkdir()
+    for number, image in enumerate(images):
+        labels = {"stss:kind": "EF" if number % 2 else "SF", "stss:transfer": "none"}
+        write_rgb(folder / f"frame.{number:04d}.png", image, metadata=labels if labelled else None)
+    return folder
+
+
+def near(found, expected):
+    """Equal but for float32 rounding of values up to 255."""
+    return abs(found - expected) < 1e-4
+
+
+def test_what_stands_still_does_not_flicker(sequence, tmp_path):
+    out, truth = write(tmp_path / "out", [texture()] * 6), write(tmp_path / "truth", [texture(1)] * 6)
+    found = flicker(out, truth, sequence(0, 0))
+    assert [(row.number, row.kind, row.followed) for row in found.rows] == [(n, ["SF", "EF"][n % 2], 1) for n in range(1, 6)]
+    for change in (*(row.change for row in found.rows), *found.means.values()):
+        assert (change.output, change.truth, change.error) == (0, 0, 0)
+
+
+def test_what_moves_as_its_motion_says_does_not_flicker(sequence, tmp_path):
+    """By one low-resolution pixel right and two down a frame, that is 2 and 4; the motion leads back."""
+    images = [texture(2 * n, 4 * n) for n in range(6)]
+    found = flicker(write(tmp_path / "out", images), write(tmp_path / "truth", images), sequence(-1, -2))
+    for row in found.rows:
+        assert (row.change.output, row.change.truth, row.change.error) == (0, 0, 0)
+        assert 0.8 < row.followed < 1  # what comes into view is left out
+    wrong = flicker(tmp_path / "out", tmp_path / "truth", sequence(1, 2))
+    assert wrong.means["all"].output > 20
+
+
+def test_planted_flicker_is_seen(sequence, tmp_path):
+    """Every second frame six levels brighter, the truth two darker."""
+    out = write(tmp_path / "out", [texture() + 6 / 255 * (n % 2) for n in range(6)])
+    truth = write(tmp_path / "truth", [texture() - 2 / 255 * (n % 2) for n in range(6)])
+    found = flicker(out, truth, sequence(0, 0))
+    for row in found.rows:
+        assert near(row.change.output, 6)
+        assert near(row.change.truth, 2)
+        assert near(row.change.error, 8)
+    assert list(found.means) == ["SF", "EF", "all"]
+    assert near(found.means["SF"].error, 8)
+
+
+def test_a_change_of_light_is_no_flicker(sequence, tmp_path):
+    """The truth brightens and the output with it: it changes, without error."""
+    images = [texture() + 4 / 255 * n for n in range(6)]
+    found = flicker(write(tmp_path / "out", images), write(tmp_path / "truth", images), sequence(0, 0))
+    assert near(found.means["all"].output, 4)
+    assert found.means["all"].error == 0
+
+
+def test_what_cannot_be_followed_is_left_out(sequence, tmp_path, write_frames):
+    """An object that is not the one of the frame before: its pixels flicker, and do not count."""
+
+    def change(number, channels):
+        slides_by(0, 0)(number, channels)
+        channels["stencil.X"][4:8, 6:12] = number % 2
+
+    noisy = texture()
+    noisy[8:16, 12:24] = 1
+    frames = open_sequence(write_frames(range(6), size=SIZE, change=change), "stss")
+    out = write(tmp_path / "out", [noisy if n % 2 else texture() for n in range(6)])
+    found = flicker(out, write(tmp_path / "truth", [texture()] * 6), frames)
+    for row in found.rows:
+        assert row.change.output == 0
+        assert near(row.followed, 1 - 4 * 6 / (SIZE[0] * SIZE[1]))
+    assert flicker(out, tmp_path / "truth", sequence(0, 0)).means["all"].output > 1
+
+
+def test_nothing_to_follow_is_no_number(sequence, tmp_path):
+    images = [texture()] * 6
+    found = flicker(write(tmp_path / "out", images, labelled=False), write(tmp_path / "truth", images), sequence(99, 0))
+    assert found.means["all"].output is None
+    assert list(found.means) == ["all"]  # kinds are not known
+    assert json.loads(found.to_json())["frames"][0]["error"] is None
+
+
+def test_only_frames_in_a_row_count(sequence, tmp_path):
+    out, truth = write(tmp_path / "out", [texture()] * 6), write(tmp_path / "truth", [texture()] * 6)
+    (out / "frame.0003.png").unlink()
+    assert [row.number for row in flicker(out, truth, sequence(0, 0)).rows] == [1, 2, 5]
+    assert [row.number for row in flicker(out, truth, sequence(0, 0), frames=(1, 4)).rows] == [2]
+    with pytest.raises(InputError, match="expected two frames in a row"):
+        flicker(out, truth, sequence(0, 0), frames=(2, 4))
+
+
+def test_sizes_must_fit_the_sequence(sequence, tmp_path):
+    images = [texture()[:-2]] * 6
+    with pytest.raises(InputError, match=r"frame\.0000\.png: expected 48 x 32 pixels to go with .*, found 48 x 30"):
+        flicker(write(tmp_path / "out", images), write(tmp_path / "truth", images), sequence(0, 0))
+
+
+def test_motion_of_display_frames(sequence):
+    from stss.color import transfer
+    from stss.prepared import prepare
+
+    frames = sequence(-1, -2)
+    before, now = (prepare(frames.load(n), transfer("none"), "scale") for n in (1, 2))
+    motion, followed = display_motion(before, now)
+    assert motion.shape == (2 * SIZE[0], 2 * SIZE[1], 2)
+    assert (motion == (-2, -4)).all()
+    assert followed[4:, 2:].all()
+    assert not followed[:4].any()
+    assert not followed[:, :2].any()
+    blank = np.zeros((*followed.shape, 3), np.float32)
+    found = change_between((blank, blank), (blank + 1, blank), motion, followed)
+    assert (found.output, found.truth, found.error) == (255, 0, 255)
+
+
+def test_the_command_line_has_table_and_json(sequence, tmp_path):
+    out = write(tmp_path / "out", [texture() + 6 / 255 * (n % 2) for n in range(6)])
+    truth, frames = write(tmp_path / "truth", [texture()] * 6), sequence(0, 0).path
+    table = stss("flicker", out, truth, "--sequence", frames)
+    assert table.returncode == 0, table.stderr
+    assert ["mean", "all", "6.00", "0.00", "6.00"] in [line.split() for line in table.stdout.splitlines()]
+    found = json.loads(stss("flicker", out, truth, "--sequence", frames, "--json", "--frames", "1:3").stdout)
+    assert [row["frame"] for row in found["frames"]] == [2, 3]
+    assert near(found["means"]["SF"]["error"], 6)
+    missing = stss("flicker", out, tmp_path / "nowhere", "--sequence", frames)
+    assert missing.returncode == 2
+    assert len(missing.stderr.strip().splitlines()) == 1

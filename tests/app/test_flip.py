@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: MIT
+"""FLIP and VMAF in `stss compare`; skipped where the extra `metrics` is not installed."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from stss.compare import compare, print_comparison
+from stss.errors import InputError
+from stss.images import write_mask, write_rgb
+from stss.method_table import run_methods
+from stss.metrics import score, to_8bit
+from stss.optional import installed
+from stss.perceptual import flip_map, vmaf_scores
+from stss.run import RunOptions
+
+needs_flip = pytest.mark.skipif(not installed("flip_evaluator"), reason="flip-evaluator is not installed: the extra metrics")
+needs_vmaf = pytest.mark.skipif(not installed("imageio_ffmpeg"), reason="imageio-ffmpeg is not installed: the extra metrics")
+
+SIZE = (64, 96)
+
+
+def scene(number):
+    """A pattern that moves by two pixels a frame."""
+    y, x = np.indices(SIZE)
+    waves = [np.sin((x - 2 * number) / 3 + y / 9), np.cos(y / 4), np.sin((x - 2 * number) / 7 - y / 5)]
+    return (0.5 + 0.4 * np.stack(waves, axis=-1)).astype(np.float32)
+
+
+def blurred(image):
+    return (image + np.roll(image, 1, 0) + np.roll(image, 1, 1) + np.roll(image, (1, 1), (0, 1))) / 4
+
+
+@pytest.fixture
+def folders(tmp_path):
+    """Frames 1 to 4 and their truth: EF blurred, and wrong in its holes."""
+    out, truth = tmp_path / "out", tmp_path / "truth"
+    (out / "holes").mkdir(parents=True)
+    truth.mkdir()
+    for number in range(1, 5):
+        kind = "EF" if number % 2 else "SF"
+        image, name = scene(number), f"frame.{number:04d}.png"
+        write_rgb(truth / name, image)
+        if kind == "EF":
+            hole = np.zeros((SIZE[0] // 2, SIZE[1] // 2), np.bool_)
+            hole[4:12, 6:20] = True
+            write_mask(out / "holes" / name, hole)
+            image = blurred(image)
+            image[10:22, 14:38] = 1
+        write_rgb(out / name, image, metadata={"stss:kind": kind, "stss:transfer": "none"})
+    return out, truth
+
+
+def stss(*arguments):
+    command = [sys.executable, "-m", "stss", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+
+@needs_flip
+def test_flip_is_nought_where_nothing_differs():
+    image, other = scene(1), scene(1)
+    assert not flip_map(image, image).any()
+    other[:8, :8] = 0
+    found = flip_map(other, image)
+    assert found.shape == SIZE
+    assert found.max() <= 1
+    assert found[:8, :8].min() > 0
+    assert not found[-8:, -8:].any()  # farther off than the eye's filters reach
+
+
+@needs_flip
+def test_flip_of_black_and_white_is_one():
+    """Known from its paper: the largest error of all."""
+    black, white = np.zeros((*SIZE, 3), np.float32), np.ones((*SIZE, 3), np.float32)
+    assert np.abs(flip_map(black, white) - flip_map(white, black)).max() < 1e-3
+    assert flip_map(black, white).min() > 0.9
+
+
+@needs_flip
+def test_flip_by_region():
+    """Each region's FLIP is the mean of the map there."""
+    image, truth = blurred(scene(2)), scene(2)
+    hole = np.zeros(SIZE, np.bool_)
+    hole[10:20, 10:30] = True
+    found, different = score(image, truth, hole, flip=True), flip_map(image, truth)
+    assert found["all"].flip == different.mean()
+    assert found["holes"].flip == different[hole].mean()
+    assert score(image, truth, flip=True)["holes"].flip is None
+    assert score(image, truth)["all"].flip is None
+
+
+@needs_vmaf
+def test_vmaf_knows_better_from_worse():
+    truths = [scene(n) for n in range(4)]
+    equal = vmaf_scores((to_8bit(t), to_8bit(t)) for t in truths)
+    worse = vmaf_scores((to_8bit(blurred(t)), to_8bit(t)) for t in truths)
+    mixed = vmaf_scores((to_8bit(blurred(t) if n == 2 else t), to_8bit(t)) for n, t in enumerate(truths))
+    assert len(equal) == len(worse) == 4
+    assert min(equal) > 90
+    assert max(worse) < min(equal)
+    assert mixed[2] < min(mixed[0], mixed[1], mixed[3])  # each score is of its own frame
+
+
+@needs_vmaf
+def test_vmaf_says_what_it_cannot_take():
+    frames = [np.zeros((16, 16, 3), np.uint8), np.zeros((16, 18, 3), np.uint8)]
+    with pytest.raises(InputError, match="VMAF: expected frames of one size"):
+        vmaf_scores([frames])
+
+
+@needs_flip
+@needs_vmaf
+def test_compare_takes_them_when_asked(folders):
+    found = compare(*folders, flip=True, vmaf=True)
+    sf, ef, mean = found.means
+    assert sf.scores["all"].flip == 0
+    assert 0 < ef.scores["all"].flip < ef.scores["holes"].flip
+    assert ef.scores["all"].vmaf < sf.scores["all"].vmaf
+    assert mean.scores["all"].vmaf == (sf.scores["all"].vmaf + ef.scores["all"].vmaf) / 2
+    assert ef.scores["holes"].vmaf is None
+    assert found.metrics == ["psnr_luma", "ssim", "psnr_rgb", "flip", "vmaf"]
+    frame = json.loads(found.to_json())["frames"][0]
+    assert list(frame["all"]) == found.metrics
+    assert list(frame["holes"]) == found.metrics[:-1]
+    console = Console(file=io.StringIO(), width=80)
+    print_comparison(found, console)
+    row = next(line.split() for line in console.file.getvalue().splitlines() if line.split()[:2] == ["1", "EF"])
+    assert row[-4:-2] == [f"{found.rows[0].scores[region].flip:.4f}" for region in ("all", "edges")]
+    assert row[-1] == f"{found.rows[0].scores['all'].vmaf:.2f}"  # whole, though the table is wider than the console
+
+
+def test_compare_leaves_them_out_when_not_asked(folders):
+    found = compare(*folders)
+    assert list(json.loads(found.to_json())["means"]["SF"]["all"]) == ["psnr_luma", "ssim", "psnr_rgb"]
+    console = Console(file=io.StringIO(), width=80)
+    print_comparison(found, console)
+    assert not {"FLIP", "VMAF"} & set(console.file.getvalue().split())
+
+
+@pytest.mark.parametrize(("module", "option"), [("flip_evaluator", "flip"), ("imageio_ffmpeg", "vmaf")])
+def test_a_missing_package_is_one_line(folders, monkeypatch, module, option):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(InputError, match=rf"^{module} is not installed: pip install 'stss\[metrics\]'$"):
+        compare(*folders, **{option: True})
+    with pytest.raises(InputError, match="is not installed"):  # before anything is run
+        run_methods(None, folders[1], folders[0], ("bilinear",), None, RunOptions(), **{option: True})
+
+
+@needs_flip
+@needs_vmaf
+def test_the_command_line_has_both(folders):
+    result = stss("compare", *folders, "--flip", "--vmaf", "--json")
+    assert result.returncode == 0, result.stderr
+    assert {"flip", "vmaf"} <= set(json.loads(result.stdout)["means"]["EF"]["all"])
