@@ -13,7 +13,7 @@
 //
 // One work-item holds PIXELS x BLOCK accumulators of eight channels: 4 x 3 and 3 x 4 fill a CPU's registers.
 //
-// -D SKIP -D SPAN (a multiple of PIXELS) -D TALL: only pixels that a change reaches, see changes.clh; a_changes (its map begins at
+// -D SKIP -D SPAN (a multiple of PIXELS) -D TALL: only pixels that a change reaches, see changes.clh; a_changes (the map begins at
 // a_tile), b_changes, changes are the maps of a, b, out. Launch (OUT / 8 / BLOCK, ceil(width / SPAN), ceil(height / TALL)).
 #if !defined(A) || !defined(B) || !defined(OUT) || !defined(KERNEL) || !defined(STRIDE) || !defined(PIXELS) || !defined(BLOCK) || \
     !defined(GROUP)
@@ -152,6 +152,7 @@ void conv(global const stored *restrict a, global const stored *restrict b, glob
 #else
     const int x = get_global_id(1) * PIXELS, y = get_global_id(2);
     if (x < width)
-        compute(a, b, weight, gate_weight, bias, gate_bias, out, width, in_columns, out_columns, out_channels, out_first, block, x, y);
+        compute(a, b, weight, gate_weight, bias, gate_bias, out, width, in_columns, out_columns, out_channels, out_first,
+                block, x, y);
 #endif
 }

@@ -12,8 +12,8 @@
 // `height`, `width`: of the frame for `eighth`, whose row 0 is the frame's row `top`; else at 1/8 size.  Build -D KEYS=32 -D VALUES=64 (multiples of 8) -D MASK=float or uchar, optionally
 // -D HALF.  Launch (width, height) at 1/8 size.
 //
-// -D SKIP -D SPAN: only pixels that a change reaches, see changes.clh; the last arguments are the maps of the inputs and of the output.
-// attend's work-item then has SPAN x SPAN pixels. downsample_8 computes all of them and marks what came to differ.
+// -D SKIP, optionally -D SPAN: only pixels that a change reaches, see changes.clh; the last arguments are the maps of the inputs
+// and of the output. attend's work-item then has SPAN x SPAN pixels. downsample_8 computes all and marks what came to differ.
 #if !defined(KEYS) || !defined(VALUES) || !defined(MASK)
 #error "erm.cl needs -D KEYS, VALUES, MASK"
 #endif
@@ -25,6 +25,9 @@
 #define KEYS8 (KEYS / 8)
 #define VALUES8 (VALUES / 8)
 #define WINDOW 5
+#ifndef SPAN
+#define SPAN 1
+#endif
 
 // The mean of pixels 8i + 3 and 8i + 4 each way; beyond the frame its last row and column are repeated (pad_to_8).
 kernel void downsample_8(global const float *restrict gbuffer, global const MASK *restrict mask, global stored *restrict eighth,
@@ -48,7 +51,8 @@ kernel void downsample_8(global const float *restrict gbuffer, global const MASK
     const int to = ((y + 1) * columns + x + 1) * 2;
 #ifdef SKIP
     const stored8 differs = replace8(((const float8 *)mean)[0], to, eighth, -1.0f);
-    if (any_bit(differs | replace8(((const float8 *)mean)[1], to + 1, eighth, -1.0f))) changes[y / 4 * ((columns - 2) / 4) + x / 4] = 1;
+    if (any_bit(differs | replace8(((const float8 *)mean)[1], to + 1, eighth, -1.0f)))
+        changes[y / 4 * ((columns - 2) / 4) + x / 4] = 1;
 #else
     STORE8(((const float8 *)mean)[0], to, eighth);
     STORE8(((const float8 *)mean)[1], to + 1, eighth);
@@ -83,8 +87,8 @@ kernel void normalise(global const stored *restrict key, global stored *restrict
 
 // sum_d w(d) m V(p + d) / max(sum_d w(d), 1e-6), w(d) = relu(m(p + d) K(p + d) . K(p)): the mask is applied here to keys and values.
 static inline void attention(global const stored *restrict unit, global const stored *restrict value,
-                             global const stored *restrict eighth, global stored *restrict reshaded, const int height, const int width,
-                             const int columns, const int out_channels, const int x, const int y
+                             global const stored *restrict eighth, global stored *restrict reshaded, const int height,
+                             const int width, const int columns, const int out_channels, const int x, const int y
 #ifdef SKIP
                              , global uchar *restrict changes, const float tolerance
 #endif
@@ -109,7 +113,8 @@ static inline void attention(global const stored *restrict unit, global const st
     weights = max(weights, 1e-6f);
 #ifdef SKIP
     stored8 differs = 0;
-    for (int c = 0; c < VALUES8; ++c) differs |= replace8(total[c] / weights, pixel * (out_channels / 8) + c, reshaded, tolerance);
+    for (int c = 0; c < VALUES8; ++c)
+        differs |= replace8(total[c] / weights, pixel * (out_channels / 8) + c, reshaded, tolerance);
     if (any_bit(differs)) changes[y / 4 * ((columns - 2) / 4) + x / 4] = 1;
 #else
     for (int c = 0; c < VALUES8; ++c) STORE8(total[c] / weights, pixel * (out_channels / 8) + c, reshaded);

@@ -9,8 +9,8 @@
 // output).
 // Build -D CHANNELS=n (multiple of 8), optionally -D HALF.  Launch (2 width, 2 height).
 //
-// -D SKIP -D SPAN (tiles of a work-item): only tiles that a change reaches, see changes.clh; in_changes, changes are the maps of in, out.
-// Launch (ceil(width / 2 / SPAN), ceil(height / 2)): `top` is 0.
+// -D SKIP -D SPAN (tiles of a work-item): only tiles that a change reaches, see changes.clh; in_changes, changes are the maps of
+// in and out, `top` is 0. Launch (ceil(width / 2 / SPAN), ceil(height / 2)).
 #ifndef CHANNELS
 #error "resample.cl needs -D CHANNELS=n"
 #endif
@@ -24,8 +24,8 @@
 
 // Output pixel (y, x); whether it came to differ.
 static inline int corners(global const stored *restrict in, global stored *restrict out, const int height, const int width,
-                          const int in_columns, const int out_columns, const int full_height, const int top, const int x, const int y,
-                          const float tolerance)
+                          const int in_columns, const int out_columns, const int full_height, const int top, const int x,
+                          const int y, const float tolerance)
 {
     const int along_x = x * (width - 1), along_y = (2 * top + y) * (full_height - 1);
     const int x0 = along_x / (2 * width - 1), row = along_y / (2 * full_height - 1);
@@ -65,14 +65,21 @@ kernel void upsample_corners(global const stored *restrict in, global stored *re
     const int first = get_global_id(0) * SPAN, last = min(first + SPAN, out_tiles) - 1, tile_y = get_global_id(1);
     // Rows 4 t .. 4 t + 3 of the output read the input's rows 2 t - 1 .. 2 t + 2.
     if (!marked(in_changes, rows, columns, 2 * tile_y - 1, 2 * tile_y + 2, 2 * first - 1, 2 * last + 2)) return;
-    for (int tile = first; tile <= last; ++tile) {
-        if (!marked(in_changes, rows, columns, 2 * tile_y - 1, 2 * tile_y + 2, 2 * tile - 1, 2 * tile + 2)) continue;
-        int differs = 0;
-        for (int y = 4 * tile_y; y < min(4 * tile_y + 4, 2 * height); ++y)
-            for (int x = 4 * tile; x < min(4 * tile + 4, 2 * width); ++x)
-                differs |= corners(in, out, height, width, in_columns, out_columns, full_height, top, x, y, tolerance);
-        if (differs) changes[tile_y * out_tiles + tile] = 1;
+    int reached[SPAN], differs[SPAN];
+    for (int i = 0; i <= last - first; ++i) {
+        const int west = 2 * (first + i) - 1;
+        reached[i] = marked(in_changes, rows, columns, 2 * tile_y - 1, 2 * tile_y + 2, west, west + 3);
+        differs[i] = 0;
     }
+    // Row by row: neighbours in memory one after the other.
+    for (int y = 4 * tile_y; y < min(4 * tile_y + 4, 2 * height); ++y)
+        for (int i = 0; i <= last - first; ++i) {
+            if (!reached[i]) continue;
+            for (int x = 4 * (first + i); x < min(4 * (first + i) + 4, 2 * width); ++x)
+                differs[i] |= corners(in, out, height, width, in_columns, out_columns, full_height, top, x, y, tolerance);
+        }
+    for (int i = 0; i <= last - first; ++i)
+        if (differs[i]) changes[tile_y * out_tiles + first + i] = 1;
 #else
     const int x = get_global_id(0), y = get_global_id(1);
     if (x < 2 * width && y < 2 * height)

@@ -14,8 +14,8 @@
 // decoder.clh; rows `from` .. height - 1 are written, rows and columns are those of `color`; row 0 is the frame's row `top`).
 // Launch (ceil(ceil(width / 4) / TILES), ceil(height / 4)), work-groups of 1: a work-item is a strip of tiles whose scratch stays in L2.
 //
-// -D SKIP: only tiles that a change reaches, see changes.clh; a_changes (its map begins at a_tile), b_changes, color_changes are the
-// maps of the inputs, changes that of `out`.
+// -D SKIP: only tiles that a change reaches, see changes.clh; a_changes (the map begins at a_tile), b_changes, color_changes are
+// the maps of the inputs, changes that of `out`.
 #if !defined(A) || !defined(B) || !defined(OUT) || !defined(USED) || !defined(TILES) || !defined(ROWS) || !defined(BLOCK)
 #error "winograd.cl needs -D A, B, OUT, USED, TILES, ROWS, BLOCK"
 #endif
@@ -109,12 +109,14 @@ static inline void fetch(global const stored *buffer, const int channels, const 
 #endif
 
 #ifdef SKIP
-// Which tiles of the strip have a marked tile beside them, in compact order behind each other; how many.
+// How many tiles of the strip are marked in a or b (which may be 0), or have a neighbour that is, and which they are.
 static inline int reached(global const uchar *a, global const uchar *b, const int rows, const int columns, const int first,
                           const int last, const int tile_y, int *tiles)
 {
-    const int top = max(tile_y - 1, 0), bottom = min(tile_y + 1, rows - 1), left = max(first - 1, 0), right = min(first + TILES, columns - 1);
-    if (!marked_tiles(a, columns, top, bottom, left, right) && !(b && marked_tiles(b, columns, top, bottom, left, right))) return 0;
+    const int top = max(tile_y - 1, 0), bottom = min(tile_y + 1, rows - 1);
+    const int left = max(first - 1, 0), right = min(first + TILES, columns - 1);
+    if (!marked_tiles(a, columns, top, bottom, left, right) && !(b && marked_tiles(b, columns, top, bottom, left, right)))
+        return 0;
     uchar column[TILES + 2];
     for (int i = 0; i < TILES + 2; ++i) {
         const int x = min(max(first - 1 + i, left), right);
@@ -165,7 +167,7 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
     if (4 * tile_y + 4 <= from) return;
 #endif
 #ifdef SKIP
-    int tiles[TILES + ROWS];
+    int tiles[TILES];
     const int tile_columns = (in_columns - 2) / 4;
 #ifdef IMAGE
     const int count = reached(a_changes + a_tile, color_changes, rows / 4, tile_columns, first, last, tile_y, tiles);

@@ -82,6 +82,7 @@ class OpenCLBackend:
         precision: str = "float32",
         memory_limit: int | None = None,
         skip: str = "exact",
+        max_error: float = 0.0,
         tell: Callable[[str], None] = lambda line: None,
     ):
         # Imported here: the OpenCL library is opened only by those who use it.
@@ -89,7 +90,7 @@ class OpenCLBackend:
         from stss_cl.stream import Stream
 
         chosen = choose(device, tell)
-        self._stream = Stream(weights, chosen, precision, gather, memory_limit, skip)  # pyright: ignore[reportArgumentType]
+        self._stream = Stream(weights, chosen, precision, gather, memory_limit, skip, max_error)  # pyright: ignore[reportArgumentType]
         self.name = f"cl {precision} on {chosen.name}, {chosen.driver}"
 
     def compute(self, window: Sequence[Prepared], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
@@ -111,6 +112,7 @@ def open_backend(
     precision: str = "float32",
     memory_limit: int | None = None,
     skip: str = "exact",
+    max_error: float = 0.0,
     tell: Callable[[str], None] = lambda line: None,
 ) -> Backend:
     """Make the backend of this name ready to compute.
@@ -123,6 +125,7 @@ def open_backend(
         precision: one of ``PRECISIONS``; the reference takes ``float32`` only.
         memory_limit: bytes for the buffers of the OpenCL backend; larger frames go in strips, with the same bits.
         skip: one of ``SKIPS``: what the OpenCL backend leaves out; the reference computes everything.
+        max_error: for ``bounded``, in units of the image.
         tell: is handed lines for the user, such as that a self-test is being run.
 
     Raises:
@@ -134,7 +137,8 @@ def open_backend(
     if precision not in PRECISIONS:
         raise InputError(f"precision: expected one of {', '.join(PRECISIONS)}, got {precision!r}")
     if name == "cl":
-        return OpenCLBackend(weights, gather, device=device, precision=precision, memory_limit=memory_limit, skip=skip, tell=tell)
+        limits = {"memory_limit": memory_limit, "max_error": max_error}
+        return OpenCLBackend(weights, gather, device=device, precision=precision, skip=skip, tell=tell, **limits)  # pyright: ignore[reportArgumentType]
     if device is not None or precision != "float32":
         raise InputError("backend ref: expected neither a device nor another precision than float32")
     return ReferenceBackend(weights, gather)

@@ -22,10 +22,10 @@ from stss.cli_devices import bench_command, devices, export, port, tune
 from stss.cli_methods import flicker_command, methods_command
 from stss.cli_stress import stress_command
 from stss.color import TRANSFERS
+from stss.engine import Engine
 from stss.errors import InputError
-from stss.method_table import open_method
 from stss.methods import METHODS, NETWORK
-from stss.options import PATH, FrameRange, backend_options, perceptual_options, sequence_options
+from stss.options import PATH, FrameRange, backend_options, perceptual_options, sequence_options, skip_options
 from stss.run import FrameReport, RunOptions, Summary
 from stss.run import run as run_sequence
 from stss.sequence import open_sequence
@@ -57,6 +57,7 @@ def stss() -> None:
     help="The network, or one without weights and device, to compare with.",
 )
 @backend_options
+@skip_options
 @click.option(
     "--rendered",
     type=click.Choice(["even", "odd", "all"]),
@@ -87,6 +88,9 @@ def run(
     device: str | None,
     precision: str,
     memory_limit: int | None,
+    skip: str | None,
+    max_error: float | None,
+    budget: float | None,
     suffix: str,
     transfer: str | None,
     depth: Any,
@@ -100,20 +104,12 @@ def run(
         format=suffix,
         **chosen,
     )
-    loaded = load(weights)
     console = Console(stderr=True)
     first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
+    how = Engine(method, load(weights), backend, device, precision, memory_limit)
     with _progress(console) as progress:
         task = progress.add_task("", total=last - first + 1)
-        engine, identity = open_method(
-            method,
-            loaded,
-            backend,
-            device=device,
-            precision=precision,
-            memory_limit=memory_limit,
-            tell=lambda line: click.echo(line, err=True),
-        )
+        engine, identity = how.open(skip, max_error, budget, frames, options, tell=lambda line: click.echo(line, err=True))
         summary = run_sequence(frames, out, engine, identity, options, on_frame=lambda _: progress.advance(task))
     _report(summary, out, console)
     sys.exit(1 if any(frame.fault for frame in summary.frames) else 0)

@@ -57,6 +57,8 @@ def open_method(
     device: str | None = None,
     precision: str = "float32",
     memory_limit: int | None = None,
+    skip: str = "exact",
+    max_error: float = 0.0,
     tell: Callable[[str], None] = lambda line: None,
 ) -> tuple[Backend, str]:
     """What computes a method, and the identity of its weights.
@@ -64,7 +66,7 @@ def open_method(
     Args:
         method: ``network``, or one of ``METHODS``; the other arguments matter to the network alone.
         loaded: the network's weights.
-        backend, device, precision, tell: see ``stss.backends.open_backend``.
+        backend, device, precision, skip, max_error, tell: see ``stss.backends.open_backend``.
         memory_limit: MiB.
 
     Raises:
@@ -73,7 +75,8 @@ def open_method(
     if method != NETWORK:
         return MethodBackend(method), NO_WEIGHTS
     limit = None if memory_limit is None else memory_limit << 20
-    engine = open_backend(backend, loaded.weights, device=device, precision=precision, memory_limit=limit, tell=tell)
+    chosen = {"device": device, "precision": precision, "memory_limit": limit, "skip": skip, "max_error": max_error, "tell": tell}
+    engine = open_backend(backend, loaded.weights, **chosen)  # pyright: ignore[reportArgumentType]
     return engine, loaded.identity
 
 

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
-from stss.backends import BACKENDS, PRECISIONS
+from stss.backends import BACKENDS, PRECISIONS, SKIPS
 
 PATH = click.Path(path_type=Path)
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -67,6 +67,62 @@ def backend_options(command: Command) -> Command:
             type=click.IntRange(1),
             metavar="MIB",
             help="For the network's buffers; larger frames go in strips  [default: half of the device's memory]",
+        ),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+class Deviation(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
+    """A deviation in output units, as a number or as steps of eight bits: ``0.008`` or ``2/255``."""
+
+    name = "E"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Parse; a wrong one is the user's mistake."""
+        steps, slash, of = str(value).partition("/")
+        try:
+            found = float(steps) / (float(of) if slash else 1)
+        except (ValueError, ZeroDivisionError):
+            found = -1.0
+        if not 0 < found < 1:
+            self.fail(f"expected a deviation between 0 and 1, such as 2/255, got {value!r}", param, ctx)
+        return found
+
+
+class Milliseconds(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
+    """A time such as ``40ms``, in seconds."""
+
+    name = "MS"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Parse; a wrong one is the user's mistake."""
+        if isinstance(value, float):
+            return value
+        try:
+            found = float(str(value).removesuffix("ms")) / 1e3
+        except ValueError:
+            found = 0.0
+        if not 0 < found < float("inf"):
+            self.fail(f"expected a time such as 40ms, got {value!r}", param, ctx)
+        return found
+
+
+def skip_options(command: Command) -> Command:
+    """Add the options of what computes frames one after the other, and may leave out what does not change."""
+    options = (
+        click.option(
+            "--skip",
+            type=click.Choice(SKIPS),
+            help="off: compute everything; exact: keep what did not change, with the same bits; bounded: what changed little"
+            "  [default: exact; bounded with --max-error]",
+        ),
+        click.option(
+            "--max-error", type=Deviation(), help="For bounded: how far the image may be from the full one, such as 2/255."
+        ),
+        click.option(
+            "--budget", type=Milliseconds(), help="A frame's time, such as 40ms: the most accurate setting that keeps it."
         ),
     )
     for option in reversed(options):

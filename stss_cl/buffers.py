@@ -89,7 +89,7 @@ def padded(
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the network reads, at H8, W8 = H, W rounded up to multiples of 8; where they have change maps, ``input``'s is ``base``'s, too.
+    """What the network reads, at H8, W8 = H, W rounded up to multiples of 8; ``input``'s change map is that of ``base``, too.
 
     Attributes:
         input: (H8, W8, 24) color 6, color * mask 6, gbuffer 9, zeros 3.
@@ -105,7 +105,7 @@ class Inputs:
 
 
 def inputs_for(device: Device, rows: int, columns: int, dtype: np.dtype[Any], changes: bool = False) -> Inputs:
-    """Allocate the network's inputs for (rows, columns), multiples of 8: a frame, or a strip of it; ``changes``: with change maps."""
+    """Allocate the network's inputs for (rows, columns), multiples of 8: a frame, or a strip of it; with change maps or without."""
     return Inputs(
         input=padded(device, rows, columns, 24, dtype, changes=changes),
         earlier=padded(device, rows, columns, 4, dtype, images=3, changes=changes),

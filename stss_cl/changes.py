@@ -15,7 +15,7 @@ from stss_cl.launch import IMAGE_ARGUMENT, Launch
 from stss_cl.program import build
 from stss_cl.strips import bytes_for
 
-KEPT = {1: 2 * 24, 2: 7 * 24, 4: 7 * 32, 8: 4 * 32 + 2 * 32 + 64}
+KEPT = {1: 24, 2: 7 * 24, 4: 7 * 32, 8: 4 * 32 + 2 * 32 + 64}
 """Channels by the divisor of their size that layers no longer share where each keeps what it wrote (``stss_cl/layers.py``)."""
 FULL_MAPS, LEAST = 16, 1 << 16
 
@@ -100,4 +100,4 @@ def _changed_only(device: Device, launch: Launch) -> Launch:
     kernel = cl.Kernel(build(device, skip.file, {**skip.options, "SKIP": True}, skip.flags), launch.kernel.function_name)
     arguments = (*launch.held, *skip.arguments, *([np.float32(EXACT)] if skip.bounded else []))
     kernel.set_args(*arguments)
-    return Launch(launch.stage, launch.name, kernel, skip.size, launch.group, arguments, skip)
+    return Launch(launch.stage, launch.name, kernel, skip.size, skip.group, arguments, skip)

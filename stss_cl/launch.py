@@ -30,6 +30,7 @@ class Skip:
         options: it is built with, SKIP besides.
         flags: further ones.
         size: global size.
+        group: work-group size; None = the runtime's choice.
         arguments: behind the launch's own.
         bounded: whether a tolerance follows.
     """
@@ -38,6 +39,7 @@ class Skip:
     options: Mapping[str, object]
     flags: str
     size: tuple[int, ...]
+    group: tuple[int, ...] | None
     arguments: tuple[Any, ...]
     bounded: bool = True
 
@@ -73,8 +75,8 @@ class Launch:
 class Final:
     """What the decoder's last layer needs to write the image itself (kernels/decoder.clh).
 
-    ``color`` (rows, columns, 4), ``weight`` (24, 16) and ``bias`` (16) of outc, the frame's own height and width, and the change map
-    of ``color``, if any.
+    ``color`` (rows, columns, 4), ``weight`` (24, 16) and ``bias`` (16) of outc, the frame's own height and width, and the change
+    map of ``color``, if any.
     """
 
     color: cl.Buffer
@@ -96,7 +98,7 @@ IMAGE_ARGUMENT = {"image": 4, "winograd": 17}
 
 
 def span(device: Device, pixels: int) -> int:
-    """Pixels of a row that a work-item looks after, where what it computes at once is ``pixels`` and only what changed is computed.
+    """Pixels of a row that a work-item looks after where only what changed is computed; ``pixels``: what it computes at once.
 
     On a processor they are more: most work-items have nothing to do, and each of them costs something.
     """
@@ -173,12 +175,12 @@ def _skip(
     a_tile = image * map_bytes(a.height, a.width)
     arguments = (a.changes, b.changes if b else a.changes, out.changes, np.int32(a_tile))
     if shape.file == "winograd.cl":
-        return Skip(shape.file, options, FAST_MULTIPLY_ADD, shape.size, arguments)
+        return Skip(shape.file, options, FAST_MULTIPLY_ADD, shape.size, shape.group, arguments)
     pixels, group = int(shape.options["PIXELS"]), shape.group[1]
     wide, tall = span(device, pixels), 4 if device.is_cpu else 1
     size = (shape.size[0], ceil_div(ceil_div(out.width, wide), group) * group, ceil_div(out.height, tall))
     options = {**options, "SPAN": wide, "TALL": tall}
-    return Skip(shape.file, options, FAST_MULTIPLY_ADD, size, (*arguments, np.int32(out.height)))
+    return Skip(shape.file, options, FAST_MULTIPLY_ADD, size, shape.group, (*arguments, np.int32(out.height)))
 
 
 @dataclass(frozen=True)

@@ -5,29 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pyopencl as cl
 
-from stss_cl.buffers import Outgoing, Padded, constant, incoming, inputs_for, padded, read, write
-from stss_cl.changes import ChangedOnly, Maps, kept_bytes
+from stss_cl.buffers import Outgoing, Padded, constant, incoming, inputs_for, read, write
+from stss_cl.chain import Chain, dtype_of
+from stss_cl.changes import kept_bytes
 from stss_cl.device import Device
-from stss_cl.launch import (
-    FAST_MULTIPLY_ADD,
-    HEIGHT_ARGUMENT,
-    IMAGE_ARGUMENT,
-    ROW_ARGUMENTS,
-    Final,
-    Launch,
-    Skip,
-    conv,
-    half,
-    span,
-)
+from stss_cl.launch import HEIGHT_ARGUMENT, ROW_ARGUMENTS, Final, span
 from stss_cl.pack_inputs import PackInputs
-from stss_cl.packing import ceil8, ceil_div, pack, pack_outc
-from stss_cl.program import build
+from stss_cl.packing import ceil8, ceil_div, pack_outc
 from stss_cl.strips import OVERLAP, Strip, rows_within, strips
 from stss_cl.tuning import tuning_for
 from stss_ref.arrays import Array
@@ -36,7 +24,7 @@ from stss_ref.weights import Weights
 GBUFFER, MASK = 9, 1
 
 
-class Layers:
+class Layers(Chain):
     """Every launch of the network at (height, width), in order, with the buffers between them.
 
     A frame whose buffers would exceed the limit goes in strips: for each of ``strips``, ``place``, ``pack`` (or whatever else
@@ -67,25 +55,17 @@ class Layers:
         residual: bool = True,
         keep: bool = False,
     ):
-        self.size = height, width
-        self.launches: list[Launch] = []
-        self._device, self._weights = device, weights
-        self._winograd = precision != "float32-direct"
-        self._dtype = np.dtype(np.float16 if precision == "half" else np.float32)
-        self._full, self._width = ceil8(height), ceil8(width)
+        full, columns, dtype = ceil8(height), ceil8(width), dtype_of(precision)
         limit = int(device.handle.global_mem_size) // 2 if memory_limit is None else memory_limit
-        overlap = OVERLAP[self._winograd and tuning_for(device).winograd is not None]
-        self._height = rows_within(self._full, self._width, self._dtype, limit, overlap)
-        self.strips = strips(self._full, height, self._height, overlap)
-        self._top = 0
+        overlap = OVERLAP[precision != "float32-direct" and tuning_for(device).winograd is not None]
+        rows = rows_within(full, columns, dtype, limit, overlap)
+        super().__init__(device, weights, precision, rows, columns, keep and kept_bytes(full, columns, dtype) <= limit)
+        self.size = height, width
+        self.strips = strips(full, height, rows, overlap)
+        self._full, self._top = full, 0
         # Kernels that must know where a strip lies: which of their arguments, and the divisor of their size.
         self._placed: list[tuple[cl.Kernel, int, int]] = []
-
-        self.keep = keep and kept_bytes(self._full, self._width, self._dtype) <= limit
-        self._maps = Maps(device, self._height, self._width)
-        self._shared: dict[tuple[str, int], Padded] = {}
-        self._changed: ChangedOnly | None = None
-        self.inputs = inputs_for(device, self._height, self._width, self._dtype, self.keep)
+        self.inputs = inputs_for(device, rows, columns, dtype, self.keep)
         self._packing = PackInputs(device, self.inputs, height, width)
         self.features: dict[str, Padded] = {}
         if residual:
@@ -118,32 +98,6 @@ class Layers:
         else:
             self.launches[-1] = replace(last, size=(last.size[0], strip.last - strip.first))
 
-    def ready(self, image: cl.Buffer) -> list[Launch]:
-        """The launches in order, the last of them to write ``image`` (2H, 2W, 3) float32."""
-        last = self.launches[-1]
-        last.kernel.set_arg(IMAGE_ARGUMENT[last.kernel.function_name], image)
-        return self.launches
-
-    def run(self, image: cl.Buffer) -> None:
-        """Enqueue the whole network; ``image`` is complete when the queue has run dry."""
-        for launch in self.ready(image):
-            launch.enqueue(self._device.queue)
-        self._device.queue.flush()
-
-    def run_changed(self, image: cl.Buffer, tolerance: float = 0.0) -> None:
-        """Enqueue what the marks in the change maps of ``inputs`` lead to; the rest of ``image``, the last one made, stays.
-
-        Whoever fills ``inputs`` marks the tiles that came to differ since the last run of either kind, and clears the marks after it.
-
-        Args:
-            image: as for ``run``.
-            tolerance: a stored value between two layers that is no further than this from the new one stays; 0: the image has the bits
-                of ``run``'s, if all runs since the last of those were so.
-        """
-        if self._changed is None:
-            self._changed = ChangedOnly(self._device, self.launches, self._maps)
-        self._changed.run(image, tolerance)
-
     def run_stage(self, stage: str, inputs: Mapping[str, Array]) -> dict[str, Array]:
         """Run one stage alone, on arrays; H, W are multiples of 8 and the frame is one strip."""
         height, width = self.size
@@ -173,66 +127,6 @@ class Layers:
             return {"image": image.finish()}
         image.finish()
         return {name: read(self._device, self.features[key], first, n) for name, (key, first, n) in outputs[stage].items()}
-
-    def _padded(self, divisor: int, channels: int) -> Padded:
-        height, width = self._height // divisor, self._width // divisor
-        made = padded(self._device, height, width, channels, self._dtype)
-        return replace(made, changes=self._maps.take(height, width)) if self.keep else made
-
-    def _scratch(self, name: str, divisor: int, channels: int) -> Padded:
-        """Activations that are soon done with: those that were last asked for by this name, but that each is kept if all are."""
-        if self.keep or (name, divisor) not in self._shared:
-            self._shared[name, divisor] = self._padded(divisor, channels)
-        return self._shared[name, divisor]
-
-    def _conv(
-        self,
-        stage: str,
-        name: str,
-        a: Padded,
-        out: Padded,
-        *,
-        b: Padded | None = None,
-        channels: tuple[int, ...] | None = None,
-        stride: int = 1,
-        relu: bool = True,
-        out_first: int = 0,
-        image: int = 0,
-        final: Final | None = None,
-    ) -> Padded:
-        """Append a convolution; ``channels``: how many of each input's are real, where not all."""
-        held = (a,) if b is None else (a, b)
-        real = channels or tuple(x.channels for x in held)
-        packed = pack(self._weights, name, tuple((n, x.channels) for n, x in zip(real, held, strict=True)))
-        launch = conv(
-            self._device, stage, name, packed, a, b, out,
-            out_first=out_first, stride=stride, relu=relu, winograd=self._winograd, image=image, final=final,
-        )  # fmt: skip
-        self.launches.append(launch)
-        return out
-
-    def _kernel(
-        self,
-        stage: str,
-        name: str,
-        file: str,
-        options: dict[str, object],
-        size: tuple[int, ...],
-        *arguments: Any,
-        group: tuple[int, ...] | None = None,
-        maps: tuple[cl.Buffer | None, ...] = (),
-        changed_size: tuple[int, ...] | None = None,
-        bounded: bool = True,
-    ) -> None:
-        """Append any other kernel; whole numbers among the arguments are int32. ``maps``, ``changed_size``: for -D SKIP."""
-        # Interpolation is not contracted: it then has the reference's bits.
-        flags = FAST_MULTIPLY_ADD if file == "erm.cl" else ""
-        options = {**options, "HALF": half(self._dtype)}
-        kernel = cl.Kernel(build(self._device, file, options, flags), name)
-        held = tuple(np.int32(a) if isinstance(a, int) else a for a in arguments)
-        kernel.set_args(*held)
-        skip = Skip(file, options, flags, changed_size or size, maps, bounded) if self.keep else None
-        self.launches.append(Launch(stage, name, kernel, size, group, held, skip))
 
     def _encoder(self) -> None:
         x = self._conv("encoder", "conv1", self.inputs.input, self._scratch("full", 1, 24), channels=(21,))

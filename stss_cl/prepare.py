@@ -141,6 +141,11 @@ class Prepare:
             self._run("splat_nearest", size, self._chained, sources.gbuffer, 9, 3, self._splat[0], *size)
             self._run("splat_first", size, self._chained, sources.gbuffer, 9, 3, *self._splat, *size)
 
+    def again(self) -> None:
+        """``start`` once more for the last frame, with no tolerance."""
+        assert self._read is not None
+        self.start(self._read, self._tops)
+
     def not_finite(self) -> str | None:
         """Name of an array of the frame begun last that had to be finite and was not; waits for the queue."""
         bad = np.empty(len(FINITE), np.int32)

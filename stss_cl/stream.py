@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -30,6 +30,10 @@ SKIPS: tuple[Skip, ...] = ("off", "exact", "bounded")
 little is kept as well."""
 MOST_CHANGED = 0.75
 """Where a larger share of the network's inputs changed, all of it is computed: to look for the rest would not pay."""
+FIRST, AIM, SLOWER, FASTER = 0.2, 0.5, 0.25, 1.25
+"""``bounded``: the first tolerance and the departure aimed at, as shares of the largest error; limits of a step of the tolerance."""
+CHECK = 12
+"""``bounded``: one of so many frames of a kind is computed both ways."""
 PATIENCE, REST = 8, 48
 """After so many frames in a row of which nothing was left out, so many are computed without looking."""
 
@@ -42,11 +46,13 @@ class Report:
         prepared: share of the tiles of 4 x 4 pixels whose inputs were computed anew.
         changed: share of those whose inputs then differed; 1 where nobody looked.
         network: what of the network was run.
+        departure: for ``bounded``, of a frame that was computed both ways: the largest difference that leaving out made.
     """
 
     prepared: float
     changed: float
     network: Literal["none", "changed", "whole"]
+    departure: float | None = None
 
 
 @dataclass(frozen=True)
@@ -68,6 +74,7 @@ class Kept:
         self.prepare = Prepare(device, *layers.size, gather, inputs=layers.inputs)
         self.last: Last | None = None
         self._device = device
+        self.unchecked = CHECK - 2
         self._image: Outgoing | None = None
         self._alone = 0
 
@@ -112,10 +119,12 @@ class Stream:
         gather: how the motion chain reads between pixels.
         memory_limit: see ``stss_cl.network.Network``; where what is kept does not fit, nothing is left out.
         skip: of ``SKIPS``.
-        tolerance: for ``bounded``: a value, of the inputs or between two layers, that moved no farther from what was stored stays.
+        max_error: for ``bounded``: how far the image may be from that of ``off``, in units of the image. Held by checks: every so
+            many frames one is computed both ways, and the tolerance set by what is found (docs/skipping.md says how often it is missed).
 
     Attributes:
         report: what the last frame cost.
+        tolerance: of ``bounded``: a value, of the inputs or between two layers, that moved no farther from what was stored stays.
     """
 
     def __init__(
@@ -126,7 +135,7 @@ class Stream:
         gather: Gather = "longest",
         memory_limit: int | None = None,
         skip: Skip = "exact",
-        tolerance: float = 0.0,
+        max_error: float = 0.0,
     ):
         self.device = open_device() if device is None else device
         self.precision: Precision = precision
@@ -134,7 +143,8 @@ class Stream:
         self._whole = Frame(weights, self.device, precision, gather, memory_limit)
         self._gather: Gather = gather
         self._weights, self._memory_limit = weights, memory_limit
-        self._skip, self._tolerance = skip, tolerance if skip == "bounded" else 0.0
+        self._skip, self._max_error = skip, max_error if skip == "bounded" else 0.0
+        self.tolerance = FIRST * self._max_error
         self._arrivals: Arrivals | None = None
         self._kept: dict[bool, Kept] = {}
         self._tired = self._rests = 0
@@ -182,7 +192,8 @@ class Stream:
         """The frame, where anything is busy; None: everywhere."""
         prepare, layers = kept.prepare, kept.layers
         cl.enqueue_copy(self.device.queue, prepare.busy, _spread(busy, (prepare.rows, prepare.columns)), is_blocking=True)
-        prepare.start(sources(held, steps), tolerance=self._tolerance)
+        tolerance = 0.0 if busy is None else self.tolerance
+        prepare.start(sources(held, steps), tolerance=tolerance)
         prepare.strip()
         changed = kept.changed() if kept.last is not None and not self._rests else 1.0
         whole = changed > MOST_CHANGED
@@ -190,16 +201,35 @@ class Stream:
         if whole:
             layers.run(image)
         else:
-            layers.run_changed(image, self._tolerance)
+            layers.run_changed(image, tolerance)
         valid = np.empty(layers.size, np.uint8)
         cl.enqueue_copy(self.device.queue, valid, prepare.mask)
         kept.last = _last(held, steps, valid.view(np.bool_))
-        self.report = Report(1.0 if busy is None else float(busy.mean()), changed, "whole" if whole else "changed")
+        self.report = Report(1.0 if busy is None else float(busy.mean()), float(changed), "whole" if whole else "changed")
+        if tolerance > 0 and not whole:
+            self._check(kept)
         if not self._rests:
             self._tired = self._tired + 1 if whole else 0
             if self._tired >= PATIENCE:
                 self._tired, self._rests = 0, REST
         return kept.image, valid.view(np.bool_)
+
+    def _check(self, kept: Kept) -> None:
+        """Every so often compute the frame once more, whole, and set the tolerance by how far the two are apart."""
+        kept.unchecked += 1
+        if kept.unchecked < CHECK:
+            return
+        kept.unchecked = 0
+        left_out, prepare = kept.image.copy(), kept.prepare
+        cl.enqueue_copy(self.device.queue, prepare.busy, _spread(None, (prepare.rows, prepare.columns)), is_blocking=True)
+        prepare.again()
+        prepare.strip()
+        kept.layers.run(kept.target(whole=True))
+        departure = float(np.abs(kept.image - left_out).max())
+        self.report = replace(self.report, departure=departure)
+        if departure > 0:
+            self.tolerance *= min(max(AIM * self._max_error / departure, SLOWER), FASTER)
+        self.tolerance = min(self.tolerance, self._max_error)
 
     def _keep(self, size: tuple[int, int], *, extrapolates: bool) -> Kept | None:
         """What is kept of SFs, or of EFs; None: nothing is."""

@@ -21,7 +21,7 @@ KINDS: tuple[Kind, Kind] = ("SF", "EF")
 
 
 DRAWN = 3
-"""Crops drawn for each one taken, the hardest: half of an average frame is flat, and there is little to learn from it."""
+"""Crops drawn for each one taken, that with the most detail: half of an average frame is flat, and there is little to learn from it."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Batches:
         made: list[tuple[Array, Array, Array]] = []
         for i in range(self._batch):
             drawn = [self._draw(KINDS[i % 2], random) for _ in range(DRAWN)]
-            inputs, truth = augment(*max(drawn, key=lambda pair: difficulty(*pair)), random)
+            inputs, truth = augment(*max(drawn, key=lambda pair: detail(pair[1])), random)
             made.append((inputs, mask_at_random(inputs, random), truth))
         inputs, masks, truth = (np.stack(arrays) for arrays in zip(*made, strict=True))
         return collate(inputs, masks, truth)
@@ -109,9 +109,11 @@ class Batches:
                 yield step, batch
 
 
-def difficulty(inputs: Array, truth: Array) -> float:
-    """How far the truth is from the colour that the network is given; of a crop."""
-    return float(np.abs(truth[::2, ::2] - inputs[..., :3]).mean())
+def detail(truth: Array) -> float:
+    """What a picture at half the size cannot hold: mean distance of four pixels from their mean."""
+    height, width, channels = truth.shape
+    blocks = truth.reshape(height // 2, 2, width // 2, 2, channels)
+    return float(np.abs(blocks - blocks.mean(axis=(1, 3), keepdims=True)).mean())
 
 
 def whole(place: Place) -> Batch:

@@ -129,16 +129,24 @@ def _attend(query: Tensor, key: Tensor, value: Tensor) -> Tensor:
     return (total / weight.sum(1).clamp(min=1e-6)[:, None]).view(n, -1, height, width)
 
 
+OUTC = 0.05
+"""Gain of the last layer at first."""
+
+
 def initialise(network: Network, seed: int) -> None:
-    """He's initialisation with biases of 0, gates half open, and an ``outc`` of zeros: training starts at ``bilinear``."""
+    """He's initialisation with biases of 0, gates half open, and a small ``outc``: training starts near ``bilinear``.
+
+    Not with an ``outc`` of zeros: no gradient then reaches the layers before it but noise, which Adam scales up to full steps; the
+    history's gates were shut for good before there was anything to learn.
+    """
     generator = torch.Generator().manual_seed(seed)
     with torch.no_grad():
         for name, tensor in network.named_parameters():
-            if name.endswith("bias") or name.startswith("outc"):
+            if name.endswith("bias"):
                 tensor.zero_()
             else:
                 # A half open gate halves its feature.
-                gain = 2.0 if ".conv_feature." in name else 0.1 if ".conv_mask." in name else 1.0
+                gain = 2.0 if ".conv_feature." in name else 0.1 if ".conv_mask." in name else OUTC if name.startswith("outc") else 1.0
                 deviation = gain * math.sqrt(2 / math.prod(tensor.shape[1:]))
                 tensor.copy_(torch.randn(tensor.shape, generator=generator) * deviation)
 

@@ -78,7 +78,7 @@ def start(settings: Settings, device: torch.device, initial: str | None = None) 
         load_weights(network, load(initial).weights)
     network.to(device).to(memory_format=torch.channels_last)
     average = {name: t.detach().clone() for name, t in network.named_parameters()}
-    optimiser = torch.optim.Adam(network.parameters(), settings.rate, betas=(0.9, 0.99), fused=True)
+    optimiser = torch.optim.Adam(network.parameters(), settings.rate, betas=(0.9, 0.999), eps=1e-7, fused=True)
     return State(0, network, average, optimiser, -math.inf, asdict(settings))
 
 

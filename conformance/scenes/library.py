@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from conformance.scenes.materials import Finish, Material, bricks, checker, noise, rings, sectors, stripes
-from conformance.scenes.scene import Camera, Object, Pose, Scene, Vector
+from conformance.scenes.scene import Camera, Light, Object, Pose, Scene, Vector
 from conformance.scenes.shapes import Box, Cylinder, Disc, Plane, Sphere
 
 _TILES = Material(Finish((0.78, 0.72, 0.62), 0.45), Finish((0.2, 0.3, 0.34), 0.35), checker(50), wear=noise(70), depth=0.25)
@@ -24,7 +24,7 @@ _BALL = Material(Finish((0.93, 0.91, 0.85), 0.3), Finish((0.08, 0.28, 0.72), 0.3
 _RUBBER = Material(Finish((0.9, 0.42, 0.08), 0.5), Finish((0.16, 0.12, 0.1), 0.6), stripes(16, axis=2, share=0.25))
 _CRATE = Material(Finish((0.16, 0.5, 0.36), 0.5), Finish((0.92, 0.84, 0.5), 0.5), checker(17.6, axes=(0, 1, 2)))
 _MARBLE = Material(Finish((0.86, 0.85, 0.83), 0.3), Finish((0.5, 0.5, 0.54), 0.3), noise(14))
-_BADGE = Material(_TARGET.first, _TARGET.second, rings(4.5))
+_BOARD = Material(Finish((0.16, 0.18, 0.22), 0.8), Finish((0.75, 0.78, 0.8), 0.8), bricks(14, 5, 1.2))
 _BAR = Material(_RUBBER.first, _RUBBER.second, stripes(7, axis=0))
 
 
@@ -80,10 +80,8 @@ _GARDEN = (*_QUIET, *_MOVING)
 
 _TRIPOD = Camera(_still((-40, -520, 155)), _still((-10, 0, 100)))
 _DOLLY = Camera(_line((-75, -520, 150), (3.2, 1.2, 0.25)), _line((-40, 0, 98), (4.2, 0, 0.1)))
-_SIDEWAYS = Camera(_line((-60, -520, 150), (4, 0, 0)), _line((-60, 0, 110), (4, 0, 0)))
 _FORWARD = Camera(_line((0, -560, 150), (1, 14, -1)), _line((0, 400, 100), (4, 14, 0)))
 _FROM_THE_RIGHT = Camera(_line((330, -430, 120), (-2, 0, 0)), _line((-110, 150, 90), (2, 0, 0)))
-_UPWARD = Camera(_still((60, -520, 150)), _line((260, 0, 330), (-9, 0, 0)))
 
 
 def _cut(before: Camera, after: Camera, frame: int) -> Camera:
@@ -95,20 +93,27 @@ def _cut(before: Camera, after: Camera, frame: int) -> Camera:
     return Camera(lambda time: choose(time).position(time), lambda time: choose(time).target(time))
 
 
-def _held(camera: Camera, offset: Vector) -> Callable[[float], Pose]:
-    """A place that goes with the camera."""
+BLINK = 32
+"""Frames for which the cursor of ``interface`` is there, and then as many for which it is not: about half a second each."""
+
+
+def _blinking(at: Vector) -> Callable[[float], Pose]:
+    """A place that is left for one under the ground every ``BLINK`` frames, from frame 8 on."""
 
     def path(frame: float) -> Pose:
-        x, y, z = camera.position(frame)
-        return (x + offset[0], y + offset[1], z + offset[2]), 0.0
+        shown = math.floor((frame - 8) / BLINK) % 2 == 0
+        return (at if shown else (at[0], at[1], -500.0)), 0.0
 
     return path
 
 
-_OVERLAY = (
-    Object("badge", Disc(9), _BADGE, path=_held(_SIDEWAYS, (-38, 100, 10)), casts=False),
-    Object("bar", Box((26, 1, 2.4)), _BAR, path=_held(_SIDEWAYS, (24, 100, -32)), casts=False),
+_LARGE = Object("globe", Sphere(78), _BALL, path=_sway((60, -40, 84), (120, 0, 0), 150, turn=0.02), casts=False)
+_PANEL = (
+    Object("panel", Box((60, 1, 40)), _BOARD, at=(-20, -330, 130), casts=False),
+    Object("cursor", Box((2.2, 1, 7)), _BAR, path=_blinking((25, -334, 140)), casts=False),
 )
+_OVERCAST = replace(Light(), horizon=(0.62, 0.7, 0.82), overcast=True)
+_LOOK_UP = Camera(_line((-60, -520, 150), (4, 0, 0)), _line((-60, 0, 152), (4, 0, 0)))
 
 DEMO = Scene("demo", _DOLLY, _GARDEN)
 SCENES = {
@@ -116,9 +121,9 @@ SCENES = {
     for scene in (
         DEMO,
         Scene("static", _TRIPOD, _QUIET),  # nothing moves
-        Scene("object", _TRIPOD, _GARDEN),  # only objects move
-        Scene("interface", _SIDEWAYS, (*_GARDEN, *_OVERLAY)),  # parts of the picture stay where they are
-        Scene("sky", _UPWARD, _QUIET),  # mostly nothing to hit
+        Scene("object", _TRIPOD, (*_QUIET, _LARGE)),  # a still camera; a tenth of the pixels move
+        Scene("interface", _TRIPOD, (*_QUIET, *_PANEL)),  # a still picture but for a blinking cursor
+        Scene("sky", _LOOK_UP, _GARDEN, _OVERCAST),  # the camera moves; two fifths are a sky of one colour
         Scene("pan", replace(_TRIPOD, target=_line((-120, 0, 100), (9, 0, 0))), _QUIET),  # the camera only turns
         Scene("flythrough", _FORWARD, _GARDEN),  # straight ahead, past the poles
         Scene("cut", _cut(_DOLLY, _FROM_THE_RIGHT, 8), _GARDEN),  # another camera from frame 8

@@ -148,6 +148,7 @@ class Light:
         horizon: colour of the sky at the horizon.
         ground: light that comes from below.
         ambient: share of sky and ground light that reaches a surface.
+        overcast: the sky is seen in one colour, that of the horizon.
     """
 
     toward: Vector = (-0.55, -0.45, 0.72)
@@ -156,6 +157,7 @@ class Light:
     horizon: Color = (0.72, 0.8, 0.88)
     ground: Color = (0.32, 0.28, 0.22)
     ambient: float = 0.42
+    overcast: bool = False
 
     @property
     def direction(self) -> Array:

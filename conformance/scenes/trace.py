@@ -141,6 +141,8 @@ def _column(color: Color) -> Array:
 def sky(light: Light, direction: Array) -> Array:
     """(3, N) the sky along unit directions (3, N): a gradient, soft clouds, and a glow about the sun."""
     height = np.clip(direction[2], 0, 1)
+    if light.overcast:
+        return np.repeat(_column(light.horizon), direction.shape[1], axis=1)
     color = _column(light.horizon) + (_column(light.zenith) - _column(light.horizon)) * np.sqrt(height)
     clouds = np.clip(3 * _CLOUDS(direction / (height + 0.12)) - 1.6, 0, 1) * np.clip(6 * height, 0, 1)
     color = color + (0.95 - color) * (0.7 * clouds)

@@ -137,7 +137,7 @@ def test_ranges(name):
 
 def test_stencil_numbers_the_moving_objects():
     moving = [item.name for item in SCENES["object"].objects if item.path]
-    assert set(np.unique(render(SCENES["object"], 8, 90, 160).stencil)) == set(range(len(moving) + 1))
+    assert set(np.unique(render(SCENES["object"], 8, 90, 160).stencil)) == {0, *range(1, len(moving) + 1)}
     assert not render(SCENES["static"], 8, *SIZE).stencil.any()
 
 

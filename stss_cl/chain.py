@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: MIT
+"""Launches one behind the other, with the buffers between them: what ``stss_cl.layers`` builds the network of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+
+from stss_cl.buffers import Padded, padded
+from stss_cl.changes import ChangedOnly, Maps
+from stss_cl.device import Device
+from stss_cl.launch import FAST_MULTIPLY_ADD, IMAGE_ARGUMENT, Final, Launch, Skip, conv, half
+from stss_cl.packing import pack
+from stss_cl.program import build
+from stss_ref.weights import Weights
+
+
+class Chain:
+    """Launches in order, of which the last one writes an image.
+
+    Args:
+        device: to run on.
+        weights: the 92 tensors.
+        precision: see ``stss_cl.network.PRECISIONS``.
+        height, width: of the largest activations, multiples of 8.
+        keep: every layer keeps what it wrote, with a change map, so that ``run_changed`` can be had.
+    """
+
+    def __init__(self, device: Device, weights: Weights, precision: str, height: int, width: int, keep: bool):
+        self.launches: list[Launch] = []
+        self.keep = keep
+        self._device, self._weights = device, weights
+        self._winograd = precision != "float32-direct"
+        self._dtype = dtype_of(precision)
+        self._height, self._width = height, width
+        self._maps = Maps(device, height, width)
+        self._shared: dict[tuple[str, int], Padded] = {}
+        self._changed: ChangedOnly | None = None
+
+    def ready(self, image: cl.Buffer) -> list[Launch]:
+        """The launches in order, the last of them to write ``image`` (2H, 2W, 3) float32."""
+        last = self.launches[-1]
+        last.kernel.set_arg(IMAGE_ARGUMENT[last.kernel.function_name], image)
+        return self.launches
+
+    def run(self, image: cl.Buffer) -> None:
+        """Enqueue the whole network; ``image`` is complete when the queue has run dry."""
+        for launch in self.ready(image):
+            launch.enqueue(self._device.queue)
+        self._device.queue.flush()
+
+    def run_changed(self, image: cl.Buffer, tolerance: float = 0.0) -> None:
+        """Enqueue what the marks in the change maps of ``inputs`` lead to; the rest of ``image``, the last one made, stays.
+
+        Whoever fills the network's inputs marks the tiles that came to differ since the last run of either kind, and clears the
+        marks behind this one.
+
+        Args:
+            image: as for ``run``.
+            tolerance: a stored value between two layers that is no further than this from the new one stays; 0: the image has
+                the bits of ``run``'s, if all runs since the last of those had 0.
+        """
+        if self._changed is None:
+            self._changed = ChangedOnly(self._device, self.launches, self._maps)
+        self._changed.run(image, tolerance)
+
+    def _padded(self, divisor: int, channels: int) -> Padded:
+        height, width = self._height // divisor, self._width // divisor
+        made = padded(self._device, height, width, channels, self._dtype)
+        return replace(made, changes=self._maps.take(height, width)) if self.keep else made
+
+    def _scratch(self, name: str, divisor: int, channels: int) -> Padded:
+        """Activations that are soon done with: those that were last asked for by this name, but that each is kept if all are."""
+        if self.keep or (name, divisor) not in self._shared:
+            self._shared[name, divisor] = self._padded(divisor, channels)
+        return self._shared[name, divisor]
+
+    def _conv(
+        self,
+        stage: str,
+        name: str,
+        a: Padded,
+        out: Padded,
+        *,
+        b: Padded | None = None,
+        channels: tuple[int, ...] | None = None,
+        stride: int = 1,
+        relu: bool = True,
+        out_first: int = 0,
+        image: int = 0,
+        final: Final | None = None,
+    ) -> Padded:
+        """Append a convolution; ``channels``: how many of each input's are real, where not all."""
+        held = (a,) if b is None else (a, b)
+        real = channels or tuple(x.channels for x in held)
+        packed = pack(self._weights, name, tuple((n, x.channels) for n, x in zip(real, held, strict=True)))
+        launch = conv(
+            self._device, stage, name, packed, a, b, out,
+            out_first=out_first, stride=stride, relu=relu, winograd=self._winograd, image=image, final=final,
+        )  # fmt: skip
+        self.launches.append(launch)
+        return out
+
+    def _kernel(
+        self,
+        stage: str,
+        name: str,
+        file: str,
+        options: dict[str, object],
+        size: tuple[int, ...],
+        *arguments: Any,
+        group: tuple[int, ...] | None = None,
+        maps: tuple[cl.Buffer | None, ...] = (),
+        changed_size: tuple[int, ...] | None = None,
+        bounded: bool = True,
+    ) -> None:
+        """Append any other kernel; whole numbers among the arguments are int32. ``maps``, ``changed_size``: for -D SKIP."""
+        # Interpolation is not contracted: it then has the reference's bits.
+        flags = FAST_MULTIPLY_ADD if file == "erm.cl" else ""
+        options = {**options, "HALF": half(self._dtype)}
+        kernel = cl.Kernel(build(self._device, file, options, flags), name)
+        held = tuple(np.int32(a) if isinstance(a, int) else a for a in arguments)
+        kernel.set_args(*held)
+        changed_group = group
+        if changed_size and self._device.is_cpu:
+            changed_group = 1, 1  # PoCL would take all of so few for one work-group
+        skip = Skip(file, options, flags, changed_size or size, changed_group, maps, bounded) if self.keep else None
+        self.launches.append(Launch(stage, name, kernel, size, group, held, skip))
+
+
+def dtype_of(precision: str) -> np.dtype[Any]:
+    """What activations are stored as."""
+    return np.dtype(np.float16 if precision == "half" else np.float32)

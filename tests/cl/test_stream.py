@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: MIT
+"""A stream of display frames: whatever is kept, the image is that of a frame computed from nothing, bit for bit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stss.prepared import Prepared
+from stss.supersample import plan
+from stss_cl import stream as streaming
+from stss_cl.network import PRECISIONS
+from stss_cl.stream import Stream
+from stss_ref.arrays import ArrayError
+from stss_ref.weights import random as random_weights
+
+CHANGES = ("nothing", "nothing", "pixel", "color", "rectangle", "moving", "everything")
+WEIGHTS = random_weights(3)
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """Display frames, and the windows asked for one after the other, each by its last frame and its length."""
+
+    frames: tuple[Prepared, ...]
+    calls: tuple[tuple[int, int], ...]
+
+
+def first_frame(rng, size, *, rendered):
+    return Prepared(
+        number=0,
+        color=rng.random((*size, 3), np.float32) if rendered else None,
+        motion=np.zeros((*size, 2), np.float32),
+        gbuffer=rng.random((*size, 9), np.float32),
+        nov=rng.random(size, np.float32),
+        stencil=np.zeros(size, np.float32),
+        position=(rng.random((*size, 3), np.float32) * 20).astype(np.float32),
+    )
+
+
+def next_frame(rng, before, color, change, *, rendered):
+    """The frame after ``before``, all of it in new arrays; ``color``: of the last frame that had one."""
+    height, width = before.nov.shape
+    planes = {name: getattr(before, name).copy() for name in ("gbuffer", "nov", "stencil", "position")}
+    color, motion = color.copy(), np.zeros((height, width, 2), np.float32)
+    y, x = int(rng.integers(height)), int(rng.integers(width))
+    where = np.s_[y : y + 1, x : x + 1] if change == "pixel" else np.s_[y : y + int(rng.integers(1, 9)), x : x + int(rng.integers(1, 9))]
+    where = np.s_[:, :] if change == "everything" else where
+    if change != "nothing":
+        color[where] = rng.random(color[where].shape, np.float32)
+    if change in {"pixel", "rectangle", "everything"}:
+        name = str(rng.choice(list(planes)))
+        planes[name][where] = rng.integers(0, 3, planes[name][where].shape) if name == "stencil" else rng.random(planes[name][where].shape)
+    if change in {"moving", "everything"}:
+        motion[where] = rng.normal(0, 2, motion[where].shape)
+        planes["stencil"][where] = 1
+    return Prepared(before.number + 1, color if rendered else None, motion, **planes), color
+
+
+@st.composite
+def sequences(draw):
+    size = draw(st.tuples(st.integers(1, 30), st.integers(1, 44)))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    made = first_frame(rng, size, rendered=True)
+    frames, color = [made], made.color
+    for i, change in enumerate(draw(st.lists(st.sampled_from(CHANGES), min_size=4, max_size=12)), start=1):
+        made, color = next_frame(rng, made, color, change, rendered=i % 2 == 0)
+        frames.append(made)
+    calls = [(i, 6) for i in range(len(frames))]
+    odd = draw(st.lists(st.tuples(st.integers(0, len(frames) - 1), st.integers(1, 6), st.integers(0, len(frames))), max_size=3))
+    for last, length, where in odd:  # out of turn, repeated, or with the beginning cut off
+        calls.insert(where, (last, length))
+    return Sequence(tuple(frames), tuple(calls))
+
+
+def windows(sequence):
+    """(window, steps) of every call that can be answered."""
+    for last, length in sequence.calls:
+        window = sequence.frames[max(0, last - length + 1) : last + 1]
+        planned = plan(window)
+        if planned is not None:
+            yield window, planned.steps
+
+
+def assert_same(got, want):
+    np.testing.assert_array_equal(got[0].view(np.uint32), want[0].view(np.uint32))
+    np.testing.assert_array_equal(got[1], want[1])
+
+
+@pytest.fixture(scope="module", params=PRECISIONS)
+def pair(request, device):
+    """What keeps nothing, and what keeps all it can."""
+    return tuple(Stream(WEIGHTS, device, request.param, skip=skip) for skip in ("off", "exact"))
+
+
+@settings(max_examples=25)
+@given(sequence=sequences())
+def test_what_is_kept_changes_no_bit(pair, sequence):
+    plain, keeping = pair
+    for window, steps in windows(sequence):
+        assert_same(keeping(window, steps), plain(window, steps))
+
+
+@settings(max_examples=10)
+@given(sequence=sequences())
+def test_an_image_in_somebodys_hands_stays_as_it_is(pair, sequence):
+    """The next image may be written over the last one only where nobody has that any more."""
+    _, keeping = pair
+    held = []
+    for window, steps in windows(sequence):
+        image, valid = keeping(window, steps)
+        held.append((image, image.copy(), valid, valid.copy()))
+    for image, copy, valid, valid_copy in held:
+        np.testing.assert_array_equal(image, copy)
+        np.testing.assert_array_equal(valid, valid_copy)
+        assert not image.flags.writeable
+
+
+def still(count, size=(16, 24)):
+    rng = np.random.default_rng(1)
+    made = first_frame(rng, size, rendered=True)
+    frames, color = [made], made.color
+    for i in range(1, count):
+        made, color = next_frame(rng, made, color, "nothing", rendered=i % 2 == 0)
+        frames.append(made)
+    return frames
+
+
+def test_a_frame_in_which_nothing_changed_costs_a_comparison(device):
+    keeping, frames = Stream(WEIGHTS, device), still(12)
+    for i in range(12):
+        window = frames[max(0, i - 5) : i + 1]
+        keeping(window, plan(window).steps)
+        # At first older frames are missing, which SF and EF each must see gone.
+        assert i < 7 or (keeping.report.network, keeping.report.prepared) == ("none", 0)
+
+
+def test_where_all_changes_nothing_is_looked_for_after_a_while(device, monkeypatch):
+    monkeypatch.setattr(streaming, "REST", 3)
+    rng, frames = np.random.default_rng(2), still(1)
+    color, keeping, plain = frames[0].color, Stream(WEIGHTS, device), Stream(WEIGHTS, device, skip="off")
+    for i in range(1, 30):
+        made, color = next_frame(rng, frames[-1], color, "everything", rendered=i % 2 == 0)
+        frames.append(made)
+    for i in range(30):
+        window = frames[max(0, i - 5) : i + 1]
+        steps = plan(window).steps
+        assert_same(keeping(window, steps), plain(window, steps))
+        assert keeping.report.network == "whole"
+
+
+def test_a_change_that_is_not_seen_would_show(device, monkeypatch):
+    """The fault planted: a map that says nothing changed."""
+    frames = still(10)
+    color = frames[8].color + np.float32(0.5)
+    frames[8] = replace(frames[8], color=color)
+    keeping, plain = Stream(WEIGHTS, device), Stream(WEIGHTS, device, skip="off")
+    for i in range(8):
+        window = frames[max(0, i - 5) : i + 1]
+        keeping(window, plan(window).steps)
+    monkeypatch.setattr(
+        "stss_cl.arrivals.Arrivals.color_changed", lambda self, now, before: np.zeros((-(-16 // 4), -(-24 // 4)), np.bool_)
+    )
+    with pytest.raises(AssertionError):
+        assert_same(keeping(frames[3:9], (0, 2, 4)), plain(frames[3:9], (0, 2, 4)))
+
+
+def test_bounded_stays_within_a_little_of_the_whole(device):
+    """Tolerance 0 is exact; a small one departs by little, and by nothing where nothing changed."""
+    frames, plain = still(8), Stream(WEIGHTS, device, skip="off")
+    loose = Stream(WEIGHTS, device, skip="bounded", max_error=1e-3)
+    for i in range(8):
+        window = frames[max(0, i - 5) : i + 1]
+        steps = plan(window).steps
+        assert np.abs(loose(window, steps)[0] - plain(window, steps)[0]).max() < 1e-3
+
+
+def test_mistakes_name_what_is_wrong(device):
+    frames, made = still(6), Stream(WEIGHTS, device)
+    with pytest.raises(ArrayError, match="window: expected the 5 frames that the steps lead to, got 2"):
+        made(frames[:2], (0, 2, 4))
+    with pytest.raises(ArrayError, match="window: expected a colour 1, 3, 5 frames back"):
+        made([replace(frame, color=None) for frame in frames], (1, 3, 5))
+    broken = frames[4].gbuffer.copy()
+    broken[3, 4, 5] = np.nan
+    with pytest.raises(ArrayError, match="gbuffer"):
+        made([*frames[:4], replace(frames[4], gbuffer=broken)], (0, 2, 4))
+    plain = Stream(WEIGHTS, device, skip="off")
+    assert_same(made(frames[:5], (0, 2, 4)), plain(frames[:5], (0, 2, 4)))
