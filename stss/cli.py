@@ -25,7 +25,7 @@ from stss.color import TRANSFERS
 from stss.engine import Engine
 from stss.errors import InputError
 from stss.methods import METHODS, NETWORK
-from stss.options import PATH, FrameRange, backend_options, perceptual_options, sequence_options, skip_options
+from stss.options import PATH, FrameRange, backend_options, perceptual_options, sequence_options, skip_options, weights_option
 from stss.run import FrameReport, RunOptions, Summary
 from stss.run import run as run_sequence
 from stss.sequence import open_sequence
@@ -48,7 +48,7 @@ def stss() -> None:
 @click.argument("sequence", type=PATH)
 @click.option("-o", "--out", type=PATH, required=True, help="Folder for the frames.")
 @sequence_options
-@click.option("--weights", default="bilinear", show_default=True, help="A .safetensors file, or bilinear: no network.")
+@weights_option
 @click.option(
     "--method",
     type=click.Choice([NETWORK, *METHODS]),
@@ -151,7 +151,7 @@ def compare(out: Path, truth: Path, as_json: bool, **chosen: Any) -> None:
 
 @stss.command()
 @click.argument("out", type=PATH, default=Path("demo"))
-@click.option("--weights", default="bilinear", show_default=True, help="A .safetensors file, or bilinear: no network.")
+@weights_option
 @backend_options
 @click.option("--overwrite", is_flag=True, help="Replace an earlier demo.")
 def demo(out: Path, weights: str, overwrite: bool, **chosen: Any) -> None:

@@ -71,6 +71,11 @@ def tune(device: str | None, size: tuple[int, int], show: bool) -> None:
 @click.option("--device", help="Part of the name of the OpenCL device.")
 @click.option("--json", "json_file", type=PATH, help="File for every single time, versions and machine.")
 @click.option("--plot", type=PATH, help="File for a picture: .png, .svg or .pdf.")
+@click.option(
+    "--pareto", is_flag=True, help="Time against error instead: every precision and skip mode, on the canonical scenes."
+)
+@click.option("--scenes", type=Names(), help="With --pareto  [default: all]")
+@click.option("--frames", type=click.IntRange(10), default=20, show_default=True, help="With --pareto: of each scene.")
 def bench_command(
     sizes: tuple[tuple[int, int], ...],
     repeat: int,
@@ -80,6 +85,9 @@ def bench_command(
     device: str | None,
     json_file: Path | None,
     plot: Path | None,
+    pareto: bool,
+    scenes: tuple[str, ...] | None,
+    frames: int,
 ) -> None:
     """Time the network here and by other engines, and their distance from the float64 reference."""
     from stss import bench_report
@@ -91,14 +99,14 @@ def bench_command(
     tensors = random_weights(0) if weights is None else load(weights).weights
     threads = available_threads()
     console = Console(stderr=True)
+    setups = [Setup(tensors, *size, device=device, threads=threads) for size in sizes]
+    if pareto:
+        from stss.pareto_report import bench_pareto
+
+        bench_pareto(setups, scenes, frames, peers, repeat, console, json_file, plot)
+        return
     with console.status("") as status:
-        results = run_bench(
-            [Setup(tensors, *size, device=device, threads=threads) for size in sizes],
-            default_ours() if ours is None else ours,
-            peers,
-            repeat,
-            on_step=status.update,
-        )
+        results = run_bench(setups, default_ours() if ours is None else ours, peers, repeat, on_step=status.update)
     bench_report.print_results(results, Console())
     if json_file is not None:
         bench_report.write_json(json_file, results, identity(tensors), threads)

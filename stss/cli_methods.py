@@ -10,7 +10,7 @@ import click
 from rich.console import Console
 
 from stss.color import TRANSFERS
-from stss.options import PATH, FrameRange, Names, backend_options, perceptual_options, sequence_options
+from stss.options import PATH, FrameRange, Names, backend_options, perceptual_options, sequence_options, weights_option
 from stss.sequence import open_sequence
 
 
@@ -19,7 +19,7 @@ from stss.sequence import open_sequence
 @click.argument("truth", type=PATH)
 @click.option("-o", "--out", type=PATH, required=True, help="Folder for a folder of each method, and for sheet.png.")
 @sequence_options
-@click.option("--weights", default="bilinear", show_default=True, help="The network's; with bilinear it is left out.")
+@weights_option
 @click.option("--methods", type=Names(), default=(), help="Which, such as bilinear,taau,network  [default: all]")
 @backend_options
 @click.option("--rendered", type=click.Choice(["even", "odd", "all"]), help="As for stss run.")

@@ -20,7 +20,7 @@ from stss.errors import InputError
 from stss.images import read_rgb, write_channels, write_rgb
 from stss.run import RunOptions, frame_path, run
 from stss.sequence import open_sequence
-from stss.weights import BILINEAR, load
+from stss.weights import BILINEAR, DEFAULT, load
 from stss_ref.arrays import Array, Plane
 
 FRAMES = 16
@@ -52,7 +52,7 @@ _MAGNIFIED = 4
 def demo(
     out: Path,
     *,
-    weights: str = "bilinear",
+    weights: str = DEFAULT,
     backend: str = "cl",
     device: str | None = None,
     precision: str = "float32",

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import click
 
 from stss.backends import BACKENDS, PRECISIONS, SKIPS
+from stss.weights import DEFAULT
 
 PATH = click.Path(path_type=Path)
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -72,6 +73,14 @@ def backend_options(command: Command) -> Command:
     for option in reversed(options):
         command = option(command)
     return command
+
+
+weights_option = click.option(
+    "--weights",
+    default=DEFAULT,
+    show_default=True,
+    help="A .safetensors file, those that come with stss, or bilinear: no network.",
+)
 
 
 class Deviation(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]

@@ -23,6 +23,8 @@ from stss_ref.arrays import Array, Image
 from stss_ref.frame import FrameInputs, frame
 from stss_ref.weights import Weights, astype
 
+CANONICAL = ("static", "interface", "object", "sky", "cut", "pan", "flythrough")
+"""The scenes, the stillest first."""
 WARM = 8
 """Display frames before the first timed one: histories are full, kernels built."""
 JUDGED = 2

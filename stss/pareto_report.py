@@ -13,17 +13,63 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from stss.bench import Row
+from stss.bench import Row, bench
 from stss.bench_report import PACKAGES, cpu_model
 from stss.errors import InputError
 from stss.optional import require, versions
-from stss.pareto import Point, frontier
+from stss.pareto import CANONICAL, SETTINGS, Point, frontier, measure
+from stss.peers import Setup
 from stss.version import VERSION
+from stss.weights import identity
+from stss_cl.device import open_device
 
 FORMAT = 1
 """Raised when a field of the JSON changes its meaning."""
 LEAST = 1e-8
 """Errors of 0 are drawn here: the axis is logarithmic."""
+
+
+def bench_pareto(
+    setups: Sequence[Setup],
+    scenes: Sequence[str] | None,
+    frames: int,
+    peers: Sequence[str],
+    repeat: int,
+    console: Console,
+    json_file: Path | None,
+    picture: Path | None,
+) -> None:
+    """``stss bench --pareto``: measure, print, write.
+
+    Args:
+        setups: one: weights, size and device.
+        scenes: names of canonical scenes; None: all.
+        frames: display frames of each.
+        peers: engines to time as well, as far as they are there.
+        repeat: runs of each of them.
+        console: for progress.
+        json_file, picture: to write to, if any.
+
+    Raises:
+        InputError: there are several sizes, or a name is unknown.
+    """
+    if len(setups) != 1:
+        raise InputError(f"--pareto: expected one --size, got {len(setups)}")
+    setup, size = setups[0], (setups[0].height, setups[0].width)
+    points: list[Point] = []
+    with console.status("") as status:
+        others = [result.rows for result in bench(setups, (), peers, repeat, on_step=status.update)] if peers else []
+        device = open_device(setup.device)
+        for point in measure(setup.weights, device, scenes or tuple(CANONICAL), SETTINGS, size, frames, on_step=status.update):
+            points.append(point)
+            if point.setting == SETTINGS[-1]:
+                print_points([p for p in points if p.scene == point.scene], (), Console())
+    rows = [row for group in others for row in group]
+    print_points((), rows, Console())
+    if json_file is not None:
+        write_json(json_file, points, rows, identity(setup.weights), size)
+    if picture is not None:
+        plot(points, rows, picture)
 
 
 def print_points(points: Sequence[Point], peers: Sequence[Row], console: Console) -> None:

@@ -23,6 +23,9 @@ from stss_ref.weights import TENSORS, Weights, WeightsError, check, require_name
 
 BILINEAR = "bilinear"
 """Name of the method without a network: `zeros`."""
+DEFAULT = "default"
+"""Name of the weights that come with the program (docs/model-card.md)."""
+_DEFAULT_FILE = Path(__file__).with_name("data") / "default.safetensors"
 VERSION_KEY = "stss_weights_version"
 VERSION = "1"
 MAX_BYTES = 64 * 2**20
@@ -55,7 +58,7 @@ def identity(weights: Weights) -> str:
 
 
 def load(source: str | Path) -> LoadedWeights:
-    """Weights of a ``.safetensors`` file, or of the name ``bilinear``.
+    """Weights of a ``.safetensors`` file, or of the names ``default`` and ``bilinear``.
 
     Raises:
         InputError: the file can't be read or is of another format.
@@ -64,7 +67,7 @@ def load(source: str | Path) -> LoadedWeights:
     if str(source) == BILINEAR:
         weights, metadata = zeros(), dict[str, str]()
     else:
-        path = Path(source)
+        path = _DEFAULT_FILE if str(source) == DEFAULT else Path(source)
         _require_file(path)
         weights, metadata = _read(path)
     return LoadedWeights(weights, str(source), identity(weights), metadata)
@@ -74,7 +77,7 @@ def _require_file(path: Path) -> None:
     if path.suffix.lower() in {".pkl", ".pth", ".pt"}:
         raise InputError(f"{path}: a PyTorch checkpoint; convert it first: stss weights import")
     if path.suffix.lower() != ".safetensors":
-        raise InputError(f"{path}: expected a .safetensors file or the name {BILINEAR}")
+        raise InputError(f"{path}: expected a .safetensors file or one of the names {DEFAULT}, {BILINEAR}")
     try:
         size = path.stat().st_size
     except OSError as error:

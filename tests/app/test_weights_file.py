@@ -95,7 +95,7 @@ def test_a_checkpoint_is_sent_to_import(tmp_path: Path, suffix: str):
     [
         ("missing.safetensors", "No such file"),
         ("folder.safetensors", "not a file"),
-        ("bicubic", "expected a .safetensors file or the name bilinear"),
+        ("bicubic", "expected a .safetensors file or one of the names default, bilinear"),
     ],
 )
 def test_what_is_no_weights_file_is_named(tmp_path: Path, name: str, message: str):
@@ -239,3 +239,10 @@ def test_the_authors_weights_survive_the_conversion(reference_data: Path, path: 
     weights = read_checkpoint(reference_data / "checkpoints" / f"{scene}.pkl")
     save(path, weights, {"scene": scene})
     assert _same(load(path).weights, weights)
+
+
+def test_the_weights_that_come_with_the_program():
+    """They are there, are no zero residual, and say where they are from."""
+    loaded = load("default")
+    assert loaded.weights["outc.weight"].any()
+    assert {"settings", "steps"} <= set(loaded.metadata)
