@@ -48,6 +48,9 @@
     }
 
 // PIXELS pixels from (y, x0) on, BLOCK eights of channels from `block` on.
+#if defined(SKIP) && defined(HALF)
+__attribute__((noinline))  // inlined into the loop over what changed it takes PoCL half as long again
+#endif
 static inline void compute(global const stored *restrict a, global const stored *restrict b, global const float8 *restrict weight,
                            global const float8 *restrict gate_weight, global const float8 *restrict bias, const float gate_bias,
                            global stored *restrict out, const int width, const int in_columns, const int out_columns,

@@ -75,6 +75,11 @@ def tune(device: str | None, size: tuple[int, int], show: bool) -> None:
     "--pareto", is_flag=True, help="Time against error instead: every precision and skip mode, on the canonical scenes."
 )
 @click.option("--scenes", type=Names(), help="With --pareto  [default: all]")
+@click.option(
+    "--settings",
+    type=Names(),
+    help="With --pareto: those whose names contain one of these, such as float32,2/255  [default: all]",
+)
 @click.option("--frames", type=click.IntRange(10), default=20, show_default=True, help="With --pareto: of each scene.")
 def bench_command(
     sizes: tuple[tuple[int, int], ...],
@@ -87,6 +92,7 @@ def bench_command(
     plot: Path | None,
     pareto: bool,
     scenes: tuple[str, ...] | None,
+    settings: tuple[str, ...] | None,
     frames: int,
 ) -> None:
     """Time the network here and by other engines, and their distance from the float64 reference."""
@@ -101,9 +107,10 @@ def bench_command(
     console = Console(stderr=True)
     setups = [Setup(tensors, *size, device=device, threads=threads) for size in sizes]
     if pareto:
+        from stss.pareto import chosen_settings
         from stss.pareto_report import bench_pareto
 
-        bench_pareto(setups, scenes, frames, peers, repeat, console, json_file, plot)
+        bench_pareto(setups, scenes, chosen_settings(settings), frames, peers, repeat, console, json_file, plot)
         return
     with console.status("") as status:
         results = run_bench(setups, default_ours() if ours is None else ours, peers, repeat, on_step=status.update)

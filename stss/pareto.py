@@ -59,6 +59,18 @@ SETTINGS = (
 FULL = SETTINGS[0]
 
 
+def chosen_settings(words: Sequence[str] | None) -> tuple[Setting, ...]:
+    """Those of `SETTINGS` whose names contain one of ``words``; None: all.
+
+    Raises:
+        InputError: there are none.
+    """
+    chosen = tuple(s for s in SETTINGS if words is None or any(word in s.name for word in words))
+    if not chosen:
+        raise InputError(f"--settings: expected parts of {', '.join(s.name for s in SETTINGS)}, got {', '.join(words or ())}")
+    return chosen
+
+
 @dataclass(frozen=True)
 class Point:
     """What a setting does on a scene.

@@ -17,7 +17,7 @@ from stss.bench import Row, bench
 from stss.bench_report import PACKAGES, cpu_model
 from stss.errors import InputError
 from stss.optional import require, versions
-from stss.pareto import CANONICAL, SETTINGS, Point, frontier, measure
+from stss.pareto import CANONICAL, Point, Setting, frontier, measure
 from stss.peers import Setup
 from stss.version import VERSION
 from stss.weights import identity
@@ -32,6 +32,7 @@ LEAST = 1e-8
 def bench_pareto(
     setups: Sequence[Setup],
     scenes: Sequence[str] | None,
+    settings: Sequence[Setting],
     frames: int,
     peers: Sequence[str],
     repeat: int,
@@ -44,6 +45,7 @@ def bench_pareto(
     Args:
         setups: one: weights, size and device.
         scenes: names of canonical scenes; None: all.
+        settings: what to measure.
         frames: display frames of each.
         peers: engines to time as well, as far as they are there.
         repeat: runs of each of them.
@@ -60,9 +62,9 @@ def bench_pareto(
     with console.status("") as status:
         others = [result.rows for result in bench(setups, (), peers, repeat, on_step=status.update)] if peers else []
         device = open_device(setup.device)
-        for point in measure(setup.weights, device, scenes or tuple(CANONICAL), SETTINGS, size, frames, on_step=status.update):
+        for point in measure(setup.weights, device, scenes or CANONICAL, settings, size, frames, on_step=status.update):
             points.append(point)
-            if point.setting == SETTINGS[-1]:
+            if point.setting == settings[-1]:
                 print_points([p for p in points if p.scene == point.scene], (), Console())
     rows = [row for group in others for row in group]
     print_points((), rows, Console())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The OpenCL backend: ``Network`` and ``Frame``."""
+"""The OpenCL backend: ``Network``, ``Frame`` and ``Stream``."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from stss_cl.frame import Frame
     from stss_cl.network import Network
+    from stss_cl.stream import Stream
 
-__all__ = ["Frame", "Network"]
+__all__ = ["Frame", "Network", "Stream"]
 
 
 def __getattr__(name: str) -> Any:

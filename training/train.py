@@ -22,11 +22,11 @@ from training.checkpoint import State
 from training.command import command
 from training.data import Batches, Shard, load_shards
 from training.loss import loss, structure
-from training.network import Network, initialise, load_weights, to_weights
+from training.network import Network, hold_gates, initialise, load_weights, to_weights
 from training.plot import plot
 from training.validate import Means, bilinear, evaluating, tensors, validate
 
-CLIP = 1.0
+CLIP = 0.3
 """Largest norm of a step's gradient."""
 AVERAGE = 0.999
 """Share of the running mean that a step leaves, once there are enough steps."""
@@ -76,6 +76,7 @@ def start(settings: Settings, device: torch.device, initial: str | None = None) 
         initialise(network, settings.seed)
     else:
         load_weights(network, load(initial).weights)
+    hold_gates(network)
     network.to(device).to(memory_format=torch.channels_last)
     average = {name: t.detach().clone() for name, t in network.named_parameters()}
     optimiser = torch.optim.Adam(network.parameters(), settings.rate, betas=(0.9, 0.999), eps=1e-7, fused=True)

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: MIT
+"""The choice of a setting by its time, and what options go together."""
+
+from __future__ import annotations
+
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from conformance.scenes import SCENES
+from stss import budget
+from stss.backends import ReferenceBackend
+from stss.budget import SETTINGS, choose
+from stss.engine import Engine
+from stss.errors import InputError
+from stss.pareto import frontier
+from stss.scene_frames import display_frames, truth
+from stss.weights import BILINEAR, load
+
+
+class Sleeper:
+    """A backend whose frames take so long."""
+
+    def __init__(self, seconds):
+        self._seconds = seconds
+
+    def compute(self, window, steps):
+        time.sleep(self._seconds)
+        return np.zeros((2, 2, 3), np.float32), np.ones((1, 1), bool)
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return list(display_frames(SCENES["static"], (8, 8), budget.WARM + 3))
+
+
+def make(times):
+    """A backend for each setting, that takes the time of its place."""
+    return lambda setting: Sleeper(times[SETTINGS.index(setting)])
+
+
+def test_the_most_accurate_that_keeps_the_time_is_taken(frames):
+    told = []
+    setting, _ = choose(frames, 0.02, make([0.05, 0.05, 0, 0, 0, 0]), told.append)
+    assert setting == SETTINGS[2]
+    assert "--precision float32 --skip bounded --max-error 1/255" in told[-1]
+
+
+def test_where_none_keeps_it_the_fastest_is_taken_and_said(frames):
+    told = []
+    setting, _ = choose(frames, 1e-4, make([0.03, 0.03, 0.002, 0.03, 0.03, 0.03]), told.append)
+    assert setting == SETTINGS[2]
+    assert told[-1].startswith("no setting keeps within 0.1 ms")
+
+
+def test_too_few_frames_are_said(frames):
+    with pytest.raises(InputError, match="--budget: expected more than 8 frames in a row"):
+        choose(frames[:4], 1, make([0] * 6), print)
+
+
+@pytest.mark.parametrize(
+    ("chosen", "words"),
+    [
+        ({"budget": 0.04, "skip": "exact"}, "--budget: expected neither --skip"),
+        ({"max_error": 0.01, "skip": "exact"}, "--max-error: expected --skip bounded, got exact"),
+        ({"skip": "bounded"}, "--skip bounded: expected --max-error"),
+        ({"skip": "exact", "backend": "ref"}, "expected the network on the backend cl"),
+    ],
+)
+def test_options_that_do_not_go_together(chosen, words):
+    backend = chosen.pop("backend", "cl")
+    engine = Engine("network", load(BILINEAR), backend, None, "float32", None)
+    options = {"skip": None, "max_error": None, "budget": None} | chosen
+    with pytest.raises(InputError, match=words):
+        engine.open(**options, sequence=SimpleNamespace(), options=SimpleNamespace(), tell=print)
+
+
+def test_the_reference_needs_none_of_them():
+    engine = Engine("network", load(BILINEAR), "ref", None, "float32", None)
+    backend, _ = engine.open(None, None, None, SimpleNamespace(), SimpleNamespace(), print)
+    assert isinstance(backend, ReferenceBackend)
+
+
+def test_frontier():
+    """By hand: what another one beats in both is out."""
+    assert frontier([(3, 1), (1, 5), (2, 2), (2.5, 4), (4, 1)]) == [1, 2, 0]
+    assert frontier([]) == []
+
+
+def test_scene_frames_alternate_and_have_a_truth(frames):
+    assert [frame.color is not None for frame in frames[:4]] == [True, False, True, False]
+    assert truth(SCENES["static"], (8, 8), 0).shape == (16, 16, 3)
