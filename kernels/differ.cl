@@ -11,58 +11,55 @@
 //  bad              out  (arrays)     set to 1 if a value of gbuffer (1), nov (2) or stencil (3) is not finite; the caller clears it
 //
 // differ_color: the same for two colours (H, W, 3), without `bad`.
-// Launch (ceil(ceil(W / 4) / SPAN), ceil(H / 4)).
-#define SPAN 8
+// Build -D SPAN=tiles of a work-item.  Launch (ceil(ceil(W / 4) / SPAN), ceil(H / 4)).
+#ifndef SPAN
+#error "differ.cl needs -D SPAN=tiles of a work-item"
+#endif
 typedef uint8 uint8_anywhere __attribute__((aligned(4)));
-typedef uint4 uint4_anywhere __attribute__((aligned(4)));
 
 #define EXPONENT 0x7f800000u
 
-static inline uint any4(const uint4 v)
+static inline uint any8(const uint8 v)
 {
-    const uint2 two = v.lo | v.hi;
+    const uint4 four = v.lo | v.hi;
+    const uint2 two = four.lo | four.hi;
     return two.x | two.y;
 }
 
-// Bits in which `count` values, a multiple of 4, differ.
+// Bits in which `count` values differ; eight at a time: the compiler makes no vectors of a loop it may not read ahead in.
 static inline uint bits(global const uint *a, global const uint *b, const int count)
 {
-    uint4 differ = 0;
-    for (int i = 0; i < count; i += 4) differ |= *(global const uint4_anywhere *)(a + i) ^ *(global const uint4_anywhere *)(b + i);
-    return any4(differ);
+    uint8 differ = 0;
+    uint rest = 0;
+    int i = 0;
+    for (; i + 8 <= count; i += 8) differ |= *(global const uint8_anywhere *)(a + i) ^ *(global const uint8_anywhere *)(b + i);
+    for (; i < count; ++i) rest |= a[i] ^ b[i];
+    return any8(differ) | rest;
 }
 
-// Whether one of `count` values, a multiple of 4, is NaN or an infinity.
+// Whether one of `count` values is NaN or an infinity.
 static inline uint not_finite(global const uint *a, const int count)
 {
-    uint4 found = 0;
-    for (int i = 0; i < count; i += 4) {
-        const uint4 v = *(global const uint4_anywhere *)(a + i) & EXPONENT;
-        found |= as_uint4(v == (uint4)(EXPONENT));
+    uint8 found = 0;
+    uint rest = 0;
+    int i = 0;
+    for (; i + 8 <= count; i += 8)
+        found |= as_uint8((*(global const uint8_anywhere *)(a + i) & EXPONENT) == (uint8)(EXPONENT));
+    for (; i < count; ++i) rest |= (a[i] & EXPONENT) == EXPONENT;
+    return any8(found) | rest;
+}
+
+// The tiles of a row of `floats` values a pixel, one array after the other: few streams at a time are what a processor fetches ahead.
+static inline uint compare(global const uint *now, global const uint *before, const int floats, const int row, const int first,
+                           const int last, const int width, uint *seen, const bool finite)
+{
+    uint bad = 0;
+    for (int t = first; t < last; ++t) {
+        const int pixels = min(4, width - 4 * t), at = (row * width + 4 * t) * floats;
+        if (finite) bad |= not_finite(now + at, pixels * floats);
+        if (!seen[t - first]) seen[t - first] = bits(now + at, before + at, pixels * floats);
     }
-    return any4(found);
-}
-
-// The same for any count.
-static inline uint bits_few(global const uint *a, global const uint *b, const int count)
-{
-    uint differ = 0;
-    for (int i = 0; i < count; ++i) differ |= a[i] ^ b[i];
-    return differ;
-}
-
-static inline uint not_finite_few(global const uint *a, const int count)
-{
-    uint found = 0;
-    for (int i = 0; i < count; ++i) found |= (a[i] & EXPONENT) == EXPONENT;
-    return found;
-}
-
-static inline uint moves(global const uint *motion, const int pixels)
-{
-    uint found = 0;
-    for (int i = 0; i < 2 * pixels; ++i) found |= motion[i] << 1;  // -0 does not move
-    return found;
+    return bad;
 }
 
 kernel void differ(global const uint *restrict motion, global const uint *restrict gbuffer, global const uint *restrict nov,
@@ -71,32 +68,20 @@ kernel void differ(global const uint *restrict motion, global const uint *restri
                    global const uint *restrict position_before, global uchar *restrict changed, global int *restrict bad,
                    const int height, const int width)
 {
-    const int columns = (width + 3) / 4, first = get_global_id(0) * SPAN, row = get_global_id(1);
+    const int columns = (width + 3) / 4, first = get_global_id(0) * SPAN, last = min(first + SPAN, columns), y = 4 * get_global_id(1);
     uint seen[SPAN];
     uint g_bad = 0, n_bad = 0, s_bad = 0;
-    for (int t = 0; t < SPAN; ++t) seen[t] = 0;
-    for (int y = 4 * row; y < 4 * row + 4 && y < height; ++y)
-        for (int t = 0; t < SPAN && first + t < columns; ++t) {
-            const int x = 4 * (first + t), p = y * width + x;
-            if (x + 4 <= width) {
-                g_bad |= not_finite(gbuffer + 9 * p, 36);
-                n_bad |= not_finite(nov + p, 4);
-                s_bad |= not_finite(stencil + p, 4);
-                if (!seen[t])
-                    seen[t] = moves(motion + 2 * p, 4) || bits(gbuffer + 9 * p, gbuffer_before + 9 * p, 36) ||
-                              bits(nov + p, nov_before + p, 4) || bits(stencil + p, stencil_before + p, 4) ||
-                              bits(position + 3 * p, position_before + 3 * p, 12);
-            } else {
-                const int n = width - x;
-                g_bad |= not_finite_few(gbuffer + 9 * p, 9 * n);
-                n_bad |= not_finite_few(nov + p, n);
-                s_bad |= not_finite_few(stencil + p, n);
-                seen[t] |= moves(motion + 2 * p, n) | bits_few(gbuffer + 9 * p, gbuffer_before + 9 * p, 9 * n) |
-                           bits_few(nov + p, nov_before + p, n) | bits_few(stencil + p, stencil_before + p, n) |
-                           bits_few(position + 3 * p, position_before + 3 * p, 3 * n);
-            }
-        }
-    for (int t = 0; t < SPAN && first + t < columns; ++t) changed[row * columns + first + t] = seen[t] != 0;
+    for (int t = first; t < last; ++t) seen[t - first] = 0;
+    for (int row = y; row < y + 4 && row < height; ++row)
+        for (int t = first; t < last; ++t)
+            for (int i = 8 * t; i < 8 * t + 8 && i < 2 * width; ++i) seen[t - first] |= motion[2 * row * width + i] << 1;  // -0 is still
+    for (int row = y; row < y + 4 && row < height; ++row) {
+        g_bad |= compare(gbuffer, gbuffer_before, 9, row, first, last, width, seen, true);
+        compare(position, position_before, 3, row, first, last, width, seen, false);
+        n_bad |= compare(nov, nov_before, 1, row, first, last, width, seen, true);
+        s_bad |= compare(stencil, stencil_before, 1, row, first, last, width, seen, true);
+    }
+    for (int t = first; t < last; ++t) changed[get_global_id(1) * columns + t] = seen[t - first] != 0;
     if (g_bad) atomic_or(bad + 1, 1);
     if (n_bad) atomic_or(bad + 2, 1);
     if (s_bad) atomic_or(bad + 3, 1);
@@ -105,13 +90,9 @@ kernel void differ(global const uint *restrict motion, global const uint *restri
 kernel void differ_color(global const uint *restrict color, global const uint *restrict before, global uchar *restrict changed,
                          const int height, const int width)
 {
-    const int columns = (width + 3) / 4, first = get_global_id(0) * SPAN, row = get_global_id(1);
+    const int columns = (width + 3) / 4, first = get_global_id(0) * SPAN, last = min(first + SPAN, columns), y = 4 * get_global_id(1);
     uint seen[SPAN];
-    for (int t = 0; t < SPAN; ++t) seen[t] = 0;
-    for (int y = 4 * row; y < 4 * row + 4 && y < height; ++y)
-        for (int t = 0; t < SPAN && first + t < columns; ++t) {
-            const int x = 4 * (first + t), p = 3 * (y * width + x);
-            seen[t] |= x + 4 <= width ? bits(color + p, before + p, 12) : bits_few(color + p, before + p, 3 * (width - x));
-        }
-    for (int t = 0; t < SPAN && first + t < columns; ++t) changed[row * columns + first + t] = seen[t] != 0;
+    for (int t = first; t < last; ++t) seen[t - first] = 0;
+    for (int row = y; row < y + 4 && row < height; ++row) compare(color, before, 3, row, first, last, width, seen, false);
+    for (int t = first; t < last; ++t) changed[get_global_id(1) * columns + t] = seen[t - first] != 0;
 }

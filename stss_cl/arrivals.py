@@ -19,7 +19,7 @@ from stss_ref.arrays import Array, require_finite
 
 Tiles = NDArray[np.bool_]
 """(ceil(H / 4), ceil(W / 4)): True where something changed in a tile of 4 x 4 pixels."""
-SPAN = 8
+SPAN = 256
 """Tiles of a work-item of differ.cl."""
 SCANNERS = 64
 HELD = 9
@@ -77,7 +77,7 @@ class Arrivals:
 
     def __init__(self, device: Device, height: int, width: int):
         self._device, self.size = device, (height, width)
-        program = build(device, "differ.cl")
+        program = build(device, "differ.cl", {"SPAN": SPAN})
         self._differ, self._differ_color = cl.Kernel(program, "differ"), cl.Kernel(program, "differ_color")
         self._finite = cl.Kernel(build(device, "finite.cl"), "finite")
         self._shape = -(-height // 4), -(-width // 4)

@@ -107,13 +107,13 @@ def _blinking(at: Vector) -> Callable[[float], Pose]:
     return path
 
 
-_LARGE = Object("globe", Sphere(78), _BALL, path=_sway((60, -40, 84), (120, 0, 0), 150, turn=0.02), casts=False)
+_LARGE = Object("globe", Sphere(56), _BALL, path=_sway((10, -170, 58), (90, 0, 0), 150, turn=0.02), casts=False)
 _PANEL = (
     Object("panel", Box((60, 1, 40)), _BOARD, at=(-20, -330, 130), casts=False),
     Object("cursor", Box((2.2, 1, 7)), _BAR, path=_blinking((25, -334, 140)), casts=False),
 )
 _OVERCAST = replace(Light(), horizon=(0.62, 0.7, 0.82), overcast=True)
-_LOOK_UP = Camera(_line((-60, -520, 150), (4, 0, 0)), _line((-60, 0, 152), (4, 0, 0)))
+_LOOK_UP = Camera(_line((-60, -520, 150), (4, 0, 0)), _line((-60, 0, 157), (4, 0, 0)))
 
 DEMO = Scene("demo", _DOLLY, _GARDEN)
 SCENES = {

@@ -38,9 +38,9 @@ def test_exact_has_the_bits_and_half_departs(points):
 
 
 def test_mistakes():
-    with pytest.raises(InputError, match="--settings: expected parts of float32 off, .* got quarter"):
+    with pytest.raises(InputError, match=r"--settings: expected parts of float32 off, .* got quarter"):
         chosen_settings(["quarter"])
-    with pytest.raises(InputError, match="--scenes: expected some of .* got 'night'"):
+    with pytest.raises(InputError, match=r"--scenes: expected some of .* got 'night'"):
         next(measure({}, None, ["night"], SETTINGS, (8, 8), 12))
     with pytest.raises(InputError, match="--frames: expected at least 10, got 3"):
         next(measure({}, None, ["static"], SETTINGS, (8, 8), 3))
@@ -48,7 +48,7 @@ def test_mistakes():
 
 def test_the_command_writes_every_time(points, tmp_path):
     out = tmp_path / "found.json"
-    words = "bench --pareto --size 24x16 --scenes static --frames 10 --peers".split()
+    words = ["bench", "--pareto", "--size", "24x16", "--scenes", "static", "--frames", "10", "--peers"]
     ran = CliRunner().invoke(stss, [*words, "", "--settings", "float32 exact", "--json", str(out)])
     assert ran.exit_code == 0, ran.output
     (point,) = json.loads(out.read_text())["points"]
