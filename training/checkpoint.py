@@ -76,6 +76,8 @@ def read(path: Path, state: State, device: torch.device) -> None:
     for name, tensor in _below("average/", tensors).items():
         state.average[name].copy_(tensor)
     for name, parameter in state.network.named_parameters():
+        if not parameter.requires_grad:
+            continue
         kept = {kind: tensors[f"optimiser/{kind}/{name}"] for kind in ("step", "exp_avg", "exp_avg_sq")}
         kept = {k: t if k == "step" else t.to(memory_format=_layout(parameter)) for k, t in kept.items()}
         state.optimiser.state[parameter] = kept

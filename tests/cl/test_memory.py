@@ -32,11 +32,18 @@ STEPS = ((1, 3, 5), (0, 2, 4), (1, 1, 1))
 
 NETWORK = {"pack_input", "pack_history", "downsample_8", "conv", "upsample_corners", "normalise", "attend"}
 FRAME = ("chain_steps", "prepare", "splat_nearest", "splat_first")
+STREAM = {
+    *(NETWORK - {"pack_input", "pack_history"}), "finite", "differ", "differ_color", "fill_holes",
+    *(f"{name}8" for name in FRAME),
+}  # fmt: skip
 KERNELS = {
     "network float32": NETWORK | {"winograd"},
     "network float32-direct": NETWORK | {"image"},
     "network half": NETWORK | {"winograd"},
     "frame": {*FRAME, "finite", "fill_holes", "downsample_8"} | {f"{name}8" for name in FRAME},
+    "stream float32": {*STREAM, "winograd"},
+    "stream float32-direct": {*STREAM, "image"},
+    "stream half": {*STREAM, "winograd"},
     "stages": {"motion_chain", "warp", "holes", "splat_clear", "splat_nearest", "splat_first", "occlusion_warp", "rrm"},
     "selftest": {"arithmetic", "vectors", "reduce_group", "nearest", "speed"},
 }
@@ -192,6 +199,33 @@ def run_frame(device, height, width):
             show(f"{height} x {width} {name}", array)
 
 
+def run_stream(device, precision):
+    """Two extrapolated frames; before the second a corner of the picture changed, and something moves."""
+    from stss.prepared import Prepared
+    from stss.supersample import plan
+    from stss_cl.stream import Stream
+    from stss_ref.weights import random as random_weights
+
+    random, size = np.random.default_rng(4), (5, 26)
+    stream, frames = Stream(random_weights(5), device, precision), []
+    color, g = (random.random((*size, n), dtype=np.float32) for n in (3, 9))
+    for number in range(12):
+        motion, stencil = np.zeros((*size, 2), np.float32), np.zeros(size, np.float32)
+        color = color.copy()
+        if number == 10:
+            color[:2, :3] = 0.5
+        if number == 11:
+            motion[2:4, 4:7] = 1.25
+            stencil[2:4, 4:7] = 1
+        shown = color if number % 2 == 0 else None
+        frames.append(Prepared(number, shown, motion, g.copy(), g[..., 0].copy(), stencil, 20 * g[..., :3]))
+        if number in {9, 11}:
+            window = frames[-6:]
+            image, _ = stream(window, plan(window).steps)
+            show(f"frame {number} {stream.report.network}", image)
+    assert stream.report.network == "changed", stream.report
+
+
 def run_stages(device, height, width):
     from stss_cl.image_stages import ImageStages
 
@@ -243,6 +277,8 @@ def main(case):
         run_fault(device, how)
     elif kind == "selftest":
         run_selftest(device)
+    elif kind == "stream":
+        run_stream(device, how)
     else:
         for size in SIZES if how in ("", "float32") else (SIZES[0], SIZES[-1]):
             if kind == "network":

@@ -14,7 +14,7 @@ torch = pytest.importorskip("torch", reason="the package torch is not installed:
 torch.set_num_threads(1)
 
 from training.loss import loss, structure  # noqa: E402
-from training.network import Network, initialise, load_weights, to_weights  # noqa: E402
+from training.network import Network, hold_gates, initialise, load_weights, to_weights  # noqa: E402
 from training.validate import bilinear  # noqa: E402
 
 
@@ -70,13 +70,24 @@ def test_every_tensor_has_a_gradient():
     assert all(tensor.grad is not None and tensor.grad.abs().max() > 0 for tensor in network.parameters())
 
 
-def test_training_starts_at_bilinear():
+def test_training_starts_near_bilinear_and_reaches_every_branch():
+    """Near: the residual is small. Every input matters from the first step on, the history too, whose gate is held open."""
     network, zero = Network(), Network()
     initialise(network, 0)
+    hold_gates(network)
     load_weights(zero, zeros())
     batch = tensors(inputs(4))
-    for same in (network, zero):
-        assert torch.equal(same(*batch), bilinear(*batch))
+    assert torch.equal(zero(*batch), bilinear(*batch))
+    with torch.no_grad():
+        start = network(*batch)
+        assert 0 < (start - bilinear(*batch)).abs().max() < 0.5
+        for i in range(4):
+            changed = [1 - t if i == j else t for j, t in enumerate(batch)]
+            assert not torch.equal(network(*changed) - bilinear(*changed), start - bilinear(*batch))
+    assert [name for name, t in network.named_parameters() if not t.requires_grad] == [
+        "lowlevelGated.conv_mask.0.weight",
+        "lowlevelGated.conv_mask.0.bias",
+    ]
 
 
 def test_loss_is_the_specification_s():

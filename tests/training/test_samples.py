@@ -7,7 +7,7 @@ import pytest
 
 from conformance.scenes import SCENES
 from stss.errors import InputError
-from stss.prepared import prepare
+from stss.prepared import OnArrays, prepare
 from stss.supersample import supersample
 from stss_ref.frame import NetworkInputs
 from stss_ref.resample import upsample_centres
@@ -26,7 +26,7 @@ def film():
     return Film(scene, lambda frame: scene.light)
 
 
-class Bilinear:
+class Bilinear(OnArrays):
     name = "bilinear"
 
     def frame(self, inputs):
