@@ -63,9 +63,13 @@ class Chain:
             tolerance: a stored value between two layers that is no further than this from the new one stays; 0: the image has
                 the bits of ``run``'s, if all runs since the last of those had 0.
         """
+        self.changed_only().run(image, tolerance)
+
+    def changed_only(self) -> ChangedOnly:
+        """The launches of ``run_changed``, built when they are first asked for."""
         if self._changed is None:
             self._changed = ChangedOnly(self._device, self.launches, self._maps)
-        self._changed.run(image, tolerance)
+        return self._changed
 
     def _padded(self, divisor: int, channels: int) -> Padded:
         height, width = self._height // divisor, self._width // divisor

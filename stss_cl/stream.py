@@ -200,6 +200,7 @@ class Stream:
         image = kept.target(whole=whole)
         if whole:
             layers.run(image)
+            layers.changed_only()  # built while the device computes, not when the first change waits for it
         else:
             layers.run_changed(image, tolerance)
         valid = np.empty(layers.size, np.uint8)

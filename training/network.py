@@ -146,7 +146,15 @@ def initialise(network: Network, seed: int) -> None:
                 tensor.zero_()
             else:
                 # A half open gate halves its feature.
-                gain = 2.0 if ".conv_feature." in name else 0.1 if ".conv_mask." in name else OUTC if name.startswith("outc") else 1.0
+                gain = (
+                    2.0
+                    if ".conv_feature." in name
+                    else 0.1
+                    if ".conv_mask." in name
+                    else OUTC
+                    if name.startswith("outc")
+                    else 1.0
+                )
                 deviation = gain * math.sqrt(2 / math.prod(tensor.shape[1:]))
                 tensor.copy_(torch.randn(tensor.shape, generator=generator) * deviation)
 

@@ -107,7 +107,7 @@ def _blinking(at: Vector) -> Callable[[float], Pose]:
     return path
 
 
-_LARGE = Object("globe", Sphere(56), _BALL, path=_sway((10, -170, 58), (90, 0, 0), 150, turn=0.02), casts=False)
+_LARGE = Object("globe", Sphere(68), _BALL, path=_sway((10, -90, 70), (90, 0, 0), 150, turn=0.02), casts=False)
 _PANEL = (
     Object("panel", Box((60, 1, 40)), _BOARD, at=(-20, -330, 130), casts=False),
     Object("cursor", Box((2.2, 1, 7)), _BAR, path=_blinking((25, -334, 140)), casts=False),

@@ -48,13 +48,19 @@ def next_frame(rng, before, color, change, *, rendered):
     planes = {name: getattr(before, name).copy() for name in ("gbuffer", "nov", "stencil", "position")}
     color, motion = color.copy(), np.zeros((height, width, 2), np.float32)
     y, x = int(rng.integers(height)), int(rng.integers(width))
-    where = np.s_[y : y + 1, x : x + 1] if change == "pixel" else np.s_[y : y + int(rng.integers(1, 9)), x : x + int(rng.integers(1, 9))]
+    where = (
+        np.s_[y : y + 1, x : x + 1]
+        if change == "pixel"
+        else np.s_[y : y + int(rng.integers(1, 9)), x : x + int(rng.integers(1, 9))]
+    )
     where = np.s_[:, :] if change == "everything" else where
     if change != "nothing":
         color[where] = rng.random(color[where].shape, np.float32)
     if change in {"pixel", "rectangle", "everything"}:
         name = str(rng.choice(list(planes)))
-        planes[name][where] = rng.integers(0, 3, planes[name][where].shape) if name == "stencil" else rng.random(planes[name][where].shape)
+        planes[name][where] = (
+            rng.integers(0, 3, planes[name][where].shape) if name == "stencil" else rng.random(planes[name][where].shape)
+        )
     if change in {"moving", "everything"}:
         motion[where] = rng.normal(0, 2, motion[where].shape)
         planes["stencil"][where] = 1
