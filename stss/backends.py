@@ -71,7 +71,7 @@ class ReferenceBackend(OnArrays):
 class OpenCLBackend:
     """``stss_cl`` on one device; the name holds precision, device and driver, for their bits may differ."""
 
-    method, accumulates = NETWORK, False
+    method = NETWORK
 
     def __init__(
         self,
@@ -91,7 +91,10 @@ class OpenCLBackend:
 
         chosen = choose(device, tell)
         self._stream = Stream(weights, chosen, precision, gather, memory_limit, skip, max_error)  # pyright: ignore[reportArgumentType]
-        self.name = f"cl {precision} on {chosen.name}, {chosen.driver}"
+        # What bounded keeps depends on all frames before; what exact keeps shows in no bit.
+        self.accumulates = skip == "bounded"
+        bound = f" within {max_error:g}" if self.accumulates else ""
+        self.name = f"cl {precision}{bound} on {chosen.name}, {chosen.driver}"
 
     def compute(self, window: Sequence[Prepared], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
         """See ``Backend``."""

@@ -16,6 +16,7 @@ from stss.backends import Backend
 from stss.color import Transfer, transfer
 from stss.errors import InputError
 from stss.images import read_header, write_mask, write_rgb
+from stss.methods import NETWORK
 from stss.pipeline import overlap
 from stss.prepared import Prepared
 from stss.sequence import Sequence
@@ -104,7 +105,8 @@ def run(
     rendered = choose_rendered(sequence.numbers, sequence.rendered, options.rendered)
     numbers = _numbers(sequence, options.frames)
     if backend.accumulates and options.resume:
-        raise InputError(f"--resume: {backend.method} makes each output of all before it; run it anew, with --overwrite")
+        what = "--skip bounded" if backend.method == NETWORK else backend.method
+        raise InputError(f"--resume: {what} makes each output of all before it; run it anew, with --overwrite")
     curve = transfer(options.transfer)
     metadata = {
         "stss:version": VERSION,
