@@ -206,7 +206,7 @@ def run_stream(device, precision):
     from stss_cl.stream import Stream
     from stss_ref.weights import random as random_weights
 
-    random, size = np.random.default_rng(4), (5, 26)
+    random, size = np.random.default_rng(4), (5, 18)
     stream, frames = Stream(random_weights(5), device, precision), []
     color, g = (random.random((*size, n), dtype=np.float32) for n in (3, 9))
     for number in range(12):
