@@ -13,6 +13,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from stss_cl.device import Device
+from stss_cl.prepare import SCANNERS
 from stss_cl.program import build
 from stss_cl.sources import Sources, upload
 from stss_ref.arrays import Array, require_finite
@@ -21,7 +22,6 @@ Tiles = NDArray[np.bool_]
 """(ceil(H / 4), ceil(W / 4)): True where something changed in a tile of 4 x 4 pixels."""
 SPAN = 256
 """Tiles of a work-item of differ.cl."""
-SCANNERS = 64
 HELD = 9
 """Display frames that are kept: the window of an output, that of the one before it of the same kind, and one more."""
 FINITE = ("color", "gbuffer", "nov", "stencil")
