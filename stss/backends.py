@@ -4,19 +4,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from stss.errors import InputError
 from stss.methods import NETWORK
 from stss.prepared import OnArrays, Prepared
-from stss_ref.arrays import Image, Mask
+from stss.skipped import Cost
+from stss_ref.arrays import Array, Image, Mask
 from stss_ref.frame import FrameInputs, frame, prepare
 from stss_ref.motion_chain import Gather
 from stss_ref.resample import upsample_centres
 from stss_ref.weights import Weights
-
-if TYPE_CHECKING:
-    from stss_cl.stream import Report
 
 BACKENDS = ("cl", "ref")
 """The names ``open_backend`` takes."""
@@ -38,6 +36,16 @@ class Backend(Protocol):
     name: str
     method: str
     accumulates: bool
+
+    @property
+    def cost(self) -> Cost | None:
+        """What the last frame cost; None: what every frame does."""
+        ...
+
+    @property
+    def activity(self) -> Array | None:
+        """Where it was computed, see ``stss.skipped.picture``; None: everywhere."""
+        ...
 
     def compute(self, window: Sequence[Prepared], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
         """``(image (2H, 2W, 3), valid (H, W))`` as ``stss_ref.frame.frame``, for the last frame of ``window``.
@@ -101,9 +109,15 @@ class OpenCLBackend:
         return self._stream(window, steps)
 
     @property
-    def report(self) -> Report:
-        """What the last frame cost."""
-        return self._stream.report
+    def cost(self) -> Cost:
+        """See ``Backend``."""
+        report = self._stream.report
+        return Cost(report.network, report.changed, report.departure)
+
+    @property
+    def activity(self) -> Array:
+        """See ``Backend``."""
+        return self._stream.activity()
 
 
 def open_backend(

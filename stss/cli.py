@@ -29,6 +29,7 @@ from stss.options import PATH, FrameRange, backend_options, perceptual_options, 
 from stss.run import FrameReport, RunOptions, Summary
 from stss.run import run as run_sequence
 from stss.sequence import open_sequence
+from stss.skipped import told
 from stss.version import VERSION
 from stss.weights import load, save
 from stss_cl.errors import DeviceError
@@ -73,6 +74,7 @@ def stss() -> None:
 @click.option("--format", "suffix", type=click.Choice(["exr", "png"]), default="exr", show_default=True)
 @click.option("--resume", is_flag=True, help="Keep what an earlier run finished, as far as it is still right.")
 @click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
+@click.option("--show-skipped", is_flag=True, help="Pictures of where each frame was computed, in OUT/skipped.")
 @click.option("--keep-going", is_flag=True, help="Leave out frames that cannot be read; ends with status 1.")
 def run(
     sequence: Path,
@@ -218,6 +220,8 @@ def _report(summary: Summary, out: Path, console: Console) -> None:
     written = ", ".join(f"{summary.count('done', kind)} {kind.value}" for kind in FrameKind)
     rest = f"{summary.count('kept')} kept, {summary.count('left out')} left out"
     console.print(f"{out}: {written} written, {rest}", soft_wrap=True, markup=False, highlight=False)
+    if costs := [frame.cost for frame in summary.frames if frame.cost]:
+        console.print(told(costs), soft_wrap=True, markup=False, highlight=False)
 
 
 def main() -> None:

@@ -88,6 +88,8 @@ def frame_inputs(window: Sequence[Prepared], steps: tuple[int, int, int]) -> Fra
 class OnArrays(ABC):
     """A backend (``stss.backends.Backend``) that computes every frame from nothing."""
 
+    cost, activity = None, None
+
     def compute(self, window: Sequence[Prepared], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
         """See ``Backend``."""
         return self.frame(frame_inputs(window, steps))

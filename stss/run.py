@@ -20,14 +20,17 @@ from stss.methods import NETWORK
 from stss.pipeline import overlap
 from stss.prepared import Prepared
 from stss.sequence import Sequence
+from stss.skipped import Cost, picture
 from stss.supersample import Output, choose_rendered, plan
 from stss.version import VERSION
 from stss.window import Keys, Window
 from stss_ref import SPEC_VERSION
-from stss_ref.arrays import Image, Mask
+from stss_ref.arrays import Array, Image, Mask
 from stss_ref.depth import DepthMode
 from stss_ref.schedule import FrameKind, schedule
 
+SKIPPED = "skipped"
+"""Below the run's folder: pictures of what was computed."""
 Outcome = Literal["done", "kept", "left out"]
 
 
@@ -44,6 +47,7 @@ class RunOptions:
         keep_going: leave out a frame that cannot be read, rather than stop.
         resume: keep the files of an earlier run that are what this run would write.
         overwrite: replace the files of an earlier run.
+        show_skipped: write ``skipped/frame.NNNN.png`` as well: where the frame was computed, and where kept.
     """
 
     transfer: str = "srgb"
@@ -54,17 +58,19 @@ class RunOptions:
     keep_going: bool = False
     resume: bool = False
     overwrite: bool = False
+    show_skipped: bool = False
 
 
 @dataclass(frozen=True)
 class FrameReport:
-    """What became of one display frame; ``reason`` says why it was left out."""
+    """What became of one display frame; ``reason`` says why it was left out, ``cost`` what computing it took."""
 
     number: int
     kind: FrameKind | None
     outcome: Outcome
     reason: str = ""
     fault: bool = False
+    cost: Cost | None = None
 
 
 @dataclass
@@ -120,6 +126,8 @@ def run(
     }
     keys = Keys(sequence, rendered, {**metadata, "format": options.format, "read": sequence.settings})
     job = _Job(Window(sequence, rendered, curve, options.depth), keys, backend, curve, out, options, metadata, rendered)
+    if options.show_skipped and backend.cost is None:
+        raise InputError(f"--show-skipped: expected the network on the backend cl, got {backend.name}")
     _claim(out, options)
     if backend.accumulates:
         for number in range(sequence.numbers[0], numbers[0]):
@@ -152,6 +160,8 @@ class _Computed:
     kind: FrameKind
     image: Image
     valid: Mask
+    cost: Cost | None
+    activity: Array | None
 
 
 @dataclass(frozen=True)
@@ -192,15 +202,18 @@ class _Job:
             reason = f"frame {number}: no rendered frame just before it to extrapolate from"
             return FrameReport(number, FrameKind.EF, "left out", reason, fault=schedule(number, self.rendered) is not None)
         image, valid = self.backend.compute(read.window, planned.steps)
-        return _Computed(number, read.key, planned.kind, image, valid)
+        activity = self.backend.activity if self.options.show_skipped else None
+        return _Computed(number, read.key, planned.kind, image, valid, self.backend.cost, activity)
 
     def write(self, made: _Computed | FrameReport) -> FrameReport:
         """Take it back through the transfer and write its files."""
         if isinstance(made, FrameReport):
             return made
         output = Output(made.number, made.kind, self.curve.decode(made.image), made.valid)
+        if made.activity is not None:
+            write_rgb(frame_path(self.out / SKIPPED, made.number, "png"), picture(made.image, made.activity))
         write_output(output, self.out, self.options.format, self.curve, {**self.metadata, "stss:key": made.key})
-        return FrameReport(made.number, made.kind, "done")
+        return FrameReport(made.number, made.kind, "done", cost=made.cost)
 
     def _kept(self, number: int, key: str) -> FrameKind | None:
         """The kind of the frame that an earlier run wrote, if it is what this run would write."""
@@ -241,18 +254,19 @@ def _numbers(sequence: Sequence, frames: tuple[int, int] | None) -> range:
 
 def _claim(out: Path, options: RunOptions) -> None:
     """Make the folder; refuse to mix with what an earlier run finished, remove what it left half-written."""
-    holes = out / "holes"
+    folders = (out, out / "holes", out / SKIPPED)
     try:
-        holes.mkdir(parents=True, exist_ok=True)
+        for folder in folders[: 2 + options.show_skipped]:
+            folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{out}: cannot be made a folder: {error.strerror}") from None
-    finished = _matching(r"frame\.\d+\.(exr|png)", out, holes)
+    finished = _matching(r"frame\.\d+\.(exr|png)", *folders)
     if finished and not (options.resume or options.overwrite):
         raise InputError(f"{out}: holds frames of an earlier run; --resume keeps what is still right, --overwrite replaces all")
-    unfinished = _matching(r"\.frame\.\d+\.[0-9a-f]{12}\.(exr|png)", out, holes)
+    unfinished = _matching(r"\.frame\.\d+\.[0-9a-f]{12}\.(exr|png)", *folders)
     for path in unfinished + (finished if options.overwrite else []):
         path.unlink()
 
 
 def _matching(pattern: str, *folders: Path) -> list[Path]:
-    return [path for folder in folders for path in folder.iterdir() if re.fullmatch(pattern, path.name)]
+    return [path for folder in folders if folder.is_dir() for path in folder.iterdir() if re.fullmatch(pattern, path.name)]

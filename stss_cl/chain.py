@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pyopencl as cl
+from numpy.typing import NDArray
 
 from stss_cl.buffers import Padded, padded
 from stss_cl.changes import ChangedOnly, Maps
@@ -39,6 +40,7 @@ class Chain:
         self._maps = Maps(device, height, width)
         self._shared: dict[tuple[str, int], Padded] = {}
         self._changed: ChangedOnly | None = None
+        self._marked: list[Padded] = []
 
     def ready(self, image: cl.Buffer) -> list[Launch]:
         """The launches in order, the last of them to write ``image`` (2H, 2W, 3) float32."""
@@ -71,10 +73,30 @@ class Chain:
             self._changed = ChangedOnly(self._device, self.launches, self._maps)
         return self._changed
 
+    def activity(self) -> NDArray[np.float32]:
+        """Where the last ``run_changed`` changed anything: the share of the stored activations, for each 4 x 4 pixels of the largest.
+
+        Waits for the queue. A tile of smaller activations counts for all the pixels that it stands for.
+        """
+        size = self._height // 4, self._width // 4
+        total, values = np.zeros(size, np.float32), 0.0
+        for buffer in self._marked:
+            assert buffer.changes is not None
+            marks = np.empty((-(-buffer.height // 4), -(-buffer.width // 4)), np.uint8)
+            cl.enqueue_copy(self._device.queue, marks, buffer.changes)
+            divisor = self._height // buffer.height
+            share = buffer.channels / divisor**2
+            total += share * marks.repeat(divisor, 0).repeat(divisor, 1)[: size[0], : size[1]]
+            values += share
+        return (total / values).astype(np.float32)
+
     def _padded(self, divisor: int, channels: int) -> Padded:
         height, width = self._height // divisor, self._width // divisor
         made = padded(self._device, height, width, channels, self._dtype)
-        return replace(made, changes=self._maps.take(height, width)) if self.keep else made
+        if not self.keep:
+            return made
+        self._marked.append(replace(made, changes=self._maps.take(height, width)))
+        return self._marked[-1]
 
     def _scratch(self, name: str, divisor: int, channels: int) -> Padded:
         """Activations that are soon done with: those that were last asked for by this name, but that each is kept if all are."""

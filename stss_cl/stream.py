@@ -147,6 +147,7 @@ class Stream:
         self.tolerance = FIRST * self._max_error
         self._arrivals: Arrivals | None = None
         self._kept: dict[bool, Kept] = {}
+        self._latest: Kept | None = None
         self._tired = self._rests = 0
 
     def __call__(self, window: Sequence[DisplayFrame], steps: Sequence[int]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
@@ -177,7 +178,9 @@ class Stream:
         kept = self._keep(size, extrapolates=chosen[0] > 0)
         self._rests = max(0, self._rests - 1)
         held = self._arrivals.take(window, compare=kept is not None and not self._rests)
+        self._latest = kept
         if kept is None:
+            self.report = Report(1.0, 1.0, "whole")
             return self._whole.compute(sources(held, chosen), size)
         busy = None if self._rests else self._busy(self._arrivals, kept, held, chosen)
         if busy is not None and kept.last is not None and not busy.any():
@@ -185,6 +188,17 @@ class Stream:
             kept.last = _last(held, chosen, kept.last.valid)
             return kept.image, kept.last.valid
         return self._compute(kept, held, chosen, busy)
+
+    def activity(self) -> NDArray[np.float32]:
+        """How much of the network the last frame changed, for each 4 x 4 of its pixels: 0 nothing, 1 everything.
+
+        Of a frame that was computed in part it is the share of the stored activations that came to differ.
+        """
+        assert self._arrivals is not None, "no frame was computed yet"
+        shape = tuple(-(-length // 4) for length in self._arrivals.size)
+        if self.report.network != "changed" or self._latest is None:
+            return np.full(shape, self.report.network == "whole", np.float32)
+        return self._latest.layers.activity()[: shape[0], : shape[1]]
 
     def _compute(
         self, kept: Kept, held: list[Held], steps: tuple[int, int, int], busy: Tiles | None
@@ -207,7 +221,7 @@ class Stream:
         cl.enqueue_copy(self.device.queue, valid, prepare.mask)
         kept.last = _last(held, steps, valid.view(np.bool_))
         self.report = Report(1.0 if busy is None else float(busy.mean()), float(changed), "whole" if whole else "changed")
-        if tolerance > 0 and not whole:
+        if tolerance > 0:
             self._check(kept)
         if not self._rests:
             self._tired = self._tired + 1 if whole else 0

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,16 +26,18 @@ class State:
     Attributes:
         step: how many steps are done.
         network: the network, trained in place.
+        heads: `training.network.Heads`.
         average: running mean of its tensors, by name.
-        optimiser: Adam.
+        optimisers: Muon and Adam, each with its parameters.
         best: highest validation PSNR so far (mean of SF and EF), dB.
         settings: what decides the numbers; a resumed run must have the same.
     """
 
     step: int
     network: nn.Module
+    heads: nn.Module
     average: dict[str, Tensor]
-    optimiser: torch.optim.Optimizer
+    optimisers: tuple[torch.optim.Optimizer, ...]
     best: float
     settings: dict[str, Any]
 
@@ -42,10 +45,11 @@ class State:
 def write(path: Path, state: State) -> None:
     """Write ``state`` so that ``path`` is either as before or whole."""
     tensors = {f"network/{name}": t.detach().contiguous() for name, t in state.network.named_parameters()}
+    tensors |= {f"heads/{name}": t.detach().contiguous() for name, t in state.heads.named_parameters()}
     tensors |= {f"average/{name}": t.contiguous() for name, t in state.average.items()}
-    for name, parameter in state.network.named_parameters():
-        for kind, value in state.optimiser.state[parameter].items():
-            tensors[f"optimiser/{kind}/{name}"] = torch.as_tensor(value).contiguous()
+    for name, optimiser, parameter in _optimised(state):
+        for kind, value in optimiser.state[parameter].items():
+            tensors[f"optimiser/{name}/{kind}"] = torch.as_tensor(value).contiguous()
     # One entry: safetensors writes several in another order each time.
     metadata = {ENTRY: json.dumps({"step": state.step, "best": state.best, "settings": state.settings})}
     temporary = path.with_name(f".{path.name}.tmp")
@@ -73,14 +77,20 @@ def read(path: Path, state: State, device: torch.device) -> None:
         )
     state.step, state.best = found["step"], found["best"]
     state.network.load_state_dict(_below("network/", tensors))
+    state.heads.load_state_dict(_below("heads/", tensors))
     for name, tensor in _below("average/", tensors).items():
         state.average[name].copy_(tensor)
-    for name, parameter in state.network.named_parameters():
-        if not parameter.requires_grad:
-            continue
-        kept = {kind: tensors[f"optimiser/{kind}/{name}"] for kind in ("step", "exp_avg", "exp_avg_sq")}
-        kept = {k: t if k == "step" else t.to(memory_format=_layout(parameter)) for k, t in kept.items()}
-        state.optimiser.state[parameter] = kept
+    for name, optimiser, parameter in _optimised(state):
+        kept = _below(f"optimiser/{name}/", tensors)
+        optimiser.state[parameter] = {k: t if t.ndim == 0 else t.to(memory_format=_layout(parameter)) for k, t in kept.items()}
+
+
+def _optimised(state: State) -> Iterator[tuple[str, torch.optim.Optimizer, Tensor]]:
+    named = (*state.network.named_parameters(), *state.heads.named_parameters(prefix="heads"))
+    names = {parameter: name for name, parameter in named}
+    for optimiser in state.optimisers:
+        for group in optimiser.param_groups:
+            yield from ((names[parameter], optimiser, parameter) for parameter in group["params"])
 
 
 def _layout(parameter: Tensor) -> torch.memory_format:

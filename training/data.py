@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -71,9 +71,15 @@ def places(shards: list[Shard], split: str, kind: str) -> list[Place]:
 
 
 class Batches:
-    """Training batches, half SF and half EF; a batch depends on the seed and its number alone, so a resumed run sees the same."""
+    """Training batches, half SF and half EF; a batch depends on the seed and its number alone, so a resumed run sees the same.
 
-    def __init__(self, shards: list[Shard], *, side: int, batch: int, seed: int):
+    For ablations: ``kinds`` other than both in equal shares, ``masking=False`` without Random Reshading Masking.
+    """
+
+    def __init__(
+        self, shards: list[Shard], *, side: int, batch: int, seed: int, kinds: Sequence[Kind] = KINDS, masking: bool = True
+    ):
+        self._kinds, self._masking = kinds, masking
         self._places = {kind: places(shards, "training", kind) for kind in KINDS}
         if not all(self._places.values()):
             raise InputError("the training split lacks SF or EF samples")
@@ -88,9 +94,10 @@ class Batches:
         random = np.random.default_rng([self._seed, step])
         made: list[tuple[Array, Array, Array]] = []
         for i in range(self._batch):
-            drawn = [self._draw(KINDS[i % 2], random) for _ in range(DRAWN)]
+            drawn = [self._draw(self._kinds[i % len(self._kinds)], random) for _ in range(DRAWN)]
             inputs, truth = augment(*max(drawn, key=lambda pair: detail(pair[1])), random)
-            made.append((inputs, mask_at_random(inputs, random), truth))
+            mask = mask_at_random(inputs, random) if self._masking else inputs[..., MASK]
+            made.append((inputs, mask, truth))
         inputs, masks, truth = (np.stack(arrays) for arrays in zip(*made, strict=True))
         return collate(inputs, masks, truth)
 

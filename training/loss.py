@@ -37,10 +37,33 @@ def loss(output: Tensor, truth: Tensor, mask: Tensor, perceptual: Tensor | float
         mask: (N, 1, H, W) 1 = to be trusted, RRM's rectangle included.
         perceptual: the perceptual distance, see `structure`.
     """
-    trusted = (nn.functional.interpolate(mask, scale_factor=2, mode="bilinear", align_corners=False) > 0).to(output.dtype)
-    error = (output - truth).abs()
+    return _weighted((output - truth).abs(), mask) + PERCEPTUAL * perceptual
+
+
+SQUARES = 20.0
+"""Squared errors of some 0.002 weigh as much as L1's of 0.03."""
+
+
+def squared(output: Tensor, truth: Tensor, mask: Tensor) -> Tensor:
+    """The same two means of the squared error, for the start of a run.
+
+    L1 pulls with the same force however small an error is: a residual that is right at edges and noise elsewhere shrinks to 0
+    everywhere, and from 0 the network did not get away. Arguments as for `loss`.
+    """
+    return SQUARES * _weighted((output - truth).square(), mask)
+
+
+def supervision(pictures: list[Tensor], truth: Tensor) -> Tensor:
+    """Mean squared error of the pictures of `training.network.Heads` against the truth at their sizes, on the scale of `squared`."""
+    errors = [(p - nn.functional.avg_pool2d(truth, truth.shape[-1] // p.shape[-1])).square().mean() for p in pictures]
+    return SQUARES * torch.stack(errors).mean()
+
+
+def _weighted(error: Tensor, mask: Tensor) -> Tensor:
+    """``mean e + sum e (1 - M) / max(sum (1 - M), 1e-6)``, of which spec 6 gives M."""
+    trusted = (nn.functional.interpolate(mask, scale_factor=2, mode="bilinear", align_corners=False) > 0).to(error.dtype)
     masked = (1 - trusted).expand_as(error)
-    return error.mean() + (error * masked).sum() / masked.sum().clamp(min=1e-6) + PERCEPTUAL * perceptual
+    return error.mean() + (error * masked).sum() / masked.sum().clamp(min=1e-6)
 
 
 def structure(output: Tensor, truth: Tensor) -> Tensor:

@@ -5,13 +5,25 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import cast
+from typing import ClassVar, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from stss_ref.weights import TENSORS, Weights, check
+
+
+class Rectifier(nn.Module):
+    """ReLU, or while training goes on a leaky one: see `leak`."""
+
+    def __init__(self):
+        super().__init__()
+        self.slope = 0.0
+
+    def forward(self, x: Tensor) -> Tensor:
+        """``max(x, 0) + slope min(x, 0)``."""
+        return nn.functional.leaky_relu(x, self.slope) if self.slope else nn.functional.relu(x)
 
 
 class Gated(nn.Module):
@@ -44,10 +56,11 @@ class Down(nn.Module):
         self.downsample = Gated(inputs, inputs, 2)
         self.conv1 = Gated(inputs, outputs)
         self.conv2 = Gated(outputs, outputs)
+        self.rectifier = Rectifier()
 
     def forward(self, x: Tensor) -> Tensor:
         """(N, outputs, H / 2, W / 2)."""
-        return nn.functional.relu(self.conv2(nn.functional.relu(self.conv1(self.downsample(x)))))
+        return self.rectifier(self.conv2(self.rectifier(self.conv1(self.downsample(x)))))
 
 
 class DoubleConv(nn.Module):
@@ -75,7 +88,7 @@ def chain(*channels: int, stride: int = 1, last_relu: bool = True) -> nn.Sequent
     """Convolutions 3 x 3 from each number of channels to the next, a ReLU after each; the first has the ``stride``."""
     layers: list[nn.Module] = []
     for i, (inputs, outputs) in enumerate(pairwise(channels)):
-        layers += [nn.Conv2d(inputs, outputs, 3, stride if i == 0 else 1, 1), nn.ReLU()]
+        layers += [nn.Conv2d(inputs, outputs, 3, stride if i == 0 else 1, 1), Rectifier()]
     return nn.Sequential(*(layers if last_relu else layers[:-1]))
 
 
@@ -83,10 +96,14 @@ class Network(nn.Module):
     """STSSNet on batches. H and W are multiples of 8.
 
     Source: spec 7, 8; paper, Fig. 5.
+
+    Args:
+        without: what an ablation leaves out: "gbuffer" or "history" (zeros instead), "erm" (the light unweighted: a plain bottleneck).
     """
 
-    def __init__(self):
+    def __init__(self, without: str = ""):
         super().__init__()
+        self.without = without
         self.conv1, self.conv2 = Gated(21, 24), Gated(24, 24)
         self.down1, self.down2, self.down3 = Down(24, 24), Down(24, 32), Down(32, 32)
         self.convHis1, self.convHis2 = chain(4, 24, 24, 24, stride=2), chain(24, 32, 32, 32, stride=2)
@@ -96,17 +113,35 @@ class Network(nn.Module):
         self.KEncoder = chain(9, 32, 32, 32, last_relu=False)
         self.up1, self.up2, self.up3 = Up(128, 64, 32), Up(56, 28, 24), Up(48, 24, 24)
         self.outc = nn.Conv2d(24, 12, 1)
+        self.rectifier = Rectifier()
 
     def forward(self, color: Tensor, gbuffer: Tensor, mask: Tensor, history: Tensor) -> Tensor:
-        """Image (N, 3, 2H, 2W) of color (N, 6, H, W), gbuffer (N, 9, H, W), mask (N, 1, H, W), history (N, 3, 4, H, W)."""
-        x1 = nn.functional.relu(self.conv2(nn.functional.relu(self.conv1(torch.cat([color, color * mask, gbuffer], 1)))))
+        """Image (N, 3, 2H, 2W); arguments as for `with_features`."""
+        return self.with_features(color, gbuffer, mask, history)[0]
+
+    def with_features(self, color: Tensor, gbuffer: Tensor, mask: Tensor, history: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+        """Image (N, 3, 2H, 2W), and what `Heads` look at.
+
+        Args:
+            color: (N, 6, H, W).
+            gbuffer: (N, 9, H, W).
+            mask: (N, 1, H, W).
+            history: (N, 3, 4, H, W).
+        """
+        if self.without == "gbuffer":
+            gbuffer = torch.zeros_like(gbuffer)
+        if self.without == "history":
+            history = torch.zeros_like(history)
+        x1 = self.rectifier(self.conv2(self.rectifier(self.conv1(torch.cat([color, color * mask, gbuffer], 1)))))
         x2 = self.down1(x1)
         x3 = self.down2(x2)
         x4 = self.down3(x3)
-        u = torch.cat([self.reshade(x4, gbuffer, mask), self.embed(history)], 1)
-        u = self.up3(x1, self.up2(x2, self.up1(x3, u)))
-        residual = nn.functional.pixel_shuffle(self.outc(u), 2)
-        return residual + nn.functional.interpolate(color[:, :3], scale_factor=2, mode="bilinear", align_corners=False)
+        reshaded, feature = self.reshade(x4, gbuffer, mask), self.embed(history)
+        u1 = self.up1(x3, torch.cat([reshaded, feature], 1))
+        u2 = self.up2(x2, u1)
+        residual = nn.functional.pixel_shuffle(self.outc(self.up3(x1, u2)), 2)
+        base = nn.functional.interpolate(color[:, :3], scale_factor=2, mode="bilinear", align_corners=False)
+        return residual + base, {"reshaded": reshaded, "feature": feature, "up1": u1, "up2": u2}
 
     def embed(self, history: Tensor) -> Tensor:
         """The history's feature (N, 32, H/8, W/8)."""
@@ -117,6 +152,8 @@ class Network(nn.Module):
         """The ERM's result (N, 64, H/8, W/8) (spec 8)."""
         f, m = (nn.functional.interpolate(x, scale_factor=0.125, mode="bilinear", align_corners=False) for x in (gbuffer, mask))
         light = self.latentEncoder(torch.cat([x4, f], 1)) * m
+        if self.without == "erm":
+            return light
         material = nn.functional.normalize(self.KEncoder(f), eps=1e-12)
         return _attend(material, material * m, light)
 
@@ -129,11 +166,29 @@ def _attend(query: Tensor, key: Tensor, value: Tensor) -> Tensor:
     return (total / weight.sum(1).clamp(min=1e-6)[:, None]).view(n, -1, height, width)
 
 
+class Heads(nn.ModuleDict):
+    """A colour read out of each deep feature, for the first half of a training run alone: they are not part of the network.
+
+    The shallow path learns first, and to it whatever comes up from below is noise: the ReLUs there fall silent, and with them all that
+    a wider view, the history and the ERM have to say. Asked for the truth themselves (Lee et al. 2015, Deeply-Supervised Nets), they
+    have something to say when they are needed.
+    """
+
+    CHANNELS: ClassVar = {"reshaded": 64, "feature": 32, "up1": 32, "up2": 24}
+
+    def __init__(self):
+        super().__init__({name: nn.Conv2d(channels, 3, 1) for name, channels in self.CHANNELS.items()})
+
+    def forward(self, features: dict[str, Tensor]) -> list[Tensor]:
+        """Pictures (N, 3, h, w), each at its feature's size."""
+        return [head(features[name]) for name, head in self.items()]
+
+
 OUTC = 0.05
 """Gain of the last layer at first."""
 
 
-def initialise(network: Network, seed: int) -> None:
+def initialise(network: nn.Module, seed: int) -> None:
     """He's initialisation with biases of 0, gates half open, and a small ``outc``: training starts near ``bilinear``.
 
     Not with an ``outc`` of zeros: no gradient then reaches the layers before it but noise, which Adam scales up to full steps; the
@@ -170,6 +225,18 @@ def hold_gates(network: Network) -> None:
         mask.weight.zero_()
         mask.bias.fill_(3.0)
     mask.requires_grad_(False)
+
+
+def leak(network: nn.Module, slope: float) -> None:
+    """Let every ReLU of ``network`` pass ``slope`` of what is negative.
+
+    A unit that is 0 everywhere gets no gradient and stays so: with small batches and Adam's full-sized steps along noise, two thirds
+    of the decoder's first layer died. A leaky unit comes back. The slope falls to 0 during the run, so that the network trained in the
+    end is the specification's.
+    """
+    for module in network.modules():
+        if isinstance(module, Rectifier):
+            module.slope = slope
 
 
 def load_weights(network: nn.Module, weights: Weights) -> None:

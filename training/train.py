@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Train the network: Adam, warm-up and cosine, a running mean of the weights, checkpoints, a log."""
+"""Train the network: Muon and Adam, warm-up and cosine, a running mean of the weights, checkpoints, a log."""
 
 from __future__ import annotations
 
@@ -21,20 +21,25 @@ from training import checkpoint
 from training.checkpoint import State
 from training.command import command
 from training.data import Batches, Shard, load_shards
-from training.loss import loss, structure
-from training.network import Network, hold_gates, initialise, load_weights, to_weights
+from training.loss import loss, squared, structure, supervision
+from training.muon import Muon
+from training.network import Heads, Network, hold_gates, initialise, leak, load_weights, to_weights
 from training.plot import plot
 from training.validate import Means, bilinear, evaluating, tensors, validate
 
-CLIP = 0.3
+CLIP = 1.0
 """Largest norm of a step's gradient."""
+ADAM = 0.05
+"""Adam's rate as a share of Muon's, whose steps are per layer, not per number."""
+LEAK = 0.1
+"""Slope of the ReLUs' negative half at step 0 of a run from nothing."""
 AVERAGE = 0.999
 """Share of the running mean that a step leaves, once there are enough steps."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What decides the numbers of a run besides the data; steps may be raised when it is resumed."""
+    """What decides the numbers of a run besides the data; steps may be raised when it is resumed. ``young``: see `infancy`."""
 
     crop: int
     batch: int
@@ -42,6 +47,7 @@ class Settings:
     warm_up: int
     seed: int
     half: bool
+    young: bool = True
 
 
 @dataclass(frozen=True)
@@ -69,33 +75,53 @@ def rate_at(step: int, steps: int, settings: Settings) -> float:
     return settings.rate * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(share, 1.0))))
 
 
-def start(settings: Settings, device: torch.device, initial: str | None = None) -> State:
-    """A run at step 0; ``initial`` names weights to go on from."""
-    network = Network()
+def infancy(step: int, steps: int) -> float:
+    """1 at the start, straight down to 0 at half the run: the share of leaky ReLUs, of the squared error, of the heads."""
+    return max(0.0, 1 - 2 * step / steps)
+
+
+def start(settings: Settings, device: torch.device, initial: str | None = None, without: str = "") -> State:
+    """A run at step 0; ``initial`` names weights to go on from, ``without`` what an ablation leaves out."""
+    network, heads = Network(without), Heads()
+    initialise(heads, settings.seed)
     if initial is None:
         initialise(network, settings.seed)
     else:
         load_weights(network, load(initial).weights)
     hold_gates(network)
+    heads.to(device)
     network.to(device).to(memory_format=torch.channels_last)
     average = {name: t.detach().clone() for name, t in network.named_parameters()}
-    optimiser = torch.optim.Adam(network.parameters(), settings.rate, betas=(0.9, 0.999), eps=1e-7, fused=True)
-    return State(0, network, average, optimiser, -math.inf, asdict(settings))
+    return State(0, network, heads, average, optimisers(network, heads), -math.inf, asdict(settings))
 
 
-def advance(state: State, batch: tuple[Tensor, ...], rate: float, *, half: bool) -> Tensor:
-    """One step of Adam. Returns the loss, on the device."""
+def optimisers(network: nn.Module, heads: nn.Module) -> tuple[torch.optim.Optimizer, ...]:
+    """Muon for the kernels of 3 x 3, Adam for gates, biases and the last layer: they are vectors, or read the features out."""
+    trained = {name: p for name, p in network.named_parameters() if p.requires_grad}
+    kernels = [p for name, p in trained.items() if p.ndim == 4 and not name.startswith("outc") and ".conv_mask." not in name]
+    others = [p for p in trained.values() if all(p is not kernel for kernel in kernels)] + list(heads.parameters())
+    return Muon(kernels, 1.0), torch.optim.Adam(others, 1.0, betas=(0.9, 0.999), eps=1e-7, fused=True)
+
+
+def advance(state: State, batch: tuple[Tensor, ...], rate: float, *, half: bool, young: float = 0.0) -> Tensor:
+    """One step; ``young`` is the share of what only helps a beginner, see `infancy`. Returns the loss, on the device."""
     color, gbuffer, mask, history, truth = batch
-    for group in state.optimiser.param_groups:
-        group["lr"] = rate
+    for optimiser, factor in zip(state.optimisers, (1.0, ADAM), strict=True):
+        for group in optimiser.param_groups:
+            group["lr"] = rate * factor
+    leak(state.network, LEAK * young)
     with torch.autocast(color.device.type, torch.bfloat16, enabled=half):
-        output = state.network(color, gbuffer, mask, history)
+        output, features = state.network.with_features(color, gbuffer, mask, history)
+        pictures = state.heads(features) if young else []
     output = output.float()
-    value = loss(output, truth, mask, structure(output, truth))
-    state.optimiser.zero_grad(set_to_none=True)
+    value = (1 - young) * loss(output, truth, mask, structure(output, truth))
+    if young:
+        value = value + young * (squared(output, truth, mask) + supervision([p.float() for p in pictures], truth))
     value.backward()
     nn.utils.clip_grad_norm_(state.network.parameters(), CLIP)
-    state.optimiser.step()
+    for optimiser in state.optimisers:
+        optimiser.step()
+        optimiser.zero_grad(set_to_none=True)
     state.step += 1
     keep = min(AVERAGE, state.step / (state.step + 10))
     with torch.no_grad():
@@ -147,7 +173,8 @@ def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan
     total, count, since = torch.zeros((), device=device), 0, time.perf_counter()
     for step, batch in batches.between(state.step, plan.steps):
         rate = rate_at(step, plan.steps, settings)
-        total += advance(state, tensors(batch, device), rate, half=settings.half)
+        young = infancy(step, plan.steps) if settings.young else 0.0
+        total += advance(state, tensors(batch, device), rate, half=settings.half, young=young)
         count += 1
         if state.step % plan.log == 0:
             value, now = float(total) / count, time.perf_counter()
@@ -171,7 +198,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--steps", type=int, default=100_000)
     parser.add_argument("--crop", type=int, default=64, help="side of a crop in pixels of the low resolution")
     parser.add_argument("--batch", type=int, default=8, help="crops in a step: half SF, half EF")
-    parser.add_argument("--rate", type=float, default=1e-3, help="learning rate after the warm-up")
+    parser.add_argument("--rate", type=float, default=0.02, help="learning rate after the warm-up")
     parser.add_argument("--warm-up", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--initial", help="safetensors file to start from; default: bilinear and a random rest")
@@ -187,7 +214,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         torch.set_num_threads(chosen.threads)
     device = torch.device(chosen.device)
     half = chosen.half == "on" or (chosen.half == "auto" and device.type == "cuda")
-    settings = Settings(chosen.crop, chosen.batch, chosen.rate, chosen.warm_up, chosen.seed, half)
+    settings = Settings(chosen.crop, chosen.batch, chosen.rate, chosen.warm_up, chosen.seed, half, young=chosen.initial is None)
     state = start(settings, device, chosen.initial)
     path = chosen.out / "state.safetensors"
     if path.exists():

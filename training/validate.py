@@ -69,9 +69,9 @@ def _score(model: Model, place: Place, device: torch.device):
     return score(np.moveaxis(image, 0, -1)[:height, :width], truth, upsample_holes(hole))
 
 
-def evaluating(state: dict[str, Tensor]) -> Model:
+def evaluating(state: dict[str, Tensor], without: str = "") -> Model:
     """A network with the tensors of ``state``."""
-    copy = Network().to(next(iter(state.values())).device).to(memory_format=torch.channels_last)
+    copy = Network(without).to(next(iter(state.values())).device).to(memory_format=torch.channels_last)
     copy.load_state_dict(state)
     return copy.eval()
 

@@ -240,3 +240,36 @@ def test_an_error_of_the_writer_stops_the_run(sequence, tmp_path):
     assert 5 not in written(tmp_path / "out")
     assert len(backend.threads) <= 5 + 1 + AHEAD
     assert not hidden(tmp_path / "out")
+
+
+def test_what_was_skipped_is_told_and_shown(sequence, tmp_path):
+    from stss.backends import open_backend
+    from stss.skipped import told
+
+    out, weights = tmp_path / "out", load("default").weights
+    summary = run(sequence, out, open_backend("cl", weights), "w", RunOptions(show_skipped=True))
+    costs = [frame.cost for frame in summary.frames]
+    assert all(costs)
+    assert told(costs).startswith("network computed: ")
+    assert [path.name for path in sorted((out / "skipped").iterdir())] == [f"frame.{n:04}.png" for n in range(12)]
+    picture = read_png(out / "skipped" / "frame.0000.png")
+    assert picture.shape == (32, 48, 3)
+    assert (picture[..., 0] > picture[..., 2]).all()  # the first frame was computed everywhere
+    with pytest.raises(InputError, match="--show-skipped: expected the network on the backend cl"):
+        run(sequence, tmp_path / "ref", Noted(), "w", RunOptions(show_skipped=True))
+    assert not (tmp_path / "ref").exists()
+
+
+def read_png(path):
+    import cv2
+
+    return cv2.imread(str(path))[..., ::-1].astype(int)
+
+
+def test_the_line_about_a_run():
+    from stss.skipped import Cost, told
+
+    costs = [Cost("whole", 1.0), Cost("changed", 0.1, 0.5 / 255), Cost("changed", 0.3, 0.2 / 255), Cost("none", 0.0)]
+    assert told(costs) == (
+        "network computed: 1 whole, 2 in part (20% of the inputs had changed), 1 not at all; 2 computed both ways, 0.50/255 apart at most"
+    )

@@ -145,6 +145,28 @@ def test_a_frame_in_which_nothing_changed_costs_a_comparison(device):
         assert i < 7 or (keeping.report.network, keeping.report.prepared) == ("none", 0)
 
 
+def test_activity_says_where(device):
+    """Nothing in a still frame, everything in one computed whole; elsewhere it covers every pixel that came to differ."""
+    keeping, frames = Stream(WEIGHTS, device), still(14, (61, 93))
+    frames[12].color[40:43, 70:74] += 0.1
+    images = []
+    for i in range(14):
+        window = frames[max(0, i - 5) : i + 1]
+        images.append(keeping(window, plan(window).steps)[0].copy())
+        activity = keeping.activity()
+        assert activity.shape == (16, 24)
+        if i == 0:
+            assert (activity == 1).all()
+        elif i in (9, 10, 11):
+            assert (activity == 0).all()
+    assert keeping.report.network == "changed"
+    assert 0 < activity.max() < 1
+    differs = (images[13] != images[11]).any(axis=-1)
+    tiles = np.add.reduceat(np.add.reduceat(differs, range(0, 122, 8), axis=0), range(0, 186, 8), axis=1) > 0
+    assert tiles.any()
+    assert (activity[tiles] > 0).all()
+
+
 def test_where_all_changes_nothing_is_looked_for_after_a_while(device, monkeypatch):
     monkeypatch.setattr(streaming, "REST", 3)
     rng, frames = np.random.default_rng(2), still(1)

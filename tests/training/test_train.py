@@ -17,23 +17,8 @@ from training.data import Batches, load_shards  # noqa: E402
 from training.train import Settings, main, rate_at, start  # noqa: E402
 
 
-@pytest.fixture(scope="module")
-def data(tmp_path_factory):
-    """Frames whose truth is 0.1 brighter than what bilinear gives; an odd size, so that validation has to pad."""
-    folder, random = tmp_path_factory.mktemp("data"), np.random.default_rng(0)
-    for split in ("training", "validation"):
-        made = []
-        for kind in (FrameKind.SF, FrameKind.EF):
-            inputs = random.random((17, 20, 24)) * 0.2 + 0.3
-            inputs[..., [15, 19, 23]] = 1
-            inputs[..., :3] = 0.4
-            made.append(Sample(0, kind, inputs, np.full((34, 40, 3), 0.5)))
-        write(folder / split, split, split, made)
-    return folder
-
-
 def run(data, out, steps, *more):
-    common = ["--crop", "16", "--batch", "2", "--warm-up", "4", "--rate", "1e-3", "--device", "cpu", "--threads", "1"]
+    common = ["--crop", "16", "--batch", "2", "--warm-up", "4", "--rate", "2e-2", "--device", "cpu", "--threads", "1"]
     main([str(data), "-o", str(out), "--steps", str(steps), "--validate", "4", "--log", "2", *common, *more])
     return [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
 

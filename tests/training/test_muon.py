@@ -1,0 +1,49 @@
+"""Muon: what its steps are, and that they descend."""
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="the package torch is not installed: pip install '.[train]'")
+torch.set_num_threads(1)
+
+from training.muon import Muon, orthogonal  # noqa: E402
+
+
+@pytest.mark.parametrize("shape", [(24, 216), (64, 18), (1, 5)])
+def test_the_singular_vectors_stay_and_the_values_come_near_one(shape):
+    matrix = torch.from_numpy(np.random.default_rng(0).normal(size=shape))
+    u, _, v = torch.linalg.svd(matrix, full_matrices=False)
+    core = u.T @ orthogonal(matrix) @ v.T
+    values = core.diagonal()
+    assert 0.6 < values.min() <= values.max() < 1.3
+    assert (core - values.diag()).abs().max() < 1e-12
+
+
+def test_nothing_stays_nothing():
+    assert torch.equal(orthogonal(torch.zeros(3, 7)), torch.zeros(3, 7))
+
+
+def test_it_descends_and_leaves_what_has_no_gradient():
+    generator = torch.Generator().manual_seed(1)
+    still, kernel = (torch.nn.Parameter(torch.randn(8, 4, 3, 3, generator=generator)) for _ in range(2))
+    before, target = still.detach().clone(), torch.randn(8, 4, 3, 3, generator=generator)
+    optimiser = Muon([still, kernel], 0.1)
+    losses = []
+    for _ in range(150):
+        optimiser.zero_grad()
+        loss = (kernel - target).square().mean()
+        loss.backward()
+        optimiser.step()
+        losses.append(loss.item())
+    assert losses[-1] < 0.3 * losses[0]
+    assert torch.equal(still, before)
+
+
+def test_steps_do_not_depend_on_the_gradient_s_size():
+    moved = []
+    for size in (1e-6, 1.0):
+        kernel = torch.nn.Parameter(torch.zeros(4, 4, 3, 3, dtype=torch.float64))
+        kernel.grad = size * torch.from_numpy(np.random.default_rng(2).normal(size=(4, 4, 3, 3)))
+        Muon([kernel], 0.1).step()
+        moved.append(kernel.detach())
+    torch.testing.assert_close(*moved, rtol=1e-5, atol=1e-7)
