@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test check bench mutants alarms portability clean
+.PHONY: demo test check bench mutants alarms misses portability clean
 
 demo: $(VENV)/.base
 	$(BIN)/stss demo demo --overwrite
@@ -23,6 +23,10 @@ bench: $(VENV)/.bench
 # The judge judged: planted faults that it must find, and right ports that it must let pass (half an hour).
 mutants alarms: $(VENV)/.test
 	$(BIN)/python -m tests.meta.$(if $(filter mutants,$@),killed,alarms)
+
+# How often --skip bounded breaks its promise, over a hundred random films (half an hour).
+misses: $(VENV)/.test
+	$(BIN)/python -m tests.meta.misses --write
 
 # Every OpenCL runtime that can be installed here, each with the tests of the backend.
 portability: $(VENV)/.test
