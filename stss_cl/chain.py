@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 
 from stss_cl.buffers import Padded, padded
 from stss_cl.changes import ChangedOnly, Maps
+from stss_cl.depth import levels
 from stss_cl.device import Device
 from stss_cl.launch import FAST_MULTIPLY_ADD, IMAGE_ARGUMENT, Final, Launch, Skip, conv, half
 from stss_cl.packing import pack
@@ -48,9 +51,24 @@ class Chain:
         last.kernel.set_arg(IMAGE_ARGUMENT[last.kernel.function_name], image)
         return self.launches
 
-    def run(self, image: cl.Buffer) -> None:
-        """Enqueue the whole network; ``image`` is complete when the queue has run dry."""
-        for launch in self.ready(image):
+    def run(self, image: cl.Buffer, level: int = 0) -> None:
+        """Enqueue the network but for what stays at ``level`` of ``levels``; ``image`` is complete when the queue has run dry."""
+        stays = self.levels[level]
+        self._enqueue(launch for i, launch in enumerate(self.ready(image)) if i not in stays)
+
+    def complete(self, image: cl.Buffer, level: int) -> None:
+        """After ``run`` at ``level``: enqueue what stayed, and what is made of it. The same bits as ``run`` at level 0."""
+        stayed = self.levels[level]
+        launches = self.ready(image)
+        self._enqueue(launch for i, launch in enumerate(launches) if i in stayed or (stayed and launch.stage == "decoder"))
+
+    @cached_property
+    def levels(self) -> tuple[frozenset[int], ...]:
+        """See ``stss_cl.depth.levels``; only nothing may stay where layers share buffers."""
+        return levels(self.launches) if self.keep else (frozenset(),)
+
+    def _enqueue(self, launches: Iterable[Launch]) -> None:
+        for launch in launches:
             launch.enqueue(self._device.queue)
         self._device.queue.flush()
 

@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -13,13 +12,12 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from stss_cl.arrivals import Arrivals, DisplayFrame, Held, Tiles, sources
-from stss_cl.buffers import Outgoing
 from stss_cl.device import Device, open_device
 from stss_cl.frame import Frame
 from stss_cl.image_stages import Gather
+from stss_cl.kept import CHECK, Kept, Last, Report
 from stss_cl.layers import Layers
 from stss_cl.network import Precision
-from stss_cl.prepare import Prepare
 from stss_cl.sources import check_steps
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
@@ -32,81 +30,8 @@ MOST_CHANGED = 0.75
 """Where a larger share of the network's inputs changed, all of it is computed: to look for the rest would not pay."""
 FIRST, AIM, SLOWER, FASTER = 0.2, 0.5, 0.25, 1.25
 """``bounded``: the first tolerance and the departure aimed at, as shares of the largest error; limits of a step of the tolerance."""
-CHECK = 12
-"""``bounded``: one of so many frames of a kind is computed both ways."""
 PATIENCE, REST = 8, 48
 """After so many frames in a row of which nothing was left out, so many are computed without looking."""
-
-
-@dataclass(frozen=True)
-class Report:
-    """What a frame cost.
-
-    Attributes:
-        prepared: share of the tiles of 4 x 4 pixels whose inputs were computed anew.
-        changed: share of those whose inputs then differed; 1 where nobody looked.
-        network: what of the network was run.
-        departure: for ``bounded``, of a frame that was computed both ways: the largest difference that leaving out made.
-    """
-
-    prepared: float
-    changed: float
-    network: Literal["none", "changed", "whole"]
-    departure: float | None = None
-
-
-@dataclass(frozen=True)
-class Last:
-    """The last frame of a kind: its number and that of the oldest frame it read, whose colours it read, and its ``valid``."""
-
-    number: int
-    oldest: int
-    steps: tuple[int, int, int]
-    colors: tuple[Held, ...]
-    valid: NDArray[np.bool_]
-
-
-class Kept:
-    """All that is kept of the last frame of a kind. SF and EF differ at every silhouette: each would recompute the other's."""
-
-    def __init__(self, device: Device, layers: Layers, gather: Gather):
-        self.layers = layers
-        self.prepare = Prepare(device, *layers.size, gather, inputs=layers.inputs)
-        self.last: Last | None = None
-        self._device = device
-        self.unchecked = CHECK - 2
-        self._image: Outgoing | None = None
-        self._alone = 0
-
-    @property
-    def image(self) -> NDArray[np.float32]:
-        """The last image, not to be written to."""
-        assert self._image is not None
-        shown = self._image.finish().view()
-        shown.flags.writeable = False
-        return shown
-
-    def target(self, *, whole: bool) -> cl.Buffer:
-        """Where to write the image: over the last one; over a copy of it if somebody still has that, or a new one if ``whole``."""
-        last = self._image
-        if last is None or sys.getrefcount(last.array) > self._alone:
-            height, width = self.layers.size
-            self._image = Outgoing(self._device, (2 * height, 2 * width, 3), on_device=False)
-            self._alone = sys.getrefcount(self._image.array)
-            if last is not None and not whole:
-                cl.enqueue_copy(self._device.queue, self._image.data, last.data)
-        assert self._image is not None
-        return self._image.data
-
-    def changed(self) -> float:
-        """The share of tiles whose inputs differ from the last ones; waits for them."""
-        most = 0.0
-        for buffer in (self.layers.inputs.input, self.layers.inputs.earlier):
-            assert buffer.changes is not None
-            marks = np.empty((buffer.images, buffer.changes.size // buffer.images), np.uint8)
-            cl.enqueue_copy(self._device.queue, marks, buffer.changes)
-            most = max(most, np.count_nonzero(marks.any(axis=0)) / marks.shape[1])
-        return most
 
 
 class Stream:
@@ -197,7 +122,7 @@ class Stream:
         assert self._arrivals is not None, "no frame was computed yet"
         shape = tuple(-(-length // 4) for length in self._arrivals.size)
         if self.report.network != "changed" or self._latest is None:
-            return np.full(shape, self.report.network == "whole", np.float32)
+            return np.full(shape, self.report.network != "none", np.float32)
         return self._latest.layers.activity()[: shape[0], : shape[1]]
 
     def _compute(
@@ -210,17 +135,20 @@ class Stream:
         prepare.start(sources(held, steps), tolerance=tolerance)
         prepare.strip()
         changed = kept.changed() if kept.last is not None and not self._rests else 1.0
-        whole = changed > MOST_CHANGED
-        image = kept.target(whole=whole)
-        if whole:
-            layers.run(image)
+        whole, departure = changed > MOST_CHANGED, None
+        if whole or kept.stale:
+            # What stayed of the deep layers is not what their inputs give: changes alone would not mend it.
+            color = held[-1 - steps[0]].frame.color if whole else None
+            shallow, departure = kept.run_whole(color)
+            network = "shallow" if shallow else "whole"
             layers.changed_only()  # built while the device computes, not when the first change waits for it
         else:
-            layers.run_changed(image, tolerance)
+            network = "changed"
+            layers.run_changed(kept.target(whole=False), tolerance)
         valid = np.empty(layers.size, np.uint8)
         cl.enqueue_copy(self.device.queue, valid, prepare.mask)
         kept.last = _last(held, steps, valid.view(np.bool_))
-        self.report = Report(1.0 if busy is None else float(busy.mean()), float(changed), "whole" if whole else "changed")
+        self.report = Report(1.0 if busy is None else float(busy.mean()), float(changed), network, departure)
         if tolerance > 0:
             self._check(kept)
         if not self._rests:
@@ -239,7 +167,7 @@ class Stream:
         cl.enqueue_copy(self.device.queue, prepare.busy, _spread(None, (prepare.rows, prepare.columns)), is_blocking=True)
         prepare.again()
         prepare.strip()
-        kept.layers.run(kept.target(whole=True))
+        kept.run_whole(None)
         departure = float(np.abs(kept.image - left_out).max())
         self.report = replace(self.report, departure=departure)
         if departure > 0:
@@ -256,7 +184,7 @@ class Stream:
             if not layers.keep:
                 self._skip = "off"
                 return None
-            self._kept[extrapolates] = Kept(self.device, layers, self._gather)
+            self._kept[extrapolates] = Kept(self.device, layers, self._gather, self._max_error)
         return self._kept[extrapolates]
 
     def _busy(self, arrivals: Arrivals, kept: Kept, held: list[Held], steps: tuple[int, int, int]) -> Tiles | None:

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: MIT
+"""How deep the network is computed where everything changes: deep features change slowly, and some weights hardly need them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stss_cl.launch import Launch
+
+FIRST, LONGEST = 2, 24
+"""Frames of a kind between two that are computed whole: at first; where nothing speaks against it."""
+AIM = 0.5
+"""The departure up to which more is left out, as a share of the largest error; the rest is for what the tolerance does."""
+REST = 48
+"""After so many frames it is tried again whether the deep layers may stay."""
+SAMPLED, CUT = 16, 0.08
+"""Colours of every so many pixels are compared with the last ones: a larger mean difference is another shot, of which nothing stays."""
+
+
+def levels(launches: Sequence[Launch]) -> tuple[frozenset[int], ...]:
+    """What may stay as it is, by level, as positions in ``launches``.
+
+    Nothing; the history; with it the ERM and the encoder's eighth size; with them all of the quarter size.
+    """
+
+    def where(*names: str, stage: str = "") -> frozenset[int]:
+        return frozenset(i for i, launch in enumerate(launches) if launch.stage == stage or launch.name.startswith(names))
+
+    history = where(stage="history")
+    if not history:
+        return (frozenset(),)
+    eighth = history | where("down3.", stage="erm")
+    first = min(where("up1."))
+    return frozenset(), history, eighth, eighth | where("down2.", "up1.") | {first - 1}  # the upsampling before up1
+
+
+class Depth:
+    """Chooses the level of each frame of a kind, by the departures of those that are computed both ways.
+
+    Args:
+        deepest: the last level.
+        max_error: how far an image may be from the one computed whole.
+
+    Attributes:
+        level: of frames between two checks.
+    """
+
+    def __init__(self, deepest: int, max_error: float):
+        self._deepest, self._max_error = deepest, max_error
+        self.level = 0
+        self._trial, self._age, self._period = min(1, deepest), 0, FIRST
+
+    def fresh(self) -> None:
+        """The frame was computed whole."""
+        self._age = 0
+
+    def next(self) -> tuple[int, bool]:
+        """The level of the next frame, and whether it is to be computed both ways."""
+        self._age += 1
+        if self._trial == 0:
+            if self._age >= REST and self._deepest:
+                self._trial = 1
+            return 0, False
+        due = self._age >= self._period
+        return self._trial if due else self.level, due
+
+    def judge(self, departure: float) -> None:
+        """The frame that was due departed by so much."""
+        self._age = 0
+        if departure <= AIM * self._max_error:
+            self.level = self._trial
+            if self._trial < self._deepest:
+                self._trial += 1
+            else:
+                self._period = min(2 * self._period, LONGEST)
+        elif departure <= self._max_error and self._trial == self.level:
+            self._period = max(self._period // 2, FIRST)
+        else:
+            self._trial = self.level = min(self.level, self._trial - 1)
+            self._deepest, self._period = self._trial or self._deepest, FIRST
+
+
+class Shot:
+    """Tells another shot from a moving camera, by some of the colours."""
+
+    def __init__(self) -> None:
+        self._last: NDArray[np.float32] | None = None
+
+    def cut(self, color: NDArray[np.float32]) -> bool:
+        """Whether ``color`` (H, W, 3) shows something else than the last one."""
+        now, before = color[::SAMPLED, ::SAMPLED], self._last
+        if before is now:
+            return False
+        self._last = now.copy()
+        return before is None or before.shape != now.shape or float(np.abs(now - before).mean()) > CUT

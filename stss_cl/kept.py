@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: MIT
+"""What is kept of the last frame of a kind."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from stss_cl.arrivals import Held
+from stss_cl.buffers import Outgoing
+from stss_cl.depth import Depth, Shot
+from stss_cl.device import Device
+from stss_cl.image_stages import Gather
+from stss_cl.layers import Layers
+from stss_cl.prepare import Prepare
+
+CHECK = 12
+"""``bounded``: one of so many frames of a kind of which something was left out is computed both ways."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a frame cost.
+
+    Attributes:
+        prepared: share of the tiles of 4 x 4 pixels whose inputs were computed anew.
+        changed: share of those whose inputs then differed; 1 where nobody looked.
+        network: what of the network was run; ``shallow``: all but what of the deep layers may stay (``stss_cl.depth``).
+        departure: for ``bounded``, of a frame that was computed both ways: the largest difference that leaving out made.
+    """
+
+    prepared: float
+    changed: float
+    network: Literal["none", "changed", "shallow", "whole"]
+    departure: float | None = None
+
+
+@dataclass(frozen=True)
+class Last:
+    """The last frame of a kind: its number and that of the oldest frame it read, whose colours it read, and its ``valid``."""
+
+    number: int
+    oldest: int
+    steps: tuple[int, int, int]
+    colors: tuple[Held, ...]
+    valid: NDArray[np.bool_]
+
+
+class Kept:
+    """All that is kept of the last frame of a kind. SF and EF differ at every silhouette: each would recompute the other's."""
+
+    def __init__(self, device: Device, layers: Layers, gather: Gather, max_error: float):
+        self.layers = layers
+        self.stale = False
+        self._depth, self._shot = Depth(len(layers.levels) - 1 if max_error else 0, max_error), Shot()
+        self.prepare = Prepare(device, *layers.size, gather, inputs=layers.inputs)
+        self.last: Last | None = None
+        self._device = device
+        self.unchecked = CHECK - 2
+        self._image: Outgoing | None = None
+        self._alone = 0
+
+    @property
+    def image(self) -> NDArray[np.float32]:
+        """The last image, not to be written to."""
+        assert self._image is not None
+        shown = self._image.finish().view()
+        shown.flags.writeable = False
+        return shown
+
+    def target(self, *, whole: bool) -> cl.Buffer:
+        """Where to write the image: over the last one; over a copy of it if somebody still has that, or a new one if ``whole``."""
+        last = self._image
+        if last is None or sys.getrefcount(last.array) > self._alone:
+            height, width = self.layers.size
+            self._image = Outgoing(self._device, (2 * height, 2 * width, 3), on_device=False)
+            self._alone = sys.getrefcount(self._image.array)
+            if last is not None and not whole:
+                cl.enqueue_copy(self._device.queue, self._image.data, last.data)
+        assert self._image is not None
+        return self._image.data
+
+    def run_whole(self, color: NDArray[np.float32] | None) -> tuple[bool, float | None]:
+        """Run the network everywhere, leaving out of the deep layers what may stay.
+
+        Args:
+            color: the newest (H, W, 3), by which another shot is told; None: nothing may stay.
+
+        Returns:
+            Whether something stayed; the departure that this made, if the frame was computed both ways.
+        """
+        if color is None or self._shot.cut(color):
+            level, due = 0, False
+            self._depth.fresh()
+        else:
+            level, due = self._depth.next()
+        self.layers.run(self.target(whole=True), level)
+        self.stale = level > 0 and not due
+        if not due:
+            return self.stale, None
+        left_out = self.image.copy()
+        self.layers.complete(self.target(whole=True), level)
+        departure = float(np.abs(self.image - left_out).max())
+        self._depth.judge(departure)
+        return False, departure
+
+    def changed(self) -> float:
+        """The share of tiles whose inputs differ from the last ones; waits for them."""
+        most = 0.0
+        for buffer in (self.layers.inputs.input, self.layers.inputs.earlier):
+            assert buffer.changes is not None
+            marks = np.empty((buffer.images, buffer.changes.size // buffer.images), np.uint8)
+            cl.enqueue_copy(self._device.queue, marks, buffer.changes)
+            most = max(most, np.count_nonzero(marks.any(axis=0)) / marks.shape[1])
+        return most
