@@ -19,7 +19,7 @@ from stss import demo as demonstration
 from stss import inspection
 from stss.cli_conform import conform
 from stss.cli_devices import bench_command, devices, export, port, tune
-from stss.cli_methods import flicker_command, methods_command
+from stss.cli_methods import flicker_command, flicker_scenes_command, methods_command
 from stss.cli_stress import stress_command
 from stss.color import TRANSFERS
 from stss.engine import Engine
@@ -188,7 +188,9 @@ def inspect(file: str, size: tuple[int, int], as_json: bool) -> None:
         inspection.print_inspection(found, Console())
 
 
-for command in (bench_command, conform, devices, export, flicker_command, methods_command, port, stress_command, tune):
+for command in (
+    bench_command, conform, devices, export, flicker_command, flicker_scenes_command, methods_command, port, stress_command, tune,
+):  # fmt: skip
     stss.add_command(command)
 
 

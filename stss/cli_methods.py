@@ -10,7 +10,7 @@ import click
 from rich.console import Console
 
 from stss.color import TRANSFERS
-from stss.options import PATH, FrameRange, Names, backend_options, perceptual_options, sequence_options, weights_option
+from stss.options import PATH, FrameRange, Names, Size, backend_options, perceptual_options, sequence_options, weights_option
 from stss.sequence import open_sequence
 
 
@@ -108,3 +108,27 @@ def flicker_command(
         click.echo(found.to_json())
     else:
         print_flicker(found, Console())
+
+
+@click.command("flicker-scenes")
+@click.option("--scenes", type=Names(), default=(), help="Of the canonical ones  [default: static,slow-pan]")
+@click.option("--methods", type=Names(), default=(), help="Which, such as bilinear,taau,network  [default: all]")
+@click.option("--size", type=Size(), default="320x180", show_default=True, help="Of the inputs.")
+@click.option("--frames", type=click.IntRange(1), default=20, show_default=True, help="Display frames of a scene.")
+@weights_option
+@backend_options
+def flicker_scenes_command(
+    scenes: tuple[str, ...], methods: tuple[str, ...], size: tuple[int, int], frames: int, weights: str, **device: Any
+) -> None:
+    """Measure flicker on built-in scenes whose cameras stand or turn slowly: every method against the truth, in 8-bit levels."""
+    from stss import flicker_scenes, method_table
+    from stss.weights import load
+
+    chosen, loaded, console = method_table.choose_methods(methods, weights), load(weights), Console(stderr=True)
+
+    def make(method: str) -> Any:
+        return method_table.open_method(method, loaded, **device, tell=lambda line: click.echo(line, err=True))[0]
+
+    with console.status("") as status:
+        found = flicker_scenes.measure(scenes or flicker_scenes.STILL, chosen, make, size, frames, on_step=status.update)
+    flicker_scenes.print_steadiness(found, Console())

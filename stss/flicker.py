@@ -95,7 +95,7 @@ def flicker(out: Path, truth: Path, sequence: Frames, *, frames: tuple[int, int]
             before = number - 1, _shown(pairs[number - 1], sequence), _load(sequence, number - 1)
         now, buffers = _shown(pairs[number], sequence), _load(sequence, number)
         motion, followed = display_motion(before[2], buffers)
-        change = change_between(before[1], now, motion, followed)
+        change, _ = change_between(before[1], now, motion, followed)
         rows.append(Row(number, pairs[number].kind, change, float(followed.mean())))
         before = number, now, buffers
     return Flicker(rows, _means(rows))
@@ -128,8 +128,8 @@ def display_motion(before: Prepared, now: Prepared) -> tuple[Image, Mask]:
     return motion, enlarged(valid) & inside
 
 
-def change_between(before: tuple[Image, Image], now: tuple[Image, Image], motion: Image, followed: Mask) -> Change:
-    """The change of one frame since another, each an output and its truth.
+def change_between(before: tuple[Image, Image], now: tuple[Image, Image], motion: Image, followed: Mask) -> tuple[Change, float]:
+    """The change of one frame since another, each an output and its truth; and the largest ``|d - d*|`` of all pixels, 8-bit levels.
 
     Args:
         before: two (H, W, 3), display-referred, in [0, 1].
@@ -139,8 +139,9 @@ def change_between(before: tuple[Image, Image], now: tuple[Image, Image], motion
     """
     d, d_true = ((b - warp(a, motion)[0])[followed] * PEAK for a, b in zip(before, now, strict=True))
     if not d.size:
-        return Change(None, None, None)
-    return Change(*(float(np.abs(x).mean(dtype=np.float64)) for x in (d, d_true, d - d_true)))
+        return Change(None, None, None), 0.0
+    off = np.abs(d - d_true)
+    return Change(*(float(x.mean(dtype=np.float64)) for x in (np.abs(d), np.abs(d_true), off))), float(off.max())
 
 
 def print_flicker(found: Flicker, console: Console) -> None:

@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--steps", type=int, default=3000)
     parser.add_argument("--crop", type=int, default=80)
     parser.add_argument("--batch", type=int, default=6)
-    parser.add_argument("--rate", type=float, default=0.02)
+    parser.add_argument("--rate", type=float, default=0.01)
     parser.add_argument("--warm-up", type=int, default=200)
     parser.add_argument("--most", type=int, default=64, help="scored frames of each kind")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")

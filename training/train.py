@@ -198,7 +198,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--steps", type=int, default=100_000)
     parser.add_argument("--crop", type=int, default=64, help="side of a crop in pixels of the low resolution")
     parser.add_argument("--batch", type=int, default=8, help="crops in a step: half SF, half EF")
-    parser.add_argument("--rate", type=float, default=0.02, help="learning rate after the warm-up")
+    parser.add_argument("--rate", type=float, default=0.01, help="learning rate after the warm-up")
     parser.add_argument("--warm-up", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--initial", help="safetensors file to start from; default: bilinear and a random rest")

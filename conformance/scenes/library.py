@@ -125,6 +125,9 @@ SCENES = {
         Scene("interface", _TRIPOD, (*_QUIET, *_PANEL)),  # a still picture but for a blinking cursor
         Scene("sky", _LOOK_UP, _GARDEN, _OVERCAST),  # the camera moves; two fifths are a sky of one colour
         Scene("pan", replace(_TRIPOD, target=_line((-120, 0, 100), (9, 0, 0))), _QUIET),  # the camera only turns
+        Scene(
+            "slow-pan", replace(_TRIPOD, target=_line((-20, 0, 100), (0.9, 0, 0))), _QUIET
+        ),  # about half a pixel of 320 a frame
         Scene("flythrough", _FORWARD, _GARDEN),  # straight ahead, past the poles
         Scene("cut", _cut(_DOLLY, _FROM_THE_RIGHT, 8), _GARDEN),  # another camera from frame 8
     )

@@ -9,10 +9,13 @@ import sys
 
 import numpy as np
 import pytest
+from rich.console import Console
 
+from stss import flicker_scenes
 from stss.errors import InputError
-from stss.flicker import change_between, display_motion, flicker
+from stss.flicker import Change, change_between, display_motion, flicker
 from stss.images import write_rgb
+from stss.methods import MethodBackend
 from stss.sequence import open_sequence
 
 SIZE = (16, 24)
@@ -159,7 +162,8 @@ def test_motion_of_display_frames(sequence):
     assert not followed[:4].any()
     assert not followed[:, :2].any()
     blank = np.zeros((*followed.shape, 3), np.float32)
-    found = change_between((blank, blank), (blank + 1, blank), motion, followed)
+    found, largest = change_between((blank, blank), (blank + 1, blank), motion, followed)
+    assert largest in (0, 255)
     assert (found.output, found.truth, found.error) == (255, 0, 255)
 
 
@@ -175,3 +179,34 @@ def test_the_command_line_has_table_and_json(sequence, tmp_path):
     missing = stss("flicker", out, tmp_path / "nowhere", "--sequence", frames)
     assert missing.returncode == 2
     assert len(missing.stderr.strip().splitlines()) == 1
+
+
+class Alternating(MethodBackend):
+    """Bilinear, but every second frame is brighter by 5 levels: flicker, and nothing else."""
+
+    def compute(self, window, steps):
+        image, valid = super().compute(window, steps)
+        return image + (window[-1].number % 2) * np.float32(5 / 255), valid
+
+
+def test_flicker_of_the_scenes_is_the_method_s(capsys):
+    made = {"steady": MethodBackend("bilinear"), "alternating": Alternating("bilinear")}
+    found = flicker_scenes.measure(("static", "slow-pan"), tuple(made), made.__getitem__, (36, 64), 12)
+    by = {(row.scene, row.method): row for row in found}
+    assert by["static", "steady"].change == Change(0, 0, 0)
+    assert by["static", "alternating"].change.error == pytest.approx(5, abs=0.2)  # near white it is clipped
+    assert by["static", "alternating"].largest == pytest.approx(5, abs=1e-3)
+    assert by["slow-pan", "steady"].change.truth > 0
+    assert by["slow-pan", "alternating"].change.error > by["slow-pan", "steady"].change.error
+    flicker_scenes.print_steadiness(found, Console())
+    assert "alternating" in capsys.readouterr().out
+    with pytest.raises(InputError, match="--scenes: expected some of"):
+        flicker_scenes.measure(("nowhere",), ("steady",), made.__getitem__, (36, 64), 12)
+    with pytest.raises(InputError, match="--frames: expected at least 9"):
+        flicker_scenes.measure(("static",), ("steady",), made.__getitem__, (36, 64), 8)
+
+
+def test_the_command_for_scenes():
+    ended = stss("flicker-scenes", "--size", "48x32", "--frames", "10", "--methods", "bilinear,repeat", "--scenes", "static")
+    assert ended.returncode == 0, ended.stderr
+    assert "repeat" in ended.stdout
