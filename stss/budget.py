@@ -6,31 +6,17 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 from stss.backends import Backend
 from stss.errors import InputError
 from stss.prepared import WINDOW, Prepared
+from stss.setting import Setting
 from stss.supersample import plan
 
 FRAMES = 16
 """Display frames that each setting is tried on."""
 WARM = 8
 """Those before the first timed one."""
-
-
-@dataclass(frozen=True)
-class Setting:
-    """What ``stss.backends.open_backend`` takes: the most accurate first in `SETTINGS`."""
-
-    precision: str
-    skip: str
-    max_error: float = 0.0
-
-    def __str__(self) -> str:
-        """As the user would say it."""
-        bound = f" --max-error {self.max_error * 255:g}/255" if self.max_error else ""
-        return f"--precision {self.precision} --skip {self.skip}{bound}"
 
 
 SETTINGS = (
@@ -41,6 +27,7 @@ SETTINGS = (
     Setting("float32", "bounded", 4 / 255),
     Setting("float32", "bounded", 8 / 255),
 )
+"""The most accurate first."""
 
 
 def choose(
@@ -64,12 +51,12 @@ def choose(
         backend = make(setting)
         seconds = measure(frames, backend)
         if seconds <= budget:
-            tell(f"{setting}: {seconds * 1e3:.1f} ms a frame, within {budget * 1e3:g} ms")
+            tell(f"{setting.options}: {seconds * 1e3:.1f} ms a frame, within {budget * 1e3:g} ms")
             return setting, backend
-        tell(f"{setting}: {seconds * 1e3:.1f} ms a frame")
+        tell(f"{setting.options}: {seconds * 1e3:.1f} ms a frame")
         fastest = min(fastest or (seconds, setting), (seconds, setting), key=lambda pair: pair[0])
     assert fastest is not None
-    tell(f"no setting keeps within {budget * 1e3:g} ms a frame: the fastest is taken, {fastest[1]}")
+    tell(f"no setting keeps within {budget * 1e3:g} ms a frame: the fastest is taken, {fastest[1].options}")
     return fastest[1], make(fastest[1])
 
 

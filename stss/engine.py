@@ -15,6 +15,7 @@ from stss.methods import NETWORK
 from stss.prepared import Prepared, prepare
 from stss.run import RunOptions
 from stss.sequence import Sequence
+from stss.setting import Setting
 from stss.supersample import choose_rendered
 from stss.weights import LoadedWeights
 
@@ -63,7 +64,7 @@ class Engine:
         if budget is None:
             return self._make(self.precision, skip or ("bounded" if max_error else "exact"), max_error or 0.0, tell)
 
-        def make(setting: budgeting.Setting) -> Backend:
+        def make(setting: Setting) -> Backend:
             return self._make(setting.precision, setting.skip, setting.max_error, tell)[0]
 
         _, backend = budgeting.choose(_first_frames(sequence, options), budget, make, tell)

@@ -15,10 +15,10 @@ from stss.errors import InputError
 from stss.metrics import psnr
 from stss.prepared import Prepared, frame_inputs
 from stss.scene_frames import display_frames, truth
+from stss.setting import Setting
 from stss.supersample import plan
 from stss_cl.device import Device
-from stss_cl.network import Precision
-from stss_cl.stream import Skip, Stream
+from stss_cl.stream import Stream
 from stss_ref.arrays import Array, Image
 from stss_ref.frame import FrameInputs, frame
 from stss_ref.weights import Weights, astype
@@ -29,21 +29,6 @@ WARM = 8
 """Display frames before the first timed one: histories are full, kernels built."""
 JUDGED = 2
 """The last frames, an SF and an EF, are held against the float64 reference and the truth."""
-
-
-@dataclass(frozen=True)
-class Setting:
-    """A way to compute: see ``stss_cl.stream.Stream``. ``max_error`` in output units."""
-
-    precision: Precision
-    skip: Skip
-    max_error: float = 0.0
-
-    @property
-    def name(self) -> str:
-        """As in the table."""
-        bound = f" {self.max_error * 255:g}/255" if self.skip == "bounded" else ""
-        return f"{self.precision} {self.skip}{bound}"
 
 
 SETTINGS = (
@@ -80,6 +65,7 @@ class Point:
         times: seconds of each timed frame; full: those of `FULL`, in turns with them.
         error: largest difference from the float64 reference, output units.
         departure: the same from `FULL`, over all timed frames.
+        missed: how many timed frames depart by more than the setting allows.
         psnr: to the truth, dB, mean of the judged frames.
         exact: whether every timed image has the bits of `FULL`'s.
     """
@@ -90,6 +76,7 @@ class Point:
     full: tuple[float, ...]
     error: float
     departure: float
+    missed: int
     psnr: float
     exact: bool
 
@@ -190,6 +177,7 @@ def _point(
         tuple(times[0][WARM:]),
         max(errors),
         max(departures),
+        sum(departure > setting.max_error > 0 for departure in departures),
         statistics.mean(scores),
         same,
     )

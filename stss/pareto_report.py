@@ -17,8 +17,9 @@ from stss.bench import Row, bench
 from stss.bench_report import PACKAGES, cpu_model
 from stss.errors import InputError
 from stss.optional import require, versions
-from stss.pareto import CANONICAL, Point, Setting, frontier, measure
+from stss.pareto import CANONICAL, Point, frontier, measure
 from stss.peers import Setup
+from stss.setting import Setting
 from stss.version import VERSION
 from stss.weights import identity
 from stss_cl.device import open_device
@@ -90,7 +91,9 @@ def print_points(points: Sequence[Point], peers: Sequence[Row], console: Console
                 f"{point.median * 1e3:.1f}",
                 f"{point.ratio:.3f}",
                 f"{point.error:.1e}",
-                "same bits" if point.exact else f"{point.departure * 255:.2f}/255",
+                "same bits"
+                if point.exact
+                else f"{point.departure * 255:.2f}/255" + f", {point.missed} beyond" * bool(point.missed),
                 f"{point.psnr:.2f}",
             )
         console.print(table)
@@ -121,6 +124,7 @@ def write_json(path: Path, points: Sequence[Point], peers: Sequence[Row], weight
                 "share": point.ratio,
                 "error": point.error,
                 "departure": point.departure,
+                "missed": point.missed,
                 "same_bits": point.exact,
                 "psnr": point.psnr,
             }
