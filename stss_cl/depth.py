@@ -10,14 +10,15 @@ from numpy.typing import NDArray
 
 from stss_cl.launch import Launch
 
-FIRST, LONGEST = 2, 24
+FIRST, LONGEST = 2, 48
 """Frames of a kind between two that are computed whole: at first; where nothing speaks against it."""
 AIM = 0.5
 """The departure up to which more is left out, as a share of the largest error; the rest is for what the tolerance does."""
 REST = 48
 """After so many frames it is tried again whether the deep layers may stay."""
-SAMPLED, CUT = 16, 0.08
-"""Colours of every so many pixels are compared with the last ones: a larger mean difference is another shot, of which nothing stays."""
+SAMPLED, BLOCK, CUT = 4, 8, 0.08
+"""Every so many pixels of a colour are looked at, means of blocks of so many of those compared with the last ones: a larger mean
+difference is another shot, of which nothing stays. (Single pixels would take a fast pan over a checker for one.)"""
 
 
 def levels(launches: Sequence[Launch]) -> tuple[frozenset[int], ...]:
@@ -91,8 +92,13 @@ class Shot:
 
     def cut(self, color: NDArray[np.float32]) -> bool:
         """Whether ``color`` (H, W, 3) shows something else than the last one."""
-        now, before = color[::SAMPLED, ::SAMPLED], self._last
-        if before is now:
-            return False
-        self._last = now.copy()
+        now, before = _blocks(color[::SAMPLED, ::SAMPLED]), self._last
+        self._last = now
         return before is None or before.shape != now.shape or float(np.abs(now - before).mean()) > CUT
+
+
+def _blocks(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    height, width, channels = picture.shape
+    rows, columns = max(height // BLOCK, 1), max(width // BLOCK, 1)
+    whole = picture[: rows * BLOCK, : columns * BLOCK]
+    return whole.reshape(rows, whole.shape[0] // rows, columns, whole.shape[1] // columns, channels).mean(axis=(1, 3))

@@ -39,7 +39,10 @@ AVERAGE = 0.999
 
 @dataclass(frozen=True)
 class Settings:
-    """What decides the numbers of a run besides the data; steps may be raised when it is resumed. ``young``: see `infancy`."""
+    """What decides the numbers of a run besides the data; steps may be raised when it is resumed. ``young``: see `infancy`.
+
+    ``squares``: the share of the squared error in the loss that stays after it.
+    """
 
     crop: int
     batch: int
@@ -48,6 +51,7 @@ class Settings:
     seed: int
     half: bool
     young: bool = True
+    squares: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -103,7 +107,9 @@ def optimisers(network: nn.Module, heads: nn.Module) -> tuple[torch.optim.Optimi
     return Muon(kernels, 1.0), torch.optim.Adam(others, 1.0, betas=(0.9, 0.999), eps=1e-7, fused=True)
 
 
-def advance(state: State, batch: tuple[Tensor, ...], rate: float, *, half: bool, young: float = 0.0) -> Tensor:
+def advance(
+    state: State, batch: tuple[Tensor, ...], rate: float, *, half: bool, young: float = 0.0, squares: float = 0.0
+) -> Tensor:
     """One step; ``young`` is the share of what only helps a beginner, see `infancy`. Returns the loss, on the device."""
     color, gbuffer, mask, history, truth = batch
     for optimiser, factor in zip(state.optimisers, (1.0, ADAM), strict=True):
@@ -114,9 +120,12 @@ def advance(state: State, batch: tuple[Tensor, ...], rate: float, *, half: bool,
         output, features = state.network.with_features(color, gbuffer, mask, history)
         pictures = state.heads(features) if young else []
     output = output.float()
-    value = (1 - young) * loss(output, truth, mask, structure(output, truth))
+    squares = max(young, squares)
+    value = (1 - squares) * loss(output, truth, mask, structure(output, truth))
+    if squares:
+        value = value + squares * squared(output, truth, mask)
     if young:
-        value = value + young * (squared(output, truth, mask) + supervision([p.float() for p in pictures], truth))
+        value = value + young * supervision([p.float() for p in pictures], truth)
     value.backward()
     nn.utils.clip_grad_norm_(state.network.parameters(), CLIP)
     for optimiser in state.optimisers:
@@ -174,7 +183,7 @@ def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan
     for step, batch in batches.between(state.step, plan.steps):
         rate = rate_at(step, plan.steps, settings)
         young = infancy(step, plan.steps) if settings.young else 0.0
-        total += advance(state, tensors(batch, device), rate, half=settings.half, young=young)
+        total += advance(state, tensors(batch, device), rate, half=settings.half, young=young, squares=settings.squares)
         count += 1
         if state.step % plan.log == 0:
             value, now = float(total) / count, time.perf_counter()
@@ -202,6 +211,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--warm-up", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--initial", help="safetensors file to start from; default: bilinear and a random rest")
+    parser.add_argument("--squares", type=float, default=0.0, help="share of the squared error in the loss, for PSNR's sake")
     parser.add_argument("--validate", type=int, default=1000, metavar="STEPS")
     parser.add_argument("--log", type=int, default=100, metavar="STEPS")
     parser.add_argument("--most", type=int, default=32, help="validation frames of each kind")

@@ -97,6 +97,10 @@ def test_another_shot_is_told_from_a_moving_camera():
     shot = Shot()
     assert shot.cut(picture)
     assert not shot.cut(np.roll(picture, 4, axis=1))
+    checker = ((np.indices((90, 160)) // 7).sum(axis=0) % 2)[..., None].repeat(3, -1).astype(np.float32)
+    shot.cut(checker)
+    assert not shot.cut(np.roll(checker, 7, axis=1))
+    shot.cut(picture)
     assert shot.cut(1 - picture + 0.3)
     assert shot.cut(picture[:60])
 
