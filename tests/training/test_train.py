@@ -106,3 +106,18 @@ def test_bfloat16_on_the_cpu_trains_too(data):
     batches = Batches(load_shards(data), side=16, batch=2, seed=0)
     values = [advance(state, tensors(batches[i], torch.device("cpu")), 3e-3, half=True).item() for i in range(12)]
     assert values[-1] < values[0]
+
+
+def test_the_average_of_runs(tmp_path):
+    from stss.weights import save
+    from stss_ref.weights import random
+    from training.average import main as average
+
+    one, two = random(0), random(1)
+    save(tmp_path / "a.safetensors", one, {"steps": "3"})
+    save(tmp_path / "b.safetensors", two, {"steps": "5"})
+    average([str(tmp_path / "a.safetensors"), str(tmp_path / "b.safetensors"), "-o", str(tmp_path / "c.safetensors")])
+    made = load(tmp_path / "c.safetensors")
+    for name, tensor in made.weights.items():
+        np.testing.assert_allclose(tensor, (one[name] + two[name]) / 2, rtol=1e-6, atol=1e-8)
+    assert [record["steps"] for record in json.loads(made.metadata["average_of"])] == ["3", "5"]

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: MIT
+"""Average the weights of runs that started from one another: better than each (Wortsman et al. 2022, Model soups)."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from stss.weights import load, save
+from training.command import command
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """``python -m training.average``."""
+    parser = argparse.ArgumentParser(prog="python -m training.average", description=__doc__)
+    parser.add_argument("weights", nargs="+", help="safetensors files")
+    parser.add_argument("-o", "--out", type=Path, required=True)
+    chosen = parser.parse_args(arguments)
+    loaded = [load(name) for name in chosen.weights]
+    tensors = {
+        name: np.mean([each.weights[name] for each in loaded], axis=0, dtype=np.float64).astype(np.float32)
+        for name in loaded[0].weights
+    }
+    save(chosen.out, tensors, {"average_of": json.dumps([dict(each.metadata) for each in loaded])})
+
+
+if __name__ == "__main__":
+    command(main)
