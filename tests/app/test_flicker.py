@@ -194,8 +194,8 @@ def test_flicker_of_the_scenes_is_the_method_s(capsys):
     found = flicker_scenes.measure(("static", "slow-pan"), tuple(made), made.__getitem__, (36, 64), 12)
     by = {(row.scene, row.method): row for row in found}
     assert by["static", "steady"].change == Change(0, 0, 0)
-    assert by["static", "alternating"].change.error == pytest.approx(5, abs=0.2)  # near white it is clipped
-    assert by["static", "alternating"].largest == pytest.approx(5, abs=1e-3)
+    assert 4.8 < by["static", "alternating"].change.error < 5.001  # near white it is clipped
+    assert near(by["static", "alternating"].largest, 5)
     assert by["slow-pan", "steady"].change.truth > 0
     assert by["slow-pan", "alternating"].change.error > by["slow-pan", "steady"].change.error
     flicker_scenes.print_steadiness(found, Console())

@@ -245,4 +245,6 @@ def test_the_weights_that_come_with_the_program():
     """They are there, are no zero residual, and say where they are from."""
     loaded = load("default")
     assert loaded.weights["outc.weight"].any()
-    assert {"settings", "steps"} <= set(loaded.metadata)
+    runs = json.loads(loaded.metadata["average_of"])
+    assert runs
+    assert all({"settings", "steps"} <= set(run) for run in runs)

@@ -46,4 +46,4 @@ def test_steps_do_not_depend_on_the_gradient_s_size():
         kernel.grad = size * torch.from_numpy(np.random.default_rng(2).normal(size=(4, 4, 3, 3)))
         Muon([kernel], 0.1).step()
         moved.append(kernel.detach())
-    torch.testing.assert_close(*moved, rtol=1e-5, atol=1e-7)
+    assert (moved[0] - moved[1]).abs().max() < 1e-5 * moved[1].abs().max()
