@@ -13,10 +13,9 @@ from rich.table import Table
 
 from conformance.scenes import SCENES
 from stss.backends import Backend
-from stss.errors import InputError
 from stss.flicker import Change, change_between, display_motion
 from stss.prepared import WINDOW, Prepared
-from stss.scene_frames import display_frames, truth
+from stss.scene_frames import check_request, display_frames, truth
 from stss.supersample import plan
 from stss_ref.arrays import Image
 
@@ -59,11 +58,7 @@ def measure(
     Raises:
         InputError: there is no such scene, or there are too few frames.
     """
-    for name in scenes:
-        if name not in SCENES:
-            raise InputError(f"--scenes: expected some of {', '.join(SCENES)}, got {name!r}")
-    if count < WARM + 2:
-        raise InputError(f"--frames: expected at least {WARM + 2}, got {count}")
+    check_request(scenes, count, WARM + 2)
     found: list[Steadiness] = []
     for name in scenes:
         on_step(f"{name}: rendering")

@@ -14,7 +14,7 @@ from conformance.scenes import SCENES
 from stss.errors import InputError
 from stss.metrics import psnr
 from stss.prepared import Prepared, frame_inputs
-from stss.scene_frames import display_frames, truth
+from stss.scene_frames import check_request, display_frames, truth
 from stss.setting import Setting
 from stss.supersample import plan
 from stss_cl.device import Device
@@ -114,11 +114,7 @@ def measure(
     Raises:
         InputError: there is no such scene, or there are too few frames.
     """
-    for name in scenes:
-        if name not in SCENES:
-            raise InputError(f"--scenes: expected some of {', '.join(SCENES)}, got {name!r}")
-    if count < WARM + JUDGED:
-        raise InputError(f"--frames: expected at least {WARM + JUDGED}, got {count}")
+    check_request(scenes, count, WARM + JUDGED)
     for name in scenes:
         on_step(f"{name}: rendering")
         frames = list(display_frames(SCENES[name], size, count))

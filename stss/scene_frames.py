@@ -3,14 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from conformance.scenes import Scene, render
+from conformance.scenes import SCENES, Scene, render
 from stss.buffers import Buffers
 from stss.color import transfer
+from stss.errors import InputError
 from stss.prepared import Prepared, prepare
 from stss.sequence import BACKGROUND_POSITION
 from stss_ref.arrays import Image
@@ -18,6 +19,19 @@ from stss_ref.arrays import Image
 TRANSFER = "srgb"
 TRUTH_SAMPLES = 9
 """Rays for each pixel of the truth."""
+
+
+def check_request(scenes: Sequence[str], count: int, least: int) -> None:
+    """Check the user's --scenes and --frames.
+
+    Raises:
+        InputError: there is no such scene, or there are fewer frames than ``least``.
+    """
+    for name in scenes:
+        if name not in SCENES:
+            raise InputError(f"--scenes: expected some of {', '.join(SCENES)}, got {name!r}")
+    if count < least:
+        raise InputError(f"--frames: expected at least {least}, got {count}")
 
 
 def display_frames(scene: Scene, size: tuple[int, int], count: int) -> Iterator[Prepared]:
