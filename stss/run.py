@@ -127,7 +127,7 @@ def run(
     keys = Keys(sequence, rendered, {**metadata, "format": options.format, "read": sequence.settings})
     job = _Job(Window(sequence, rendered, curve, options.depth), keys, backend, curve, out, options, metadata, rendered)
     if options.show_skipped and backend.cost is None:
-        raise InputError(f"--show-skipped: expected the network on the backend cl, got {backend.name}")
+        raise InputError(f"--show-skipped: expected the network on the backend cl, got {backend.method} on {backend.name}")
     _claim(out, options)
     if backend.accumulates:
         for number in range(sequence.numbers[0], numbers[0]):

@@ -50,9 +50,10 @@ class Depth:
     """
 
     def __init__(self, deepest: int, max_error: float):
-        self._deepest, self._max_error = deepest, max_error
+        self._most, self._max_error = deepest, max_error
         self.level = 0
-        self._trial, self._age, self._period = min(1, deepest), 0, FIRST
+        self._deepest, self._trial = deepest, min(1, deepest)
+        self._age, self._period = 0, FIRST
 
     def fresh(self) -> None:
         """The frame was computed whole."""
@@ -62,8 +63,8 @@ class Depth:
         """The level of the next frame, and whether it is to be computed both ways."""
         self._age += 1
         if self._trial == 0:
-            if self._age >= REST and self._deepest:
-                self._trial = 1
+            if self._age >= REST:
+                self._deepest, self._trial = self._most, min(1, self._most)
             return 0, False
         due = self._age >= self._period
         return self._trial if due else self.level, due
@@ -73,15 +74,19 @@ class Depth:
         self._age = 0
         if departure <= AIM * self._max_error:
             self.level = self._trial
+            if self._period == LONGEST:
+                self._deepest = self._most  # what was too deep once need not be so for ever
             if self._trial < self._deepest:
                 self._trial += 1
             else:
                 self._period = min(2 * self._period, LONGEST)
-        elif departure <= self._max_error and self._trial == self.level:
+        elif self._trial > self.level:  # was only tried
+            self._trial = self._deepest = self.level
+        elif departure <= self._max_error:
             self._period = max(self._period // 2, FIRST)
         else:
-            self._trial = self.level = min(self.level, self._trial - 1)
-            self._deepest, self._period = self._trial or self._deepest, FIRST
+            self._trial = self._deepest = self.level = self.level - 1
+            self._period = FIRST
 
 
 class Shot:

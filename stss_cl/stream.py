@@ -138,7 +138,7 @@ class Stream:
         whole, departure = changed > MOST_CHANGED, None
         if whole or kept.stale:
             # What stayed of the deep layers is not what their inputs give: changes alone would not mend it.
-            color = held[-1 - steps[0]].frame.color if whole else None
+            color = held[-1 - steps[0]].frame.color if whole and self._max_error else None
             shallow, departure = kept.run_whole(color)
             network = "shallow" if shallow else "whole"
             layers.changed_only()  # built while the device computes, not when the first change waits for it

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stss.supersample import plan
+from stss_cl import stream as streaming
 from stss_cl.buffers import Outgoing, incoming
 from stss_cl.depth import FIRST, LONGEST, REST, Depth, Shot
 from stss_cl.layers import Layers
@@ -91,6 +92,19 @@ def test_checks_become_rare_and_common_again():
     assert any(depth.next()[1] for _ in range(REST + FIRST))
 
 
+def test_a_level_that_was_too_deep_once_is_tried_again():
+    depth, too_deep = Depth(2, 1.0), True
+    reached = []
+    for step in range(900):
+        too_deep = step < 300
+        level, due = depth.next()
+        reached.append(depth.level)
+        if due:
+            depth.judge(0.0 if level < 2 else 3.0 * too_deep)
+    assert max(reached[:300]) == 1
+    assert reached[-1] == 2
+
+
 def test_another_shot_is_told_from_a_moving_camera():
     rng = np.random.default_rng(0)
     picture = np.cumsum(rng.normal(0, 0.01, (90, 160, 3)), axis=1).astype(np.float32) + 0.5
@@ -127,3 +141,27 @@ def test_a_moving_camera(device, max_error):
         if max_error > 0.1:  # how well a narrow one is held is what tests/meta/misses.py measures
             assert np.abs(got[0] - want[0]).max() <= max_error
     assert shallow > 20 if max_error > 0.1 else shallow == 0
+
+
+def test_old_features_do_not_outlive_the_motion(device):
+    """When the camera comes to rest after frames that left deep features as they were, the next one is computed whole."""
+    rng, made = np.random.default_rng(6), None
+    made = first_frame(rng, SIZE, rendered=True)
+    frames, color = [made], made.color
+    for i in range(1, 60):
+        made, color = next_frame(rng, made, color, "everything" if i < 40 else "nothing", rendered=i % 2 == 0)
+        color = frames[0].color + np.float32(0.01) * color if i < 40 else frames[38].color.copy()
+        if i > 40:
+            color[i % 8, 3:5] += np.float32(0.5)
+        frames.append(type(made)(made.number, color if i % 2 == 0 else None, *list(vars(made).values())[2:]))
+    loose, seen = Stream(WEIGHTS, device, skip="bounded", max_error=0.99), []
+    for i in range(60):
+        loose._rests = 0  # to look at every frame
+        loose(frames[max(0, i - 5) : i + 1], plan(frames[max(0, i - 5) : i + 1]).steps)
+        seen.append((loose.report.network, loose.report.changed))
+    assert "shallow" in [network for network, _ in seen[:40]]
+    for kind in (0, 1):
+        rest = [network for network, changed in seen[kind::2] if changed <= streaming.MOST_CHANGED]
+        before = [network for network, changed in seen[kind::2] if changed > streaming.MOST_CHANGED]
+        assert rest[0] == ("whole" if before[-1] == "shallow" else "changed")
+        assert set(rest[1:]) <= {"changed", "none"}

@@ -13,8 +13,9 @@ from stss_ref.weights import random as random_weights
 torch = pytest.importorskip("torch", reason="the package torch is not installed: pip install '.[train]'")
 torch.set_num_threads(1)
 
-from training.loss import loss, structure  # noqa: E402
-from training.network import Network, hold_gates, initialise, load_weights, to_weights  # noqa: E402
+from training.loss import loss, squared, structure, supervision  # noqa: E402
+from training.network import Heads, Network, hold_gates, initialise, load_weights, to_weights  # noqa: E402
+from training.train import infancy  # noqa: E402
 from training.validate import bilinear  # noqa: E402
 
 
@@ -104,3 +105,28 @@ def test_structure_sees_blur_and_not_equality():
     truth = torch.rand(2, 3, 32, 32, generator=torch.Generator().manual_seed(0))
     blurred = torch.nn.functional.avg_pool2d(truth, 3, 1, 1)
     assert structure(truth, truth).abs() < structure(0.5 * truth + 0.5 * blurred, truth) < structure(blurred, truth)
+
+
+def test_the_aids_of_the_first_half():
+    """Nothing where the output is right; holes count twice; the heads ask for the truth at each feature's size."""
+    truth, mask = torch.rand(2, 3, 32, 48), torch.ones(2, 1, 16, 24)
+    assert squared(truth, truth, mask) == 0
+    off = truth.clone()
+    off[:, :, :, :8] += 0.5
+    seen = squared(off, truth, mask)
+    mask[..., :8] = 0  # bilinear: the mask is 0 over six columns of the truth and more
+    assert squared(off, truth, mask) > 2 * seen
+    assert [infancy(step, 100) for step in (0, 25, 50, 99)] == [1, 0.5, 0, 0]
+
+    network, heads, batch = Network(), Heads(), tensors(inputs(3))
+    load_weights(network, random_weights(2))
+    _, features = network.with_features(*batch)
+    pictures = heads(features)
+    assert [tuple(p.shape[-2:]) for p in pictures] == [(3, 2), (3, 2), (6, 4), (12, 8)]
+    truth = torch.rand(1, 3, 48, 32)
+    right = [torch.nn.functional.avg_pool2d(truth, 48 // p.shape[-2]) for p in pictures]
+    assert supervision(right, truth) == 0
+    supervision(pictures, truth).backward()
+    deep = ("down3.", "convHis", "lowlevel", "latent", "KEncoder", "up1", "up2")
+    assert all(p.grad is not None and p.grad.any() for n, p in network.named_parameters() if n.startswith(deep))
+    assert all(p.grad is None for n, p in network.named_parameters() if n.startswith(("up3", "outc")))

@@ -81,6 +81,16 @@ def test_batches_are_half_and_half_and_depend_on_the_step_alone(data):
     ]
 
 
+def test_batches_for_ablations(data):
+    shards = load_shards(data)
+    for kind, others in (("SF", {"EF"}), ("EF", {"SF"})):
+        batches = Batches(shards, side=16, batch=4, seed=0, kinds=(kind,), masking=False)
+        batches._places = {**batches._places, **{key: [] for key in others}}  # to draw from the other would fail
+        assert (batches[0].mask == 1).all()
+    masked = Batches(shards, side=16, batch=4, seed=0)
+    assert any((masked[step].mask == 0).any() for step in range(4))
+
+
 def test_a_scene_in_two_splits_is_refused(data, tmp_path):
     sample = Sample(0, FrameKind.SF, np.zeros((16, 16, 24)), np.zeros((32, 32, 3)))
     for split in ("training", "test"):
