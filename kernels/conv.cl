@@ -14,13 +14,14 @@
 // One work-item holds PIXELS x BLOCK accumulators of eight channels: 4 x 3 and 3 x 4 fill a CPU's registers.
 //
 // -D SKIP -D SPAN (a multiple of PIXELS) -D TALL: only pixels that a change reaches, see changes.clh; a_changes (the map begins at
-// a_tile), b_changes, changes are the maps of a, b, out. Launch (OUT / 8 / BLOCK, ceil(width / SPAN), ceil(height / TALL)).
+// a_tile), b_changes, changes are the maps of a, b, out. -D WANTED=n in its place: only pixels of tiles no farther than n tiles
+// from one that the map `wanted` of `out` marks; stride 1. Launch (OUT / 8 / BLOCK, ceil(width / SPAN), ceil(height / TALL)).
 #if !defined(A) || !defined(B) || !defined(OUT) || !defined(KERNEL) || !defined(STRIDE) || !defined(PIXELS) || !defined(BLOCK) || \
     !defined(GROUP)
 #error "conv.cl needs -D A, B, OUT, KERNEL, STRIDE, PIXELS, BLOCK, GROUP"
 #endif
 #include "common.clh"
-#ifdef SKIP
+#if defined(SKIP) || defined(WANTED)
 #include "changes.clh"
 #endif
 
@@ -136,6 +137,8 @@ void conv(global const stored *restrict a, global const stored *restrict b, glob
 #ifdef SKIP
           , global const uchar *restrict a_changes, global const uchar *restrict b_changes, global uchar *restrict changes,
           const int a_tile, const int height, const float tolerance
+#elif defined(WANTED)
+          , global const uchar *restrict wanted, const int height
 #endif
           )
 {
@@ -152,6 +155,14 @@ void conv(global const stored *restrict a, global const stored *restrict b, glob
             if (reached(a_changes, b_changes, rows, columns, y, y, x, x + PIXELS - 1))
                 compute(a, b, weight, gate_weight, bias, gate_bias, out, width, in_columns, out_columns, out_channels, out_first,
                         block, x, y, changes, tolerance);
+#elif defined(WANTED)
+    const int left = get_global_id(1) * SPAN, top = get_global_id(2) * TALL;
+    const int rows = (height + 3) / 4, columns = (in_columns - 2) / 4, reach = 4 * WANTED;
+    for (int y = top; y < min(top + TALL, height); ++y)
+        for (int x = left; x < min(left + SPAN, width); x += PIXELS)
+            if (marked(wanted, rows, columns, y - reach, y + reach, x - reach, x + PIXELS - 1 + reach))
+                compute(a, b, weight, gate_weight, bias, gate_bias, out, width, in_columns, out_columns, out_channels, out_first,
+                        block, x, y);
 #else
     const int x = get_global_id(1) * PIXELS, y = get_global_id(2);
     if (x < width)

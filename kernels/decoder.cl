@@ -10,6 +10,7 @@
 // Build -D STRIP (pixels of one work-item, a multiple of 4) -D GROUP (work-group along x), optionally -D HALF.  Launch (ceil(W / STRIP), rows to write).
 // winograd.cl -D IMAGE does the same at the end of up3.
 // -D SKIP: only pixels that a change reaches, see changes.clh; the last arguments are the maps of feature and color.
+// -D WANTED: tiles that the map `wanted` does not mark are upsampled alone; see plain.cl.
 #if !defined(STRIP) || !defined(GROUP)
 #error "decoder.cl needs -D STRIP, GROUP"
 #endif
@@ -25,6 +26,8 @@ void image(global const stored *restrict feature, global const float4 *restrict 
            const int feature_columns, const int from, const int top
 #ifdef SKIP
            , global const uchar *restrict feature_changes, global const uchar *restrict color_changes
+#elif defined(WANTED)
+           , global const uchar *restrict wanted
 #endif
            )
 {
@@ -35,6 +38,13 @@ void image(global const stored *restrict feature, global const float4 *restrict 
         if (!feature_changes[y / 4 * wide + x / 4] && !marked(color_changes, high, wide, y - 1, y + 1, x - 1, x + 4)) continue;
 #endif
         float8 f[12], sums[8];
+#ifdef WANTED
+        if (!wanted[y / 4 * (columns / 4) + x / 4]) {
+            for (int i = 0; i < 8; ++i) sums[i] = 0.0f;
+            write_pixels(sums, color, out, y, x, last, width, rows, columns, top);
+            continue;
+        }
+#endif
         // Beyond the row lie zeros or the next one: computed, not written.
         for (int c = 0; c < 12; ++c) f[c] = LOAD8(feature, ((y + 1) * feature_columns + x + 1) * 3 + c);
         residual((const float *)f, weight, bias, sums);

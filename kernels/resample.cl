@@ -10,13 +10,13 @@
 // Build -D CHANNELS=n (multiple of 8), optionally -D HALF.  Launch (2 width, 2 height).
 //
 // -D SKIP -D SPAN (tiles of a work-item): only tiles that a change reaches, see changes.clh; in_changes, changes are the maps of
-// in and out, `top` is 0. Launch (ceil(width / 2 / SPAN), ceil(height / 2)).
+// in and out, `top` is 0. -D WANTED=n in its place: only tiles no farther than n tiles from one that the map `wanted` of out marks. Launch (ceil(width / 2 / SPAN), ceil(height / 2)).
 #ifndef CHANNELS
 #error "resample.cl needs -D CHANNELS=n"
 #endif
 #pragma OPENCL FP_CONTRACT OFF
 #include "common.clh"
-#ifdef SKIP
+#if defined(SKIP) || defined(WANTED)
 #include "changes.clh"
 #endif
 
@@ -57,10 +57,22 @@ kernel void upsample_corners(global const stored *restrict in, global stored *re
                              const int in_columns, const int out_columns, const int full_height, const int top
 #ifdef SKIP
                              , global const uchar *restrict in_changes, global uchar *restrict changes, const float tolerance
+#elif defined(WANTED)
+                             , global const uchar *restrict wanted
 #endif
                              )
 {
-#ifdef SKIP
+#if defined(WANTED)
+    const int tiles_down = (2 * height + 3) / 4, tiles_across = (out_columns - 2) / 4;
+    const int first = get_global_id(0) * SPAN, last = min(first + SPAN, tiles_across) - 1, tile_y = get_global_id(1);
+    const int north = max(tile_y - WANTED, 0), south = min(tile_y + WANTED, tiles_down - 1);
+    for (int t = first; t <= last; ++t) {
+        if (!marked_tiles(wanted, tiles_across, north, south, max(t - WANTED, 0), min(t + WANTED, tiles_across - 1))) continue;
+        for (int y = 4 * tile_y; y < min(4 * tile_y + 4, 2 * height); ++y)
+            for (int x = 4 * t; x < min(4 * t + 4, 2 * width); ++x)
+                corners(in, out, height, width, in_columns, out_columns, full_height, top, x, y, 0.0f);
+    }
+#elif defined(SKIP)
     const int rows = (height + 3) / 4, columns = (in_columns - 2) / 4, out_tiles = (out_columns - 2) / 4;
     const int first = get_global_id(0) * SPAN, last = min(first + SPAN, out_tiles) - 1, tile_y = get_global_id(1);
     // Rows 4 t .. 4 t + 3 of the output read the input's rows 2 t - 1 .. 2 t + 2.

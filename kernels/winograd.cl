@@ -16,6 +16,7 @@
 //
 // -D SKIP: only tiles that a change reaches, see changes.clh; a_changes (the map begins at a_tile), b_changes, color_changes are
 // the maps of the inputs, changes that of `out`.
+// -D WANTED=n: only tiles no farther than n tiles from one that the map `wanted` marks; see plain.cl. With IMAGE the others are upsampled alone.
 #if !defined(A) || !defined(B) || !defined(OUT) || !defined(USED) || !defined(TILES) || !defined(ROWS) || !defined(BLOCK)
 #error "winograd.cl needs -D A, B, OUT, USED, TILES, ROWS, BLOCK"
 #endif
@@ -24,6 +25,12 @@
 #endif
 #include "common.clh"
 #ifdef SKIP
+#define REACH 1  // a tile reads its neighbours
+#endif
+#ifdef WANTED
+#define REACH WANTED
+#endif
+#ifdef REACH
 #include "changes.clh"
 #endif
 #ifdef IMAGE
@@ -108,24 +115,27 @@ static inline void fetch(global const stored *buffer, const int channels, const 
 }
 #endif
 
-#ifdef SKIP
-// How many tiles of the strip are marked in a or b (which may be 0), or have a neighbour that is, and which they are.
+#ifdef REACH
+// How many tiles of the strip are marked in a or b (which may be 0), or no farther than REACH from one that is, and which they are.
 static inline int reached(global const uchar *a, global const uchar *b, const int rows, const int columns, const int first,
                           const int last, const int tile_y, int *tiles)
 {
-    const int top = max(tile_y - 1, 0), bottom = min(tile_y + 1, rows - 1);
-    const int left = max(first - 1, 0), right = min(first + TILES, columns - 1);
+    const int top = max(tile_y - REACH, 0), bottom = min(tile_y + REACH, rows - 1);
+    const int left = max(first - REACH, 0), right = min(first + TILES - 1 + REACH, columns - 1);
     if (!marked_tiles(a, columns, top, bottom, left, right) && !(b && marked_tiles(b, columns, top, bottom, left, right)))
         return 0;
-    uchar column[TILES + 2];
-    for (int i = 0; i < TILES + 2; ++i) {
-        const int x = min(max(first - 1 + i, left), right);
+    uchar column[TILES + 2 * REACH];
+    for (int i = 0; i < TILES + 2 * REACH; ++i) {
+        const int x = min(max(first - REACH + i, left), right);
         column[i] = 0;
         for (int y = top; y <= bottom; ++y) column[i] |= a[y * columns + x] | (b ? b[y * columns + x] : 0);
     }
     int count = 0;
-    for (int i = 0; i < TILES && first + i <= last; ++i)
-        if (column[i] | column[i + 1] | column[i + 2]) tiles[count++] = first + i;
+    for (int i = 0; i < TILES && first + i <= last; ++i) {
+        uchar any = 0;
+        for (int j = i; j <= i + 2 * REACH; ++j) any |= column[j];
+        if (any) tiles[count++] = first + i;
+    }
     return count;
 }
 
@@ -158,6 +168,8 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
               global uchar *restrict changes,
 #endif
               const int a_tile, const float tolerance
+#elif defined(WANTED)
+              , global const uchar *restrict wanted
 #endif
               )
 {
@@ -166,10 +178,23 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
 #ifdef IMAGE
     if (4 * tile_y + 4 <= from) return;
 #endif
-#ifdef SKIP
+#ifdef REACH
     int tiles[TILES];
     const int tile_columns = (in_columns - 2) / 4;
-#ifdef IMAGE
+#if defined(WANTED) && defined(IMAGE)
+    const int count = reached(wanted, 0, rows / 4, tile_columns, first, last, tile_y, tiles);
+    for (int x = first, t = 0; x <= last && x < first + TILES; ++x) {
+        if (t < count && tiles[t] == x) {
+            ++t;
+            continue;
+        }
+        const float8 nothing[8] = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
+        for (int y = max(4 * tile_y, from); y < min(4 * tile_y + 4, height); ++y)
+            write_pixels(nothing, color, image, y, 4 * x, width, width, rows, columns, top);
+    }
+#elif defined(WANTED)
+    const int count = reached(wanted, 0, (height + 3) / 4, tile_columns, first, last, tile_y, tiles);
+#elif defined(IMAGE)
     const int count = reached(a_changes + a_tile, color_changes, rows / 4, tile_columns, first, last, tile_y, tiles);
 #else
     global const uchar *others = B ? b_changes : 0;

@@ -22,24 +22,24 @@ class Cost:
     """What a frame cost.
 
     Attributes:
-        network: what of the network was run: ``none``, where something had ``changed``, ``shallow``: everywhere, but not all of the
-            deep layers, the ``whole``.
+        network: what of the network was run: ``none``, where something had ``changed``, ``partly``: everywhere, but without plain
+            tiles or some of the deep layers, the ``whole``.
         changed: share of the network's inputs that differed from the frame before of this kind; 1 where nobody looked.
         departure: of a frame that was computed both ways: the largest difference that leaving out made, output units.
     """
 
-    network: Literal["none", "changed", "shallow", "whole"]
+    network: Literal["none", "changed", "partly", "whole"]
     changed: float
     departure: float | None = None
 
 
 def told(costs: Sequence[Cost]) -> str:
     """One line about the frames of a run."""
-    whole, shallow, part, none = (
-        [cost for cost in costs if cost.network == network] for network in ("whole", "shallow", "changed", "none")
+    whole, partly, part, none = (
+        [cost for cost in costs if cost.network == network] for network in ("whole", "partly", "changed", "none")
     )
     parts = [f"{len(whole)} whole"] if whole else []
-    parts += [f"{len(shallow)} without the deep layers"] if shallow else []
+    parts += [f"{len(partly)} without plain tiles or deep layers"] if partly else []
     if part:
         parts.append(f"{len(part)} in part ({np.mean([cost.changed for cost in part]):.0%} of the inputs had changed)")
     parts += [f"{len(none)} not at all"] if none else []

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from stss_cl.buffers import Padded, padded
 from stss_cl.changes import ChangedOnly, Maps
-from stss_cl.depth import levels
+from stss_cl.depth import WHOLE, Level, levels
 from stss_cl.device import Device
 from stss_cl.launch import FAST_MULTIPLY_ADD, IMAGE_ARGUMENT, Final, Launch, Skip, conv, half
 from stss_cl.packing import pack
+from stss_cl.plain import Plain
 from stss_cl.program import build
 from stss_ref.weights import Weights
 
@@ -51,21 +52,24 @@ class Chain:
         last.kernel.set_arg(IMAGE_ARGUMENT[last.kernel.function_name], image)
         return self.launches
 
-    def run(self, image: cl.Buffer, level: int = 0) -> None:
-        """Enqueue the network but for what stays at ``level`` of ``levels``; ``image`` is complete when the queue has run dry."""
-        stays = self.levels[level]
-        self._enqueue(launch for i, launch in enumerate(self.ready(image)) if i not in stays)
+    def run(self, image: cl.Buffer, level: Level = WHOLE, plain: Plain | None = None) -> None:
+        """Enqueue the network but for what is left out at ``level``; ``image`` is complete when the queue has run dry.
 
-    def complete(self, image: cl.Buffer, level: int) -> None:
-        """After ``run`` at ``level``: enqueue what stayed, and what is made of it. The same bits as ``run`` at level 0."""
-        stayed = self.levels[level]
-        launches = self.ready(image)
-        self._enqueue(launch for i, launch in enumerate(launches) if i in stayed or (stayed and launch.stage == "decoder"))
+        ``plain`` is what leaves plain tiles out.
+        """
+        assert plain is not None or not level.plain
+        launches = plain.ready(image) if plain is not None and level.plain else self.ready(image)
+        self._enqueue(launch for i, launch in enumerate(launches) if i not in level.stays)
+
+    def complete(self, image: cl.Buffer, level: Level) -> None:
+        """After ``run`` at ``level``: enqueue what was left out, and what is made of it. The same bits as ``run`` of the whole."""
+        reads_it = "" if level == WHOLE else "decoder"
+        self._enqueue(launch for i, launch in enumerate(self.ready(image)) if i in level.stays or launch.stage == reads_it)
 
     @cached_property
-    def levels(self) -> tuple[frozenset[int], ...]:
-        """See ``stss_cl.depth.levels``; only nothing may stay where layers share buffers."""
-        return levels(self.launches) if self.keep else (frozenset(),)
+    def levels(self) -> tuple[Level, ...]:
+        """See ``stss_cl.depth.levels``; only nothing may be left out where layers share buffers."""
+        return levels(self.launches) if self.keep else (WHOLE,)
 
     def _enqueue(self, launches: Iterable[Launch]) -> None:
         for launch in launches:
@@ -171,7 +175,7 @@ class Chain:
         changed_group = group
         if changed_size and self._device.is_cpu:
             changed_group = 1, 1  # PoCL would take all of so few for one work-group
-        skip = Skip(file, options, flags, changed_size or size, changed_group, maps, bounded) if self.keep else None
+        skip = Skip(file, options, flags, changed_size or size, changed_group, maps, (), bounded) if self.keep else None
         self.launches.append(Launch(stage, name, kernel, size, group, held, skip))
 
 

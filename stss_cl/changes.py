@@ -98,6 +98,6 @@ def _changed_only(device: Device, launch: Launch) -> Launch:
     skip = launch.skip
     assert skip is not None
     kernel = cl.Kernel(build(device, skip.file, {**skip.options, "SKIP": True}, skip.flags), launch.kernel.function_name)
-    arguments = (*launch.held, *skip.arguments, *([np.float32(EXACT)] if skip.bounded else []))
+    arguments = (*launch.held, *skip.arguments, *skip.numbers, *([np.float32(EXACT)] if skip.bounded else []))
     kernel.set_args(*arguments)
     return Launch(launch.stage, launch.name, kernel, skip.size, skip.group, arguments, skip)

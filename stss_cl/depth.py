@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""How deep the network is computed where everything changes: deep features change slowly, and some weights hardly need them."""
+"""What of the network is computed where everything changes: flat tiles need no residual, and deep features change slowly."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +22,27 @@ SAMPLED, BLOCK, CUT = 4, 8, 0.08
 difference is another shot, of which nothing stays. (Single pixels would take a fast pan over a checker for one.)"""
 
 
-def levels(launches: Sequence[Launch]) -> tuple[frozenset[int], ...]:
-    """What may stay as it is, by level, as positions in ``launches``.
+class Level(NamedTuple):
+    """What is left out of a frame.
 
-    Nothing; the history; with it the ERM and the encoder's eighth size; with them all of the quarter size.
+    Attributes:
+        stays: launches that are left out, as positions among all, so that what they made stays as it is.
+        plain: whether the decoder's plain tiles are (``stss_cl.plain``).
+        history: whether the history is read.
+    """
+
+    stays: frozenset[int]
+    plain: bool
+    history: bool
+
+
+WHOLE = Level(frozenset(), plain=False, history=True)
+
+
+def levels(launches: Sequence[Launch]) -> tuple[Level, ...]:
+    """What may be left out, each more than the one before.
+
+    Nothing; plain tiles; the history; with it the ERM and the encoder's eighth size; with them all of the quarter size.
     """
 
     def where(*names: str, stage: str = "") -> frozenset[int]:
@@ -32,10 +50,11 @@ def levels(launches: Sequence[Launch]) -> tuple[frozenset[int], ...]:
 
     history = where(stage="history")
     if not history:
-        return (frozenset(),)
+        return (WHOLE,)
     eighth = history | where("down3.", stage="erm")
     first = min(where("up1."))
-    return frozenset(), history, eighth, eighth | where("down2.", "up1.") | {first - 1}  # the upsampling before up1
+    quarter = eighth | where("down2.", "up1.") | {first - 1}  # the upsampling before up1
+    return WHOLE, *(Level(stays, plain=True, history=not stays) for stays in (frozenset[int](), history, eighth, quarter))
 
 
 class Depth:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import pyopencl as cl
@@ -13,12 +13,17 @@ from numpy.typing import NDArray
 
 from stss_cl.arrivals import Held
 from stss_cl.buffers import Outgoing
-from stss_cl.depth import Depth, Shot
+from stss_cl.depth import WHOLE, Depth, Level, Shot
 from stss_cl.device import Device
 from stss_cl.image_stages import Gather
 from stss_cl.layers import Layers
+from stss_cl.plain import Plain
 from stss_cl.prepare import Prepare
 
+FLAT = 0.5
+"""``bounded``: the largest second difference of a colour that counts as flat, as a share of the largest error."""
+DECODER = 0.45
+"""The decoder's share of the network's multiply-adds."""
 CHECK = 12
 """``bounded``: one of so many frames of a kind of which something was left out is computed both ways."""
 
@@ -30,13 +35,13 @@ class Report:
     Attributes:
         prepared: share of the tiles of 4 x 4 pixels whose inputs were computed anew.
         changed: share of those whose inputs then differed; 1 where nobody looked.
-        network: what of the network was run; ``shallow``: all but what of the deep layers may stay (``stss_cl.depth``).
+        network: what of the network was run; ``partly``: everywhere, but for what may be left out (``stss_cl.depth``).
         departure: for ``bounded``, of a frame that was computed both ways: the largest difference that leaving out made.
     """
 
     prepared: float
     changed: float
-    network: Literal["none", "changed", "shallow", "whole"]
+    network: Literal["none", "changed", "partly", "whole"]
     departure: float | None = None
 
 
@@ -51,6 +56,18 @@ class Last:
     valid: NDArray[np.bool_]
 
 
+class Choice(NamedTuple):
+    """What is left out of a frame, and whether it is ``due`` to be computed both ways."""
+
+    level: Level
+    due: bool
+
+    @property
+    def older(self) -> bool:
+        """Whether the two older colour frames are read."""
+        return self.level.history or self.due
+
+
 class Kept:
     """All that is kept of the last frame of a kind. SF and EF differ at every silhouette: each would recompute the other's."""
 
@@ -59,6 +76,8 @@ class Kept:
         self.stale = False
         self._depth, self._shot = Depth(len(layers.levels) - 1 if max_error else 0, max_error), Shot()
         self.prepare = Prepare(device, *layers.size, gather, inputs=layers.inputs)
+        self._flat = FLAT * max_error
+        self._plain: Plain | None = None
         self.last: Last | None = None
         self._device = device
         self.unchecked = CHECK - 2
@@ -85,29 +104,41 @@ class Kept:
         assert self._image is not None
         return self._image.data
 
-    def run_whole(self, color: NDArray[np.float32] | None) -> tuple[bool, float | None]:
-        """Run the network everywhere, leaving out of the deep layers what may stay.
+    def choose(self, color: NDArray[np.float32] | None) -> Choice:
+        """What of the network a frame takes in which nearly everything changed.
 
         Args:
-            color: the newest (H, W, 3), by which another shot is told; None: nothing may stay.
-
-        Returns:
-            Whether something stayed; the departure that this made, if the frame was computed both ways.
+            color: the newest (H, W, 3), by which another shot is told; None: nothing may be left out.
         """
         if color is None or self._shot.cut(color):
-            level, due = 0, False
             self._depth.fresh()
-        else:
-            level, due = self._depth.next()
-        self.layers.run(self.target(whole=True), level)
-        self.stale = level > 0 and not due
-        if not due:
-            return self.stale, None
+            return Choice(WHOLE, due=False)
+        level, due = self._depth.next()
+        return Choice(self.layers.levels[level], due)
+
+    def run(self, choice: Choice) -> float | None:
+        """Run the network everywhere but for what is left out; the departure that this made, if the frame was due."""
+        level = choice.level
+        self.layers.run(self.target(whole=True), level, self._plain_tiles() if level.plain else None)
+        self.stale = level != WHOLE and not choice.due
+        if not choice.due:
+            return None
         left_out = self.image.copy()
         self.layers.complete(self.target(whole=True), level)
         departure = float(np.abs(self.image - left_out).max())
         self._depth.judge(departure)
-        return False, departure
+        return departure
+
+    def activity(self) -> NDArray[np.float32]:
+        """How much of the network ``run`` took, for each tile of the last frame: 1 but for plain tiles, which took no decoder."""
+        return np.where(self._plain_tiles().wanted(), np.float32(1), np.float32(1 - DECODER))
+
+    def _plain_tiles(self) -> Plain:
+        """Built when it is first asked for."""
+        if self._plain is None:
+            layers = self.layers
+            self._plain = Plain(self._device, layers.launches, layers.inputs, self.prepare.mask, layers.size, self._flat)
+        return self._plain
 
     def changed(self) -> float:
         """The share of tiles whose inputs differ from the last ones; waits for them."""

@@ -23,15 +23,18 @@ FAST_MULTIPLY_ADD = "-cl-mad-enable"
 
 @dataclass(frozen=True)
 class Skip:
-    """What it takes to make a launch that computes only what changed (kernels/changes.clh) from one that computes everything.
+    """What it takes to make a launch that computes only what changed or is wanted from one that computes everything.
+
+    Source: kernels/changes.clh, kernels/plain.cl.
 
     Attributes:
         file: of the kernel.
-        options: it is built with, SKIP besides.
+        options: it is built with, SKIP or WANTED besides.
         flags: further ones.
         size: global size.
         group: work-group size; None = the runtime's choice.
-        arguments: behind the launch's own.
+        arguments: the change maps, behind the launch's own.
+        numbers: behind them.
         bounded: whether a tolerance follows.
     """
 
@@ -41,6 +44,7 @@ class Skip:
     size: tuple[int, ...]
     group: tuple[int, ...] | None
     arguments: tuple[Any, ...]
+    numbers: tuple[np.int32, ...] = ()
     bounded: bool = True
 
 
@@ -180,7 +184,7 @@ def _skip(
     wide, tall = span(device, pixels), 4 if device.is_cpu else 1
     size = (shape.size[0], ceil_div(ceil_div(out.width, wide), group) * group, ceil_div(out.height, tall))
     options = {**options, "SPAN": wide, "TALL": tall}
-    return Skip(shape.file, options, FAST_MULTIPLY_ADD, size, shape.group, (*arguments, np.int32(out.height)))
+    return Skip(shape.file, options, FAST_MULTIPLY_ADD, size, shape.group, arguments, (np.int32(out.height),))
 
 
 @dataclass(frozen=True)

@@ -120,17 +120,18 @@ class Prepare:
         count = np.uint64(self.height * self.width * floats)
         self._finite(self.device.queue, (SCANNERS,), None, buffer, count, self._bad, np.int32(which))
 
-    def start(self, sources: Sources, tops: Sequence[int] = (0,), tolerance: float = 0.0) -> None:
+    def start(self, sources: Sources, tops: Sequence[int] = (0,), tolerance: float = 0.0, *, older: bool = True) -> None:
         """``begin`` for what is on the device already, and known to be finite.
 
         Args:
             sources: what to read; kept until the next frame.
             tops: see ``begin``.
             tolerance: with change maps: inputs that differ by no more from what they were stay.
+            older: False: what is made of the two older colour frames stays as it is.
         """
-        self._read, self._tops = sources, tuple(tops)
+        self._read, self._tops, self._planes = sources, tuple(tops), 3 if older else 1
         self._tolerance = np.float32(tolerance or -1)  # 0 is that bits count, which kernels call negative
-        newest, middle, oldest = sources.steps
+        newest, middle, oldest = sources.steps if older else 3 * sources.steps[:1]
         size, skip = (self.height, self.width), self._clear(newest > 0)
         if oldest > 0:
             motions = (*sources.motions, *5 * [self._chained])[:5]
@@ -196,14 +197,14 @@ class Prepare:
         return (self.busy,)
 
     def _warp(self, top: int) -> None:
-        """Warp and judge the three frames; for the newest, mark the places that holes look up."""
+        """Warp and judge the colour frames; for the newest, mark the places that holes look up."""
         s, inputs = self._read, self.inputs
         assert s is not None
         place = (self.height, self.width, self.rows, self.columns, top)
         read = *s.colors, *s.steps, self._chained, s.gbuffer, s.nov, *s.stencils, *s.normals, *s.positions, s.normal_stride
         written = self._splat[0], inputs.earlier.data, inputs.input.data, inputs.base, self.mask
         skip = (self.busy, *self._maps[:2], self._tolerance) if self._maps else ()
-        self._run("prepare", place[2:4], *read, *written, *place, *skip, planes=3)
+        self._run("prepare", place[2:4], *read, *written, *place, *skip, planes=self._planes)
 
     def _run(
         self, name: str, size: tuple[int, int], *arguments: cl.Buffer | int | np.float32, planes: int | None = None

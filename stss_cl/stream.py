@@ -107,7 +107,7 @@ class Stream:
         if kept is None:
             self.report = Report(1.0, 1.0, "whole")
             return self._whole.compute(sources(held, chosen), size)
-        busy = None if self._rests else self._busy(self._arrivals, kept, held, chosen)
+        busy = None if self._rests or kept.stale else self._busy(self._arrivals, kept, held, chosen)
         if busy is not None and kept.last is not None and not busy.any():
             self.report = Report(0.0, 0.0, "none")
             kept.last = _last(held, chosen, kept.last.valid)
@@ -115,15 +115,18 @@ class Stream:
         return self._compute(kept, held, chosen, busy)
 
     def activity(self) -> NDArray[np.float32]:
-        """How much of the network the last frame changed, for each 4 x 4 of its pixels: 0 nothing, 1 everything.
+        """How much of the network the last frame took, for each 4 x 4 of its pixels: 0 nothing, 1 everything.
 
-        Of a frame that was computed in part it is the share of the stored activations that came to differ.
+        Of a frame that was computed where something changed it is the share of the stored activations that came to differ; of one of
+        which something was left out, see ``Kept.activity``.
         """
         assert self._arrivals is not None, "no frame was computed yet"
-        shape = tuple(-(-length // 4) for length in self._arrivals.size)
-        if self.report.network != "changed" or self._latest is None:
-            return np.full(shape, self.report.network != "none", np.float32)
-        return self._latest.layers.activity()[: shape[0], : shape[1]]
+        rows, columns = (-(-length // 4) for length in self._arrivals.size)
+        network = self.report.network
+        if self._latest is None or network in ("none", "whole"):
+            return np.full((rows, columns), network != "none", np.float32)
+        shares = self._latest.layers.activity() if network == "changed" else self._latest.activity()
+        return shares[:rows, :columns]
 
     def _compute(
         self, kept: Kept, held: list[Held], steps: tuple[int, int, int], busy: Tiles | None
@@ -132,15 +135,17 @@ class Stream:
         prepare, layers = kept.prepare, kept.layers
         cl.enqueue_copy(self.device.queue, prepare.busy, _spread(busy, (prepare.rows, prepare.columns)), is_blocking=True)
         tolerance = 0.0 if busy is None else self.tolerance
-        prepare.start(sources(held, steps), tolerance=tolerance)
+        color = held[-1 - steps[0]].frame.color if self._max_error else None
+        choice = kept.choose(color) if self._rests else None
+        prepare.start(sources(held, steps), tolerance=tolerance, older=choice is None or choice.older)
         prepare.strip()
         changed = kept.changed() if kept.last is not None and not self._rests else 1.0
         whole, departure = changed > MOST_CHANGED, None
         if whole or kept.stale:
-            # What stayed of the deep layers is not what their inputs give: changes alone would not mend it.
-            color = held[-1 - steps[0]].frame.color if whole and self._max_error else None
-            shallow, departure = kept.run_whole(color)
-            network = "shallow" if shallow else "whole"
+            # What was left out is not what its inputs give: changes alone would not mend it.
+            choice = choice or kept.choose(color if whole else None)
+            departure = kept.run(choice)
+            network = "partly" if kept.stale else "whole"
             layers.changed_only()  # built while the device computes, not when the first change waits for it
         else:
             network = "changed"
@@ -167,7 +172,7 @@ class Stream:
         cl.enqueue_copy(self.device.queue, prepare.busy, _spread(None, (prepare.rows, prepare.columns)), is_blocking=True)
         prepare.again()
         prepare.strip()
-        kept.run_whole(None)
+        kept.run(kept.choose(None))
         departure = float(np.abs(kept.image - left_out).max())
         self.report = replace(self.report, departure=departure)
         if departure > 0:
