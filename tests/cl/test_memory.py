@@ -44,6 +44,9 @@ KERNELS = {
     "stream float32": {*STREAM, "winograd"},
     "stream float32-direct": {*STREAM, "image"},
     "stream half": {*STREAM, "winograd"},
+    "plain float32": {*NETWORK, "winograd", "detail", "coarser"},
+    "plain float32-direct": {*NETWORK, "image", "detail", "coarser"},
+    "plain half": {*NETWORK, "winograd", "detail", "coarser"},
     "stages": {"motion_chain", "warp", "holes", "splat_clear", "splat_nearest", "splat_first", "occlusion_warp", "rrm"},
     "selftest": {"arithmetic", "vectors", "reduce_group", "nearest", "speed"},
 }
@@ -226,6 +229,27 @@ def run_stream(device, precision):
     assert stream.report.network == "changed", stream.report
 
 
+def run_plain(device, precision):
+    """A frame that is flat but for one corner."""
+    from stss_cl.buffers import Outgoing
+    from stss_cl.layers import Layers
+    from stss_cl.plain import Plain
+    from stss_ref.weights import random as random_weights
+
+    random, size = np.random.default_rng(6), (21, 46)
+    layers = Layers(device, random_weights(5), *size, precision, keep=True)
+    color = np.full((*size, 6), 0.5, np.float32)
+    color[8:11, 8:13] = random.random((3, 5, 6), np.float32)
+    mask = cla.to_device(device.queue, np.ones(size, np.uint8))
+    others = [on_device(device, random, shape).base_data for shape in ((*size, 9), size, (3, *size, 4))]
+    layers.pack(cla.to_device(device.queue, color).base_data, *others)
+    image = Outgoing(device, (2 * size[0], 2 * size[1], 3), on_device=False)
+    plain = Plain(device, layers.launches, layers.inputs, mask.base_data, size, 0.01)
+    layers.run(image.data, layers.levels[1], plain)
+    show("plain", image.finish())
+    assert 0 < plain.wanted().mean() < 1
+
+
 def run_stages(device, height, width):
     from stss_cl.image_stages import ImageStages
 
@@ -279,6 +303,8 @@ def main(case):
         run_selftest(device)
     elif kind == "stream":
         run_stream(device, how)
+    elif kind == "plain":
+        run_plain(device, how)
     else:
         for size in SIZES if how in ("", "float32") else (SIZES[0], SIZES[-1]):
             if kind == "network":
