@@ -20,6 +20,7 @@ from stss_cl.launch import FAST_MULTIPLY_ADD, IMAGE_ARGUMENT, Final, Launch, Ski
 from stss_cl.packing import pack
 from stss_cl.plain import Plain
 from stss_cl.program import build
+from stss_ref.history import reads_history
 from stss_ref.weights import Weights
 
 
@@ -31,12 +32,13 @@ class Chain:
         weights: the 92 tensors.
         precision: see ``stss_cl.network.PRECISIONS``.
         height, width: of the largest activations, multiples of 8.
-        keep: every layer keeps what it wrote, with a change map, so that ``run_changed`` can be had.
+        keep: every layer keeps what it wrote, with a change map, so that ``run_changed`` can be had; and what these weights do not
+            read of the inputs is computed once, by ``begin``.
     """
 
     def __init__(self, device: Device, weights: Weights, precision: str, height: int, width: int, keep: bool):
         self.launches: list[Launch] = []
-        self.keep = keep
+        self.keep, self.reads_history = keep, not keep or reads_history(weights)
         self._device, self._weights = device, weights
         self._winograd = precision != "float32-direct"
         self._dtype = dtype_of(precision)
@@ -52,6 +54,10 @@ class Chain:
         last.kernel.set_arg(IMAGE_ARGUMENT[last.kernel.function_name], image)
         return self.launches
 
+    def begin(self) -> None:
+        """Enqueue, before the first ``run``, what no later one computes again."""
+        self._enqueue(launch for i, launch in enumerate(self.launches) if i in self.levels[0].stays)
+
     def run(self, image: cl.Buffer, level: Level = WHOLE, plain: Plain | None = None) -> None:
         """Enqueue the network but for what is left out at ``level``; ``image`` is complete when the queue has run dry.
 
@@ -63,13 +69,13 @@ class Chain:
 
     def complete(self, image: cl.Buffer, level: Level) -> None:
         """After ``run`` at ``level``: enqueue what was left out, and what is made of it. The same bits as ``run`` of the whole."""
-        reads_it = "" if level == WHOLE else "decoder"
-        self._enqueue(launch for i, launch in enumerate(self.ready(image)) if i in level.stays or launch.stage == reads_it)
+        stayed, reads_it = level.stays - self.levels[0].stays, "" if level == self.levels[0] else "decoder"
+        self._enqueue(launch for i, launch in enumerate(self.ready(image)) if i in stayed or launch.stage == reads_it)
 
     @cached_property
     def levels(self) -> tuple[Level, ...]:
         """See ``stss_cl.depth.levels``; only nothing may be left out where layers share buffers."""
-        return levels(self.launches) if self.keep else (WHOLE,)
+        return levels(self.launches, self.reads_history) if self.keep else (WHOLE,)
 
     def _enqueue(self, launches: Iterable[Launch]) -> None:
         for launch in launches:
@@ -92,7 +98,8 @@ class Chain:
     def changed_only(self) -> ChangedOnly:
         """The launches of ``run_changed``, built when they are first asked for."""
         if self._changed is None:
-            self._changed = ChangedOnly(self._device, self.launches, self._maps)
+            run = [launch for i, launch in enumerate(self.launches) if i not in self.levels[0].stays]
+            self._changed = ChangedOnly(self._device, run, self._maps)
         return self._changed
 
     def activity(self) -> NDArray[np.float32]:

@@ -39,10 +39,11 @@ class Level(NamedTuple):
 WHOLE = Level(frozenset(), plain=False, history=True)
 
 
-def levels(launches: Sequence[Launch]) -> tuple[Level, ...]:
+def levels(launches: Sequence[Launch], reads_history: bool) -> tuple[Level, ...]:
     """What may be left out, each more than the one before.
 
-    Nothing; plain tiles; the history; with it the ERM and the encoder's eighth size; with them all of the quarter size.
+    Nothing, but for the history if these weights do not read it; plain tiles; the history; with it the ERM and the encoder's eighth
+    size; with them all of the quarter size.
     """
 
     def where(*names: str, stage: str = "") -> frozenset[int]:
@@ -54,7 +55,11 @@ def levels(launches: Sequence[Launch]) -> tuple[Level, ...]:
     eighth = history | where("down3.", stage="erm")
     first = min(where("up1."))
     quarter = eighth | where("down2.", "up1.") | {first - 1}  # the upsampling before up1
-    return WHOLE, *(Level(stays, plain=True, history=not stays) for stays in (frozenset[int](), history, eighth, quarter))
+    stays = [frozenset[int](), history, eighth, quarter][not reads_history :]
+    return tuple(
+        Level(which, plain, history=not which)
+        for which, plain in zip(stays[:1] + stays, (False, *len(stays) * [True]), strict=True)
+    )
 
 
 class Depth:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from stss_cl.arrivals import Held
 from stss_cl.buffers import Outgoing
-from stss_cl.depth import WHOLE, Depth, Level, Shot
+from stss_cl.depth import Depth, Level, Shot
 from stss_cl.device import Device
 from stss_cl.image_stages import Gather
 from stss_cl.layers import Layers
@@ -51,7 +51,7 @@ class Last:
 
     number: int
     oldest: int
-    steps: tuple[int, int, int]
+    steps: tuple[int, ...]
     colors: tuple[Held, ...]
     valid: NDArray[np.bool_]
 
@@ -64,7 +64,7 @@ class Choice(NamedTuple):
 
     @property
     def older(self) -> bool:
-        """Whether the two older colour frames are read."""
+        """Whether the two older colour frames are read, by weights that read them."""
         return self.level.history or self.due
 
 
@@ -83,6 +83,11 @@ class Kept:
         self.unchecked = CHECK - 2
         self._image: Outgoing | None = None
         self._alone = 0
+        layers.begin()
+
+    def read(self, steps: tuple[int, int, int]) -> tuple[int, ...]:
+        """Those of the steps whose colour frames these weights read."""
+        return steps if self.layers.reads_history else steps[:1]
 
     @property
     def image(self) -> NDArray[np.float32]:
@@ -112,7 +117,7 @@ class Kept:
         """
         if color is None or self._shot.cut(color):
             self._depth.fresh()
-            return Choice(WHOLE, due=False)
+            return Choice(self.layers.levels[0], due=False)
         level, due = self._depth.next()
         return Choice(self.layers.levels[level], due)
 
@@ -120,7 +125,7 @@ class Kept:
         """Run the network everywhere but for what is left out; the departure that this made, if the frame was due."""
         level = choice.level
         self.layers.run(self.target(whole=True), level, self._plain_tiles() if level.plain else None)
-        self.stale = level != WHOLE and not choice.due
+        self.stale = level != self.layers.levels[0] and not choice.due
         if not choice.due:
             return None
         left_out = self.image.copy()

@@ -141,7 +141,7 @@ class Layers(Chain):
     def _history(self) -> None:
         joined = self._padded(8, 96)
         self.features["reshaded"] = self._padded(8, 96)
-        for image in range(3):
+        for image in range(3) if self.reads_history else ():
             x = self.inputs.earlier
             for name, channels, divisor in (("convHis1", 24, 2), ("convHis2", 32, 4), ("convHis3", 32, 8)):
                 one = self._scratch("history", divisor, channels)

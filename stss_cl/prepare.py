@@ -145,7 +145,7 @@ class Prepare:
     def again(self) -> None:
         """``start`` once more for the last frame, with no tolerance."""
         assert self._read is not None
-        self.start(self._read, self._tops)
+        self.start(self._read, self._tops, older=self._planes == 3)
 
     def not_finite(self) -> str | None:
         """Name of an array of the frame begun last that had to be finite and was not; waits for the queue."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -107,10 +108,10 @@ class Stream:
         if kept is None:
             self.report = Report(1.0, 1.0, "whole")
             return self._whole.compute(sources(held, chosen), size)
-        busy = None if self._rests or kept.stale else self._busy(self._arrivals, kept, held, chosen)
+        busy = None if self._rests or kept.stale else self._busy(self._arrivals, kept, held, kept.read(chosen))
         if busy is not None and kept.last is not None and not busy.any():
             self.report = Report(0.0, 0.0, "none")
-            kept.last = _last(held, chosen, kept.last.valid)
+            kept.last = _last(held, kept.read(chosen), kept.last.valid)
             return kept.image, kept.last.valid
         return self._compute(kept, held, chosen, busy)
 
@@ -137,7 +138,8 @@ class Stream:
         tolerance = 0.0 if busy is None else self.tolerance
         color = held[-1 - steps[0]].frame.color if self._max_error else None
         choice = kept.choose(color) if self._rests else None
-        prepare.start(sources(held, steps), tolerance=tolerance, older=choice is None or choice.older)
+        older = layers.reads_history and (choice is None or choice.older)
+        prepare.start(sources(held, steps), tolerance=tolerance, older=older)
         prepare.strip()
         changed = kept.changed() if kept.last is not None and not self._rests else 1.0
         whole, departure = changed > MOST_CHANGED, None
@@ -152,7 +154,7 @@ class Stream:
             layers.run_changed(kept.target(whole=False), tolerance)
         valid = np.empty(layers.size, np.uint8)
         cl.enqueue_copy(self.device.queue, valid, prepare.mask)
-        kept.last = _last(held, steps, valid.view(np.bool_))
+        kept.last = _last(held, kept.read(steps), valid.view(np.bool_))
         self.report = Report(1.0 if busy is None else float(busy.mean()), float(changed), network, departure)
         if tolerance > 0:
             self._check(kept)
@@ -192,7 +194,7 @@ class Stream:
             self._kept[extrapolates] = Kept(self.device, layers, self._gather, self._max_error)
         return self._kept[extrapolates]
 
-    def _busy(self, arrivals: Arrivals, kept: Kept, held: list[Held], steps: tuple[int, int, int]) -> Tiles | None:
+    def _busy(self, arrivals: Arrivals, kept: Kept, held: list[Held], steps: tuple[int, ...]) -> Tiles | None:
         """Where the network's inputs may differ from those of the last frame of the kind; None: everywhere.
 
         They are the same where, in all frames that either read, nothing moves and the surface is the same, and so are the colours.
@@ -200,7 +202,7 @@ class Stream:
         last = kept.last
         if last is None or _missing(steps) != _missing(last.steps):
             return None
-        oldest, newest = min(last.oldest, held[-1 - steps[2]].number), max(last.number, held[-1].number)
+        oldest, newest = min(last.oldest, held[-1 - steps[-1]].number), max(last.number, held[-1].number)
         moved = arrivals.changed(oldest, newest)
         if moved is None:
             return None
@@ -209,13 +211,13 @@ class Stream:
         return moved
 
 
-def _last(held: list[Held], steps: tuple[int, int, int], valid: NDArray[np.bool_]) -> Last:
-    return Last(held[-1].number, held[-1 - steps[2]].number, steps, tuple(held[-1 - step] for step in steps), valid)
+def _last(held: list[Held], steps: tuple[int, ...], valid: NDArray[np.bool_]) -> Last:
+    return Last(held[-1].number, held[-1 - steps[-1]].number, steps, tuple(held[-1 - step] for step in steps), valid)
 
 
-def _missing(steps: tuple[int, int, int]) -> tuple[bool, bool]:
+def _missing(steps: tuple[int, ...]) -> list[bool]:
     """Which older colour frames stand in for missing ones."""
-    return steps[1] == steps[0], steps[2] == steps[1]
+    return [older == newer for newer, older in pairwise(steps)]
 
 
 def _spread(changed: Tiles | None, size: tuple[int, int]) -> NDArray[np.uint8]:

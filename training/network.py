@@ -98,7 +98,8 @@ class Network(nn.Module):
     Source: spec 7, 8; paper, Fig. 5.
 
     Args:
-        without: what an ablation leaves out: "gbuffer" or "history" (zeros instead), "erm" (the light unweighted: a plain bottleneck).
+        without: what is left out: "gbuffer" (zeros instead), "history" (its features are the same everywhere, see `hold_history`), "erm"
+            (the light unweighted: a plain bottleneck).
     """
 
     def __init__(self, without: str = ""):
@@ -130,8 +131,6 @@ class Network(nn.Module):
         """
         if self.without == "gbuffer":
             gbuffer = torch.zeros_like(gbuffer)
-        if self.without == "history":
-            history = torch.zeros_like(history)
         x1 = self.rectifier(self.conv2(self.rectifier(self.conv1(torch.cat([color, color * mask, gbuffer], 1)))))
         x2 = self.down1(x1)
         x3 = self.down2(x2)
@@ -145,6 +144,12 @@ class Network(nn.Module):
 
     def embed(self, history: Tensor) -> Tensor:
         """The history's feature (N, 32, H/8, W/8)."""
+        if self.without == "history":
+            bias, gate = (
+                _bias(conv) for conv in (self.lowlevelGated.conv_feature, cast(nn.Conv2d, self.lowlevelGated.conv_mask[0]))
+            )
+            n, _, _, height, width = history.shape
+            return (bias * gate.sigmoid()).view(1, -1, 1, 1).expand(n, -1, height // 8, width // 8)
         x = self.convHis3(self.convHis2(self.convHis1(history.flatten(0, 1))))
         return self.lowlevelGated(x.reshape(len(history), 96, *x.shape[-2:]))
 
@@ -225,6 +230,21 @@ def hold_gates(network: Network) -> None:
         mask.weight.zero_()
         mask.bias.fill_(3.0)
     mask.requires_grad_(False)
+
+
+def hold_history(network: Network) -> None:
+    """Make the features of the history what they are without any: zero its kernels, and do not train them.
+
+    What is trained so computes the same as `Network` with the history, and whoever runs it can tell from the zeros that the
+    history need not be read.
+    """
+    held = [network.convHis1, network.convHis2, network.convHis3, network.lowlevelGated.conv_feature]
+    with torch.no_grad():
+        for module in held:
+            for convolution in module.modules():
+                if isinstance(convolution, nn.Conv2d):
+                    convolution.weight.zero_()
+                    convolution.weight.requires_grad_(False)
 
 
 def leak(network: nn.Module, slope: float) -> None:

@@ -23,7 +23,7 @@ from training.command import command
 from training.data import Batches, Shard, load_shards
 from training.loss import loss, squared, structure, supervision
 from training.muon import Muon
-from training.network import Heads, Network, hold_gates, initialise, leak, load_weights, to_weights
+from training.network import Heads, Network, hold_gates, hold_history, initialise, leak, load_weights, to_weights
 from training.plot import plot
 from training.validate import Means, bilinear, evaluating, tensors, validate
 
@@ -41,7 +41,7 @@ AVERAGE = 0.999
 class Settings:
     """What decides the numbers of a run besides the data; steps may be raised when it is resumed. ``young``: see `infancy`.
 
-    ``squares``: the share of the squared error in the loss that stays after it.
+    ``squares``: the share of the squared error in the loss that stays after it. ``history``: whether the history is used.
     """
 
     crop: int
@@ -52,6 +52,7 @@ class Settings:
     half: bool
     young: bool = True
     squares: float = 0.0
+    history: bool = True
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,7 @@ def infancy(step: int, steps: int) -> float:
 
 def start(settings: Settings, device: torch.device, initial: str | None = None, without: str = "") -> State:
     """A run at step 0; ``initial`` names weights to go on from, ``without`` what an ablation leaves out."""
+    without = without if settings.history else "history"
     network, heads = Network(without), Heads()
     initialise(heads, settings.seed)
     if initial is None:
@@ -93,6 +95,8 @@ def start(settings: Settings, device: torch.device, initial: str | None = None, 
     else:
         load_weights(network, load(initial).weights)
     hold_gates(network)
+    if without == "history":
+        hold_history(network)
     heads.to(device)
     network.to(device).to(memory_format=torch.channels_last)
     average = {name: t.detach().clone() for name, t in network.named_parameters()}
@@ -212,6 +216,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--initial", help="safetensors file to start from; default: bilinear and a random rest")
     parser.add_argument("--squares", type=float, default=0.0, help="share of the squared error in the loss, for PSNR's sake")
+    parser.add_argument("--no-history", dest="history", action="store_false", help="weights that do not read the history")
     parser.add_argument("--validate", type=int, default=1000, metavar="STEPS")
     parser.add_argument("--log", type=int, default=100, metavar="STEPS")
     parser.add_argument("--most", type=int, default=32, help="validation frames of each kind")
@@ -224,7 +229,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
         torch.set_num_threads(chosen.threads)
     device = torch.device(chosen.device)
     half = chosen.half == "on" or (chosen.half == "auto" and device.type == "cuda")
-    settings = Settings(chosen.crop, chosen.batch, chosen.rate, chosen.warm_up, chosen.seed, half, young=chosen.initial is None)
+    settings = Settings(
+        chosen.crop,
+        chosen.batch,
+        chosen.rate,
+        chosen.warm_up,
+        chosen.seed,
+        half,
+        young=chosen.initial is None,
+        squares=chosen.squares,
+        history=chosen.history,
+    )
     state = start(settings, device, chosen.initial)
     path = chosen.out / "state.safetensors"
     if path.exists():

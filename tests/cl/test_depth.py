@@ -16,7 +16,7 @@ from stss_cl.layers import Layers
 from stss_cl.network import PRECISIONS
 from stss_cl.stream import Stream
 from stss_ref.weights import random as random_weights
-from tests.cl.test_stream import WEIGHTS, assert_same, first_frame, next_frame
+from tests.cl.test_stream import UNREAD, WEIGHTS, assert_same, first_frame, next_frame
 
 SIZE = (24, 40)
 
@@ -53,6 +53,12 @@ def test_what_stayed_is_made_up_for(device, precision):
         assert not np.array_equal(stale, whole)
         np.testing.assert_array_equal(mended, whole)
         np.testing.assert_array_equal(run(1, level)[0], whole)  # nothing is stale where the inputs are those of the last time
+
+
+def test_weights_that_do_not_read_the_history(device):
+    layers = Layers(device, UNREAD, *SIZE, "float32", keep=True)
+    assert [level.history for level in layers.levels] == 4 * [False]
+    assert {layers.launches[i].name for i in layers.levels[0].stays} == {"lowlevelGated"}
 
 
 def test_without_a_residual_or_without_keeping_nothing_may_stay(device):
@@ -147,18 +153,19 @@ def test_a_moving_camera(device, max_error):
     assert partly > 20
 
 
-def test_inputs_that_nobody_read_do_not_outlive_the_motion(device):
+@pytest.mark.parametrize("weights", [WEIGHTS, UNREAD], ids=["read", "unread"])
+def test_inputs_that_nobody_read_do_not_outlive_the_motion(device, weights):
     """While nobody looks for changes the older frames are not even warped; when somebody looks again, all is made up for."""
     rng = np.random.default_rng(8)
     made = first_frame(rng, SIZE, rendered=True)
     frames, color = [made], made.color
-    for i in range(1, 80):
+    for i in range(1, 100):
         made, color = next_frame(rng, made, color, "everything" if i < 40 else "nothing", rendered=i % 2 == 0)
         color = frames[0].color + np.float32(0.01) * color if i < 40 else frames[38].color
         frames.append(type(made)(made.number, color if i % 2 == 0 else None, *list(vars(made).values())[2:]))
-    plain, loose = Stream(WEIGHTS, device, skip="off"), Stream(WEIGHTS, device, skip="bounded", max_error=0.99)
+    plain, loose = Stream(weights, device, skip="off"), Stream(weights, device, skip="bounded", max_error=0.99)
     seen = []
-    for i in range(80):
+    for i in range(100):
         window = frames[max(0, i - 5) : i + 1]
         got, want = loose(window, plan(window).steps), plain(window, plan(window).steps)
         seen.append((loose.report.network, loose._rests))

@@ -20,6 +20,11 @@ from stss_ref.weights import random as random_weights
 
 CHANGES = ("nothing", "nothing", "pixel", "color", "rectangle", "moving", "everything")
 WEIGHTS = random_weights(3)
+UNREAD = WEIGHTS | {
+    f"lowlevelGated.{name}.weight": np.zeros_like(WEIGHTS[f"lowlevelGated.{name}.weight"])
+    for name in ("conv_feature", "conv_mask.0")
+}
+"""The same, but that do not read the history."""
 
 
 @dataclass(frozen=True)
@@ -97,10 +102,15 @@ def assert_same(got, want):
     np.testing.assert_array_equal(got[1], want[1])
 
 
-@pytest.fixture(scope="module", params=PRECISIONS)
+@pytest.fixture(
+    scope="module",
+    params=[*((precision, WEIGHTS) for precision in PRECISIONS), ("float32", UNREAD)],
+    ids=lambda p: p[0] + " unread" * (p[1] is UNREAD),
+)
 def pair(request, device):
     """What keeps nothing, and what keeps all it can."""
-    return tuple(Stream(WEIGHTS, device, request.param, skip=skip) for skip in ("off", "exact"))
+    precision, weights = request.param
+    return tuple(Stream(weights, device, precision, skip=skip) for skip in ("off", "exact"))
 
 
 @settings(max_examples=25)
@@ -143,6 +153,20 @@ def test_a_frame_in_which_nothing_changed_costs_a_comparison(device):
         keeping(window, plan(window).steps)
         # At first older frames are missing, which SF and EF each must see gone.
         assert i < 7 or (keeping.report.network, keeping.report.prepared) == ("none", 0)
+
+
+def test_what_weights_do_not_read_is_not_computed(device):
+    """An older colour that changes costs weights that do not read it no more than a comparison, and those that do a part of the network."""
+    frames = list(still(14))
+    color = frames[8].color.copy()
+    color[:2, :3] += 0.1
+    frames[8] = replace(frames[8], color=color)
+    for weights, network in ((UNREAD, "none"), (WEIGHTS, "changed")):
+        keeping, plain = Stream(weights, device), Stream(weights, device, skip="off")
+        for i in range(13):
+            window = frames[max(0, i - 5) : i + 1]
+            assert_same(keeping(window, plan(window).steps), plain(window, plan(window).steps))
+        assert keeping.report.network == network
 
 
 def test_activity_says_where(device):
@@ -198,11 +222,12 @@ def test_a_change_that_is_not_seen_would_show(device, monkeypatch):
         assert_same(keeping(frames[3:9], (0, 2, 4)), plain(frames[3:9], (0, 2, 4)))
 
 
-def test_bounded_leaves_out_and_what_it_checks_is_exact(device):
+@pytest.mark.parametrize("weights", [WEIGHTS, UNREAD], ids=["read", "unread"])
+def test_bounded_leaves_out_and_what_it_checks_is_exact(device, weights):
     """With a wide bound frames depart from the whole ones; those that are computed both ways have their bits, and say by how much."""
     rng, frames = np.random.default_rng(5), still(1, (24, 40))
-    color, plain = frames[0].color, Stream(WEIGHTS, device, skip="off")
-    loose = Stream(WEIGHTS, device, skip="bounded", max_error=0.9)
+    color, plain = frames[0].color, Stream(weights, device, skip="off")
+    loose = Stream(weights, device, skip="bounded", max_error=0.9)
     first, departed, checked = loose.tolerance, 0, 0
     for i in range(1, 40):
         made, color = next_frame(rng, frames[-1], color, "rectangle" if i > 7 else "nothing", rendered=i % 2 == 0)

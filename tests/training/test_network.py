@@ -6,6 +6,7 @@ import pytest
 from conformance.arithmetic import Arithmetic
 from conformance.expect_network import expect_with_weights
 from conformance.tolerance import ratio, sum_bound
+from stss_ref.history import reads_history
 from stss_ref.loss import loss as reference_loss
 from stss_ref.weights import TENSORS, zeros
 from stss_ref.weights import random as random_weights
@@ -14,7 +15,7 @@ torch = pytest.importorskip("torch", reason="the package torch is not installed:
 torch.set_num_threads(1)
 
 from training.loss import loss, squared, structure, supervision  # noqa: E402
-from training.network import Heads, Network, hold_gates, initialise, load_weights, to_weights  # noqa: E402
+from training.network import Heads, Network, hold_gates, hold_history, initialise, load_weights, to_weights  # noqa: E402
 from training.train import infancy  # noqa: E402
 from training.validate import bilinear  # noqa: E402
 
@@ -45,6 +46,24 @@ def test_network_is_the_specification_s(seed):
     with torch.no_grad():
         got = np.moveaxis(network(*tensors(arrays))[0].numpy(), 0, -1)
     assert expect_with_weights("network", arrays, weights, Arithmetic())["image"].ratios(got).max() <= 1
+
+
+def test_a_network_without_history_is_one_whose_history_is_not_read():
+    """Trained without, exported, and run with the history: the same image; and the weights say that the history need not be read."""
+    network, whole, arrays = Network("history"), Network(), inputs(4)
+    load_weights(network, random_weights(4))
+    hold_gates(network)
+    hold_history(network)
+    weights = to_weights(network.state_dict())
+    assert not reads_history(weights)
+    assert reads_history(random_weights(4))
+    load_weights(whole, weights)
+    with torch.no_grad():
+        got, want = (made(*tensors(arrays)).numpy() for made in (network, whole))
+    assert ratio("network.float32", got, want) <= 1
+    network(*tensors(arrays)).sum().backward()
+    still = ("convHis", "lowlevelGated.conv_mask", "lowlevelGated.conv_feature.weight")
+    assert all((p.grad is None) == name.startswith(still) for name, p in network.named_parameters())
 
 
 def test_samples_of_a_batch_do_not_mix():
