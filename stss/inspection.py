@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from stss.errors import InputError
+from stss_ref.history import reads_history
 from stss_ref.weights import LAYERS, Layer, Weights
 
 
@@ -40,6 +41,7 @@ class Inspection:
     width: int
     layers: tuple[LayerRow, ...]
     components: tuple[ComponentRow, ...]
+    reads_history: bool
 
 
 def inspect(weights: Weights, height: int, width: int) -> Inspection:
@@ -54,7 +56,7 @@ def inspect(weights: Weights, height: int, width: int) -> Inspection:
         )
         for layer in LAYERS
     )
-    return Inspection(-(-height // 8) * 8, -(-width // 8) * 8, rows, component_costs(height, width))
+    return Inspection(-(-height // 8) * 8, -(-width // 8) * 8, rows, component_costs(height, width), reads_history(weights))
 
 
 def component_costs(height: int, width: int) -> tuple[ComponentRow, ...]:
@@ -111,6 +113,8 @@ def print_inspection(inspection: Inspection, console: Console) -> None:
     for part in inspection.components:
         components.add_row(part.name, f"{part.parameters / 1e3:.2f}", f"{part.multiply_adds / 1e9:.2f}")
     console.print(layers, components)
+    if not inspection.reads_history:
+        console.print("history: not read; its last kernels are 0, so --skip exact and bounded leave it out")
 
 
 def _table(title: str, words: tuple[str, ...], numbers: tuple[str, ...]) -> Table:

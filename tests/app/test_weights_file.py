@@ -219,6 +219,15 @@ def test_inspection_shows_each_layer_and_its_largest_weight():
     assert [row.largest for row in seen.layers[1:]] == [0.0] * 33
 
 
+def test_inspection_says_whether_the_history_is_read(capsys):
+    unread = random(1) | {
+        name: np.zeros_like(w) for name, w in random(1).items() if name.startswith("lowlevelGated.") and w.ndim == 4
+    }
+    for weights, said in ((random(1), False), (unread, True)):
+        print_inspection(inspect(weights, 540, 960), Console())
+        assert ("history: not read" in capsys.readouterr().out) == said
+
+
 def test_inspection_refuses_an_empty_frame():
     with pytest.raises(InputError, match="size 8x0"):
         inspect(zeros(), 0, 8)
