@@ -21,11 +21,19 @@ from stss.cli_conform import conform
 from stss.cli_devices import bench_command, devices, export, port, tune
 from stss.cli_methods import flicker_command, flicker_scenes_command, methods_command
 from stss.cli_stress import stress_command
-from stss.color import TRANSFERS
 from stss.engine import Engine
 from stss.errors import InputError
 from stss.methods import METHODS, NETWORK
-from stss.options import PATH, FrameRange, backend_options, perceptual_options, sequence_options, skip_options, weights_option
+from stss.options import (
+    PATH,
+    FrameRange,
+    backend_options,
+    frame_options,
+    perceptual_options,
+    sequence_options,
+    skip_options,
+    weights_option,
+)
 from stss.run import FrameReport, RunOptions, Summary
 from stss.run import run as run_sequence
 from stss.sequence import open_sequence
@@ -59,18 +67,7 @@ def stss() -> None:
 )
 @backend_options
 @skip_options
-@click.option(
-    "--rendered",
-    type=click.Choice(["even", "odd", "all"]),
-    help="Which frames to take as rendered  [default: those with colour; the even ones where neighbours have it]",
-)
-@click.option("--frames", type=FrameRange(), help="First and last frame to write; earlier ones still serve as history.")
-@click.option(
-    "--transfer",
-    type=click.Choice(TRANSFERS),
-    help="From the files' colour to the network's  [default: srgb for scene-linear files, none for display-referred ones]",
-)
-@click.option("--depth", type=click.Choice(["clip", "scale"]), help="How depth is normalised  [default: the profile's]")
+@frame_options
 @click.option("--format", "suffix", type=click.Choice(["exr", "png"]), default="exr", show_default=True)
 @click.option("--resume", is_flag=True, help="Keep what an earlier run finished, as far as it is still right.")
 @click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
@@ -94,18 +91,11 @@ def run(
     max_error: float | None,
     budget: float | None,
     suffix: str,
-    transfer: str | None,
-    depth: Any,
     **chosen: Any,
 ) -> None:
     """Make SEQUENCE, a folder or a pattern like a.####.exr, twice as large and twice as fast."""
     frames = open_sequence(sequence, profile, camera=camera, metallic=metallic, roughness=roughness, non_finite=non_finite)
-    options = RunOptions(
-        transfer=transfer or ("srgb" if frames.profile.color_domain == "linear" else "none"),
-        depth=depth or frames.profile.depth_normalisation,
-        format=suffix,
-        **chosen,
-    )
+    options = RunOptions.of(frames.profile, format=suffix, **chosen)
     console = Console(stderr=True)
     first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
     how = Engine(method, load(weights), backend, device, precision, memory_limit)

@@ -9,8 +9,17 @@ from typing import Any
 import click
 from rich.console import Console
 
-from stss.color import TRANSFERS
-from stss.options import PATH, FrameRange, Names, Size, backend_options, perceptual_options, sequence_options, weights_option
+from stss.options import (
+    PATH,
+    FrameRange,
+    Names,
+    Size,
+    backend_options,
+    frame_options,
+    perceptual_options,
+    sequence_options,
+    weights_option,
+)
 from stss.sequence import open_sequence
 
 
@@ -22,10 +31,7 @@ from stss.sequence import open_sequence
 @weights_option
 @click.option("--methods", type=Names(), default=(), help="Which, such as bilinear,taau,network  [default: all]")
 @backend_options
-@click.option("--rendered", type=click.Choice(["even", "odd", "all"]), help="As for stss run.")
-@click.option("--frames", type=FrameRange(), help="First and last frame to write and compare.")
-@click.option("--transfer", type=click.Choice(TRANSFERS), help="As for stss run.")
-@click.option("--depth", type=click.Choice(["clip", "scale"]), help="As for stss run.")
+@frame_options
 @click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
 @perceptual_options
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
@@ -61,13 +67,7 @@ def methods_command(
     from stss.weights import load
 
     files = open_sequence(sequence, profile, camera=camera, metallic=metallic, roughness=roughness, non_finite=non_finite)
-    options = RunOptions(
-        transfer=transfer or ("srgb" if files.profile.color_domain == "linear" else "none"),
-        depth=depth or files.profile.depth_normalisation,
-        rendered=rendered,
-        frames=frames,
-        overwrite=overwrite,
-    )
+    options = RunOptions.of(files.profile, transfer=transfer, depth=depth, rendered=rendered, frames=frames, overwrite=overwrite)
     chosen, loaded = method_table.choose_methods(methods, weights), load(weights)
     console = Console(stderr=True)
     with console.status("") as status:

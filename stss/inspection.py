@@ -11,8 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from stss.errors import InputError
-from stss_ref.history import reads_history
-from stss_ref.weights import LAYERS, Layer, Weights
+from stss_ref.weights import LAYERS, Layer, Weights, reads_history
 
 
 @dataclass(frozen=True)

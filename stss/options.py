@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import click
 
 from stss.backends import BACKENDS, PRECISIONS, SKIPS
+from stss.color import TRANSFERS
 from stss.weights import DEFAULT
 
 PATH = click.Path(path_type=Path)
@@ -45,6 +46,28 @@ def sequence_options(command: Command) -> Command:
             show_default=True,
             help="NaN and Inf in colour or G-buffer: an error, or 0 and a warping hole.",
         ),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def frame_options(command: Command) -> Command:
+    """Add the options of what writes frames of a sequence; see ``stss.run.RunOptions``."""
+    options = (
+        click.option(
+            "--rendered",
+            type=click.Choice(["even", "odd", "all"]),
+            help="Which frames to take as rendered  [default: those with colour; the even ones where neighbours have it]",
+        ),
+        click.option("--frames", type=FrameRange(), help="First and last frame to write; earlier ones still serve as history."),
+        click.option(
+            "--transfer",
+            type=click.Choice(TRANSFERS),
+            help="From the files' colour to the network's"
+            "  [default: srgb for scene-linear files, none for display-referred ones]",
+        ),
+        click.option("--depth", type=click.Choice(["clip", "scale"]), help="How depth is normalised  [default: the profile's]"),
     )
     for option in reversed(options):
         command = option(command)

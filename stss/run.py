@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from stss.backends import Backend
 from stss.color import Transfer, transfer
@@ -19,6 +19,7 @@ from stss.images import read_header, write_mask, write_rgb
 from stss.methods import NETWORK
 from stss.pipeline import overlap
 from stss.prepared import Prepared
+from stss.profiles import Profile
 from stss.sequence import Sequence
 from stss.skipped import Cost, picture
 from stss.supersample import Output, choose_rendered, plan
@@ -59,6 +60,12 @@ class RunOptions:
     resume: bool = False
     overwrite: bool = False
     show_skipped: bool = False
+
+    @classmethod
+    def of(cls, profile: Profile, *, transfer: str | None, depth: DepthMode | None, **chosen: Any) -> RunOptions:
+        """What the user chose, and where nothing was chosen what suits the renderer's files."""
+        usual = "srgb" if profile.color_domain == "linear" else "none"
+        return cls(transfer=transfer or usual, depth=depth or profile.depth_normalisation, **chosen)
 
 
 @dataclass(frozen=True)

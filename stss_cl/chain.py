@@ -20,8 +20,7 @@ from stss_cl.launch import FAST_MULTIPLY_ADD, IMAGE_ARGUMENT, Final, Launch, Ski
 from stss_cl.packing import pack
 from stss_cl.plain import Plain
 from stss_cl.program import build
-from stss_ref.history import reads_history
-from stss_ref.weights import Weights
+from stss_ref.weights import Weights, reads_history
 
 
 class Chain:

@@ -10,11 +10,6 @@ from stss_ref.conv import conv_chain, gated
 from stss_ref.weights import Weights
 
 
-def reads_history(weights: Weights) -> bool:
-    """Whether the feature depends on the earlier frames at all: not where the last layer's kernels, feature's and gate's, are 0."""
-    return any(np.any(weights[f"lowlevelGated.{name}.weight"]) for name in ("conv_feature", "conv_mask.0"))
-
-
 def history_embedding(history: Array, weights: Weights) -> Image:
     """Encode three earlier frames with the same weights, then fuse them.
 

@@ -204,6 +204,11 @@ def zeros() -> Weights:
     return {name: _frozen(np.zeros(shape, np.float32)) for name, shape in TENSORS.items()}
 
 
+def reads_history(weights: Weights) -> bool:
+    """Whether the image depends on the history at all: not where the kernels of its last layer, feature's and gate's, are 0 (spec 7)."""
+    return any(np.any(weights[f"lowlevelGated.{name}.weight"]) for name in ("conv_feature", "conv_mask.0"))
+
+
 def random(seed: int) -> Weights:
     """Weights that keep the size of a signal from layer to layer (He et al. 2015), the same for the same ``seed``.
 

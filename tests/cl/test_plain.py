@@ -59,7 +59,8 @@ class Setup:
     """The network for SIZE, with plain tiles."""
 
     def __init__(self, device, precision):
-        self.device, self.layers = device, Layers(device, WEIGHTS, *SIZE, precision, keep=True)
+        self.device, self.precision = device, precision
+        self.layers = Layers(device, WEIGHTS, *SIZE, precision, keep=True)
         mask = np.zeros(SIZE, np.uint8)
         self.mask = incoming(device, mask), mask  # read in place on a processor
         self.plain = Plain(device, self.layers.launches, self.layers.inputs, self.mask[0], SIZE, FLAT)
@@ -76,9 +77,14 @@ class Setup:
         return image.finish().copy()
 
 
+@pytest.fixture(scope="module", params=PRECISIONS)
+def setup(request, device):
+    return Setup(device, request.param)
+
+
 @given(seed=st.integers(0, 2**16))
-def test_which_tiles_are_plain(device, seed):
-    setup, arrays = Setup(device, "float32"), picture(seed, plain=True)
+def test_which_tiles_are_plain(setup, seed):
+    arrays = picture(seed, plain=True)
     setup(arrays, setup.layers.levels[1])
     want = expected(arrays[0], arrays[2])
     np.testing.assert_array_equal(setup.plain.wanted(), want)
@@ -91,10 +97,9 @@ def test_which_tiles_are_plain(device, seed):
         np.testing.assert_array_equal(coarse, grown.reshape(rows, 2, columns, 2).max(axis=(1, 3)))
 
 
-@pytest.mark.parametrize("precision", PRECISIONS)
-def test_the_rest_of_the_image_is_that_of_the_whole_network(device, precision):
+def test_the_rest_of_the_image_is_that_of_the_whole_network(setup):
     """What is no plain tile is as by the whole network, whatever the layers held before; the others are the upsampled frame."""
-    setup, arrays = Setup(device, precision), picture(1, plain=True)
+    arrays = picture(1, plain=True)
     whole = setup(arrays)
     setup(picture(2, plain=False))
     got = setup(arrays, setup.layers.levels[1])
@@ -103,15 +108,14 @@ def test_the_rest_of_the_image_is_that_of_the_whole_network(device, precision):
     assert 0.1 < wanted.mean() < 0.9
     np.testing.assert_array_equal(got[~wanted], upsample_centres(arrays[0][..., :3])[~wanted])
     assert not np.array_equal(got[~wanted], whole[~wanted])
-    if precision == "float32-direct":
+    if setup.precision == "float32-direct":
         np.testing.assert_array_equal(got[wanted], whole[wanted])
     # A Winograd tile rounds what lies around its own pixels, too.
-    assert ratio(f"network.cl.{precision}", got[wanted], whole[wanted]) <= 1
+    assert ratio(f"network.cl.{setup.precision}", got[wanted], whole[wanted]) <= 1
 
 
-@pytest.mark.parametrize("precision", PRECISIONS)
-def test_without_plain_tiles_nothing_is_left_out(device, precision):
-    setup, arrays = Setup(device, precision), picture(3, plain=False)
+def test_without_plain_tiles_nothing_is_left_out(setup):
+    arrays = picture(3, plain=False)
     whole = setup(arrays)
     setup(picture(2, plain=True))
     np.testing.assert_array_equal(setup(arrays, setup.layers.levels[1]), whole)

@@ -51,11 +51,18 @@ def measure(seed, weights, errors, size, count, tallies):
                 tallies[error].departures.append(departure)
 
 
+def positive(text):
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"expected at least 1, got {text}")
+    return number
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--sequences", type=int, default=100)
+    parser.add_argument("--sequences", type=positive, default=100)
     parser.add_argument("--first", type=int, default=10**6, help="number of the first film; training has those from 0 on")
-    parser.add_argument("--frames", type=int, default=32)
+    parser.add_argument("--frames", type=positive, default=32)
     parser.add_argument("--size", default="320x180")
     parser.add_argument("--weights", default="default")
     parser.add_argument("--levels", default="1,2,4", help="largest errors, in steps of 8 bits")

@@ -6,9 +6,8 @@ import pytest
 from conformance.arithmetic import Arithmetic
 from conformance.expect_network import expect_with_weights
 from conformance.tolerance import ratio, sum_bound
-from stss_ref.history import reads_history
 from stss_ref.loss import loss as reference_loss
-from stss_ref.weights import TENSORS, zeros
+from stss_ref.weights import TENSORS, reads_history, zeros
 from stss_ref.weights import random as random_weights
 
 torch = pytest.importorskip("torch", reason="the package torch is not installed: pip install '.[train]'")
