@@ -16,25 +16,27 @@
 #error "differ.cl needs -D SPAN=tiles of a work-item"
 #endif
 typedef uint8 uint8_anywhere __attribute__((aligned(4)));
+typedef uint4 uint4_anywhere __attribute__((aligned(4)));
 
 #define EXPONENT 0x7f800000u
 
-static inline uint any8(const uint8 v)
+static inline uint any4(const uint4 v)
 {
-    const uint4 four = v.lo | v.hi;
-    const uint2 two = four.lo | four.hi;
+    const uint2 two = v.lo | v.hi;
     return two.x | two.y;
 }
 
-// Bits in which `count` values differ; eight at a time: the compiler makes no vectors of a loop it may not read ahead in.
+// Bits in which `count` values differ; eight and four at a time: the compiler makes no vectors of a loop it may not read ahead in.
 static inline uint bits(global const uint *a, global const uint *b, const int count)
 {
     uint8 differ = 0;
     uint rest = 0;
     int i = 0;
     for (; i + 8 <= count; i += 8) differ |= *(global const uint8_anywhere *)(a + i) ^ *(global const uint8_anywhere *)(b + i);
+    uint4 four = differ.lo | differ.hi;
+    for (; i + 4 <= count; i += 4) four |= *(global const uint4_anywhere *)(a + i) ^ *(global const uint4_anywhere *)(b + i);
     for (; i < count; ++i) rest |= a[i] ^ b[i];
-    return any8(differ) | rest;
+    return any4(four) | rest;
 }
 
 // Whether one of `count` values is NaN or an infinity.
@@ -45,8 +47,22 @@ static inline uint not_finite(global const uint *a, const int count)
     int i = 0;
     for (; i + 8 <= count; i += 8)
         found |= as_uint8((*(global const uint8_anywhere *)(a + i) & EXPONENT) == (uint8)(EXPONENT));
+    uint4 four = found.lo | found.hi;
+    for (; i + 4 <= count; i += 4) four |= as_uint4((*(global const uint4_anywhere *)(a + i) & EXPONENT) == (uint4)(EXPONENT));
     for (; i < count; ++i) rest |= (a[i] & EXPONENT) == EXPONENT;
-    return any8(found) | rest;
+    return any4(four) | rest;
+}
+
+// Whether one of `count` values, at most 8, is not 0; -0 is.
+static inline uint moves(global const uint *a, const int count)
+{
+    if (count == 8) {
+        const uint8 eight = *(global const uint8_anywhere *)a << 1;
+        return any4(eight.lo | eight.hi);
+    }
+    uint any = 0;
+    for (int i = 0; i < count; ++i) any |= a[i] << 1;
+    return any;
 }
 
 // The tiles of a row of `floats` values a pixel, one array after the other: few streams at a time are what a processor fetches ahead.
@@ -73,8 +89,7 @@ kernel void differ(global const uint *restrict motion, global const uint *restri
     uint g_bad = 0, n_bad = 0, s_bad = 0;
     for (int t = first; t < last; ++t) seen[t - first] = 0;
     for (int row = y; row < y + 4 && row < height; ++row)
-        for (int t = first; t < last; ++t)
-            for (int i = 8 * t; i < 8 * t + 8 && i < 2 * width; ++i) seen[t - first] |= motion[2 * row * width + i] << 1;  // -0 is still
+        for (int t = first; t < last; ++t) seen[t - first] |= moves(motion + 2 * (row * width + 4 * t), 2 * min(4, width - 4 * t));
     for (int row = y; row < y + 4 && row < height; ++row) {
         g_bad |= compare(gbuffer, gbuffer_before, 9, row, first, last, width, seen, true);
         compare(position, position_before, 3, row, first, last, width, seen, false);
