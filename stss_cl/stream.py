@@ -27,8 +27,9 @@ Skip = Literal["off", "exact", "bounded"]
 SKIPS: tuple[Skip, ...] = ("off", "exact", "bounded")
 """``off``: every frame is computed whole. ``exact``: what did not change is kept, with the bits of ``off``. ``bounded``: what changed
 little is kept as well."""
-MOST_CHANGED = 0.75
-"""Where a larger share of the network's inputs changed, all of it is computed: to look for the rest would not pay."""
+MOST_CHANGED, MOST_CHANGED_BOUNDED = 0.75, 0.4
+"""Where a larger share of the network's inputs changed, all of it is computed: to look for the rest would not pay; for ``bounded``, where
+plain tiles and old features save more."""
 FIRST, AIM, SLOWER, FASTER = 0.2, 0.5, 0.25, 1.25
 """``bounded``: the first tolerance and the departure aimed at, as shares of the largest error; limits of a step of the tolerance."""
 PATIENCE, REST = 8, 48
@@ -142,7 +143,7 @@ class Stream:
         prepare.start(sources(held, steps), tolerance=tolerance, older=older)
         prepare.strip()
         changed = kept.changed() if kept.last is not None and not self._rests else 1.0
-        whole, departure = changed > MOST_CHANGED, None
+        whole, departure = changed > (MOST_CHANGED_BOUNDED if self._max_error else MOST_CHANGED), None
         if whole or kept.stale:
             # What was left out is not what its inputs give: changes alone would not mend it.
             choice = choice or kept.choose(color if whole else None)

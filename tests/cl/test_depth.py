@@ -193,7 +193,7 @@ def test_old_features_do_not_outlive_the_motion(device):
         seen.append((loose.report.network, loose.report.changed))
     assert "partly" in [network for network, _ in seen[:40]]
     for kind in (0, 1):
-        rest = [network for network, changed in seen[kind::2] if changed <= streaming.MOST_CHANGED]
-        before = [network for network, changed in seen[kind::2] if changed > streaming.MOST_CHANGED]
+        rest = [network for network, changed in seen[kind::2] if changed <= streaming.MOST_CHANGED_BOUNDED]
+        before = [network for network, changed in seen[kind::2] if changed > streaming.MOST_CHANGED_BOUNDED]
         assert rest[0] == ("whole" if before[-1] == "partly" else "changed")
         assert set(rest[1:]) <= {"changed", "none"}
