@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from stss_cl.launch import Launch
 
-FIRST, LONGEST = 2, 48
-"""Frames of a kind between two that are computed whole: at first; where nothing speaks against it."""
+FIRST, GROWTH, LONGEST = 2, 4, 48
+"""Frames of a kind between two that are computed whole: at first; so many times as many after each that departed little; at most."""
 AIM = 0.5
 """The departure up to which more is left out, as a share of the largest error; the rest is for what the tolerance does."""
 REST = 48
@@ -103,7 +103,7 @@ class Depth:
             if self._trial < self._deepest:
                 self._trial += 1
             else:
-                self._period = min(2 * self._period, LONGEST)
+                self._period = min(GROWTH * self._period, LONGEST)
         elif self._trial > self.level:  # was only tried
             self._trial = self._deepest = self.level
         elif departure <= self._max_error:

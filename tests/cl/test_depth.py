@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from stss.supersample import plan
 from stss_cl import stream as streaming
 from stss_cl.buffers import Outgoing, incoming
-from stss_cl.depth import FIRST, LONGEST, REST, WHOLE, Depth, Level, Shot
+from stss_cl.depth import FIRST, GROWTH, LONGEST, REST, WHOLE, Depth, Level, Shot
 from stss_cl.layers import Layers
 from stss_cl.network import PRECISIONS
 from stss_cl.stream import Stream
@@ -90,7 +90,7 @@ def test_checks_become_rare_and_common_again():
         if due[-1]:
             depth.judge(0.1)
     apart = np.diff(np.flatnonzero(due))
-    assert apart[0] == FIRST * 2
+    assert apart[0] == FIRST * GROWTH
     assert apart[-1] == LONGEST
     while not depth.next()[1]:
         pass

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from stss_ref.history import history_embedding
 from stss_ref.weights import (
     LAYERS,
     TENSORS,
@@ -18,6 +19,7 @@ from stss_ref.weights import (
     check,
     multiply_adds,
     random,
+    reads_history,
     zeros,
 )
 
@@ -160,3 +162,17 @@ def test_a_defect_is_an_error_that_names_the_tensor(damage: Callable[[dict[str, 
     with pytest.raises(WeightsError) as caught:
         check(tensors)
     assert str(caught.value) == message
+
+
+@pytest.mark.parametrize("left", ["", "conv_feature.weight", "conv_mask.0.weight"])
+def test_weights_read_the_history_if_a_kernel_of_its_last_layer_is_not_zero(left: str):
+    """And what is said is so: other histories, the same feature or another."""
+    made = dict(random(2))
+    for name in ("conv_feature.weight", "conv_mask.0.weight"):
+        made[f"lowlevelGated.{name}"] = np.zeros_like(made[f"lowlevelGated.{name}"])
+    if left:
+        made[f"lowlevelGated.{left}"][0, :, 1, 1] = 1e-2
+    assert reads_history(made) == bool(left)
+    rng = np.random.default_rng(0)
+    first, second = (history_embedding(rng.random((3, 16, 16, 4), np.float32), made) for _ in range(2))
+    assert np.array_equal(first, second) == (not left)
