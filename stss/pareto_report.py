@@ -177,4 +177,8 @@ def _panel(panel: Any, scene: str, points: Sequence[Point], peers: Sequence[Row]
         y = max(row.error or 0.0, LEAST)
         panel.plot(row.median * 1e3, y, marker="x+1234"[i % 6], color="0.3", linestyle="", label=f"{row.name}, network alone")
     panel.set(xscale="log", yscale="log", xlabel="ms a frame, median", ylabel="largest error to float64")
+    # Plain numbers, few enough to stand side by side where the axis spans less than a decade.
+    panel.xaxis.set_major_locator(require("matplotlib.ticker").LogLocator(subs=(1, 2, 5)))
+    panel.xaxis.set_major_formatter("{x:g}")
+    panel.xaxis.set_minor_formatter("")
     panel.set_title(scene, loc="left", fontsize=10)
