@@ -155,6 +155,18 @@ def test_a_frame_in_which_nothing_changed_costs_a_comparison(device):
         assert i < 7 or (keeping.report.network, keeping.report.prepared) == ("none", 0)
 
 
+@pytest.mark.parametrize("x", range(11))
+def test_one_pixel_that_moves_is_seen(device, x):
+    """Nothing else changes, so nothing else gives it away; columns of whole tiles and of the last one, which is not whole."""
+    keeping, plain, frames = Stream(WEIGHTS, device), Stream(WEIGHTS, device, skip="off"), list(still(12, (9, 11)))
+    frames[11].motion[5, x] = -1.75, 1.25
+    for i in range(6, 12):
+        window = frames[max(0, i - 5) : i + 1]
+        got, want = (stream(window, plan(window).steps) for stream in (keeping, plain))
+    assert_same(got, want)
+    assert keeping.report.network == "changed"
+
+
 def test_what_weights_do_not_read_is_not_computed(device):
     """An older colour that changes costs weights that do not read it no more than a comparison, and those that do a part of the network."""
     frames = list(still(14))
