@@ -8,6 +8,7 @@ import pytest
 from stss.errors import InputError
 from stss.weights import load
 from stss_ref.schedule import FrameKind
+from stss_ref.weights import reads_history
 from training.samples import Sample, write
 
 torch = pytest.importorskip("torch", reason="the package torch is not installed: pip install '.[train]'")
@@ -44,6 +45,17 @@ def test_a_resumed_run_is_the_same_run(data, tmp_path, monkeypatch):
     assert [{k: v for k, v in r.items() if k != "ms"} for r in whole] == [
         {k: v for k, v in r.items() if k != "ms"} for r in resumed
     ]
+
+
+def test_options_reach_the_run(data, tmp_path):
+    """``--no-history``: weights that say so; ``--squares``: another loss, and so other weights."""
+    run(data, tmp_path / "a", 4)
+    run(data, tmp_path / "b", 4, "--no-history")
+    run(data, tmp_path / "c", 4, "--squares", "0.9", "--initial", str(tmp_path / "a" / "weights.safetensors"))
+    run(data, tmp_path / "d", 4, "--initial", str(tmp_path / "a" / "weights.safetensors"))
+    made = {name: load(tmp_path / name / "weights.safetensors").weights for name in "abcd"}
+    assert {name: reads_history(weights) for name, weights in made.items()} == {"a": True, "b": False, "c": True, "d": True}
+    assert (made["c"]["outc.weight"] != made["d"]["outc.weight"]).any()
 
 
 def killed_after(step):
