@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stss_cl.launch import Launch
 
-FIRST, GROWTH, LONGEST = 2, 4, 48
+FIRST, GROWTH, LONGEST = 2, 2, 48
 """Frames of a kind between two that are computed whole: at first; so many times as many after each that departed little; at most."""
 AIM = 0.5
 """The departure up to which more is left out, as a share of the largest error; the rest is for what the tolerance does."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Plain tiles: where the newest frame is flat the decoder has next to nothing to add, and is not run (kernels/plain.cl)."""
+"""Plain tiles: where colour and surface are flat the decoder has next to nothing to add, and is not run (kernels/plain.cl)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from stss_cl.buffers import Inputs, map_bytes, zeroed
 from stss_cl.device import Device
-from stss_cl.launch import IMAGE_ARGUMENT, Launch
+from stss_cl.launch import IMAGE_ARGUMENT, Launch, half
 from stss_cl.packing import ceil_div
 from stss_cl.program import build
 
@@ -44,10 +44,10 @@ class Plain:
         self._device = device
         self._tiles = [(ceil_div(inputs.input.height // d, 4), ceil_div(inputs.input.width // d, 4)) for d in DIVISORS]
         self._maps = [zeroed(device, map_bytes(4 * rows, 4 * columns)) for rows, columns in self._tiles]
-        program = build(device, "plain.cl")
+        program = build(device, "plain.cl", {"HALF": half(inputs.input.dtype)})
         self._detail, self._coarser = cl.Kernel(program, "detail"), [cl.Kernel(program, "coarser") for _ in DIVISORS[1:]]
-        self._held = inputs.base, mask
-        self._detail.set_args(*self._held, self._maps[0], np.int32(size[1]), np.float32(flat))
+        self._held = inputs.base, inputs.input.data, mask
+        self._detail.set_args(*self._held, self._maps[0], np.int32(size[1]), np.int32(inputs.input.columns), np.float32(flat))
         for kernel, fine, out, (rows, columns) in zip(self._coarser, self._maps, self._maps[1:], self._tiles, strict=False):
             kernel.set_args(fine, out, np.int32(rows), np.int32(columns))
         self._launches = list(self._replaced(launches))

@@ -241,8 +241,9 @@ def run_plain(device, precision):
     color = np.full((*size, 6), 0.5, np.float32)
     color[8:11, 8:13] = random.random((3, 5, 6), np.float32)
     mask = cla.to_device(device.queue, np.ones(size, np.uint8))
-    others = [on_device(device, random, shape).base_data for shape in ((*size, 9), size, (3, *size, 4))]
-    layers.pack(cla.to_device(device.queue, color).base_data, *others)
+    gbuffer, inputs = np.full((*size, 9), 0.5, np.float32), (size, (3, *size, 4))
+    others = [on_device(device, random, shape).base_data for shape in inputs]
+    layers.pack(*(cla.to_device(device.queue, array).base_data for array in (color, gbuffer)), *others)
     image = Outgoing(device, (2 * size[0], 2 * size[1], 3), on_device=False)
     plain = Plain(device, layers.launches, layers.inputs, mask.base_data, size, 0.01)
     layers.run(image.data, layers.levels[1], plain)

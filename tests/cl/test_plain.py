@@ -16,7 +16,7 @@ from stss_cl.plain import Plain
 from stss_ref.resample import upsample_centres
 from tests.cl.test_stream import WEIGHTS
 
-FLAT = 0.01
+FLAT, SURFACE = 0.01, 0.1
 SIZE = (77, 100)
 PADDED = (80, 104)
 
@@ -28,10 +28,14 @@ def picture(seed: int, *, plain: bool) -> list[np.ndarray]:
     mask, history = np.ones(SIZE, np.float32), rng.random((3, *SIZE, 4), np.float32)
     if plain:
         y, x = np.indices(SIZE, np.float32)
+        gbuffer[...] = 0.5
         color[..., :3] = (0.004 * y + 0.003 * x)[..., None]
         for _ in range(3):
             at = int(rng.integers(2, SIZE[0] - 3)), int(rng.integers(2, SIZE[1] - 3))
             color[at[0] : at[0] + int(rng.integers(1, 6)), at[1]] += np.float32(rng.choice([0.4 * FLAT, 0.02, 0.3]))
+            gbuffer[int(rng.integers(SIZE[0])), int(rng.integers(SIZE[1])), int(rng.integers(9))] += np.float32(
+                rng.choice([0.04, 0.2])
+            )
             mask[int(rng.integers(SIZE[0])), int(rng.integers(SIZE[1]))] = 0
     return [color, gbuffer, mask, history]
 
@@ -42,14 +46,18 @@ def tiles(values: np.ndarray) -> np.ndarray:
     return values.reshape(rows // 4, 4, columns // 4, 4).max(axis=(1, 3))
 
 
-def expected(color: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def bent(values: np.ndarray, limit: float) -> np.ndarray:
+    """Where a second difference along an axis exceeds the limit, padded."""
+    beyond = [(0, p - s) for p, s in zip(PADDED, SIZE, strict=True)]
+    padded = np.pad(values.astype(np.float64), [*beyond, (0, 0)], mode="edge")
+    across, down = (np.abs(ndimage.convolve1d(padded, [1, -2, 1], axis=axis, mode="nearest")).max(axis=-1) for axis in (0, 1))
+    return np.maximum(across, down) > limit
+
+
+def expected(color: np.ndarray, gbuffer: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Which tiles are no plain ones, by SciPy."""
-    base = np.pad(
-        color[..., :3].astype(np.float64), [(0, p - s) for p, s in zip(PADDED, SIZE, strict=True)] + [(0, 0)], mode="edge"
-    )
-    bent = [np.abs(ndimage.convolve1d(base, [1, -2, 1], axis=axis, mode="nearest")).max(axis=-1) > FLAT for axis in (0, 1)]
     hole = np.pad(mask == 0, [(0, p - s) for p, s in zip(PADDED, SIZE, strict=True)])
-    found = tiles(ndimage.maximum_filter(bent[0] | bent[1] | hole, 3))
+    found = tiles(ndimage.maximum_filter(bent(color[..., :3], FLAT) | bent(gbuffer, SURFACE) | hole, 3))
     inner = np.zeros_like(found)
     inner[2:-2, 2:-2] = True
     return found | ~inner
@@ -86,7 +94,7 @@ def setup(request, device):
 def test_which_tiles_are_plain(setup, seed):
     arrays = picture(seed, plain=True)
     setup(arrays, setup.layers.levels[1])
-    want = expected(arrays[0], arrays[2])
+    want = expected(*arrays[:3])
     np.testing.assert_array_equal(setup.plain.wanted(), want)
     assert not want.all()
     for fine, coarse in zip(setup.plain.maps(), setup.plain.maps()[1:], strict=False):
