@@ -142,7 +142,9 @@ class _Layer:
         a, b = (*self._inputs, None)[:2]
         assert a is not None
         with trial(row):
-            return conv(self._device, "tune", "layer", self._packed, a, b, self._out, stride=self._shape.stride, winograd=fast)
+            return conv(
+                self._device, "tune", "layer", self._packed, a, b, self._out, stride=self._shape.stride, side=4 if fast else 0
+            )
 
     def run(self, sizes: Sizes) -> Array:
         """Its output; NaN where nothing was written."""

@@ -149,11 +149,12 @@ class Chain:
     ) -> Padded:
         """Append a convolution; ``channels``: how many of each input's are real, where not all."""
         held = (a,) if b is None else (a, b)
+        side = 0 if not self._winograd else 2 if out.height * 8 == self._height else 4
         real = channels or tuple(x.channels for x in held)
         packed = pack(self._weights, name, tuple((n, x.channels) for n, x in zip(real, held, strict=True)))
         launch = conv(
             self._device, stage, name, packed, a, b, out,
-            out_first=out_first, stride=stride, relu=relu, winograd=self._winograd, image=image, final=final,
+            out_first=out_first, stride=stride, relu=relu, side=side, image=image, final=final,
         )  # fmt: skip
         self.launches.append(launch)
         return out

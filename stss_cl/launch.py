@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from stss_cl.buffers import Padded, constant, map_bytes
 from stss_cl.device import Device
-from stss_cl.packing import Packed, ceil_div
+from stss_cl.packing import Packed, ceil_div, winograd
 from stss_cl.program import build
 from stss_cl.tuning import tuning_for
 
@@ -126,7 +126,7 @@ def conv(
     out_first: int = 0,
     stride: int = 1,
     relu: bool = True,
-    winograd: bool = True,
+    side: int = 4,
     image: int = 0,
     final: Final | None = None,
 ) -> Launch:
@@ -143,12 +143,12 @@ def conv(
         out_first: its first channel written.
         stride: 1 or 2.
         relu: whether ReLU follows.
-        winograd: take the fast variant where there is one.
+        side: of the fast variant's tiles, 4 or 2; 0: the plain variant. Where there is no fast one it is the plain one in any case.
         image: which of ``a``'s images.
         final: write the image instead of ``out``; the image's buffer is argument ``IMAGE_ARGUMENT``.
     """
-    fast = winograd and tuning_for(device).winograd is not None and stride == 1 and packed.winograd is not None
-    shape = (_winograd if fast else _direct)(device, packed, out, stride, final)
+    fast = side > 0 and stride == 1 and packed.direct.shape[0] == 3 and tuning_for(device).winograd is not None
+    shape = _winograd(device, packed, out, side, final) if fast else _direct(device, packed, out, stride, final)
     options = shape.options | {
         "A": a.channels,
         "B": b.channels if b else 0,
@@ -200,18 +200,24 @@ class _Shape:
     dimensions: tuple[int, ...]
 
 
-def _winograd(device: Device, packed: Packed, out: Padded, stride: int, final: Final | None) -> _Shape:
+def _winograd(device: Device, packed: Packed, out: Padded, side: int, final: Final | None) -> _Shape:
     table = tuning_for(device).winograd
     assert table is not None
-    assert packed.winograd is not None
-    assert stride == 1
     row = table[packed.direct.shape[-1]]
+    gate = packed.gate_direct
     return _Shape(
         file="winograd.cl",
-        options={"USED": packed.used, "TILES": row.tiles, "ROWS": row.rows, "BLOCK": row.block, "PREFETCH": row.prefetch},
-        weight=packed.winograd,
-        gate=packed.gate_winograd,
-        size=(ceil_div(ceil_div(out.width, 4), row.tiles), ceil_div(out.height, 4)),
+        options={
+            "SIDE": side,
+            "USED": packed.used,
+            "TILES": row.tiles,
+            "ROWS": row.rows,
+            "BLOCK": row.block,
+            "PREFETCH": row.prefetch,
+        },
+        weight=winograd(packed.direct, side, 8 * row.block),
+        gate=None if gate is None else winograd(gate, side, 1),
+        size=(ceil_div(ceil_div(out.width, side), row.tiles), ceil_div(out.height, side)),
         group=(1, 1),
         dimensions=(final.height, final.width) if final else (out.height, out.width),
     )

@@ -11,13 +11,15 @@ from numpy.typing import NDArray
 
 from stss_ref.weights import Weights
 
-POINTS = (0.0, 0.625, -0.625, 1.5, -1.5)
-"""Where F(4x4, 3x3) evaluates, with infinity; constants exact in float32, errors 2 to 3 times below those of 0, +-1, +-2."""
+POINTS = {4: (0.0, 0.625, -0.625, 1.5, -1.5), 2: (0.0, 1.0, -1.0)}
+"""Where F(4x4, 3x3) and F(2x2, 3x3) evaluate, with infinity; constants exact in float32, errors of F(4x4) 2 to 3 times below those
+of 0, +-1, +-2."""
 
 
-def winograd_matrix() -> NDArray[np.float64]:
-    """``G`` (6, 3): row j is ``[1, x_j, x_j^2] / prod_{k != j} (x_j - x_k)``, the last one ``[0, 0, 1]``."""
-    rows = [np.array([1.0, x, x * x]) / np.prod([x - other for other in POINTS if other != x]) for x in POINTS]
+def winograd_matrix(side: int) -> NDArray[np.float64]:
+    """``G`` (side + 2, 3): row j is ``[1, x_j, x_j^2] / prod_{k != j} (x_j - x_k)``, the last one ``[0, 0, 1]``."""
+    points = POINTS[side]
+    rows = [np.array([1.0, x, x * x]) / np.prod([x - other for other in points if other != x]) for x in points]
     return np.array([*rows, [0.0, 0.0, 1.0]])
 
 
@@ -35,14 +37,12 @@ def ceil8(channels: int) -> int:
 class Packed:
     """One layer's tensors.
 
-    ``direct`` (k, k, IN, OUT), ``winograd`` (36, IN, OUT) or None, ``gate_direct`` (k, k, IN) and ``gate_winograd`` (36, IN) or None,
-    ``bias`` (OUT), ``gate_bias``; float32. Inputs behind the first ``used`` are padding.
+    ``direct`` (k, k, IN, OUT), ``gate_direct`` (k, k, IN, 1) or None, ``bias`` (OUT), ``gate_bias``; float32. Inputs behind the first
+    ``used`` are padding.
     """
 
     direct: NDArray[np.float32]
-    winograd: NDArray[np.float32] | None
     gate_direct: NDArray[np.float32] | None
-    gate_winograd: NDArray[np.float32] | None
     bias: NDArray[np.float32]
     gate_bias: float
     used: int
@@ -66,12 +66,9 @@ def pack(weights: Weights, name: str, inputs: tuple[tuple[int, int], ...]) -> Pa
     weight = np.pad(weight, ((0, ceil8(outputs) - outputs), (0, 0), (0, 0), (0, 0)))
     bias = np.pad(weights[f"{feature}.bias"], (0, ceil8(outputs) - outputs))
     gate = _spread(weights[f"{name}.conv_mask.0.weight"], inputs) if gated else None
-    three = weight.shape[-1] == 3
     return Packed(
         direct=_direct(weight),
-        winograd=_winograd(weight) if three else None,
         gate_direct=None if gate is None else _direct(gate),
-        gate_winograd=_winograd(gate) if gate is not None and three else None,
         bias=bias.astype(np.float32),
         gate_bias=float(weights[f"{name}.conv_mask.0.bias"][0]) if gated else 0.0,
         used=sum(size for _, size in inputs[:-1]) + inputs[-1][0],
@@ -100,7 +97,18 @@ def _direct(weight: NDArray[Any]) -> NDArray[np.float32]:
     return np.ascontiguousarray(weight.transpose(2, 3, 1, 0), np.float32)
 
 
-def _winograd(weight: NDArray[Any]) -> NDArray[np.float32]:
-    g = winograd_matrix()
-    transformed = np.einsum("ku,ocuv,lv->klco", g, weight.astype(np.float64), g, optimize=True)
-    return np.ascontiguousarray(transformed.reshape(36, weight.shape[1], weight.shape[0]), np.float32)
+def winograd(kernels: NDArray[np.float32], side: int, block: int) -> NDArray[np.float32]:
+    """Kernels of 3 x 3 as winograd.cl reads them, transformed in float64.
+
+    Args:
+        kernels: (3, 3, IN, OUT), as in `Packed`.
+        side: of a tile.
+        block: outputs that are read together, a divisor of OUT.
+
+    Returns:
+        ((side + 2)^2, OUT / block, IN, block): what is read one after the other lies so.
+    """
+    g = winograd_matrix(side)
+    transformed = np.einsum("ku,uvco,lv->klco", g, kernels.astype(np.float64), g, optimize=True)
+    blocks = transformed.reshape(len(g) ** 2, kernels.shape[2], -1, block).swapaxes(1, 2)
+    return np.ascontiguousarray(blocks, np.float32)

@@ -10,12 +10,12 @@ from numpy.typing import DTypeLike
 
 from stss_cl.errors import DeviceError
 
-OVERLAP = {False: 128, True: 320}
+OVERLAP = {False: 128, True: 256}
 """Rows beside a strip's own that are computed with it, without and with Winograd.
 
 An image pixel depends on 106 low-resolution rows to either side: 1 for each convolution at full size, 2, 4 and 8 at the smaller ones, 16
-for the attention's window, 15 for the upsampling. With F(4x4) the *bits* of a pixel depend on its whole tile's input, so that each
-convolution of stride 1 counts 4 times: 310.
+for the attention's window, 15 for the upsampling. With Winograd the *bits* of a pixel depend on its whole tile's input, so that each
+convolution of stride 1 counts 4 times, at an eighth of the size twice: 230.
 """
 STEP = 32
 """Strips begin at multiples of this: Winograd's tiles of 4 pixels at 1/8 size then lie as in the whole frame."""

@@ -9,6 +9,7 @@ from conformance.strategies import SEEDS, sizes
 from conformance.tolerance import ratio, sum_bound, worst
 from stss_cl.buffers import padded, read, write
 from stss_cl.launch import conv
+from stss_cl.layers import Layers
 from stss_cl.network import PRECISIONS, Network, run_stage
 from stss_cl.packing import POINTS, pack, winograd_matrix
 from stss_ref import conv as reference
@@ -30,11 +31,12 @@ def polynomial(roots):
     return np.poly(roots)[::-1]
 
 
-def transforms():
-    """A^T (4, 6) and B^T (6, 6) of F(4x4, 3x3) from the points alone, independent of the kernel's constants."""
-    a = np.array([[x**i for x in POINTS] + [float(i == 3)] for i in range(4)])
-    rows = [np.append(polynomial([p for p in POINTS if p != x]), 0) for x in POINTS]
-    return a, np.array([*rows, polynomial(POINTS)])
+def transforms(side):
+    """A^T and B^T of F(side x side, 3x3) from the points alone, independent of the kernel's constants."""
+    points = POINTS[side]
+    a = np.array([[x**i for x in points] + [float(i == side - 1)] for i in range(side)])
+    rows = [np.append(polynomial([p for p in points if p != x]), 0) for x in points]
+    return a, np.array([*rows, polynomial(points)])
 
 
 def tensors(random, name, inputs, outputs, gated):
@@ -47,19 +49,19 @@ def tensors(random, name, inputs, outputs, gated):
     return made
 
 
-def winograd_scale(x, weight):
-    """What one rounding anywhere in F(4x4, 3x3) can move the result by: the algorithm on absolute values."""
-    a, b = (np.abs(m) for m in transforms())
-    g = np.abs(winograd_matrix())
+def winograd_scale(x, weight, side):
+    """What one rounding anywhere in F(side x side, 3x3) can move the result by: the algorithm on absolute values."""
+    a, b = (np.abs(m) for m in transforms(side))
+    g = np.abs(winograd_matrix(side))
     u = np.einsum("ku,ocuv,lv->klco", g, np.abs(weight.astype(np.float64)), g)
     height, width, channels = x.shape
-    tiled = np.zeros((-(-height // 4) * 4 + 2, -(-width // 4) * 4 + 2, channels))
+    tiled = np.zeros((-(-height // side) * side + 2, -(-width // side) * side + 2, channels))
     tiled[1 : height + 1, 1 : width + 1] = np.abs(x)
     scale = np.zeros((tiled.shape[0] - 2, tiled.shape[1] - 2, weight.shape[0]))
-    for i in range(0, scale.shape[0], 4):
-        for j in range(0, scale.shape[1], 4):
-            v = np.einsum("ki,ijc,lj->klc", b, tiled[i : i + 6, j : j + 6], b)
-            scale[i : i + 4, j : j + 4] = np.einsum("yk,klo,xl->yxo", a, np.einsum("klc,klco->klo", v, u), a)
+    for i in range(0, scale.shape[0], side):
+        for j in range(0, scale.shape[1], side):
+            v = np.einsum("ki,ijc,lj->klc", b, tiled[i : i + side + 2, j : j + side + 2], b)
+            scale[i : i + side, j : j + side] = np.einsum("yk,klo,xl->yxo", a, np.einsum("klc,klco->klo", v, u), a)
     return scale[:height, :width]
 
 
@@ -72,8 +74,8 @@ def winograd_scale(x, weight):
     relu=st.booleans(),
     seed=SEEDS,
 )
-def test_both_convolutions_are_the_references(device, size, shape, gated, relu, seed):
-    """Direct and Winograd, one and two inputs, gated or not, any size: within the bound that follows from their own arithmetic."""
+def test_all_convolutions_are_the_references(device, size, shape, gated, relu, seed):
+    """Direct and Winograd with tiles of either size, one and two inputs, gated or not: within the bound of their own arithmetic."""
     first, second, outputs = shape
     random = np.random.default_rng(seed)
     x = random.random((*size, first + second), dtype=np.float32)
@@ -92,16 +94,15 @@ def test_both_convolutions_are_the_references(device, size, shape, gated, relu, 
     write(device, buffers[0], x[..., :first])
     if second:
         write(device, buffers[1], x[..., first:])
-    for fast in (False, True):
+    for side in (0, 2, 4):
         launch = conv(
-            device, "test", "layer", packed, buffers[0], buffers[1] if second else None, buffers[-1], relu=relu, winograd=fast
+            device, "test", "layer", packed, buffers[0], buffers[1] if second else None, buffers[-1], relu=relu, side=side
         )
         launch.enqueue(device.queue)
         got = read(device, buffers[-1])
-        if fast:
-            scales = {
-                b: winograd_scale(x, weights[f"{b}.weight"]) for b in ([feature, "layer.conv_mask.0"] if gated else [feature])
-            }
+        if side:
+            names = [feature, "layer.conv_mask.0"] if gated else [feature]
+            scales = {b: winograd_scale(x, weights[f"{b}.weight"], side) for b in names}
             allowed = sum_bound(first + second + 28, scales[feature] + absolute[f"{feature}.bias"], np.float32)
             spread = sum_bound(first + second + 28, scales["layer.conv_mask.0"] + 1, np.float32) if gated else 0
         else:
@@ -111,7 +112,37 @@ def test_both_convolutions_are_the_references(device, size, shape, gated, relu, 
         if gated:
             magnitude = reference.conv_named(exact, absolute, feature)
             allowed = allowed + magnitude * (spread / 4 + 8 * 2.0**-24)
-        assert worst(np.abs(got - want), allowed) <= 1, "winograd" if fast else "direct"
+        assert worst(np.abs(got - want), allowed) <= 1, f"tiles of {side}" if side else "direct"
+
+
+@few
+@given(at=st.tuples(st.integers(0, 19), st.integers(0, 22)), gated=st.booleans(), seed=SEEDS)
+def test_rounding_stays_within_a_tile(device, at, gated, seed):
+    """One changed input changes bits no farther away than a tile's side, with the direct convolution one pixel: decision 21."""
+    random = np.random.default_rng(seed)
+    weights = tensors(random, "layer", 24, 24, gated)
+    packed = pack(weights, "layer", ((24, 24),))
+    x = random.random((20, 23, 24), dtype=np.float32)
+    source, out = (padded(device, 20, 23, 24, np.dtype(np.float32)) for _ in range(2))
+    far = np.abs(np.stack(np.mgrid[:20, :23], -1) - at).max(axis=-1)
+    for side in (0, 2, 4):
+        images = []
+        for value in (x[at], 1 - x[at]):
+            x[at] = value
+            write(device, source, x)
+            conv(device, "test", "layer", packed, source, None, out, relu=False, side=side).enqueue(device.queue)
+            images.append(read(device, out))
+        differs = (images[0] != images[1]).any(axis=-1)
+        assert differs[at]
+        assert not differs[far > max(side, 1)].any(), side
+
+
+def test_small_tiles_at_an_eighth(device):
+    """Of the whole network's layers; those of the overlap of strips count on it."""
+    layers = Layers(device, random_weights(0), 32, 48, "float32", keep=True)
+    fast = [x.skip for x in layers.launches if x.skip and x.skip.file == "winograd.cl"]
+    sides = {(options["SIDE"], rows) for options, rows in ((x.options, x.size[1]) for x in fast)}
+    assert not fast or sides == {(4, 32 // 4), (4, 16 // 4), (4, 8 // 4), (2, 4 // 2)}
 
 
 @few
@@ -133,14 +164,15 @@ def test_every_second_pixel(device, size, gated, seed):
         assert ratio("conv.stride_2", read(device, out), reference.relu(made), 9 * inputs) <= 1
 
 
-def test_the_kernels_constants_are_the_points():
+@pytest.mark.parametrize("side", [2, 4])
+def test_the_kernels_constants_are_the_points(side):
     """A^T [(G g G^T) * (B^T d B)] A is the correlation, exactly as the algebra says."""
-    a, b = transforms()
+    a, b = transforms(side)
     random = np.random.default_rng(0)
-    d, g = random.random((6, 6)), random.random((3, 3))
-    m = winograd_matrix()
+    d, g = random.random((side + 2, side + 2)), random.random((3, 3))
+    m = winograd_matrix(side)
     got = a @ ((m @ g @ m.T) * (b @ d @ b.T)) @ a.T
-    want = reference.conv(d[..., None], g[None, None], np.zeros(1))[1:5, 1:5, 0]
+    want = reference.conv(d[..., None], g[None, None], np.zeros(1))[1:-1, 1:-1, 0]
     assert ratio("network.float64", got, want) <= 1
 
 
