@@ -16,7 +16,7 @@ from stss_cl.arrivals import Arrivals, DisplayFrame, Held, Tiles, sources
 from stss_cl.device import Device, open_device
 from stss_cl.frame import Frame
 from stss_cl.image_stages import Gather
-from stss_cl.kept import CHECK, Kept, Last, Report
+from stss_cl.kept import CHECK, Kept, Last, Report, distance
 from stss_cl.layers import Layers
 from stss_cl.network import Precision
 from stss_cl.sources import check_steps
@@ -171,12 +171,12 @@ class Stream:
         if kept.unchecked < CHECK:
             return
         kept.unchecked = 0
-        left_out, prepare = kept.image.copy(), kept.prepare
+        left_out, prepare = kept.image, kept.prepare  # while the image is held, the next one is another
         cl.enqueue_copy(self.device.queue, prepare.busy, _spread(None, (prepare.rows, prepare.columns)), is_blocking=True)
         prepare.again()
         prepare.strip()
         kept.run(kept.choose(None))
-        departure = float(np.abs(kept.image - left_out).max())
+        departure = distance(kept.image, left_out)
         self.report = replace(self.report, departure=departure)
         if departure > 0:
             self.tolerance *= min(max(AIM * self._max_error / departure, SLOWER), FASTER)
