@@ -32,8 +32,8 @@ MOST_CHANGED, MOST_CHANGED_BOUNDED = 0.75, 0.4
 plain tiles and old features save more."""
 FIRST, AIM, SLOWER, FASTER = 0.2, 0.5, 0.25, 1.25
 """``bounded``: the first tolerance and the departure aimed at, as shares of the largest error; limits of a step of the tolerance."""
-PATIENCE, REST = 8, 48
-"""After so many frames in a row of which nothing was left out, so many are computed without looking."""
+PATIENCE, AGAIN, REST = 8, 2, 48
+"""After so many frames in a row of which nothing was left out (after a rest: so many) so many are computed without looking."""
 
 
 class Stream:
@@ -162,7 +162,7 @@ class Stream:
         if not self._rests:
             self._tired = self._tired + 1 if whole else 0
             if self._tired >= PATIENCE:
-                self._tired, self._rests = 0, REST
+                self._tired, self._rests = PATIENCE - AGAIN, REST
         return kept.image, valid.view(np.bool_)
 
     def _check(self, kept: Kept) -> None:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from stss.prepared import Prepared
 from stss.supersample import plan
 from stss_cl import stream as streaming
+from stss_cl.arrivals import Arrivals
 from stss_cl.network import PRECISIONS
 from stss_cl.stream import Stream
 from stss_ref.arrays import ArrayError
@@ -211,11 +212,17 @@ def test_where_all_changes_nothing_is_looked_for_after_a_while(device, monkeypat
     for i in range(1, 30):
         made, color = next_frame(rng, frames[-1], color, "everything", rendered=i % 2 == 0)
         frames.append(made)
+    looks, take = [], Arrivals.take
+    monkeypatch.setattr(
+        Arrivals, "take", lambda self, window, *, compare: (looks.append(compare), take(self, window, compare=compare))[1]
+    )
     for i in range(30):
         window = frames[max(0, i - 5) : i + 1]
         steps = plan(window).steps
         assert_same(keeping(window, steps), plain(window, steps))
         assert keeping.report.network == "whole"
+    # Both streams in turns: every second look is that of the one that keeps nothing.
+    assert looks[::2] == [True] * 8 + [False, False, True, True] * 5 + [False, False]
 
 
 def test_a_change_that_is_not_seen_would_show(device, monkeypatch):
