@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from conformance.expected import Expected, largest
-from conformance.judge import TIERS, DepartureError, Judge, Tier
+from conformance.judge import DepartureError, Judge, Tier
 from conformance.runner import run_suite
 from stss.cli import stss
 from stss.conform import load_port
@@ -171,7 +171,7 @@ def test_a_port_that_breaks_is_judged(here, port, words):
 
 def test_seeds_differ_and_repeat():
     def worst(seed):
-        results = run_suite(Judge(ReferencePort(), TIERS["quick"], seed), ["warp"])
+        results = run_suite(Judge(ReferencePort(), Tier("some", 30, 5), seed), ["warp"])
         return [result.record.worst for result in results]
 
     assert worst(1) == worst(1) != worst(2)
