@@ -32,8 +32,9 @@ MOST_CHANGED, MOST_CHANGED_BOUNDED = 0.75, 0.4
 plain tiles and old features save more."""
 FIRST, AIM, SLOWER, FASTER = 0.2, 0.5, 0.25, 1.25
 """``bounded``: the first tolerance and the departure aimed at, as shares of the largest error; limits of a step of the tolerance."""
-PATIENCE, AGAIN, REST = 8, 2, 48
-"""After so many frames in a row of which nothing was left out (after a rest: so many) so many are computed without looking."""
+PATIENCE, AGAIN, REST = 8, 4, 48
+"""After so many frames in a row of which nothing was left out (after a rest: so many; the first of either kind makes up for what
+was left out meanwhile) so many are computed without looking."""
 
 
 class Stream:

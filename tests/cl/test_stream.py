@@ -222,7 +222,7 @@ def test_where_all_changes_nothing_is_looked_for_after_a_while(device, monkeypat
         assert_same(keeping(window, steps), plain(window, steps))
         assert keeping.report.network == "whole"
     # Both streams in turns: every second look is that of the one that keeps nothing.
-    assert looks[::2] == [True] * 8 + [False, False, True, True] * 5 + [False, False]
+    assert looks[::2] == [True] * 8 + [False, False, True, True, True, True] * 3 + [False, False, True, True]
 
 
 def test_a_change_that_is_not_seen_would_show(device, monkeypatch):
