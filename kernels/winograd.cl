@@ -24,9 +24,6 @@
 #if SIDE != 4 && (SIDE != 2 || defined(IMAGE) || defined(WANTED))
 #error "winograd.cl: SIDE is 4, or 2 without IMAGE and WANTED"
 #endif
-#ifdef PYOPENCL_USING_OCLGRIND  // defined by PyOpenCL; Oclgrind 21.10 ends the process at __builtin_prefetch
-#undef PREFETCH
-#endif
 #include "common.clh"
 #include "winograd.clh"
 #ifdef SKIP

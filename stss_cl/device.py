@@ -73,6 +73,11 @@ class Properties:
         return "cl_khr_fp64" in self.handle.extensions.split()
 
     @property
+    def takes_prefetch(self) -> bool:
+        """Whether its compiler takes ``__builtin_prefetch``: those of rusticl 22.3 and Oclgrind 21.10 end the process."""
+        return not self.name.startswith(("rusticl:", "Oclgrind:"))
+
+    @property
     def correctly_rounded_divide(self) -> bool:
         """Whether it takes ``-cl-fp32-correctly-rounded-divide-sqrt``; without, a quotient may err by 2.5 ulp."""
         return bool(self.handle.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT)

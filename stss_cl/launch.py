@@ -213,7 +213,7 @@ def _winograd(device: Device, packed: Packed, out: Padded, side: int, final: Fin
             "TILES": row.tiles,
             "ROWS": row.rows,
             "BLOCK": row.block,
-            "PREFETCH": row.prefetch,
+            "PREFETCH": row.prefetch and device.takes_prefetch,
         },
         weight=winograd(packed.direct, side, 8 * row.block),
         gate=None if gate is None else winograd(gate, side, 1),
