@@ -32,8 +32,9 @@ kernel void pack_input(global const float *restrict color, global const float *r
     STORE8(mixed, to + 1, input);
     STORE8(material, to + 2, input);
     base[y * (columns - 2) + x] = (float4)(c[0], c[1], c[2], 0.0f);
-    // 0 * x is 0 for every finite x.
-    if (sum8(0.0f * colors + 0.0f * mixed + 0.0f * material) + 0.0f * m != 0.0f) bad[0] = 1;
+    const int8 eight = not_finite8(colors) | not_finite8(mixed) | not_finite8(material) | not_finite8((float8)(m));
+    const int4 four = eight.lo | eight.hi;
+    if ((four.x | four.y | four.z | four.w) != 0) bad[0] = 1;
 }
 
 kernel void pack_history(global const float4 *restrict history, global stored *restrict padded, global int *restrict bad,
@@ -41,7 +42,8 @@ kernel void pack_history(global const float4 *restrict history, global stored *r
 {
     const int x = get_global_id(0), y = get_global_id(1), i = get_global_id(2);
     const float4 v = history[(i * height + min(top + y, height - 1)) * width + min(x, width - 1)];
-    if (0.0f * v.x + 0.0f * v.y + 0.0f * v.z + 0.0f * v.w != 0.0f) bad[1] = 1;
+    const int8 eight = not_finite8((float8)(v, v));
+    if ((eight.s0 | eight.s1 | eight.s2 | eight.s3) != 0) bad[1] = 1;
     const int to = (i * rows + y + 1) * columns + x + 1;
     STORE4(v, to, padded);
 }
