@@ -149,6 +149,7 @@ class Chain:
     ) -> Padded:
         """Append a convolution; ``channels``: how many of each input's are real, where not all."""
         held = (a,) if b is None else (a, b)
+        # At an eighth a tile of 4 x 4 would be 32 pixels of the frame, and rounding spreads by a tile a layer: decision 21.
         side = 0 if not self._winograd else 2 if out.height * 8 == self._height else 4
         real = channels or tuple(x.channels for x in held)
         packed = pack(self._weights, name, tuple((n, x.channels) for n, x in zip(real, held, strict=True)))

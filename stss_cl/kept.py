@@ -28,6 +28,7 @@ CHECK = 12
 """``bounded``: one of so many frames of a kind of which something was left out is computed both ways."""
 
 ROWS = 32
+"""Of an image, compared at a time."""
 
 
 @dataclass(frozen=True)
