@@ -12,6 +12,7 @@ from stss.supersample import plan
 from stss_cl import stream as streaming
 from stss_cl.buffers import Outgoing, incoming
 from stss_cl.depth import FIRST, GROWTH, LONGEST, REST, WHOLE, Depth, Level, Shot
+from stss_cl.kept import distance
 from stss_cl.layers import Layers
 from stss_cl.network import PRECISIONS
 from stss_cl.stream import Stream
@@ -199,3 +200,11 @@ def test_old_features_do_not_outlive_the_motion(device):
         before = [network for network, changed in seen[kind::2] if changed > streaming.MOST_CHANGED_BOUNDED]
         assert rest[0] == ("whole" if before[-1] == "partly" else "changed")
         assert set(rest[1:]) <= {"changed", "none"}
+
+
+@pytest.mark.parametrize("row", [0, 31, 32, 69])
+def test_the_distance_of_two_images_counts_every_row(row):
+    a = np.zeros((70, 4, 3), np.float32)
+    b = a.copy()
+    b[row, 3, 2] = -0.5
+    assert distance(a, b) == distance(b, a) == 0.5

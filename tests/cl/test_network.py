@@ -280,6 +280,8 @@ def test_the_inputs_are_left_alone(net):
         (0, np.zeros((8, 8, 5), np.float32), r"color: expected shape \(any, any, 6\)"),
         (1, np.zeros((8, 9, 9), np.float32), r"gbuffer: expected shape \(8, 8, 9\)"),
         (2, np.full((8, 8), np.nan, np.float32), "mask: 64 non-finite"),
+        (2, np.full((8, 8), np.inf, np.float32), "mask: 64 non-finite"),
+        (3, np.full((3, 8, 8, 4), -np.inf, np.float32), "history: 768 non-finite"),
         (3, np.zeros((3, 8, 8, 4)), "history: expected dtype float32, got float64"),
     ],
 )
