@@ -90,7 +90,7 @@ class Depth:
             if self._age >= REST:
                 self._deepest, self._trial = self._most, min(1, self._most)
             return 0, False
-        due = self._age >= self._period
+        due = self._age >= self._period or self._trial > self.level  # what is not known yet is found out at once
         return self._trial if due else self.level, due
 
     def judge(self, departure: float) -> None:

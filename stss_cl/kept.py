@@ -131,14 +131,18 @@ class Kept:
 
     def run(self, choice: Choice) -> float | None:
         """Run the network everywhere but for what is left out; the departure that this made, if the frame was due."""
-        level = choice.level
-        self.layers.run(self.target(whole=True), level, self._plain_tiles() if level.plain else None)
-        self.stale = level != self.layers.levels[0] and not choice.due
-        if not choice.due:
-            return None
-        left_out = self.image  # while it is held, the next image is another one
-        self.layers.complete(self.target(whole=True), level)
-        departure = distance(self.image, left_out)
+        level, whole, target = choice.level, self.layers.levels[0], self.target(whole=True)
+        self.stale = level != whole and not choice.due
+        if choice.due and level.stays == whole.stays:  # nothing old: what plain tiles lack can be seen in the whole image
+            self.layers.run(target, whole)
+            departure = self._plain_tiles().departure(target)
+        else:
+            self.layers.run(target, level, self._plain_tiles() if level.plain else None)
+            if not choice.due:
+                return None
+            left_out = self.image  # while it is held, the next image is another one
+            self.layers.complete(self.target(whole=True), level)
+            departure = distance(self.image, left_out)
         self._depth.judge(departure)
         return departure
 
@@ -147,10 +151,11 @@ class Kept:
         return np.where(self._plain_tiles().wanted(), np.float32(1), np.float32(1 - DECODER))
 
     def _plain_tiles(self) -> Plain:
-        """Built when it is first asked for."""
+        """Of the last frame prepared; built when it is first asked for."""
         if self._plain is None:
             layers = self.layers
             self._plain = Plain(self._device, layers.launches, layers.inputs, self.prepare.mask, layers.size, self._flat)
+        self._plain.read(self.prepare.gbuffer)
         return self._plain
 
     def changed(self) -> float:

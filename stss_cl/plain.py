@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from stss_cl.buffers import Inputs, map_bytes, zeroed
 from stss_cl.device import Device
-from stss_cl.launch import IMAGE_ARGUMENT, Launch, half
+from stss_cl.launch import IMAGE_ARGUMENT, Launch
 from stss_cl.packing import ceil_div
 from stss_cl.program import build
 
 DIVISORS = (1, 2, 4)
 """The decoder's sizes, as divisors of the frame's."""
+DEPARTURE_IMAGE = 2
+"""Which argument of ``departure`` is the image."""
 
 
 class Plain:
@@ -44,21 +46,40 @@ class Plain:
         self._device = device
         self._tiles = [(ceil_div(inputs.input.height // d, 4), ceil_div(inputs.input.width // d, 4)) for d in DIVISORS]
         self._maps = [zeroed(device, map_bytes(4 * rows, 4 * columns)) for rows, columns in self._tiles]
-        program = build(device, "plain.cl", {"HALF": half(inputs.input.dtype)})
+        program = build(device, "plain.cl")
         self._detail, self._coarser = cl.Kernel(program, "detail"), [cl.Kernel(program, "coarser") for _ in DIVISORS[1:]]
-        self._held = inputs.base, inputs.input.data, mask
-        self._detail.set_args(*self._held, self._maps[0], np.int32(size[1]), np.int32(inputs.input.columns), np.float32(flat))
+        self._held = inputs.base, mask
+        self._detail.set_args(inputs.base, *self._held, self._maps[0], *map(np.int32, size), np.float32(flat))
         for kernel, fine, out, (rows, columns) in zip(self._coarser, self._maps, self._maps[1:], self._tiles, strict=False):
             kernel.set_args(fine, out, np.int32(rows), np.int32(columns))
+        self._apart = zeroed(device, 4 * self._tiles[0][0] * self._tiles[0][1])
+        self._departure = cl.Kernel(program, "departure")
+        self._departure.set_args(self._maps[0], inputs.base, inputs.base, self._apart, *map(np.int32, size))
         self._launches = list(self._replaced(launches))
+
+    def read(self, gbuffer: cl.Buffer) -> None:
+        """From now on ``gbuffer`` (height, width, 9) is the frame's."""
+        self._detail.set_arg(0, gbuffer)
 
     def ready(self, image: cl.Buffer) -> list[Launch]:
         """Enqueue the search for what is wanted; the launches in order, the last of them to write all of ``image``."""
-        for kernel, (rows, columns) in zip((self._detail, *self._coarser), self._tiles, strict=True):
-            cl.enqueue_nd_range_kernel(self._device.queue, kernel, (columns, rows), None)
+        for kernel, size in zip((self._detail, *self._coarser), self._tiles, strict=True):
+            self._enqueue(kernel, size)
         last = self._launches[-1].kernel
         last.set_arg(IMAGE_ARGUMENT[last.function_name], image)
         return self._launches
+
+    def departure(self, image: cl.Buffer) -> float:
+        """How far ``image``, which the whole network made, lies from what it were with plain tiles left out; waits for it."""
+        self._departure.set_arg(DEPARTURE_IMAGE, image)
+        self._enqueue(self._detail, self._tiles[0])
+        self._enqueue(self._departure, self._tiles[0])
+        apart = np.empty(self._tiles[0], np.float32)
+        cl.enqueue_copy(self._device.queue, apart, self._apart)
+        return float(apart.max())
+
+    def _enqueue(self, kernel: cl.Kernel, tiles: tuple[int, int]) -> None:
+        cl.enqueue_nd_range_kernel(self._device.queue, kernel, tiles[::-1], None)
 
     def wanted(self) -> NDArray[np.bool_]:
         """Which tiles of the frame were no plain ones, (rows / 4, columns / 4) of the padded frame; waits for the queue."""

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 import pyopencl as cl
@@ -55,15 +56,8 @@ class Prepare:
         self.rows = self.inputs.input.height  # of a strip, where the frame goes in strips
         buffers = self.inputs.input, self.inputs.earlier, self.inputs.eighth
         self._maps = tuple(buffer.changes for buffer in buffers if buffer.changes is not None)
-        half = self.inputs.input.dtype == np.float16
-        options: dict[str, object] = {"HALF": half, "SKIP": bool(self._maps)}
-        self._kernels = kernels(
-            device, "frame8.cl" if eights else "frame.cl", {"GATHER": f"gather_{gather}", **options, **LIMITS}
-        )
-        if gather != "longest":
-            self._kernels.pop("chain_steps8", None)  # its gather is that one
-        eighth = build(device, "erm.cl", {"KEYS": 32, "VALUES": 64, "MASK": "uchar", **options})
-        self._downsample = cl.Kernel(eighth, "downsample_8")
+        self._file, self._gather = "frame8.cl" if eights else "frame.cl", gather
+        self._kernels = self._built(looking=bool(self._maps))
         self.mask = self._filled(height * width)
         self.busy = self._filled(self.rows // 4 * (self.columns // 4), 1)
         self._chained = self._filled(3 * height * width * 2 * 4)
@@ -71,6 +65,20 @@ class Prepare:
         self._splat = self._filled(height * width * 4), self._filled(height * width * 4)
         self._read: Sources | None = None
         self._done: cl.Event | None = None
+
+    def _built(self, *, looking: bool) -> dict[str, cl.Kernel]:
+        """The kernels by name; ``looking``: those that compute what is busy, and mark what then differs."""
+        options: dict[str, object] = {"HALF": self.inputs.input.dtype == np.float16, "SKIP": looking}
+        made = kernels(self.device, self._file, {"GATHER": f"gather_{self._gather}", **options, **LIMITS})
+        if self._gather != "longest":
+            made.pop("chain_steps8", None)  # its gather is that one
+        eighth = build(self.device, "erm.cl", {"KEYS": 32, "VALUES": 64, "MASK": "uchar", **options})
+        return made | {"downsample_8": cl.Kernel(eighth, "downsample_8")}
+
+    @cached_property
+    def _unlooking(self) -> dict[str, cl.Kernel]:
+        """Built when it is first asked for."""
+        return self._built(looking=False)
 
     def begin(
         self,
@@ -120,16 +128,26 @@ class Prepare:
         count = np.uint64(self.height * self.width * floats)
         self._finite(self.device.queue, (SCANNERS,), None, buffer, count, self._bad, np.int32(which))
 
-    def start(self, sources: Sources, tops: Sequence[int] = (0,), tolerance: float = 0.0, *, older: bool = True) -> None:
+    def start(
+        self,
+        sources: Sources,
+        tops: Sequence[int] = (0,),
+        tolerance: float = 0.0,
+        *,
+        older: bool = True,
+        looking: bool = True,
+    ) -> None:
         """``begin`` for what is on the device already, and known to be finite.
 
         Args:
             sources: what to read; kept until the next frame.
             tops: see ``begin``.
             tolerance: with change maps: inputs that differ by no more from what they were stay.
-            older: False: what is made of the two older colour frames stays as it is.
+            older: False: the two older colour frames are not read, and ``inputs.earlier`` stays as it is.
+            looking: with change maps; False: everything is busy, and nothing is marked.
         """
         self._read, self._tops, self._planes = sources, tuple(tops), 3 if older else 1
+        self._looks = looking and bool(self._maps)
         self._tolerance = np.float32(tolerance or -1)  # 0 is that bits count, which kernels call negative
         newest, middle, oldest = sources.steps if older else 3 * sources.steps[:1]
         size, skip = (self.height, self.width), self._clear(newest > 0)
@@ -141,6 +159,12 @@ class Prepare:
         if newest > 0:
             self._run("splat_nearest", size, self._chained, sources.gbuffer, 9, 3, self._splat[0], *size)
             self._run("splat_first", size, self._chained, sources.gbuffer, 9, 3, *self._splat, *size)
+
+    @property
+    def gbuffer(self) -> cl.Buffer:
+        """That of the frame begun last, (H, W, 9)."""
+        assert self._read is not None
+        return self._read.gbuffer
 
     def again(self) -> None:
         """``start`` once more for the last frame, with no tolerance."""
@@ -164,7 +188,7 @@ class Prepare:
         size, inputs = (self.height, self.width), self.inputs
         if self._read.steps[0]:
             place = (*size, self.rows, self.columns, top)
-            changes = (self._maps[0], self._tolerance) if self._maps else ()
+            changes = (self._maps[0], self._tolerance) if self._looks else ()
             written = inputs.input.data, inputs.base
             self._run(
                 "fill_holes",
@@ -179,15 +203,18 @@ class Prepare:
             )
         eighth = inputs.eighth
         numbers = (np.int32(n) for n in (*size, eighth.columns, top))
-        changes = self._maps[2:]
+        changes = self._maps[2:] if self._looks else ()
         shape = (eighth.width, eighth.height)
-        self._done = self._downsample(
-            self.device.queue, shape, None, self._read.gbuffer, self.mask, eighth.data, *numbers, *changes
-        )
+        downsample = self._now["downsample_8"]
+        self._done = downsample(self.device.queue, shape, None, self._read.gbuffer, self.mask, eighth.data, *numbers, *changes)
+
+    @property
+    def _now(self) -> dict[str, cl.Kernel]:
+        return self._kernels if self._looks or not self._maps else self._unlooking
 
     def _clear(self, splats: bool) -> tuple[cl.Buffer, ...]:
         """Unmark all inputs; the map that tells a kernel where to compute."""
-        if not self._maps:
+        if not self._looks:
             return ()
         for marks in self._maps:
             cl.enqueue_fill_buffer(self.device.queue, marks, np.zeros(1, np.uint8), 0, marks.size)
@@ -203,15 +230,15 @@ class Prepare:
         place = (self.height, self.width, self.rows, self.columns, top)
         read = *s.colors, *s.steps, self._chained, s.gbuffer, s.nov, *s.stencils, *s.normals, *s.positions, s.normal_stride
         written = self._splat[0], inputs.earlier.data, inputs.input.data, inputs.base, self.mask
-        skip = (self.busy, *self._maps[:2], self._tolerance) if self._maps else ()
+        skip = (self.busy, *self._maps[:2], self._tolerance) if self._looks else ()
         self._run("prepare", place[2:4], *read, *written, *place, *skip, planes=self._planes)
 
     def _run(
         self, name: str, size: tuple[int, int], *arguments: cl.Buffer | int | np.float32, planes: int | None = None
     ) -> cl.Event:
         """Enqueue a kernel over ``size`` (rows, columns), eight pixels to a work-item if there is one that does so."""
-        kernel, (rows, columns) = self._kernels[name], size
-        if eight := self._kernels.get(f"{name}8"):
+        kernel, (rows, columns) = self._now[name], size
+        if eight := self._now.get(f"{name}8"):
             kernel, columns = eight, -(-columns // 8)
         return launch(self.device, kernel, columns, rows, *arguments, planes=planes)
 

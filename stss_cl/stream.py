@@ -141,7 +141,7 @@ class Stream:
         color = held[-1 - steps[0]].frame.color if self._max_error else None
         choice = kept.choose(color) if self._rests else None
         older = layers.reads_history and (choice is None or choice.older)
-        prepare.start(sources(held, steps), tolerance=tolerance, older=older)
+        prepare.start(sources(held, steps), tolerance=tolerance, older=older, looking=not self._rests)
         prepare.strip()
         changed = kept.changed() if kept.last is not None and not self._rests else 1.0
         whole, departure = changed > (MOST_CHANGED_BOUNDED if self._max_error else MOST_CHANGED), None

@@ -142,10 +142,10 @@ def test_a_moving_camera(device, max_error):
     partly = 0
     for i in range(70):
         window = frames[max(0, i - 5) : i + 1]
-        steps = plan(window).steps
+        steps, resting = plan(window).steps, loose._rests > 1
         got, want = loose(window, steps), plain(window, steps)
         partly += loose.report.network == "partly"
-        if loose.report.network == "whole" and loose._rests:
+        if loose.report.network == "whole" and resting:  # else tolerances kept some of the inputs
             assert_same(got, want)
         if max_error > 0.1:  # how well a narrow one is held is what tests/meta/misses.py measures
             assert np.abs(got[0] - want[0]).max() <= max_error

@@ -60,6 +60,9 @@ def expected(color: np.ndarray, gbuffer: np.ndarray, mask: np.ndarray) -> np.nda
     found = tiles(ndimage.maximum_filter(bent(color[..., :3], FLAT) | bent(gbuffer, SURFACE) | hole, 3))
     inner = np.zeros_like(found)
     inner[2:-2, 2:-2] = True
+    for axis, length in enumerate(SIZE):  # what is judged and its neighbours lie in the frame
+        beyond = 4 * np.arange(inner.shape[axis]) + 5 >= length
+        inner[(beyond, slice(None)) if axis == 0 else (slice(None), beyond)] = False
     return found | ~inner
 
 
@@ -81,7 +84,9 @@ class Setup:
             self.mask = incoming(self.device, self.mask[1]), self.mask[1]
         self.layers.pack(*self.held[0])
         image = Outgoing(self.device, (2 * SIZE[0], 2 * SIZE[1], 3), on_device=False)
+        self.plain.read(self.held[0][1])
         self.layers.run(image.data, level, self.plain)
+        self.departure = None if level.plain else self.plain.departure(image.data)
         return image.finish().copy()
 
 
@@ -122,9 +127,20 @@ def test_the_rest_of_the_image_is_that_of_the_whole_network(setup):
     assert ratio(f"network.cl.{setup.precision}", got[wanted], whole[wanted]) <= 1
 
 
+@given(seed=st.integers(0, 2**16))
+def test_the_departure_is_seen_in_the_whole_image(setup, seed):
+    """Without computing it: how far the plain tiles' pixels lie from the upsampled frame, in the image of the whole network."""
+    arrays = picture(seed, plain=True)
+    whole = setup(arrays)
+    height, width, _ = whole.shape
+    plain = ~expected(*arrays[:3]).repeat(8, axis=0).repeat(8, axis=1)[:height, :width]
+    assert setup.departure == np.abs(whole - upsample_centres(arrays[0][..., :3]))[plain].max() > 0
+
+
 def test_without_plain_tiles_nothing_is_left_out(setup):
     arrays = picture(3, plain=False)
     whole = setup(arrays)
+    assert setup.departure == 0
     setup(picture(2, plain=True))
     np.testing.assert_array_equal(setup(arrays, setup.layers.levels[1]), whole)
     assert setup.plain.wanted().all()
