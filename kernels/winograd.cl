@@ -1,5 +1,5 @@
-// Building block conv, the fast variant of conv.cl for 3 x 3, stride 1: Winograd F(4x4, 3x3) on the points 0, +-5/8, +-3/2, infinity,
-// or F(2x2, 3x3) on 0, +-1, infinity; their constants are exact in float32 (docs/decisions/0011-winograd.md, 0021).
+// Building block conv, the fast variant of conv.cl for 3 x 3: at stride 1 Winograd F(4x4, 3x3) on the points 0, +-5/8, +-3/2, infinity,
+// or F(2x2, 3x3) on 0, +-1, infinity; their constants are exact in float32 (docs/decisions/0011-winograd.md, 0021). At stride 2 see winograd.clh.
 //
 //  buffer       dir  shape                       content
 //  a            in   padded, (A)                 first input, see common.clh; begins at element a_first, a multiple of 8
@@ -9,7 +9,7 @@
 //  bias         in   (OUT)
 //  out          out  padded, (out_channels)      channels out_first .. out_first + OUT - 1 of it
 //
-// Build -D SIDE (4 or 2: pixels of a tile's side) -D A -D B -D OUT (multiples of 8) -D USED (the inputs behind are zeros) -D TILES (per
+// Build -D STRIDE (1 or 2) -D SIDE (4 or 2: pixels of an output tile's side; 2 at stride 2) -D A -D B -D OUT (multiples of 8) -D USED (the inputs behind are zeros) -D TILES (per
 // work-item) -D ROWS (tiles held at once, divides TILES) -D BLOCK (float8 of outputs held at once, divides OUT / 8), optionally
 // -D GATED -D RELU -D HALF -D PREFETCH -D IMAGE (SIDE 4: the decoder's output in place of `out`, see decoder.clh; rows `from` .. height - 1
 // are written, rows and columns are those of `color`; row 0 is the frame's row `top`).
@@ -18,11 +18,11 @@
 // -D SKIP: only tiles that a change reaches, see changes.clh; a_changes (the map begins at a_tile), b_changes, color_changes are
 // the maps of the inputs, changes that of `out`.
 // -D WANTED=n: only tiles no farther than n tiles from one that the map `wanted` marks; see plain.cl. With IMAGE the others are upsampled alone.
-#if !defined(SIDE) || !defined(A) || !defined(B) || !defined(OUT) || !defined(USED) || !defined(TILES) || !defined(ROWS) || !defined(BLOCK)
-#error "winograd.cl needs -D SIDE, A, B, OUT, USED, TILES, ROWS, BLOCK"
+#if !defined(STRIDE) || !defined(SIDE) || !defined(A) || !defined(B) || !defined(OUT) || !defined(USED) || !defined(TILES) || !defined(ROWS) || !defined(BLOCK)
+#error "winograd.cl needs -D STRIDE, SIDE, A, B, OUT, USED, TILES, ROWS, BLOCK"
 #endif
-#if SIDE != 4 && (SIDE != 2 || defined(IMAGE) || defined(WANTED))
-#error "winograd.cl: SIDE is 4, or 2 without IMAGE and WANTED"
+#if (STRIDE != 1 || SIDE != 4) && ((STRIDE != 1 && STRIDE != 2) || SIDE != 2 || defined(IMAGE) || defined(WANTED))
+#error "winograd.cl: SIDE is 4, or 2 without IMAGE and WANTED, or 2 at STRIDE 2"
 #endif
 #include "common.clh"
 #include "winograd.clh"
@@ -44,11 +44,12 @@
 #define OUT8 (OUT / 8)
 
 #ifdef PREFETCH
-// The k-th of PRODUCTS parts of `rows` rows (PATCH or SIDE) of a strip of tiles: line by line, for OpenCL's own prefetch() does nothing
-// on PoCL. Either divides PRODUCTS, so that no division is left when the loop runs.
+// The k-th of PRODUCTS parts of `rows` rows (PATCH of STEP pixels a tile, or SIDE of SIDE) of a strip of tiles: line by line, for OpenCL's own
+// prefetch() does nothing on PoCL. PRODUCTS is a multiple of the rows, or one more: then the last part is a row too far, which is read soon.
 static inline void fetch(global const stored *buffer, const int channels, const int pixel, const int columns, const int rows, const int k)
 {
-    const int line = 64 / sizeof(stored), lines = SIDE * TILES * channels / line, parts = PRODUCTS / rows, part = (lines + parts - 1) / parts;
+    const int line = 64 / sizeof(stored), lines = (rows == PATCH ? STEP : SIDE) * TILES * channels / line;
+    const int parts = PRODUCTS / rows, part = (lines + parts - 1) / parts;  // known when it is compiled
     global const stored *from = buffer + (pixel + k / parts * columns) * channels + k % parts * part * line;
 #pragma unroll
     for (int i = 0; i < part; ++i) __builtin_prefetch((const void *)(size_t)(from + i * line));
@@ -57,8 +58,8 @@ static inline void fetch(global const stored *buffer, const int channels, const 
 
 #ifdef REACH
 // The map's first and last tile (of 4 x 4 pixels) that matter to a tile; the last one may lie beyond the map.
-#define NEAR(tile) (max(SIDE * (tile) + 3 - 4 * REACH, 0) / 4)
-#define FAR(tile) ((SIDE * (tile) + SIDE - 4 + 4 * REACH) / 4)
+#define NEAR(tile) (max(STEP * (tile) + 3 - 4 * REACH, 0) / 4)
+#define FAR(tile) ((STEP * (tile) + STEP - STRIDE - 3 + 4 * REACH) / 4)
 
 // How many tiles of the strip have one in their reach that a or b (which may be 0) marks, and which they are.
 static inline int reached(global const uchar *a, global const uchar *b, const int rows, const int columns, const int first,
@@ -141,7 +142,7 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
     const int count = reached(a_changes + a_tile, color_changes, rows / 4, tile_columns, first, last, tile_y, tiles);
 #else
     global const uchar *others = B ? b_changes : 0;
-    const int count = reached(a_changes + a_tile, others, (height + 3) / 4, tile_columns, first, last, tile_y, tiles);
+    const int count = reached(a_changes + a_tile, others, (STRIDE * height + 3) / 4, tile_columns, first, last, tile_y, tiles);
 #endif
     if (!count) return;
     int held = count;
@@ -153,7 +154,7 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
 #endif
 
     for (int t = 0; t < HELD; ++t) {
-        const int corner = SIDE * (tile_y * in_columns + TILE(t));
+        const int corner = STEP * (tile_y * in_columns + TILE(t));
         for (int c = 0; c < A / 8; ++c) input_tile(a, corner, in_columns, A / 8, c, V + t * IN8 + c, TILES * IN8);
 #if B
         for (int c = 0; c < B / 8; ++c) input_tile(b, corner, in_columns, B / 8, c, V + t * IN8 + A / 8 + c, TILES * IN8);
@@ -163,9 +164,9 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
     for (int k = 0; k < PRODUCTS; ++k) {
 #ifdef PREFETCH
         // While this strip multiplies, the next one's input and this one's output come into the cache.
-        fetch(a, A, SIDE * (tile_y * in_columns + first + TILES), in_columns, PATCH, k);
+        fetch(a, A, STEP * (tile_y * in_columns + first + TILES), in_columns, PATCH, k);
 #if B
-        fetch(b, B, SIDE * (tile_y * in_columns + first + TILES), in_columns, PATCH, k);
+        fetch(b, B, STEP * (tile_y * in_columns + first + TILES), in_columns, PATCH, k);
 #endif
 #ifndef IMAGE
         fetch(out, out_channels, (SIDE * tile_y + 1) * out_columns + SIDE * first + 1, out_columns, SIDE, k);

@@ -39,6 +39,11 @@ class Shape:
     divisor: int
     count: float
 
+    @property
+    def fast(self) -> bool:
+        """Whether winograd.cl can compute it."""
+        return self.a % 8 == 0
+
 
 SHAPES = (
     Shape(24, 0, 24, True, 1, 1, 2.5),

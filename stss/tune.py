@@ -50,7 +50,7 @@ def tune(
     for shape in SHAPES:
         tell(f"{shape.a + shape.b} to {shape.outputs} channels{', gated' * shape.gated}, stride {shape.stride}")
         candidates: list[Sizes] = [base.direct[shape.outputs], *direct_candidates(device, shape.outputs)]
-        if shape.stride == 1:
+        if shape.fast:
             candidates += [base.winograd[shape.outputs]] if base.winograd else []
             candidates += winograd_candidates(device, shape.outputs)
         trials.time(device, shape, size, candidates, ROUNDS)
@@ -62,7 +62,7 @@ def _decide(device: Device, size: tuple[int, int], base: Tuning, trials: Trials)
     lines: list[Line] = []
     winograd: dict[int, Winograd] = {}
     for outputs in OUTPUTS:
-        shapes = [s for s in SHAPES if s.outputs == outputs and s.stride == 1]
+        shapes = [s for s in SHAPES if s.outputs == outputs and s.fast]
         first = base.winograd[outputs] if base.winograd else None
         best, line = _better(device, size, trials, f"winograd {outputs}", first, winograd_candidates(device, outputs), shapes)
         lines.append(line)
@@ -73,7 +73,7 @@ def _decide(device: Device, size: tuple[int, int], base: Tuning, trials: Trials)
     direct: dict[int, Direct] = {}
     for outputs in OUTPUTS:
         every = [s for s in SHAPES if s.outputs == outputs]
-        used = [s for s in every if s.stride == 2 or fast is None]
+        used = [s for s in every if not s.fast or fast is None]
         first = base.direct[outputs]
         # The precision float32-direct uses them everywhere: nothing may be lost there.
         allowed = [c for c in direct_candidates(device, outputs) if trials.total(c, every) <= trials.total(first, every)]
@@ -85,7 +85,7 @@ def _decide(device: Device, size: tuple[int, int], base: Tuning, trials: Trials)
 
 def _worth_it(base: Tuning, trials: Trials, winograd: dict[int, Winograd]) -> bool:
     """Whether Winograd beats the direct convolution, or stays because that does not beat it."""
-    shapes = [s for s in SHAPES if s.stride == 1]
+    shapes = [s for s in SHAPES if s.fast]
     fast = sum(trials.total(winograd[s.outputs], [s]) for s in shapes)
     plain = 0.0
     for outputs in OUTPUTS:

@@ -143,12 +143,16 @@ def conv(
         out_first: its first channel written.
         stride: 1 or 2.
         relu: whether ReLU follows.
-        side: of the fast variant's tiles, 4 or 2; 0: the plain variant. Where there is no fast one it is the plain one in any case.
+        side: of the fast variant's tiles at stride 1, 4 or 2, at stride 2 they are 2; 0: the plain variant. Where there is no fast one it
+            is the plain one in any case.
         image: which of ``a``'s images.
         final: write the image instead of ``out``; the image's buffer is argument ``IMAGE_ARGUMENT``.
     """
-    fast = side > 0 and stride == 1 and packed.direct.shape[0] == 3 and tuning_for(device).winograd is not None
-    shape = _winograd(device, packed, out, side, final) if fast else _direct(device, packed, out, stride, final)
+    fast = side > 0 and a.channels % 8 == 0 and packed.direct.shape[0] == 3 and tuning_for(device).winograd is not None
+    if fast:
+        shape = _winograd(device, packed, out, side if stride == 1 else 2, stride, final)
+    else:
+        shape = _direct(device, packed, out, stride, final)
     options = shape.options | {
         "A": a.channels,
         "B": b.channels if b else 0,
@@ -200,7 +204,7 @@ class _Shape:
     dimensions: tuple[int, ...]
 
 
-def _winograd(device: Device, packed: Packed, out: Padded, side: int, final: Final | None) -> _Shape:
+def _winograd(device: Device, packed: Packed, out: Padded, side: int, stride: int, final: Final | None) -> _Shape:
     table = tuning_for(device).winograd
     assert table is not None
     row = table[packed.direct.shape[-1]]
@@ -208,6 +212,7 @@ def _winograd(device: Device, packed: Packed, out: Padded, side: int, final: Fin
     return _Shape(
         file="winograd.cl",
         options={
+            "STRIDE": stride,
             "SIDE": side,
             "USED": packed.used,
             "TILES": row.tiles,
@@ -215,8 +220,8 @@ def _winograd(device: Device, packed: Packed, out: Padded, side: int, final: Fin
             "BLOCK": row.block,
             "PREFETCH": row.prefetch and device.takes_prefetch,
         },
-        weight=winograd(packed.direct, side, 8 * row.block),
-        gate=None if gate is None else winograd(gate, side, 1),
+        weight=winograd(packed.direct, side, 8 * row.block, stride),
+        gate=None if gate is None else winograd(gate, side, 1, stride),
         size=(ceil_div(ceil_div(out.width, side), row.tiles), ceil_div(out.height, side)),
         group=(1, 1),
         dimensions=(final.height, final.width) if final else (out.height, out.width),

@@ -17,10 +17,14 @@ of 0, +-1, +-2."""
 
 
 def winograd_matrix(side: int) -> NDArray[np.float64]:
-    """``G`` (side + 2, 3): row j is ``[1, x_j, x_j^2] / prod_{k != j} (x_j - x_k)``, the last one ``[0, 0, 1]``."""
+    """``G`` (side + 2, 3) at stride 1: row j is ``[1, x_j, x_j^2] / prod_{k != j} (x_j - x_k)``, the last one ``[0, 0, 1]``."""
     points = POINTS[side]
     rows = [np.array([1.0, x, x * x]) / np.prod([x - other for other in points if other != x]) for x in points]
     return np.array([*rows, [0.0, 0.0, 1.0]])
+
+
+EVERY_SECOND = np.array([[1.0, 0, 0], [1, 0, 1], [0, 0, 1], [0, 1, 0], [0, 1, 0]])
+"""``G`` at stride 2, for tiles of 2: the outer taps by F(2, 2) on 0, 1 and infinity; the middle tap meets the inputs between."""
 
 
 def ceil_div(a: int, b: int) -> int:
@@ -97,18 +101,19 @@ def _direct(weight: NDArray[Any]) -> NDArray[np.float32]:
     return np.ascontiguousarray(weight.transpose(2, 3, 1, 0), np.float32)
 
 
-def winograd(kernels: NDArray[np.float32], side: int, block: int) -> NDArray[np.float32]:
+def winograd(kernels: NDArray[np.float32], side: int, block: int, stride: int = 1) -> NDArray[np.float32]:
     """Kernels of 3 x 3 as winograd.cl reads them, transformed in float64.
 
     Args:
         kernels: (3, 3, IN, OUT), as in `Packed`.
-        side: of a tile.
+        side: of a tile; 2 at stride 2.
         block: outputs that are read together, a divisor of OUT.
+        stride: 1 or 2.
 
     Returns:
-        ((side + 2)^2, OUT / block, IN, block): what is read one after the other lies so.
+        ((side + 2)^2, OUT / block, IN, block), at stride 2 (25, ...): what is read one after the other lies so.
     """
-    g = winograd_matrix(side)
+    g = winograd_matrix(side) if stride == 1 else EVERY_SECOND
     transformed = np.einsum("ku,uvco,lv->klco", g, kernels.astype(np.float64), g, optimize=True)
     blocks = transformed.reshape(len(g) ** 2, kernels.shape[2], -1, block).swapaxes(1, 2)
     return np.ascontiguousarray(blocks, np.float32)

@@ -11,7 +11,7 @@ from stss_cl.buffers import padded, read, write
 from stss_cl.launch import conv
 from stss_cl.layers import Layers
 from stss_cl.network import PRECISIONS, Network, run_stage
-from stss_cl.packing import POINTS, pack, winograd_matrix
+from stss_cl.packing import EVERY_SECOND, POINTS, pack, winograd_matrix
 from stss_ref import conv as reference
 from stss_ref.arrays import ArrayError
 from stss_ref.decoder import decoder
@@ -31,8 +31,14 @@ def polynomial(roots):
     return np.poly(roots)[::-1]
 
 
-def transforms(side):
-    """A^T and B^T of F(side x side, 3x3) from the points alone, independent of the kernel's constants."""
+def transforms(side, stride=1):
+    """A^T and B^T of F(side x side, 3x3) from the points alone, independent of the kernel's constants.
+
+    At stride 2: Karatsuba's three products for the outer taps, then two for the middle one.
+    """
+    if stride == 2:
+        a = np.array([[1, 1, 0, 1, 0], [0, 1, -1, 0, 1]])
+        return a, np.array([[1, 0, -1, 0, 0], [0, 0, 1, 0, 0], [0, 0, 1, 0, -1], [0, 1, 0, 0, 0], [0, 0, 0, 1, 0]])
     points = POINTS[side]
     a = np.array([[x**i for x in points] + [float(i == side - 1)] for i in range(side)])
     rows = [np.append(polynomial([p for p in points if p != x]), 0) for x in points]
@@ -49,20 +55,22 @@ def tensors(random, name, inputs, outputs, gated):
     return made
 
 
-def winograd_scale(x, weight, side):
+def winograd_scale(x, weight, side, stride=1):
     """What one rounding anywhere in F(side x side, 3x3) can move the result by: the algorithm on absolute values."""
-    a, b = (np.abs(m) for m in transforms(side))
-    g = np.abs(winograd_matrix(side))
+    a, b = (np.abs(m) for m in transforms(side, stride))
+    g = np.abs(winograd_matrix(side) if stride == 1 else EVERY_SECOND)
     u = np.einsum("ku,ocuv,lv->klco", g, np.abs(weight.astype(np.float64)), g)
     height, width, channels = x.shape
-    tiled = np.zeros((-(-height // side) * side + 2, -(-width // side) * side + 2, channels))
+    rows, columns = (-(-length // (stride * side)) for length in (height, width))
+    tiled = np.zeros((stride * side * rows + 2, stride * side * columns + 2, channels))
     tiled[1 : height + 1, 1 : width + 1] = np.abs(x)
-    scale = np.zeros((tiled.shape[0] - 2, tiled.shape[1] - 2, weight.shape[0]))
+    scale = np.zeros((side * rows, side * columns, weight.shape[0]))
     for i in range(0, scale.shape[0], side):
         for j in range(0, scale.shape[1], side):
-            v = np.einsum("ki,ijc,lj->klc", b, tiled[i : i + side + 2, j : j + side + 2], b)
+            y, z = stride * i, stride * j
+            v = np.einsum("ki,ijc,lj->klc", b, tiled[y : y + b.shape[1], z : z + b.shape[1]], b)
             scale[i : i + side, j : j + side] = np.einsum("yk,klo,xl->yxo", a, np.einsum("klc,klco->klo", v, u), a)
-    return scale[:height, :width]
+    return scale[: height // stride, : width // stride]
 
 
 @few
@@ -140,28 +148,57 @@ def test_rounding_stays_within_a_tile(device, at, gated, seed):
 def test_small_tiles_at_an_eighth(device):
     """Of the whole network's layers; those of the overlap of strips count on it."""
     layers = Layers(device, random_weights(0), 32, 48, "float32", keep=True)
-    fast = [x.skip for x in layers.launches if x.skip and x.skip.file == "winograd.cl"]
+    fast = [x.skip for x in layers.launches if x.skip and x.skip.options.get("STRIDE") == 1 and "SIDE" in x.skip.options]
     sides = {(options["SIDE"], rows) for options, rows in ((x.options, x.size[1]) for x in fast)}
     assert not fast or sides == {(4, 32 // 4), (4, 16 // 4), (4, 8 // 4), (2, 4 // 2)}
 
 
 @few
-@given(size=sizes(13), gated=st.booleans(), seed=SEEDS)
-def test_every_second_pixel(device, size, gated, seed):
-    """Stride 2 from both an eight-channel and a four-channel input."""
+@given(size=sizes(13), shape=st.sampled_from([(4, 24), (24, 24), (24, 32), (32, 32)]), gated=st.booleans(), seed=SEEDS)
+def test_every_second_pixel(device, size, shape, gated, seed):
+    """Stride 2, direct and by Winograd, for which four channels are too few."""
     random = np.random.default_rng(seed)
-    for inputs in (24,) if gated else (24, 4):
-        x = random.random((2 * size[0], 2 * size[1], inputs), dtype=np.float32)
-        weights = tensors(random, "layer", inputs, 24, gated)
-        source = padded(device, *x.shape[:2], inputs, np.dtype(np.float32))
-        out = padded(device, *size, 24, np.dtype(np.float32))
+    inputs, outputs = shape
+    gated = gated and inputs % 8 == 0
+    x = random.random((2 * size[0], 2 * size[1], inputs), dtype=np.float32)
+    weights = tensors(random, "layer", inputs, outputs, gated)
+    source = padded(device, *x.shape[:2], inputs, np.dtype(np.float32))
+    out = padded(device, *size, outputs, np.dtype(np.float32))
+    write(device, source, x)
+    wide = astype(weights, np.float64)
+    made = (reference.gated if gated else reference.conv_named)(x.astype(np.float64), wide, "layer", 2)
+    packed = pack(weights, "layer", ((inputs, inputs),))
+    conv(device, "test", "layer", packed, source, None, out, stride=2, side=0).enqueue(device.queue)
+    assert ratio("conv.stride_2", read(device, out), reference.relu(made), 9 * inputs) <= 1
+    conv(device, "test", "layer", packed, source, None, out, stride=2).enqueue(device.queue)
+    feature = "layer.conv_feature" if gated else "layer"
+    allowed = sum_bound(
+        inputs + 28, winograd_scale(x, weights[f"{feature}.weight"], 2, 2) + np.abs(wide[f"{feature}.bias"]), np.float32
+    )
+    if gated:
+        spread = sum_bound(inputs + 28, winograd_scale(x, weights["layer.conv_mask.0.weight"], 2, 2) + 1, np.float32)
+        magnitude = reference.conv_named(x.astype(np.float64), {name: np.abs(array) for name, array in wide.items()}, feature, 2)
+        allowed = allowed + magnitude * (spread / 4 + 8 * 2.0**-24)
+    assert worst(np.abs(read(device, out) - reference.relu(made)), allowed) <= 1
+
+
+@few
+@given(at=st.tuples(st.integers(0, 19), st.integers(0, 22)), gated=st.booleans(), seed=SEEDS)
+def test_at_stride_2_rounding_does_not_spread(device, at, gated, seed):
+    """One changed input changes the bits only of what reads it: strips and skipping count on it."""
+    random = np.random.default_rng(seed)
+    packed = pack(tensors(random, "layer", 24, 24, gated), "layer", ((24, 24),))
+    x = random.random((20, 24, 24), dtype=np.float32)
+    source, out = (padded(device, 20 // n, 24 // n, 24, np.dtype(np.float32)) for n in (1, 2))
+    reads = (np.abs(2 * np.stack(np.mgrid[:10, :12], -1) - at) <= 1).all(axis=-1)
+    images = []
+    for value in (x[at], 1 - x[at]):
+        x[at] = value
         write(device, source, x)
-        conv(device, "test", "layer", pack(weights, "layer", ((inputs, inputs),)), source, None, out, stride=2).enqueue(
-            device.queue
-        )
-        wide = astype(weights, np.float64)
-        made = (reference.gated if gated else reference.conv_named)(x.astype(np.float64), wide, "layer", 2)
-        assert ratio("conv.stride_2", read(device, out), reference.relu(made), 9 * inputs) <= 1
+        conv(device, "test", "layer", packed, source, None, out, stride=2, relu=False).enqueue(device.queue)
+        images.append(read(device, out))
+    differs = (images[0] != images[1]).any(axis=-1)
+    np.testing.assert_array_equal(differs, reads)
 
 
 @pytest.mark.parametrize("side", [2, 4])
@@ -174,6 +211,15 @@ def test_the_kernels_constants_are_the_points(side):
     got = a @ ((m @ g @ m.T) * (b @ d @ b.T)) @ a.T
     want = reference.conv(d[..., None], g[None, None], np.zeros(1))[1:-1, 1:-1, 0]
     assert ratio("network.float64", got, want) <= 1
+
+
+def test_the_products_at_stride_2_are_the_correlation():
+    a, b = transforms(2, 2)
+    random = np.random.default_rng(0)
+    d, g = random.random((5, 5)), random.random((3, 3))
+    got = a @ ((EVERY_SECOND @ g @ EVERY_SECOND.T) * (b @ d @ b.T)) @ a.T
+    want = [[(d[i : i + 3, j : j + 3] * g).sum() for j in (0, 2)] for i in (0, 2)]
+    assert ratio("network.float64", got, np.array(want)) <= 1
 
 
 def network_inputs(size, seed, share=0.7):
