@@ -27,7 +27,7 @@ typedef float8 float8_anywhere __attribute__((aligned(4)));
 typedef float16 float16_anywhere __attribute__((aligned(4)));
 
 #define SURFACE 0.1f  // an edge that the colour does not show: of what moved into an extrapolated frame, or lies within a hole's colour
-#define EDGE 2  // tiles: the zeros around the frame make features that look like an edge
+#define EDGE 3  // tiles of the frame: the zeros around the frame make features that look like an edge
 #define REACH 1  // tiles around the two by two that a coarser one covers: two pixels, and one that lies between those upsampled from
 
 #define AT8(place) (*(global const float8_anywhere *)(place))
@@ -61,8 +61,8 @@ static inline int has_edge(global const float *restrict gbuffer, const int width
 kernel void detail(global const float *restrict gbuffer, global const float *restrict color, global const uchar *restrict mask,
                    global uchar *restrict wanted, const int height, const int width, const float flat)
 {
-    const int x = get_global_id(0), y = get_global_id(1), columns = get_global_size(0), rows = get_global_size(1);
-    int found = x < EDGE || y < EDGE || 4 * x + 5 >= min(width, 4 * (columns - 1)) || 4 * y + 5 >= min(height, 4 * (rows - 1));
+    const int x = get_global_id(0), y = get_global_id(1), columns = get_global_size(0);
+    int found = x < EDGE || y < EDGE || 4 * (x + EDGE) >= width || 4 * (y + EDGE) >= height;
     if (!found) {
         // Twice four pixels to a row of six, their middle two in common; of a pixel's four values the last is 0.
         const int row = 4 * columns * 4;

@@ -13,8 +13,9 @@ from stss_cl.launch import Launch
 
 FIRST, GROWTH, LONGEST = 2, 2, 48
 """Frames of a kind between two that are computed whole: at first; so many times as many after each that departed little; at most."""
-AIM = 0.5
-"""The departure up to which more is left out, as a share of the largest error; the rest is for what the tolerance does."""
+AIM, OLD_AIM = 0.5, 0.25
+"""The departure up to which more is left out, as a share of the largest error; the rest is for what the tolerance does. Of features
+that stay, which depart more the older they are and the faster things move, half as much; twice as much is too much."""
 REST = 48
 """After so many frames it is tried again whether the deep layers may stay."""
 SAMPLED, BLOCK, CUT = 4, 8, 0.08
@@ -90,13 +91,15 @@ class Depth:
             if self._age >= REST:
                 self._deepest, self._trial = self._most, min(1, self._most)
             return 0, False
-        due = self._age >= self._period or self._trial > self.level  # what is not known yet is found out at once
+        # Whether plain tiles may be left out is found out at once; what stays, when it has some age.
+        due = self._age >= self._period or self._trial == 1 > self.level
         return self._trial if due else self.level, due
 
     def judge(self, departure: float) -> None:
         """The frame that was due departed by so much."""
         self._age = 0
-        if departure <= AIM * self._max_error:
+        aim = self._max_error * (AIM if self._trial == 1 else OLD_AIM)
+        if departure <= aim:
             self.level = self._trial
             if self._period == LONGEST:
                 self._deepest = self._most  # what was too deep once need not be so for ever
@@ -106,7 +109,7 @@ class Depth:
                 self._period = min(GROWTH * self._period, LONGEST)
         elif self._trial > self.level:  # was only tried
             self._trial = self._deepest = self.level
-        elif departure <= self._max_error:
+        elif departure <= 2 * aim:
             self._period = max(self._period // 2, FIRST)
         else:
             self._trial = self._deepest = self.level = self.level - 1

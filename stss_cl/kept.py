@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from stss_cl.arrivals import Held
 from stss_cl.buffers import Outgoing
-from stss_cl.depth import Depth, Level, Shot
+from stss_cl.depth import FIRST, GROWTH, Depth, Level, Shot
 from stss_cl.device import Device
 from stss_cl.image_stages import Gather
 from stss_cl.layers import Layers
@@ -25,7 +25,7 @@ FLAT = 0.5
 DECODER = 0.45
 """The decoder's share of the network's multiply-adds."""
 CHECK = 12
-"""``bounded``: one of so many frames of a kind of which something was left out is computed both ways."""
+"""``bounded``: one of so many frames of a kind of which something was left out is computed both ways; at first one of two, then of four."""
 
 ROWS = 32
 """Of an image, compared at a time."""
@@ -88,7 +88,7 @@ class Kept:
         self._plain: Plain | None = None
         self.last: Last | None = None
         self._device = device
-        self.unchecked = CHECK - 2
+        self._unchecked, self._period = 0, FIRST
         self._image: Outgoing | None = None
         self._alone = 0
         layers.begin()
@@ -145,6 +145,15 @@ class Kept:
             departure = distance(self.image, left_out)
         self._depth.judge(departure)
         return departure
+
+    def is_due(self) -> bool:
+        """Count a frame of which tolerances may have kept something; whether it is to be computed both ways."""
+        self._unchecked += 1
+        return self._unchecked >= self._period
+
+    def checked(self, *, well: bool) -> None:
+        """It was; the next ones are farther apart if it went well."""
+        self._unchecked, self._period = 0, min(GROWTH * self._period, CHECK) if well else FIRST
 
     def activity(self) -> NDArray[np.float32]:
         """How much of the network ``run`` took, for each tile of the last frame: 1 but for plain tiles, which took no decoder."""

@@ -16,7 +16,7 @@ from stss_cl.arrivals import Arrivals, DisplayFrame, Held, Tiles, sources
 from stss_cl.device import Device, open_device
 from stss_cl.frame import Frame
 from stss_cl.image_stages import Gather
-from stss_cl.kept import CHECK, Kept, Last, Report, distance
+from stss_cl.kept import Kept, Last, Report, distance
 from stss_cl.layers import Layers
 from stss_cl.network import Precision
 from stss_cl.sources import check_steps
@@ -168,10 +168,8 @@ class Stream:
 
     def _check(self, kept: Kept) -> None:
         """Every so often compute the frame once more, whole, and set the tolerance by how far the two are apart."""
-        kept.unchecked += 1
-        if kept.unchecked < CHECK:
+        if not kept.is_due():
             return
-        kept.unchecked = 0
         left_out, prepare = kept.image, kept.prepare  # while the image is held, the next one is another
         cl.enqueue_copy(self.device.queue, prepare.busy, _spread(None, (prepare.rows, prepare.columns)), is_blocking=True)
         prepare.again()
@@ -179,6 +177,7 @@ class Stream:
         kept.run(kept.choose(None))
         departure = distance(kept.image, left_out)
         self.report = replace(self.report, departure=departure)
+        kept.checked(well=departure <= AIM * self._max_error)
         if departure > 0:
             self.tolerance *= min(max(AIM * self._max_error / departure, SLOWER), FASTER)
         self.tolerance = min(self.tolerance, self._max_error)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from stss.supersample import plan
 from stss_cl import stream as streaming
 from stss_cl.buffers import Outgoing, incoming
-from stss_cl.depth import FIRST, GROWTH, LONGEST, REST, WHOLE, Depth, Level, Shot
+from stss_cl.depth import AIM, FIRST, GROWTH, LONGEST, OLD_AIM, REST, WHOLE, Depth, Level, Shot
 from stss_cl.kept import distance
 from stss_cl.layers import Layers
 from stss_cl.network import PRECISIONS
@@ -78,8 +78,9 @@ def test_the_level_goes_as_deep_as_the_departure_allows(departures):
         if due:
             depth.judge(departures[level])
     shown = [level for level in levels if level is not None]
-    best = max(level for level in range(4) if departures[level] <= 0.5)
-    assert all(departures[level] <= 1 for level in shown)
+    aims = 0.0, AIM, OLD_AIM, OLD_AIM
+    best = next((level - 1 for level in range(1, 4) if departures[level] > aims[level]), 3)
+    assert all(departures[level] <= aims[level] for level in shown)
     assert max(shown) == best
     assert depth.level == best
 
@@ -99,6 +100,24 @@ def test_checks_become_rare_and_common_again():
     assert depth.level == 0
     assert depth.next() == (0, False)
     assert any(depth.next()[1] for _ in range(REST + FIRST))
+
+
+@pytest.mark.parametrize(("level", "aim"), [(1, AIM), (2, OLD_AIM)])
+def test_what_departs_too_much_is_checked_more_often_and_then_left(level, aim):
+    def check(departure):
+        apart = 1
+        while not depth.next()[1]:
+            apart += 1
+        depth.judge(departure)
+        return apart
+
+    depth = Depth(level, 1.0)
+    while check(0.0) < 16:
+        pass
+    assert depth.level == level
+    assert [check(1.9 * aim) for _ in range(4)] == [32, 16, 8, 4]
+    check(2.1 * aim)
+    assert depth.level == level - 1
 
 
 def test_a_level_that_was_too_deep_once_is_tried_again():

@@ -16,7 +16,7 @@ from stss_cl.plain import Plain
 from stss_ref.resample import upsample_centres
 from tests.cl.test_stream import WEIGHTS
 
-FLAT, SURFACE = 0.01, 0.1
+FLAT, SURFACE, EDGE = 0.01, 0.1, 3
 SIZE = (77, 100)
 PADDED = (80, 104)
 
@@ -58,11 +58,8 @@ def expected(color: np.ndarray, gbuffer: np.ndarray, mask: np.ndarray) -> np.nda
     """Which tiles are no plain ones, by SciPy."""
     hole = np.pad(mask == 0, [(0, p - s) for p, s in zip(PADDED, SIZE, strict=True)])
     found = tiles(ndimage.maximum_filter(bent(color[..., :3], FLAT) | bent(gbuffer, SURFACE) | hole, 3))
-    inner = np.zeros_like(found)
-    inner[2:-2, 2:-2] = True
-    for axis, length in enumerate(SIZE):  # what is judged and its neighbours lie in the frame
-        beyond = 4 * np.arange(inner.shape[axis]) + 5 >= length
-        inner[(beyond, slice(None)) if axis == 0 else (slice(None), beyond)] = False
+    y, x = np.indices(found.shape)
+    inner = (y >= EDGE) & (x >= EDGE) & (4 * (y + EDGE) < SIZE[0]) & (4 * (x + EDGE) < SIZE[1])
     return found | ~inner
 
 
