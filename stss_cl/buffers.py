@@ -150,7 +150,7 @@ def incoming(device: Device, array: Array | cla.Array) -> cl.Buffer:
 
 
 class Outgoing:
-    """An array that a kernel writes: NumPy's, filled in place on a CPU, or ``pyopencl.array``'s."""
+    """An array that a kernel writes, and may compare: NumPy's, filled in place on a CPU, or ``pyopencl.array``'s."""
 
     def __init__(self, device: Device, shape: tuple[int, ...], *, on_device: bool):
         self._device, self._on_device = device, on_device
@@ -161,7 +161,7 @@ class Outgoing:
             self.array = np.empty(shape, np.float32)
             how = (FLAGS.USE_HOST_PTR, self.array) if device.is_cpu else (FLAGS.ALLOC_HOST_PTR, None)
             size = 0 if device.is_cpu else self.array.nbytes
-            self.data = cl.Buffer(device.context, FLAGS.WRITE_ONLY | how[0], size, hostbuf=how[1])
+            self.data = cl.Buffer(device.context, FLAGS.READ_WRITE | how[0], size, hostbuf=how[1])
 
     def finish(self) -> Any:
         """The array, complete; the queue has run dry, but for one on the device."""

@@ -49,7 +49,8 @@ class Plain:
         program = build(device, "plain.cl")
         self._detail, self._coarser = cl.Kernel(program, "detail"), [cl.Kernel(program, "coarser") for _ in DIVISORS[1:]]
         self._held = inputs.base, mask
-        self._detail.set_args(inputs.base, *self._held, self._maps[0], *map(np.int32, size), np.float32(flat))
+        for argument, value in enumerate((*self._held, self._maps[0], *map(np.int32, size), np.float32(flat)), 1):
+            self._detail.set_arg(argument, value)  # the first is the G-buffer
         for kernel, fine, out, (rows, columns) in zip(self._coarser, self._maps, self._maps[1:], self._tiles, strict=False):
             kernel.set_args(fine, out, np.int32(rows), np.int32(columns))
         self._apart = zeroed(device, 4 * self._tiles[0][0] * self._tiles[0][1])
@@ -58,7 +59,7 @@ class Plain:
         self._launches = list(self._replaced(launches))
 
     def read(self, gbuffer: cl.Buffer) -> None:
-        """From now on ``gbuffer`` (height, width, 9) is the frame's."""
+        """From now on ``gbuffer`` (height, width, 9) is the frame's: to be called before all others."""
         self._detail.set_arg(0, gbuffer)
 
     def ready(self, image: cl.Buffer) -> list[Launch]:

@@ -44,9 +44,9 @@ KERNELS = {
     "stream float32": {*STREAM, "winograd"},
     "stream float32-direct": {*STREAM, "image"},
     "stream half": {*STREAM, "winograd"},
-    "plain float32": {*NETWORK, "winograd", "detail", "coarser"},
-    "plain float32-direct": {*NETWORK, "image", "detail", "coarser"},
-    "plain half": {*NETWORK, "winograd", "detail", "coarser"},
+    "plain float32": {*NETWORK, "winograd", "detail", "coarser", "departure"},
+    "plain float32-direct": {*NETWORK, "image", "detail", "coarser", "departure"},
+    "plain half": {*NETWORK, "winograd", "detail", "coarser", "departure"},
     "stages": {"motion_chain", "warp", "holes", "splat_clear", "splat_nearest", "splat_first", "occlusion_warp", "rrm"},
     "selftest": {"arithmetic", "vectors", "reduce_group", "nearest", "speed"},
 }
@@ -236,19 +236,22 @@ def run_plain(device, precision):
     from stss_cl.plain import Plain
     from stss_ref.weights import random as random_weights
 
-    random, size = np.random.default_rng(6), (21, 46)
+    random, size = np.random.default_rng(6), (33, 46)
     layers = Layers(device, random_weights(5), *size, precision, keep=True)
     color = np.full((*size, 6), 0.5, np.float32)
-    color[8:11, 8:13] = random.random((3, 5, 6), np.float32)
+    color[14:17, 14:19] = random.random((3, 5, 6), np.float32)
     mask = cla.to_device(device.queue, np.ones(size, np.uint8))
     gbuffer, inputs = np.full((*size, 9), 0.5, np.float32), (size, (3, *size, 4))
     others = [on_device(device, random, shape).base_data for shape in inputs]
-    layers.pack(*(cla.to_device(device.queue, array).base_data for array in (color, gbuffer)), *others)
+    made = [cla.to_device(device.queue, array).base_data for array in (color, gbuffer)]
+    layers.pack(*made, *others)
     image = Outgoing(device, (2 * size[0], 2 * size[1], 3), on_device=False)
     plain = Plain(device, layers.launches, layers.inputs, mask.base_data, size, 0.01)
+    plain.read(made[1])
     layers.run(image.data, layers.levels[1], plain)
     show("plain", image.finish())
     assert 0 < plain.wanted().mean() < 1
+    show("departure", plain.departure(image.data))
 
 
 def run_stages(device, height, width):
