@@ -16,6 +16,8 @@ FIRST, GROWTH, LONGEST = 2, 2, 48
 AIM, OLD_AIM = 0.5, 0.25
 """The departure up to which more is left out, as a share of the largest error; the rest is for what the tolerance does. Of features
 that stay, which depart more the older they are and the faster things move, half as much; twice as much is too much."""
+LATER = 16
+"""Frames of a kind between two checks from which on it is tried to leave more: a trial costs more than a short shot could save."""
 REST = 48
 """After so many frames it is tried again whether the deep layers may stay."""
 SAMPLED, BLOCK, CUT = 4, 8, 0.08
@@ -100,13 +102,12 @@ class Depth:
         self._age = 0
         aim = self._max_error * (AIM if self._trial == 1 else OLD_AIM)
         if departure <= aim:
+            self._period = FIRST if self._trial > self.level else min(GROWTH * self._period, LONGEST)
             self.level = self._trial
             if self._period == LONGEST:
                 self._deepest = self._most  # what was too deep once need not be so for ever
-            if self._trial < self._deepest:
-                self._trial += 1
-            else:
-                self._period = min(GROWTH * self._period, LONGEST)
+            if self._period >= LATER:
+                self._trial = min(self.level + 1, self._deepest)
         elif self._trial > self.level:  # was only tried
             self._trial = self._deepest = self.level
         elif departure <= 2 * aim:

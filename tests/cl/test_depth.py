@@ -92,7 +92,7 @@ def test_checks_become_rare_and_common_again():
         if due[-1]:
             depth.judge(0.1)
     apart = np.diff(np.flatnonzero(due))
-    assert apart[0] == FIRST * GROWTH
+    assert list(apart[:3]) == [FIRST, FIRST * GROWTH, FIRST * GROWTH**2]
     assert apart[-1] == LONGEST
     while not depth.next()[1]:
         pass
@@ -100,6 +100,15 @@ def test_checks_become_rare_and_common_again():
     assert depth.level == 0
     assert depth.next() == (0, False)
     assert any(depth.next()[1] for _ in range(REST + FIRST))
+
+
+def test_what_stays_is_tried_when_a_shot_has_lasted():
+    depth, before = Depth(2, 1.0), 0
+    while depth.level < 2:
+        before += 1
+        if depth.next()[1]:
+            depth.judge(0.0)
+    assert before == 1 + FIRST * (1 + GROWTH + GROWTH**2 + GROWTH**3)  # the last of these is LATER
 
 
 @pytest.mark.parametrize(("level", "aim"), [(1, AIM), (2, OLD_AIM)])
@@ -112,6 +121,8 @@ def test_what_departs_too_much_is_checked_more_often_and_then_left(level, aim):
         return apart
 
     depth = Depth(level, 1.0)
+    while depth.level < level:
+        check(0.0)
     while check(0.0) < 16:
         pass
     assert depth.level == level
@@ -147,6 +158,13 @@ def test_another_shot_is_told_from_a_moving_camera():
     assert shot.cut(picture[:60])
 
 
+@pytest.fixture
+def early(monkeypatch):
+    """What may stay is tried in a shot's first frames, for shots that are short."""
+    monkeypatch.setattr("stss_cl.depth.LATER", FIRST)
+
+
+@pytest.mark.usefixtures("early")
 @pytest.mark.parametrize("max_error", [0.9, 1e-9])
 def test_a_moving_camera(device, max_error):
     """With a wide bound the deep layers stay most of the time; with a narrow one never: noise has no plain tiles."""
@@ -173,6 +191,7 @@ def test_a_moving_camera(device, max_error):
     assert partly > 20
 
 
+@pytest.mark.usefixtures("early")
 @pytest.mark.parametrize("looking", [False, True], ids=["resting", "looking"])
 @pytest.mark.parametrize("weights", [WEIGHTS, UNREAD], ids=["read", "unread"])
 def test_what_was_left_out_does_not_outlive_the_motion(device, weights, looking):
@@ -197,6 +216,7 @@ def test_what_was_left_out_does_not_outlive_the_motion(device, weights, looking)
     assert seen[-1] == ("none", 0)
 
 
+@pytest.mark.usefixtures("early")
 def test_old_features_do_not_outlive_the_motion(device):
     """When the camera comes to rest after frames that left deep features as they were, the next one is computed whole."""
     rng, made = np.random.default_rng(6), None
