@@ -276,3 +276,23 @@ def test_mistakes_name_what_is_wrong(device):
         made([*frames[:4], replace(frames[4], gbuffer=broken)], (0, 2, 4))
     plain = Stream(WEIGHTS, device, skip="off")
     assert_same(made(frames[:5], (0, 2, 4)), plain(frames[:5], (0, 2, 4)))
+
+
+def test_tolerances_are_checked_often_at_first(device):
+    """The second frame of a kind that may have kept something, then the fourth after it, the eighth, and every twelfth."""
+    rng, size = np.random.default_rng(9), (40, 64)
+    made = first_frame(rng, size, rendered=True)
+    frames, color = [made], made.color
+    for i in range(1, 84):
+        made, color = next_frame(rng, made, color, "pixel", rendered=i % 2 == 0)
+        frames.append(made)
+    stream, seen = Stream(WEIGHTS, device, skip="bounded", max_error=1e3), [[], []]
+    for i in range(84):
+        window = frames[max(0, i - 5) : i + 1]
+        stream(window, plan(window).steps)
+        if stream.report.network == "changed":
+            seen[i % 2].append(stream.report.departure is not None)
+    for kind in seen:
+        due = list(np.flatnonzero(kind) + 1)
+        assert due == [2, 6, 14, 26, 38][: len(due)]
+        assert len(due) >= 4
