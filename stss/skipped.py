@@ -25,7 +25,7 @@ class Cost:
         network: what of the network was run: ``none``, where something had ``changed``, ``partly``: everywhere, but without plain
             tiles or some of the deep layers, the ``whole``.
         changed: share of the network's inputs that differed from the frame before of this kind; 1 where nobody looked.
-        departure: of a frame that was computed both ways: the largest difference that leaving out made, output units.
+        departure: of a frame that was checked: the largest difference that leaving out made, output units.
     """
 
     network: Literal["none", "changed", "partly", "whole"]
@@ -44,7 +44,7 @@ def told(costs: Sequence[Cost]) -> str:
         parts.append(f"{len(part)} in part ({np.mean([cost.changed for cost in part]):.0%} of the inputs had changed)")
     parts += [f"{len(none)} not at all"] if none else []
     departures = [cost.departure for cost in costs if cost.departure is not None]
-    checked = f"; {len(departures)} computed both ways, {max(departures) * 255:.2f}/255 apart at most" if departures else ""
+    checked = f"; {len(departures)} checked, {max(departures) * 255:.2f}/255 apart at most" if departures else ""
     return f"network computed: {', '.join(parts)}{checked}"
 
 

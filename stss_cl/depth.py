@@ -66,7 +66,7 @@ def levels(launches: Sequence[Launch], reads_history: bool) -> tuple[Level, ...]
 
 
 class Depth:
-    """Chooses the level of each frame of a kind, by the departures of those that are computed both ways.
+    """Chooses the level of each frame of a kind, by the departures of those that are checked.
 
     Args:
         deepest: the last level.
@@ -87,7 +87,7 @@ class Depth:
         self._age = 0
 
     def next(self) -> tuple[int, bool]:
-        """The level of the next frame, and whether it is to be computed both ways."""
+        """The level of the next frame, and whether it is to be checked."""
         self._age += 1
         if self._trial == 0:
             if self._age >= REST:

@@ -39,7 +39,7 @@ class Report:
         prepared: share of the tiles of 4 x 4 pixels whose inputs were computed anew.
         changed: share of those whose inputs then differed; 1 where nobody looked.
         network: what of the network was run; ``partly``: everywhere, but for what may be left out (``stss_cl.depth``).
-        departure: for ``bounded``, of a frame that was computed both ways: the largest difference that leaving out made.
+        departure: for ``bounded``, of a frame that was checked: the largest difference that leaving out made.
     """
 
     prepared: float
@@ -60,7 +60,7 @@ class Last:
 
 
 class Choice(NamedTuple):
-    """What is left out of a frame, and whether it is ``due`` to be computed both ways."""
+    """What is left out of a frame, and whether it is ``due`` to be checked."""
 
     level: Level
     due: bool

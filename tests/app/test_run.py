@@ -271,5 +271,5 @@ def test_the_line_about_a_run():
 
     costs = [Cost("whole", 1.0), Cost("changed", 0.1, 0.5 / 255), Cost("changed", 0.3, 0.2 / 255), Cost("none", 0.0)]
     assert told(costs) == (
-        "network computed: 1 whole, 2 in part (20% of the inputs had changed), 1 not at all; 2 computed both ways, 0.50/255 apart at most"
+        "network computed: 1 whole, 2 in part (20% of the inputs had changed), 1 not at all; 2 checked, 0.50/255 apart at most"
     )
