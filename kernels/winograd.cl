@@ -42,6 +42,7 @@
 #define IN (A + B)
 #define IN8 (IN / 8)
 #define OUT8 (OUT / 8)
+#define PAIRS ((TILES + 1) / 2)
 
 #ifdef PREFETCH
 // The k-th of PRODUCTS parts of `rows` rows (PATCH of STEP pixels a tile, or SIDE of SIDE) of a strip of tiles: line by line, for OpenCL's own
@@ -58,15 +59,15 @@ static inline void fetch(global const stored *buffer, const int channels, const 
 
 #ifdef REACH
 // The map's first and last tile (of 4 x 4 pixels) that matter to a tile; the last one may lie beyond the map.
-#define NEAR(tile) (max(STEP * (tile) + 3 - 4 * REACH, 0) / 4)
+#define NEAR(tile) (most(STEP * (tile) + 3 - 4 * REACH, 0) / 4)
 #define FAR(tile) ((STEP * (tile) + STEP - STRIDE - 3 + 4 * REACH) / 4)
 
 // How many tiles of the strip have one in their reach that a or b (which may be 0) marks, and which they are.
 static inline int reached(global const uchar *a, global const uchar *b, const int rows, const int columns, const int first,
                           const int last, const int tile_y, int *tiles)
 {
-    const int top = NEAR(tile_y), bottom = min(FAR(tile_y), rows - 1);
-    const int left = NEAR(first), right = min(FAR(first + TILES - 1), columns - 1);
+    const int top = NEAR(tile_y), bottom = least(FAR(tile_y), rows - 1);
+    const int left = NEAR(first), right = least(FAR(first + TILES - 1), columns - 1);
     if (!marked_tiles(a, columns, top, bottom, left, right) && !(b && marked_tiles(b, columns, top, bottom, left, right)))
         return 0;
     uchar column[TILES + 2 * REACH];
@@ -77,7 +78,7 @@ static inline int reached(global const uchar *a, global const uchar *b, const in
     int count = 0;
     for (int i = first; i < first + TILES && i <= last; ++i) {
         uchar any = 0;
-        for (int x = NEAR(i); x <= min(FAR(i), right); ++x) any |= column[x - left];
+        for (int x = NEAR(i); x <= least(FAR(i), right); ++x) any |= column[x - left];
         if (any) tiles[count++] = i;
     }
     return count;
@@ -89,9 +90,15 @@ static inline int reached(global const uchar *a, global const uchar *b, const in
 #define HELD held
 #else
 // Beyond the row the last tile stands in: its results are not stored.
-#define TILE(t) min(first + (t), last)
-#define COUNT min(TILES, last + 1 - first)
+#define TILE(t) least(first + (t), last)
+#define COUNT least(TILES, last + 1 - first)
 #define HELD TILES
+#endif
+
+#ifdef SKIP
+#define PUT(value, i, buffer) differs |= replace8(value, i, buffer, tolerance)
+#else
+#define PUT(value, i, buffer) STORE8(value, i, buffer)
 #endif
 
 kernel __attribute__((reqd_work_group_size(1, 1, 1)))
@@ -133,7 +140,7 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
             continue;
         }
         const float8 nothing[8] = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
-        for (int y = max(4 * tile_y, from); y < min(4 * tile_y + 4, height); ++y)
+        for (int y = most(4 * tile_y, from); y < least(4 * tile_y + 4, height); ++y)
             write_pixels(nothing, color, image, y, 4 * x, width, width, rows, columns, top);
     }
 #elif defined(WANTED)
@@ -148,123 +155,130 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
     int held = count;
     for (; held % ROWS; ++held) tiles[held] = tiles[count - 1];
 #endif
-    float8 V[PRODUCTS * TILES * IN8], M[PRODUCTS * TILES * OUT8];
+    float8 V[GROUP_ROWS(0) * PATCH * TILES * IN8], M[PRODUCTS * TILES * OUT8];
 #ifdef GATED
-    float8 gates[PRODUCTS * TILES];
+    float8 gates[PRODUCTS * PAIRS];
 #endif
 
-    for (int t = 0; t < HELD; ++t) {
-        const int corner = STEP * (tile_y * in_columns + TILE(t));
-        for (int c = 0; c < A / 8; ++c) input_tile(a, corner, in_columns, A / 8, c, V + t * IN8 + c, TILES * IN8);
+    // A few products at a time, those of a few rows: their inputs then stay in L1.
+#pragma unroll
+    for (int group = 0; group < GROUPS; ++group) {
+        for (int t = 0; t < HELD; ++t) {
+            const int corner = STEP * (tile_y * in_columns + TILE(t));
+            float8 *to = V + t * IN8;
+#pragma nounroll
+            for (int c = 0; c < A / 8; ++c) input_rows(group, a + corner * A + 8 * c, in_columns * A, A, to + c, TILES * IN8);
 #if B
-        for (int c = 0; c < B / 8; ++c) input_tile(b, corner, in_columns, B / 8, c, V + t * IN8 + A / 8 + c, TILES * IN8);
+#pragma nounroll
+            for (int c = 0; c < B / 8; ++c) input_rows(group, b + corner * B + 8 * c, in_columns * B, B, to + A / 8 + c, TILES * IN8);
 #endif
-    }
-
-    for (int k = 0; k < PRODUCTS; ++k) {
+        }
+#pragma nounroll
+        for (int product = 0; product < GROUP_ROWS(group) * PATCH; ++product) {
+            const int k = GROUP_FIRST(group) * PATCH + product;
+            const float8 *inputs = V + product * TILES * IN8;
 #ifdef PREFETCH
-        // While this strip multiplies, the next one's input and this one's output come into the cache.
-        fetch(a, A, STEP * (tile_y * in_columns + first + TILES), in_columns, PATCH, k);
+            // While this strip multiplies, the next one's input and this one's output come into the cache.
+            fetch(a, A, STEP * (tile_y * in_columns + first + TILES), in_columns, PATCH, k);
 #if B
-        fetch(b, B, STEP * (tile_y * in_columns + first + TILES), in_columns, PATCH, k);
+            fetch(b, B, STEP * (tile_y * in_columns + first + TILES), in_columns, PATCH, k);
 #endif
 #ifndef IMAGE
-        fetch(out, out_channels, (SIDE * tile_y + 1) * out_columns + SIDE * first + 1, out_columns, SIDE, k);
+            fetch(out, out_channels, (SIDE * tile_y + 1) * out_columns + SIDE * first + 1, out_columns, SIDE, k);
 #endif
 #endif
-        for (int block = 0; block < OUT8; block += BLOCK) {
-            global const float8 *restrict w = weight + (k * OUT8 + block) * IN;
-            for (int t = 0; t < HELD; t += ROWS) {
-                const float *v = (const float *)(V + (k * TILES + t) * IN8);
-                float8 sum[ROWS * BLOCK];
+            for (int block = 0; block < OUT8; block += BLOCK) {
+                global const float8 *restrict w = weight + (k * OUT8 + block) * IN;
+                for (int t = 0; t < HELD; t += ROWS) {
+                    const float *v = (const float *)(inputs + t * IN8);
+                    float8 sum[ROWS * BLOCK];
 #pragma unroll
-                for (int i = 0; i < ROWS * BLOCK; ++i) sum[i] = 0.0f;
-                for (int c = 0; c < USED; ++c) {
-                    float8 wc[BLOCK];
+                    for (int i = 0; i < ROWS * BLOCK; ++i) sum[i] = 0.0f;
+                    for (int c = 0; c < USED; ++c) {
+                        float8 wc[BLOCK];
 #pragma unroll
-                    for (int j = 0; j < BLOCK; ++j) wc[j] = w[c * BLOCK + j];
+                        for (int j = 0; j < BLOCK; ++j) wc[j] = w[c * BLOCK + j];
 #pragma unroll
-                    for (int r = 0; r < ROWS; ++r) {
-                        const float8 value = (float8)(v[r * IN + c]);
+                        for (int r = 0; r < ROWS; ++r) {
+                            const float8 value = (float8)(v[r * IN + c]);
 #pragma unroll
-                        for (int j = 0; j < BLOCK; ++j) sum[r * BLOCK + j] += value * wc[j];
+                            for (int j = 0; j < BLOCK; ++j) sum[r * BLOCK + j] += value * wc[j];
+                        }
                     }
-                }
 #pragma unroll
-                for (int i = 0; i < ROWS * BLOCK; ++i)
-                    M[(k * TILES + t + i / BLOCK) * OUT8 + block + i % BLOCK] = sum[i];
+                    for (int i = 0; i < ROWS * BLOCK; ++i)
+                        M[(k * TILES + t + i / BLOCK) * OUT8 + block + i % BLOCK] = sum[i];
+                }
             }
+#ifdef GATED
+            // The output transform is linear: it may run on partial sums, which are added only at its end; four of each of two tiles.
+            for (int t = 0; t < HELD; t += 2) {
+                const float8 *v = inputs + t * IN8;
+                const int other = t + 1 < HELD ? IN8 : 0;
+                float8 one = 0.0f, two = 0.0f;
+#pragma unroll
+                for (int c = 0; c < IN8; ++c) {
+                    one += v[c] * gate_weight[k * IN8 + c];
+                    two += v[other + c] * gate_weight[k * IN8 + c];
+                }
+                gates[k * PAIRS + t / 2] = (float8)(one.lo, two.lo) + (float8)(one.hi, two.hi);
+            }
+#endif
         }
     }
 
 #ifdef GATED
-    // The output transform is linear: it may run on the eight lanes' partial sums, which are added only at its end.
-    for (int k = 0; k < PRODUCTS; ++k)
-        for (int t = 0; t < HELD; ++t) {
-            float8 gate = 0.0f;
-#pragma unroll
-            for (int c = 0; c < IN8; ++c) gate += V[(k * TILES + t) * IN8 + c] * gate_weight[k * IN8 + c];
-            gates[k * TILES + t] = gate;
-        }
+    float4 open4[2 * PAIRS * SIDE * SIDE / 4];
+    for (int t = 0; t < HELD; t += 2) open_gates(gates + t / 2, PAIRS, gate_bias, open4 + t * SIDE * SIDE / 4);
 #endif
-
     for (int t = 0; t < COUNT; ++t) {
         const int x = SIDE * TILE(t), y = SIDE * tile_y;
-        float8 rows_of[PRODUCTS];
 #if defined(SKIP) && !defined(IMAGE)
         stored8 differs = 0;
 #endif
 #ifdef GATED
-        float8 partial[SIDE * SIDE], open8[2] = {0.0f, 0.0f};
-        float4 *open4 = (float4 *)open8;
-        const float *open = (const float *)open8;
-        output_rows(gates + t, TILES, rows_of);
-#pragma unroll
-        for (int j = 0; j < SIDE; ++j) output_transform(rows_of + j, SIDE, partial + j, SIDE);
-#pragma unroll
-        for (int i = 0; i < SIDE * SIDE / 4; ++i) open4[i] = sums4(partial + 4 * i) + gate_bias;
-        open8[0] = sigmoid8(open8[0]);
-#if SIDE == 4
-        open8[1] = sigmoid8(open8[1]);
-#endif
+        const float *open = (const float *)(open4 + t * SIDE * SIDE / 4);
 #endif
 #ifdef IMAGE
         float8 features[SIDE * SIDE * OUT8];
 #endif
-        for (int c = 0; c < OUT8; ++c) {
-            const int corner = ((y + 1) * out_columns + x + 1) * (out_channels / 8) + out_first / 8 + c;
-            const float8 shift = bias[c];
-            output_rows(M + t * OUT8 + c, TILES * OUT8, rows_of);
-            // The second half, a column of the tile at a time: it goes from the registers to where it belongs.
 #pragma unroll
-            for (int j = 0; j < SIDE; ++j) {
-                float8 column[SIDE];
-                output_transform(rows_of + j, SIDE, column, 1);
+        for (int parity = 0; parity < 2; ++parity) {
+#pragma nounroll
+            for (int c = 0; c < OUT8; ++c) {
+                const float8 shift = bias[c];
+                float8 values[PARITY_ROWS * SIDE];
+                output_rows(parity, M + t * OUT8 + c, TILES * OUT8, values);
 #pragma unroll
-                for (int i = 0; i < SIDE; ++i) {
-                    float8 value = column[i] + shift;
+                for (int n = 0; n < PARITY_ROWS * SIDE; ++n) {
+                    values[n] += shift;
 #ifdef GATED
-                    value *= open[SIDE * i + j];
+                    values[n] *= open[PLACE(parity, n)];
 #endif
 #ifdef RELU
-                    value = relu8(value);
+                    values[n] = relu8(values[n]);
 #endif
 #ifdef IMAGE
-                    features[(SIDE * i + j) * OUT8 + c] = value;
-#else
-                    const int pixel = corner + (i * out_columns + j) * (out_channels / 8);
-                    if (y + i < height && x + j < width)
-#ifdef SKIP
-                        differs |= replace8(value, pixel, out, tolerance);
-#else
-                        STORE8(value, pixel, out);
-#endif
+                    features[PLACE(parity, n) * OUT8 + c] = values[n];
 #endif
                 }
+#ifndef IMAGE
+                const int line = out_columns * out_channels;
+                global stored *to = out + (y + parity + 1) * line + (x + 1) * out_channels + out_first + 8 * c;
+                if (y + SIDE <= height && x + SIDE <= width) {
+#pragma unroll
+                    for (int n = 0; n < PARITY_ROWS * SIDE; ++n) PUT(values[n], n % SIDE * out_channels / 8, to + n / SIDE * 2 * line);
+                } else {
+#pragma unroll
+                    for (int n = 0; n < PARITY_ROWS * SIDE; ++n)
+                        if (y + parity + n / SIDE * 2 < height && x + n % SIDE < width)
+                            PUT(values[n], n % SIDE * out_channels / 8, to + n / SIDE * 2 * line);
+                }
+#endif
             }
         }
 #ifdef IMAGE
-        for (int i = max(from - y, 0); i < 4 && y + i < height; ++i) {
+        for (int i = most(from - y, 0); i < 4 && y + i < height; ++i) {
             float8 sums[8];
             residual((const float *)(features + 4 * i * OUT8), outc_weight, outc_bias, sums);
             write_pixels(sums, color, image, y + i, x, width, width, rows, columns, top);

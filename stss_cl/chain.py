@@ -43,7 +43,7 @@ class Chain:
         self._dtype = dtype_of(precision)
         self._height, self._width = height, width
         self._maps = Maps(device, height, width)
-        self._shared: dict[tuple[str, int], Padded] = {}
+        self._shared: dict[tuple[str, int, int], Padded] = {}
         self._changed: ChangedOnly | None = None
         self._marked: list[Padded] = []
 
@@ -127,10 +127,11 @@ class Chain:
         return self._marked[-1]
 
     def _scratch(self, name: str, divisor: int, channels: int) -> Padded:
-        """Activations that are soon done with: those that were last asked for by this name, but that each is kept if all are."""
-        if self.keep or (name, divisor) not in self._shared:
-            self._shared[name, divisor] = self._padded(divisor, channels)
-        return self._shared[name, divisor]
+        """Activations that are soon done with: those that this name and size had before, but that each is kept if all are."""
+        key = name, divisor, channels
+        if self.keep or key not in self._shared:
+            self._shared[key] = self._padded(divisor, channels)
+        return self._shared[key]
 
     def _conv(
         self,

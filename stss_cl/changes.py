@@ -15,7 +15,7 @@ from stss_cl.launch import IMAGE_ARGUMENT, Launch
 from stss_cl.program import build
 from stss_cl.strips import bytes_for
 
-KEPT = {1: 24, 2: 7 * 24, 4: 7 * 32, 8: 4 * 32 + 2 * 32 + 64}
+KEPT = {1: 2 * 24, 2: 10 * 24, 4: 9 * 32, 8: 12 * 32}
 """Channels by the divisor of their size that layers no longer share where each keeps what it wrote (``stss_cl/layers.py``)."""
 FULL_MAPS, LEAST = 16, 1 << 16
 

@@ -66,6 +66,7 @@ class Layers(Chain):
         # Kernels that must know where a strip lies: which of their arguments, and the divisor of their size.
         self._placed: list[tuple[cl.Kernel, int, int]] = []
         self.inputs = inputs_for(device, rows, columns, dtype, self.keep)
+        self._shared["two", 1, self.inputs.input.channels] = self.inputs.input  # done with after the first layer
         self._packing = PackInputs(device, self.inputs, height, width)
         self.features: dict[str, Padded] = {}
         if residual:
@@ -129,12 +130,12 @@ class Layers(Chain):
         return {name: read(self._device, self.features[key], first, n) for name, (key, first, n) in outputs[stage].items()}
 
     def _encoder(self) -> None:
-        x = self._conv("encoder", "conv1", self.inputs.input, self._scratch("full", 1, 24), channels=(21,))
+        x = self._conv("encoder", "conv1", self.inputs.input, self._scratch("one", 1, 24), channels=(21,))
         x = self.features["x1"] = self._conv("encoder", "conv2", x, self._padded(1, 24))
         for i, (channels, divisor) in enumerate(((24, 2), (32, 4), (32, 8)), start=1):
             name = f"down{i}"
-            x = self._conv("encoder", f"{name}.downsample", x, self._padded(divisor, x.channels), stride=2, relu=False)
-            x = self._conv("encoder", f"{name}.conv1", x, self._padded(divisor, channels))
+            x = self._conv("encoder", f"{name}.downsample", x, self._scratch("one", divisor, x.channels), stride=2, relu=False)
+            x = self._conv("encoder", f"{name}.conv1", x, self._scratch("two", divisor, channels))
             x = self._conv("encoder", f"{name}.conv2", x, self._padded(divisor, channels))
             self.features[f"x{i + 1}"] = x
 
@@ -144,11 +145,11 @@ class Layers(Chain):
         for image in range(3) if self.reads_history else ():
             x = self.inputs.earlier
             for name, channels, divisor in (("convHis1", 24, 2), ("convHis2", 32, 4), ("convHis3", 32, 8)):
-                one = self._scratch("history", divisor, channels)
+                one = self._scratch("one", divisor, channels)
                 x = self._conv("history", f"{name}.0", x, one, stride=2, image=image if divisor == 2 else 0)
-                x = self._conv("history", f"{name}.2", x, self._scratch("history.2", divisor, channels))
+                x = self._conv("history", f"{name}.2", x, self._scratch("two", divisor, channels))
                 last = divisor == 8
-                out = joined if last else self._scratch("history", divisor, channels)
+                out = joined if last else self._scratch("one", divisor, channels)
                 x = self._conv("history", f"{name}.4", x, out, out_first=32 * image if last else 0)
         self._conv("history", "lowlevelGated", joined, self.features["reshaded"], relu=False, out_first=64)
 
@@ -158,14 +159,14 @@ class Layers(Chain):
         out, size = self.features["reshaded"], (self._width // 8, self._height // 8)
         eighth = self.inputs.eighth
         light = self._conv(
-            "erm", "latentEncoder.0", self.features["x4"], self._scratch("value", 8, 64), b=eighth, channels=(32, GBUFFER)
+            "erm", "latentEncoder.0", self.features["x4"], self._scratch("one", 8, 64), b=eighth, channels=(32, GBUFFER)
         )
-        light = self._conv("erm", "latentEncoder.2", light, self._scratch("value.2", 8, 64))
-        light = self._conv("erm", "latentEncoder.4", light, self._scratch("value", 8, 64), relu=False)
-        key = self._conv("erm", "KEncoder.0", eighth, self._scratch("key", 8, 32), channels=(GBUFFER,))
-        key = self._conv("erm", "KEncoder.2", key, self._scratch("key.2", 8, 32))
-        key = self._conv("erm", "KEncoder.4", key, self._scratch("key", 8, 32), relu=False)
-        unit = self._scratch("key.2", 8, 32)
+        light = self._conv("erm", "latentEncoder.2", light, self._scratch("two", 8, 64))
+        light = self._conv("erm", "latentEncoder.4", light, self._scratch("one", 8, 64), relu=False)
+        key = self._conv("erm", "KEncoder.0", eighth, self._scratch("one", 8, 32), channels=(GBUFFER,))
+        key = self._conv("erm", "KEncoder.2", key, self._scratch("two", 8, 32))
+        key = self._conv("erm", "KEncoder.4", key, self._scratch("one", 8, 32), relu=False)
+        unit = self._scratch("two", 8, 32)
         self._kernel(
             "erm", "normalise", "erm.cl", options, size, key.data, unit.data, key.columns, maps=(key.changes, unit.changes)
         )  # fmt: skip
@@ -179,7 +180,7 @@ class Layers(Chain):
     def _decoder(self) -> None:
         x = self.features["reshaded"]
         for i, (middle, outputs, divisor) in enumerate(((64, 32, 4), (32, 24, 2), (24, 24, 1)), start=1):
-            up = self._scratch("full" if divisor == 1 else "up", divisor, x.channels)
+            up = self._scratch("one", divisor, x.channels)
             tiles = span(self._device, 4) // 4
             options: dict[str, object] = {"CHANNELS": x.channels, "SPAN": tiles}
             self._kernel(
@@ -190,19 +191,19 @@ class Layers(Chain):
             self._placed.append((self.launches[-1].kernel, 7, 2 * divisor))
             skip = self.features[f"x{4 - i}"]
             name = f"up{i}.conv.double_conv"
-            wide = self._padded(divisor, middle)
+            wide = self._scratch("two", divisor, middle)
             x = self._conv("decoder", f"{name}.0", skip, wide, b=up)
             if i == 3:
                 self._last(f"{name}.2", x)
                 return
-            x = self._conv("decoder", f"{name}.2", x, self._padded(divisor, outputs), channels=(28 if i == 2 else middle,))
+            x = self._conv("decoder", f"{name}.2", x, self._scratch("one", divisor, outputs), channels=(28 if i == 2 else middle,))
 
     def _last(self, name: str, wide: Padded) -> None:
         """The last convolution and outc: in one launch where Winograd runs, else in two."""
         if self._winograd and tuning_for(self._device).winograd is not None:
             self._conv("decoder", name, wide, wide, final=self._final())
         else:
-            self._image(self._conv("decoder", name, wide, self._padded(1, 24)))
+            self._image(self._conv("decoder", name, wide, self._scratch("one", 1, 24)))
 
     def _final(self) -> Final:
         weight, bias = (constant(self._device, array) for array in pack_outc(self._weights))

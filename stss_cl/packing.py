@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stss_ref.weights import Weights
 
-POINTS = {4: (0.0, 0.625, -0.625, 1.5, -1.5), 2: (0.0, 1.0, -1.0)}
+POINTS = {4: (0.625, -0.625, 1.5, -1.5, 0.0), 2: (1.0, -1.0, 0.0)}
 """Where F(4x4, 3x3) and F(2x2, 3x3) evaluate, with infinity; constants exact in float32, errors of F(4x4) 2 to 3 times below those
 of 0, +-1, +-2."""
 

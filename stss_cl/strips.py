@@ -21,10 +21,10 @@ STEP = 32
 """Strips begin at multiples of this: Winograd's tiles of 4 pixels at 1/8 size then lie as in the whole frame."""
 
 CHANNELS = {
-    1: 24 * 4 + 4 * 3,
-    2: 24 * 3 + 24 * 2 + 32 * 2 + 24,
-    4: 24 + 32 * 2 + 32 * 2 + 96 + 64 + 32,
-    8: 32 * 3 + 32 * 2 + 96 * 2 + 32 * 2 + 64 * 2 + 16,
+    1: 24 * 3 + 4 * 3,
+    2: 24 * 3 + 32 * 2,
+    4: 24 + 32 * 3 + 96 + 64,
+    8: 32 * 3 + 96 * 2 + 64 * 2 + 16,
 }
 """Channels of all activations by the divisor of their size (``stss_cl/layers.py``)."""
 
