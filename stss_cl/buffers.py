@@ -155,7 +155,7 @@ class Outgoing:
     def __init__(self, device: Device, shape: tuple[int, ...], *, on_device: bool):
         self._device, self._on_device = device, on_device
         if on_device:
-            self.array: Any = cla.empty(device.queue, shape, np.float32)
+            self.array: Any = cla.empty(device.queue, shape, np.float32, allocator=device.pool)
             self.data = self.array.base_data
         else:
             self.array = np.empty(shape, np.float32)

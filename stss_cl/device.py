@@ -6,8 +6,10 @@ from __future__ import annotations
 import hashlib
 import os
 from collections import Counter
+from functools import cached_property
 
 import pyopencl as cl
+from pyopencl.tools import ImmediateAllocator, MemoryPool
 
 from stss_cl.caches import pocl_cache
 from stss_cl.errors import DeviceError
@@ -128,6 +130,11 @@ class Device(Properties):
         """An in-order command queue."""
         _require_same_process(self._process)
         return self._queue
+
+    @cached_property
+    def pool(self) -> MemoryPool:
+        """Memory for arrays that are handed out: that of one the caller has dropped serves the next, page faults and all."""
+        return MemoryPool(ImmediateAllocator(self.queue))
 
 
 def full_name(handle: cl.Device) -> str:

@@ -196,7 +196,9 @@ class Layers(Chain):
             if i == 3:
                 self._last(f"{name}.2", x)
                 return
-            x = self._conv("decoder", f"{name}.2", x, self._scratch("one", divisor, outputs), channels=(28 if i == 2 else middle,))
+            x = self._conv(
+                "decoder", f"{name}.2", x, self._scratch("one", divisor, outputs), channels=(28 if i == 2 else middle,)
+            )
 
     def _last(self, name: str, wide: Padded) -> None:
         """The last convolution and outc: in one launch where Winograd runs, else in two."""

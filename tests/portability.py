@@ -29,7 +29,7 @@ def main():
     parser.add_argument("--vendors", type=Path, default=Path("/etc/OpenCL/vendors"), help="where the system lists its runtimes")
     parser.add_argument("--apt", action="store_true", help="install Debian's runtimes; needs root")
     parser.add_argument("--only", default="", help="runtimes with this in their name")
-    parser.add_argument("--limit", type=float, default=900, help="seconds for each runtime  [default: 900]")
+    parser.add_argument("--limit", type=float, default=3600, help="seconds for each runtime  [default: 3600]")
     given = parser.parse_args()
     if given.apt:
         subprocess.run(["apt-get", "install", "-y", "-qq", "--no-install-recommends", *PACKAGES], check=True)
