@@ -312,6 +312,19 @@ def test_arrays_on_the_device_stay_there(net, device):
     np.testing.assert_array_equal(image.get(), net(*inputs))
 
 
+def test_the_memory_of_a_dropped_image_serves_the_next(net, device):
+    import pyopencl.array as cla
+
+    inputs = [cla.to_device(device.queue, x) for x in network_inputs((9, 10), 4)]
+    first, second = net(*inputs), net(*inputs)
+    assert device.pool.active_blocks == 2, "an image that is held must keep its memory"
+    managed = device.pool.managed_bytes
+    del first, second
+    for _ in range(4):
+        net(*inputs)
+    assert (device.pool.active_blocks, device.pool.managed_bytes) == (0, managed)
+
+
 def test_the_inputs_are_left_alone(net):
     inputs = network_inputs((9, 10), 4)
     before = [x.copy() for x in inputs]

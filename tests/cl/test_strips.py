@@ -7,8 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from stss_cl import buffers, chain
+from stss_cl.changes import kept_bytes
 from stss_cl.errors import DeviceError
 from stss_cl.frame import Frame
+from stss_cl.layers import Layers
 from stss_cl.network import PRECISIONS, Network
 from stss_cl.strips import OVERLAP, STEP, bytes_for, rows_within, strips
 from stss_ref.frame import FrameInputs
@@ -55,6 +58,24 @@ def test_the_overlap_covers_the_layers(winograd, reach):
 def test_too_small_a_limit_says_what_is_needed():
     with pytest.raises(DeviceError, match=r"memory limit: 1 MiB; a frame 960 wide needs at least \d+ MiB"):
         rows_within(4320, 960, np.float32, 2**20, 128)
+
+
+@pytest.mark.parametrize("keep", [False, True])
+@pytest.mark.parametrize("size", [(8, 8), (40, 64)])
+def test_the_limit_counts_what_is_allocated(device, monkeypatch, size, keep):
+    taken = []
+
+    def padded(*arguments, **options):
+        taken.append(buffers_padded(*arguments, **options))
+        return taken[-1]
+
+    buffers_padded = buffers.padded
+    monkeypatch.setattr(buffers, "padded", padded)
+    monkeypatch.setattr(chain, "padded", padded)
+    Layers(device, random_weights(2), *size, "float32", keep=keep)
+    held = {id(x): x.images * x.height * x.width * x.channels * x.dtype.itemsize for x in taken}
+    base = 16 * size[0] * size[1]
+    assert sum(held.values()) + base == (kept_bytes if keep else bytes_for)(*size, np.float32)
 
 
 def network_inputs(height, seed=0):
