@@ -47,6 +47,10 @@ class Backend(Protocol):
         """Where it was computed, see ``stss.skipped.picture``; None: everywhere."""
         ...
 
+    def expect(self, size: tuple[int, int]) -> None:
+        """Make ready for frames of (H, W), which ``compute`` would do for the first of them."""
+        ...
+
     def compute(self, window: Sequence[Prepared], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
         """``(image (2H, 2W, 3), valid (H, W))`` as ``stss_ref.frame.frame``, for the last frame of ``window``.
 
@@ -103,6 +107,10 @@ class OpenCLBackend:
         self.accumulates = skip == "bounded"
         bound = f" within {max_error:g}" if self.accumulates else ""
         self.name = f"cl {precision}{bound} on {chosen.name}, {chosen.driver}"
+
+    def expect(self, size: tuple[int, int]) -> None:
+        """See ``Backend``."""
+        self._stream.expect(size)
 
     def compute(self, window: Sequence[Prepared], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
         """See ``Backend``."""

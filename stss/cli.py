@@ -13,9 +13,6 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from stss import check as checking
-from stss import compare as comparing
-from stss import demo as demonstration
 from stss import inspection
 from stss.cli_conform import conform
 from stss.cli_devices import bench_command, devices, export, port, tune
@@ -117,6 +114,8 @@ def check(sequence: Path, profile: str, as_json: bool, **options: Any) -> None:
 
     Ends with status 0 when it can, 1 when it can but something looks wrong, 2 when it cannot.
     """
+    from stss import check as checking
+
     report = checking.check(sequence, profile, **options)
     if as_json:
         click.echo(report.to_json())
@@ -134,6 +133,8 @@ def check(sequence: Path, profile: str, as_json: bool, **options: Any) -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def compare(out: Path, truth: Path, as_json: bool, **chosen: Any) -> None:
     """Hold the frames in OUT against those in TRUTH: PSNR and SSIM over all pixels, edges and holes."""
+    from stss import compare as comparing
+
     comparison = comparing.compare(out, truth, **chosen)
     if as_json:
         click.echo(comparison.to_json())
@@ -148,6 +149,8 @@ def compare(out: Path, truth: Path, as_json: bool, **chosen: Any) -> None:
 @click.option("--overwrite", is_flag=True, help="Replace an earlier demo.")
 def demo(out: Path, weights: str, overwrite: bool, **chosen: Any) -> None:
     """Render a small scene into OUT, supersample it, and compare it with its truth: pictures to look at."""
+    from stss import demo as demonstration
+
     demonstration.demo(out, weights=weights, overwrite=overwrite, console=Console(), **chosen)
 
 

@@ -61,6 +61,7 @@ def methods_command(
     Columns are means over the frames of a kind; --json has every frame.
     """
     from stss import method_table
+    from stss.engine import open_method
     from stss.images import write_rgb
     from stss.method_sheet import method_sheet
     from stss.run import RunOptions
@@ -76,7 +77,7 @@ def methods_command(
             truth,
             out,
             chosen,
-            lambda method: method_table.open_method(method, loaded, **device, tell=lambda line: click.echo(line, err=True)),
+            lambda method: open_method(method, loaded, **device, tell=lambda line: click.echo(line, err=True)),
             options,
             flip=flip,
             vmaf=vmaf,
@@ -122,12 +123,13 @@ def flicker_scenes_command(
 ) -> None:
     """Measure flicker on built-in scenes whose cameras stand or turn slowly: every method against the truth, in 8-bit levels."""
     from stss import flicker_scenes, method_table
+    from stss.engine import open_method
     from stss.weights import load
 
     chosen, loaded, console = method_table.choose_methods(methods, weights), load(weights), Console(stderr=True)
 
     def make(method: str) -> Any:
-        return method_table.open_method(method, loaded, **device, tell=lambda line: click.echo(line, err=True))[0]
+        return open_method(method, loaded, **device, tell=lambda line: click.echo(line, err=True))[0]
 
     with console.status("") as status:
         found = flicker_scenes.measure(scenes or flicker_scenes.STILL, chosen, make, size, frames, on_step=status.update)

@@ -7,11 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from stss import budget as budgeting
-from stss.backends import Backend
+from stss.backends import Backend, open_backend
 from stss.color import transfer
 from stss.errors import InputError
-from stss.method_table import open_method
-from stss.methods import NETWORK
+from stss.methods import NETWORK, MethodBackend
 from stss.prepared import Prepared, prepare
 from stss.run import RunOptions
 from stss.sequence import Sequence
@@ -19,10 +18,44 @@ from stss.setting import Setting
 from stss.supersample import choose_rendered
 from stss.weights import LoadedWeights
 
+NO_WEIGHTS = "none"
+"""Stands for the weights' identity in the files of a method without a network."""
+
+
+def open_method(
+    method: str,
+    loaded: LoadedWeights,
+    backend: str = "cl",
+    *,
+    device: str | None = None,
+    precision: str = "float32",
+    memory_limit: int | None = None,
+    skip: str = "exact",
+    max_error: float = 0.0,
+    tell: Callable[[str], None] = lambda line: None,
+) -> tuple[Backend, str]:
+    """What computes a method, and the identity of its weights.
+
+    Args:
+        method: ``network``, or one of ``METHODS``; the other arguments matter to the network alone.
+        loaded: the network's weights.
+        backend, device, precision, skip, max_error, tell: see ``stss.backends.open_backend``.
+        memory_limit: MiB.
+
+    Raises:
+        InputError: there is no such method, or the options do not go together.
+    """
+    if method != NETWORK:
+        return MethodBackend(method), NO_WEIGHTS
+    limit = None if memory_limit is None else memory_limit << 20
+    chosen = {"device": device, "precision": precision, "memory_limit": limit, "skip": skip, "max_error": max_error, "tell": tell}
+    engine = open_backend(backend, loaded.weights, **chosen)  # pyright: ignore[reportArgumentType]
+    return engine, loaded.identity
+
 
 @dataclass(frozen=True)
 class Engine:
-    """What the user chose; see ``stss.method_table.open_method``."""
+    """What the user chose; see ``open_method``."""
 
     method: str
     weights: LoadedWeights

@@ -12,18 +12,15 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from stss.backends import Backend, open_backend
+from stss.backends import Backend
 from stss.compare import Comparison, compare, print_whole
 from stss.errors import InputError
 from stss.flicker import Flicker, flicker
-from stss.methods import METHODS, NETWORK, MethodBackend
+from stss.methods import METHODS, NETWORK
 from stss.perceptual import require_packages
 from stss.run import RunOptions, run
 from stss.sequence import Sequence as Frames
-from stss.weights import BILINEAR, LoadedWeights
-
-NO_WEIGHTS = "none"
-"""Stands for the weights' identity in the files of a method without a network."""
+from stss.weights import BILINEAR
 
 COLUMNS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
     "PSNR\nRGB": (("SF", "all", "psnr_rgb"), ("EF", "all", "psnr_rgb")),
@@ -47,37 +44,6 @@ class Result:
     folder: Path
     comparison: Comparison
     flicker: Flicker
-
-
-def open_method(
-    method: str,
-    loaded: LoadedWeights,
-    backend: str = "cl",
-    *,
-    device: str | None = None,
-    precision: str = "float32",
-    memory_limit: int | None = None,
-    skip: str = "exact",
-    max_error: float = 0.0,
-    tell: Callable[[str], None] = lambda line: None,
-) -> tuple[Backend, str]:
-    """What computes a method, and the identity of its weights.
-
-    Args:
-        method: ``network``, or one of ``METHODS``; the other arguments matter to the network alone.
-        loaded: the network's weights.
-        backend, device, precision, skip, max_error, tell: see ``stss.backends.open_backend``.
-        memory_limit: MiB.
-
-    Raises:
-        InputError: there is no such method, or the options do not go together.
-    """
-    if method != NETWORK:
-        return MethodBackend(method), NO_WEIGHTS
-    limit = None if memory_limit is None else memory_limit << 20
-    chosen = {"device": device, "precision": precision, "memory_limit": limit, "skip": skip, "max_error": max_error, "tell": tell}
-    engine = open_backend(backend, loaded.weights, **chosen)  # pyright: ignore[reportArgumentType]
-    return engine, loaded.identity
 
 
 def choose_methods(names: Sequence[str], weights: str) -> tuple[str, ...]:

@@ -24,6 +24,7 @@ def overlap(
     compute: Callable[[Read], Computed],
     write: Callable[[Computed], Written],
     done: Callable[[Written], None],
+    meanwhile: Callable[[], None] = lambda: None,
 ) -> None:
     """Do ``done(write(compute(read(item))))`` for every item; later items are read and earlier ones written meanwhile.
 
@@ -36,6 +37,7 @@ def overlap(
         compute: runs in the caller's thread.
         write: runs in a third thread.
         done: runs in the caller's thread.
+        meanwhile: runs once in the caller's thread, while the first items are read.
     """
     reader, writer = ThreadPoolExecutor(1, "stss-read"), ThreadPoolExecutor(1, "stss-write")
     todo = iter(items)
@@ -50,6 +52,7 @@ def overlap(
 
     try:
         reading.extend(reader.submit(read, item) for item in islice(todo, AHEAD + 1))
+        meanwhile()
         while reading:
             ready = reading.popleft().result()
             finish(AHEAD - 1)

@@ -90,6 +90,10 @@ class OnArrays(ABC):
 
     cost, activity = None, None
 
+    def expect(self, size: tuple[int, int]) -> None:
+        """See ``Backend``: there is nothing to make ready for (H, W)."""
+        del size
+
     def compute(self, window: Sequence[Prepared], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
         """See ``Backend``."""
         return self.frame(frame_inputs(window, steps))

@@ -146,7 +146,11 @@ def run(
         summary.frames.append(report)
         on_frame(report)
 
-    overlap(numbers, job.read, job.compute, job.write, done)
+    def meanwhile() -> None:
+        if not options.resume:  # then perhaps nothing is left to compute
+            backend.expect(sequence.size)
+
+    overlap(numbers, job.read, job.compute, job.write, done, meanwhile)
     return summary
 
 

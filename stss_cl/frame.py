@@ -89,6 +89,10 @@ class Frame:
             require_finite(name, given.get() if isinstance(given, cla.Array) else given)
         return made, valid
 
+    def expect(self, size: tuple[int, int]) -> None:
+        """Make what ``compute`` needs for planes of (height, width)."""
+        self._preparation(self.network.layers(*size))
+
     def compute(self, sources: Sources, size: tuple[int, int]) -> tuple[Any, NDArray[np.bool_]]:
         """The same for planes of (height, width) that are on the device, and known to be finite."""
         layers = self.network.layers(*size)

@@ -100,22 +100,25 @@ class Stream:
         if any(window[-1 - step].color is None for step in chosen):
             raise ArrayError(f"window: expected a colour {', '.join(map(str, chosen))} frames back")
         size = window[-1].nov.shape
-        if self._arrivals is None or self._arrivals.size != size:
-            self._kept.clear()
-            self._arrivals = Arrivals(self.device, *size)
-        kept = self._keep(size, extrapolates=chosen[0] > 0)
+        arrivals, kept = self._arriving(size), self._keep(size, extrapolates=chosen[0] > 0)
         self._rests = max(0, self._rests - 1)
-        held = self._arrivals.take(window, compare=kept is not None and not self._rests)
+        held = arrivals.take(window, compare=kept is not None and not self._rests)
         self._latest = kept
         if kept is None:
             self.report = Report(1.0, 1.0, "whole")
             return self._whole.compute(sources(held, chosen), size)
-        busy = None if self._rests or kept.stale else self._busy(self._arrivals, kept, held, kept.read(chosen))
+        busy = None if self._rests or kept.stale else self._busy(arrivals, kept, held, kept.read(chosen))
         if busy is not None and kept.last is not None and not busy.any():
             self.report = Report(0.0, 0.0, "none")
             kept.last = _last(held, kept.read(chosen), kept.last.valid)
             return kept.image, kept.last.valid
         return self._compute(kept, held, chosen, busy)
+
+    def expect(self, size: tuple[int, int]) -> None:
+        """Build what the first call for frames of (H, W) would wait for, such as while that frame is being read."""
+        self._arriving(size)
+        if self._keep(size, extrapolates=False) is None:
+            self._whole.expect(size)
 
     def activity(self) -> NDArray[np.float32]:
         """How much of the network the last frame took, for each 4 x 4 of its pixels: 0 nothing, 1 everything.
@@ -150,7 +153,8 @@ class Stream:
             choice = choice or kept.choose(color if whole else None)
             departure = kept.run(choice)
             network = "partly" if kept.stale else "whole"
-            layers.changed_only()  # built while the device computes, not when the first change waits for it
+            if kept.last is not None:
+                layers.changed_only()  # built while the device computes, not when the first change waits for it
         else:
             network = "changed"
             layers.run_changed(kept.target(whole=False), tolerance)
@@ -181,6 +185,12 @@ class Stream:
         if departure > 0:
             self.tolerance *= min(max(AIM * self._max_error / departure, SLOWER), FASTER)
         self.tolerance = min(self.tolerance, self._max_error)
+
+    def _arriving(self, size: tuple[int, int]) -> Arrivals:
+        if self._arrivals is None or self._arrivals.size != size:
+            self._kept.clear()
+            self._arrivals = Arrivals(self.device, *size)
+        return self._arrivals
 
     def _keep(self, size: tuple[int, int], *, extrapolates: bool) -> Kept | None:
         """What is kept of SFs, or of EFs; None: nothing is."""

@@ -273,3 +273,45 @@ def test_the_line_about_a_run():
     assert told(costs) == (
         "network computed: 1 whole, 2 in part (20% of the inputs had changed), 1 not at all; 2 checked, 0.50/255 apart at most"
     )
+
+
+def test_meanwhile_runs_beside_the_first_read():
+    """In the caller's thread: the read goes on only when it was seen, and nothing is computed before it ends."""
+    seen, log = threading.Event(), []
+
+    def read(item):
+        assert seen.wait(SOON)
+        return item
+
+    def meanwhile():
+        assert threading.current_thread() is threading.main_thread()
+        seen.set()
+        time.sleep(0.05)
+        log.append("meanwhile")
+
+    overlap(range(3), read, lambda item: log.append("compute"), lambda item: item, lambda item: None, meanwhile)
+    assert log == ["meanwhile", *["compute"] * 3]
+
+
+class Expecting(ReferenceBackend):
+    """Notes what it is told to make ready for, and when frames come."""
+
+    def __init__(self):
+        super().__init__(load(BILINEAR).weights)
+        self.log = []
+
+    def expect(self, size):
+        self.log.append(size)
+
+    def compute(self, window, steps):
+        self.log.append(window[-1].number)
+        return super().compute(window, steps)
+
+
+def test_the_backend_is_told_the_size_before_the_first_frame(write_frames, tmp_path):
+    sequence, backend = open_sequence(write_frames(range(3), rendered=(0, 2), size=(16, 24)), "stss"), Expecting()
+    run(sequence, tmp_path, backend, "none", RunOptions())
+    assert backend.log == [(16, 24), 0, 1, 2]
+    again = Expecting()
+    run(sequence, tmp_path, again, "none", RunOptions(resume=True))
+    assert not again.log  # nothing is left to compute, so nothing is made ready

@@ -4,14 +4,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pyopencl import Program
 
 from stss.prepared import Prepared
 from stss.supersample import plan
+from stss_cl import program
 from stss_cl import stream as streaming
 from stss_cl.arrivals import Arrivals
 from stss_cl.network import PRECISIONS
@@ -154,6 +157,25 @@ def test_a_frame_in_which_nothing_changed_costs_a_comparison(device):
         keeping(window, plan(window).steps)
         # At first older frames are missing, which SF and EF each must see gone.
         assert i < 7 or (keeping.report.network, keeping.report.prepared) == ("none", 0)
+
+
+@pytest.mark.parametrize("skip", ["off", "exact", "bounded"])
+def test_the_first_frame_builds_only_what_was_not_expected(device, monkeypatch, skip):
+    """And what it has no use for is not built with it: the kernels that compute changes alone."""
+    first = still(1)
+    plain, told, untold = (Stream(WEIGHTS, device, skip=s, max_error=0.1) for s in ("off", skip, skip))
+    asked, made = [], Program.build
+    monkeypatch.setattr(Program, "build", lambda program, *a, **k: asked.append(program) or made(program, *a, **k))
+    monkeypatch.setattr(program, "_programs", WeakKeyDictionary())
+    told.expect(first[0].nov.shape)
+    expected = len(asked)
+    got = told(first, (0, 0, 0))
+    assert expected > 25
+    assert len(asked) == expected
+    monkeypatch.setattr(program, "_programs", WeakKeyDictionary())
+    assert_same(untold(first, (0, 0, 0)), got)
+    assert len(asked) == 2 * expected
+    assert_same(plain(first, (0, 0, 0)), got)
 
 
 @pytest.mark.parametrize("x", range(11))
