@@ -9,8 +9,8 @@
 //  value     in   padded, (VALUES)          latentEncoder's result, not yet masked
 //  reshaded  out  padded, (out_channels)    channels 0 .. VALUES - 1 of it
 //
-// `height`, `width`: of the frame for `eighth`, whose row 0 is the frame's row `top`; else at 1/8 size.  Build -D KEYS=32 -D VALUES=64 (multiples of 8) -D MASK=float or uchar, optionally
-// -D HALF.  Launch (width, height) at 1/8 size.
+// `height`, `width`: of the frame for `eighth`, whose row 0 is the frame's row `top`; else at 1/8 size, as `down`, `across`.
+// Build -D KEYS=32 -D VALUES=64 (multiples of 8) -D MASK=float or uchar, optionally -D HALF.  Launch (width, height) at 1/8 size, or more.
 //
 // -D SKIP, optionally -D SPAN: only pixels that a change reaches, see changes.clh; the last arguments are the maps of the inputs
 // and of the output. attend's work-item then has SPAN x SPAN pixels. downsample_8 computes all and marks what came to differ.
@@ -31,13 +31,15 @@
 
 // The mean of pixels 8i + 3 and 8i + 4 each way; beyond the frame its last row and column are repeated (pad_to_8).
 kernel void downsample_8(global const float *restrict gbuffer, global const MASK *restrict mask, global stored *restrict eighth,
-                         const int height, const int width, const int columns, const int top
+                         const int height, const int width, const int down, const int across, const int columns,
+                         const int top
 #ifdef SKIP
                          , global uchar *restrict changes
 #endif
                          )
 {
     const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= across || y >= down) return;
     const int west = min(8 * x + 3, width - 1), east = min(8 * x + 4, width - 1);
     const int north = min(top + 8 * y + 3, height - 1) * width, south = min(top + 8 * y + 4, height - 1) * width;
     const int nw = north + west, ne = north + east, sw = south + west, se = south + east;
@@ -59,18 +61,21 @@ kernel void downsample_8(global const float *restrict gbuffer, global const MASK
 #endif
 }
 
-kernel void normalise(global const stored *restrict key, global stored *restrict unit, const int columns
+kernel void normalise(global const stored *restrict key, global stored *restrict unit, const int height, const int width,
+                      const int columns
 #ifdef SKIP
                       , global const uchar *restrict key_changes, global uchar *restrict changes, const float tolerance
 #endif
                       )
 {
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= width || y >= height) return;
 #ifdef SKIP
-    const int tile = get_global_id(1) / 4 * ((columns - 2) / 4) + get_global_id(0) / 4;
+    const int tile = y / 4 * ((columns - 2) / 4) + x / 4;
     if (!key_changes[tile]) return;
     stored8 differs = 0;
 #endif
-    const int pixel = ((get_global_id(1) + 1) * columns + get_global_id(0) + 1) * KEYS8;
+    const int pixel = ((y + 1) * columns + x + 1) * KEYS8;
     float8 squares = 0.0f;
     for (int c = 0; c < KEYS8; ++c) {
         const float8 k = LOAD8(key, pixel + c);
@@ -150,6 +155,7 @@ kernel void attend(global const stored *restrict unit, global const stored *rest
             if (SPAN == 1 || reached(unit_changes, value_changes, eighth_changes, rows, tiles, y, y, x, x))
                 attention(unit, value, eighth, reshaded, height, width, columns, out_channels, x, y, changes, tolerance);
 #else
-    attention(unit, value, eighth, reshaded, height, width, columns, out_channels, get_global_id(0), get_global_id(1));
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x < width && y < height) attention(unit, value, eighth, reshaded, height, width, columns, out_channels, x, y);
 #endif
 }

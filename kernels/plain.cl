@@ -8,14 +8,14 @@
 //  wanted  out  (rows / 4, columns / 4)     0 = plain: at no pixel of the tile of 4 x 4, or next to it, lies a hole, or do three pixels in a row or
 //                                             column depart from a straight line by more than `flat` in the colour or SURFACE in the G-buffer; 1 = any other;
 //                                           near the frame's edge all are
-// Launch (columns / 4, rows / 4).
+// Launch (columns / 4, rows / 4), or more.
 //
 // departure: what leaving the plain tiles out would change, from an image that all of the network made.
 //  image    in   (2H, 2W, 3)
 //  apart    out  (rows / 4, columns / 4)     the largest difference from the upsampled frame in a plain tile; 0 in the others
-// Launch (columns / 4, rows / 4).
+// Launch (columns / 4, rows / 4), or more.
 //
-// coarser: the map for a decoder's layers at half the size, of which those of `fine` read.  Launch (columns, rows) of `out`.
+// coarser: the map for a decoder's layers at half the size, of which those of `fine` read.  Launch the size of `out`, or more; `rows`, `columns` are those of `fine`.
 //
 // The last layer of a size is computed in the wanted tiles; it reads one pixel around them, of what the layer before makes of two pixels around
 // them: both are in reach of one tile (-D WANTED of winograd.cl, conv.cl, resample.cl). Those two pixels are upsampled from three of half the size.
@@ -29,6 +29,8 @@ typedef float16 float16_anywhere __attribute__((aligned(4)));
 #define SURFACE 0.1f  // an edge that the colour does not show: of what moved into an extrapolated frame, or lies within a hole's colour
 #define EDGE 3  // tiles of the frame: the zeros around the frame make features that look like an edge
 #define REACH 1  // tiles around the two by two that a coarser one covers: two pixels, and one that lies between those upsampled from
+
+#define TILES(length) (((length) + 7) / 8 * 2)  // of a side of the frame, padded to a multiple of 8
 
 #define AT8(place) (*(global const float8_anywhere *)(place))
 #define AT16(place) (*(global const float16_anywhere *)(place))
@@ -61,7 +63,8 @@ static inline int has_edge(global const float *restrict gbuffer, const int width
 kernel void detail(global const float *restrict gbuffer, global const float *restrict color, global const uchar *restrict mask,
                    global uchar *restrict wanted, const int height, const int width, const float flat)
 {
-    const int x = get_global_id(0), y = get_global_id(1), columns = get_global_size(0);
+    const int x = get_global_id(0), y = get_global_id(1), columns = TILES(width);
+    if (x >= columns || y >= TILES(height)) return;
     int found = x < EDGE || y < EDGE || 4 * (x + EDGE) >= width || 4 * (y + EDGE) >= height;
     if (!found) {
         // Twice four pixels to a row of six, their middle two in common; of a pixel's four values the last is 0.
@@ -85,15 +88,17 @@ kernel void detail(global const float *restrict gbuffer, global const float *res
 
 kernel void coarser(global const uchar *restrict fine, global uchar *restrict out, const int rows, const int columns)
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    out[y * get_global_size(0) + x] = marked_tiles(fine, columns, max(2 * y - REACH, 0), min(2 * y + 1 + REACH, rows - 1),
+    const int x = get_global_id(0), y = get_global_id(1), out_columns = (columns + 1) / 2;
+    if (x >= out_columns || y >= (rows + 1) / 2) return;
+    out[y * out_columns + x] = marked_tiles(fine, columns, max(2 * y - REACH, 0), min(2 * y + 1 + REACH, rows - 1),
                                                    max(2 * x - REACH, 0), min(2 * x + 1 + REACH, columns - 1));
 }
 
 kernel void departure(global const uchar *restrict wanted, global const float4 *restrict color, global const float *restrict image,
                       global float *restrict apart, const int height, const int width)
 {
-    const int x = 4 * get_global_id(0), y = 4 * get_global_id(1), columns = get_global_size(0), rows = get_global_size(1);
+    const int x = 4 * get_global_id(0), y = 4 * get_global_id(1), columns = TILES(width), rows = TILES(height);
+    if (x >= 4 * columns || y >= 4 * rows) return;
     const int tile = get_global_id(1) * columns + get_global_id(0);
     float8 most = 0.0f;
     for (int i = y; i < min(y + 4, height) && !wanted[tile]; ++i) {

@@ -7,7 +7,7 @@
 // Output o of N = 2n reads input position o (n - 1) / (N - 1): an integer quotient and its remainder, so that the weight is rounded
 // once however large the frame. The buffers may hold a strip of the frame: their row 0 is row `top` of `full_height` (2 `top` of the
 // output).
-// Build -D CHANNELS=n (multiple of 8), optionally -D HALF.  Launch (2 width, 2 height).
+// Build -D CHANNELS=n (multiple of 8), optionally -D HALF.  Launch (2 width, 2 height), or more.
 //
 // -D SKIP -D SPAN (tiles of a work-item): only tiles that a change reaches, see changes.clh; in_changes, changes are the maps of
 // in and out, `top` is 0. -D WANTED=n in its place: only tiles no farther than n tiles from one that the map `wanted` of out marks. Launch (ceil(width / 2 / SPAN), ceil(height / 2)).

@@ -157,7 +157,8 @@ class Arrivals:
 
     def _launch(self, kernel: cl.Kernel, *arguments: cl.Buffer | None) -> None:
         size = -(-self._shape[1] // SPAN), self._shape[0]
-        kernel(self._device.queue, size, None, *arguments, *map(np.int32, self.size))
+        # A group that does not follow the size, see stss_cl.launch.grid; one work-item does much.
+        kernel(self._device.queue, size, (1, 1) if self._device.is_cpu else None, *arguments, *map(np.int32, self.size))
 
     def _scan(self, buffer: cl.Buffer, floats: int, which: int) -> None:
         count = np.uint64(self.size[0] * self.size[1] * floats)

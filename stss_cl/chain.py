@@ -16,7 +16,7 @@ from stss_cl.buffers import Padded, padded
 from stss_cl.changes import ChangedOnly, Maps
 from stss_cl.depth import WHOLE, Level, levels
 from stss_cl.device import Device
-from stss_cl.launch import FAST_MULTIPLY_ADD, IMAGE_ARGUMENT, Final, Launch, Skip, conv, half
+from stss_cl.launch import FAST_MULTIPLY_ADD, IMAGE_ARGUMENT, Final, Launch, Skip, conv, grid, half
 from stss_cl.packing import pack
 from stss_cl.plain import Plain
 from stss_cl.program import build
@@ -167,11 +167,11 @@ class Chain:
         name: str,
         file: str,
         options: dict[str, object],
-        size: tuple[int, ...],
+        size: tuple[int, int],
         *arguments: Any,
-        group: tuple[int, ...] | None = None,
+        group: tuple[int, int] | None = None,
         maps: tuple[cl.Buffer | None, ...] = (),
-        changed_size: tuple[int, ...] | None = None,
+        changed_size: tuple[int, int] | None = None,
         bounded: bool = True,
     ) -> None:
         """Append any other kernel; whole numbers among the arguments are int32. ``maps``, ``changed_size``: for -D SKIP."""
@@ -181,9 +181,10 @@ class Chain:
         kernel = cl.Kernel(build(self._device, file, options, flags), name)
         held = tuple(np.int32(a) if isinstance(a, int) else a for a in arguments)
         kernel.set_args(*held)
-        changed_group = group
-        if changed_size and self._device.is_cpu:
-            changed_group = 1, 1  # PoCL would take all of so few for one work-group
+        if group is None:
+            size, group = grid(self._device, *size)
+        # Of changes work-items are few and do much: PoCL would take them all for one work-group.
+        changed_group = group if changed_size is None else (1, 1) if self._device.is_cpu else None
         skip = Skip(file, options, flags, changed_size or size, changed_group, maps, (), bounded) if self.keep else None
         self.launches.append(Launch(stage, name, kernel, size, group, held, skip))
 

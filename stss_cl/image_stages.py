@@ -15,6 +15,7 @@ import pyopencl as cl
 from numpy.typing import DTypeLike, NDArray
 
 from stss_cl.device import Device
+from stss_cl.launch import grid
 from stss_cl.program import build
 from stss_ref.arrays import Array, ArrayError, require_dtype, require_finite, require_shape
 
@@ -24,11 +25,6 @@ Outputs = dict[str, NDArray[Any]]
 
 LIMITS = {"FACING": "7.5f", "GRAZING": "45.0f", "DEPTH": "50.0f", "COSINE": "0.98f", "MESH": "1.0f"}
 """The constants of the hole test (spec 4), as options of its kernel."""
-
-
-def work_group(device: Device) -> tuple[int, int]:
-    """Size of the work-groups of kernels that have one work-item a pixel."""
-    return (64, 1) if device.is_cpu else (32, 8)
 
 
 def kernels(device: Device, file: str, options: Mapping[str, object] | None = None) -> dict[str, cl.Kernel]:
@@ -51,8 +47,7 @@ def launch(
     With ``planes`` that number of planes is the second of three dimensions and the rows are the third: what the planes read in
     common is then still in a cache.
     """
-    columns, rows = work_group(device)
-    across, down = -(-width // columns) * columns, -(-height // rows) * rows
+    (across, down), (columns, rows) = grid(device, width, height)
     size, local = ((across, down), (columns, rows)) if planes is None else ((across, planes, down), (columns, 1, rows))
     typed = (np.int32(a) if isinstance(a, int) else a for a in arguments)
     return kernel(device.queue, size, local, *typed)

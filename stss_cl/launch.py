@@ -101,6 +101,15 @@ IMAGE_ARGUMENT = {"image": 4, "winograd": 17}
 """Which argument of either kernel is the image."""
 
 
+def grid(device: Device, width: int, height: int) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Global size and work-group of a kernel with one work-item a place: whole work-groups, so some lie beyond ``width`` x ``height``.
+
+    The group does not follow the size: PoCL compiles a kernel anew for every group that it has not had.
+    """
+    columns, rows = (64, 1) if device.is_cpu else (32, 8)
+    return (ceil_div(width, columns) * columns, ceil_div(height, rows) * rows), (columns, rows)
+
+
 def span(device: Device, pixels: int) -> int:
     """Pixels of a row that a work-item looks after where only what changed is computed; ``pixels``: what it computes at once.
 

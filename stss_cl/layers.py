@@ -168,7 +168,8 @@ class Layers(Chain):
         key = self._conv("erm", "KEncoder.4", key, self._scratch("one", 8, 32), relu=False)
         unit = self._scratch("two", 8, 32)
         self._kernel(
-            "erm", "normalise", "erm.cl", options, size, key.data, unit.data, key.columns, maps=(key.changes, unit.changes)
+            "erm", "normalise", "erm.cl", options, size,
+            key.data, unit.data, key.height, key.width, key.columns, maps=(key.changes, unit.changes),
         )  # fmt: skip
         self._kernel(
             "erm", "attend", "erm.cl", options, size,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from stss_cl.buffers import Inputs, map_bytes, zeroed
 from stss_cl.device import Device
-from stss_cl.launch import IMAGE_ARGUMENT, Launch
+from stss_cl.launch import IMAGE_ARGUMENT, Launch, grid
 from stss_cl.packing import ceil_div
 from stss_cl.program import build
 
@@ -80,7 +80,7 @@ class Plain:
         return float(apart.max())
 
     def _enqueue(self, kernel: cl.Kernel, tiles: tuple[int, int]) -> None:
-        cl.enqueue_nd_range_kernel(self._device.queue, kernel, tiles[::-1], None)
+        cl.enqueue_nd_range_kernel(self._device.queue, kernel, *grid(self._device, *tiles[::-1]))
 
     def wanted(self) -> NDArray[np.bool_]:
         """Which tiles of the frame were no plain ones, (rows / 4, columns / 4) of the padded frame; waits for the queue."""

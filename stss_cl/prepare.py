@@ -202,11 +202,11 @@ class Prepare:
                 *changes,
             )
         eighth = inputs.eighth
-        numbers = (np.int32(n) for n in (*size, eighth.columns, top))
+        shape = eighth.height, eighth.width
+        place = (*size, *shape, eighth.columns, top)
         changes = self._maps[2:] if self._looks else ()
-        shape = (eighth.width, eighth.height)
-        downsample = self._now["downsample_8"]
-        self._done = downsample(self.device.queue, shape, None, self._read.gbuffer, self.mask, eighth.data, *numbers, *changes)
+        read = self._read.gbuffer, self.mask
+        self._done = self._run("downsample_8", shape, *read, eighth.data, *place, *changes)
 
     @property
     def _now(self) -> dict[str, cl.Kernel]:

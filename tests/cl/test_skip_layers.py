@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from conformance.strategies import SEEDS, sizes
 from stss_cl.buffers import incoming, padded, read
 from stss_cl.changes import kept_bytes
+from stss_cl.launch import grid
 from stss_cl.layers import Layers
 from stss_cl.network import PRECISIONS
 from stss_cl.program import build
@@ -394,8 +395,8 @@ def test_the_input_at_an_eighth_marks_what_changed(device, size, seed):
 
     def run(gbuffer):
         buffers = [incoming(device, array) for array in (gbuffer, mask)]
-        numbers = (np.int32(n) for n in (*size, held.columns, 0))
-        kernel(device.queue, (columns, rows), None, *buffers, held.data, *numbers, held.changes)
+        numbers = (np.int32(n) for n in (*size, rows, columns, held.columns, 0))
+        kernel(device.queue, *grid(device, columns, rows), *buffers, held.data, *numbers, held.changes)
         device.queue.finish()
         return contents(device, held)
 

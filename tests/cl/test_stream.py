@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
+import pyopencl as cl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -318,3 +319,38 @@ def test_tolerances_are_checked_often_at_first(device):
         due = list(np.flatnonzero(kind) + 1)
         assert due == [2, 6, 14, 26, 38][: len(due)]
         assert len(due) >= 4
+
+
+def test_work_groups_do_not_follow_the_size(device, monkeypatch):
+    """PoCL compiles a kernel anew for every group, so a new size of frames would cost seconds."""
+    groups, enqueue, call = {}, cl.enqueue_nd_range_kernel, cl.Kernel.__call__
+
+    def note(kernel, group):
+        groups.setdefault(kernel.function_name, set()).add(group)
+
+    def enqueued(queue, kernel, size, group, *more):
+        note(kernel, group)
+        return enqueue(queue, kernel, size, group, *more)
+
+    def called(kernel, queue, size, group, *arguments):
+        note(kernel, group)
+        return call(kernel, queue, size, group, *arguments)
+
+    monkeypatch.setattr(cl, "enqueue_nd_range_kernel", enqueued)
+    monkeypatch.setattr(cl.Kernel, "__call__", called)
+    found = []
+    for size in ((24, 40), (37, 147)):
+        frames = list(still(8, size))
+        frames[6].gbuffer[3:7, 2:9] += 0.1
+        for skip, weights in (("off", WEIGHTS), ("exact", WEIGHTS), ("bounded", UNREAD)):
+            stream = Stream(weights, device, skip=skip, max_error=0.1)
+            for i in range(8):
+                window = frames[max(0, i - 5) : i + 1]
+                stream(window, plan(window).steps)
+        # Those of the packing divide a width of 8, 16, 24 .., so they are one of four.
+        found.append({name: group for name, group in groups.items() if name != "finite" and not name.startswith("pack")})
+        groups.clear()
+    assert found[0] == found[1]
+    assert {"upsample_corners", "attend", "normalise", "downsample_8", "differ", "differ_color"} < set(found[0])
+    if device.is_cpu:
+        assert not any(None in group for group in found[0].values())
