@@ -28,6 +28,10 @@ LARGEST = 65504.0
 BLOCK = 1 << 15
 """Pixels converted at a time."""
 
+# colour-science warns about optional packages as it is imported. For good: ``catch_warnings`` is for one thread at a time, and kernels may
+# be built in another.
+warnings.filterwarnings("ignore", module=r"colour\.")
+
 Float32 = NDArray[np.float32]
 Pixels = NDArray[np.float64]
 """(N, 3) RGB."""
@@ -120,10 +124,9 @@ def _by_blocks(what: str, curve: Curve, image: Array) -> Float32:
 
 @cache
 def _srgb() -> Any:
-    # colour-science warns about optional packages as it is imported, and takes a second for it: only who needs it pays.
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        from colour.models.rgb.transfer_functions import srgb
+    # It takes a second: only who needs it pays.
+    from colour.models.rgb.transfer_functions import srgb
+
     return srgb
 
 

@@ -20,10 +20,11 @@ KEPT = {1: 2 * 24, 2: 10 * 24, 4: 9 * 32, 8: 12 * 32}
 FULL_MAPS, LEAST = 16, 1 << 16
 
 
-def kept_bytes(rows: int, width: int, dtype: DTypeLike) -> int:
-    """What ``stss_cl.strips.bytes_for`` says, where no two layers share a buffer."""
+def kept_bytes(rows: int, width: int, dtype: DTypeLike, *, winograd: bool) -> int:
+    """What ``stss_cl.strips.bytes_for`` says, where no two layers share a buffer; without Winograd the decoder stores one more."""
     size = np.dtype(dtype).itemsize
-    return bytes_for(rows, width, dtype) + sum(rows // d * (width // d) * channels * size for d, channels in KEPT.items())
+    apart = sum(rows // d * (width // d) * channels * size for d, channels in KEPT.items())
+    return bytes_for(rows, width, dtype) + apart + (0 if winograd else rows * width * 24 * size)
 
 
 class Maps:

@@ -57,9 +57,11 @@ class Layers(Chain):
     ):
         full, columns, dtype = ceil8(height), ceil8(width), dtype_of(precision)
         limit = int(device.handle.global_mem_size) // 2 if memory_limit is None else memory_limit
-        overlap = OVERLAP[precision != "float32-direct" and tuning_for(device).winograd is not None]
+        winograd = precision != "float32-direct" and tuning_for(device).winograd is not None
+        overlap = OVERLAP[winograd]
         rows = rows_within(full, columns, dtype, limit, overlap)
-        super().__init__(device, weights, precision, rows, columns, keep and kept_bytes(full, columns, dtype) <= limit)
+        keep = keep and kept_bytes(full, columns, dtype, winograd=winograd) <= limit
+        super().__init__(device, weights, precision, rows, columns, keep)
         self.size = height, width
         self.strips = strips(full, height, rows, overlap)
         self._full, self._top = full, 0

@@ -162,3 +162,28 @@ def test_colour_science_is_imported_late_and_silently():
     """
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+
+
+def test_importing_colour_science_says_nothing():
+    """Though another thread changes the filters meanwhile, as the one that builds kernels does, and optional packages are missing."""
+    script = """
+import sys, threading, time, warnings
+sys.modules["matplotlib"] = None
+import numpy as np
+from stss.color import transfer
+def others():
+    while not done.is_set():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SyntaxWarning)
+            time.sleep(0.01)
+done = threading.Event()
+thread = threading.Thread(target=others)
+thread.start()
+try:
+    transfer("srgb").encode(np.zeros((1, 1, 3), np.float32))
+finally:
+    done.set()
+thread.join()
+"""
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=False)
+    assert (result.returncode, result.stderr) == (0, "")

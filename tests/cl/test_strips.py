@@ -1,6 +1,7 @@
 """Frames in strips: the plan, and the bits of the whole frame."""
 
 from dataclasses import fields, replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,12 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stss_cl import buffers, chain
+from stss_cl.chain import dtype_of
 from stss_cl.changes import kept_bytes
 from stss_cl.errors import DeviceError
 from stss_cl.frame import Frame
 from stss_cl.layers import Layers
 from stss_cl.network import PRECISIONS, Network
 from stss_cl.strips import OVERLAP, STEP, bytes_for, rows_within, strips
+from stss_cl.tuning import tuning_for
 from stss_ref.frame import FrameInputs
 from stss_ref.frame import frame as reference_frame
 from stss_ref.weights import LAYERS
@@ -62,7 +65,8 @@ def test_too_small_a_limit_says_what_is_needed():
 
 @pytest.mark.parametrize("keep", [False, True])
 @pytest.mark.parametrize("size", [(8, 8), (40, 64)])
-def test_the_limit_counts_what_is_allocated(device, monkeypatch, size, keep):
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_the_limit_counts_what_is_allocated(device, monkeypatch, precision, size, keep):
     taken = []
 
     def padded(*arguments, **options):
@@ -72,10 +76,12 @@ def test_the_limit_counts_what_is_allocated(device, monkeypatch, size, keep):
     buffers_padded = buffers.padded
     monkeypatch.setattr(buffers, "padded", padded)
     monkeypatch.setattr(chain, "padded", padded)
-    Layers(device, random_weights(2), *size, "float32", keep=keep)
+    Layers(device, random_weights(2), *size, precision, keep=keep)
     held = {id(x): x.images * x.height * x.width * x.channels * x.dtype.itemsize for x in taken}
     base = 16 * size[0] * size[1]
-    assert sum(held.values()) + base == (kept_bytes if keep else bytes_for)(*size, np.float32)
+    winograd = precision != "float32-direct" and tuning_for(device).winograd is not None
+    counted = partial(kept_bytes, winograd=winograd) if keep else bytes_for
+    assert sum(held.values()) + base == counted(*size, dtype_of(precision))
 
 
 def network_inputs(height, seed=0):
