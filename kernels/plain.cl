@@ -91,7 +91,7 @@ kernel void coarser(global const uchar *restrict fine, global uchar *restrict ou
     const int x = get_global_id(0), y = get_global_id(1), out_columns = (columns + 1) / 2;
     if (x >= out_columns || y >= (rows + 1) / 2) return;
     out[y * out_columns + x] = marked_tiles(fine, columns, max(2 * y - REACH, 0), min(2 * y + 1 + REACH, rows - 1),
-                                                   max(2 * x - REACH, 0), min(2 * x + 1 + REACH, columns - 1));
+                                            max(2 * x - REACH, 0), min(2 * x + 1 + REACH, columns - 1));
 }
 
 kernel void departure(global const uchar *restrict wanted, global const float4 *restrict color, global const float *restrict image,
