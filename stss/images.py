@@ -86,18 +86,8 @@ def write_channels(
     Raises:
         ValueError: a value is not finite, or a channel does not have the size of the others.
     """
-    _require_finite(path, channels)
-    names = tuple(channels)
-    pixels = np.stack([np.asarray(channels[name], dtype=np.float32) for name in names], axis=-1)
-    small = np.abs(pixels).max(axis=(0, 1)) <= HALF_MAX
-    formats = ["half" if name in half and fits else "float" for name, fits in zip(names, small, strict=True)]
-    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], len(names), formats[0])
-    spec.channelnames = names
-    if len({*formats}) > 1:  # OpenImageIO ignores formats that are all the same
-        spec.channelformats = tuple(oiio.TypeDesc(name) for name in formats)
-    spec.attribute("compression", "zip")
-    spec.attribute("DateTime", "")  # else the time of writing: the same picture would have other bytes
-    _write(path, spec, pixels, metadata or {})
+    pixels = np.stack([np.asarray(plane, dtype=np.float32) for plane in channels.values()], axis=-1)
+    _write_exr(path, tuple(channels), pixels, half, metadata or {})
 
 
 def write_rgb(path: Path, image: Image, *, metadata: Mapping[str, str] | None = None) -> None:
@@ -112,11 +102,10 @@ def write_rgb(path: Path, image: Image, *, metadata: Mapping[str, str] | None = 
         InputError: another suffix.
         ValueError: a value is not finite.
     """
-    planes = {name: image[..., i] for i, name in enumerate("RGB")}
     if path.suffix.lower() == ".exr":
-        write_channels(path, planes, half="RGB", metadata=metadata)
+        _write_exr(path, tuple("RGB"), np.ascontiguousarray(image, dtype=np.float32), "RGB", metadata or {})
     elif path.suffix.lower() == ".png":
-        _require_finite(path, planes)
+        _require_finite(path, tuple("RGB"), image)
         pixels = np.rint(np.clip(image.astype(np.float64), 0, 1) * 255).astype(np.uint8)
         _write_png(path, np.ascontiguousarray(pixels), metadata or {})
     else:
@@ -152,12 +141,28 @@ def _runs(wanted: set[tuple[int, int, bool]]) -> list[tuple[int, int, int, bool]
     return runs
 
 
-def _require_finite(path: Path, channels: Mapping[str, Plane]) -> None:
-    for name, plane in channels.items():
-        bad = ~np.isfinite(plane)
+def _require_finite(path: Path, names: Sequence[str], pixels: Array) -> None:
+    if np.isfinite(pixels).all():
+        return
+    for i, name in enumerate(names):
+        bad = ~np.isfinite(pixels[..., i])
         if bad.any():
             y, x = np.argwhere(bad)[0]
             raise ValueError(f"{path}: channel {name}: {int(bad.sum())} non-finite values, first at (y={y}, x={x})")
+
+
+def _write_exr(path: Path, names: tuple[str, ...], pixels: Array, half: Collection[str], metadata: Mapping[str, str]) -> None:
+    _require_finite(path, names, pixels)
+    # Largest and least: np.abs would copy all of it, and a maximum along two axes is ten times as slow.
+    fits = [max(pixels[..., i].max(), -pixels[..., i].min()) <= HALF_MAX for i in range(len(names))]
+    formats = ["half" if name in half and small else "float" for name, small in zip(names, fits, strict=True)]
+    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], len(names), formats[0])
+    spec.channelnames = names
+    if len({*formats}) > 1:  # OpenImageIO ignores formats that are all the same
+        spec.channelformats = tuple(oiio.TypeDesc(name) for name in formats)
+    spec.attribute("compression", "zip")
+    spec.attribute("DateTime", "")  # else the time of writing: the same picture would have other bytes
+    _write(path, spec, pixels, metadata)
 
 
 def _write_png(path: Path, pixels: np.ndarray[Any, np.dtype[np.uint8]], metadata: Mapping[str, str]) -> None:

@@ -28,6 +28,8 @@ def overlap(
 ) -> None:
     """Do ``done(write(compute(read(item))))`` for every item; later items are read and earlier ones written meanwhile.
 
+    The first item has the processor to itself until it is computed: somebody waits to see it.
+
     Each step takes the items in order. An error is raised when its item's turn comes, after the items before it are done: what
     fails is what would fail one item at a time. No thread is left when this returns or raises.
 
@@ -37,7 +39,7 @@ def overlap(
         compute: runs in the caller's thread.
         write: runs in a third thread.
         done: runs in the caller's thread.
-        meanwhile: runs once in the caller's thread, while the first items are read.
+        meanwhile: runs once in the caller's thread, while the first item is read.
     """
     reader, writer = ThreadPoolExecutor(1, "stss-read"), ThreadPoolExecutor(1, "stss-write")
     todo = iter(items)
@@ -51,13 +53,13 @@ def overlap(
             done(written)
 
     try:
-        reading.extend(reader.submit(read, item) for item in islice(todo, AHEAD + 1))
+        reading.extend(reader.submit(read, item) for item in islice(todo, 1))
         meanwhile()
         while reading:
             ready = reading.popleft().result()
             finish(AHEAD - 1)
             writing.append(writer.submit(write, compute(ready)))
-            reading.extend(reader.submit(read, item) for item in islice(todo, 1))
+            reading.extend(reader.submit(read, item) for item in islice(todo, AHEAD + 1 - len(reading)))
     finally:
         try:
             finish(0)

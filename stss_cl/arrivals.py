@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -77,8 +78,6 @@ class Arrivals:
 
     def __init__(self, device: Device, height: int, width: int):
         self._device, self.size = device, (height, width)
-        program = build(device, "differ.cl", {"SPAN": SPAN})
-        self._differ, self._differ_color = cl.Kernel(program, "differ"), cl.Kernel(program, "differ_color")
         self._finite = cl.Kernel(build(device, "finite.cl"), "finite")
         self._shape = -(-height // 4), -(-width // 4)
         self._map = cl.Buffer(device.context, cl.mem_flags.READ_WRITE, self._shape[0] * self._shape[1])
@@ -88,6 +87,12 @@ class Arrivals:
         self._chain: deque[Held] = deque(maxlen=HELD)
         self._colors: dict[tuple[int, int], Tiles] = {}
         self._count = 0
+
+    @cached_property
+    def _comparing(self) -> dict[str, cl.Kernel]:
+        """Built when a second frame comes."""
+        program = build(self._device, "differ.cl", {"SPAN": SPAN})
+        return {name: cl.Kernel(program, name) for name in ("differ", "differ_color")}
 
     def take(self, window: Sequence[DisplayFrame], *, compare: bool) -> list[Held]:
         """The frames of ``window``, consecutive and oldest first, on the device; those that are there already are not looked at again.
@@ -129,7 +134,7 @@ class Arrivals:
         if key not in self._colors:
             for old in [k for k in self._colors if min(k) < self._count - 2 * HELD]:
                 del self._colors[old]
-            self._launch(self._differ_color, now.color, before.color, self._map)
+            self._launch("differ_color", now.color, before.color, self._map)
             self._colors[key] = self._read_map()
         return self._colors[key]
 
@@ -149,13 +154,14 @@ class Arrivals:
                 self._scan(planes[name], floats, which)
         else:
             earlier = [before.planes[name] for name in ("gbuffer", "nov", "stencil", "position")]
-            self._launch(self._differ, *planes.values(), *earlier, self._map, self._bad)
+            self._launch("differ", *planes.values(), *earlier, self._map, self._bad)
         self._require_finite(frame)
         changed = self._read_map() if before is not None and compare else None
         self._chain.append(Held(frame, self._count, planes, color, changed))
         self._count += 1
 
-    def _launch(self, kernel: cl.Kernel, *arguments: cl.Buffer | None) -> None:
+    def _launch(self, name: str, *arguments: cl.Buffer | None) -> None:
+        kernel = self._comparing[name]
         size = -(-self._shape[1] // SPAN), self._shape[0]
         # A group that does not follow the size, see stss_cl.launch.grid; one work-item does much.
         kernel(self._device.queue, size, (1, 1) if self._device.is_cpu else None, *arguments, *map(np.int32, self.size))

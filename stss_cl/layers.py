@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 import pyopencl as cl
@@ -69,7 +70,6 @@ class Layers(Chain):
         self._placed: list[tuple[cl.Kernel, int, int]] = []
         self.inputs = inputs_for(device, rows, columns, dtype, self.keep)
         self._shared["two", 1, self.inputs.input.channels] = self.inputs.input  # done with after the first layer
-        self._packing = PackInputs(device, self.inputs, height, width)
         self.features: dict[str, Padded] = {}
         if residual:
             self._encoder()
@@ -78,6 +78,11 @@ class Layers(Chain):
             self._decoder()
         else:
             self._image(self.inputs.input)
+
+    @cached_property
+    def _packing(self) -> PackInputs:
+        """Built when it is first asked for: stage ``prepare`` fills ``inputs`` itself."""
+        return PackInputs(self._device, self.inputs, *self.size)
 
     def pack(self, color: cl.Buffer, gbuffer: cl.Buffer, mask: cl.Buffer, history: cl.Buffer) -> None:
         """Bring the four inputs, plain arrays on the device, to where the first layers read them."""

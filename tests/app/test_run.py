@@ -108,6 +108,13 @@ def test_the_look_ahead_is_bounded(slow):
         assert most_waiting == AHEAD
 
 
+def test_nothing_is_read_beside_the_first_item():
+    steps = Steps()
+    steps.run(4, compute=0.05)
+    assert steps.log.index(("compute end", 0)) < steps.log.index(("read", 1))
+    assert steps.log.index(("read", 2)) < steps.log.index(("compute end", 1))  # from then on it is read ahead
+
+
 def test_an_error_of_reading_waits_for_its_turn():
     steps = Steps({("read", 3): InputError("frame 3")})
     with pytest.raises(InputError, match="frame 3"):
