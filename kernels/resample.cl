@@ -1,31 +1,26 @@
 // Building block resample: x2 with corners aligned, reference stss_ref/resample.py::upsample_corners.
 //
 //  buffer  dir  shape               content
-//  in      in   padded, (CHANNELS)  see common.clh
-//  out     out  padded, (CHANNELS)  twice the size
+//  in      in   padded, (8 eights)  see common.clh
+//  out     out  padded, (8 eights)  twice the size
 //
 // Output o of N = 2n reads input position o (n - 1) / (N - 1): an integer quotient and its remainder, so that the weight is rounded
 // once however large the frame. The buffers may hold a strip of the frame: their row 0 is row `top` of `full_height` (2 `top` of the
 // output).
-// Build -D CHANNELS=n (multiple of 8), optionally -D HALF.  Launch (2 width, 2 height), or more.
+// Build optionally -D HALF.  Launch (2 width, 2 height), or more.
 //
 // -D SKIP -D SPAN (tiles of a work-item): only tiles that a change reaches, see changes.clh; in_changes, changes are the maps of
 // in and out, `top` is 0. -D WANTED=n in its place: only tiles no farther than n tiles from one that the map `wanted` of out marks. Launch (ceil(width / 2 / SPAN), ceil(height / 2)).
-#ifndef CHANNELS
-#error "resample.cl needs -D CHANNELS=n"
-#endif
 #pragma OPENCL FP_CONTRACT OFF
 #include "common.clh"
 #if defined(SKIP) || defined(WANTED)
 #include "changes.clh"
 #endif
 
-#define CHANNELS8 (CHANNELS / 8)
-
 // Output pixel (y, x); whether it came to differ.
 static inline int corners(global const stored *restrict in, global stored *restrict out, const int height, const int width,
-                          const int in_columns, const int out_columns, const int full_height, const int top, const int x,
-                          const int y, const float tolerance)
+                          const int in_columns, const int out_columns, const int full_height, const int top,
+                          const int eights, const int x, const int y, const float tolerance)
 {
     const int along_x = x * (width - 1), along_y = (2 * top + y) * (full_height - 1);
     const int x0 = along_x / (2 * width - 1), row = along_y / (2 * full_height - 1);
@@ -37,24 +32,24 @@ static inline int corners(global const stored *restrict in, global stored *restr
 #ifdef SKIP
     stored8 differs = 0;
 #endif
-    for (int c = 0; c < CHANNELS8; ++c) {
-        const float8 nw = LOAD8(in, (upper + x0) * CHANNELS8 + c), ne = LOAD8(in, (upper + x1) * CHANNELS8 + c);
-        const float8 sw = LOAD8(in, (lower + x0) * CHANNELS8 + c), se = LOAD8(in, (lower + x1) * CHANNELS8 + c);
+    for (int c = 0; c < eights; ++c) {
+        const float8 nw = LOAD8(in, (upper + x0) * eights + c), ne = LOAD8(in, (upper + x1) * eights + c);
+        const float8 sw = LOAD8(in, (lower + x0) * eights + c), se = LOAD8(in, (lower + x1) * eights + c);
         // First down, then across, as the reference.
         const float8 west = nw + (sw - nw) * fy, east = ne + (se - ne) * fy;
 #ifdef SKIP
-        differs |= replace8(west + (east - west) * fx, ((y + 1) * out_columns + x + 1) * CHANNELS8 + c, out, tolerance);
+        differs |= replace8(west + (east - west) * fx, ((y + 1) * out_columns + x + 1) * eights + c, out, tolerance);
     }
     return any_bit(differs);
 #else
-        STORE8(west + (east - west) * fx, ((y + 1) * out_columns + x + 1) * CHANNELS8 + c, out);
+        STORE8(west + (east - west) * fx, ((y + 1) * out_columns + x + 1) * eights + c, out);
     }
     return 1;
 #endif
 }
 
 kernel void upsample_corners(global const stored *restrict in, global stored *restrict out, const int height, const int width,
-                             const int in_columns, const int out_columns, const int full_height, const int top
+                             const int in_columns, const int out_columns, const int full_height, const int top, const int eights
 #ifdef SKIP
                              , global const uchar *restrict in_changes, global uchar *restrict changes, const float tolerance
 #elif defined(WANTED)
@@ -70,7 +65,7 @@ kernel void upsample_corners(global const stored *restrict in, global stored *re
         if (!marked_tiles(wanted, tiles_across, north, south, max(t - WANTED, 0), min(t + WANTED, tiles_across - 1))) continue;
         for (int y = 4 * tile_y; y < min(4 * tile_y + 4, 2 * height); ++y)
             for (int x = 4 * t; x < min(4 * t + 4, 2 * width); ++x)
-                corners(in, out, height, width, in_columns, out_columns, full_height, top, x, y, 0.0f);
+                corners(in, out, height, width, in_columns, out_columns, full_height, top, eights, x, y, 0.0f);
     }
 #elif defined(SKIP)
     const int rows = (height + 3) / 4, columns = (in_columns - 2) / 4, out_tiles = (out_columns - 2) / 4;
@@ -88,13 +83,13 @@ kernel void upsample_corners(global const stored *restrict in, global stored *re
         for (int i = 0; i <= last - first; ++i) {
             if (!reached[i]) continue;
             for (int x = 4 * (first + i); x < min(4 * (first + i) + 4, 2 * width); ++x)
-                differs[i] |= corners(in, out, height, width, in_columns, out_columns, full_height, top, x, y, tolerance);
+                differs[i] |= corners(in, out, height, width, in_columns, out_columns, full_height, top, eights, x, y, tolerance);
         }
     for (int i = 0; i <= last - first; ++i)
         if (differs[i]) changes[tile_y * out_tiles + first + i] = 1;
 #else
     const int x = get_global_id(0), y = get_global_id(1);
     if (x < 2 * width && y < 2 * height)
-        corners(in, out, height, width, in_columns, out_columns, full_height, top, x, y, 0.0f);
+        corners(in, out, height, width, in_columns, out_columns, full_height, top, eights, x, y, 0.0f);
 #endif
 }

@@ -190,10 +190,9 @@ class Layers(Chain):
         for i, (middle, outputs, divisor) in enumerate(((64, 32, 4), (32, 24, 2), (24, 24, 1)), start=1):
             up = self._scratch("one", divisor, x.channels)
             tiles = span(self._device, 4) // 4
-            options: dict[str, object] = {"CHANNELS": x.channels, "SPAN": tiles}
             self._kernel(
-                "decoder", "upsample_corners", "resample.cl", options, (up.width, up.height),
-                x.data, up.data, x.height, x.width, x.columns, up.columns, self._full // (2 * divisor), 0,
+                "decoder", "upsample_corners", "resample.cl", {"SPAN": tiles}, (up.width, up.height),
+                x.data, up.data, x.height, x.width, x.columns, up.columns, self._full // (2 * divisor), 0, x.channels // 8,
                 maps=(x.changes, up.changes), changed_size=(ceil_div(ceil_div(up.width, 4), tiles), ceil_div(up.height, 4)),
             )  # fmt: skip
             self._placed.append((self.launches[-1].kernel, 7, 2 * divisor))
