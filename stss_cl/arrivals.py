@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import takewhile
 from typing import Protocol
 
 import numpy as np
@@ -24,7 +25,8 @@ Tiles = NDArray[np.bool_]
 SPAN = 256
 """Tiles of a work-item of differ.cl."""
 HELD = 9
-"""Display frames that are kept: the window of an output, that of the one before it of the same kind, and one more."""
+"""Display frames that are remembered: the window of an output, that of the one before it of the same kind, and one more. All but the
+window's give up their buffers."""
 FINITE = ("color", "gbuffer", "nov", "stencil")
 
 
@@ -59,14 +61,14 @@ class Held:
     """A display frame on the device.
 
     Attributes:
-        frame: as it was given.
+        frame: as it was given; None once it is older than the window.
         number: counts the frames as they arrived; of no meaning but to compare.
-        planes: the buffers by name.
+        planes: the buffers by name; none once it is older than the window.
         color: its colour, if it has one.
         changed: where it differs from the frame before it, or moves; None: there is none before it, or nobody looked.
     """
 
-    frame: DisplayFrame
+    frame: DisplayFrame | None
     number: int
     planes: dict[str, cl.Buffer]
     color: cl.Buffer | None
@@ -112,6 +114,8 @@ class Arrivals:
         for frame in window[len(known) :]:
             self._arrive(frame, compare=compare)
             known.append(self._chain[-1])
+        for held in takewhile(lambda held: held is not known[0], self._chain):
+            held.frame, held.planes = None, {}
         return known
 
     def forget(self) -> None:

@@ -112,7 +112,7 @@ class Stream:
             self.report = Report(0.0, 0.0, "none")
             kept.last = _last(held, kept.read(chosen), kept.last.valid)
             return kept.image, kept.last.valid
-        return self._compute(kept, held, chosen, busy)
+        return self._compute(kept, held, chosen, busy, window[-1 - chosen[0]].color if self._max_error else None)
 
     def expect(self, size: tuple[int, int]) -> None:
         """Build what the first call for frames of (H, W) would wait for, such as while that frame is being read."""
@@ -135,13 +135,12 @@ class Stream:
         return shares[:rows, :columns]
 
     def _compute(
-        self, kept: Kept, held: list[Held], steps: tuple[int, int, int], busy: Tiles | None
+        self, kept: Kept, held: list[Held], steps: tuple[int, int, int], busy: Tiles | None, color: NDArray[np.float32] | None
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """The frame, where anything is busy; None: everywhere."""
+        """The frame, where anything is busy; None: everywhere. ``color``: the newest, for ``bounded``, see ``Kept.choose``."""
         prepare, layers = kept.prepare, kept.layers
         cl.enqueue_copy(self.device.queue, prepare.busy, _spread(busy, (prepare.rows, prepare.columns)), is_blocking=True)
         tolerance = 0.0 if busy is None else self.tolerance
-        color = held[-1 - steps[0]].frame.color if self._max_error else None
         choice = kept.choose(color) if self._rests else None
         older = layers.reads_history and (choice is None or choice.older)
         prepare.start(sources(held, steps), tolerance=tolerance, older=older, looking=not self._rests)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
@@ -141,12 +142,12 @@ def test_an_image_in_somebodys_hands_stays_as_it_is(pair, sequence):
         assert not image.flags.writeable
 
 
-def still(count, size=(16, 24)):
+def still(count, size=(16, 24), change="nothing"):
     rng = np.random.default_rng(1)
     made = first_frame(rng, size, rendered=True)
     frames, color = [made], made.color
     for i in range(1, count):
-        made, color = next_frame(rng, made, color, "nothing", rendered=i % 2 == 0)
+        made, color = next_frame(rng, made, color, change, rendered=i % 2 == 0)
         frames.append(made)
     return frames
 
@@ -177,6 +178,16 @@ def test_the_first_frame_builds_only_what_was_not_expected(device, monkeypatch, 
     assert_same(untold(first, (0, 0, 0)), got)
     assert len(asked) == 2 * expected
     assert_same(plain(first, (0, 0, 0)), got)
+
+
+def test_frames_older_than_the_window_are_let_go(device):
+    """A frame at 1920 x 1080 out takes 40 MB."""
+    stream, frames, window, seen = Stream(WEIGHTS, device), still(12, change="everything"), [], []
+    while frames:
+        window = [*window[-5:], frames.pop(0)]
+        seen.append(weakref.ref(window[-1].gbuffer))
+        stream(window, plan(window).steps)
+    assert [ref() is not None for ref in seen] == 6 * [False] + 6 * [True]
 
 
 @pytest.mark.parametrize("x", range(11))
