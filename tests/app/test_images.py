@@ -278,9 +278,9 @@ def test_nothing_non_finite_is_written(tmp_path, name, value):
 def test_half_does_not_overflow(tmp_path):
     """Where half would become infinite, the channel is float."""
     picture = np.full((2, 2, 3), 1.5)
-    picture[0, 0, 0] = 1e6
+    picture[0, 0, 0], picture[1, 0, 2] = 1e6, -1e6
     images.write_rgb(tmp_path / "a.exr", picture)
-    assert images.read_header(tmp_path / "a.exr").formats == {"R": "float", "G": "half", "B": "half"}
+    assert images.read_header(tmp_path / "a.exr").formats == {"R": "float", "G": "half", "B": "float"}
     np.testing.assert_array_equal(images.read_rgb(tmp_path / "a.exr"), picture)
 
 
