@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from stss_cl.program import source
+
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("stss_ref", "stss_cl", "conformance", "stss")
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
@@ -64,3 +66,21 @@ def test_sizes(path):
 @pytest.mark.parametrize("path", SOURCES, ids=name)
 def test_every_file_says_its_licence(path):
     assert path.read_text().startswith("# SPDX-License-Identifier: MIT\n")
+
+
+def test_the_table_of_kernels_has_the_options_that_they_take():
+    """No kernel without a row, none that needs an option its row lacks, no option that the file and what it includes do not know."""
+    rows, file = {}, ""
+    for line in (ROOT / "kernels" / "README.md").read_text().splitlines():
+        cells = line.split("|")
+        if len(cells) == 7:
+            file = (re.findall(r"\w+\.cl\b", cells[1]) or [file])[0]
+            rows.setdefault(file, set()).update(re.findall(r"`([A-Z0-9_]+)`", cells[5]))
+    paths = {path.name: path for path in (ROOT / "kernels").glob("*.cl")}
+    assert rows.keys() - {""} == paths.keys()
+    for path in paths.values():
+        needed = set(
+            re.findall(r"(?:#ifndef |!defined\()(\w+)", "".join(re.findall(r"(#if.*)\n#error .*needs", path.read_text())))
+        )
+        assert needed <= rows[path.name], path.name
+        assert rows[path.name] <= set(re.findall(r"\w+", source(path.name))), path.name
