@@ -22,11 +22,11 @@ bench: $(VENV)/.bench
 
 # The judge judged: planted faults that it must find, and right ports that it must let pass (half an hour).
 mutants alarms: $(VENV)/.test
-	$(BIN)/python -m tests.meta.$(if $(filter mutants,$@),killed,alarms)
+	$(BIN)/python -m tests.meta.$(if $(filter mutants,$@),run_mutants,run_false_alarms)
 
 # How often --skip bounded breaks its promise, over a hundred random films (half an hour).
 misses: $(VENV)/.test
-	$(BIN)/python -m tests.meta.misses --write
+	$(BIN)/python -m tests.meta.bound_violations --write
 
 # Every OpenCL runtime that can be installed here, each with the tests of the backend.
 portability: $(VENV)/.test

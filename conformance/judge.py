@@ -14,13 +14,13 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from conformance.arithmetic import Arithmetic
-from conformance.expect import expect
-from conformance.expected import Expected, largest
-from conformance.folder_port import FolderPort
-from conformance.port import Arrays, Case, Outputs, Port, PortError, Unsupported
-from conformance.shapes import Sizes
-from conformance.stages import STAGES, check_inputs, check_outputs
+from conformance.answers.by_stage import expect
+from conformance.answers.expected import Expected, largest
+from conformance.answers.port_arithmetic import Arithmetic
+from conformance.protocol.array_specs import Sizes
+from conformance.protocol.port import Arrays, Case, Outputs, Port, PortError, Unsupported
+from conformance.protocol.program_port import FolderPort
+from conformance.protocol.stages import STAGES, check_inputs, check_outputs
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
 

@@ -13,7 +13,7 @@
 //
 // One work-item holds PIXELS x BLOCK accumulators of eight channels: 4 x 3 and 3 x 4 fill a CPU's registers.
 //
-// -D SKIP -D SPAN (a multiple of PIXELS) -D TALL: only pixels that a change reaches, see changes.clh; a_changes (the map begins at
+// -D SKIP -D SPAN (a multiple of PIXELS) -D TALL: only pixels that a change reaches, see change_map.clh; a_changes (the map begins at
 // a_tile), b_changes, changes are the maps of a, b, out. -D WANTED=n in its place: only pixels of tiles no farther than n tiles
 // from one that the map `wanted` of `out` marks; stride 1. Launch (OUT / 8 / BLOCK, ceil(width / SPAN), ceil(height / TALL)).
 #if !defined(A) || !defined(B) || !defined(OUT) || !defined(KERNEL) || !defined(STRIDE) || !defined(PIXELS) || !defined(BLOCK) || \
@@ -22,7 +22,7 @@
 #endif
 #include "common.clh"
 #if defined(SKIP) || defined(WANTED)
-#include "changes.clh"
+#include "change_map.clh"
 #endif
 
 #define IN (A + B)

@@ -9,14 +9,14 @@
 //
 // Build -D STRIP (pixels of one work-item, a multiple of 4) -D GROUP (work-group along x), optionally -D HALF.  Launch (ceil(W / STRIP), rows to write).
 // winograd.cl -D IMAGE does the same at the end of up3.
-// -D SKIP: only pixels that a change reaches, see changes.clh; the last arguments are the maps of feature and color.
-// -D WANTED: tiles that the map `wanted` does not mark are upsampled alone; see plain.cl.
+// -D SKIP: only pixels that a change reaches, see change_map.clh; the last arguments are the maps of feature and color.
+// -D WANTED: tiles that the map `wanted` does not mark are upsampled alone; see flat_tiles.cl.
 #if !defined(STRIP) || !defined(GROUP)
 #error "decoder.cl needs -D STRIP, GROUP"
 #endif
 #include "common.clh"
 #ifdef SKIP
-#include "changes.clh"
+#include "change_map.clh"
 #endif
 #include "decoder.clh"
 

@@ -12,14 +12,14 @@
 // `height`, `width`: of the frame for `eighth`, whose row 0 is the frame's row `top`; else at 1/8 size, as `down`, `across`.
 // Build -D KEYS=32 -D VALUES=64 (multiples of 8) -D MASK=float or uchar, optionally -D HALF.  Launch (width, height) at 1/8 size, or more.
 //
-// -D SKIP, optionally -D SPAN: only pixels that a change reaches, see changes.clh; the last arguments are the maps of the inputs
+// -D SKIP, optionally -D SPAN: only pixels that a change reaches, see change_map.clh; the last arguments are the maps of the inputs
 // and of the output. attend's work-item then has SPAN x SPAN pixels. downsample_8 computes all and marks what came to differ.
 #if !defined(KEYS) || !defined(VALUES) || !defined(MASK)
 #error "erm.cl needs -D KEYS, VALUES, MASK"
 #endif
 #include "common.clh"
 #ifdef SKIP
-#include "changes.clh"
+#include "change_map.clh"
 #endif
 
 #define KEYS8 (KEYS / 8)

@@ -9,12 +9,12 @@
 // output).
 // Build optionally -D HALF.  Launch (2 width, 2 height), or more.
 //
-// -D SKIP -D SPAN (tiles of a work-item): only tiles that a change reaches, see changes.clh; in_changes, changes are the maps of
+// -D SKIP -D SPAN (tiles of a work-item): only tiles that a change reaches, see change_map.clh; in_changes, changes are the maps of
 // in and out, `top` is 0. -D WANTED=n in its place: only tiles no farther than n tiles from one that the map `wanted` of out marks. Launch (ceil(width / 2 / SPAN), ceil(height / 2)).
 #pragma OPENCL FP_CONTRACT OFF
 #include "common.clh"
 #if defined(SKIP) || defined(WANTED)
-#include "changes.clh"
+#include "change_map.clh"
 #endif
 
 // Output pixel (y, x); whether it came to differ.

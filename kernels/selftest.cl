@@ -1,4 +1,4 @@
-// What every other kernel takes for granted of a device, in small; stss/selftest.py says what must come out.
+// What every other kernel takes for granted of a device, in small; stss/devices/selftest.py says what must come out.
 //
 //  buffer   dir  shape         meaning
 //  a, b, c  in   (n,)          finite, b not 0, |c| < 80

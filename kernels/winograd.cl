@@ -4,7 +4,7 @@
 //  buffer       dir  shape                       content
 //  a            in   padded, (A)                 first input, see common.clh; begins at element a_first, a multiple of 8
 //  b            in   padded, (B)                 second input, concatenated behind it; not read where B = 0
-//  weight       in   (PRODUCTS, OUT / (8 BLOCK), A + B, 8 BLOCK)  G w G^T, transformed in float64 by stss_cl/packing.py
+//  weight       in   (PRODUCTS, OUT / (8 BLOCK), A + B, 8 BLOCK)  G w G^T, transformed in float64 by stss_cl/network/pack_weights.py
 //  gate_weight  in   (PRODUCTS, A + B)           of the one gate channel; read if GATED
 //  bias         in   (OUT)
 //  out          out  padded, (out_channels)      channels out_first .. out_first + OUT - 1 of it
@@ -15,9 +15,9 @@
 // are written, rows and columns are those of `color`; row 0 is the frame's row `top`).
 // Launch (ceil(ceil(width / SIDE) / TILES), ceil(height / SIDE)), work-groups of 1: a work-item is a strip of tiles whose scratch stays in L2.
 //
-// -D SKIP: only tiles that a change reaches, see changes.clh; a_changes (the map begins at a_tile), b_changes, color_changes are
+// -D SKIP: only tiles that a change reaches, see change_map.clh; a_changes (the map begins at a_tile), b_changes, color_changes are
 // the maps of the inputs, changes that of `out`.
-// -D WANTED=n: only tiles no farther than n tiles from one that the map `wanted` marks; see plain.cl. With IMAGE the others are upsampled alone.
+// -D WANTED=n: only tiles no farther than n tiles from one that the map `wanted` marks; see flat_tiles.cl. With IMAGE the others are upsampled alone.
 #if !defined(STRIDE) || !defined(SIDE) || !defined(A) || !defined(B) || !defined(OUT) || !defined(USED) || !defined(TILES) || !defined(ROWS) || !defined(BLOCK)
 #error "winograd.cl needs -D STRIDE, SIDE, A, B, OUT, USED, TILES, ROWS, BLOCK"
 #endif
@@ -33,7 +33,7 @@
 #define REACH WANTED
 #endif
 #ifdef REACH
-#include "changes.clh"
+#include "change_map.clh"
 #endif
 #ifdef IMAGE
 #include "decoder.clh"

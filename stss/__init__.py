@@ -1,2 +1,31 @@
 # SPDX-License-Identifier: MIT
 """Space-time supersampling: frames in, twice the resolution and twice the frame rate out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from stss.frames import Buffers, open_backend, supersample
+    from stss.sequence import open_sequence
+    from stss.weights import load as load_weights
+
+__all__ = ["Buffers", "load_weights", "open_backend", "open_sequence", "supersample"]
+
+_HOMES = {
+    "Buffers": ("stss.frames", "Buffers"),
+    "load_weights": ("stss.weights", "load"),
+    "open_backend": ("stss.frames", "open_backend"),
+    "open_sequence": ("stss.sequence", "open_sequence"),
+    "supersample": ("stss.frames", "supersample"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name when it is asked for: a command that needs no OpenCL must not open its library."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    room, there = _HOMES[name]
+    return getattr(import_module(room), there)

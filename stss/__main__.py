@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
 """``python -m stss``."""
 
-from stss.cli import main
+from stss.cli.main import main
 
 main()

@@ -12,15 +12,15 @@ from rich.console import Console
 from rich.progress import Progress
 
 from conformance.scenes import DEMO, Rendered, render
-from stss.backends import open_backend
 from stss.color import transfer
-from stss.compare import compare, print_comparison
-from stss.contact_sheet import COMPARISON, comparison, contact_sheet, magnify
 from stss.errors import InputError
-from stss.images import read_rgb, write_channels, write_rgb
-from stss.run import RunOptions, frame_path, run
-from stss.sequence import open_sequence
-from stss.weights import BILINEAR, DEFAULT, load
+from stss.frames.backends import open_backend
+from stss.images.contact_sheet import COMPARISON, comparison, contact_sheet, magnify
+from stss.images.read_write import read_rgb, write_channels, write_rgb
+from stss.quality.compare import compare, print_comparison
+from stss.run.job import RunOptions, frame_path, run
+from stss.sequence.reader import open_sequence
+from stss.weights.file import BILINEAR, DEFAULT, load
 from stss_ref.arrays import Array, Plane
 
 FRAMES = 16
@@ -70,7 +70,7 @@ def demo(
     Args:
         out: the folder; made if need be.
         weights: a safetensors file, or ``bilinear``.
-        backend, device, precision, memory_limit (MiB): what computes; see ``stss.backends.open_backend``.
+        backend, device, precision, memory_limit (MiB): what computes; see ``stss.frames.backends.open_backend``.
         overwrite: replace an earlier demo.
         frames: how many display frames.
         size: H, W of the frames.

@@ -7,16 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from stss_cl.frame import Frame
-    from stss_cl.network import Network
-    from stss_cl.stream import Stream
+    from stss_cl.network.network import Network
+    from stss_cl.skip.stream import Stream
 
 __all__ = ["Frame", "Network", "Stream"]
+
+_HOMES = {"Frame": "stss_cl.frame", "Network": "stss_cl.network.network", "Stream": "stss_cl.skip.stream"}
 
 
 def __getattr__(name: str) -> Any:
     """Import the classes when they are asked for: ``stss_cl.errors`` alone must not open the OpenCL library."""
-    if name not in __all__:
+    if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    return getattr(import_module(f"stss_cl.{name.lower()}"), name)
+    return getattr(import_module(_HOMES[name]), name)

@@ -11,13 +11,13 @@ import pyopencl as cl
 import pyopencl.array as cla
 from numpy.typing import NDArray
 
-from stss_cl.buffers import Outgoing, on_device
-from stss_cl.device import Device
-from stss_cl.image_stages import Gather
-from stss_cl.layers import Layers
-from stss_cl.network import Network, Precision
-from stss_cl.prepare import FINITE, Prepare
-from stss_cl.sources import Sources
+from stss_cl.device.buffers import Outgoing, on_device
+from stss_cl.device.discovery import Device
+from stss_cl.image_space.frame_planes import Sources
+from stss_cl.image_space.prepare import FINITE, Prepare
+from stss_cl.image_space.stages import Gather
+from stss_cl.network.layers import Layers
+from stss_cl.network.network import Network, Precision
 from stss_ref.arrays import Array, require_finite, require_shape
 from stss_ref.weights import Weights
 
@@ -29,8 +29,8 @@ class Frame:
 
     Args:
         weights: the 92 tensors.
-        device: to run on; None = ``stss_cl.device.open_device()``.
-        precision: see ``stss_cl.network.PRECISIONS``.
+        device: to run on; None = ``stss_cl.device.discovery.open_device()``.
+        precision: see ``stss_cl.network.network.PRECISIONS``.
         gather: how the motion chain reads between pixels.
         memory_limit: see ``Network``.
     """

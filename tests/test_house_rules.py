@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from stss_cl.program import source
+from stss_cl.device.program import source
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("stss_ref", "stss_cl", "conformance", "stss")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stss.weights import load, save
+from stss.weights.file import load, save
 from training.command import command
 
 

@@ -24,13 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conformance.scenes import render
-from stss.buffers import Buffers
 from stss.color import transfer
 from stss.errors import InputError
-from stss.images import read_rgb
-from stss.prepared import WINDOW, Prepared, frame_inputs, prepare
-from stss.sequence import BACKGROUND_POSITION, open_sequence
-from stss.supersample import plan
+from stss.frames.buffers import Buffers
+from stss.frames.display_frame import WINDOW, Prepared, frame_inputs, prepare
+from stss.frames.supersample import plan
+from stss.images.read_write import read_rgb
+from stss.sequence.reader import BACKGROUND_POSITION, open_sequence
 from stss_ref.arrays import Array, Image
 from stss_ref.frame import NetworkInputs
 from stss_ref.frame import prepare as warp_all

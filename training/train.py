@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from stss.errors import InputError
-from stss.weights import load, save
+from stss.weights.file import load, save
 from training import checkpoint
 from training.checkpoint import State
 from training.command import command

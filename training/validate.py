@@ -14,8 +14,8 @@ import torch
 from torch import Tensor, nn
 
 from stss.errors import InputError
-from stss.metrics import mean_scores, score, upsample_holes
-from stss.weights import load
+from stss.quality.metrics import mean_scores, score, upsample_holes
+from stss.weights.file import load
 from training.augment import Batch
 from training.command import command
 from training.data import KINDS, Place, Shard, load_shards, places, spread, whole

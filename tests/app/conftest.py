@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stss.images import write_channels
+from stss.images.read_write import write_channels
 
 VELOCITY = (1.5, 0.75)
 """Pixels a frame, right and down."""
@@ -55,7 +55,7 @@ def write_frames(tmp_path):
 
 def write_raw(path, channels, half=()):
     """Write an EXR, non-finite values too."""
-    from stss import images
+    from stss.images import read_write as images
 
     finite, images._require_finite = images._require_finite, lambda *_: None
     try:

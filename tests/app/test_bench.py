@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from stss import bench_report
-from stss.bench import Row, SizeResult, bench
-from stss.contenders import FRAMES, OURS, default_ours, frame_inputs, inputs_for, truth
+from stss.bench import report as bench_report
+from stss.bench.measure import Row, SizeResult, bench
+from stss.bench.ours import FRAMES, OURS, default_ours, frame_inputs, inputs_for, truth
+from stss.bench.peers import PEERS, Setup
 from stss.errors import InputError
 from stss.optional import require
-from stss.peers import PEERS, Setup
 from stss_ref.frame import FrameInputs, prepare
 from stss_ref.weights import random as random_weights
 
@@ -66,7 +66,7 @@ def test_a_contender_that_fails_is_a_row_and_the_others_go_on():
 
 
 def test_a_process_that_dies_is_a_row(monkeypatch):
-    from stss import bench as module
+    from stss.bench import measure as module
 
     def die(self, *_):
         self._process.kill()

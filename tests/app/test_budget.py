@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from conformance.scenes import SCENES
-from stss import budget
-from stss.backends import ReferenceBackend
-from stss.budget import SETTINGS, choose
-from stss.engine import Engine
+from stss.bench.pareto import frontier
 from stss.errors import InputError
-from stss.pareto import frontier
-from stss.scene_frames import display_frames, truth
-from stss.weights import BILINEAR, load
+from stss.frames.backends import ReferenceBackend
+from stss.run import budget
+from stss.run.budget import SETTINGS, choose
+from stss.run.choose_backend import Engine
+from stss.sequence.scenes import display_frames, truth
+from stss.weights.file import BILINEAR, load
 
 
 class Sleeper:

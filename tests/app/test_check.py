@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from stss.check import check, print_report
+from stss.check.motion_convention import CHOICES
+from stss.check.report import check, print_report
 from stss.errors import InputError
-from stss.profiles import load_profile
-from stss.reprojection import CHOICES
+from stss.sequence.profiles import load_profile
 
 
 def texts(report, level):
@@ -174,7 +174,7 @@ def test_single_positions_far_from_the_origin(write_frames, far, said):
 
 
 def test_lossy_compression(write_frames, monkeypatch):
-    from stss import images
+    from stss.images import read_write as images
 
     spec = images.oiio.ImageSpec
 

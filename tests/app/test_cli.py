@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from stss.demo import demo_path, write_demo_sequence
-from stss.images import read_header, read_rgb
-from stss.weights import save
+from stss.images.read_write import read_header, read_rgb
+from stss.weights.file import save
 from stss_ref.weights import random as random_weights
 
 SIZE = (18, 32)
@@ -71,10 +71,10 @@ def test_run_doubles_size_and_rate(sequence, weights, tmp_path):
 
 def test_the_frames_are_what_python_gets(sequence, weights, tmp_path):
     """The generator of the README and the command line give the same images."""
-    from stss.backends import open_backend
-    from stss.sequence import open_sequence
-    from stss.supersample import supersample
-    from stss.weights import load
+    from stss.frames.backends import open_backend
+    from stss.frames.supersample import supersample
+    from stss.sequence.reader import open_sequence
+    from stss.weights.file import load
 
     assert stss("run", sequence / "frames", "-o", tmp_path, "--weights", weights).returncode == 0
     frames = open_sequence(sequence / "frames", "stss")
@@ -195,7 +195,7 @@ def test_weights_import_is_what_the_checkpoint_holds(reference_data, tmp_path):
     checkpoint = reference_data / "checkpoints" / "arena.pkl"
     result = stss("weights", "import", checkpoint, "-o", tmp_path / "w.safetensors")
     assert result.returncode == 0, result.stderr
-    from stss.weights import load
+    from stss.weights.file import load
     from stss_ref.checkpoint import read_checkpoint
 
     expected = read_checkpoint(checkpoint)

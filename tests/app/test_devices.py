@@ -12,11 +12,12 @@ import pyopencl as cl
 import pytest
 from rich.console import Console
 
-from stss import devices, selftest, verdicts
-from stss.devices import choose
-from stss.verdicts import Verdict, known, run_selftest, verdict
-from stss_cl import device as cl_device
-from stss_cl.device import DeviceError, found, open_device
+from stss.devices import selection as devices
+from stss.devices import selftest, verdicts
+from stss.devices.selection import choose
+from stss.devices.verdicts import Verdict, known, run_selftest, verdict
+from stss_cl.device import discovery as cl_device
+from stss_cl.device.discovery import DeviceError, found, open_device
 
 PASSED = {"why": "", "gflops": 5.0}
 
@@ -291,7 +292,7 @@ def test_the_device_here_passes(device, check):
 )
 def test_a_device_that_computes_wrongly_is_found_out(device, monkeypatch, tmp_path, kernel, wrong, check, why):
     """Planted faults: the kernel does what a bad driver might."""
-    from stss_cl import program
+    from stss_cl.device import program
 
     text = program.source("selftest.cl")
     assert kernel in text

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from stss import flicker_scenes
+from stss.baselines.registry import MethodBackend
 from stss.errors import InputError
-from stss.flicker import Change, change_between, display_motion, flicker
-from stss.images import write_rgb
-from stss.methods import MethodBackend
-from stss.sequence import open_sequence
+from stss.images.read_write import write_rgb
+from stss.quality import flicker_scenes
+from stss.quality.flicker import Change, change_between, display_motion, flicker
+from stss.sequence.reader import open_sequence
 
 SIZE = (16, 24)
 
@@ -151,7 +151,7 @@ def test_sizes_must_fit_the_sequence(sequence, tmp_path):
 
 def test_motion_of_display_frames(sequence):
     from stss.color import transfer
-    from stss.prepared import prepare
+    from stss.frames.display_frame import prepare
 
     frames = sequence(-1, -2)
     before, now = (prepare(frames.load(n), transfer("none"), "scale") for n in (1, 2))

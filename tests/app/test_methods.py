@@ -13,19 +13,19 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 import pytest
 
-from stss.backends import ReferenceBackend
+from stss.baselines.fxaa import fxaa
+from stss.baselines.registry import ACCUMULATING, METHODS, MethodBackend
 from stss.demo import write_demo_sequence
-from stss.enlarge import catmull_rom, enlarged, lanczos_centres
 from stss.errors import InputError
-from stss.fxaa import fxaa
-from stss.images import read_header, read_rgb
-from stss.method_table import choose_methods
-from stss.methods import ACCUMULATING, METHODS, MethodBackend
-from stss.prepared import frame_inputs
-from stss.run import RunOptions, run
-from stss.sequence import open_sequence
-from stss.supersample import plan, supersample
-from stss.weights import BILINEAR, load
+from stss.frames.backends import ReferenceBackend
+from stss.frames.display_frame import frame_inputs
+from stss.frames.supersample import plan, supersample
+from stss.images.read_write import read_header, read_rgb
+from stss.images.resample import catmull_rom, enlarged, lanczos_centres
+from stss.quality.methods_table import choose_methods
+from stss.run.job import RunOptions, run
+from stss.sequence.reader import open_sequence
+from stss.weights.file import BILINEAR, load
 from stss_ref.frame import FrameInputs
 from stss_ref.resample import upsample_centres
 
@@ -310,7 +310,7 @@ def test_the_steps_tell_every_gap(sequence):
     from itertools import product
 
     from stss.color import transfer
-    from stss.prepared import prepare
+    from stss.frames.display_frame import prepare
 
     made = [prepare(sequence.load(n, color=False), transfer("srgb"), "scale") for n in range(7)]
     for rendered in product([False, True], repeat=7):

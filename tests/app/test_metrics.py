@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stss import metrics
+from stss.quality import metrics
 from stss_ref.arrays import ArrayError
 
 quick = settings(deadline=None, max_examples=30)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from conformance.tolerance import ratio
-from stss import onnx_export
-from stss.contenders import network_inputs
+from stss.bench import onnx_export
+from stss.bench.ours import network_inputs
+from stss.bench.peers import OnnxRuntime, OpenVino, PyTorch, Setup
 from stss.errors import InputError
-from stss.peers import OnnxRuntime, OpenVino, PyTorch, Setup
 from stss_ref.network import network
 from stss_ref.weights import astype
 from stss_ref.weights import random as random_weights

@@ -9,10 +9,10 @@ import math
 import pytest
 from click.testing import CliRunner
 
-from stss.cli import stss
+from stss.bench.pareto import SETTINGS, chosen_settings, measure
+from stss.cli.main import stss
 from stss.errors import InputError
-from stss.pareto import SETTINGS, chosen_settings, measure
-from stss_cl.device import DeviceError, open_device
+from stss_cl.device.discovery import DeviceError, open_device
 from stss_ref.weights import random as random_weights
 
 

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conformance import job as jobs
-from conformance.folder_port import FolderPort, smallest_case
-from conformance.port import Case, PortError, Unsupported
-from conformance.stages import STAGES, check_inputs, check_outputs, reference
-from stss import port as ports
+from conformance.protocol import job_folder as jobs
+from conformance.protocol.port import Case, PortError, Unsupported
+from conformance.protocol.program_port import FolderPort, smallest_case
+from conformance.protocol.stages import STAGES, check_inputs, check_outputs, reference
+from stss.conform import own_ports as ports
 from stss.errors import InputError
-from stss.weights import load
+from stss.weights.file import load
 from stss_cl.errors import DeviceError
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import WeightsError
@@ -30,7 +30,11 @@ ANY_SIZE = ("motion_chain", "warp", "holes", "occlusion_warp", "rrm", "network",
 
 def command(backend):
     """``stss port`` without the command line."""
-    return [sys.executable, "-c", f"import pathlib, sys, stss.port; stss.port.run_job(pathlib.Path(sys.argv[1]), {backend!r})"]
+    return [
+        sys.executable,
+        "-c",
+        f"import pathlib, sys, stss.conform.own_ports; stss.conform.own_ports.run_job(pathlib.Path(sys.argv[1]), {backend!r})",
+    ]
 
 
 def random_case(stage, size, seed=0, k=5, channels=3):

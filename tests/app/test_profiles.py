@@ -5,9 +5,9 @@ import re
 import numpy as np
 import pytest
 
-from stss.convert import linear_depth, motion_in_pixels
 from stss.errors import InputError
-from stss.profiles import BUFFERS, DepthRule, MotionRule, load_profile, profile_names
+from stss.sequence.conventions import linear_depth, motion_in_pixels
+from stss.sequence.profiles import BUFFERS, DepthRule, MotionRule, load_profile, profile_names
 
 BUILT_IN = ("blender", "mitsuba", "stss", "unreal", "unreal-mrq")
 

@@ -6,13 +6,13 @@ import time
 import numpy as np
 import pytest
 
-from stss.backends import ReferenceBackend
 from stss.errors import InputError
-from stss.images import read_rgb
-from stss.pipeline import AHEAD, overlap
-from stss.run import RunOptions, run
-from stss.sequence import Sequence, open_sequence
-from stss.weights import BILINEAR, load
+from stss.frames.backends import ReferenceBackend
+from stss.images.read_write import read_rgb
+from stss.run.job import RunOptions, run
+from stss.run.pipeline import AHEAD, overlap
+from stss.sequence.reader import Sequence, open_sequence
+from stss.weights.file import BILINEAR, load
 from stss_ref.arrays import ArrayError
 
 SOON = 30
@@ -249,8 +249,8 @@ def test_an_error_of_the_writer_stops_the_run(sequence, tmp_path):
 
 
 def test_what_was_skipped_is_told_and_shown(sequence, tmp_path):
-    from stss.backends import open_backend
-    from stss.skipped import told
+    from stss.frames.backends import open_backend
+    from stss.run.skip_report import told
 
     out, weights = tmp_path / "out", load("default").weights
     summary = run(sequence, out, open_backend("cl", weights), "w", RunOptions(show_skipped=True))
@@ -273,7 +273,7 @@ def read_png(path):
 
 
 def test_the_line_about_a_run():
-    from stss.skipped import Cost, told
+    from stss.run.skip_report import Cost, told
 
     costs = [Cost("whole", 1.0), Cost("changed", 0.1, 0.5 / 255), Cost("changed", 0.3, 0.2 / 255), Cost("none", 0.0)]
     assert told(costs) == (

@@ -7,11 +7,11 @@ import shutil
 import numpy as np
 import pytest
 
-from stss.buffers import Buffers
 from stss.errors import InputError
-from stss.images import read_channels, write_channels
-from stss.profiles import load_profile
-from stss.sequence import BACKGROUND_POSITION, open_sequence
+from stss.frames.buffers import Buffers
+from stss.images.read_write import read_channels, write_channels
+from stss.sequence.profiles import load_profile
+from stss.sequence.reader import BACKGROUND_POSITION, open_sequence
 
 
 def set_pixels(name, *values):
@@ -347,7 +347,7 @@ def test_world_to_camera(tmp_path, row_vectors):
 
 
 def write_with_matrix(path, planes, matrix):
-    from stss.images import oiio
+    from stss.images.read_write import oiio
 
     names = tuple(planes)
     spec = oiio.ImageSpec(6, 4, len(names), "float")

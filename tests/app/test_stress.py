@@ -7,18 +7,19 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from conformance.stages import reference
+from conformance.protocol.stages import reference
 from conformance.tolerance import BOUNDS, UNIT, ratio
-from stss import stress_plot, stress_report
-from stss.cli_stress import stress_command
+from stss.cli.stress import stress_command
 from stss.errors import InputError
-from stss.monte_carlo import StochasticRounding, Trace, Watcher, digits_of, samples, significant_digits, watched
 from stss.optional import require
-from stss.stress import MEASUREMENTS, Results, make_plan, stress
-from stss.stress_arithmetic import NETWORK, OpenCL, Reference
-from stss.stress_cases import split_taps
-from stss.stress_inputs import exact, image_noise, permuted, scaled, stage_inputs, transposed, transposed_arrays
-from stss.stress_table import Plan, Table, relative_error, short
+from stss.stress import plot as stress_plot
+from stss.stress import report as stress_report
+from stss.stress.engines import NETWORK, OpenCL, Reference
+from stss.stress.hard_image_cases import split_taps
+from stss.stress.inputs import exact, image_noise, permuted, scaled, stage_inputs, transposed, transposed_arrays
+from stss.stress.measure import MEASUREMENTS, Results, make_plan, stress
+from stss.stress.monte_carlo import StochasticRounding, Trace, Watcher, digits_of, samples, significant_digits, watched
+from stss.stress.table import Plan, Table, relative_error, short
 from stss_ref.sample import follow, taps
 from stss_ref.weights import LAYERS
 from stss_ref.weights import random as random_weights
@@ -193,7 +194,7 @@ def test_taps_apart_are_the_references_in_float64():
 
 
 def test_the_backend_is_measured_in_each_of_its_precisions():
-    from stss_cl.device import DeviceError, open_device
+    from stss_cl.device.discovery import DeviceError, open_device
 
     try:
         device = open_device()

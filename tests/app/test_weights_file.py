@@ -11,10 +11,10 @@ import pytest
 from rich.console import Console
 from safetensors import numpy as safetensors_numpy
 
-from stss import weights as files
 from stss.errors import InputError
-from stss.inspection import component_costs, inspect, print_inspection
-from stss.weights import identity, load, save
+from stss.weights import file as files
+from stss.weights.file import identity, load, save
+from stss.weights.inspect import component_costs, inspect, print_inspection
 from stss_ref.checkpoint import read_checkpoint
 from stss_ref.weights import TENSORS, Weights, WeightsError, random, zeros
 

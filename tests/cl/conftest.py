@@ -2,7 +2,7 @@
 
 import pytest
 
-from stss_cl.device import Device, DeviceError, open_device
+from stss_cl.device.discovery import Device, DeviceError, open_device
 
 
 @pytest.fixture(scope="session")

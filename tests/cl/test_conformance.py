@@ -3,8 +3,8 @@
 import pytest
 
 from conformance.judge import Judge, Tier
-from conformance.runner import run_suite
-from stss.port import OpenCLPort
+from conformance.run_suite import run_suite
+from stss.conform.own_ports import OpenCLPort
 
 
 @pytest.mark.parametrize("precision", ["float32", "float32-direct", "half"])

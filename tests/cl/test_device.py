@@ -10,10 +10,10 @@ import numpy as np
 import pyopencl as cl
 import pytest
 
-from stss_cl import caches, program
-from stss_cl import device as devices
-from stss_cl.device import DeviceError, matching, named, open_device
-from stss_cl.program import build
+from stss_cl.device import caches, program
+from stss_cl.device import discovery as devices
+from stss_cl.device.discovery import DeviceError, matching, named, open_device
+from stss_cl.device.program import build
 
 DEMO = "kernel void three(global float *out) { out[get_global_id(0)] = THREE; }\n"
 
@@ -205,7 +205,7 @@ def test_spawn_works(device, tmp_path, monkeypatch):
     monkeypatch.setenv("STSS_DEVICE", device.name)
     script = (
         "import multiprocessing as m\n"
-        "from stss_cl.device import open_device\n"
+        "from stss_cl.device.discovery import open_device\n"
         "def name(_):\n"
         "    return open_device().name\n"
         "if __name__ == '__main__':\n"
@@ -293,8 +293,10 @@ def test_without_a_home_the_cache_is_temporary(tmp_path, monkeypatch):
     assert caches.private("pocl").is_dir()
 
 
-OPEN = "import os; from stss_cl.device import open_device as o; d = o(); print(d.name, os.environ.get('POCL_CACHE_DIR'))"
-BUILD = f"{OPEN}; from stss_cl.program import build as b; b(d, 'selftest.cl')"
+OPEN = (
+    "import os; from stss_cl.device.discovery import open_device as o; d = o(); print(d.name, os.environ.get('POCL_CACHE_DIR'))"
+)
+BUILD = f"{OPEN}; from stss_cl.device.program import build as b; b(d, 'selftest.cl')"
 
 
 def test_compiled_kernels_lie_in_the_private_cache(device, cache_home):

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from conformance.strategies import SEEDS, motions, sizes
+from conformance.cases.planes import SEEDS, motions, sizes
 from conformance.tolerance import ratio
 from stss_cl import Frame
 from stss_cl.frame import run_stage
-from stss_cl.network import PRECISIONS
+from stss_cl.network.network import PRECISIONS
 from stss_ref.arrays import ArrayError
 from stss_ref.frame import FrameInputs, frame
 from stss_ref.weights import random as random_weights

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conformance.strategies import SEEDS, frames, masks, motions, sizes
-from stss_cl.buffers import read
-from stss_cl.image_stages import ImageStages
-from stss_cl.prepare import Prepare
+from conformance.cases.planes import SEEDS, frames, masks, motions, sizes
+from stss_cl.device.buffers import read
+from stss_cl.image_space.prepare import Prepare
+from stss_cl.image_space.stages import ImageStages
 from stss_ref.arrays import ArrayError
 from stss_ref.frame import FrameInputs, prepare
 from stss_ref.holes import holes

@@ -163,7 +163,7 @@ def on_device(device, random, shape):
 
 
 def run_network(device, precision, height, width):
-    from stss_cl.network import Network
+    from stss_cl.network.network import Network
     from stss_ref.weights import random as random_weights
 
     random = np.random.default_rng(0)
@@ -176,8 +176,8 @@ def run_network(device, precision, height, width):
 
 def run_frame(device, height, width):
     """Up to the network, whose buffers it writes, in strips of eight rows; pixel by pixel, and eight at once."""
-    from stss_cl.buffers import inputs_for, read
-    from stss_cl.prepare import Prepare
+    from stss_cl.device.buffers import inputs_for, read
+    from stss_cl.image_space.prepare import Prepare
 
     size, columns = (height, width), -(-width // 8) * 8
     for steps, gather in zip(STEPS, ("longest", "nearest", "bilinear"), strict=True):
@@ -204,9 +204,9 @@ def run_frame(device, height, width):
 
 def run_stream(device, precision):
     """Two extrapolated frames; before the second a corner of the picture changed, and something moves."""
-    from stss.prepared import Prepared
-    from stss.supersample import plan
-    from stss_cl.stream import Stream
+    from stss.frames.display_frame import Prepared
+    from stss.frames.supersample import plan
+    from stss_cl.skip.stream import Stream
     from stss_ref.weights import random as random_weights
 
     random, size = np.random.default_rng(4), (5, 18)
@@ -231,9 +231,9 @@ def run_stream(device, precision):
 
 def run_plain(device, precision):
     """A frame that is flat but for one corner."""
-    from stss_cl.buffers import Outgoing
-    from stss_cl.layers import Layers
-    from stss_cl.plain import Plain
+    from stss_cl.device.buffers import Outgoing
+    from stss_cl.network.layers import Layers
+    from stss_cl.skip.flat_tiles import Plain
     from stss_ref.weights import random as random_weights
 
     random, size = np.random.default_rng(6), (33, 46)
@@ -255,7 +255,7 @@ def run_plain(device, precision):
 
 
 def run_stages(device, height, width):
-    from stss_cl.image_stages import ImageStages
+    from stss_cl.image_space.stages import ImageStages
 
     random = np.random.default_rng(2)
     size = height, width
@@ -272,8 +272,8 @@ def run_stages(device, height, width):
 
 
 def run_selftest(device):
-    from stss import selftest
-    from stss_cl.program import build
+    from stss.devices import selftest
+    from stss_cl.device.program import build
 
     selftest.COUNT = 37
     for check in (selftest.arithmetic, selftest.vectors, selftest.groups, selftest.nearest):
@@ -296,7 +296,7 @@ def run_fault(device, body):
 
 
 def main(case):
-    from stss_cl.device import open_device
+    from stss_cl.device.discovery import open_device
 
     device = open_device("Oclgrind")
     fill_new_buffers(device, 255 if "STSS_TEST_ONES" in os.environ else 0)

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from conformance.strategies import SEEDS, sizes
+from conformance.cases.planes import SEEDS, sizes
 from conformance.tolerance import ratio, sum_bound, worst
-from stss_cl.buffers import padded, read, write
-from stss_cl.launch import conv
-from stss_cl.layers import Layers
-from stss_cl.network import PRECISIONS, Network, run_stage
-from stss_cl.packing import EVERY_SECOND, POINTS, pack, winograd_matrix
+from stss_cl.device.buffers import padded, read, write
+from stss_cl.network.launch import conv
+from stss_cl.network.layers import Layers
+from stss_cl.network.network import PRECISIONS, Network, run_stage
+from stss_cl.network.pack_weights import EVERY_SECOND, POINTS, pack, winograd_matrix
 from stss_ref import conv as reference
 from stss_ref.arrays import ArrayError
 from stss_ref.decoder import decoder

@@ -14,13 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyopencl import Program
 
-from stss.prepared import Prepared
-from stss.supersample import plan
-from stss_cl import program
-from stss_cl import stream as streaming
-from stss_cl.arrivals import Arrivals
-from stss_cl.network import PRECISIONS
-from stss_cl.stream import Stream
+from stss.frames.display_frame import Prepared
+from stss.frames.supersample import plan
+from stss_cl.device import program
+from stss_cl.network.network import PRECISIONS
+from stss_cl.skip import stream as streaming
+from stss_cl.skip.stream import Stream
+from stss_cl.skip.uploaded_frames import Arrivals
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import random as random_weights
 
@@ -269,7 +269,8 @@ def test_a_change_that_is_not_seen_would_show(device, monkeypatch):
         window = frames[max(0, i - 5) : i + 1]
         keeping(window, plan(window).steps)
     monkeypatch.setattr(
-        "stss_cl.arrivals.Arrivals.color_changed", lambda self, now, before: np.zeros((-(-16 // 4), -(-24 // 4)), np.bool_)
+        "stss_cl.skip.uploaded_frames.Arrivals.color_changed",
+        lambda self, now, before: np.zeros((-(-16 // 4), -(-24 // 4)), np.bool_),
     )
     with pytest.raises(AssertionError):
         assert_same(keeping(frames[3:9], (0, 2, 4)), plain(frames[3:9], (0, 2, 4)))

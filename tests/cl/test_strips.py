@@ -8,15 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stss_cl import buffers, chain
-from stss_cl.chain import dtype_of
-from stss_cl.changes import kept_bytes
+from stss_cl.device import buffers
+from stss_cl.device.tuning import tuning_for
 from stss_cl.errors import DeviceError
 from stss_cl.frame import Frame
-from stss_cl.layers import Layers
-from stss_cl.network import PRECISIONS, Network
-from stss_cl.strips import OVERLAP, STEP, bytes_for, rows_within, strips
-from stss_cl.tuning import tuning_for
+from stss_cl.network import layer_builder as chain
+from stss_cl.network.layer_builder import dtype_of
+from stss_cl.network.layers import Layers
+from stss_cl.network.network import PRECISIONS, Network
+from stss_cl.network.strips import OVERLAP, STEP, bytes_for, rows_within, strips
+from stss_cl.skip.changed_tiles import kept_bytes
 from stss_ref.frame import FrameInputs
 from stss_ref.frame import frame as reference_frame
 from stss_ref.weights import LAYERS

@@ -8,11 +8,25 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from stss import trials, tune
-from stss.trials import SHAPES, Trials, direct_candidates, winograd_candidates
-from stss_cl import tuning
-from stss_cl.device import DeviceError
-from stss_cl.tuning import OUTPUTS, Direct, Strip, Tuning, Winograd, built_in, keep, kept, kept_path, to_toml, trial, tuning_for
+from stss.devices import tile_timing as trials
+from stss.devices import tune
+from stss.devices.tile_timing import SHAPES, Trials, direct_candidates, winograd_candidates
+from stss_cl.device import tuning
+from stss_cl.device.discovery import DeviceError
+from stss_cl.device.tuning import (
+    OUTPUTS,
+    Direct,
+    Strip,
+    Tuning,
+    Winograd,
+    built_in,
+    keep,
+    kept,
+    kept_path,
+    to_toml,
+    trial,
+    tuning_for,
+)
 
 
 @pytest.fixture(autouse=True)

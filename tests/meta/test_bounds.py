@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from conformance.tolerance import BOUNDS
-from tests.meta.arithmetics import cook_toom
+from tests.meta.right_ports import cook_toom
 
 
 def amplification(outputs, points):

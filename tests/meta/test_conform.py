@@ -12,19 +12,19 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from conformance.expected import Expected, largest
+from conformance.answers.expected import Expected, largest
 from conformance.judge import DepartureError, Judge, Tier
-from conformance.runner import run_suite
-from stss.cli import stss
-from stss.conform import load_port
+from conformance.run_suite import run_suite
+from stss.cli.main import stss
+from stss.conform.failures import load_port
+from stss.conform.own_ports import ReferencePort
 from stss.errors import InputError
-from stss.images import read_rgb
-from stss.port import ReferencePort
+from stss.images.read_write import read_rgb
 from tests.meta.mutants import find
 
 EXAMPLE = Path(__file__).parents[2] / "conformance" / "examples" / "cpp"
 WRONG = """
-from stss.port import ReferencePort
+from stss.conform.own_ports import ReferencePort
 
 class Port(ReferencePort):
     name = "wrong"

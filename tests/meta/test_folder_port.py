@@ -6,9 +6,9 @@ import time
 import numpy as np
 import pytest
 
-from conformance.folder_port import FolderPort
-from conformance.port import Case, PortError
-from conformance.stages import reference
+from conformance.protocol.port import Case, PortError
+from conformance.protocol.program_port import FolderPort
+from conformance.protocol.stages import reference
 from stss_ref.arrays import ArrayError
 
 PROGRAM = """

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from conformance.stages import STAGES, check_inputs, check_outputs, reference
+from conformance.protocol.stages import STAGES, check_inputs, check_outputs, reference
 from tests.meta import mutants
 from tests.meta.mutants import MUTANTS, find, of_stage, samples
 from tests.meta.variants import PACKAGE, VariantError, departs, load

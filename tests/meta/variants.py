@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Copies of the reference with changed source, as ports: planted faults, and correct ports with other arithmetic.
 
-A copy is all of `stss_ref` and, on top of it, ``conformance/stages.py``, under another package name. It is made in memory, and no
+A copy is all of `stss_ref` and, on top of it, ``conformance/protocol/stages.py``, under another package name. It is made in memory, and no
 trace of it is left in ``sys.modules``; it runs in the dtype of its inputs, so as a port in float32.
 """
 
@@ -21,8 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from conformance.port import AnyArray, Arrays, Outputs
-from conformance.stages import STAGES
+from conformance.protocol.port import AnyArray, Arrays, Outputs
+from conformance.protocol.stages import STAGES
 from conformance.tolerance import ratio
 from stss_ref.weights import Weights
 
@@ -77,7 +77,7 @@ def fault(stage: str, name: str, what: str, *change: str, more: Sequence[Change]
 
 
 class Variant:
-    """A copy as a port (`conformance.port.Port`).
+    """A copy as a port (`conformance.protocol.port.Port`).
 
     Attributes:
         name: stands in reports.
@@ -108,7 +108,7 @@ class Variant:
         return frozenset(STAGES)
 
     def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
-        """See `conformance.port.Port`. A wrong number is no warning: other languages give none."""
+        """See `conformance.protocol.port.Port`. A wrong number is no warning: other languages give none."""
         if (entry := self._entry) is not None:
             inputs = {name: entry(array) if array.dtype.kind == "f" else array for name, array in inputs.items()}
             weights = None if weights is None else {name: entry(tensor) for name, tensor in weights.items()}

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conformance.strategies import SEEDS, motions, sizes
+from conformance.cases.planes import SEEDS, motions, sizes
 from stss_ref.arrays import ArrayError
 from stss_ref.conv import sigmoid
 from stss_ref.frame import FrameInputs, frame, prepare

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from conformance.strategies import SEEDS, frames, masks, motions, sizes
+from conformance.cases.planes import SEEDS, frames, masks, motions, sizes
 from stss_ref.arrays import ArrayError
 from stss_ref.depth import normalise_depth
 from stss_ref.holes import HoleLimits, holes

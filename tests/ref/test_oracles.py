@@ -6,7 +6,7 @@ import scipy.ndimage
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conformance.strategies import SEEDS, frames, motions, sizes
+from conformance.cases.planes import SEEDS, frames, motions, sizes
 from conformance.tolerance import ratio, sum_bound, worst
 from stss_ref.conv import conv
 from stss_ref.erm import attend, erm

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from conformance.arithmetic import Arithmetic
-from conformance.expect_network import expect_with_weights
+from conformance.answers.network import expect_with_weights
+from conformance.answers.port_arithmetic import Arithmetic
 from conformance.tolerance import ratio, sum_bound
 from stss_ref.loss import loss as reference_loss
 from stss_ref.weights import TENSORS, reads_history, zeros

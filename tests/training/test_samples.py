@@ -7,8 +7,8 @@ import pytest
 
 from conformance.scenes import SCENES
 from stss.errors import InputError
-from stss.prepared import OnArrays, prepare
-from stss.supersample import supersample
+from stss.frames.display_frame import OnArrays, prepare
+from stss.frames.supersample import supersample
 from stss_ref.frame import NetworkInputs
 from stss_ref.resample import upsample_centres
 from stss_ref.schedule import FrameKind

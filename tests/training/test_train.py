@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stss.errors import InputError
-from stss.weights import load
+from stss.weights.file import load
 from stss_ref.schedule import FrameKind
 from stss_ref.weights import reads_history
 from training.samples import Sample, write
@@ -131,7 +131,7 @@ def test_bfloat16_on_the_cpu_trains_too(data):
 
 
 def test_the_average_of_runs(tmp_path):
-    from stss.weights import save
+    from stss.weights.file import save
     from stss_ref.weights import random
     from training.average import main as average
 

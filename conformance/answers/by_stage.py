@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: MIT
+"""What each stage's port may answer: one function per stage, by its name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from numpy.typing import NDArray
+
+from conformance.answers.expected import Expected
+from conformance.answers.holes import expect_holes
+from conformance.answers.motion_chain import expect_motion_chain
+from conformance.answers.network import expect_with_weights, undecided_before
+from conformance.answers.occlusion_warp import expect_occlusion_warp
+from conformance.answers.port_arithmetic import Arithmetic
+from conformance.answers.warp import expect_rrm, expect_warp
+from conformance.protocol.port import Outputs
+from conformance.protocol.stages import STAGES
+from stss_ref.weights import Weights
+
+IMAGE_SPACE: dict[str, Callable[[dict[str, NDArray[Any]], Arithmetic], dict[str, Expected]]] = {
+    "motion_chain": expect_motion_chain,
+    "warp": expect_warp,
+    "holes": expect_holes,
+    "rrm": expect_rrm,
+}
+
+
+def expect(
+    stage: str, inputs: dict[str, NDArray[Any]], weights: Weights | None, arithmetic: Arithmetic, got: Outputs
+) -> dict[str, Expected]:
+    """What is right for a case.
+
+    Args:
+        stage: its name.
+        inputs: float64, of numbers that the port holds.
+        weights: as the port was given them.
+        arithmetic: of the port.
+        got: what the port answered: what it read by one output it must have done in another.
+
+    Returns:
+        By output; empty where rounding decides on the whole answer, so that nothing can be said.
+    """
+    if stage in IMAGE_SPACE:
+        return IMAGE_SPACE[stage](inputs, arithmetic)
+    if stage == "occlusion_warp":
+        return expect_occlusion_warp(inputs, arithmetic, got)
+    if stage == "frame" and undecided_before(inputs, arithmetic):
+        return {}
+    assert STAGES[stage].weights
+    assert weights is not None
+    return expect_with_weights(stage, inputs, weights, arithmetic)

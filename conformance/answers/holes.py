@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: MIT
+"""Stage holes: each of its comparisons as surely true, surely false, or within rounding of its threshold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conformance.answers.expected import Expected, mask
+from conformance.answers.port_arithmetic import Arithmetic, Reach, reach
+from conformance.answers.warp import interpolated, peaks, within_frame
+from conformance.tolerance import BOUNDS
+from stss_ref.holes import HoleLimits, holes
+from stss_ref.sample import taps
+
+Bool = NDArray[np.bool_]
+Float64 = NDArray[np.float64]
+LIMITS = HoleLimits()
+SMALL = 2.0**-62
+"""Squares of smaller numbers may be lost in float32."""
+
+
+@dataclass(frozen=True)
+class Maybe:
+    """A condition: where it surely holds, and where it may."""
+
+    sure: Bool
+    possible: Bool
+
+    def __and__(self, other: Maybe) -> Maybe:
+        return Maybe(self.sure & other.sure, self.possible & other.possible)
+
+    def __or__(self, other: Maybe) -> Maybe:
+        return Maybe(self.sure | other.sure, self.possible | other.possible)
+
+    def __invert__(self) -> Maybe:
+        return Maybe(~self.possible, ~self.sure)
+
+
+def expect_holes(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic, off: Float64 | float = 0.0) -> dict[str, Expected]:
+    """The mask of the float64 reference; either answer where a test that matters comes within rounding of its threshold.
+
+    Args:
+        inputs: of the stage, float64.
+        arithmetic: of the port.
+        off: (H, W, 2) how far its motion may be off.
+    """
+    at = reach(inputs["motion"], arithmetic, off)
+    inside, edge = within_frame(at)
+    outside = Maybe(~inside & ~edge, ~inside | edge)
+    with np.errstate(invalid="ignore", over="ignore"):
+        s, s_off = _read(inputs["stencil_previous"][..., None], at, arithmetic)
+        s, s_off = s[..., 0], s_off[..., 0]
+        standing = _is_zero(inputs["stencil_previous"], s, s_off, at)
+        static = standing & _too_far(inputs, at, arithmetic)
+        moving = ~standing & _turned(inputs, at, arithmetic)
+        difference = 3 * np.abs(s - inputs["stencil"])
+        mesh = _exceeds(difference, 3 * s_off + 4 * arithmetic.unit * difference, LIMITS.mesh)
+    hole = outside | static | moving | mesh
+    return {"valid": mask(holes(**inputs, limits=None), hole.possible & ~hole.sure)}
+
+
+def _exceeds(value: Float64, off: Float64, threshold: Float64 | float) -> Maybe:
+    return Maybe(value - off > threshold, ~(value + off <= threshold))
+
+
+def _read(image: Float64, at: Reach, arithmetic: Arithmetic) -> tuple[Float64, Float64]:
+    return interpolated(image, at, arithmetic)
+
+
+def _is_zero(stencil: Float64, s: Float64, s_off: Float64, at: Reach) -> Maybe:
+    """Warped stencil == 0: surely where every pixel that counts is 0."""
+    own, around = peaks(stencil[..., None], at)
+    peak = np.where(at.unsure, around[0][..., 0], own[..., 0])
+    return Maybe(peak == 0, np.abs(s) <= s_off)
+
+
+def _too_far(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic) -> Maybe:
+    """Largest distance to the four taps against the bias; all four count, whatever their weight."""
+    unit = arithmetic.unit
+    facing, depth = np.abs(inputs["nov"]), inputs["depth"]
+    bias = LIMITS.facing * facing + LIMITS.grazing * (1 - facing) + LIMITS.depth * depth
+    size = LIMITS.facing * facing + LIMITS.grazing * np.abs(1 - facing) + LIMITS.depth * np.abs(depth)
+    off = BOUNDS["bias"].roundings * unit * (size + LIMITS.grazing * facing)
+    cell, previous, position = taps(at.x, at.y), inputs["position_previous"], inputs["position"]
+    own = _distance([previous[j, i] for j in (cell.y0, cell.y1) for i in (cell.x0, cell.x1)], position)
+    height, width = facing.shape
+    around = [
+        previous[np.clip(cell.y0 + j, 0, height - 1), np.clip(cell.x0 + i, 0, width - 1)]
+        for j in range(-1, 3)
+        for i in range(-1, 3)
+    ]
+    highest = np.where(at.unsure, _distance(around, position), own)
+    lowest = np.where(at.unsure, 0, own)
+    wrong = BOUNDS["length"].roundings * unit
+    # A distance that is no number is a hole.
+    return Maybe(~(lowest * (1 - wrong) <= bias + off), ~(highest * (1 + wrong) <= bias - off))
+
+
+def _distance(previous: list[Float64], position: Float64) -> Float64:
+    offsets = np.stack(previous) - position
+    return np.sqrt((offsets * offsets).sum(axis=-1)).max(axis=0)
+
+
+def _turned(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic) -> Maybe:
+    """Cos < 0.98 on a surface, that is, where either normal has a length."""
+    unit, normal = arithmetic.unit, inputs["normal"]
+    n, n_off = _read(inputs["normal_previous"], at, arithmetic)
+    length = np.sqrt((n * n).sum(axis=-1))
+    length_off = np.sqrt((n_off * n_off).sum(axis=-1)) + BOUNDS["length"].roundings * unit * length + SMALL
+    dot = (normal * n).sum(axis=-1)
+    dot_off = (np.abs(normal) * n_off).sum(axis=-1) + BOUNDS["dot"].roundings * unit * np.abs(normal * n).sum(axis=-1)
+    divisor = length + 1e-5
+    cosine = dot / divisor
+    least = np.maximum(divisor - length_off, 1e-5 * (1 - 4 * unit))
+    off = (dot_off + np.abs(cosine) * (length_off + 4 * unit * divisor)) / least + arithmetic.tiny
+    reverse = _exceeds(-cosine, off, -LIMITS.cosine)
+    own, around = peaks(inputs["normal_previous"], at)
+    size = np.maximum(np.where(at.unsure[..., None], around[0], own), np.abs(normal)).max(axis=-1)
+    sure = (np.maximum(length - length_off, 0) > SMALL) | (np.abs(normal).max(axis=-1) >= arithmetic.tiny)
+    return reverse & Maybe(sure, size > 0)

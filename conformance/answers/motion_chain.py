@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: MIT
+"""Stage motion_chain: the right answers, where a step's rounding decides which motion is read included."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conformance.answers.expected import Expected
+from conformance.answers.port_arithmetic import Arithmetic, position_error, reach, sum_error
+from conformance.tolerance import BOUNDS
+from stss_ref.motion_chain import gather_longest
+
+MOST_ANSWERS = 32
+"""A pixel with more right answers than this is not judged."""
+SMALL = 2.0**-62
+"""Shorter motions than this have squares that float32 may lose: they may count as still."""
+FLOAT32_MAX = float(np.finfo(np.float32).max)
+
+
+def expect_motion_chain(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic) -> dict[str, Expected]:
+    """The chain in float64, and the other answers of pixels that come within rounding of a pixel's edge or of a tie."""
+    motions = inputs["motions"]
+    chained, off = motions[0], np.zeros_like(motions[0])
+    unsure = np.zeros(chained.shape[:2], bool)
+    for earlier in motions[1:]:
+        at = reach(chained, arithmetic, off)
+        unsure |= at.finite & (at.unsure | _tied(earlier, chained))
+        with np.errstate(invalid="ignore"):
+            chained = chained + gather_longest(earlier, chained)
+            off = np.where(np.isfinite(chained), off + sum_error(chained, off, arithmetic), 0)
+    answers = {(int(y), int(x)): _answers(motions, int(y), int(x), arithmetic) for y, x in np.argwhere(unsure)}
+    want, others = chained.copy(), [chained.copy() for _ in range(max((len(a) for a in answers.values()), default=1) - 1)]
+    for pixel, found in answers.items():
+        want[pixel] = found[0][0]
+        off[pixel] = np.max([wrong for _, wrong in found], axis=0)
+        for i, other in enumerate(others):
+            other[pixel] = found[min(i + 1, len(found) - 1)][0]
+    return {"motion": Expected(want, off + arithmetic.tiny, tuple(others), vectors=True)}
+
+
+def _tied(earlier: NDArray[Any], chained: NDArray[Any]) -> NDArray[np.bool_]:
+    """Where two different ones of the four motions are so alike in length that arithmetic may decide, or hardly differ from 0."""
+    height, width, _ = chained.shape
+    padded = np.pad(earlier, ((2, 3), (2, 3), (0, 0)))
+    y, x = np.indices((height, width))
+    with np.errstate(invalid="ignore"):
+        position = np.nan_to_num(chained, nan=-1e9, posinf=1e9, neginf=-1e9) + np.stack([x, y], axis=-1)
+    corner = np.trunc(np.clip(position, -2, [width + 1, height + 1])).astype(int) + 2
+    four = np.stack([padded[corner[..., 1] + j, corner[..., 0] + i] for j in (0, 1) for i in (0, 1)])
+    lengths = _lengths(four)
+    with np.errstate(invalid="ignore"):
+        near = (lengths >= lengths.max(axis=0) * (1 - _margin())) | (lengths == lengths.max(axis=0))
+    alike = (four == np.take_along_axis(four, lengths.argmax(axis=0)[None, ..., None], axis=0)).all(axis=-1)
+    size = np.abs(four).max(axis=-1)
+    return (near & ~alike).any(axis=0) | ((size > 0) & (size < SMALL)).any(axis=0)
+
+
+def _margin() -> float:
+    return BOUNDS["length"].roundings * 2.0**-24
+
+
+def _lengths(vectors: NDArray[Any]) -> NDArray[np.float64]:
+    """Squared, with float32's range: beyond it all are equally long."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        squared = (vectors * vectors).sum(axis=-1)
+    return np.where(np.isfinite(vectors).all(axis=-1) & (squared <= FLOAT32_MAX), squared, np.inf)
+
+
+Answer = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""A chained motion, and how far it may be off."""
+
+
+def _answers(motions: NDArray[Any], y: int, x: int, arithmetic: Arithmetic) -> list[Answer]:
+    """All that pixel (y, x) may come to."""
+    ways: list[Answer] = [(motions[0, y, x], np.zeros(2))]
+    for earlier in motions[1:]:
+        further: dict[bytes, Answer] = {}
+        for chained, off in ways:
+            for step in _steps(earlier, (x, y), chained, off, arithmetic):
+                with np.errstate(invalid="ignore"):
+                    total = chained + step
+                    wrong = np.where(np.isfinite(total), off + sum_error(total, off, arithmetic), 0)
+                further[total.tobytes()] = (total, wrong)
+        ways = list(further.values())[:MOST_ANSWERS]
+    return ways
+
+
+def _steps(
+    earlier: NDArray[Any], pixel: tuple[int, int], chained: NDArray[Any], off: NDArray[Any], arithmetic: Arithmetic
+) -> list[NDArray[np.float64]]:
+    """Which motions one step may read."""
+    height, width, _ = earlier.shape
+    at = np.asarray(pixel, np.float64) + chained
+    if not np.isfinite(chained).all() or (at <= -2).any() or at[0] >= width + 1 or at[1] >= height + 1:
+        return [np.zeros(2)]
+    wrong = off + position_error(at, off, arithmetic)
+    columns, rows = ({int(np.trunc(c - e)), int(np.trunc(c)), int(np.trunc(c + e))} for c, e in zip(at, wrong, strict=True))
+    return [step for row in sorted(rows) for column in sorted(columns) for step in _longest(earlier, row, column, arithmetic)]
+
+
+def _longest(earlier: NDArray[Any], row: int, column: int, arithmetic: Arithmetic) -> list[NDArray[np.float64]]:
+    """Which of the four motions at a corner may be taken for the longest."""
+    height, width, _ = earlier.shape
+    places = [(row + j, column + i) for j in (0, 1) for i in (0, 1)]
+    four = np.array([earlier[p] if 0 <= p[0] < height and 0 <= p[1] < width else (0.0, 0.0) for p in places])
+    size = np.abs(four).max(axis=-1)
+    if (size == 0).any():
+        return [np.zeros(2)]
+    lengths = _lengths(four)
+    first = int(lengths.argmax())
+    found = [four[first]]
+    for i in range(4):
+        alike = (np.abs(four[i]) == np.abs(four[first])).all() or lengths[i] == np.inf == lengths[first]
+        if (
+            not alike
+            and lengths[i] >= lengths[first] * (1 - _margin())
+            and not _surely_shorter(four, lengths, i, first, arithmetic)
+        ):
+            found.append(four[i])
+    return [*found, np.zeros(2)] if ((size > 0) & (size < SMALL)).any() else found
+
+
+def _surely_shorter(four: NDArray[Any], lengths: NDArray[Any], i: int, first: int, arithmetic: Arithmetic) -> bool:
+    """Squares that float32 holds leave nothing to rounding: the first of them is taken, or the longer one."""
+    squares = four[[i, first]] ** 2
+    exact = Arithmetic("float32").holds(squares).all() and Arithmetic("float32").holds(lengths[[i, first]]).all()
+    return bool(exact) and (lengths[i] < lengths[first] or i > first)

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: MIT
+"""The network's stages: how far rounding may carry a port, found by changing the weights of the float64 reference.
+
+What a port computes for a layer is, whatever the order of its sums, the exact layer of weights each changed by at most gamma_n
+relative (backward error; Higham, Accuracy and Stability, section 3.1). So the reference is run again with weights changed at random
+by that much, and the root mean square of what its outputs then do, times the row ``spread``, is what a port may be off by. It
+grows with data, weights and depth exactly as rounding does, and needs no constant for any of them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conformance.answers.expected import Expected
+from conformance.answers.holes import expect_holes
+from conformance.answers.motion_chain import expect_motion_chain
+from conformance.answers.occlusion_warp import expect_occlusion_warp
+from conformance.answers.port_arithmetic import Arithmetic
+from conformance.protocol.stages import STAGES
+from conformance.tolerance import BOUNDS, UNIT
+from stss_ref.weights import Weights, astype
+
+OPEN = 100.0
+"""A gate's bias at which its sigmoid is 1."""
+TAIL = 4.0
+"""The largest of many normal deviations, in rms; where gates nearly close, a few deviate more, and count instead."""
+RUNS = 3
+"""Of changed weights; every number of every output is a sample."""
+
+
+def expect_with_weights(
+    stage: str, inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: Arithmetic
+) -> dict[str, Expected]:
+    """Truth and allowed error of a stage that takes weights.
+
+    Args:
+        stage: its name.
+        inputs: float64.
+        weights: float32.
+        arithmetic: of the port.
+    """
+    compute = STAGES[stage].compute
+    exact = astype(weights, np.dtype(np.float64))
+    truth = compute(inputs, exact)
+    random = np.random.default_rng(0)
+    runs = [compute(inputs, _changed(exact, arithmetic, random)) for _ in range(RUNS)]
+    opened = compute(inputs, _opened(exact))
+    expected: dict[str, Expected] = {}
+    for name, want in truth.items():
+        moved = np.abs([run[name] - want for run in runs])
+        spread = max(float(np.sqrt(np.mean(moved * moved))), float(moved.max(initial=0)) / TAIL)
+        ungated = BOUNDS["gate"].roundings * arithmetic.unit * np.abs(opened[name]).max(initial=0)
+        floor = ungated + BOUNDS["image"].roundings * (arithmetic.unit * np.abs(want).max(initial=0) + arithmetic.tiny)
+        expected[name] = Expected(want, float(BOUNDS["spread"].roundings * spread + floor))
+    return expected
+
+
+def layer_change(terms: int, arithmetic: Arithmetic) -> float:
+    """Largest relative change of a layer's weights that stands for its rounding: gamma_n, and what is stored in between.
+
+    Args:
+        terms: products in one sum.
+        arithmetic: of the port.
+    """
+    change = (terms + BOUNDS["layer"].roundings) * UNIT["float32"]
+    if arithmetic.winograd:
+        change *= BOUNDS["layer.winograd"].roundings
+    if arithmetic.dtype == "float16":
+        change += BOUNDS["layer.float16"].roundings * arithmetic.unit
+    return change
+
+
+def _changed(weights: Weights, arithmetic: Arithmetic, random: np.random.Generator) -> Weights:
+    changed: Weights = {}
+    for name, tensor in weights.items():
+        layer = weights[name.replace(".bias", ".weight")]
+        size = layer_change(int(np.prod(layer.shape[1:])), arithmetic)
+        # Winograd mixes the taps of a window, so that one of them bears the others' roundings.
+        scale = np.abs(tensor).max(axis=(2, 3), keepdims=True) if arithmetic.winograd and tensor.ndim == 4 else tensor
+        changed[name] = tensor + scale * size * random.uniform(-1, 1, tensor.shape)
+        if name.endswith(".bias"):
+            changed[name] += arithmetic.spacing * random.uniform(-1, 1, tensor.shape)
+    return changed
+
+
+def _opened(weights: Weights) -> Weights:
+    """All gates open: what a gate's own rounding multiplies, be it as good as closed."""
+    gates = {name: tensor * 0 + (OPEN if name.endswith("bias") else 0) for name, tensor in weights.items() if "conv_mask" in name}
+    return {**weights, **gates}
+
+
+def undecided_before(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic) -> int:
+    """Of stage ``frame``: how many decisions before the network (motion, holes, splat) come within rounding of their threshold.
+
+    One of them may change the whole image, so a frame that has any is not judged; it is counted.
+    """
+    steps = [int(step) for step in inputs["steps"]]
+    count = 0
+    for i, step in enumerate(steps):
+        if step == 0:
+            continue
+        chain = expect_motion_chain({"motions": inputs["motions"][:step]}, arithmetic)["motion"]
+        motion, allowed = chain.want, np.asarray(chain.allowed)
+        off = np.where(allowed > arithmetic.tiny, allowed, 0)
+        planes = {
+            "stencil_previous": inputs["stencils"][i + 1], "stencil": inputs["stencils"][0],
+            "normal_previous": inputs["normals"][i + 1], "normal": inputs["normals"][0],
+            "position_previous": inputs["positions"][i + 1], "position": inputs["positions"][0],
+            "nov": inputs["nov"], "depth": inputs["gbuffer"][..., 3],
+        }  # fmt: skip
+        valid = expect_holes({"motion": motion, **planes}, arithmetic, off)["valid"]
+        count += chain.undecided + valid.undecided
+        if i == 0:
+            color = inputs["colors"][0]
+            given = {"color": color, "warped": color, "motion": motion, "depth": inputs["gbuffer"][..., 3], "valid": valid.want}
+            count += expect_occlusion_warp(given, arithmetic, off=off)["occlusion_motion"].undecided
+    return count

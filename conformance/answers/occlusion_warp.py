@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: MIT
+"""Stage occlusion_warp: which motion may have been splatted where, and what is read by it."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conformance.answers.expected import Expected
+from conformance.answers.port_arithmetic import Arithmetic, Reach, reach
+from conformance.answers.warp import interpolated
+from stss_ref.occlusion_warp import FARTHEST
+
+Cell = tuple[int, int]
+Key = tuple[float, int]
+NOBODY: Key = (np.inf, -1)
+
+
+def expect_occlusion_warp(
+    inputs: dict[str, NDArray[Any]],
+    arithmetic: Arithmetic,
+    got: dict[str, NDArray[Any]] | None = None,
+    off: NDArray[np.float64] | float = 0.0,
+) -> dict[str, Expected]:
+    """The splat's map looked up, which copies motions and so is exact; and the colour, read by the port's own motion.
+
+    Args:
+        inputs: of the stage, float64.
+        arithmetic: of the port.
+        got: the port's outputs; None: the truth's motion is read by.
+        off: (H, W, 2) how far its motion may be off.
+    """
+    motion = inputs["motion"]
+    at = reach(motion, arithmetic, off)
+    definite, maybe = _splats(at, inputs["depth"])
+    answers = _look_up(at, motion, definite, maybe)
+    most = max(len(found) for found in answers.values())
+    maps = [np.empty_like(motion) for _ in range(most)]
+    for pixel, found in answers.items():
+        for i, each in enumerate(maps):
+            each[pixel] = found[min(i, len(found) - 1)]
+    expected = Expected(maps[0], 0.0, tuple(maps[1:]), vectors=True)
+    by = maps[0] if got is None else got["occlusion_motion"].astype(np.float64)
+    valid = inputs["valid"].astype(bool)[..., None]
+    instead, allowed = interpolated(inputs["color"], reach(by, arithmetic), arithmetic)
+    warped = Expected(np.where(valid, inputs["warped"], instead), np.where(valid, arithmetic.flushed(inputs["warped"]), allowed))
+    return {"occlusion_motion": expected, "occlusion_warp": warped}
+
+
+def _floors(position: float, off: float, last: int) -> set[int]:
+    """Which whole pixel a position may be in; far outside is as good as just outside."""
+    return {int(np.clip(np.floor(p), -2, last + 2)) for p in (position - off, position, position + off)}
+
+
+def _splats(at: Reach, depth: NDArray[Any]) -> tuple[dict[Cell, Key], dict[Cell, list[Key]]]:
+    """For each pixel of the earlier frame: the nearest of those that surely write there, and all that may."""
+    height, width = depth.shape
+    definite: dict[Cell, Key] = defaultdict(lambda: NOBODY)
+    maybe: dict[Cell, list[Key]] = defaultdict(list)
+    for index, (y, x) in enumerate(np.ndindex(height, width)):
+        if not at.finite[y, x] or not depth[y, x] < FARTHEST:
+            continue
+        columns = _floors(float(at.x[y, x]), float(at.off_x[y, x]), width)
+        rows = _floors(float(at.y[y, x]), float(at.off_y[y, x]), height)
+        key = (float(depth[y, x]), index)
+        written = [{(r + j, c + i) for j in (0, 1) for i in (0, 1)} for r, c in product(rows, columns)]
+        for cell in set[Cell].union(*written):
+            if not (0 <= cell[0] < height and 0 <= cell[1] < width):
+                continue
+            if all(cell in way for way in written):
+                definite[cell] = min(definite[cell], key, key=_order)
+            else:
+                maybe[cell].append(key)
+    return definite, maybe
+
+
+def _order(key: Key) -> Key:
+    """Nearest first; 0 and -0 are the same depth."""
+    return key[0] + 0.0, key[1] if key[1] >= 0 else 2**62
+
+
+def _look_up(
+    at: Reach, motion: NDArray[Any], definite: dict[Cell, Key], maybe: dict[Cell, list[Key]]
+) -> dict[Cell, list[NDArray[np.float64]]]:
+    height, width, _ = motion.shape
+    flat = np.concatenate([motion.reshape(-1, 2), np.zeros((1, 2))])  # the last: nobody wrote
+    answers: dict[Cell, list[NDArray[np.float64]]] = {}
+    for y, x in np.ndindex(height, width):
+        columns = _floors(float(at.x[y, x]), float(at.off_x[y, x]), width)
+        rows = _floors(float(at.y[y, x]), float(at.off_y[y, x]), height)
+        found: dict[int, None] = {}
+        for r, c in product(sorted(rows), sorted(columns)):
+            cell = min(max(r, 0), height - 1), min(max(c, 0), width - 1)
+            best = definite[cell]
+            for key in (best, *(k for k in maybe.get(cell, ()) if _order(k) < _order(best))):
+                found[key[1]] = None
+        answers[y, x] = [flat[index] for index in found]
+    return answers

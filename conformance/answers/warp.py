@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: MIT
+"""Stages warp and rrm: the right answers of a port, and how interpolation may be off."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conformance.answers.expected import Expected, exact, mask
+from conformance.answers.port_arithmetic import Arithmetic, Reach, reach
+from conformance.tolerance import BOUNDS
+from stss_ref.rrm import rrm
+from stss_ref.sample import bilinear, taps
+
+Bool = NDArray[np.bool_]
+Float64 = NDArray[np.float64]
+
+
+def expect_warp(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic) -> dict[str, Expected]:
+    """Bilinear reading, and the mask of what lies in the frame."""
+    at = reach(inputs["motion"], arithmetic)
+    want, allowed = interpolated(inputs["color"], at, arithmetic)
+    inside, unsure = within_frame(at)
+    return {"warped": Expected(want, allowed), "inside": mask(inside, unsure)}
+
+
+def expect_rrm(inputs: dict[str, NDArray[Any]], _: Arithmetic) -> dict[str, Expected]:
+    """Nothing is computed."""
+    y, x, height, width = (int(n) for n in inputs["rectangle"])
+    return {"valid": exact(rrm(inputs["valid"], (y, x, height, width)).astype(np.uint8))}
+
+
+def interpolated(image: Float64, at: Reach, arithmetic: Arithmetic) -> tuple[Float64, Float64]:
+    """``image`` (H, W, C) read bilinearly, and what a port may be off by.
+
+    ``u (10 peak) + off contrast``: the lerps' own roundings, and the position's, which moves the result along a slope of at most
+    the contrast of the pixels around.
+    """
+    own, around = peaks(image, at)
+    peak = np.where(at.unsure[..., None], around[0], own)
+    off = (at.off_x + at.off_y)[..., None]
+    with np.errstate(invalid="ignore", over="ignore"):
+        allowed = BOUNDS["bilinear"].roundings * (arithmetic.unit * peak + arithmetic.tiny)
+        return bilinear(image, taps(at.x, at.y)).astype(np.float64), allowed + np.minimum(off, 1) * around[1]
+
+
+def peaks(image: Float64, at: Reach) -> tuple[Float64, tuple[Float64, Float64]]:
+    """Largest |value| of the taps that count; largest |value| and contrast of the 4 x 4 pixels around them: all (H, W, C)."""
+    height, width, _ = image.shape
+    cell = taps(at.x, at.y)
+    weights = ((1 - cell.fx) * (1 - cell.fy), cell.fx * (1 - cell.fy), (1 - cell.fx) * cell.fy, cell.fx * cell.fy)
+    places = ((cell.y0, cell.x0), (cell.y0, cell.x1), (cell.y1, cell.x0), (cell.y1, cell.x1))
+    own = np.max([np.where(w[..., None] > 0, np.abs(image[p]), 0) for w, p in zip(weights, places, strict=True)], axis=0)
+    rows = [np.clip(cell.y0 + i, 0, height - 1) for i in range(-1, 3)]
+    columns = [np.clip(cell.x0 + i, 0, width - 1) for i in range(-1, 3)]
+    near = np.stack([image[row, column] for row in rows for column in columns])
+    return own, (np.abs(near).max(axis=0), near.max(axis=0) - near.min(axis=0))
+
+
+def within_frame(at: Reach) -> tuple[Bool, Bool]:
+    """Whether the position lies in the frame, and where rounding may decide."""
+    height, width = at.x.shape
+    inside, unsure = at.finite.copy(), np.zeros_like(at.finite)
+    for position, off, last in ((at.x, at.off_x, width - 1), (at.y, at.off_y, height - 1)):
+        inside &= (position >= 0) & (position <= last)
+        unsure |= (off > 0) & ((np.abs(position) <= off) | (np.abs(position - last) <= off))
+    return inside, unsure & at.finite

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""What the suite asks: strategies for the inputs of every stage."""

@@ -1,0 +1,285 @@
+# SPDX-License-Identifier: MIT
+"""Hypothesis strategies for whole stages: all inputs of one, of one size, drawn to where ports go wrong."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from conformance.cases.planes import SEEDS, Size, colors, dyadic_motions, masks, motions, sizes
+from conformance.scenes import SCENES, Rendered, render
+from stss_ref.weights import TENSORS, Weights, random
+
+Inputs = dict[str, NDArray[Any]]
+WEIGHT_KINDS = ("random", "sparse", "large", "small keys", "faint keys")
+
+
+def multiples(largest: int = 24) -> st.SearchStrategy[Size]:
+    """(H, W) of multiples of 8."""
+    steps = st.integers(1, largest // 8).map(lambda n: 8 * n)
+    return st.tuples(steps, steps)
+
+
+@st.composite
+def chain_inputs(draw: st.DrawFn, largest: int = 16) -> Inputs:
+    """Stage motion_chain: one to five motions of the same or of different kinds."""
+    size = draw(sizes(largest))
+    count = draw(st.integers(1, 5))
+    if draw(st.booleans()):
+        # Short steps, none of them 0, that stay in the frame: the chain is followed to its end.
+        rng = np.random.default_rng(draw(SEEDS))
+        kinds = [draw(st.sampled_from(["whole", "half", "nearly", "any"])) for _ in range(count)]
+        return {"motions": np.stack([_short_steps(rng, size, kind) for kind in kinds])}
+    return {"motions": np.stack([draw(motions(size, broken=True)) for _ in range(count)])}
+
+
+def _short_steps(rng: np.random.Generator, size: Size, kind: str) -> NDArray[np.float64]:
+    steps: NDArray[np.float64] = rng.choice(np.array([-2.0, -1.0, 1.0, 2.0]), (*size, 2))
+    if kind == "half":
+        return steps / 2
+    if kind == "nearly":
+        return steps + np.sign(steps) * 2.0 ** rng.integers(-14, -8, steps.shape) * rng.choice(np.array([-1.0, 1.0]), steps.shape)
+    return steps * rng.random(steps.shape) if kind == "any" else steps
+
+
+@st.composite
+def warp_inputs(draw: st.DrawFn, largest: int = 16, color: str = "any", motion: str = "any") -> Inputs:
+    """Stage warp."""
+    size = draw(sizes(largest))
+    moved = draw(motions(size, broken=True) if motion == "any" else dyadic_motions(size, motion))
+    return {"color": draw(colors(size, draw(st.integers(1, 5)), color)), "motion": moved}
+
+
+@st.composite
+def holes_inputs(draw: st.DrawFn, largest: int = 16) -> Inputs:
+    """Stage holes: objects and ground, normals of any length, positions near and far, thresholds met."""
+    size = draw(sizes(largest))
+    rng = np.random.default_rng(draw(SEEDS))
+    stencil = _stencil(rng, size, draw(st.sampled_from(["ground", "one", "many"])))
+    same_objects = draw(st.booleans())
+    normal, position = _normals(draw, rng, size), rng.normal(0, draw(st.sampled_from([1.0, 15.0, 60.0, 1e4])), (*size, 3))
+    apart = draw(st.sampled_from([0.0, 1.0, 10.0, 60.0]))
+    position_previous = position + rng.normal(0, apart, (*size, 3)) if apart else position.copy()
+    if draw(st.integers(0, 9)) == 0:
+        position_previous[rng.random(size) < 0.1] = draw(st.sampled_from([np.nan, np.inf, -np.inf]))
+    nearly = normal + rng.normal(0, 0.15, normal.shape) * np.linalg.norm(normal, axis=-1, keepdims=True)
+    return {
+        "motion": draw(motions(size, broken=True)),
+        "stencil_previous": stencil if same_objects else _stencil(rng, size, "many"),
+        "stencil": stencil,
+        "normal_previous": draw(st.sampled_from([normal, nearly, _normals(draw, rng, size)])),
+        "normal": normal,
+        "position_previous": position_previous,
+        "position": position,
+        "nov": rng.uniform(-1, 1, size),
+        "depth": rng.random(size) if draw(st.booleans()) else np.full(size, rng.random()),
+    }
+
+
+@st.composite
+def thresholds(draw: st.DrawFn, largest: int = 16) -> Inputs:
+    """Stage holes where one test alone decides, and is about to: how far, how turned, or another object."""
+    size = draw(sizes(largest))
+    rng = np.random.default_rng(draw(SEEDS))
+    what = draw(st.sampled_from(["far", "turned", "turned", "other"]))
+    normal = _unit(rng, size)
+    position = rng.normal(0, draw(st.sampled_from([5.0, 500.0])), (*size, 3))
+    nov, depth = rng.uniform(-1, 1, size), rng.random(size)
+    objects = _stencil(rng, size, "one") / 2 if what == "other" else np.full(size, float(what == "turned"))
+    inputs = {"normal": normal, "normal_previous": normal, "position": position, "position_previous": position}
+    if what == "far":
+        bias = 7.5 * np.abs(nov) + 45 * (1 - np.abs(nov)) + 50 * depth
+        inputs["position_previous"] = position + _unit(rng, size) * (bias * rng.uniform(0.8, 1.2, size))[..., None]
+    if what == "turned":
+        # An angle about that of cosine 0.98, or any; lengths other than 1, of which only one is divided by.
+        aside = np.cross(normal, _unit(rng, size))
+        aside /= np.maximum(np.linalg.norm(aside, axis=-1, keepdims=True), 1e-6)
+        angle = np.where(rng.random(size) < 0.2, rng.uniform(0, np.pi, size), rng.uniform(0.1, 0.4, size))[..., None]
+        lengths = [(1.0, 1.0), (1.0, 0.5), (0.99, 1.0), (1.5, 1.0), (1.0, 1e-4), (1.0, 0.0), (0.0, 1.0), (0.0, 0.0)]
+        now, before = draw(st.sampled_from(lengths))
+        inputs["normal_previous"] = (normal * np.cos(angle) + aside * np.sin(angle)) * before
+        inputs["normal"] = normal * now
+    moved = draw(st.one_of(dyadic_motions(size, "still"), dyadic_motions(size, "short"), motions(size)))
+    same = draw(st.booleans()) or what != "other"
+    other = objects if same else np.zeros(size)
+    return {**inputs, "motion": moved, "stencil_previous": objects, "stencil": other, "nov": nov, "depth": depth}
+
+
+def _unit(rng: np.random.Generator, size: Size) -> NDArray[np.float64]:
+    vector = rng.normal(0, 1, (*size, 3))
+    return np.asarray(vector / np.maximum(np.linalg.norm(vector, axis=-1, keepdims=True), 1e-6), np.float64)
+
+
+@st.composite
+def occlusion_inputs(draw: st.DrawFn, largest: int = 16, motion: str = "any") -> Inputs:
+    """Stage occlusion_warp: depths that tie, that are all the same, and that never splat."""
+    size = draw(sizes(largest))
+    rng = np.random.default_rng(draw(SEEDS))
+    moved = draw(motions(size, broken=True) if motion == "any" else dyadic_motions(size, motion))
+    color = draw(colors(size, 3))
+    return {
+        "color": color,
+        "warped": draw(colors(size, 3)),
+        "motion": moved,
+        "depth": depths(rng, size, draw(st.sampled_from(["any", "ties", "close", "flat", "far"]))),
+        "valid": draw(masks(size)).astype(np.uint8),
+    }
+
+
+def depths(rng: np.random.Generator, size: Size, kind: str) -> NDArray[np.float64]:
+    """(H, W): of any value, of few values, of hardly different ones, of one, or some too far to splat."""
+    if kind == "ties":
+        return np.asarray(rng.choice([0.0, -0.0, 0.25, 0.5], size), np.float64)
+    if kind == "close":
+        return np.asarray(0.5 + rng.integers(0, 8, size) * 2.0**-18, np.float64)
+    if kind == "flat":
+        return np.full(size, rng.random(dtype=np.float32), np.float64)
+    depth = rng.random(size, dtype=np.float32).astype(np.float64)
+    return np.where(rng.random(size) < 0.3, 10 + depth, depth) if kind == "far" else depth
+
+
+@st.composite
+def rrm_inputs(draw: st.DrawFn, largest: int = 20) -> Inputs:
+    """Stage rrm: any rectangle in the frame, of one pixel or of all."""
+    height, width = size = draw(sizes(largest))
+    h, w = draw(st.integers(1, height)), draw(st.integers(1, width))
+    corner = draw(st.integers(0, height - h)), draw(st.integers(0, width - w))
+    return {"valid": draw(masks(size)).astype(np.uint8), "rectangle": np.array([*corner, h, w], np.int32)}
+
+
+@st.composite
+def network_inputs(draw: st.DrawFn, stage: str, size: st.SearchStrategy[Size] | None = None, color: str = "any") -> Inputs:
+    """Stages history, encoder, erm, decoder and network: those of these inputs that the stage takes."""
+    height, width = draw(size or multiples())
+    rng = np.random.default_rng(draw(SEEDS))
+    full, eighth = (height, width), (-(-height // 8), -(-width // 8))
+    mask = draw(masks(full)).astype(np.float64)
+    if draw(st.integers(0, 3)) == 0:
+        mask = rng.random(full)  # a number in the network's input
+    inputs: Inputs = {}
+    if stage in ("encoder", "decoder", "network"):
+        inputs["color"] = draw(colors(full, 6, color))
+    if stage in ("encoder", "erm", "network"):
+        inputs["gbuffer"] = _gbuffer(draw, rng, full)
+        inputs["mask"] = mask
+    if stage in ("history", "network"):
+        valid = (rng.random((3, *full, 1)) < draw(st.sampled_from([0.0, 0.5, 1.0]))).astype(np.float64)
+        inputs["history"] = np.concatenate([np.stack([draw(colors(full, 3)) for _ in range(3)]), valid], axis=-1)
+    if stage == "erm":
+        inputs["x4"] = rng.normal(0, 1, (*eighth, 32))
+    if stage == "decoder":
+        shapes = {"reshaded": (*eighth, 64), "feature": (*eighth, 32), "x1": (height, width, 24)}
+        shapes |= {"x2": (height // 2, width // 2, 24), "x3": (height // 4, width // 4, 32)}
+        inputs |= {name: np.maximum(rng.normal(0, 1, shape), 0) for name, shape in shapes.items()}
+    return inputs
+
+
+@st.composite
+def frame_inputs(
+    draw: st.DrawFn, size: st.SearchStrategy[Size] | None = None, steps: tuple[int, int, int] | None = None
+) -> Inputs:
+    """Stage frame: SF, EF, missing frames; motion of halves and quarters, so that no rounding decides what is a hole."""
+    full = draw(size or sizes(16))
+    rng = np.random.default_rng(draw(SEEDS))
+    back = steps or draw(
+        st.sampled_from([(0, 2, 4), (1, 3, 5), (0, 0, 0), (1, 1, 1), (0, 2, 2), (1, 3, 3), (0, 1, 2), (2, 3, 5)])
+    )
+    reach = draw(st.sampled_from(["still", "whole", "half", "short"]))
+    position = rng.integers(-200, 200, (*full, 3)) / 4
+    positions = position + rng.integers(-40, 40, (4, *full, 3)) / 2 * draw(st.sampled_from([0, 1, 4]))
+    objects = draw(st.sampled_from(["ground", "one", "many"]))
+    stencils = [_stencil(rng, full, objects)] * 4 if draw(st.booleans()) else [_stencil(rng, full, objects) for _ in range(4)]
+    normals = [_normals(draw, rng, full)] * 4 if draw(st.booleans()) else [_normals(draw, rng, full) for _ in range(4)]
+    color = draw(st.sampled_from(["unit", "unit", "negative", "bright"]))
+    return {
+        "colors": np.stack([draw(colors(full, 3, color)) for _ in range(3)]),
+        "steps": np.array(back, np.int32),
+        "motions": np.stack([draw(dyadic_motions(full, reach)) for _ in range(max(1, *back))]),
+        "gbuffer": _gbuffer(draw, rng, full),
+        "nov": rng.uniform(-1, 1, full),
+        "stencils": np.stack(stencils),
+        "normals": np.stack(normals),
+        "positions": positions,
+    }
+
+
+@st.composite
+def scene_inputs(draw: st.DrawFn) -> Inputs:
+    """Stage frame on an analytic scene: exact motion of a camera and of objects, real holes, cuts, small size."""
+    name, number = draw(st.sampled_from(sorted(SCENES))), draw(st.integers(5, 12))
+    size = draw(st.tuples(st.integers(4, 14), st.integers(4, 14)))
+    back = draw(st.sampled_from([(0, 2, 4), (1, 3, 5), (1, 1, 1)]))
+    frames = [_rendered(name, number - step, size) for step in range(max(back) + 1)]
+    now = frames[0]
+    depth = np.where(np.isfinite(now.depth), now.depth, 0)
+    depth = depth / max(depth.max(), 1e-6)
+    rest = np.stack([depth, now.roughness, now.metallic], axis=-1)
+    seen = [now, *(frames[step] for step in back)]
+    return {
+        "colors": np.stack([np.clip(frames[step].color, 0, 1) for step in back]),
+        "steps": np.array(back, np.int32),
+        "motions": np.stack([frame.motion for frame in frames[: max(back)]]),
+        "gbuffer": np.concatenate([now.normal, rest, now.base_color], axis=-1),
+        "nov": now.nov,
+        "stencils": np.stack([frame.stencil for frame in seen]),
+        "normals": np.stack([frame.normal for frame in seen]),
+        "positions": np.stack([frame.position for frame in seen]),
+    }
+
+
+@lru_cache(512)
+def _rendered(name: str, number: int, size: Size) -> Rendered:
+    return render(SCENES[name], number, *size)
+
+
+@st.composite
+def weights(draw: st.DrawFn) -> Weights:
+    """One of few sets, so that a port need not bring a new one to its device for every case."""
+    return made_weights(draw(st.sampled_from(WEIGHT_KINDS)), draw(st.integers(0, 2)))
+
+
+@lru_cache(32)
+def made_weights(kind: str, seed: int) -> Weights:
+    """Weights of ``stss_ref.weights.random``, or those thinned out, enlarged, or with keys near the clamps of spec 8."""
+    made = dict(random(seed))
+    rng = np.random.default_rng(seed)
+    for name in TENSORS:
+        if kind == "sparse":
+            made[name] = np.where(rng.random(made[name].shape) < 0.1, made[name] * 3, 0).astype(np.float32)
+        elif kind == "large":
+            made[name] = made[name] * np.float32(2)
+        elif kind in ("small keys", "faint keys") and name.startswith("KEncoder.4"):
+            made[name] = made[name] * np.float32(1e-6 if kind == "small keys" else 1e-11)
+    return made
+
+
+def _stencil(rng: np.random.Generator, size: Size, kind: str) -> NDArray[np.float64]:
+    if kind == "ground":
+        return np.zeros(size)
+    return (rng.integers(0, 4, size) if kind == "many" else (rng.random(size) < 0.5) * 2).astype(np.float64)
+
+
+def _normals(draw: st.DrawFn, rng: np.random.Generator, size: Size) -> NDArray[np.float64]:
+    """Unit length, not quite, none here and there, or none to speak of."""
+    normal = rng.normal(0, 1, (*size, 3))
+    normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-3)
+    kind = draw(st.sampled_from(["unit", "unit", "flat", "some zero", "long", "denormal", "zero"]))
+    if kind == "flat":
+        normal = np.broadcast_to(normal[:1, :1], normal.shape)
+    factor = {"long": 3.0, "denormal": 1e-39, "zero": 0.0}.get(kind, 1.0)
+    if kind == "some zero":
+        normal = np.where(rng.random((*size, 1)) < 0.4, 0, normal)
+    return np.asarray(normal * factor, np.float64)
+
+
+def _gbuffer(draw: st.DrawFn, rng: np.random.Generator, size: Size) -> NDArray[np.float64]:
+    """Normal 3, depth, roughness, metallic, base colour 3, which may be 0 throughout."""
+    rest = rng.random((*size, 6))
+    if draw(st.booleans()):
+        rest[..., 3:] = 0
+    rest[..., 0] = depths(rng, size, draw(st.sampled_from(["any", "ties", "flat"])))
+    return np.concatenate([_normals(draw, rng, size), rest], axis=-1)

@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: MIT
+"""Runs the suite: pytest with one plugin, which brings the judge and takes down what happens."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+from collections.abc import Callable, Generator, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from conformance.judge import DepartureError, Judge, Record
+from conformance.protocol.stages import STAGES
+
+SUITE_FOLDER = Path(__file__).with_name("suite")
+SEQUENCE = "sequence"
+"""The tests of whole sequences, which need stage ``frame``."""
+SUITE = (*STAGES, SEQUENCE)
+
+
+@dataclass
+class Result:
+    """Of one test.
+
+    Attributes:
+        id: ``stage.test``, as a file of known failures names it.
+        stage: its stage.
+        property: what it asks, in words.
+        outcome: ``passed``, ``failed``, ``skipped`` (the port lacks the stage), ``known`` (failed, as expected) or ``error``.
+        message: why, unless passed.
+        seconds: it took.
+        record: what it met.
+    """
+
+    id: str
+    stage: str
+    property: str
+    outcome: str
+    message: str = ""
+    seconds: float = 0.0
+    record: Record = field(default_factory=Record)
+
+
+class KnownFailuresError(ValueError):
+    """A file of known failures is malformed, or names a test that there is not."""
+
+
+def run_suite(
+    judge: Judge,
+    stages: Iterable[str] = SUITE,
+    *,
+    known: Sequence[str] = (),
+    junit: Path | None = None,
+    first_only: bool = False,
+    on_result: Callable[[Result], None] | None = None,
+) -> list[Result]:
+    """Run the properties of some stages.
+
+    Args:
+        judge: has the port.
+        stages: names of ``SUITE``.
+        known: ids of tests that are known to fail.
+        junit: a file for pytest's JUnit XML.
+        first_only: stop at the first failure.
+        on_result: called after every test.
+
+    Returns:
+        One for each test, in the order of the stages.
+
+    Raises:
+        KnownFailuresError: ``known`` names no test, or one that passes.
+    """
+    plugin = _Plugin(judge, known, on_result)
+    files = [str(SUITE_FOLDER / f"test_{stage}.py") for stage in SUITE if stage in set(stages)]
+    arguments = [*files, "-c", os.devnull, "--rootdir", str(SUITE_FOLDER), "--import-mode=importlib", "-W", "ignore"]
+    arguments += [f"-pno:{name}" for name in ("cacheprovider", "terminal", "logging", "faulthandler")]
+    if junit is not None:
+        arguments += ["--junitxml", str(junit)]
+    if first_only:
+        arguments.append("--exitfirst")
+    with _undisturbed():
+        status = pytest.main(arguments, plugins=[plugin])
+    if status not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED) or plugin.broken:
+        raise RuntimeError(plugin.broken or f"pytest ended with {status}")
+    missing = set(known) - {result.id for result in plugin.results}
+    if missing and not first_only:
+        raise KnownFailuresError(f"known failures: no such test: {', '.join(sorted(missing))}")
+    return plugin.results
+
+
+def read_known(path: Path) -> dict[str, str]:
+    """Ids and reasons of a file of known failures: one id and one link or reason per line; ``#`` begins a comment."""
+    known: dict[str, str] = {}
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+        text = line.split("#", 1)[0].strip() if line.lstrip().startswith("#") else line.strip()
+        if not text:
+            continue
+        name, _, reason = text.partition(" ")
+        if not reason.strip():
+            raise KnownFailuresError(f"{path}:{number}: expected a test and a link or reason, got {text!r}")
+        known[name] = reason.strip()
+    return known
+
+
+@contextlib.contextmanager
+def _undisturbed() -> Generator[None]:
+    """The user's own pytest settings and plugins have no say, and pytest prints nothing."""
+    names = ("PYTEST_ADDOPTS", "PYTEST_PLUGINS", "PYTEST_DISABLE_PLUGIN_AUTOLOAD")
+    kept = {name: os.environ.pop(name, None) for name in names}
+    os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):
+            yield
+    finally:
+        for name, value in kept.items():
+            os.environ.pop(name, None)
+            if value is not None:
+                os.environ[name] = value
+
+
+class _Plugin:
+    """What pytest is told, and what it tells."""
+
+    def __init__(self, judge: Judge, known: Sequence[str], on_result: Callable[[Result], None] | None):
+        self._judge, self._known, self._on_result = judge, set(known), on_result
+        self.results: list[Result] = []
+        self.broken = ""
+
+    @pytest.fixture
+    def judge(self, request: pytest.FixtureRequest) -> Judge:
+        stage = _stage(request.node)
+        needs = "frame" if stage == SEQUENCE else stage
+        if needs not in self._judge.stages:
+            pytest.skip(f"the port has no stage {needs}")
+        self._judge.record = Record()
+        return self._judge
+
+    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        if report.failed:
+            self.broken = str(report.longrepr)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(
+        self, item: pytest.Item, call: pytest.CallInfo[None]
+    ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+        report = yield
+        if call.when == "call" or report.skipped or report.failed:
+            self._take(item, call, report)
+        return report
+
+    def _take(self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport) -> None:
+        stage, name = _stage(item), item.name.removeprefix("test_")
+        said = _words(item)
+        result = Result(f"{stage}.{name}", stage, said, report.outcome, seconds=call.duration, record=self._judge.record)
+        error = call.excinfo.value if call.excinfo is not None else None
+        if report.skipped:
+            result.message, result.record = str(error), Record()
+        elif report.failed:
+            if isinstance(error, DepartureError):
+                result.message, result.record.finding = str(error), error.finding
+            else:
+                result.outcome, result.message = "error", f"{type(error).__name__}: {error}"
+            if result.id in self._known:
+                result.outcome = "known"
+        elif result.id in self._known:
+            result.outcome, result.message = "failed", "it is among the known failures, and passes: take it off the list"
+        self.results.append(result)
+        if self._on_result:
+            self._on_result(result)
+
+
+def _stage(item: Any) -> str:
+    return item.path.stem.removeprefix("test_")
+
+
+def _words(item: Any) -> str:
+    """The test's docstring in one line."""
+    return " ".join((item.function.__doc__ or "").split())

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: MIT
+"""Stage decoder."""
+
+import numpy as np
+from hypothesis import strategies as st
+
+from conformance.cases.stage_inputs import Inputs, network_inputs, weights
+from conformance.judge import Judge
+from conformance.suite.properties import cases
+from stss_ref.weights import Weights
+
+CASES = st.tuples(network_inputs("decoder"), weights())
+
+
+@cases(CASES, dear=True)
+def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+    """The image is the float64 reference's, within what rounding can do to it."""
+    judge.agrees("decoder", *case)
+
+
+@cases(CASES, dear=True)
+def test_each_output_channel_has_its_place(judge: Judge, case: tuple[Inputs, Weights]):
+    """Over black, with all weights 0, bias 4c + 2i + j is channel c of the pixels (2y + i, 2x + j), bit for bit."""
+    inputs, given = case
+    still = {name: tensor if name == "outc.bias" else tensor * 0 for name, tensor in given.items()}
+    got = judge.run("decoder", {**inputs, "color": inputs["color"] * 0}, still)["image"]
+    bias = judge.given(still)["outc.bias"].reshape(3, 2, 2).transpose(1, 2, 0)
+    judge.same("decoder.image", got, np.tile(bias, (got.shape[0] // 2, got.shape[1] // 2, 1)))
+
+
+@cases(st.tuples(network_inputs("decoder", color="flat"), weights()), dear=True)
+def test_one_colour_stays_one_colour(judge: Judge, case: tuple[Inputs, Weights]):
+    """Without a residual a flat frame is upsampled to the same colour bit for bit."""
+    inputs, given = case
+    still = {name: tensor * 0 for name, tensor in given.items()}
+    got = judge.run("decoder", inputs, still)["image"]
+    judge.same("decoder.image", got, np.broadcast_to(judge.given(inputs, "decoder")["color"][:1, :1, :3], got.shape))
+
+
+@cases(CASES, dear=True)
+def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same features give the same bits again."""
+    judge.same("decoder.image", *(judge.run("decoder", *case)["image"] for _ in range(2)))

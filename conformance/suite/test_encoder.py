@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: MIT
+"""Stage encoder."""
+
+import numpy as np
+from hypothesis import strategies as st
+
+from conformance.answers.by_stage import expect
+from conformance.answers.expected import Expected
+from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
+from conformance.judge import Judge
+from conformance.suite.properties import cases
+from stss_ref.weights import Weights
+
+CASES = st.tuples(network_inputs("encoder"), weights())
+REACH = {"x1": 2, "x2": 7, "x3": 17, "x4": 37}
+"""How far a pixel of each output sees, in pixels of the input: two layers of radius 1 for x1, then three more at each size."""
+
+
+@cases(CASES, dear=True)
+def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+    """All four features are the float64 reference's, within what rounding can do to them."""
+    judge.agrees("encoder", *case)
+
+
+@cases(CASES, dear=True)
+def test_what_is_masked_is_read_once(judge: Judge, case: tuple[Inputs, Weights]):
+    """Where the mask is 0 everywhere, the weights of ``color * mask`` do not matter."""
+    inputs, given = case
+    closed = {**inputs, "mask": inputs["mask"] * 0}
+    other = dict(given)
+    for name in ("conv1.conv_feature.weight", "conv1.conv_mask.0.weight"):
+        other[name] = given[name].copy()
+        other[name][:, 6:12] = 0
+    right = expect("encoder", judge.exactly(closed, "encoder"), judge.given(given), judge.arithmetic, {})
+    first, second = (judge.run("encoder", closed, w) for w in (given, other))
+    for name, expected in right.items():
+        judge.holds(f"encoder.{name}", second[name], Expected(first[name], 2 * np.asarray(expected.allowed)))
+
+
+@cases(st.tuples(network_inputs("encoder", multiples(48)), weights(), st.integers(0, 47), st.integers(0, 47)), dear=True)
+def test_a_pixel_is_seen_from_nearby_only(judge: Judge, case: tuple[Inputs, Weights, int, int]):
+    """Changing one pixel changes nothing beyond the layers' radius, bit for bit but for Winograd's tiles."""
+    inputs, given, y, x = case
+    height, width, _ = inputs["color"].shape
+    y, x = y % height, x % width
+    changed = {**inputs, "color": inputs["color"].copy(), "gbuffer": inputs["gbuffer"].copy()}
+    changed["color"][y, x] = 0.75 - changed["color"][y, x] / 2
+    changed["gbuffer"][y, x, 4:] = 0.75 - changed["gbuffer"][y, x, 4:] / 2
+    right = expect("encoder", judge.exactly(inputs, "encoder"), judge.given(given), judge.arithmetic, {})
+    first, second = (judge.run("encoder", i, given) for i in (inputs, changed))
+    for name, expected in right.items():
+        side = height // first[name].shape[0]
+        rows, columns = (np.arange(n) * side for n in first[name].shape[:2])
+        far = (np.abs(rows - y) > REACH[name] + side)[:, None] | (np.abs(columns - x) > REACH[name] + side)[None]
+        want = np.where(far[..., None], first[name], second[name])
+        judge.holds(f"encoder.{name}", second[name], Expected(want, 2 * np.asarray(expected.allowed)))
+
+
+@cases(CASES, dear=True)
+def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same frame gives the same bits again."""
+    first, second = (judge.run("encoder", *case) for _ in range(2))
+    for name in first:
+        judge.same(f"encoder.{name}", second[name], first[name])

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: MIT
+"""Stage erm."""
+
+import numpy as np
+from hypothesis import strategies as st
+
+from conformance.answers.by_stage import expect
+from conformance.answers.expected import Expected
+from conformance.cases.planes import SEEDS
+from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
+from conformance.judge import Judge
+from conformance.suite.properties import cases
+from stss_ref.weights import Weights
+
+CASES = st.tuples(network_inputs("erm", multiples(48)), weights())
+
+
+@cases(CASES, dear=True)
+def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+    """The reshaded light is the float64 reference's, within what rounding can do to it."""
+    judge.agrees("erm", *case)
+
+
+@cases(CASES, dear=True)
+def test_nothing_to_be_trusted_gives_nothing(judge: Judge, case: tuple[Inputs, Weights]):
+    """Where all is masked the result is 0, and not 0 / 0."""
+    inputs, given = case
+    got = judge.run("erm", {**inputs, "mask": inputs["mask"] * 0}, given)["reshaded"]
+    judge.same("erm.reshaded", got, np.zeros_like(got))
+
+
+@cases(CASES, dear=True)
+def test_a_masked_value_influences_nobody(judge: Judge, case: tuple[Inputs, Weights]):
+    """What lies where the mask is 0 changes no result, not even its own: layers of one tap keep it from spreading by itself.
+
+    Its own query does see its own material, so that is left as it is; the light is changed.
+    """
+    inputs, given = case
+    taps = {n: _centre(t) if n.startswith(("latentEncoder", "KEncoder")) and t.ndim == 4 else t for n, t in given.items()}
+    closed = _quarter(inputs)
+    changed = {**closed, "x4": np.where(_eighth(closed["mask"])[..., None] == 0, 3 - closed["x4"], closed["x4"])}
+    right = expect("erm", judge.exactly(closed, "erm"), judge.given(taps), judge.arithmetic, {})["reshaded"]
+    first, second = (judge.run("erm", i, taps)["reshaded"] for i in (closed, changed))
+    judge.holds("erm.reshaded", second, Expected(first, 2 * np.asarray(right.allowed)))
+
+
+@cases(CASES, dear=True)
+def test_equal_light_stays_equal(judge: Judge, case: tuple[Inputs, Weights]):
+    """An average of one value is that value, whatever the weights of it: where the light is the same everywhere, so is the result."""
+    inputs, given = case
+    dark = {n: t * 0 if n.startswith("latentEncoder") and not n.endswith("4.bias") else t for n, t in given.items()}
+    if not np.any(given["KEncoder.4.bias"]):
+        dark["KEncoder.4.bias"] = given["KEncoder.4.bias"] + np.float32(1)
+    open_ = {**inputs, "mask": np.ones_like(inputs["mask"])}
+    right = expect("erm", judge.exactly(open_, "erm"), judge.given(dark), judge.arithmetic, {})["reshaded"]
+    got = judge.run("erm", open_, dark)["reshaded"]
+    light = judge.given(dark)["latentEncoder.4.bias"].astype(np.float64)
+    faint = (
+        np.abs(right.want - light).max(axis=-1, keepdims=True) > np.abs(light).max() / 2
+    )  # no key to speak of: 0, not the light
+    judge.holds("erm.reshaded", got, Expected(np.where(faint, right.want, light), right.allowed))
+
+
+@cases(st.tuples(CASES, SEEDS), dear=True)
+def test_opposite_materials_share_no_light(judge: Judge, case: tuple[tuple[Inputs, Weights], int]):
+    """Where a key is the sign of the first normal, each place averages the light of its own sign: less than none is none."""
+    (inputs, given), seed = case
+    height, width, _ = inputs["x4"].shape
+    signs = np.random.default_rng(seed).choice([-1.0, 1.0], (height, width))
+    signed = {**inputs, "gbuffer": inputs["gbuffer"].copy()}
+    signed["gbuffer"][..., 0] = signs.repeat(8, axis=0).repeat(8, axis=1)
+    judge.agrees("erm", signed, {**given, **_sign_of_the_first(given)})
+
+
+@cases(CASES, dear=True)
+def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same frame gives the same bits again."""
+    judge.same("erm.reshaded", *(judge.run("erm", *case)["reshaded"] for _ in range(2)))
+
+
+def _centre(weight: np.ndarray) -> np.ndarray:
+    """Only the tap in the middle."""
+    kept = np.zeros_like(weight)
+    kept[:, :, 1, 1] = weight[:, :, 1, 1]
+    return kept
+
+
+def _sign_of_the_first(weights: Weights) -> dict[str, np.ndarray]:
+    """A KEncoder whose only key is the sign of its first input."""
+    keys = {name: np.zeros_like(tensor) for name, tensor in weights.items() if name.startswith("KEncoder")}
+    for layer, output, read, value in ((0, 0, 0, 1), (0, 1, 0, -1), (2, 0, 0, 1), (2, 1, 1, 1), (4, 0, 0, 1), (4, 0, 1, -1)):
+        keys[f"KEncoder.{layer}.weight"][output, read, 1, 1] = value
+    return keys
+
+
+def _quarter(inputs: Inputs) -> Inputs:
+    """Every second pixel at 1/8 size masked."""
+    height, width = inputs["mask"].shape
+    y, x = np.indices((height, width)) // 8
+    return {**inputs, "mask": ((y + x) % 2 == 0).astype(np.float64)}
+
+
+def _eighth(mask: np.ndarray) -> np.ndarray:
+    return mask[3::8, 3::8]

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: MIT
+"""Stage frame: a display frame from its buffers."""
+
+import numpy as np
+from hypothesis import strategies as st
+
+from conformance.cases.stage_inputs import Inputs, frame_inputs, scene_inputs, weights
+from conformance.judge import Judge
+from conformance.suite.properties import cases
+from stss_ref.weights import Weights
+
+CASES = st.tuples(frame_inputs(), weights())
+STANDS = frame_inputs().map(lambda inputs: {**inputs, "motions": inputs["motions"] * 0})
+
+
+@cases(CASES, dear=True)
+def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+    """The image is the float64 reference's: SF, EF, missing frames; cases in which rounding decides what is a hole are counted."""
+    judge.agrees("frame", *case)
+
+
+STARTS = st.sampled_from([(0, 0, 0), (1, 1, 1), (0, 2, 2), (1, 3, 3)])
+
+
+@cases(st.tuples(STARTS.flatmap(lambda steps: frame_inputs(steps=steps)), weights()), dear=True)
+def test_agrees_at_the_start_of_a_sequence(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same where older frames are missing: the oldest one there is stands in, with nothing of it to be trusted."""
+    judge.agrees("frame", *case)
+
+
+@cases(st.tuples(scene_inputs(), weights()), dear=True)
+def test_agrees_on_rendered_scenes(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same on scenes whose motion, geometry and holes are a renderer's."""
+    judge.agrees("frame", *case)
+
+
+@cases(st.tuples(STANDS, weights()), dear=True)
+def test_without_a_residual_a_still_frame_is_upsampled(judge: Judge, case: tuple[Inputs, Weights]):
+    """Where nothing moves and nothing is a hole, with weights of 0, an extrapolated frame is a rendered one."""
+    inputs, given = case
+    still = {name: tensor * 0 for name, tensor in given.items()}
+    same = {**inputs, "positions": np.zeros_like(inputs["positions"])}
+    same["stencils"] = np.zeros_like(inputs["stencils"])
+    frames = [{**same, "steps": np.array(steps, np.int32)} for steps in ((0, 0, 0), (1, 1, 1))]
+    frames[1]["motions"] = np.zeros((1, *inputs["motions"].shape[1:]))
+    rendered, extrapolated = (judge.run("frame", f, still)["image"] for f in frames)
+    judge.same("frame.image", extrapolated, rendered)
+
+
+@cases(st.tuples(frame_inputs(steps=(0, 2, 4)), weights()), dear=True)
+def test_a_rendered_frame_looks_for_no_other(judge: Judge, case: tuple[Inputs, Weights]):
+    """With weights of 0 a rendered frame depends on its own colour alone."""
+    inputs, given = case
+    still = {name: tensor * 0 for name, tensor in given.items()}
+    other = {**inputs, "colors": inputs["colors"].copy(), "motions": -inputs["motions"], "positions": inputs["positions"] * 2}
+    other["colors"][1:] = 0.5
+    first, second = (judge.run("frame", i, still)["image"] for i in (inputs, other))
+    judge.same("frame.image", second, first)
+
+
+@cases(CASES, dear=True)
+def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same buffers give the same bits again."""
+    judge.same("frame.image", *(judge.run("frame", *case)["image"] for _ in range(2)))

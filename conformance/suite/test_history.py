@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: MIT
+"""Stage history."""
+
+import numpy as np
+from hypothesis import strategies as st
+
+from conformance.answers.by_stage import expect
+from conformance.answers.expected import Expected
+from conformance.cases.stage_inputs import Inputs, network_inputs, weights
+from conformance.judge import Judge
+from conformance.suite.properties import cases
+from stss_ref.weights import Weights
+
+CASES = st.tuples(network_inputs("history"), weights())
+
+
+@cases(CASES, dear=True)
+def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+    """The feature is the float64 reference's, within what rounding can do to it."""
+    judge.agrees("history", *case)
+
+
+@cases(st.tuples(CASES, st.permutations(range(3))), dear=True)
+def test_the_three_frames_share_their_weights(judge: Judge, case: tuple[tuple[Inputs, Weights], list[int]]):
+    """Permuting the frames, and with them what the last layer reads of each, changes nothing but roundings."""
+    (inputs, given), order = case
+    blocks = np.concatenate([np.arange(32) + 32 * i for i in order])
+    read = {name: tensor[:, blocks] for name, tensor in given.items() if name.startswith("lowlevelGated") and tensor.ndim == 4}
+    whole = judge.run("history", inputs, given)["feature"]
+    right = expect("history", judge.exactly(inputs, "history"), judge.given(given), judge.arithmetic, {})["feature"]
+    got = judge.run("history", {"history": inputs["history"][order]}, {**given, **read})["feature"]
+    judge.holds("history.feature", got, Expected(whole, 2 * np.asarray(right.allowed)))
+
+
+@cases(CASES, dear=True)
+def test_without_weights_the_bias_is_left(judge: Judge, case: tuple[Inputs, Weights]):
+    """Where all weights are 0 the feature is the last layer's bias, half open: no ReLU is behind the gate."""
+    inputs, given = case
+    still = {name: tensor if name == "lowlevelGated.conv_feature.bias" else tensor * 0 for name, tensor in given.items()}
+    bias = judge.given(still)["lowlevelGated.conv_feature.bias"].astype(np.float64)
+    right = expect("history", judge.exactly(inputs, "history"), judge.given(still), judge.arithmetic, {})["feature"]
+    got = judge.run("history", inputs, still)["feature"]
+    judge.holds("history.feature", got, Expected(np.broadcast_to(bias / 2, got.shape), right.allowed))
+
+
+@cases(CASES, dear=True)
+def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same history gives the same bits again."""
+    judge.same("history.feature", *(judge.run("history", *case)["feature"] for _ in range(2)))

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: MIT
+"""Stage holes."""
+
+import numpy as np
+from hypothesis import strategies as st
+
+from conformance.answers.port_arithmetic import reach
+from conformance.answers.warp import within_frame
+from conformance.cases.planes import SEEDS, Size, sizes
+from conformance.cases.stage_inputs import Inputs, holes_inputs, thresholds
+from conformance.judge import Judge
+from conformance.suite.properties import cases
+
+
+@cases(holes_inputs())
+def test_agrees_with_the_reference(judge: Judge, inputs: Inputs):
+    """The mask is the float64 reference's; where a test comes within rounding of its threshold, either answer is right."""
+    judge.agrees("holes", inputs)
+
+
+@cases(thresholds())
+def test_agrees_near_the_thresholds(judge: Judge, inputs: Inputs):
+    """The same where one test alone decides: a surface about as far away, or as turned, as is trusted; another object's edge."""
+    judge.agrees("holes", inputs)
+
+
+@cases(holes_inputs())
+def test_what_is_valid_is_in_the_frame(judge: Judge, inputs: Inputs):
+    """Nothing off screen is trusted."""
+    valid = judge.run("holes", inputs)["valid"]
+    inside, edge = within_frame(reach(judge.exactly(inputs, "holes")["motion"], judge.arithmetic))
+    judge.same("holes.valid", np.where(inside | edge, 0, valid), np.zeros_like(valid))
+
+
+@cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS, st.sampled_from([np.nan, np.inf]))))
+def test_a_lost_position_is_a_hole(judge: Judge, case: tuple[Size, int, float]):
+    """Where nothing moved, a pixel is a hole if any of the four positions read, its own and those right and below, is lost."""
+    size, seed, lost = case
+    rng = np.random.default_rng(seed)
+    position = rng.integers(-8, 8, (*size, 3)) / 8
+    inputs = {name: np.zeros_like(array) for name, array in _quarters(size, seed).items()}
+    broken = rng.random(size) < 0.2
+    previous = np.where((broken & (rng.random(size) < 0.8))[..., None] & (rng.random((*size, 3)) < 0.7), lost, position)
+    gone = ~np.asarray(np.isfinite(previous).all(axis=-1))
+    down, right = (np.minimum(np.arange(n) + 1, n - 1) for n in size)
+    holes = gone | gone[down] | gone[:, right] | gone[down][:, right]
+    got = judge.run("holes", {**inputs, "position": position, "position_previous": previous})["valid"]
+    judge.same("holes.valid", got, (~holes).astype(np.uint8))
+
+
+@cases(holes_inputs())
+def test_the_view_has_no_sign(judge: Judge, inputs: Inputs):
+    """A normal that points away counts as one that points here."""
+    first, second = (judge.run("holes", {**inputs, "nov": nov})["valid"] for nov in (inputs["nov"], -inputs["nov"]))
+    judge.same("holes.valid", second, first)
+
+
+@cases(holes_inputs())
+def test_another_object_is_a_hole(judge: Judge, inputs: Inputs):
+    """Where no object is what it was, nothing is trusted."""
+    inputs = {**inputs, "stencil_previous": inputs["stencil"] * 0 + 5, "stencil": inputs["stencil"]}
+    valid = judge.run("holes", inputs)["valid"]
+    judge.same("holes.valid", valid, np.zeros_like(valid))
+
+
+@cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS, st.sampled_from([-512.0, 0.25, 64.0]))))
+def test_the_origin_does_not_matter(judge: Judge, case: tuple[Size, int, float]):
+    """Moving the whole world moves no hole: positions of whole quarters, so that nothing is rounded."""
+    size, seed, shift = case
+    inputs = _quarters(size, seed)
+    moved = {name: array + shift if name.startswith("position") else array for name, array in inputs.items()}
+    judge.same("holes.valid", judge.run("holes", moved)["valid"], judge.run("holes", inputs)["valid"])
+
+
+@cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS, st.permutations(range(3)))))
+def test_no_axis_is_special(judge: Judge, case: tuple[Size, int, list[int]]):
+    """Renaming the world's axes moves no hole."""
+    size, seed, order = case
+    inputs = _quarters(size, seed)
+    turned = {name: array[..., order] if array.ndim == 3 and array.shape[-1] == 3 else array for name, array in inputs.items()}
+    judge.same("holes.valid", judge.run("holes", turned)["valid"], judge.run("holes", inputs)["valid"])
+
+
+@cases(holes_inputs())
+def test_the_same_twice(judge: Judge, inputs: Inputs):
+    """The same frame gives the same mask again."""
+    judge.same("holes.valid", judge.run("holes", inputs)["valid"], judge.run("holes", inputs)["valid"])
+
+
+def _quarters(size: Size, seed: int) -> Inputs:
+    """Positions in quarters, normals along the axes, a view in eighths: sums of squares are exact in any order."""
+    rng = np.random.default_rng(seed)
+    axis = np.eye(3)[rng.integers(0, 3, size)] * rng.choice([-1, 1], (*size, 1))
+    position = rng.integers(-128, 128, (*size, 3)) / 4
+    return {
+        "motion": rng.integers(-3, 4, (*size, 2)).astype(np.float64),
+        "stencil_previous": rng.integers(0, 2, size).astype(np.float64),
+        "stencil": rng.integers(0, 2, size).astype(np.float64),
+        "normal_previous": np.where(rng.random((*size, 1)) < 0.5, axis, np.roll(axis, 1, axis=-1)),
+        "normal": axis,
+        "position_previous": position + rng.integers(-60, 60, (*size, 3)) / 4,
+        "position": position,
+        "nov": rng.integers(-8, 9, size) / 8,
+        "depth": rng.integers(0, 9, size) / 8,
+    }

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: MIT
+"""Stage motion_chain."""
+
+import numpy as np
+from hypothesis import strategies as st
+
+from conformance.cases.planes import Float64, dyadic_motions, motions, sizes
+from conformance.cases.stage_inputs import Inputs, chain_inputs
+from conformance.judge import Judge
+from conformance.suite.properties import cases
+
+
+@cases(chain_inputs())
+def test_agrees_with_the_reference(judge: Judge, inputs: Inputs):
+    """The chained motion is that of the float64 reference; where rounding picks the pixel or the longest, either is right."""
+    judge.agrees("motion_chain", inputs)
+
+
+@cases(sizes().flatmap(lambda size: st.tuples(motions(size, broken=True), st.integers(1, 4))))
+def test_over_still_frames_it_is_the_newest(judge: Judge, case: tuple[Float64, int]):
+    """Where nothing moved before, the way back is the newest frame's alone, bit for bit, however many frames there are."""
+    newest, more = case
+    given = judge.given({"motions": np.concatenate([newest[None], np.zeros((more, *newest.shape))])})["motions"]
+    got = judge.run("motion_chain", {"motions": given})["motion"]
+    finite = np.isfinite(given[0]).all(axis=-1, keepdims=True)
+    judge.same("motion_chain.motion", np.where(finite, got, 0), np.where(finite, given[0], 0))
+
+
+@cases(sizes().flatmap(lambda size: dyadic_motions(size, "short")))
+def test_one_frame_is_itself(judge: Judge, motion: Float64):
+    """Over one frame nothing is chained."""
+    judge.same("motion_chain.motion", judge.run("motion_chain", {"motions": motion[None]})["motion"], motion.astype(np.float32))
+
+
+@cases(st.tuples(sizes(20), st.integers(2, 5), st.integers(-3, 3), st.integers(-3, 3)))
+def test_one_speed_adds_up(judge: Judge, case: tuple[tuple[int, int], int, int, int]):
+    """A frame that moves as one moves k times as far over k frames, as long as the way stays inside; to the left and up, too."""
+    (height, width), count, dx, dy = case
+    motion = np.broadcast_to(np.array([dx, dy], np.float64), (count, height, width, 2))
+    got = judge.run("motion_chain", {"motions": motion})["motion"]
+    y, x = np.indices((height, width))
+    inside = np.ones((height, width), bool)
+    for step in range(1, count):
+        at = x + step * dx, y + step * dy
+        # All four pixels of the corner count: a 0 from outside stops the chain.
+        inside &= (at[0] >= 0) & (at[0] + 1 < width) & (at[1] >= 0) & (at[1] + 1 < height)
+    want = np.where(inside[..., None], count * motion[0], got).astype(np.float32)
+    judge.same("motion_chain.motion", got, want)

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: MIT
+"""Stage network: the whole of it, at any size."""
+
+import numpy as np
+from hypothesis import strategies as st
+
+from conformance.answers.by_stage import expect
+from conformance.answers.expected import Expected
+from conformance.cases.planes import sizes
+from conformance.cases.stage_inputs import Inputs, network_inputs, weights
+from conformance.judge import Judge
+from conformance.suite.properties import cases
+from stss_ref.weights import Weights
+
+CASES = st.tuples(network_inputs("network", sizes(20)), weights())
+
+
+@cases(CASES, dear=True)
+def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+    """The image is the float64 reference's, at sizes that are no multiples of 8, too."""
+    judge.agrees("network", *case)
+
+
+@cases(CASES, dear=True)
+def test_padding_repeats_the_last_row_and_column(judge: Judge, case: tuple[Inputs, Weights]):
+    """A frame padded beforehand gives the same image, cropped."""
+    inputs, given = case
+    height, width = inputs["mask"].shape
+    rows, columns = (np.minimum(np.arange(-(-n // 8) * 8), n - 1) for n in (height, width))
+    padded = {
+        name: array[..., rows[:, None], columns] if array.ndim == 2 else _pad(array, rows, columns)
+        for name, array in inputs.items()
+    }
+    right = expect("network", judge.exactly(inputs, "network"), judge.given(given), judge.arithmetic, {})["image"]
+    got, whole = judge.run("network", inputs, given)["image"], judge.run("network", padded, given)["image"]
+    judge.holds("network.image", got, Expected(whole[: 2 * height, : 2 * width], 2 * np.asarray(right.allowed)))
+
+
+@cases(CASES, dear=True)
+def test_without_a_residual_it_is_bilinear(judge: Judge, case: tuple[Inputs, Weights]):
+    """With weights of 0 the image is the first three colours upsampled, within their own range."""
+    inputs, given = case
+    still = {name: tensor * 0 for name, tensor in given.items()}
+    got, color = judge.run("network", inputs, still)["image"], judge.exactly(inputs, "network")["color"][..., :3]
+    right = expect("network", judge.exactly(inputs, "network"), judge.given(still), judge.arithmetic, {})["image"]
+    judge.holds("network.image", got, Expected(np.clip(got, color.min(axis=(0, 1)), color.max(axis=(0, 1))), right.allowed))
+
+
+@cases(CASES, dear=True)
+def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same frame gives the same bits again."""
+    judge.same("network.image", *(judge.run("network", *case)["image"] for _ in range(2)))
+
+
+def _pad(array: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    return array[..., rows[:, None], columns, :]

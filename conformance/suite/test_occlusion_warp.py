@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: MIT
+"""Stage occlusion_warp."""
+
+import numpy as np
+from hypothesis import strategies as st
+
+from conformance.cases.stage_inputs import Inputs, occlusion_inputs
+from conformance.judge import Judge
+from conformance.suite.properties import cases
+
+
+@cases(occlusion_inputs())
+def test_agrees_with_the_reference(judge: Judge, inputs: Inputs):
+    """Motion is copied, never computed; colour is read by it, within rounding."""
+    judge.agrees("occlusion_warp", inputs)
+
+
+@cases(occlusion_inputs())
+def test_what_is_valid_is_left_alone(judge: Judge, inputs: Inputs):
+    """Outside the holes the warped colour comes back bit for bit."""
+    got, given = judge.run("occlusion_warp", inputs)["occlusion_warp"], judge.given(inputs, "occlusion_warp")
+    valid = given["valid"][..., None] == 1
+    judge.same("occlusion_warp.occlusion_warp", np.where(valid, got, 0), np.where(valid, given["warped"], 0))
+
+
+@cases(st.sampled_from(["still", "whole", "half", "short"]).flatmap(lambda kind: occlusion_inputs(motion=kind)))
+def test_as_one_pixel_after_the_other(judge: Judge, inputs: Inputs):
+    """The splat gives the map of a loop over the pixels in raster order, ties and all."""
+    got = judge.run("occlusion_warp", inputs)["occlusion_motion"]
+    judge.same(
+        "occlusion_warp.occlusion_motion",
+        got,
+        _looped(inputs["motion"], judge.given(inputs, "occlusion_warp")["depth"]).astype(np.float32),
+    )
+
+
+@cases(occlusion_inputs(motion="half"))
+def test_only_the_order_of_depths_counts(judge: Judge, inputs: Inputs):
+    """Halving all depths below the far end, which is exact, changes no motion."""
+    near = {**inputs, "depth": np.minimum(judge.exactly(inputs, "occlusion_warp")["depth"], 1)}
+    halved = {**near, "depth": near["depth"] / 2}
+    first, second = (judge.run("occlusion_warp", i)["occlusion_motion"] for i in (near, halved))
+    judge.same("occlusion_warp.occlusion_motion", second, first)
+
+
+@cases(occlusion_inputs())
+def test_one_colour_fills_with_itself(judge: Judge, inputs: Inputs):
+    """In a flat frame every hole is filled with its colour, bit for bit."""
+    flat = np.broadcast_to(judge.given(inputs, "occlusion_warp")["color"][:1, :1], inputs["color"].shape)
+    got = judge.run("occlusion_warp", {**inputs, "color": flat, "warped": flat})["occlusion_warp"]
+    judge.same("occlusion_warp.occlusion_warp", got, flat)
+
+
+@cases(occlusion_inputs(motion="short"))
+def test_what_is_too_far_writes_nothing(judge: Judge, inputs: Inputs):
+    """From depth 10 on nothing splats: no motion is found anywhere."""
+    got = judge.run("occlusion_warp", {**inputs, "depth": inputs["depth"] + 10})["occlusion_motion"]
+    judge.same("occlusion_warp.occlusion_motion", got, np.zeros_like(got))
+
+
+@cases(occlusion_inputs(motion="whole").flatmap(lambda inputs: st.tuples(st.just(inputs), st.sampled_from([np.nan, np.inf]))))
+def test_lost_motion_writes_nothing(judge: Judge, case: tuple[Inputs, float]):
+    """A pixel whose motion is not finite splats nothing, not even 0, and looks up its own place."""
+    inputs, lost = case
+    motion = inputs["motion"].copy()
+    motion[np.random.default_rng(0).random(motion.shape[:2]) < 0.5, 0] = lost
+    got = judge.run("occlusion_warp", {**inputs, "motion": motion})["occlusion_motion"]
+    want = _looped(motion, judge.given(inputs, "occlusion_warp")["depth"]).astype(np.float32)
+    judge.same("occlusion_warp.occlusion_motion", got, want)
+
+
+@cases(occlusion_inputs())
+def test_the_same_twice(judge: Judge, inputs: Inputs):
+    """A splat that depends on which write comes first would not give the same bits again."""
+    first, second = judge.run("occlusion_warp", inputs), judge.run("occlusion_warp", inputs)
+    for name in first:
+        judge.same(f"occlusion_warp.{name}", np.nan_to_num(second[name]), np.nan_to_num(first[name]))
+
+
+def _looped(motion: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Spec 5 as it is written, for motion of halves and quarters."""
+    height, width = depth.shape
+    nearest, earlier = np.full((height, width), 10.0), np.zeros_like(motion)
+    finite = np.asarray(np.isfinite(motion).all(axis=-1))
+    followed = np.where(finite[..., None], motion, 0)
+    corner = np.floor(followed + np.moveaxis(np.indices((height, width))[::-1], 0, -1)).astype(int)
+    for y, x in np.argwhere(finite):
+        for j, i in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            at = corner[y, x, 1] + j, corner[y, x, 0] + i
+            if 0 <= at[0] < height and 0 <= at[1] < width and depth[y, x] < nearest[at]:
+                nearest[at], earlier[at] = depth[y, x], followed[y, x]
+    return earlier[np.clip(corner[..., 1], 0, height - 1), np.clip(corner[..., 0], 0, width - 1)]

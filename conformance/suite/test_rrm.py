@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: MIT
+"""Stage rrm."""
+
+import numpy as np
+
+from conformance.cases.stage_inputs import Inputs, rrm_inputs
+from conformance.judge import Judge
+from conformance.suite.properties import cases
+
+
+@cases(rrm_inputs())
+def test_agrees_with_the_reference(judge: Judge, inputs: Inputs):
+    """The rectangle, and nothing else, is masked."""
+    judge.agrees("rrm", inputs)
+
+
+@cases(rrm_inputs())
+def test_twice_is_once(judge: Judge, inputs: Inputs):
+    """Masking what is masked changes nothing."""
+    once = judge.run("rrm", inputs)["valid"]
+    judge.same("rrm.valid", judge.run("rrm", {**inputs, "valid": once})["valid"], once)
+
+
+@cases(rrm_inputs())
+def test_as_many_as_the_rectangle_has(judge: Judge, inputs: Inputs):
+    """Of a frame that is all valid, height times width pixels are taken."""
+    valid = judge.run("rrm", {**inputs, "valid": np.ones_like(inputs["valid"])})["valid"]
+    _, _, height, width = inputs["rectangle"]
+    judge.same("rrm.valid", np.array(valid.size - int(valid.sum())), np.array(int(height * width)))

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: MIT
+"""Whole sequences: a port may keep what it likes between frames, as long as nobody can tell."""
+
+from typing import Any
+
+import numpy as np
+from hypothesis import strategies as st
+
+from conformance.cases.stage_inputs import Inputs, frame_inputs, weights
+from conformance.judge import Judge
+from conformance.suite.properties import cases
+from stss_ref.weights import Weights
+
+KINDS = ((0, 2, 4), (1, 3, 5))
+
+
+@st.composite
+def sequences(draw: st.DrawFn) -> list[tuple[str, Inputs, Weights]]:
+    """Calls one after the other: the next frame, the same again, a cut, a part changed, another size, other weights."""
+    given = draw(weights())
+    size = draw(st.tuples(st.integers(1, 12), st.integers(1, 12)))
+    frame = draw(frame_inputs(st.just(size), KINDS[0]))
+    calls = [("first", frame, given)]
+    for i in range(draw(st.integers(1, 5))):
+        what = draw(st.sampled_from(["next", "again", "cut", "part", "resize", "weights", "back"]))
+        if what == "next":
+            frame = _next(draw, frame, KINDS[i % 2])
+        elif what == "cut":
+            frame = draw(frame_inputs(st.just(size), KINDS[0]))
+        elif what == "part":
+            frame = {**frame, "colors": frame["colors"].copy()}
+            frame["colors"][:, : size[0] // 2 + 1, : size[1] // 2 + 1] = draw(st.sampled_from([0.0, 0.25, 1.0]))
+        elif what == "resize":
+            size = draw(st.tuples(st.integers(1, 12), st.integers(1, 12)))
+            frame = draw(frame_inputs(st.just(size), draw(st.sampled_from(KINDS))))
+        elif what == "weights":
+            given = draw(weights())
+        elif what == "back":
+            _, frame, given = calls[0]
+            size = frame["nov"].shape
+        calls.append((what, frame, given))
+    return calls
+
+
+@cases(sequences(), dear=True)
+def test_every_frame_is_as_if_it_were_the_only_one(judge: Judge, calls: list[tuple[str, Inputs, Weights]]):
+    """Whatever was computed before, a frame agrees with the reference, which remembers nothing."""
+    for _, frame, given in calls:
+        judge.agrees("frame", frame, given)
+
+
+@cases(sequences(), dear=True)
+def test_the_order_does_not_matter(judge: Judge, calls: list[tuple[str, Inputs, Weights]]):
+    """The frames computed in the reverse order are the same, bit for bit."""
+    forth = [judge.run("frame", frame, given)["image"] for _, frame, given in calls]
+    back = [judge.run("frame", frame, given)["image"] for _, frame, given in reversed(calls)][::-1]
+    for first, second in zip(forth, back, strict=True):
+        judge.same("frame.image", second, first)
+
+
+def _next(draw: st.DrawFn, frame: Inputs, steps: tuple[int, int, int]) -> dict[str, Any]:
+    """The frame after this one: what was newest becomes older."""
+    newer = draw(frame_inputs(st.just(frame["nov"].shape), steps))
+    moved = {name: np.concatenate([newer[name][:1], frame[name][:-1]]) for name in ("colors", "stencils", "normals", "positions")}
+    return {**newer, **moved}

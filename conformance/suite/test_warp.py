@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: MIT
+"""Stage warp."""
+
+import numpy as np
+from hypothesis import strategies as st
+
+from conformance.answers.expected import Expected
+from conformance.answers.warp import expect_warp
+from conformance.cases.planes import Float64, colors, dyadic_motions, sizes
+from conformance.cases.stage_inputs import Inputs, warp_inputs
+from conformance.judge import Judge
+from conformance.suite.properties import cases
+
+
+@cases(warp_inputs())
+def test_agrees_with_the_reference(judge: Judge, inputs: Inputs):
+    """The warped colour is that of the float64 reference, also far outside the frame and where motion is not finite."""
+    judge.agrees("warp", inputs)
+
+
+@cases(warp_inputs(color="flat"))
+def test_one_colour_stays_one_colour(judge: Judge, inputs: Inputs):
+    """A flat frame comes back bit for bit: no weight is lost, nothing leaks in at the border."""
+    judge.same("warp.warped", judge.run("warp", inputs)["warped"], judge.given(inputs, "warp")["color"])
+
+
+@cases(warp_inputs(motion="still"))
+def test_nothing_moves(judge: Judge, inputs: Inputs):
+    """Without motion the frame is itself, bit for bit, and all of it lies in the frame."""
+    got = judge.run("warp", inputs)
+    judge.same("warp.warped", got["warped"], judge.given(inputs, "warp")["color"])
+    judge.same("warp.inside", got["inside"], np.ones_like(got["inside"]))
+
+
+@cases(warp_inputs(motion="whole"))
+def test_whole_pixels_move_exactly(judge: Judge, inputs: Inputs):
+    """Motion of whole pixels copies them; outside, the nearest border pixel."""
+    got, color, motion = judge.run("warp", inputs), judge.given(inputs, "warp")["color"], inputs["motion"].astype(int)
+    height, width, _ = color.shape
+    y, x = np.indices((height, width))
+    x, y = x + motion[..., 0], y + motion[..., 1]
+    judge.same("warp.warped", got["warped"], color[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)])
+    judge.same("warp.inside", got["inside"], ((x >= 0) & (x < width) & (y >= 0) & (y < height)).astype(np.uint8))
+
+
+@cases(warp_inputs())
+def test_no_colour_is_made_up(judge: Judge, inputs: Inputs):
+    """Nothing comes out that is darker or brighter than anything that went in, but for rounding."""
+    got, color = judge.run("warp", inputs)["warped"], judge.exactly(inputs, "warp")["color"]
+    allowed = expect_warp(judge.exactly(inputs, "warp"), judge.arithmetic)["warped"].allowed
+    judge.holds("warp.warped", got, Expected(np.clip(got, color.min(axis=(0, 1)), color.max(axis=(0, 1))), allowed))
+
+
+@cases(warp_inputs().flatmap(lambda inputs: st.tuples(st.just(inputs), st.permutations(range(inputs["color"].shape[-1])))))
+def test_channels_do_not_mix(judge: Judge, case: tuple[Inputs, list[int]]):
+    """Permuting the channels permutes the result, bit for bit."""
+    inputs, order = case
+    whole = judge.run("warp", inputs)["warped"]
+    judge.same("warp.warped", judge.run("warp", {**inputs, "color": inputs["color"][..., order]})["warped"], whole[..., order])
+
+
+@cases(
+    st.tuples(st.integers(2, 20), st.integers(2, 20)).flatmap(
+        lambda size: st.tuples(
+            st.just(size),
+            colors(size, 2),
+            dyadic_motions(size, "short"),
+            st.integers(0, size[0] - 2),
+            st.integers(0, size[1] - 2),
+        )
+    )
+)
+def test_a_part_is_as_the_whole(judge: Judge, case: tuple[tuple[int, int], Float64, Float64, int, int]):
+    """A crop of the frame, warped, is the crop of the warped frame, where all that is read lies in the crop: no pixel knows its place."""
+    (height, width), color, motion, top, left = case
+    whole = judge.run("warp", {"color": color, "motion": motion})["warped"]
+    part = judge.run("warp", {"color": color[top:, left:].copy(), "motion": motion[top:, left:].copy()})["warped"]
+    y, x = np.indices((height - top, width - left))
+    x, y = x + motion[top:, left:, 0], y + motion[top:, left:, 1]
+    read = ((x >= 0) & (y >= 0))[..., None]
+    judge.same("warp.warped", np.where(read, part, 0), np.where(read, whole[top:, left:], 0))
+
+
+@cases(
+    sizes(12).flatmap(lambda size: st.tuples(colors(size, 3), dyadic_motions(size, "short"), st.sampled_from([np.nan, np.inf])))
+)
+def test_lost_motion_is_off_screen(judge: Judge, case: tuple[Float64, Float64, float]):
+    """Non-finite motion, in either component, is off screen, reads its own pixel, and spoils no other."""
+    color, motion, lost = case
+    broken = motion.copy()
+    broken[::2, ::3, 1] = lost
+    broken[1::2, ::3, 0] = -lost
+    got, clean = (judge.run("warp", {"color": color, "motion": m}) for m in (broken, motion))
+    finite = np.isfinite(broken).all(axis=-1)
+    judge.same("warp.inside", got["inside"], np.where(finite, clean["inside"], 0))
+    own = judge.given({"color": color})["color"]
+    judge.same("warp.warped", got["warped"], np.where(finite[..., None], clean["warped"], own))
+
+
+@cases(warp_inputs())
+def test_the_same_twice(judge: Judge, inputs: Inputs):
+    """The same frame gives the same bits again."""
+    first, second = judge.run("warp", inputs), judge.run("warp", inputs)
+    judge.same("warp.warped", second["warped"], first["warped"])

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: MIT
+"""Ways to a display frame without a network, plainly in NumPy: what weights are worth is measured against these.
+
+Each takes what stage ``frame`` takes, with the stages of ``stss_ref``, and follows the same schedule. docs/metrics.md says which is which.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from stss.baselines.fxaa import fxaa
+from stss.baselines.taau import Taau
+from stss.errors import InputError
+from stss.frames.display_frame import OnArrays
+from stss.images.resample import lanczos_centres
+from stss_ref.arrays import Image, Mask
+from stss_ref.frame import FrameInputs, NetworkInputs, prepare
+from stss_ref.resample import upsample_centres
+
+Method = Callable[[FrameInputs, NetworkInputs], Image]
+"""From the inputs of stages ``frame`` and ``network`` to (2H, 2W, 3), display-referred."""
+
+
+def bilinear(_: FrameInputs, prepared: NetworkInputs) -> Image:
+    """The image that the network adds its residual to: the newest frame, in an EF warped to now, upsampled."""
+    return upsample_centres(prepared.color[..., :3])
+
+
+def lanczos(_: FrameInputs, prepared: NetworkInputs) -> Image:
+    """As `bilinear`, with Lanczos's kernel of three lobes."""
+    return lanczos_centres(prepared.color[..., :3])
+
+
+def smooth_edges(inputs: FrameInputs, prepared: NetworkInputs) -> Image:
+    """FXAA of `bilinear`."""
+    return fxaa(np.clip(bilinear(inputs, prepared), 0, 1))
+
+
+def repeat(inputs: FrameInputs, _: NetworkInputs) -> Image:
+    """An EF shows the SF before it once more; an SF is `bilinear`."""
+    return upsample_centres(inputs.colors[0])
+
+
+def extrapolate(_: FrameInputs, prepared: NetworkInputs) -> Image:
+    """As `bilinear`, but holes show what motion leads to, clamped into the frame: no occlusion warp."""
+    return upsample_centres(prepared.color[..., 3:])
+
+
+METHODS: Mapping[str, Callable[[], Method]] = {
+    "repeat": lambda: repeat,
+    "extrapolate": lambda: extrapolate,
+    "bilinear": lambda: bilinear,
+    "lanczos": lambda: lanczos,
+    "fxaa": lambda: smooth_edges,
+    "taau": Taau,
+}
+"""Name to what makes the method, afresh for each sequence."""
+
+ACCUMULATING = frozenset({"taau"})
+"""Those made of earlier outputs too, and not only of the six frames of the window."""
+
+
+class MethodBackend(OnArrays):
+    """One of ``METHODS`` in place of a network's backend."""
+
+    name = "numpy"
+
+    def __init__(self, method: str):
+        """Take the method of this name; raises InputError where there is none."""
+        if method not in METHODS:
+            raise InputError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
+        self.method, self.accumulates = method, method in ACCUMULATING
+        self._make = METHODS[method]()
+
+    def frame(self, inputs: FrameInputs) -> tuple[Image, Mask]:
+        """See ``stss.frames.backends.Backend``."""
+        prepared = prepare(inputs)
+        return self._make(inputs, prepared), prepared.mask.astype(bool)

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""``stss bench``: times beside errors, against other engines; ``--pareto``."""

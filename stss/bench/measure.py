@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: MIT
+"""How long a frame takes, here and by other engines, and how far each is from the truth: `stss bench`.
+
+Every contender lives in a process of its own, so that its memory is its own and its threads sleep while another runs. They are timed
+in turns, A B C A B C, so that what slows the machine for a while slows all of them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stss.bench.ours import FRAMES, OURS, contender, inputs_for, truth
+from stss.bench.peers import PEERS, Setup
+from stss.errors import InputError
+from stss_ref.arrays import Image
+
+SIZES = ((360, 640), (540, 960), (1080, 1920))
+"""(H, W) of the inputs; the outputs are 720p, 1080p and 2160p (paper, Tab. "Time analysis on different resolutions")."""
+DEFAULT_PEERS = ("pytorch", "pytorch-tuned", "onnxruntime", "openvino", "openvino-default")
+WARM_UP = 2
+"""Runs of each contender before the first one timed."""
+STAGE_RUNS = 5
+"""Measurements of the stages, after the timed runs."""
+PAUSE = 0.02
+"""Seconds between two runs, for the threads of the one before to fall asleep."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One contender at one size.
+
+    Attributes:
+        name: as in ``OURS`` or ``PEERS``.
+        times: seconds of each run, in order.
+        error: largest difference from the float64 reference on the same inputs; None for one that failed.
+        peak_memory: bytes its process had in memory at most, Python and libraries included; None where the system doesn't say.
+        stages: seconds of each stage, from contenders that measure them.
+        details: package versions, precision, layout.
+        fault: why there is no result; None where there is one.
+    """
+
+    name: str
+    times: tuple[float, ...] = ()
+    error: float | None = None
+    peak_memory: int | None = None
+    stages: dict[str, float] = field(default_factory=dict[str, float])
+    details: dict[str, str] = field(default_factory=dict[str, str])
+    fault: str | None = None
+
+    @property
+    def minimum(self) -> float:
+        """Seconds of the fastest run."""
+        return min(self.times)
+
+    @property
+    def median(self) -> float:
+        """Seconds of the run in the middle."""
+        return statistics.median(self.times)
+
+
+@dataclass(frozen=True)
+class SizeResult:
+    """All contenders for inputs (height, width), ours first."""
+
+    height: int
+    width: int
+    rows: tuple[Row, ...]
+
+    def ratio(self, row: Row) -> float | None:
+        """How many times as fast as the first peer ``row`` is, by the minima; None where that is no comparison."""
+        base = next((r for r in self.rows if r.name in PEERS and not r.fault), None)
+        if base is None or row.fault or row.name in FRAMES:
+            return None
+        return base.minimum / row.minimum
+
+
+def bench(
+    setups: Sequence[Setup],
+    ours: Sequence[str],
+    peers: Sequence[str],
+    repeat: int,
+    on_step: Callable[[str], None] = lambda _: None,
+) -> tuple[SizeResult, ...]:
+    """Time ``ours`` and ``peers`` for each of the setups.
+
+    Args:
+        setups: one for each size.
+        ours: names in ``OURS``.
+        peers: names in ``PEERS``; the first is what the others' ratios are to.
+        repeat: timed runs of each.
+        on_step: told what is being done.
+
+    Raises:
+        InputError: a name is unknown, or there is nothing to time.
+    """
+    for names, known, what in ((ours, OURS, "ours"), (peers, PEERS, "peers")):
+        for name in names:
+            if name not in known:
+                raise InputError(f"{what}: expected some of {', '.join(known)}, got {name!r}")
+    names = list(dict.fromkeys([*ours, *peers]))
+    if not names or repeat < 1:
+        raise InputError("bench: expected at least one contender and one run")
+    return tuple(_bench_size(setup, names, repeat, on_step) for setup in setups)
+
+
+def _bench_size(setup: Setup, names: Sequence[str], repeat: int, on_step: Callable[[str], None]) -> SizeResult:
+    size = setup.height, setup.width
+    label = f"{size[1]}x{size[0]}"
+    on_step(f"{label}: float64 reference")
+    truths = {whole: truth(inputs_for(name, *size), setup.weights) for name in names for whole in [name in FRAMES]}
+    workers = [_Worker(name, setup) for name in names]
+    try:
+        for worker in workers:
+            on_step(f"{label}: warming up {worker.name}")
+            worker.start(truths[worker.name in FRAMES])
+        truths.clear()
+        for i in range(repeat):
+            on_step(f"{label}: run {i + 1} of {repeat}")
+            for worker in workers:
+                worker.time()
+        return SizeResult(*size, tuple(worker.finish() for worker in workers))
+    finally:
+        for worker in workers:
+            worker.stop()
+
+
+class _Worker:
+    """A contender's process, seen from here. What fails in it becomes its row's fault."""
+
+    def __init__(self, name: str, setup: Setup):
+        self.name = name
+        self._setup = setup
+        self._times: list[float] = []
+        self._error: float | None = None
+        self._details: dict[str, str] = {}
+        self._fault: str | None = None
+        context = multiprocessing.get_context("spawn")  # a fork would share the threads' locks but not the threads
+        self._pipe, self._other_end = context.Pipe()
+        self._process = context.Process(target=_serve, args=(self._other_end, name, setup), daemon=True)
+
+    def start(self, want: Image) -> None:
+        """Let it make itself ready and warm, and judge its image."""
+        self._process.start()
+        self._other_end.close()
+        ready = self._answer()
+        if ready is not None:
+            self._details, image = ready
+            self._error = _error(image, want)
+
+    def time(self) -> None:
+        """One timed run."""
+        time.sleep(PAUSE)
+        if (seconds := self._ask("time")) is not None:
+            self._times.append(seconds)
+
+    def finish(self) -> Row:
+        """Its row."""
+        memory, stages = self._ask("finish") or (None, {})
+        if self._fault:
+            return Row(self.name, details=self._details, fault=self._fault)
+        return Row(self.name, tuple(self._times), self._error, memory, stages, self._details)
+
+    def stop(self) -> None:
+        """End the process, whatever it does."""
+        if self._process.pid is not None:
+            self._process.terminate()
+            self._process.join()
+        self._pipe.close()
+
+    def _ask(self, order: str) -> Any:
+        """The answer; None after a fault."""
+        if self._fault:
+            return None
+        with contextlib.suppress(OSError):  # it ended: the answer says so
+            self._pipe.send(order)
+        return self._answer()
+
+    def _answer(self) -> Any:
+        try:
+            good, answer = self._pipe.recv()
+        except (EOFError, OSError):
+            self._process.join()
+            good, answer = False, f"its process ended with status {self._process.exitcode}"
+        if good:
+            return answer
+        self._fault = answer
+        return None
+
+
+def _error(image: Image, want: Image) -> float:
+    if image.shape != want.shape:
+        return float("inf")
+    error = float(np.abs(image - want).max())
+    return error if error == error else float("inf")  # noqa: PLR0124  (NaN)
+
+
+def _serve(pipe: Connection, name: str, setup: Setup) -> None:
+    """The contender's own process: make it, then answer each order with ``(True, result)`` or ``(False, why not)``."""
+    try:
+        made = contender(name, setup)
+        made.prepare(inputs_for(name, setup.height, setup.width))
+        for _ in range(WARM_UP):
+            made.run()
+        pipe.send((True, (made.details, made.image())))
+        while pipe.recv() == "time":
+            start = time.perf_counter()
+            made.run()
+            pipe.send((True, time.perf_counter() - start))
+        pipe.send((True, (_peak_memory(), _stages(made))))
+    except (KeyboardInterrupt, EOFError):
+        return
+    except Exception as error:  # any engine, any error: it becomes its row
+        first = (str(error).strip() or type(error).__name__).splitlines()[0]
+        pipe.send((False, first))
+
+
+def _stages(made: Any) -> dict[str, float]:
+    """The smallest of a few measurements of each stage; empty for a contender that measures none."""
+    if not hasattr(made, "timings"):
+        return {}
+    runs: list[dict[str, float]] = [made.timings() for _ in range(STAGE_RUNS)]
+    return {stage: min(run[stage] for run in runs) for stage in runs[0]}
+
+
+def _peak_memory() -> int | None:
+    """Largest resident set of this process. Not ``ru_maxrss``: a child's starts at its parent's."""
+    try:
+        lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+        return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("VmHWM:"))
+    except (OSError, StopIteration):
+        return None

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: MIT
+"""Our own rows of the benchmark, and the inputs that all rows get."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from stss.bench.peers import PEERS, Contender, Setup
+from stss.optional import installed, versions
+from stss_ref.arrays import Image
+from stss_ref.frame import FrameInputs, NetworkInputs, frame
+from stss_ref.network import network
+from stss_ref.weights import Weights, astype
+
+MOTION = (1.5, 0.75)
+"""Pixels a frame, in the inputs of whole frames: positions that a float32 holds exactly, so that no hole is a matter of rounding."""
+
+
+class Reference:
+    """``stss_ref`` in float32."""
+
+    def __init__(self, setup: Setup):
+        self._weights = setup.weights
+        self.details = {"numpy": np.__version__, "precision": "float32"}
+
+    def prepare(self, inputs: NetworkInputs) -> None:
+        """See `Contender`."""
+        self._inputs = inputs
+
+    def run(self) -> None:
+        """See `Contender`."""
+        self._image = network(**vars(self._inputs), weights=self._weights)
+
+    def image(self) -> Image:
+        """See `Contender`."""
+        return self._image
+
+
+class OpenCL:
+    """A class of ``stss_cl``, made as ``Class(weights, device, precision=...)``, called with arrays by name; returns the image first.
+
+    A method ``timings``, where there is one, gives seconds by stage, which are reported too.
+
+    Args:
+        setup: what for.
+        module: of ``stss_cl``.
+        name: of the class.
+        precision: as ``stss_cl.network.network.PRECISIONS``.
+        on_device: inputs and image stay on the device, as the peers' do in theirs; else NumPy's arrays in, NumPy's out.
+    """
+
+    def __init__(self, setup: Setup, *, module: str, name: str, precision: str, on_device: bool):
+        device = importlib.import_module("stss_cl.device.discovery").open_device(setup.device)
+        make: Any = getattr(importlib.import_module("stss_cl"), name)
+        self._made = make(setup.weights, device, precision=precision)
+        if hasattr(self._made, "timings"):
+            self.timings: Callable[[], dict[str, float]] = self._made.timings
+        self._queue = device.queue
+        self._on_device = on_device
+        timed = "on the device" if on_device else "with transfers"
+        self.details = {**versions(("pyopencl",)), "device": device.name, "precision": precision, "timed": timed}
+
+    def prepare(self, inputs: NetworkInputs | FrameInputs) -> None:
+        """See `Contender`."""
+        self._inputs: dict[str, Any] = dict(vars(inputs))
+        if self._on_device:
+            to_device: Any = importlib.import_module("pyopencl.array").to_device
+            self._inputs = {n: to_device(self._queue, np.ascontiguousarray(x)) for n, x in self._inputs.items()}
+
+    def run(self) -> None:
+        """See `Contender`."""
+        self._image: Any = self._made(**self._inputs)
+        self._queue.finish()
+
+    def image(self) -> Image:
+        """See `Contender`."""
+        image = self._image[0] if isinstance(self._image, tuple) else self._image
+        return image.get() if self._on_device else image
+
+
+_NETWORK = partial(OpenCL, module="network", name="Network", on_device=True)
+
+OURS: dict[str, Callable[[Setup], Contender]] = {
+    "cl": partial(_NETWORK, precision="float32"),
+    "cl-direct": partial(_NETWORK, precision="float32-direct"),
+    "cl-half": partial(_NETWORK, precision="half"),
+    "cl-host": partial(_NETWORK, precision="float32", on_device=False),
+    "cl-frame": partial(OpenCL, module="frame", name="Frame", precision="float32", on_device=False),
+    "ref": Reference,
+}
+"""Our backends, by the name that ``--ours`` takes; ``cl-host`` is ``cl`` with the transfers from and to NumPy's arrays."""
+
+FRAMES = frozenset({"cl-frame"})
+"""Those that make whole frames; the others, the network alone."""
+
+
+def default_ours() -> tuple[str, ...]:
+    """Those that run within seconds and are there."""
+    return ("cl",) if installed("stss_cl.network.network") else ("ref",)
+
+
+def contender(name: str, setup: Setup) -> Contender:
+    """Make the contender of this name ready."""
+    return (OURS | PEERS)[name](setup)
+
+
+def network_inputs(height: int, width: int) -> NetworkInputs:
+    """Noise: what no shortcut for flat or still places can profit from. A fifth of the mask is holes."""
+    random = np.random.default_rng(0)
+
+    def noise(*shape: int) -> Image:
+        return random.random(shape, np.float32)
+
+    mask = (noise(height, width) < 0.8).astype(np.float32)
+    return NetworkInputs(noise(height, width, 6), noise(height, width, 9), mask, noise(3, height, width, 4))
+
+
+def frame_inputs(height: int, width: int) -> FrameInputs:
+    """An extrapolated frame of a plane with noise on it that slides past, holes only where it enters."""
+    inputs = network_inputs(height, width)
+    size = height, width
+    steps = (1, 3, 5)
+    motions = np.full((5, *size, 2), MOTION, np.float32)
+    y, x = np.indices(size, np.float32)
+    positions = [np.stack([x - step * MOTION[0], y - step * MOTION[1], 0 * x], axis=-1) for step in (0, *steps)]
+    normals = np.full((4, *size, 3), (0, 0, -1), np.float32)
+    ones = np.ones(size, np.float32)
+    return FrameInputs(
+        np.ascontiguousarray(inputs.history[..., :3]), steps, motions, inputs.gbuffer, ones, np.zeros((4, *size), np.float32), normals,
+        np.stack(positions).astype(np.float32),
+    )  # fmt: skip
+
+
+def inputs_for(name: str, height: int, width: int) -> NetworkInputs | FrameInputs:
+    """What the contender ``name`` is given."""
+    return frame_inputs(height, width) if name in FRAMES else network_inputs(height, width)
+
+
+def truth(inputs: NetworkInputs | FrameInputs, weights: Weights) -> Image:
+    """The image of ``inputs`` by the reference in float64."""
+    exact: dict[str, Any] = {n: v.astype(np.float64) if isinstance(v, np.ndarray) else v for n, v in vars(inputs).items()}
+    weights = astype(weights, np.float64)
+    if isinstance(inputs, FrameInputs):
+        return frame(FrameInputs(**exact), weights)[0]
+    return network(**exact, weights=weights)

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: MIT
+"""Run time against error: every way the backend can compute a frame, on the canonical scenes."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from conformance.scenes import SCENES
+from stss.errors import InputError
+from stss.frames.compute_options import Setting
+from stss.frames.display_frame import Prepared, frame_inputs
+from stss.frames.supersample import plan
+from stss.quality.metrics import psnr
+from stss.sequence.scenes import check_request, display_frames, truth
+from stss_cl.device.discovery import Device
+from stss_cl.skip.stream import Stream
+from stss_ref.arrays import Array, Image
+from stss_ref.frame import FrameInputs, frame
+from stss_ref.weights import Weights, astype
+
+CANONICAL = ("static", "interface", "object", "sky", "cut", "pan", "flythrough")
+"""The scenes, the stillest first."""
+WARM = 8
+"""Display frames before the first timed one: histories are full, kernels built."""
+JUDGED = 2
+"""The last frames, an SF and an EF, are held against the float64 reference and the truth."""
+
+
+SETTINGS = (
+    Setting("float32", "off"),
+    Setting("float32", "exact"),
+    *(Setting("float32", "bounded", levels / 255) for levels in (1, 2, 4)),
+    Setting("float32-direct", "off"),
+    Setting("float32-direct", "exact"),
+    Setting("half", "off"),
+    Setting("half", "exact"),
+    Setting("half", "bounded", 2 / 255),
+)
+FULL = SETTINGS[0]
+
+
+def chosen_settings(words: Sequence[str] | None) -> tuple[Setting, ...]:
+    """Those of `SETTINGS` whose names contain one of ``words``; None: all.
+
+    Raises:
+        InputError: there are none.
+    """
+    chosen = tuple(s for s in SETTINGS if words is None or any(word in s.name for word in words))
+    if not chosen:
+        raise InputError(f"--settings: expected parts of {', '.join(s.name for s in SETTINGS)}, got {', '.join(words or ())}")
+    return chosen
+
+
+@dataclass(frozen=True)
+class Point:
+    """What a setting does on a scene.
+
+    Attributes:
+        scene, setting: which.
+        times: seconds of each timed frame; full: those of `FULL`, in turns with them.
+        error: largest difference from the float64 reference, output units.
+        departure: the same from `FULL`, over all timed frames.
+        missed: how many timed frames depart by more than the setting allows.
+        psnr: to the truth, dB, mean of the judged frames.
+        exact: whether every timed image has the bits of `FULL`'s.
+    """
+
+    scene: str
+    setting: Setting
+    times: tuple[float, ...]
+    full: tuple[float, ...]
+    error: float
+    departure: float
+    missed: int
+    psnr: float
+    exact: bool
+
+    @property
+    def ratio(self) -> float:
+        """Time as a share of `FULL`'s: sums over the sequence, for a sequence has dear and cheap frames."""
+        return sum(self.times) / sum(self.full)
+
+    @property
+    def median(self) -> float:
+        """Seconds of the frame in the middle."""
+        return statistics.median(self.times)
+
+
+def measure(
+    weights: Weights,
+    device: Device,
+    scenes: Sequence[str],
+    settings: Sequence[Setting],
+    size: tuple[int, int],
+    count: int,
+    on_step: Callable[[str], None] = lambda _: None,
+) -> Iterator[Point]:
+    """A point for every scene and setting.
+
+    Args:
+        weights: the 92 tensors.
+        device: to run on.
+        scenes: names in ``SCENES``.
+        settings: each timed in turns with `FULL`.
+        size: (H, W) of the inputs.
+        count: display frames of a sequence, more than `WARM` + `JUDGED`.
+        on_step: told what is being done.
+
+    Raises:
+        InputError: there is no such scene, or there are too few frames.
+    """
+    check_request(scenes, count, WARM + JUDGED)
+    for name in scenes:
+        on_step(f"{name}: rendering")
+        frames = list(display_frames(SCENES[name], size, count))
+        on_step(f"{name}: float64 reference and truth")
+        judged = {n: (_reference(frames, n, weights), truth(SCENES[name], size, n)) for n in range(count - JUDGED, count)}
+        for setting in settings:
+            on_step(f"{name}: {setting.name}")
+            yield _point(name, setting, weights, device, frames, judged)
+
+
+def _window(frames: Sequence[Prepared], number: int) -> tuple[Sequence[Prepared], tuple[int, int, int]]:
+    window = frames[max(0, number - 5) : number + 1]
+    planned = plan(window)
+    assert planned is not None  # frame 0 is rendered
+    return window, planned.steps
+
+
+def _reference(frames: Sequence[Prepared], number: int, weights: Weights) -> Image:
+    inputs = frame_inputs(*_window(frames, number))
+    arrays: dict[str, Array] = {name: value for name, value in vars(inputs).items() if name != "steps"}
+    exact = {name: value.astype(np.float64) for name, value in arrays.items()}
+    return frame(FrameInputs(**exact, steps=inputs.steps), astype(weights, np.float64))[0]
+
+
+def _point(
+    scene: str,
+    setting: Setting,
+    weights: Weights,
+    device: Device,
+    frames: Sequence[Prepared],
+    judged: dict[int, tuple[Image, Image]],
+) -> Point:
+    full = Stream(weights, device, FULL.precision, skip="off")
+    tried = Stream(weights, device, setting.precision, skip=setting.skip, max_error=setting.max_error)
+    times: tuple[list[float], list[float]] = [], []
+    errors, scores, departures, same = [0.0], list[float](), [0.0], True
+    for number in range(len(frames)):
+        window, steps = _window(frames, number)
+        images: list[Image] = []
+        for stream, kept in zip((full, tried), times, strict=True):
+            start = time.perf_counter()
+            images.append(stream(window, steps)[0])
+            kept.append(time.perf_counter() - start)
+        if number >= WARM:
+            same = same and np.array_equal(images[0].view(np.uint32), images[1].view(np.uint32))
+            departures.append(0.0 if same else float(np.abs(images[1] - images[0]).max()))
+        if number in judged:
+            exact, seen = judged[number]
+            errors.append(float(np.abs(images[1] - exact).max()))
+            scores.append(psnr(255 * np.clip(images[1], 0, 1), 255 * np.clip(seen, 0, 1)) or 0.0)
+        images.clear()  # an image that nobody has is written over, not copied
+    return Point(
+        scene,
+        setting,
+        tuple(times[1][WARM:]),
+        tuple(times[0][WARM:]),
+        max(errors),
+        max(departures),
+        sum(departure > setting.max_error > 0 for departure in departures),
+        statistics.mean(scores),
+        same,
+    )
+
+
+def frontier(points: Sequence[tuple[float, float]]) -> list[int]:
+    """Which of the points (time, error) no other one beats in both, by rising time."""
+    found: list[int] = []
+    for i in sorted(range(len(points)), key=lambda i: points[i]):
+        if not found or points[i][1] < points[found[-1]][1]:
+            found.append(i)
+    return found

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: MIT
+"""Run time against error as a table, as JSON, as a picture."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from stss.bench.measure import Row, bench
+from stss.bench.pareto import CANONICAL, Point, frontier, measure
+from stss.bench.peers import Setup
+from stss.bench.report import PACKAGES, cpu_model
+from stss.errors import InputError
+from stss.frames.compute_options import Setting
+from stss.optional import require, versions
+from stss.version import VERSION
+from stss.weights.file import identity
+from stss_cl.device.discovery import open_device
+
+FORMAT = 1
+"""Raised when a field of the JSON changes its meaning."""
+LEAST = 1e-8
+"""Errors of 0 are drawn here: the axis is logarithmic."""
+
+
+def bench_pareto(
+    setups: Sequence[Setup],
+    scenes: Sequence[str] | None,
+    settings: Sequence[Setting],
+    frames: int,
+    peers: Sequence[str],
+    repeat: int,
+    console: Console,
+    json_file: Path | None,
+    picture: Path | None,
+) -> None:
+    """``stss bench --pareto``: measure, print, write.
+
+    Args:
+        setups: one: weights, size and device.
+        scenes: names of canonical scenes; None: all.
+        settings: what to measure.
+        frames: display frames of each.
+        peers: engines to time as well, as far as they are there.
+        repeat: runs of each of them.
+        console: for progress.
+        json_file, picture: to write to, if any.
+
+    Raises:
+        InputError: there are several sizes, or a name is unknown.
+    """
+    if len(setups) != 1:
+        raise InputError(f"--pareto: expected one --size, got {len(setups)}")
+    setup, size = setups[0], (setups[0].height, setups[0].width)
+    points: list[Point] = []
+    with console.status("") as status:
+        others = [result.rows for result in bench(setups, (), peers, repeat, on_step=status.update)] if peers else []
+        device = open_device(setup.device)
+        for point in measure(setup.weights, device, scenes or CANONICAL, settings, size, frames, on_step=status.update):
+            points.append(point)
+            if point.setting == settings[-1]:
+                print_points([p for p in points if p.scene == point.scene], (), Console())
+    rows = [row for group in others for row in group]
+    print_points((), rows, Console())
+    if json_file is not None:
+        write_json(json_file, points, rows, identity(setup.weights), size)
+    if picture is not None:
+        plot(points, rows, picture)
+
+
+def print_points(points: Sequence[Point], peers: Sequence[Row], console: Console) -> None:
+    """One table a scene; a star marks the settings that no other one beats in both time and error."""
+    for scene in dict.fromkeys(point.scene for point in points):
+        rows = [point for point in points if point.scene == scene]
+        best = frontier([(point.ratio, point.error) for point in rows])
+        table = Table(title=scene, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
+        table.add_column("", no_wrap=True)
+        for column in ("", "ms\nmedian", "share of\noff's time", "error to\nfloat64", "departure\nfrom off", "PSNR\ndB"):
+            table.add_column(column, justify="right", no_wrap=True)
+        for i, point in enumerate(rows):
+            table.add_row(
+                point.setting.name,
+                "*" if i in best else "",
+                f"{point.median * 1e3:.1f}",
+                f"{point.ratio:.3f}",
+                f"{point.error:.1e}",
+                "same bits"
+                if point.exact
+                else f"{point.departure * 255:.2f}/255" + f", {point.missed} beyond" * bool(point.missed),
+                f"{point.psnr:.2f}",
+            )
+        console.print(table)
+    for row in peers:
+        told = row.fault or f"{row.median * 1e3:.1f} ms, error {row.error:.1e}: the network alone, whatever the scene"
+        console.print(f"{row.name}: {told}", soft_wrap=True, markup=False, highlight=False)
+
+
+def write_json(path: Path, points: Sequence[Point], peers: Sequence[Row], weights: str, size: tuple[int, int]) -> None:
+    """Every single time, and what it was measured on.
+
+    Raises:
+        InputError: it can't be written.
+    """
+    data: dict[str, Any] = {
+        "format": FORMAT,
+        "stss": VERSION,
+        "machine": {"cpu": cpu_model(), "system": platform.system(), "architecture": platform.machine()},
+        "packages": {"python": platform.python_version(), **versions(PACKAGES)},
+        "weights": weights,
+        "input": [size[1], size[0]],
+        "points": [
+            {
+                "scene": point.scene,
+                "setting": point.setting.name,
+                "times_ms": [seconds * 1e3 for seconds in point.times],
+                "times_of_off_ms": [seconds * 1e3 for seconds in point.full],
+                "share": point.ratio,
+                "error": point.error,
+                "departure": point.departure,
+                "missed": point.missed,
+                "same_bits": point.exact,
+                "psnr": point.psnr,
+            }
+            for point in points
+        ],
+        "peers": [
+            {"name": row.name, "times_ms": [seconds * 1e3 for seconds in row.times], "error": row.error, "fault": row.fault}
+            for row in peers
+        ],
+    }
+    try:
+        path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+
+
+def plot(points: Sequence[Point], peers: Sequence[Row], path: Path) -> None:
+    """Time against error to float64, a panel a scene; the line joins the settings that no other one beats in both.
+
+    Raises:
+        InputError: matplotlib is not installed, or the file can't be written.
+    """
+    require("matplotlib").use("Agg")
+    plt = require("matplotlib.pyplot")
+    scenes = list(dict.fromkeys(point.scene for point in points))
+    columns = min(4, len(scenes))
+    rows = -(-len(scenes) // columns)
+    figure, panels = plt.subplots(rows, columns, squeeze=False, figsize=(3.2 * columns, 3 * rows + 0.8), layout="constrained")
+    try:
+        for panel in panels.ravel()[len(scenes) :]:
+            panel.set_axis_off()
+        for scene, panel in zip(scenes, panels.ravel(), strict=False):
+            _panel(panel, scene, [point for point in points if point.scene == scene], peers)
+        handles, labels = panels[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=7)
+        figure.savefig(path, dpi=110)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: {error}") from error
+    finally:
+        plt.close(figure)
+
+
+def _panel(panel: Any, scene: str, points: Sequence[Point], peers: Sequence[Row]) -> None:
+    at = [(point.median * 1e3, max(point.error, LEAST)) for point in points]
+    best = [at[i] for i in frontier(at)]
+    panel.step([x for x, _ in best], [y for _, y in best], where="post", color="0.7", linewidth=1, zorder=0)
+    for i, (point, (x, y)) in enumerate(zip(points, at, strict=True)):
+        panel.plot(x, y, marker="osD^v<>pPX"[i % 10], color=f"C{i % 10}", linestyle="", markersize=5, label=point.setting.name)
+    for i, row in enumerate(row for row in peers if not row.fault):
+        y = max(row.error or 0.0, LEAST)
+        panel.plot(row.median * 1e3, y, marker="x+1234"[i % 6], color="0.3", linestyle="", label=f"{row.name}, network alone")
+    panel.set(xscale="log", yscale="log", xlabel="ms a frame, median", ylabel="largest error to float64")
+    # Plain numbers, few enough to stand side by side where the axis spans less than a decade.
+    panel.xaxis.set_major_locator(require("matplotlib.ticker").LogLocator(subs=(1, 2, 5)))
+    panel.xaxis.set_major_formatter("{x:g}")
+    panel.xaxis.set_minor_formatter("")
+    panel.set_title(scene, loc="left", fontsize=10)

@@ -1,0 +1,242 @@
+# SPDX-License-Identifier: MIT
+"""The network by other engines, as contenders of the benchmark.
+
+A contender is made for one size and has three steps: ``prepare`` brings the inputs into its layout, ``run`` is what is timed, ``image``
+brings the result back. Called with arrays, it does all three.
+"""
+
+from __future__ import annotations
+
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Protocol
+
+import numpy as np
+
+from stss.bench import onnx_export
+from stss.bench.torch_network import TorchNetwork
+from stss.errors import InputError
+from stss.optional import require, versions
+from stss_ref.arrays import Array, Image, Plane
+from stss_ref.frame import NetworkInputs
+from stss_ref.resample import pad_to_8
+from stss_ref.weights import Weights
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a contender is made for.
+
+    Attributes:
+        weights: the 92 tensors.
+        height: H of the inputs; any.
+        width: W of the inputs; any.
+        device: part of the name of the OpenCL device, for those that use one; None: its default.
+        threads: how many a contender on the CPU may use, where it can be told.
+    """
+
+    weights: Weights
+    height: int
+    width: int
+    device: str | None
+    threads: int
+
+
+class Contender(Protocol):
+    """What the benchmark times.
+
+    Attributes:
+        details: what a reader of the numbers should know: package, precision, layout.
+    """
+
+    details: dict[str, str]
+
+    def prepare(self, inputs: Any) -> None:
+        """Take inputs (H, W, C) float32: ``NetworkInputs``, or ``FrameInputs`` of one that makes whole frames."""
+
+    def run(self) -> None:
+        """Compute the image of the inputs prepared; returns when it is there."""
+
+    def image(self) -> Image:
+        """(2H, 2W, 3) float32: the result of the last ``run``."""
+        ...
+
+
+class Peer(ABC):
+    """The network by another engine: a `Contender` that takes channels first, padded to multiples of 8."""
+
+    details: dict[str, str]
+
+    def __init__(self, setup: Setup):
+        self.setup = setup
+
+    def __call__(self, color: Image, gbuffer: Image, mask: Plane, history: Array) -> Image:
+        """Stage ``network`` on arrays channels last, as ``stss_ref.network.network``."""
+        self.prepare(NetworkInputs(color, gbuffer, mask, history))
+        self.run()
+        return self.image()
+
+    def prepare(self, inputs: NetworkInputs) -> None:
+        """See `Contender`."""
+        mask = inputs.mask[..., None]
+        self._bind({
+            "color": _channels_first(inputs.color[None]),
+            "gbuffer": _channels_first(inputs.gbuffer[None]),
+            "mask": _channels_first(mask[None]),
+            "history": _channels_first(inputs.history),
+        })  # fmt: skip
+
+    @abstractmethod
+    def _bind(self, inputs: dict[str, Array]) -> None:
+        """Take padded inputs (N, C, H, W)."""
+
+    @abstractmethod
+    def run(self) -> None:
+        """See `Contender`."""
+
+    def image(self) -> Image:
+        """See `Contender`."""
+        image = np.moveaxis(self._result()[0], 0, -1)
+        return np.ascontiguousarray(image[: 2 * self.setup.height, : 2 * self.setup.width], np.float32)
+
+    @abstractmethod
+    def _result(self) -> Array:
+        """(1, 3, 2H, 2W), padded."""
+
+
+def _channels_first(x: Array) -> Array:
+    return np.ascontiguousarray(np.moveaxis(pad_to_8(x), -1, -3))
+
+
+class PyTorch(Peer):
+    """PyTorch, in the memory format channels_last: on CPUs twice as fast as its default, and what tensor cores want.
+
+    Args:
+        setup: what for.
+        tuned: see `TorchNetwork`.
+        cuda: on the first CUDA GPU in half precision; else on the CPU in float32.
+        compiled: through ``torch.compile``.
+        layout: memory format; ``contiguous_format`` is what the authors' code runs in.
+    """
+
+    def __init__(self, setup: Setup, *, tuned: bool, cuda: bool = False, compiled: bool = False, layout: str = "channels_last"):
+        super().__init__(setup)
+        self._torch = torch = require("torch")
+        if cuda and not torch.cuda.is_available():
+            raise InputError("PyTorch finds no CUDA GPU")
+        torch.set_num_threads(setup.threads)
+        self._options: dict[str, Any] = {"device": "cuda" if cuda else "cpu", "dtype": torch.float16 if cuda else torch.float32}
+        self._cuda, self._layout = cuda, getattr(torch, layout)
+        network = TorchNetwork(setup.weights, tuned=tuned, **self._options)
+        self._network: Any = torch.compile(network.__call__, mode="max-autotune") if compiled else network
+        self.details = {
+            **versions(("torch",)),
+            "precision": "float16" if cuda else "float32",
+            "layout": layout,
+            "formulation": "gates merged, window as slices" if tuned else "as published",
+        }
+        if cuda:
+            self.details["gpu"] = str(torch.cuda.get_device_name())
+
+    def _bind(self, inputs: dict[str, Array]) -> None:
+        arrays = map(self._torch.from_numpy, inputs.values())
+        self._inputs = [array.to(memory_format=self._layout, **self._options) for array in arrays]
+
+    def run(self) -> None:
+        """See `Contender`."""
+        with self._torch.inference_mode():
+            self._image = self._network(*self._inputs)
+        if self._cuda:
+            self._torch.cuda.synchronize()
+
+    def _result(self) -> Array:
+        return self._image.float().cpu().numpy()
+
+
+class OnnxRuntime(Peer):
+    """ONNX Runtime on the CPU; inputs and output stay where they are."""
+
+    def __init__(self, setup: Setup):
+        super().__init__(setup)
+        runtime = require("onnxruntime")
+        options = runtime.SessionOptions()
+        options.intra_op_num_threads = setup.threads
+        # Otherwise its threads spin on after a run, at the expense of the contender that comes next.
+        options.add_session_config_entry("session.force_spinning_stop", "1")
+        self._session = runtime.InferenceSession(_model(setup), options, providers=["CPUExecutionProvider"])
+        self._value: Callable[[Array], Any] = runtime.OrtValue.ortvalue_from_numpy
+        self.details = {**versions(("onnxruntime",)), "precision": "float32", "formulation": "gates merged, window as slices"}
+
+    def _bind(self, inputs: dict[str, Array]) -> None:
+        _, _, height, width = inputs["color"].shape
+        self._image = self._value(np.empty((1, 3, 2 * height, 2 * width), np.float32))
+        self._binding = self._session.io_binding()
+        for name, array in inputs.items():
+            self._binding.bind_ortvalue_input(name, self._value(array))
+        self._binding.bind_ortvalue_output("image", self._image)
+
+    def run(self) -> None:
+        """See `Contender`."""
+        self._session.run_with_iobinding(self._binding)
+
+    def _result(self) -> Array:
+        return self._image.numpy()
+
+
+class OpenVino(Peer):
+    """OpenVINO on the CPU, for the shortest time of one frame.
+
+    Args:
+        setup: what for.
+        float32: hold it to float32; else it takes what it thinks best, bfloat16 where the CPU has it.
+    """
+
+    def __init__(self, setup: Setup, *, float32: bool):
+        super().__init__(setup)
+        self._openvino = openvino = require("openvino")
+        options = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_NUM_THREADS": setup.threads}
+        if float32:
+            options["INFERENCE_PRECISION_HINT"] = "f32"
+        core = openvino.Core()
+        compiled = core.compile_model(core.read_model(_model(setup)), "CPU", options)
+        self._request = compiled.create_infer_request()
+        precision = compiled.get_property("INFERENCE_PRECISION_HINT").get_type_name()
+        self.details = {**versions(("openvino",)), "precision": precision, "formulation": "gates merged, window as slices"}
+
+    def _bind(self, inputs: dict[str, Array]) -> None:
+        self._inputs = inputs  # shared with the engine, which doesn't own them
+        for name, array in inputs.items():
+            self._request.set_tensor(name, self._openvino.Tensor(array, shared_memory=True))
+
+    def run(self) -> None:
+        """See `Contender`."""
+        self._request.infer(share_outputs=True)
+
+    def _result(self) -> Array:
+        return self._request.get_tensor("image").data
+
+
+def _model(setup: Setup) -> bytes:
+    return onnx_export.export(setup.weights, -(-setup.height // 8) * 8, -(-setup.width // 8) * 8).SerializeToString()
+
+
+PEERS: dict[str, Callable[[Setup], Peer]] = {
+    "pytorch": partial(PyTorch, tuned=False),
+    "pytorch-contiguous": partial(PyTorch, tuned=False, layout="contiguous_format"),
+    "pytorch-tuned": partial(PyTorch, tuned=True),
+    "pytorch-compiled": partial(PyTorch, tuned=True, compiled=True),
+    "onnxruntime": OnnxRuntime,
+    "openvino": partial(OpenVino, float32=True),
+    "openvino-default": partial(OpenVino, float32=False),
+    "pytorch-cuda": partial(PyTorch, tuned=True, cuda=True),
+    "pytorch-cuda-compiled": partial(PyTorch, tuned=True, cuda=True, compiled=True),
+}
+"""Every peer, by the name that ``--peers`` takes."""
+
+
+def available_threads() -> int:
+    """Cores that this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

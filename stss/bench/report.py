@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: MIT
+"""The benchmark's results as a table, as JSON, as a picture."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from stss.bench.measure import PAUSE, WARM_UP, Row, SizeResult
+from stss.bench.peers import PEERS
+from stss.errors import InputError
+from stss.optional import require, versions
+from stss.version import VERSION
+
+FORMAT = 1
+"""Raised when a field of the JSON changes its meaning."""
+PACKAGES = ("numpy", "pyopencl", "pocl-binary-distribution", "torch", "onnx", "onnxruntime", "openvino")
+
+
+def print_results(results: Sequence[SizeResult], console: Console) -> None:
+    """One table a size; below a contender its stages, where it measures them."""
+    for result in results:
+        console.print(_table(result))
+        for row in result.rows:
+            if row.fault:
+                console.print(f"{row.name}: {row.fault}", soft_wrap=True, markup=False, highlight=False)
+
+
+def _table(result: SizeResult) -> Table:
+    height, width = result.height, result.width
+    title = f"{width} x {height} to {2 * width} x {2 * height}, {len(_times(result))} runs"
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
+    table.add_column("", no_wrap=True)
+    for column in ("ms\nminimum", "\nmedian", "times as fast\nas first peer", "largest\nerror", "MiB\nat most"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for row in result.rows:
+        if row.fault:
+            table.add_row(row.name, "-", "-", "-", "-", "-")
+            continue
+        ratio = result.ratio(row)
+        table.add_row(
+            *(row.name, f"{row.minimum * 1e3:.1f}", f"{row.median * 1e3:.1f}"),
+            *("-" if ratio is None else f"{ratio:.2f}", f"{row.error:.1e}"),
+            "-" if row.peak_memory is None else f"{row.peak_memory / 2**20:.0f}",
+        )
+        for stage, seconds in row.stages.items():
+            table.add_row(f"  {stage}", f"{seconds * 1e3:.1f}", "", "", "", "")
+    return table
+
+
+def _times(result: SizeResult) -> tuple[float, ...]:
+    return next((row.times for row in result.rows if row.times), ())
+
+
+def to_json(results: Sequence[SizeResult], weights: str, threads: int) -> str:
+    """Everything measured, and on what; no names of hosts, users or folders.
+
+    Args:
+        results: of `bench`.
+        weights: their identity.
+        threads: that each contender on the CPU had.
+    """
+    data = {
+        "format": FORMAT,
+        "stss": VERSION,
+        "machine": {"cpu": cpu_model(), "threads": threads, "system": platform.system(), "architecture": platform.machine()},
+        "packages": {"python": platform.python_version(), **versions(PACKAGES)},
+        "weights": weights,
+        "method": {
+            "order": "in turns, one process each",
+            "warm_up": WARM_UP,
+            "pause_s": PAUSE,
+            "error": "largest difference from the float64 reference, same inputs",
+        },
+        "sizes": [
+            {"input": [r.width, r.height], "output": [2 * r.width, 2 * r.height], "rows": [_row(r, row) for row in r.rows]}
+            for r in results
+        ],
+    }
+    return json.dumps(data, indent=1)
+
+
+def write_json(path: Path, results: Sequence[SizeResult], weights: str, threads: int) -> None:
+    """Write `to_json` to ``path``.
+
+    Raises:
+        InputError: it can't be written.
+    """
+    try:
+        path.write_text(to_json(results, weights, threads) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+
+
+def _row(result: SizeResult, row: Row) -> dict[str, Any]:
+    if row.fault:
+        return {"name": row.name, "peer": row.name in PEERS, "details": row.details, "fault": row.fault}
+    return {
+        "name": row.name,
+        "peer": row.name in PEERS,
+        "minimum_ms": row.minimum * 1e3,
+        "median_ms": row.median * 1e3,
+        "times_ms": [seconds * 1e3 for seconds in row.times],
+        "stages_ms": {stage: seconds * 1e3 for stage, seconds in row.stages.items()},
+        "ratio_to_first_peer": result.ratio(row),
+        "error": "inf" if row.error == float("inf") else row.error,
+        "peak_memory_bytes": row.peak_memory,
+        "details": row.details,
+    }
+
+
+def plot(results: Sequence[SizeResult], path: Path) -> None:
+    """Draw a bar of the minimum for each contender and a line to the median, one panel a size; the suffix picks the format.
+
+    Raises:
+        InputError: matplotlib is not installed, or the file can't be written.
+    """
+    require("matplotlib").use("Agg")
+    plt = require("matplotlib.pyplot")
+    most = max(len(result.rows) for result in results)
+    figure, panels = plt.subplots(
+        len(results), squeeze=False, figsize=(7, (0.8 + 0.32 * most) * len(results)), layout="constrained"
+    )
+    try:
+        for result, panel in zip(results, panels[:, 0], strict=True):
+            _panel(result, panel)
+        figure.savefig(path, dpi=150)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: {error}") from error
+    finally:
+        plt.close(figure)
+
+
+def _panel(result: SizeResult, panel: Any) -> None:
+    rows = [row for row in result.rows if not row.fault]
+    names = [row.name for row in rows]
+    minima = [row.minimum * 1e3 for row in rows]
+    colors = ["tab:gray" if row.name in PEERS else "tab:blue" for row in rows]
+    to_median = [[0.0] * len(rows), [(row.median - row.minimum) * 1e3 for row in rows]]
+    bars = panel.barh(names, minima, color=colors, xerr=to_median, ecolor="black", capsize=2)
+    panel.bar_label(bars, [f" {value:.1f}" for value in minima], label_type="center", color="white", fontsize=8)
+    panel.invert_yaxis()
+    panel.set_xlabel("ms per frame: minimum, line to the median")
+    panel.set_title(f"{result.width} x {result.height} to {2 * result.width} x {2 * result.height}", loc="left", fontsize=10)
+
+
+def cpu_model() -> str:
+    """What the CPU calls itself."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        return next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.processor() or "unknown"

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: MIT
+"""Whether motion points where it should: the frame before, warped to now, under every choice of signs and order."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from stss.frames.buffers import Buffers
+from stss_ref.arrays import Image, Mask
+from stss_ref.warp import warp
+
+MOVING = 0.25
+"""Pixels; less motion than this tells nothing."""
+ENOUGH = 200
+"""So many pixels must tell the choices apart."""
+VISIBLE = 1e-3
+"""A pixel tells choices apart when their errors differ by this share of the buffer's largest value."""
+GUIDES = ("base colour and normal", "colour", "position")
+"""No shading disturbs the first; the second needs both frames rendered; the third holds where only the camera moves."""
+MARGIN = 0.8
+"""Another choice is better when its error is below this share of the profile's."""
+
+CHOICES = {
+    "as the profile says": (False, 1, 1),
+    "x negated": (False, -1, 1),
+    "y negated": (False, 1, -1),
+    "x and y negated": (False, -1, -1),
+    "x and y swapped": (True, 1, 1),
+    "x and y swapped, then x negated": (True, -1, 1),
+    "x and y swapped, then y negated": (True, 1, -1),
+    "x and y swapped, then both negated": (True, -1, -1),
+}
+"""Choice -> (swap, sign of x, sign of y), applied to what the profile makes of the stored motion."""
+CHOSEN = next(iter(CHOICES))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the warps say.
+
+    Attributes:
+        guides: the buffers that were compared; none where nothing tells the choices apart.
+        pixels: how many pixels told them apart.
+        errors: choice -> median absolute difference over those pixels, relative to the buffer's largest value.
+        ratios: choice -> its median error divided by the profile's, over the pixels where the two differ; choices that
+            differ at too few pixels are left out.
+    """
+
+    guides: tuple[str, ...]
+    pixels: int
+    errors: dict[str, float]
+    ratios: dict[str, float]
+
+    @property
+    def better(self) -> str | None:
+        """The choice that is clearly better than the profile's, or None."""
+        best = min(self.ratios, key=lambda choice: self.ratios[choice], default=None)
+        return best if best is not None and self.ratios[best] < MARGIN else None
+
+
+def judge_motion(pairs: Iterable[tuple[Buffers, Buffers]]) -> Verdict:
+    """Compare the eight choices over pairs of neighbouring frames (t - 1, t), one pair in memory at a time."""
+    told: list[tuple[str, Image]] = []
+    for before, now in pairs:
+        for guide in GUIDES:
+            samples = _differences(before, now, guide)
+            if len(samples) >= ENOUGH:
+                told.append((guide, samples))
+                break
+    if not told:
+        return Verdict((), 0, {}, {})
+    together = np.concatenate([samples for _, samples in told])
+    errors = {name: float(error) for name, error in zip(CHOICES, np.median(together, axis=0), strict=True)}
+    ratios: dict[str, float] = {}
+    for choice, error in zip(CHOICES, together.T, strict=True):
+        differ = np.abs(error - together[:, 0]) > VISIBLE
+        if differ.sum() >= ENOUGH:
+            medians = np.median(error[differ]), np.median(together[differ, 0])
+            ratios[choice] = float(medians[0] / max(medians[1], VISIBLE * VISIBLE))
+    return Verdict(tuple(dict.fromkeys(guide for guide, _ in told)), len(together), errors, ratios)
+
+
+def _differences(before: Buffers, now: Buffers, guide: str) -> Image:
+    """(pixels, choices): mean absolute difference at the pixels that move and tell the choices apart."""
+    nothing = np.zeros((0, len(CHOICES)), dtype=np.float32)
+    images = _images(before, now, guide)
+    if images is None:
+        return nothing
+    earlier, current, usable = images
+    with np.errstate(over="ignore", invalid="ignore"):
+        usable &= np.isfinite(now.depth) & (np.sqrt((now.motion.astype(np.float64) ** 2).sum(axis=-1)) > MOVING)
+    errors: list[Image] = []
+    for swap, x, y in CHOICES.values():
+        motion = (now.motion[..., ::-1] if swap else now.motion) * np.array((x, y), dtype=np.float32)
+        warped, inside = warp(earlier, motion)
+        usable &= inside
+        errors.append(np.abs(warped - current).mean(axis=-1))
+    if not usable.any():
+        return nothing
+    stack = np.stack(errors, axis=-1)[usable] / np.abs(current[usable]).max()
+    return stack[np.ptp(stack, axis=-1) > VISIBLE]
+
+
+def _images(before: Buffers, now: Buffers, guide: str) -> tuple[Image, Image, Mask] | None:
+    everywhere = np.ones(now.size, dtype=np.bool_)
+    if guide == "colour":
+        return None if before.color is None or now.color is None else (before.color, now.color, everywhere)
+    if guide == "position":
+        usable = (now.stencil == 0) & np.isfinite(now.position).all(axis=-1)
+        return np.nan_to_num(before.position), np.nan_to_num(now.position), usable
+    return (
+        np.concatenate([before.base_color, before.normal], axis=-1),
+        np.concatenate([now.base_color, now.normal], axis=-1),
+        everywhere,
+    )

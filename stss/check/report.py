@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: MIT
+"""Whether a sequence is what a profile says, before hours are spent on it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, cast
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from stss.check.motion_convention import judge_motion
+from stss.check.value_statistics import Level, Values, motion_lines
+from stss.errors import InputError
+from stss.images.headers import read_header
+from stss.sequence.find_files import find_frames
+from stss.sequence.profiles import BUFFERS, Profile, load_profile
+from stss.sequence.raw_frame import NonFinite
+from stss.sequence.reader import Sequence, open_sequence
+
+PAIRS = 3
+"""So many pairs of neighbouring frames are read."""
+LOSSY = ("pxr24", "b44", "b44a", "dwaa", "dwab")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the report."""
+
+    level: Level
+    text: str
+
+
+@dataclass(frozen=True)
+class Report:
+    """What was found.
+
+    Attributes:
+        findings: the gravest first; among equals, what most likely keeps a sequence from working.
+        tables: the same as numbers, ready for JSON.
+    """
+
+    findings: tuple[Finding, ...]
+    tables: Mapping[str, object]
+
+    @property
+    def status(self) -> int:
+        """0: fine; 1: warnings; 2: it cannot run."""
+        levels = {finding.level for finding in self.findings}
+        return 2 if "error" in levels else 1 if "warning" in levels else 0
+
+    def to_json(self) -> str:
+        """Status, findings and tables as JSON."""
+        return json.dumps(
+            {
+                "status": self.status,
+                "findings": [dataclasses.asdict(finding) for finding in self.findings],
+                **self.tables,
+            },
+            indent=2,
+        )
+
+
+def check(
+    sequence_path: str | Path,
+    profile: str | Path | Profile,
+    *,
+    camera: Path | None = None,
+    metallic: float | None = None,
+    roughness: float | None = None,
+    non_finite: NonFinite = "refuse",
+    frames: tuple[int, int] | None = None,
+) -> Report:
+    """Look a sequence over: frames, buffers, conventions, values.
+
+    Args:
+        sequence_path: as `stss.sequence.reader.open_sequence`, like the options.
+        profile: name, TOML file or profile.
+        camera: as there.
+        metallic: as there.
+        roughness: as there.
+        non_finite: as there; "refuse" makes values that are not finite an error, "mask" a warning.
+        frames: first and last display frame to look at; None: all there are.
+
+    Raises:
+        InputError: the profile itself cannot be read. What is wrong with the sequence is a finding.
+    """
+    table = profile if isinstance(profile, Profile) else load_profile(profile)
+    findings: list[Finding] = []
+    tables: dict[str, object] = {"profile": table.name}
+    try:
+        numbers = sorted(find_frames(Path(sequence_path), {table.file_of(buffer) for buffer in BUFFERS}))
+        findings += missing_frames(numbers)
+        sequence = open_sequence(sequence_path, table, camera=camera, metallic=metallic, roughness=roughness, non_finite="mask")
+        looked = [n for n in sequence.numbers if frames is None or frames[0] <= n <= frames[1]]
+        if not looked:
+            raise InputError(f"{sequence_path}: no frames from {frames}; it has {numbers[0]} to {numbers[-1]}")
+        findings += missing_buffers(sequence, looked)
+        tables |= {"size": list(sequence.size), "frames": _frame_table(sequence, looked)}
+        findings += _storage(sequence, looked, tables)
+        findings += _pixels(sequence, looked, non_finite, tables)
+    except InputError as error:
+        findings.append(Finding("error", str(error)))
+    order: dict[Level, int] = {"error": 0, "warning": 1, "note": 2}
+    return Report(tuple(sorted(findings, key=lambda finding: order[finding.level])), tables)
+
+
+def missing_frames(numbers: list[int]) -> list[Finding]:
+    """Display frames that are not there at all: the likeliest reason that a sequence cannot work."""
+    gone = sorted(set(range(numbers[0], numbers[-1] + 1)) - set(numbers))
+    if not gone:
+        return []
+    steps = {b - a for a, b in pairwise(numbers)}
+    if len(steps) == 1:
+        shown = ", ".join(str(n) for n in numbers[:3])
+        text = (
+            f"frames step by {steps.pop()} ({shown}, ...): the display frames between are not there. Only the colour "
+            "may come at half rate: render G-buffer and motion of every display frame, motion to the one just before"
+        )
+        return [Finding("error", text)]
+    return [Finding("error", f"display frames {_listed(gone)} are not there: G-buffer and motion of each are needed")]
+
+
+def missing_buffers(sequence: Sequence, numbers: list[int]) -> list[Finding]:
+    """Buffers that some frames have and others lack; and which frames have a colour."""
+    findings: list[Finding] = []
+    for buffer in BUFFERS:
+        gone = [n for n in numbers if not sequence.has(n, buffer)]
+        if gone and buffer != "color":
+            text = f"{buffer}: not there in frames {_listed(gone)}; every display frame needs it, rendered or not"
+            findings.append(Finding("error", text))
+    rendered = sorted(sequence.rendered.intersection(numbers))
+    if rendered == numbers:
+        findings.append(Finding("note", f"colour: all {len(numbers)} frames; a half-rate run uses every second one"))
+    elif rendered and rendered == [n for n in numbers if (n - rendered[0]) % 2 == 0 and n >= rendered[0]]:
+        findings.append(Finding("note", f"colour: every second frame from {rendered[0]} on"))
+    else:
+        shown = _listed(rendered) if rendered else "none"
+        findings.append(Finding("warning", f"colour: expected every frame or every second one; found frames {shown}"))
+    return findings
+
+
+def _listed(numbers: list[int]) -> str:
+    more = f", ... ({len(numbers)} in all)" if len(numbers) > 8 else ""
+    return ", ".join(str(n) for n in numbers[:8]) + more
+
+
+def _frame_table(sequence: Sequence, numbers: list[int]) -> dict[str, object]:
+    return {
+        str(n): {
+            "files": [path.name for path in sequence.files(n)],
+            "color": n in sequence.rendered,
+            "missing": [buffer for buffer in BUFFERS if buffer != "color" and not sequence.has(n, buffer)],
+        }
+        for n in numbers
+    }
+
+
+def _storage(sequence: Sequence, numbers: list[int], tables: dict[str, object]) -> list[Finding]:
+    """Channels, formats and compression of the first frame that has each buffer."""
+    findings: list[Finding] = []
+    channels: dict[str, object] = {}
+    lossy: dict[str, list[str]] = {}
+    for buffer in BUFFERS:
+        number = next((n for n in numbers if buffer in sequence.frames[n].sources), None)
+        if number is None:
+            channels[buffer] = {"channels": [], "formats": [], "compression": ""}
+            continue
+        source = sequence.frames[number].sources[buffer]
+        header = read_header(source.path)
+        formats = [header.formats[name] for name in source.names]
+        channels[buffer] = {"channels": list(source.names), "formats": formats, "compression": header.compression}
+        if buffer != "color" and header.compression.split(":")[0] in LOSSY:
+            lossy.setdefault(header.compression, []).append(buffer)
+    tables["channels"] = channels
+    for compression, buffers in lossy.items():
+        findings.append(Finding("warning", f"{compression} compression changes {', '.join(buffers)}; expected zip, or none"))
+    return findings
+
+
+def _pixels(sequence: Sequence, numbers: list[int], non_finite: NonFinite, tables: dict[str, object]) -> list[Finding]:
+    """Read a few pairs of neighbouring frames and look at their values."""
+    usable = [n for n in numbers if all(buffer == "color" or sequence.has(n, buffer) for buffer in BUFFERS)]
+    pairs = [(a, b) for a, b in pairwise(usable) if b == a + 1]
+    chosen = pairs[:: max(1, -(-len(pairs) // PAIRS))]
+    verdict = judge_motion((sequence.load(a), sequence.load(b)) for a, b in chosen)
+    tables["reprojection"] = dataclasses.asdict(verdict)
+    values = Values()
+    for number in sorted({n for pair in chosen for n in pair}) or usable[:1]:
+        values.add(sequence, number)
+    tables["values"] = values.table()
+    lines = [*motion_lines(verdict, sequence.profile.name), *values.lines(sequence, non_finite)]
+    return [Finding(level, text) for level, text in lines]
+
+
+def print_report(report: Report, console: Console) -> None:
+    """The findings, then what is stored where, and how well each choice of motion fits."""
+    colours = {"error": "red", "warning": "yellow", "note": "cyan"}
+    for finding in report.findings:
+        console.print(f"[{colours[finding.level]}]{finding.level}[/]: {escape(finding.text)}", soft_wrap=True)
+    channels = cast(dict[str, dict[str, Any]], report.tables.get("channels", {}))
+    if channels:
+        table = Table("buffer", "channels", "format", "compression")
+        for buffer, row in channels.items():
+            words = (", ".join(row["channels"]), ", ".join(dict.fromkeys(row["formats"])), row["compression"])
+            table.add_row(buffer, *(escape(word) for word in words))
+        console.print(table)
+    errors = cast(dict[str, dict[str, float]], report.tables.get("reprojection", {})).get("errors", {})
+    if errors:
+        table = Table("motion", "difference of the warped frame")
+        for choice, error in errors.items():
+            table.add_row(choice, f"{error:.4f}")
+        console.print(table)

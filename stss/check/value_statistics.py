@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: MIT
+"""What the values of a few frames say: units, ranges, holes in the data."""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Literal
+
+import numpy as np
+
+from stss.check.motion_convention import CHOSEN, Verdict
+from stss.frames.buffers import Buffers
+from stss.images.headers import read_header
+from stss.sequence.profiles import BUFFERS
+from stss.sequence.raw_frame import FINITE, NonFinite, read_stored
+from stss.sequence.reader import Sequence
+from stss_ref.arrays import Array, Mask
+
+Level = Literal["error", "warning", "note"]
+Line = tuple[Level, str]
+
+HOLE_CM = 7.5
+"""Smallest distance that the hole test tells apart (spec 4)."""
+
+
+def motion_lines(verdict: Verdict, profile: str) -> list[Line]:
+    """What the reprojection says of the profile's motion convention."""
+    if not verdict.guides:
+        return [("note", "motion: cannot tell whether its signs are right; too little moves, or nothing has texture")]
+    compared = f"{', '.join(verdict.guides)} of the frame before, warped, over {verdict.pixels} pixels"
+    if verdict.better is None:
+        return [("note", f"motion: fits as profile {profile} says ({compared}: {verdict.errors[CHOSEN]:.4f})")]
+    times = 1 / max(verdict.ratios[verdict.better], 1e-3)
+    text = f"motion: fits {times:.1f} times as well with {verdict.better}, so profile {profile} seems wrong ({compared})"
+    return [("warning", text)]
+
+
+class Values:
+    """Counts over the frames that were looked at."""
+
+    def __init__(self):
+        self._counts: Counter[str] = Counter()
+        self._most: dict[str, float] = {}
+        self._stencils: set[float] = set()
+        self._non_finite: dict[str, str] = {}
+
+    def add(self, sequence: Sequence, number: int) -> None:
+        """Look at one frame."""
+        frame = sequence.frames[number]
+        stored = read_stored(frame, sequence.size, sequence.constants)
+        self._count_non_finite(stored, number)
+        buffers = sequence.load(number)
+        hit = np.isfinite(buffers.depth)
+        count = self._counts
+        count["pixels"] += hit.size
+        count["hit"] += int(hit.sum())
+        self._add_background(stored["depth"][..., 0], hit)
+        length = np.linalg.norm(buffers.normal.astype(np.float64), axis=-1)
+        count["not unit"] += int((hit & (np.abs(length - 1) > 0.01)).sum())
+        count["negative normals"] += int((buffers.normal < 0).any(axis=-1).sum())
+        count["facing away"] += int((hit & (buffers.nov < -0.1)).sum())
+        count["fractional stencils"] += int((buffers.stencil != np.rint(buffers.stencil)).sum())
+        if len(self._stencils) <= 256:
+            self._stencils |= {float(x) for x in np.unique(buffers.stencil[hit])}
+        with np.errstate(over="ignore", invalid="ignore"):
+            moved = np.abs(buffers.motion).max(axis=-1)
+        count["off the frame"] += int((hit & ~(moved < max(sequence.size))).sum())
+        self._highest("motion", moved)
+        self._highest("position", np.abs(buffers.position[hit]))
+        self._add_color(buffers)
+
+    def _add_color(self, buffers: Buffers) -> None:
+        if buffers.color is not None:
+            self._counts["colour values"] += buffers.color.size
+            self._counts["negative colours"] += int((buffers.color < 0).sum())
+            self._highest("color", buffers.color)
+
+    def _add_background(self, stored: Array, hit: Mask) -> None:
+        missed = stored[~hit]
+        with np.errstate(invalid="ignore"):
+            self._counts["background 0 or less"] += int((missed <= 0).sum())
+            self._counts["background not finite"] += int((~np.isfinite(missed)).sum())
+            self._counts["background far"] += int((np.isfinite(missed) & (missed > 0)).sum())
+
+    def _count_non_finite(self, stored: dict[str, Array], number: int) -> None:
+        for buffer in BUFFERS:
+            bad = int((~np.isfinite(stored[buffer])).sum()) if buffer in stored else 0
+            if bad:
+                self._counts[f"non-finite {buffer}"] += bad
+                self._non_finite.setdefault(buffer, f"frame {number}")
+
+    def _highest(self, key: str, values: Array) -> None:
+        finite = values[np.isfinite(values)]
+        if finite.size:
+            self._most[key] = max(self._most.get(key, -np.inf), float(finite.max()))
+
+    def table(self) -> dict[str, object]:
+        """Counts and largest values, ready for JSON."""
+        return {**self._counts, **{f"largest {key}": value for key, value in self._most.items()}}
+
+    def _share(self, key: str, of: str = "hit") -> float:
+        return self._counts[key] / max(self._counts[of], 1)
+
+    def lines(self, sequence: Sequence, non_finite: NonFinite) -> list[Line]:
+        """Findings."""
+        if not self._counts["pixels"]:
+            return [("note", "no frame is complete, so no values were looked at")]
+        return [
+            *self._non_finite_lines(non_finite),
+            *self._geometry_lines(sequence),
+            *self._position_lines(sequence),
+            *self._color_lines(sequence),
+        ]
+
+    def _non_finite_lines(self, policy: NonFinite) -> list[Line]:
+        lines: list[Line] = []
+        for buffer, first in self._non_finite.items():
+            text = f"{buffer}: {self._counts[f'non-finite {buffer}']} non-finite values, first in {first}"
+            if buffer not in FINITE:
+                meaning = {"motion": "off screen", "depth": "nothing hit", "position": "a hole"}[buffer]
+                lines.append(("note", f"{text}; taken as {meaning}"))
+            elif policy == "refuse":
+                lines.append(("error", f"{text}; refused unless non-finite values are masked"))
+            else:
+                lines.append(("warning", f"{text}; masked"))
+        return lines
+
+    def _geometry_lines(self, sequence: Sequence) -> list[Line]:
+        lines: list[Line] = []
+        counts = self._counts
+        if not counts["hit"]:
+            lines.append(("warning", "depth: nothing was hit anywhere; expected linear depths > 0"))
+        prefix = "background "
+        kinds = [f"{counts[key]} {key.removeprefix(prefix)}" for key in counts if key.startswith(prefix) and counts[key]]
+        shown = f", stored as: {', '.join(kinds)}" if kinds else ""
+        lines.append(("note", f"depth: {1 - self._share('hit', 'pixels'):.1%} background{shown}"))
+        ray = sequence.profile.depth.kind == "ray"
+        if ray and not any(f.camera is not None and f.camera.to_camera is not None for f in sequence.frames.values()):
+            lines.append(("note", "depth: a ray's length, used as it is; the files have no worldToCamera to make it planar"))
+        if counts["hit"] and not counts["negative normals"]:
+            lines.append(("warning", "normal: no negative component anywhere; expected -1..1, it looks like 0..1"))
+        elif share := self._share("not unit"):
+            level: Level = "warning" if share > 0.2 else "note"
+            lines.append((level, f"normal: {share:.1%} of the pixels not of unit length"))
+        if (share := self._share("facing away")) > 0.05:
+            text = f"nov: {share:.1%} of the pixels face away from the camera; expected none"
+            lines.append(("warning", f"{text}: camera, its unit or the normals do not fit"))
+        if (share := self._share("off the frame")) > 0.5:
+            lines.append(("warning", f"motion: {share:.1%} of the pixels move by more than the frame, or non-finite"))
+        if self._most.get("motion") == 0:
+            lines.append(("note", "motion: 0 everywhere; expected only where neither camera nor objects move"))
+        return lines + self._stencil_lines()
+
+    def _stencil_lines(self) -> list[Line]:
+        if self._counts["fractional stencils"]:
+            share = self._share("fractional stencils", "pixels")
+            return [("warning", f"stencil: {share:.1%} of the pixels are not whole numbers; expected no filtering")]
+        if len(self._stencils) == 1:
+            value = self._stencils.copy().pop()
+            if value == 0:
+                return [("note", "stencil: 0 everywhere, so everything counts as static")]
+            return [("warning", f"stencil: {value:g} everywhere, so everything counts as moving; expected 0 for static")]
+        if self._stencils and 0 not in self._stencils:
+            return [("warning", "stencil: 0 nowhere, so everything counts as moving; expected 0 for static geometry")]
+        return []
+
+    def _position_lines(self, sequence: Sequence) -> list[Line]:
+        source = next((f.sources["position"] for f in sequence.frames.values() if "position" in f.sources), None)
+        if source is None or "position" not in self._most:
+            return []
+        unit, half = sequence.profile.units_per_cm, read_header(source.path).formats[source.names[0]] == "half"
+        step = float(np.spacing(np.float32(self._most["position"] * unit))) * (2**13 if half else 1) / unit
+        coarse = step > HOLE_CM / 8
+        if not half and not coarse:
+            return []
+        level: Level = "warning" if coarse else "note"
+        stored = "half" if half else "single"
+        return [(level, f"position: {stored} precision, in steps of {step:.2g} cm; holes are told apart from {HOLE_CM} cm on")]
+
+    def _color_lines(self, sequence: Sequence) -> list[Line]:
+        if "color" not in self._most:
+            return []
+        most, linear = self._most["color"], sequence.profile.color_domain == "linear"
+        lines: list[Line] = [("note", f"colour: largest value {most:.4g}, {sequence.profile.color_domain}")]
+        if not linear and most > 1:
+            lines.append(("warning", f"colour: up to {most:.4g}; expected at most 1 of display-referred values"))
+        if share := self._share("negative colours", "colour values"):
+            lines.append(("warning" if share > 0.01 else "note", f"colour: {share:.2%} of the values negative"))
+        return lines

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: MIT
+"""``stss conform``: the judge of ports."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+
+from stss.cli.options import PATH, Names
+from stss.errors import InputError
+from stss.optional import require
+
+
+@click.command()
+@click.option("--port", "spec", metavar="MODULE:FACTORY", help="A Python object: package.module:factory.")
+@click.option("--exec", "program", metavar="PROGRAM", help='A program that is called with a job folder: "./port --gpu 1".')
+@click.option("--stages", type=Names(), help="Some only  [default: all that the port has]")
+@click.option("--tier", type=click.Choice(["quick", "full"]), default="quick", show_default=True, help="How many cases.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Other cases.")
+@click.option("--dtype", type=click.Choice(["float32", "float16"]), help="What it computes in  [default: as it says; float32]")
+@click.option("--winograd", is_flag=True, help="It computes convolutions in Winograd's way: wider bounds for them.")
+@click.option("--timeout", type=click.FloatRange(0, min_open=True), default=120, show_default=True, help="Seconds for one start.")
+@click.option("--known-failures", type=PATH, help="File: on each line a test and a link or reason.")
+@click.option("--failures", type=PATH, default=Path("conform-failures"), show_default=True, help="Folder for what fails.")
+@click.option("--replay", type=PATH, help="Run one of those folders again, and nothing else.")
+@click.option("--json", "json_file", type=PATH, help="File for every result.")
+@click.option("--junit", type=PATH, help="File for JUnit XML.")
+@click.option("--report", type=PATH, help="File for an HTML page with pictures.")
+def conform(
+    spec: str | None,
+    program: str | None,
+    stages: tuple[str, ...] | None,
+    tier: str,
+    seed: int,
+    dtype: str | None,
+    winograd: bool,
+    timeout: float,
+    known_failures: Path | None,
+    failures: Path,
+    replay: Path | None,
+    json_file: Path | None,
+    junit: Path | None,
+    report: Path | None,
+) -> None:
+    """Judge a port: which stage departs from the specification, by how much, on the smallest input that shows it.
+
+    Ends with status 0 if nothing does, 1 if something does.
+    """
+    for package in ("pytest", "hypothesis"):
+        require(package, "conform")
+    from conformance.judge import TIERS, Judge
+    from conformance.run_suite import SUITE, KnownFailuresError, read_known, run_suite
+    from stss.conform import failures as conforming
+    from stss.conform import report as conform_report
+
+    port = conforming.load_port(spec, program, timeout, dtype, winograd)
+    if replay is not None:
+        sys.exit(_replay(port, replay))
+    _require_places((json_file, junit, report), failures)
+    if unknown := set(stages or ()) - set(SUITE):
+        raise InputError(f"--stages: expected some of {', '.join(SUITE)}, got {', '.join(sorted(unknown))}")
+    console = Console(stderr=True)
+    judge = Judge(port, TIERS[tier], seed)
+    try:
+        known = read_known(known_failures) if known_failures is not None else {}
+        with console.status("") as status:
+
+            def on_result(result: Any) -> None:
+                status.update(f"{result.id}: {result.outcome}")
+
+            results = run_suite(judge, stages or SUITE, known=tuple(known), junit=junit, on_result=on_result)
+    except KnownFailuresError as error:
+        raise InputError(str(error)) from error
+    except OSError as error:
+        raise InputError(f"{error.filename or known_failures}: {error.strerror or error}") from error
+    again = _command(spec, program, dtype, winograd)
+    folders = {
+        r.id: conforming.keep_failure(failures, r.id, r.record.finding, again)
+        for r in results
+        if r.outcome == "failed" and r.record.finding is not None
+    }
+    conform_report.print_results(results, Console())
+    click.echo("".join(f"{name}: {again} --replay {shlex.quote(str(folder))}\n" for name, folder in folders.items()), nl=False)
+    if json_file is not None:
+        conform_report.write_json(json_file, conform_report.to_json(judge, results, folders))
+    if report is not None:
+        conform_report.write_page(report, judge, results, folders)
+    sys.exit(0 if conform_report.passed(results) else 1)
+
+
+def _require_places(files: tuple[Path | None, ...], failures: Path) -> None:
+    """Say of places that cannot be written to before minutes of work, not after."""
+    for path in (*files, failures):
+        if path is None:
+            continue
+        folder = path is failures
+        if not path.absolute().parent.is_dir() or (path.exists() and path.is_dir() != folder):
+            raise InputError(f"{path}: expected {'a folder' if folder else 'a file'} in a folder that is there")
+
+
+def _command(spec: str | None, program: str | None, dtype: str | None, winograd: bool) -> str:
+    words = ["stss", "conform", *(("--port", spec) if spec is not None else ("--exec", program or ""))]
+    words += ["--dtype", dtype] if dtype is not None else []
+    return shlex.join([*words, *(["--winograd"] if winograd else [])])
+
+
+def _replay(port: Any, folder: Path) -> int:
+    from stss.conform import failures as conforming
+
+    worst, output = 0.0, ""
+    for output, ratio in conforming.replay(port, folder):
+        click.echo(f"{output}: {'wrong' if ratio == float('inf') else f'error / bound {ratio:.3g}'}")
+        worst = max(worst, ratio)
+    if not output:
+        click.echo("the port answers; what it failed with was no answer, so nothing is held against this one")
+    return int(worst > 1)

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: MIT
+"""Subcommands that say what a result is worth: every method side by side, and flicker."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+
+from stss.cli.options import (
+    PATH,
+    FrameRange,
+    Names,
+    Size,
+    backend_options,
+    frame_options,
+    perceptual_options,
+    sequence_options,
+    weights_option,
+)
+from stss.sequence.reader import open_sequence
+
+
+@click.command("methods")
+@click.argument("sequence", type=PATH)
+@click.argument("truth", type=PATH)
+@click.option("-o", "--out", type=PATH, required=True, help="Folder for a folder of each method, and for sheet.png.")
+@sequence_options
+@weights_option
+@click.option("--methods", type=Names(), default=(), help="Which, such as bilinear,taau,network  [default: all]")
+@backend_options
+@frame_options
+@click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
+@perceptual_options
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def methods_command(
+    sequence: Path,
+    truth: Path,
+    out: Path,
+    profile: str,
+    camera: Path | None,
+    metallic: float | None,
+    roughness: float | None,
+    non_finite: Any,
+    weights: str,
+    methods: tuple[str, ...],
+    rendered: str | None,
+    frames: tuple[int, int] | None,
+    transfer: str | None,
+    depth: Any,
+    overwrite: bool,
+    flip: bool,
+    vmaf: bool,
+    as_json: bool,
+    **device: Any,
+) -> None:
+    """Run SEQUENCE by the network and without it, and hold all of it against TRUTH: one table, one picture.
+
+    Columns are means over the frames of a kind; --json has every frame.
+    """
+    from stss.images.read_write import write_rgb
+    from stss.quality import methods_table as method_table
+    from stss.quality.methods_sheet import method_sheet
+    from stss.run.choose_backend import open_method
+    from stss.run.job import RunOptions
+    from stss.weights.file import load
+
+    files = open_sequence(sequence, profile, camera=camera, metallic=metallic, roughness=roughness, non_finite=non_finite)
+    options = RunOptions.of(files.profile, transfer=transfer, depth=depth, rendered=rendered, frames=frames, overwrite=overwrite)
+    chosen, loaded = method_table.choose_methods(methods, weights), load(weights)
+    console = Console(stderr=True)
+    with console.status("") as status:
+        results = method_table.run_methods(
+            files,
+            truth,
+            out,
+            chosen,
+            lambda method: open_method(method, loaded, **device, tell=lambda line: click.echo(line, err=True)),
+            options,
+            flip=flip,
+            vmaf=vmaf,
+            on_step=status.update,
+        )
+    write_rgb(out / "sheet.png", method_sheet(results, truth, frames))
+    if as_json:
+        click.echo(method_table.to_json(results))
+    else:
+        method_table.print_results(results, Console())
+    console.print(f"pictures to look at: {out / 'sheet.png'}", soft_wrap=True, highlight=False, markup=False)
+
+
+@click.command("flicker")
+@click.argument("out", type=PATH)
+@click.argument("truth", type=PATH)
+@click.option("--sequence", type=PATH, required=True, help="What OUT was made of: its motion and G-buffer are followed.")
+@sequence_options
+@click.option("--frames", type=FrameRange(), help="First and last frame to look at.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def flicker_command(
+    out: Path, truth: Path, sequence: Path, profile: str, frames: tuple[int, int] | None, as_json: bool, **options: Any
+) -> None:
+    """Measure how the frames in OUT change along the motion, against those in TRUTH: in 8-bit levels."""
+    from stss.quality.flicker import flicker, print_flicker
+
+    found = flicker(out, truth, open_sequence(sequence, profile, **options), frames=frames)
+    if as_json:
+        click.echo(found.to_json())
+    else:
+        print_flicker(found, Console())
+
+
+@click.command("flicker-scenes")
+@click.option("--scenes", type=Names(), default=(), help="Of the canonical ones  [default: static,slow-pan]")
+@click.option("--methods", type=Names(), default=(), help="Which, such as bilinear,taau,network  [default: all]")
+@click.option("--size", type=Size(), default="320x180", show_default=True, help="Of the inputs.")
+@click.option("--frames", type=click.IntRange(1), default=20, show_default=True, help="Display frames of a scene.")
+@weights_option
+@backend_options
+def flicker_scenes_command(
+    scenes: tuple[str, ...], methods: tuple[str, ...], size: tuple[int, int], frames: int, weights: str, **device: Any
+) -> None:
+    """Measure flicker on built-in scenes whose cameras stand or turn slowly: every method against the truth, in 8-bit levels."""
+    from stss.quality import flicker_scenes
+    from stss.quality import methods_table as method_table
+    from stss.run.choose_backend import open_method
+    from stss.weights.file import load
+
+    chosen, loaded, console = method_table.choose_methods(methods, weights), load(weights), Console(stderr=True)
+
+    def make(method: str) -> Any:
+        return open_method(method, loaded, **device, tell=lambda line: click.echo(line, err=True))[0]
+
+    with console.status("") as status:
+        found = flicker_scenes.measure(scenes or flicker_scenes.STILL, chosen, make, size, frames, on_step=status.update)
+    flicker_scenes.print_steadiness(found, Console())

@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: MIT
+"""The ``stss`` command: one function per subcommand, each of them thin."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from stss.baselines.registry import METHODS
+from stss.cli.conform import conform
+from stss.cli.devices import bench_command, devices, export, port, tune
+from stss.cli.evaluate import flicker_command, flicker_scenes_command, methods_command
+from stss.cli.options import (
+    PATH,
+    FrameRange,
+    backend_options,
+    frame_options,
+    perceptual_options,
+    sequence_options,
+    skip_options,
+    weights_option,
+)
+from stss.cli.stress import stress_command
+from stss.errors import InputError
+from stss.frames.backends import NETWORK
+from stss.run.choose_backend import Engine
+from stss.run.job import FrameReport, RunOptions, Summary
+from stss.run.job import run as run_sequence
+from stss.run.skip_report import told
+from stss.sequence.reader import open_sequence
+from stss.version import VERSION
+from stss.weights import inspect as inspection
+from stss.weights.file import load, save
+from stss_cl.errors import DeviceError
+from stss_ref.arrays import ArrayError
+from stss_ref.checkpoint import read_checkpoint
+from stss_ref.schedule import FrameKind
+from stss_ref.weights import WeightsError
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120})
+@click.version_option(VERSION, prog_name="stss")
+def stss() -> None:
+    """Space-time supersampling: frames in, twice the resolution and twice the frame rate out."""
+
+
+@stss.command()
+@click.argument("sequence", type=PATH)
+@click.option("-o", "--out", type=PATH, required=True, help="Folder for the frames.")
+@sequence_options
+@weights_option
+@click.option(
+    "--method",
+    type=click.Choice([NETWORK, *METHODS]),
+    default=NETWORK,
+    show_default=True,
+    help="The network, or one without weights and device, to compare with.",
+)
+@backend_options
+@skip_options
+@frame_options
+@click.option("--format", "suffix", type=click.Choice(["exr", "png"]), default="exr", show_default=True)
+@click.option("--resume", is_flag=True, help="Keep what an earlier run finished, as far as it is still right.")
+@click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
+@click.option("--show-skipped", is_flag=True, help="Pictures of where each frame was computed, in OUT/skipped.")
+@click.option("--keep-going", is_flag=True, help="Leave out frames that cannot be read; ends with status 1.")
+def run(
+    sequence: Path,
+    out: Path,
+    profile: str,
+    camera: Path | None,
+    metallic: float | None,
+    roughness: float | None,
+    non_finite: Any,
+    weights: str,
+    method: str,
+    backend: str,
+    device: str | None,
+    precision: str,
+    memory_limit: int | None,
+    skip: str | None,
+    max_error: float | None,
+    budget: float | None,
+    suffix: str,
+    **chosen: Any,
+) -> None:
+    """Make SEQUENCE, a folder or a pattern like a.####.exr, twice as large and twice as fast."""
+    frames = open_sequence(sequence, profile, camera=camera, metallic=metallic, roughness=roughness, non_finite=non_finite)
+    options = RunOptions.of(frames.profile, format=suffix, **chosen)
+    console = Console(stderr=True)
+    first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
+    how = Engine(method, load(weights), backend, device, precision, memory_limit)
+    with _progress(console) as progress:
+        task = progress.add_task("", total=last - first + 1)
+        engine, identity = how.open(skip, max_error, budget, frames, options, tell=lambda line: click.echo(line, err=True))
+        summary = run_sequence(frames, out, engine, identity, options, on_frame=lambda _: progress.advance(task))
+    _report(summary, out, console)
+    sys.exit(1 if any(frame.fault for frame in summary.frames) else 0)
+
+
+@stss.command()
+@click.argument("sequence", type=PATH)
+@sequence_options
+@click.option("--frames", type=FrameRange(), help="First and last frame to look at.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def check(sequence: Path, profile: str, as_json: bool, **options: Any) -> None:
+    """Say what SEQUENCE holds and whether it can be run.
+
+    Ends with status 0 when it can, 1 when it can but something looks wrong, 2 when it cannot.
+    """
+    from stss.check import report as checking
+
+    report = checking.check(sequence, profile, **options)
+    if as_json:
+        click.echo(report.to_json())
+    else:
+        checking.print_report(report, Console())
+    sys.exit(report.status)
+
+
+@stss.command()
+@click.argument("out", type=PATH)
+@click.argument("truth", type=PATH)
+@click.option("--frames", type=FrameRange(), help="First and last frame to compare.")
+@click.option("--pictures", type=PATH, help="Folder for pictures of output, truth and difference.")
+@perceptual_options
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def compare(out: Path, truth: Path, as_json: bool, **chosen: Any) -> None:
+    """Hold the frames in OUT against those in TRUTH: PSNR and SSIM over all pixels, edges and holes."""
+    from stss.quality import compare as comparing
+
+    comparison = comparing.compare(out, truth, **chosen)
+    if as_json:
+        click.echo(comparison.to_json())
+    else:
+        comparing.print_comparison(comparison, Console())
+
+
+@stss.command()
+@click.argument("out", type=PATH, default=Path("demo"))
+@weights_option
+@backend_options
+@click.option("--overwrite", is_flag=True, help="Replace an earlier demo.")
+def demo(out: Path, weights: str, overwrite: bool, **chosen: Any) -> None:
+    """Render a small scene into OUT, supersample it, and compare it with its truth: pictures to look at."""
+    from stss import demo as demonstration
+
+    demonstration.demo(out, weights=weights, overwrite=overwrite, console=Console(), **chosen)
+
+
+@stss.group()
+def weights() -> None:
+    """Import and look at the network's weights."""
+
+
+@weights.command("import")
+@click.argument("checkpoint", type=PATH)
+@click.option("-o", "--out", type=PATH, required=True, help="The .safetensors file to write.")
+def import_weights(checkpoint: Path, out: Path) -> None:
+    """Read the authors' PyTorch CHECKPOINT, without executing it, and write it as safetensors."""
+    save(out, read_checkpoint(checkpoint), {"imported_from": checkpoint.name})
+    click.echo(f"{out}: {load(out).identity}")
+
+
+@weights.command()
+@click.argument("file")
+@click.option("--size", type=(int, int), default=(544, 960), show_default=True, help="H W that multiply-adds are for.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def inspect(file: str, size: tuple[int, int], as_json: bool) -> None:
+    """Print the layers of the weights in FILE: shapes, parameters, multiply-adds."""
+    found = inspection.inspect(load(file).weights, *size)
+    if as_json:
+        click.echo(json.dumps(asdict(found)))
+    else:
+        inspection.print_inspection(found, Console())
+
+
+for command in (
+    bench_command, conform, devices, export, flicker_command, flicker_scenes_command, methods_command, port, stress_command, tune,
+):  # fmt: skip
+    stss.add_command(command)
+
+
+def _progress(console: Console) -> Progress:
+    """A bar with frame rate and time left."""
+
+    class Rate(TextColumn):
+        def __init__(self) -> None:
+            super().__init__("{task.speed}")
+
+        def render(self, task: Any) -> Any:
+            self.text_format = "" if not task.speed else f"{task.speed:.2f} frames/s"
+            return super().render(task)
+
+    return Progress(
+        BarColumn(), MofNCompleteColumn(), Rate(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
+        console=console,
+        disable=not console.is_terminal,
+    )  # fmt: skip
+
+
+def _report(summary: Summary, out: Path, console: Console) -> None:
+    def text(frame: FrameReport) -> str:
+        return frame.reason if frame.reason.startswith("frame ") else f"frame {frame.number}: {frame.reason}"
+
+    for frame in summary.frames:
+        if frame.outcome == "left out":
+            console.print(f"left out: {text(frame)}", soft_wrap=True, markup=False, highlight=False)
+    written = ", ".join(f"{summary.count('done', kind)} {kind.value}" for kind in FrameKind)
+    rest = f"{summary.count('kept')} kept, {summary.count('left out')} left out"
+    console.print(f"{out}: {written} written, {rest}", soft_wrap=True, markup=False, highlight=False)
+    if costs := [frame.cost for frame in summary.frames if frame.cost]:
+        console.print(told(costs), soft_wrap=True, markup=False, highlight=False)
+
+
+def main() -> None:
+    """Run the command; the user's mistakes are one line and status 2."""
+    status: Any = 0
+    try:
+        status = stss.main(standalone_mode=False)
+    except click.ClickException as error:
+        _fail(error.format_message())
+    except (InputError, ArrayError, WeightsError, DeviceError) as error:
+        _fail(str(error))
+    except (KeyboardInterrupt, click.exceptions.Abort):
+        status = 130
+    except BrokenPipeError:
+        status = 141
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _fail(message: str) -> None:
+    click.echo(f"stss: {message}", err=True)
+    sys.exit(2)

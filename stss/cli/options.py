@@ -1,0 +1,198 @@
+# SPDX-License-Identifier: MIT
+"""Kinds of option, and groups of options, that several subcommands share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from stss.color import TRANSFERS
+from stss.frames.backends import BACKENDS, PRECISIONS, SKIPS
+from stss.weights.file import DEFAULT
+
+PATH = click.Path(path_type=Path)
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class FrameRange(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
+    """``a:b``, both included."""
+
+    name = "a:b"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """Parse; a wrong range is the user's mistake."""
+        if isinstance(value, tuple):
+            return value
+        first, _, last = str(value).partition(":")
+        if not (first.isdecimal() and last.isdecimal() and int(first) <= int(last)):
+            self.fail(f"expected two frame numbers a:b with a <= b, got {value!r}", param, ctx)
+        return int(first), int(last)
+
+
+def sequence_options(command: Command) -> Command:
+    """Add the options of everything that reads a sequence."""
+    options = (
+        click.option("--profile", default="stss", show_default=True, help="The renderer's conventions: a name or a TOML file."),
+        click.option("--camera", type=PATH, help="CSV of frame,x,y,z in the sequence's unit of length, for NoV."),
+        click.option("--metallic", type=click.FloatRange(0, 1), help="Constant, for files that have none."),
+        click.option("--roughness", type=click.FloatRange(0, 1), help="Constant, for files that have none."),
+        click.option(
+            "--non-finite",
+            type=click.Choice(["refuse", "mask"]),
+            default="refuse",
+            show_default=True,
+            help="NaN and Inf in colour or G-buffer: an error, or 0 and a warping hole.",
+        ),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def frame_options(command: Command) -> Command:
+    """Add the options of what writes frames of a sequence; see ``stss.run.job.RunOptions``."""
+    options = (
+        click.option(
+            "--rendered",
+            type=click.Choice(["even", "odd", "all"]),
+            help="Which frames to take as rendered  [default: those with colour; the even ones where neighbours have it]",
+        ),
+        click.option("--frames", type=FrameRange(), help="First and last frame to write; earlier ones still serve as history."),
+        click.option(
+            "--transfer",
+            type=click.Choice(TRANSFERS),
+            help="From the files' colour to the network's"
+            "  [default: srgb for scene-linear files, none for display-referred ones]",
+        ),
+        click.option("--depth", type=click.Choice(["clip", "scale"]), help="How depth is normalised  [default: the profile's]"),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def backend_options(command: Command) -> Command:
+    """Add the options of everything that computes frames."""
+    options = (
+        click.option("--backend", type=click.Choice(BACKENDS), default="cl", show_default=True, help="OpenCL, or the reference."),
+        click.option("--device", help="Part of an OpenCL device's name (stss devices)  [default: $STSS_DEVICE, or the fastest]"),
+        click.option(
+            "--precision",
+            type=click.Choice(PRECISIONS),
+            default="float32",
+            show_default=True,
+            help="float32-direct: without Winograd; half: activations stored as half.",
+        ),
+        click.option(
+            "--memory-limit",
+            type=click.IntRange(1),
+            metavar="MIB",
+            help="For the network's buffers; larger frames go in strips  [default: half of the device's memory]",
+        ),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+weights_option = click.option(
+    "--weights",
+    default=DEFAULT,
+    show_default=True,
+    help="A .safetensors file, those that come with stss, or bilinear: no network.",
+)
+
+
+class Deviation(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
+    """A deviation in output units, as a number or as steps of eight bits: ``0.008`` or ``2/255``."""
+
+    name = "E"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Parse; a wrong one is the user's mistake."""
+        steps, slash, of = str(value).partition("/")
+        try:
+            found = float(steps) / (float(of) if slash else 1)
+        except (ValueError, ZeroDivisionError):
+            found = -1.0
+        if not 0 < found < 1:
+            self.fail(f"expected a deviation between 0 and 1, such as 2/255, got {value!r}", param, ctx)
+        return found
+
+
+class Milliseconds(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
+    """A time such as ``40ms``, in seconds."""
+
+    name = "MS"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Parse; a wrong one is the user's mistake."""
+        if isinstance(value, float):
+            return value
+        try:
+            found = float(str(value).removesuffix("ms")) / 1e3
+        except ValueError:
+            found = 0.0
+        if not 0 < found < float("inf"):
+            self.fail(f"expected a time such as 40ms, got {value!r}", param, ctx)
+        return found
+
+
+def skip_options(command: Command) -> Command:
+    """Add the options of what computes frames one after the other, and may leave out what does not change."""
+    options = (
+        click.option(
+            "--skip",
+            type=click.Choice(SKIPS),
+            help="off: compute everything; exact: keep what did not change, with the same bits; bounded: what changed little"
+            "  [default: exact; bounded with --max-error]",
+        ),
+        click.option(
+            "--max-error", type=Deviation(), help="For bounded: how far the image may be from the full one, such as 2/255."
+        ),
+        click.option(
+            "--budget", type=Milliseconds(), help="A frame's time, such as 40ms: the most accurate setting that keeps it."
+        ),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def perceptual_options(command: Command) -> Command:
+    """Add the options of what compares images, for metrics that need further packages."""
+    options = (
+        click.option("--flip", is_flag=True, help="FLIP too  [needs the extra metrics]"),
+        click.option("--vmaf", is_flag=True, help="VMAF too  [needs the extra metrics]"),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+class Size(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
+    """``WIDTHxHEIGHT``, as (height, width)."""
+
+    name = "WxH"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """Parse; a wrong size is the user's mistake."""
+        if isinstance(value, tuple):
+            return value
+        width, _, height = str(value).partition("x")
+        if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+            self.fail(f"expected a size such as 960x540, got {value!r}", param, ctx)
+        return int(height), int(width)
+
+
+class Names(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
+    """``a,b,c``; empty for none."""
+
+    name = "a,b"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
+        """Split at commas."""
+        return value if isinstance(value, tuple) else tuple(name for name in str(value).split(",") if name)

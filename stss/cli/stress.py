@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: MIT
+"""Subcommand `stss stress`; what it needs is imported only when it runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from stss.cli.options import PATH, Names
+from stss.errors import InputError
+from stss.frames.backends import BACKENDS
+from stss.weights.file import load
+
+
+@click.command("stress")
+@click.option("--backend", type=click.Choice(BACKENDS), default="cl", show_default=True, help="ref: the reference alone.")
+@click.option("--device", help="Part of an OpenCL device's name (stss devices)  [default: $STSS_DEVICE, or the fastest]")
+@click.option("--weights", help="A .safetensors file  [default: random weights, others for each seed]")
+@click.option("--only", type=Names(), default="", help="Names of tables: magnitude,positions,...  [default: all]")
+@click.option("--full", is_flag=True, help="More seeds and larger frames: a quarter of an hour.")
+@click.option("--json", "json_file", type=PATH, help="File for every number, versions and machine.")
+@click.option("--write", "page", type=PATH, help="Page to renew between its markers; pictures go beside it, into pictures/.")
+def stress_command(
+    backend: str,
+    device: str | None,
+    weights: str | None,
+    only: tuple[str, ...],
+    full: bool,
+    json_file: Path | None,
+    page: Path | None,
+) -> None:
+    """Measure where digits are lost: with magnitude, depth, size, order of summation, and in the worst places."""
+    from stss.optional import require
+    from stss.stress import plot as stress_plot
+    from stss.stress import report as stress_report
+    from stss.stress.measure import MEASUREMENTS, Results, check_names, make_plan, stress
+
+    check_names(only)
+    if page is not None:  # before minutes are spent
+        stress_report.read_page(page)
+        require("matplotlib")
+    tensors = None if weights is None else load(weights).weights
+    opened = _open(backend, device)
+    plan = make_plan(opened, tensors, full=full)
+    console = Console(stderr=True)
+    with _progress(console) as progress:
+        task = progress.add_task("", total=len(only or MEASUREMENTS), name="")
+        begun: list[str] = []
+
+        def step(name: str) -> None:
+            progress.update(task, name=name, completed=len(begun))
+            begun.append(name)
+
+        tables = stress(plan, only, on_step=step)
+    results = Results(plan, None if opened is None else f"{opened.name}, {opened.driver}", tables)
+    stress_report.print_results(results, Console())
+    if json_file is not None:
+        stress_report.write_json(json_file, results)
+    if page is not None:
+        stress_report.write_page(page, results)
+        stress_plot.plot(results, page.parent / "pictures")
+
+
+def _open(backend: str, device: str | None) -> Any:
+    """The OpenCL device; None for the reference alone."""
+    if backend == "cl":
+        from stss.devices.selection import choose
+
+        return choose(device, lambda line: click.echo(line, err=True))
+    if device is not None:
+        raise InputError("backend ref: expected no device")
+    return None
+
+
+def _progress(console: Console) -> Progress:
+    return Progress(
+        BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.fields[name]}"),
+        console=console,
+        disable=not console.is_terminal,
+    )  # fmt: skip

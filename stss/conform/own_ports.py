@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: MIT
+"""The project's own backends as ports: ``stss port --backend ref|cl JOB`` (spec 11)."""
+
+from __future__ import annotations
+
+import hashlib
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from conformance.protocol.job_folder import (
+    WEIGHTS,
+    JobError,
+    case_folders,
+    clear,
+    read_inputs,
+    read_stage,
+    write_outputs,
+    write_unsupported,
+)
+from conformance.protocol.port import Arrays, Outputs, Port
+from conformance.protocol.stages import STAGES, reference
+from stss.errors import InputError
+from stss.weights.file import MAX_BYTES, load
+from stss_cl.errors import DeviceError
+from stss_ref.arrays import ArrayError
+from stss_ref.weights import Weights
+
+CACHED_WEIGHTS = 16
+WITH_WEIGHTS = ("stss_cl.network.network", "stss_cl.frame")
+"""Modules with the stages that take weights: ``STAGES`` and ``run_stage(stage, inputs, weights, device)``."""
+
+
+class ReferencePort:
+    """``stss_ref``, in the dtype of the inputs: a job's are float32."""
+
+    name = "ref"
+    dtype = "float32"
+
+    def stages(self) -> frozenset[str]:
+        """All of them."""
+        return frozenset(STAGES)
+
+    def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
+        """See ``conformance.protocol.port.Port``."""
+        return reference(stage, inputs, weights)
+
+
+class OpenCLPort:
+    """``stss_cl`` on the device of ``$STSS_DEVICE`` or the best one there is.
+
+    Args:
+        precision: see ``stss_cl.network.network.PRECISIONS``.
+    """
+
+    def __init__(self, precision: str = "float32"):
+        self.name = "cl" if precision == "float32" else f"cl-{precision.removeprefix('float32-')}"
+        self.dtype = "float16" if precision == "half" else "float32"
+        self._precision = precision
+        self._image = _module("stss_cl.image_space.stages")
+        self._network = [module for name in WITH_WEIGHTS if (module := _module(name)) is not None]
+        self._opened: Any = None
+
+    @property
+    def winograd(self) -> bool:
+        """Whether its convolutions are Winograd's."""
+        return (
+            self._precision != "float32-direct"
+            and import_module("stss_cl.device.tuning").tuning_for(self._device).winograd is not None
+        )
+
+    def stages(self) -> frozenset[str]:
+        """Those of the image space, and those of the network."""
+        modules = self._network if self._image is None else [self._image, *self._network]
+        return frozenset(stage for module in modules for stage in module.STAGES)
+
+    def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
+        """See ``conformance.protocol.port.Port``; the device is opened for the first case, and stays."""
+        device = self._device
+        if self._image is not None and stage in self._image.STAGES:
+            return self._image.ImageStages(device).run_stage(stage, inputs)
+        for module in self._network:
+            if stage in module.STAGES:
+                return module.run_stage(stage, inputs, weights, device, self._precision)
+        raise InputError(f"backend cl: it has no stage {stage}")
+
+    @property
+    def _device(self) -> Any:
+        if self._opened is None:
+            self._opened = import_module("stss_cl.device.discovery").open_device()
+        return self._opened
+
+
+def cl_direct() -> OpenCLPort:
+    """The OpenCL backend without Winograd, for ``stss conform --port stss.port:cl_direct``."""
+    return OpenCLPort("float32-direct")
+
+
+def cl_half() -> OpenCLPort:
+    """The OpenCL backend with activations stored as half."""
+    return OpenCLPort("half")
+
+
+def _module(name: str) -> ModuleType | None:
+    """Imported only when asked for: it opens the OpenCL library. None where this version has no such module."""
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name == name:
+            return None
+        raise InputError(f"backend cl: {error}") from error
+    except ImportError as error:
+        raise InputError(f"backend cl: {error}") from error
+
+
+PORTS = {"ref": ReferencePort, "cl": OpenCLPort}
+"""The names that ``run_job`` takes. Each is also a factory for ``module:factory``."""
+
+
+def run_job(job: Path, backend: str) -> None:
+    """Compute every case of a job folder.
+
+    Args:
+        job: the folder; outputs, or ``unsupported``, go into its cases.
+        backend: a name of ``PORTS``.
+
+    Raises:
+        InputError: the job is malformed, the message names the file; or the backend or its device is not there.
+        WeightsError: a tensor is not what the network takes.
+    """
+    if backend not in PORTS:
+        raise InputError(f"backend: expected one of {', '.join(PORTS)}, got {backend!r}")
+    port: Port = PORTS[backend]()
+    weights = _WeightsFiles()
+    try:
+        for case in case_folders(job):
+            _run_case(case, port, weights)
+    except JobError as error:
+        raise InputError(str(error)) from error
+    except OSError as error:
+        raise InputError(f"{error.filename or job}: {error.strerror or error}") from error
+
+
+def _run_case(case: Path, port: Port, weights: _WeightsFiles) -> None:
+    clear(case)
+    stage = read_stage(case)
+    if stage not in STAGES or stage not in port.stages():
+        write_unsupported(case)
+        return
+    inputs = read_inputs(case, stage)
+    given = weights.read(case / "in" / WEIGHTS) if STAGES[stage].weights else None
+    try:
+        outputs = port.run(stage, inputs, given)
+    except (ArrayError, DeviceError) as error:
+        raise InputError(f"{case}: {error}") from error
+    write_outputs(case, outputs)
+
+
+class _WeightsFiles:
+    """Weights files, each read once: a job has the same one in many cases, and a backend uploads what is the same object once."""
+
+    def __init__(self):
+        self._read: dict[str, Weights] = {}
+
+    def read(self, path: Path) -> Weights:
+        if not path.is_file() or path.stat().st_size > MAX_BYTES:
+            return load(path).weights  # which says what is wrong
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        if digest not in self._read:
+            if len(self._read) == CACHED_WEIGHTS:
+                self._read.pop(next(iter(self._read)))
+            self._read[digest] = load(path).weights
+        return self._read[digest]

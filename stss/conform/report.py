@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: MIT
+"""What ``stss conform`` found, as a table, as JSON, as a page."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from conformance.judge import Judge, tallied
+from conformance.run_suite import Result
+from stss.images.read_write import placed
+from stss.version import VERSION
+
+FORMAT = 1
+"""Raised when a field of the JSON changes its meaning."""
+STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; margin: 2em auto; max-width: 60em; padding: 0 1em; color: #222; background: #fff }
+table { border-collapse: collapse; width: 100% }
+td, th { text-align: left; padding: .3em .6em; border-bottom: 1px solid #ddd; vertical-align: top }
+td.n, th.n { text-align: right; font-variant-numeric: tabular-nums }
+.failed, .error { color: #b00020; font-weight: 600 } .passed { color: #1b7f3b }
+.skipped, .known { color: #777 } code, pre { font: 13px ui-monospace, monospace } img { max-width: 100%; image-rendering: pixelated }
+"""
+
+
+def print_results(results: Sequence[Result], console: Console) -> None:
+    """A line for each stage, then every failure."""
+    table = Table(box=box.SIMPLE_HEAD, padding=0)
+    for name, justify in (
+        ("stage", "left"),
+        ("tests", "right"),
+        ("failed", "right"),
+        ("cases", "right"),
+        ("error / bound", "left"),
+    ):
+        table.add_column(name, justify=justify, no_wrap=name != "error / bound")  # pyright: ignore[reportArgumentType]
+    for stage, some in by_stage(results).items():
+        if all(r.outcome == "skipped" for r in some):
+            table.add_row(stage, str(len(some)), "-", "-", "the port lacks it")
+            continue
+        bad = sum(r.outcome in ("failed", "error") for r in some)
+        worst = ", ".join(f"{name.split('.')[-1]} {_number(ratio)}" for name, ratio in worst_of(some).items())
+        counted = tallied([r.record for r in some])
+        note = f"; {counted['undecided']} numbers decided by rounding" if counted["undecided"] else ""
+        note += f"; {counted['unjudged']} cases not judged" if counted["unjudged"] else ""
+        table.add_row(stage, str(len(some)), str(bad or "-"), str(counted["cases"]), worst + note)
+    console.print(table)
+    for result in results:
+        if result.outcome in ("failed", "error", "known"):
+            console.print(f"{result.outcome}: {result.id}: {result.message}", soft_wrap=True, markup=False, highlight=False)
+
+
+def by_stage(results: Sequence[Result]) -> dict[str, list[Result]]:
+    """In the order of the run."""
+    grouped: dict[str, list[Result]] = {}
+    for result in results:
+        grouped.setdefault(result.stage, []).append(result)
+    return grouped
+
+
+def worst_of(results: Sequence[Result]) -> dict[str, float]:
+    """Largest error / bound of each output."""
+    worst: dict[str, float] = {}
+    for result in results:
+        for name, ratio in result.record.worst.items():
+            worst[name] = max(ratio, worst.get(name, 0.0))
+    return worst
+
+
+def to_json(judge: Judge, results: Sequence[Result], folders: dict[str, Path]) -> dict[str, Any]:
+    """Everything, for another program; a wrong mask's ratio, which is infinite, is null."""
+    return {
+        "format": FORMAT,
+        "stss": VERSION,
+        "port": judge.port.name,
+        "dtype": judge.arithmetic.dtype,
+        "winograd": judge.arithmetic.winograd,
+        "tier": judge.tier.name,
+        "seed": judge.seed,
+        "passed": passed(results),
+        "tests": [
+            {
+                "id": r.id,
+                "stage": r.stage,
+                "property": r.property,
+                "outcome": r.outcome,
+                "message": r.message,
+                "seconds": round(r.seconds, 3),
+                "cases": r.record.cases,
+                "undecided": r.record.undecided,
+                "unjudged": r.record.unjudged,
+                "error_over_bound": {name: ratio if math.isfinite(ratio) else None for name, ratio in r.record.worst.items()},
+                "failure": str(folders[r.id]) if r.id in folders else None,
+            }
+            for r in results
+        ],
+    }
+
+
+def passed(results: Sequence[Result]) -> bool:
+    """Whether nothing failed but what is known to."""
+    return all(r.outcome in ("passed", "skipped", "known") for r in results)
+
+
+def write_json(path: Path, found: dict[str, Any]) -> None:
+    """Write `to_json`'s object."""
+    with placed(path) as beside:
+        beside.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+def write_page(path: Path, judge: Judge, results: Sequence[Result], folders: dict[str, Path]) -> None:
+    """One HTML file that needs no other."""
+    arithmetic = judge.arithmetic.dtype + (", Winograd" if judge.arithmetic.winograd else "")
+    counted = tallied([r.record for r in results])
+    verdict = "passes" if passed(results) else "departs from the specification"
+    rows = "".join(_row(r) for r in results)
+    failures = "".join(_failure(r, folders.get(r.id)) for r in results if r.outcome in ("failed", "error"))
+    name = html.escape(judge.port.name)
+    text = f"""<!doctype html><html lang="en"><meta charset="utf-8"><title>{name}: conformance</title><style>{STYLE}</style>
+<h1>{name} {verdict}</h1>
+<p>{arithmetic}; tier {judge.tier.name}, seed {judge.seed}; {counted["cases"]} cases; {counted["undecided"]} numbers decided by rounding,
+{counted["unjudged"]} cases not judged for that; stss {VERSION}.</p>
+<table><tr><th>test<th>what it asks<th><th class="n">cases<th class="n">error / bound</tr>{rows}</table>{failures}</html>
+"""
+    with placed(path) as beside:
+        beside.write_text(text, encoding="utf-8")
+
+
+def _row(r: Result) -> str:
+    worst = "<br>".join(f"{html.escape(name.split('.')[-1])} {_number(ratio)}" for name, ratio in r.record.worst.items())
+    cells = f'<td><code>{html.escape(r.id)}</code><td>{html.escape(r.property)}<td class="{r.outcome}">{r.outcome}'
+    return f'<tr>{cells}<td class="n">{r.record.cases or ""}<td class="n">{worst}</tr>'
+
+
+def _failure(r: Result, folder: Path | None) -> str:
+    picture = folder / "picture.png" if folder else None
+    shown = ""
+    if picture is not None and picture.exists():
+        shown = (
+            f'<p><img alt="port, expected, error" src="data:image/png;base64,{base64.b64encode(picture.read_bytes()).decode()}">'
+        )
+    again = (
+        f"<pre>{html.escape((folder / 'README.txt').read_text(encoding='utf-8'))}</pre>"
+        if folder
+        else f"<p>{html.escape(r.message)}"
+    )
+    return f'<h2 class="failed"><code>{html.escape(r.id)}</code></h2>{again}{shown}'
+
+
+def _number(ratio: float) -> str:
+    return "wrong" if math.isinf(ratio) else f"{ratio:.2g}"

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: MIT
+"""The OpenCL devices of this machine, and which of them computes."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+
+import pyopencl as cl
+from rich.console import Console
+from rich.table import Table
+
+from stss.devices.verdicts import Verdict, known, verdict
+from stss_cl.device.discovery import NO_DEVICE, Device, DeviceError, Properties, is_gpu, matching, named, open_handle
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One device as ``stss devices`` shows it; ``memory`` in bytes."""
+
+    name: str
+    kind: str
+    driver: str
+    platform: str
+    memory: int
+    fp16: bool
+    fp64: bool
+    verdict: Verdict
+
+
+def choose(name: str | None = None, tell: Tell = lambda line: None) -> Device:
+    """Open the fastest device that passed its self-test, GPUs before all others.
+
+    Args:
+        name: what its name must hold; None: ``$STSS_DEVICE``, or else nothing.
+        tell: is handed a line for every self-test that has to be run now, and for every GPU that did not pass.
+
+    Raises:
+        DeviceError: there is no such device, or none that passed; ``STSS_TRUST_DEVICE=1`` does without self-tests.
+    """
+    devices = matching(os.environ.get("STSS_DEVICE") if name is None else name)
+    gpus = {n: h for n, h in devices.items() if is_gpu(h)}
+    others = {n: h for n, h in devices.items() if n not in gpus}
+    if os.environ.get("STSS_TRUST_DEVICE") == "1":
+        return open_handle(next(iter((gpus or others).values())))
+
+    refused: list[str] = []
+    for group in (gpus, others):
+        verdicts = {n: _verdict(n, h, tell) for n, h in group.items()}
+        passed = [n for n in group if verdicts[n].passed]
+        refused += [f"{n} {verdicts[n]}" for n in group if n not in passed]
+        if passed:
+            for line in refused:
+                tell(f"not used: {line}")
+            return open_handle(devices[max(passed, key=lambda n: verdicts[n].gflops)])
+    raise DeviceError(
+        f"self-test: {'; '.join(refused)}: stss devices --again tests anew, STSS_TRUST_DEVICE=1 uses it all the same"
+    )
+
+
+def rows(*, again: bool = False, tell: Tell = lambda line: None) -> list[Row]:
+    """Every device with its verdict, in the order in which ``choose`` tries them.
+
+    Args:
+        again: test, whatever verdict is kept.
+        tell: is handed a line for every self-test that is run now.
+
+    Raises:
+        DeviceError: there is no device.
+    """
+    found = [_row(n, h, _verdict(n, h, tell, again=again)) for n, h in named().items()]
+    if not found:
+        raise DeviceError(NO_DEVICE)
+    return sorted(found, key=lambda row: (row.kind != "GPU", not row.verdict.passed, -row.verdict.gflops))
+
+
+def to_json(found: list[Row]) -> str:
+    """A list of objects, one for each device."""
+    return json.dumps([asdict(row) for row in found], indent=2)
+
+
+def print_rows(found: list[Row], console: Console) -> None:
+    """A table; names are never cut off, for they are what ``--device`` takes."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("device", overflow="fold")
+    for title in ("kind", "driver", "memory", "fp16", "self-test"):
+        table.add_column(title, overflow="fold", justify="right" if title == "memory" else "left")
+    for row in found:
+        speed = f" ({row.verdict.gflops:.0f} GFLOP/s)" if row.verdict.passed else ""
+        memory = f"{row.memory / 2**30:.1f} GiB"
+        table.add_row(row.name, row.kind, row.driver, memory, "yes" if row.fp16 else "no", f"{row.verdict}{speed}")
+    console.print(table, markup=False, highlight=False)
+
+
+def _verdict(name: str, handle: cl.Device, tell: Tell, *, again: bool = False) -> Verdict:
+    if again or known(name, handle) is None:
+        tell(f"self-test of {name}, once: about 10 s")
+    return verdict(name, handle, again=again)
+
+
+def _row(name: str, handle: cl.Device, found: Verdict) -> Row:
+    device = Properties(handle)
+    return Row(
+        name=name,
+        kind=device.kind,
+        driver=device.driver,
+        platform=device.platform_version,
+        memory=device.memory,
+        fp16=device.has_fp16,
+        fp64=device.has_fp64,
+        verdict=found,
+    )

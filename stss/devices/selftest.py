@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: MIT
+"""Hold one device against the reference; run by ``stss.devices.verdicts`` as a process of its own, for a driver may hang or crash.
+
+``python -m stss.devices.selftest NAME`` prints one line of JSON: ``why`` it failed, or an empty text, and its speed in ``gflops``.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from conformance.tolerance import ratio
+from stss_cl.device.discovery import Device, DeviceError, open_device
+from stss_cl.device.program import build
+from stss_cl.image_space.stages import ImageStages
+from stss_cl.network.network import Network
+from stss_ref import weights
+from stss_ref.network import network as reference_network
+from stss_ref.occlusion_warp import occlusion_warp
+from stss_ref.warp import warp
+
+COUNT = 1003
+GROUP = 64
+
+# Largest errors in units in the last place that OpenCL 1.2, section 7.4, allows: not ours to choose.
+ULP = {"divide": 2.5, "exp": 3.0, "sqrt": 3.0}
+
+
+class MismatchError(Exception):
+    """What came out wrong, in a few words."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """What the child says."""
+
+    why: str
+    gflops: float = 0.0
+
+
+def arithmetic(device: Device, generator: np.random.Generator) -> None:
+    """Sums and products round as IEEE 754 says and in the order written; quotients and functions as OpenCL says."""
+    a = generator.standard_normal(COUNT).astype(np.float32) * np.float32(2) ** generator.integers(-8, 20, COUNT)
+    b = (generator.random(COUNT) + 0.5).astype(np.float32) * generator.choice([-3, 1], COUNT)
+    c = generator.uniform(-79, 79, COUNT)
+    a, b, c = (array.astype(np.float32) for array in (a, b, c))
+    values, whole = np.empty((5, COUNT), np.float32), np.empty((3, COUNT), np.int32)
+    _launch(device, "arithmetic", (COUNT + 21,), None, [a, b, c], [values, whole], COUNT)
+
+    _exact("a * b + c", values[0], a * b + c)
+    _exact("(a + b) + c", values[1], (a + b) + c)
+    _close("divide", values[2], a.astype(np.float64) / b)
+    _close("exp", values[3], np.exp(c.astype(np.float64)))
+    _close("sqrt", values[4], np.sqrt(np.abs(a.astype(np.float64))))
+    _exact("(int)", whole[0], a.astype(np.int32))
+    _exact("floor", whole[1], np.floor(a).astype(np.int32))
+    _exact("as_int", whole[2], a.view(np.int32))
+
+
+def vectors(device: Device, generator: np.random.Generator) -> None:
+    """Eight values move at once, aligned and not."""
+    given = generator.standard_normal(8 * COUNT + 8).astype(np.float32)
+    got = np.empty((2, 8 * COUNT), np.float32)
+    _launch(device, "vectors", (COUNT,), None, [given], [got], COUNT)
+    _exact("float8", got[0], given[:-8].reshape(-1, 8)[:, ::-1].reshape(-1))
+    _exact("vload8", got[1], given[1:-7] + given[:-8])
+
+
+def groups(device: Device, generator: np.random.Generator) -> None:
+    """Work-items of a group share local memory and wait for each other."""
+    given = generator.integers(-1000, 1000, (37, GROUP)).astype(np.float32)
+    got = np.empty(37, np.float32)
+    _launch(device, "reduce_group", (given.size,), (GROUP,), [given], [got])
+    _exact("local memory and barrier", got, given.sum(axis=1))
+
+
+def nearest(device: Device, generator: np.random.Generator) -> None:
+    """Of all that fall on one place, the smallest stays."""
+    place = generator.integers(0, 50, 5000).astype(np.int32)
+    key = generator.integers(-(2**31), 2**31 - 1, 5000).astype(np.int32)
+    got, want = np.full(50, 2**31 - 1, np.int32), np.full(50, 2**31 - 1, np.int32)
+    np.minimum.at(want, place, key)
+    _launch(device, "nearest", (5000,), None, [place, key], [got], 5000)
+    _exact("atomic_min", got, want)
+
+
+def image_stages(device: Device, generator: np.random.Generator) -> None:
+    """Warping and splatting, bit for bit the reference in float32."""
+    size = (24, 40)
+    color, depth = generator.random((*size, 3)).astype(np.float32), generator.random(size).astype(np.float32)
+    motion = generator.uniform(-9, 9, (*size, 2)).astype(np.float32)
+    valid = generator.random(size) > 0.5
+    stages = ImageStages(device)
+    warped, inside = warp(color, motion)
+    got = stages.run_stage("warp", {"color": color, "motion": motion})
+    _exact("warped", got["warped"], warped)
+    _exact("inside", got["inside"], inside)
+    inputs = {"color": color, "warped": warped, "motion": motion, "depth": depth, "valid": valid}
+    got = stages.run_stage("occlusion_warp", inputs)
+    occlusion_motion, filled = occlusion_warp(color, warped, motion, depth, valid)
+    _exact("occlusion_motion", got["occlusion_motion"], occlusion_motion)
+    _exact("occlusion_warp", got["occlusion_warp"], filled)
+
+
+def network(device: Device, generator: np.random.Generator) -> None:
+    """The whole network, against the reference in float64."""
+    size = (24, 40)
+    color, gbuffer = generator.random((*size, 6)), generator.random((*size, 9))
+    gbuffer[..., :3] = gbuffer[..., :3] * 2 - 1
+    mask, history = generator.random(size) > 0.3, generator.random((3, *size, 4))
+    history[..., 3] = history[..., 3] > 0.3
+    given = [np.ascontiguousarray(array, np.float32) for array in (color, gbuffer, mask, history)]
+    drawn = weights.random(0)
+    got = Network(drawn, device)(*given)
+    color, gbuffer, mask, history = (array.astype(np.float64) for array in given)
+    want = reference_network(color, gbuffer, mask, history, drawn)
+    error = ratio("network.cl", np.asarray(got), want)
+    if not error <= 1:
+        raise MismatchError(f"network: {error:.3g} times the allowed error")
+
+
+CHECKS: tuple[Callable[[Device, np.random.Generator], None], ...] = (arithmetic, vectors, groups, nearest, image_stages, network)
+
+
+def gflops(device: Device) -> float:
+    """Speed of a convolution's inner loop, the best of three; the work grows until it takes 10 ms."""
+    steps = 64
+    kernel = cl.Kernel(build(device, "selftest.cl", flags="-cl-mad-enable"), "speed")
+    weight = _upload(device, np.ones((steps, 8), np.float32))
+    best, took, items = 0.0, 0.0, 64
+    while took < 0.01 and items < 2**22:
+        out = cl.Buffer(device.context, cl.mem_flags.WRITE_ONLY, items * 32)
+        for _ in range(3):
+            start = time.perf_counter()
+            kernel(device.queue, (items,), None, weight, out, np.int32(steps))
+            device.queue.finish()
+            took = time.perf_counter() - start
+            best = max(best, 64e-9 * steps * items / took)
+        items *= 4
+    return best
+
+
+def examine(device: Device) -> Result:
+    """Run every check; the first fault counts."""
+    for check in CHECKS:
+        try:
+            check(device, np.random.default_rng(0))
+        except (MismatchError, DeviceError) as fault:
+            return Result(str(fault))
+        except cl.Error as error:
+            return Result(f"{check.__name__}: {' '.join(str(error).split())}")
+    return Result("", round(gflops(device), 3))
+
+
+def _upload(device: Device, array: NDArray[Any]) -> cl.Buffer:
+    flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
+    return cl.Buffer(device.context, flags, hostbuf=np.ascontiguousarray(array))
+
+
+def _launch(
+    device: Device,
+    name: str,
+    size: tuple[int, ...],
+    group: tuple[int, ...] | None,
+    given: list[NDArray[Any]],
+    out: list[NDArray[Any]],
+    *numbers: int,
+) -> None:
+    """Run a kernel of ``selftest.cl`` on arrays in and out, then ``int`` arguments."""
+    kernel = cl.Kernel(build(device, "selftest.cl"), name)
+    buffers = [_upload(device, array) for array in [*given, *out]]
+    kernel(device.queue, size, group, *buffers, *map(np.int32, numbers))
+    for array, buffer in zip(out, buffers[len(given) :], strict=True):
+        cl.enqueue_copy(device.queue, array, buffer)
+
+
+def _exact(what: str, got: NDArray[Any], want: NDArray[Any]) -> None:
+    wrong = np.argwhere(got != want)
+    if len(wrong):
+        at = tuple(wrong[0])
+        raise MismatchError(f"{what}: {len(wrong)} of {got.size} wrong, first {got[at]} for {want[at]}")
+
+
+def _close(what: str, got: NDArray[Any], want: NDArray[Any]) -> None:
+    error = np.abs(got - want) / np.spacing(np.abs(want).astype(np.float32))
+    if not error.max() <= ULP[what]:
+        raise MismatchError(f"{what}: off by {error.max():.3g} ulp, {ULP[what]} allowed")
+
+
+def main() -> None:
+    """Print the result for the device named on the command line."""
+    try:
+        result = examine(open_device(sys.argv[1]))
+    except DeviceError as error:
+        result = Result(str(error))
+    print(json.dumps(asdict(result)))  # noqa: T201
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: MIT
+"""Layers like the network's with any tile sizes: whether they compute what the plain kernel does, and how long they take."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pyopencl as cl
+
+from conformance.tolerance import ratio
+from stss_cl.device.buffers import padded, read, write
+from stss_cl.device.discovery import Device, DeviceError, Properties
+from stss_cl.device.grid import ceil8
+from stss_cl.device.tuning import Direct, Tuning, Winograd, built_in, trial
+from stss_cl.network.launch import Launch, conv
+from stss_cl.network.pack_weights import Packed, pack
+from stss_ref.arrays import Array
+
+SHORTEST = 2e-3
+"""Seconds one timing takes at least, by repetition."""
+CHECKED = (45, 75)
+"""Output size at which a candidate is held against the plain kernel: nothing divides it, and it has several strips."""
+PLAIN = Direct(1, 1, 1)
+
+Sizes = Winograd | Direct
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Like layers of the network: channels of both inputs, outputs; the output is 1 / divisor of the frame; how many there are."""
+
+    a: int
+    b: int
+    outputs: int
+    gated: bool
+    stride: int
+    divisor: int
+    count: float
+
+    @property
+    def fast(self) -> bool:
+        """Whether winograd.cl can compute it."""
+        return self.a % 8 == 0
+
+
+SHAPES = (
+    Shape(24, 0, 24, True, 1, 1, 2.5),
+    Shape(24, 0, 24, False, 1, 2, 10),
+    Shape(24, 24, 24, False, 1, 1, 1),
+    Shape(32, 0, 24, False, 1, 2, 1),
+    Shape(24, 0, 24, True, 2, 2, 1.25),
+    Shape(4, 0, 24, False, 2, 2, 3),
+    Shape(24, 32, 32, False, 1, 2, 1),
+    Shape(32, 0, 32, False, 1, 4, 8),
+    Shape(32, 0, 32, True, 1, 4, 2.5),
+    Shape(64, 0, 32, False, 1, 4, 1),
+    Shape(24, 0, 32, False, 2, 4, 3),
+    Shape(32, 0, 32, True, 2, 8, 1),
+    Shape(32, 0, 32, False, 2, 8, 3),
+    Shape(32, 96, 64, False, 1, 4, 1),
+    Shape(64, 0, 64, False, 1, 8, 3),
+)
+
+
+@dataclass
+class Trials:
+    """Seconds by shape and candidate; why a candidate was refused."""
+
+    times: dict[Shape, dict[Sizes, float]] = field(default_factory=dict[Shape, dict[Sizes, float]])
+    refused: dict[tuple[int, Sizes], str] = field(default_factory=dict[tuple[int, Sizes], str])
+
+    def time(self, device: Device, shape: Shape, size: tuple[int, int], candidates: Iterable[Sizes], rounds: int) -> None:
+        """Note the fastest of interleaved runs of every candidate that computes what the plain kernel does.
+
+        Args:
+            device: to run on.
+            shape: of the layer.
+            size: (height, width) of the frame.
+            candidates: tried once each.
+            rounds: timings of each.
+        """
+        packed = _packed(shape)
+        small = _Layer(device, shape, CHECKED, packed)
+        frame = _Layer(device, shape, (ceil8(size[0]) // shape.divisor, ceil8(size[1]) // shape.divisor), packed)
+        want = small.run(PLAIN)
+        launches: dict[Sizes, tuple[Launch, int]] = {}
+        for sizes in dict.fromkeys(candidates):
+            if why := small.fault(sizes, want):
+                self.refused[shape.outputs, sizes] = why
+                continue
+            launch = frame.launch(sizes)
+            _seconds(device, launch, 1)
+            launches[sizes] = launch, max(1, round(SHORTEST / _seconds(device, launch, 1)))
+        best = self.times[shape] = dict.fromkeys(launches, np.inf)
+        for _ in range(rounds):
+            for sizes, (launch, repeat) in launches.items():
+                best[sizes] = min(best[sizes], _seconds(device, launch, repeat))
+
+    def total(self, sizes: Sizes | None, shapes: Iterable[Shape]) -> float:
+        """Seconds in all layers like ``shapes``; infinite where it was refused or not tried."""
+        if sizes is None:
+            return np.inf
+        return sum(shape.count * self.times[shape].get(sizes, np.inf) for shape in shapes)
+
+
+def winograd_candidates(device: Properties, outputs: int) -> list[Winograd]:
+    """Tiles and rows by block: on a CPU accumulators fill 16 or 32 registers, elsewhere there is little room for scratch."""
+    wide = outputs // 8
+    if not device.is_cpu:
+        return [Winograd(tiles, tiles, block) for block in (1, wide) for tiles in (1, 2)]
+    by_block = {2: ((6, 6), (12, 6), (8, 4), (8, 8)), 3: ((8, 4), (4, 4), (12, 4), (6, 6), (8, 8)), 4: ((6, 3), (8, 4), (6, 6))}
+    found = [Winograd(*pair, block, True) for block, pairs in by_block.items() if wide % block == 0 for pair in pairs]
+    return [*found, replace(found[0], prefetch=False)]
+
+
+def direct_candidates(device: Properties, outputs: int) -> list[Direct]:
+    """Pixels by block, as above; work-groups matter only where they share hardware."""
+    wide = outputs // 8
+    if not device.is_cpu:
+        groups = [group for group in (16, 32, 64, 128) if group <= device.max_work_group]
+        blocks = [block for block in (1, 2, 3, 4) if wide % block == 0]
+        return [Direct(pixels, block, group) for pixels in (1, 2, 4) for block in blocks for group in groups]
+    by_block = {2: (4, 6, 8), 3: (2, 3, 4, 6, 8), 4: (2, 3, 4, 6)}
+    return [Direct(pixels, block, 1) for block, row in by_block.items() if wide % block == 0 for pixels in row]
+
+
+class _Layer:
+    """Buffers of one layer, the inputs random, and its launches with any tile sizes."""
+
+    def __init__(self, device: Device, shape: Shape, size: tuple[int, int], packed: Packed):
+        self._device, self._shape, self._packed = device, shape, packed
+        random = np.random.default_rng(1)
+        inputs = size[0] * shape.stride, size[1] * shape.stride
+        self._inputs = [padded(device, *inputs, n, np.dtype(np.float32)) for n in (shape.a, shape.b) if n]
+        for buffer in self._inputs:
+            write(device, buffer, random.random((*inputs, buffer.channels), dtype=np.float32))
+        self._out = padded(device, *size, shape.outputs, np.dtype(np.float32))
+        self._nowhere = np.full((*size, shape.outputs), np.nan, np.float32)
+
+    def launch(self, sizes: Sizes) -> Launch:
+        """The layer with these tile sizes."""
+        outputs, strip = self._shape.outputs, built_in(self._device).strip
+        fast = isinstance(sizes, Winograd)
+        row = Tuning({outputs: sizes}, {}, strip) if isinstance(sizes, Winograd) else Tuning(None, {outputs: sizes}, strip)
+        a, b = (*self._inputs, None)[:2]
+        assert a is not None
+        with trial(row):
+            return conv(
+                self._device, "tune", "layer", self._packed, a, b, self._out, stride=self._shape.stride, side=4 if fast else 0
+            )
+
+    def run(self, sizes: Sizes) -> Array:
+        """Its output; NaN where nothing was written."""
+        write(self._device, self._out, self._nowhere)
+        self.launch(sizes).enqueue(self._device.queue)
+        return read(self._device, self._out)
+
+    def fault(self, sizes: Sizes, want: Array) -> str:
+        """Why these sizes may not be used, in a few words; empty if they may."""
+        try:
+            error = ratio("stage.cl", self.run(sizes), want)
+        except (DeviceError, cl.Error) as fault:
+            return " ".join(str(fault).split())
+        return "" if error <= 1 else f"departs from the plain kernel by {error:.3g} of what is allowed"
+
+
+def _seconds(device: Device, launch: Launch, repeat: int) -> float:
+    start = time.perf_counter()
+    for _ in range(repeat):
+        launch.enqueue(device.queue)
+    device.queue.finish()
+    return (time.perf_counter() - start) / repeat
+
+
+def _packed(shape: Shape) -> Packed:
+    """Weights that keep activations of order 1."""
+    random, inputs = np.random.default_rng(0), shape.a + shape.b
+    branches = {".conv_feature": shape.outputs, ".conv_mask.0": 1} if shape.gated else {"": shape.outputs}
+    tensors: dict[str, Array] = {}
+    for branch, outputs in branches.items():
+        weight = random.standard_normal((outputs, inputs, 3, 3)) / np.sqrt(9 * inputs)
+        tensors[f"layer{branch}.weight"] = weight.astype(np.float32)
+        tensors[f"layer{branch}.bias"] = random.standard_normal(outputs).astype(np.float32)
+    return pack(tensors, "layer", tuple((n, n) for n in (shape.a, shape.b) if n))

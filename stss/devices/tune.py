@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: MIT
+"""Find the tile sizes that are fastest on a device, and keep them for it: ``stss tune``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Collection
+from dataclasses import astuple, dataclass
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from stss.devices.selection import choose
+from stss.devices.tile_timing import SHAPES, Shape, Sizes, Trials, direct_candidates, winograd_candidates
+from stss_cl.device.discovery import Device, DeviceError, Properties, matching
+from stss_cl.device.tuning import OUTPUTS, Direct, Tuning, Winograd, built_in, keep, kept, kept_path, to_toml
+
+MARGIN = 1.02
+"""How many times faster than the built-in sizes others must be to replace them."""
+ROUNDS, DUEL = 5, 12
+"""Interleaved timings of each candidate; of the best one against the built-in: the best of many is partly the luckiest."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """One class of layers: the built-in sizes, the fastest others or none, seconds of both, what was decided."""
+
+    what: str
+    built_in: Sizes | None
+    best: Sizes | None
+    seconds: tuple[float, float]
+    decision: str
+
+
+def tune(
+    device: Device, size: tuple[int, int], tell: Callable[[str], None] = lambda line: None
+) -> tuple[Tuning, Trials, list[Line]]:
+    """Time every candidate on every shape.
+
+    Args:
+        device: to tune for.
+        size: (height, width) of the frames.
+        tell: is handed what is being timed.
+
+    Returns:
+        The built-in row with what beats it, every timing, and one line for each class of layers.
+    """
+    base, trials = built_in(device), Trials()
+    for shape in SHAPES:
+        tell(f"{shape.a + shape.b} to {shape.outputs} channels{', gated' * shape.gated}, stride {shape.stride}")
+        candidates: list[Sizes] = [base.direct[shape.outputs], *direct_candidates(device, shape.outputs)]
+        if shape.fast:
+            candidates += [base.winograd[shape.outputs]] if base.winograd else []
+            candidates += winograd_candidates(device, shape.outputs)
+        trials.time(device, shape, size, candidates, ROUNDS)
+    found, lines = _decide(device, size, base, trials)
+    return found, trials, lines
+
+
+def _decide(device: Device, size: tuple[int, int], base: Tuning, trials: Trials) -> tuple[Tuning, list[Line]]:
+    lines: list[Line] = []
+    winograd: dict[int, Winograd] = {}
+    for outputs in OUTPUTS:
+        shapes = [s for s in SHAPES if s.outputs == outputs and s.fast]
+        first = base.winograd[outputs] if base.winograd else None
+        best, line = _better(device, size, trials, f"winograd {outputs}", first, winograd_candidates(device, outputs), shapes)
+        lines.append(line)
+        if isinstance(best, Winograd):
+            winograd[outputs] = best
+    fast = winograd if len(winograd) == len(OUTPUTS) and _worth_it(base, trials, winograd) else None
+
+    direct: dict[int, Direct] = {}
+    for outputs in OUTPUTS:
+        every = [s for s in SHAPES if s.outputs == outputs]
+        used = [s for s in every if not s.fast or fast is None]
+        first = base.direct[outputs]
+        # The precision float32-direct uses them everywhere: nothing may be lost there.
+        allowed = [c for c in direct_candidates(device, outputs) if trials.total(c, every) <= trials.total(first, every)]
+        best, line = _better(device, size, trials, f"direct {outputs}", first, allowed, used)
+        lines.append(line)
+        direct[outputs] = best if isinstance(best, Direct) else first
+    return Tuning(fast, direct, base.strip), lines
+
+
+def _worth_it(base: Tuning, trials: Trials, winograd: dict[int, Winograd]) -> bool:
+    """Whether Winograd beats the direct convolution, or stays because that does not beat it."""
+    shapes = [s for s in SHAPES if s.fast]
+    fast = sum(trials.total(winograd[s.outputs], [s]) for s in shapes)
+    plain = 0.0
+    for outputs in OUTPUTS:
+        these = [s for s in shapes if s.outputs == outputs]
+        tried = {sizes for s in these for sizes in trials.times[s] if isinstance(sizes, Direct)}
+        plain += min((trials.total(sizes, these) for sizes in tried), default=np.inf)
+    return fast * MARGIN < plain if base.winograd is None else fast < plain * MARGIN
+
+
+def _better(
+    device: Device,
+    size: tuple[int, int],
+    trials: Trials,
+    what: str,
+    first: Sizes | None,
+    candidates: Collection[Sizes],
+    shapes: list[Shape],
+) -> tuple[Sizes | None, Line]:
+    """The fastest candidate, if in a second round it still beats the built-in sizes by the margin."""
+    others = [c for c in candidates if c != first and np.isfinite(trials.total(c, shapes))]
+    if not shapes or not others:
+        return first, Line(what, first, None, (trials.total(first, shapes), np.inf), "not used" if not shapes else "built-in")
+    best = min(others, key=lambda c: trials.total(c, shapes))
+    seconds = trials.total(first, shapes), trials.total(best, shapes)
+    if first is not None and seconds[0] > MARGIN * seconds[1] and np.isfinite(seconds[0]):
+        again = Trials()
+        for shape in shapes:
+            again.time(device, shape, size, (first, best), DUEL)
+        seconds = again.total(first, shapes), again.total(best, shapes)
+    wins = first is None or seconds[0] > MARGIN * seconds[1]
+    return best if wins else first, Line(what, first, best, seconds, "new" if wins else "built-in")
+
+
+def run(name: str | None, size: tuple[int, int], *, show: bool, console: Console, tell: Callable[[str], None]) -> None:
+    """The command.
+
+    Args:
+        name: part of the device's name; None: as everywhere.
+        size: (height, width) of the frames.
+        show: print the row in force, time nothing.
+        console: for the results.
+        tell: is handed a line for every step.
+
+    Raises:
+        DeviceError: there is no such device, or with ``show`` its kept row is wrong.
+    """
+    if not show:
+        _drop_wrong_rows(name, tell)
+    device = choose(name, tell)
+    if show:
+        row = kept(device)
+        source = f"kept in {kept_path(device)}" if row else "built-in"
+        console.print(
+            f"# {device.name}, {device.driver}: {source}",
+            to_toml(row or built_in(device)),
+            sep="\n",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )
+        return
+    found, trials, lines = tune(device, size, tell)
+    print_lines(lines, console)
+    for (outputs, sizes), why in trials.refused.items():
+        console.print(f"refused for {outputs} outputs: {_shown(sizes)}: {why}", markup=False, highlight=False, soft_wrap=True)
+    new = found != built_in(device)
+    path = keep(device, found if new else None)
+    console.print(f"kept: {path}" if new else "the built-in row stays", markup=False, highlight=False, soft_wrap=True)
+
+
+def print_lines(lines: list[Line], console: Console) -> None:
+    """A table: sizes, milliseconds of all the network's layers of a class, and how many times faster."""
+    table = Table(box=None, pad_edge=False)
+    for title in ("layers", "built-in", "ms", "best other", "ms", "ratio", "taken"):
+        table.add_column(title, justify="right" if title in ("ms", "ratio") else "left")
+    for line in lines:
+        before, after = line.seconds
+        first, second = (f"{1e3 * x:.2f}" if np.isfinite(x) else "-" for x in line.seconds)
+        ratio = f"{before / after:.3f}" if after and np.isfinite([before, after]).all() else "-"
+        table.add_row(line.what, _shown(line.built_in), first, _shown(line.best), second, ratio, line.decision)
+    console.print(table, markup=False, highlight=False)
+
+
+def _shown(sizes: Sizes | None) -> str:
+    return "-" if sizes is None else " ".join(str(int(number)) for number in astuple(sizes))
+
+
+def _drop_wrong_rows(name: str | None, tell: Callable[[str], None]) -> None:
+    """A row that cannot be read would fail the self-test of the device that is about to get a new one."""
+    for handle in matching(os.environ.get("STSS_DEVICE") if name is None else name).values():
+        device = Properties(handle)
+        try:
+            kept(device)
+        except DeviceError as error:
+            tell(f"removed: {error}")
+            keep(device, None)

@@ -1,0 +1,8 @@
+# SPDX-License-Identifier: MIT
+"""Display frames as arrays: what a backend is given, and the backends."""
+
+from stss.frames.backends import open_backend
+from stss.frames.buffers import Buffers
+from stss.frames.supersample import Output, supersample
+
+__all__ = ["Buffers", "Output", "open_backend", "supersample"]

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: MIT
+"""What computes a frame: the reference, or an OpenCL device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from stss.errors import InputError
+from stss.frames.display_frame import OnArrays, Prepared
+from stss_ref.arrays import Array, Image, Mask
+from stss_ref.frame import FrameInputs, frame, prepare
+from stss_ref.motion_chain import Gather
+from stss_ref.resample import upsample_centres
+from stss_ref.weights import Weights
+
+NETWORK = "network"
+"""The method that uses the network; `stss.baselines` has the others."""
+BACKENDS = ("cl", "ref")
+"""The names ``open_backend`` takes."""
+PRECISIONS = ("float32", "float32-direct", "half")
+"""See ``stss_cl.network.network.PRECISIONS``; the reference knows float32 alone."""
+SKIPS = ("off", "exact", "bounded")
+"""See ``stss_cl.skip.stream.SKIPS``."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a frame cost.
+
+    Attributes:
+        network: what of the network was run: ``none``, where something had ``changed``, ``partly``: everywhere, but without plain
+            tiles or some of the deep layers, the ``whole``.
+        changed: share of the network's inputs that differed from the frame before of this kind; 1 where nobody looked.
+        departure: of a frame that was checked: the largest difference that leaving out made, output units.
+    """
+
+    network: Literal["none", "changed", "partly", "whole"]
+    changed: float
+    departure: float | None = None
+
+
+class Backend(Protocol):
+    """Computes stage ``frame``.
+
+    Attributes:
+        name: goes into the metadata of every output file, and into what ``--resume`` compares.
+        method: likewise: ``network``, or one of ``stss.baselines.registry.METHODS``.
+        accumulates: True: an output depends on all outputs before it, and ``frame`` must be called for each in turn.
+    """
+
+    name: str
+    method: str
+    accumulates: bool
+
+    @property
+    def cost(self) -> Cost | None:
+        """What the last frame cost; None: what every frame does."""
+        ...
+
+    @property
+    def activity(self) -> Array | None:
+        """Where it was computed, see ``stss.run.skip_report.picture``; None: everywhere."""
+        ...
+
+    def expect(self, size: tuple[int, int]) -> None:
+        """Make ready for frames of (H, W), which ``compute`` would do for the first of them."""
+        ...
+
+    def compute(self, window: Sequence[Prepared], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
+        """``(image (2H, 2W, 3), valid (H, W))`` as ``stss_ref.frame.frame``, for the last frame of ``window``.
+
+        Args:
+            window: consecutive display frames, oldest first; what was handed in once is not changed afterwards.
+            steps: how many frames back the three colour frames lie, newest first.
+        """
+        ...
+
+
+class ReferenceBackend(OnArrays):
+    """``stss_ref``, in the dtype of the inputs."""
+
+    name, method, accumulates = "ref", NETWORK, False
+
+    def __init__(self, weights: Weights, gather: Gather = "longest"):
+        self._weights = weights
+        self._gather: Gather = gather
+        # With a last layer of zeros the network adds exactly 0 to the upsampled frame, whatever the rest of it computes.
+        self._residual = bool(weights["outc.weight"].any() or weights["outc.bias"].any())
+
+    def frame(self, inputs: FrameInputs) -> tuple[Image, Mask]:
+        """See ``Backend``."""
+        if self._residual:
+            return frame(inputs, self._weights, self._gather)
+        prepared = prepare(inputs, self._gather)
+        return upsample_centres(prepared.color[..., :3]), prepared.mask.astype(bool)
+
+
+class OpenCLBackend:
+    """``stss_cl`` on one device; the name holds precision, device and driver, for their bits may differ."""
+
+    method = NETWORK
+
+    def __init__(
+        self,
+        weights: Weights,
+        gather: Gather = "longest",
+        *,
+        device: str | None = None,
+        precision: str = "float32",
+        memory_limit: int | None = None,
+        skip: str = "exact",
+        max_error: float = 0.0,
+        tell: Callable[[str], None] = lambda line: None,
+    ):
+        # Imported here: the OpenCL library is opened only by those who use it.
+        from stss.devices.selection import choose
+        from stss_cl.skip.stream import Stream
+
+        chosen = choose(device, tell)
+        self._stream = Stream(weights, chosen, precision, gather, memory_limit, skip, max_error)  # pyright: ignore[reportArgumentType]
+        # What bounded keeps depends on all frames before; what exact keeps shows in no bit.
+        self.accumulates = skip == "bounded"
+        bound = f" within {max_error:g}" if self.accumulates else ""
+        self.name = f"cl {precision}{bound} on {chosen.name}, {chosen.driver}"
+
+    def expect(self, size: tuple[int, int]) -> None:
+        """See ``Backend``."""
+        self._stream.expect(size)
+
+    def compute(self, window: Sequence[Prepared], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
+        """See ``Backend``."""
+        return self._stream(window, steps)
+
+    @property
+    def cost(self) -> Cost:
+        """See ``Backend``."""
+        report = self._stream.report
+        return Cost(report.network, report.changed, report.departure)
+
+    @property
+    def activity(self) -> Array:
+        """See ``Backend``."""
+        return self._stream.activity()
+
+
+def open_backend(
+    name: str,
+    weights: Weights,
+    gather: Gather = "longest",
+    *,
+    device: str | None = None,
+    precision: str = "float32",
+    memory_limit: int | None = None,
+    skip: str = "exact",
+    max_error: float = 0.0,
+    tell: Callable[[str], None] = lambda line: None,
+) -> Backend:
+    """Make the backend of this name ready to compute.
+
+    Args:
+        name: one of ``BACKENDS``.
+        weights: the 92 tensors.
+        gather: how the motion chain reads between pixels.
+        device: part of an OpenCL device's name; None: ``$STSS_DEVICE``, or the fastest that passed its self-test.
+        precision: one of ``PRECISIONS``; the reference takes ``float32`` only.
+        memory_limit: bytes for the buffers of the OpenCL backend; larger frames go in strips, with the same bits.
+        skip: one of ``SKIPS``: what the OpenCL backend leaves out; the reference computes everything.
+        max_error: for ``bounded``, in units of the image.
+        tell: is handed lines for the user, such as that a self-test is being run.
+
+    Raises:
+        InputError: ``name`` or ``precision`` is none of these, or does not go with the other options.
+        stss_cl.errors.DeviceError: there is no such device.
+    """
+    if name not in BACKENDS:
+        raise InputError(f"backend: expected one of {', '.join(BACKENDS)}, got {name!r}")
+    if precision not in PRECISIONS:
+        raise InputError(f"precision: expected one of {', '.join(PRECISIONS)}, got {precision!r}")
+    if name == "cl":
+        limits = {"memory_limit": memory_limit, "max_error": max_error}
+        return OpenCLBackend(weights, gather, device=device, precision=precision, skip=skip, tell=tell, **limits)  # pyright: ignore[reportArgumentType]
+    if device is not None or precision != "float32":
+        raise InputError("backend ref: expected neither a device nor another precision than float32")
+    return ReferenceBackend(weights, gather)

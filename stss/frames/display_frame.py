@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: MIT
+"""Display frames as stage ``frame`` takes them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stss.color import Transfer
+from stss.frames.buffers import Buffers
+from stss_ref.arrays import Array, Image, Mask, Plane
+from stss_ref.depth import DepthMode, normalise_depth
+from stss_ref.frame import FrameInputs
+
+WINDOW = 6
+"""An output depends on its own display frame and on the five before it, and on nothing else."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A display frame as stage ``frame`` takes it, made once and used by up to six outputs.
+
+    ``color`` (H, W, 3) display-referred or None, ``motion`` (H, W, 2), ``gbuffer`` (H, W, 9), ``nov`` and ``stencil`` (H, W),
+    ``position`` (H, W, 3) in cm.
+    """
+
+    number: int
+    color: Image | None
+    motion: Image
+    gbuffer: Image
+    nov: Plane
+    stencil: Plane
+    position: Image
+
+
+def prepare(buffers: Buffers, to_display: Transfer, depth: DepthMode) -> Prepared:
+    """Take one frame's colour through the transfer, normalise its depth and stack its G-buffer."""
+    planes = [
+        buffers.normal,
+        normalise_depth(buffers.depth, depth)[..., None],
+        buffers.roughness[..., None],
+        buffers.metallic[..., None],
+        buffers.base_color,
+    ]
+    return Prepared(
+        number=buffers.number,
+        color=None if buffers.color is None else to_display.encode(buffers.color),
+        motion=buffers.motion,
+        gbuffer=np.concatenate(planes, axis=-1),
+        nov=buffers.nov,
+        stencil=buffers.stencil,
+        position=buffers.position,
+    )
+
+
+def frame_inputs(window: Sequence[Prepared], steps: tuple[int, int, int]) -> FrameInputs:
+    """Stack what stage ``frame`` takes for the newest frame of ``window``.
+
+    Args:
+        window: consecutive display frames, oldest first, at least ``max(steps) + 1`` of them.
+        steps: how many frames back the three colour frames lie, newest first.
+
+    Returns:
+        The inputs, float32.
+    """
+    back = window[::-1]
+    colors = [back[step].color for step in steps]
+    shown = (back[0], *(back[step] for step in steps))
+
+    def stack(arrays: list[Array]) -> Array:
+        return np.stack(arrays) if arrays else np.empty((0, *back[0].motion.shape), np.float32)
+
+    return FrameInputs(
+        colors=stack([color for color in colors if color is not None]),
+        steps=steps,
+        motions=stack([prepared.motion for prepared in back[: max(steps)]]),
+        gbuffer=back[0].gbuffer,
+        nov=back[0].nov,
+        stencils=stack([prepared.stencil for prepared in shown]),
+        normals=stack([prepared.gbuffer[..., :3] for prepared in shown]),
+        positions=stack([prepared.position for prepared in shown]),
+    )
+
+
+class OnArrays(ABC):
+    """A backend (``stss.frames.backends.Backend``) that computes every frame from nothing."""
+
+    cost, activity = None, None
+
+    def expect(self, size: tuple[int, int]) -> None:
+        """See ``Backend``: there is nothing to make ready for (H, W)."""
+        del size
+
+    def compute(self, window: Sequence[Prepared], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
+        """See ``Backend``."""
+        return self.frame(frame_inputs(window, steps))
+
+    @abstractmethod
+    def frame(self, inputs: FrameInputs) -> tuple[Image, Mask]:
+        """The same for stacked arrays."""

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: MIT
+"""Frames in, frames out: the schedule and the history of frames around a backend. Arrays only, no files."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+from stss.color import Transfer, transfer
+from stss.errors import InputError
+from stss.frames.backends import Backend
+from stss.frames.buffers import Buffers
+from stss.frames.display_frame import WINDOW, Prepared, prepare
+from stss_ref.arrays import Image, Mask
+from stss_ref.depth import DepthMode
+from stss_ref.schedule import FrameKind, Schedule, schedule
+
+
+@dataclass(frozen=True)
+class Output:
+    """One display frame, done.
+
+    Attributes:
+        number: of the display frame.
+        kind: SF (rendered) or EF (extrapolated).
+        image: (2H, 2W, 3) float32 in the domain the colours came in: scene-linear for ``srgb`` and ``hdr``; finite, >= 0.
+        valid: (H, W) False in the warping holes of the newest colour frame; all True for an SF.
+    """
+
+    number: int
+    kind: FrameKind
+    image: Image
+    valid: Mask
+
+
+def plan(window: Sequence[Prepared]) -> Schedule | None:
+    """The schedule of the newest frame of ``window``; None where there is nothing to extrapolate it from."""
+    newest = window[-1].number
+    rendered = {prepared.number for prepared in window if prepared.color is not None}
+    return schedule(newest, rendered, reach=newest - window[0].number)
+
+
+def compute(window: Sequence[Prepared], backend: Backend, from_display: Transfer) -> Output | None:
+    """Compute the newest frame of ``window``; None where there is nothing to extrapolate it from.
+
+    Args:
+        window: up to six consecutive display frames of one size, oldest first.
+        backend: what computes it.
+        from_display: the transfer whose inverse the image is taken through.
+    """
+    planned = plan(window)
+    if planned is None:
+        return None
+    image, valid = backend.compute(window, planned.steps)
+    return Output(window[-1].number, planned.kind, from_display.decode(image), valid)
+
+
+def supersample(
+    frames: Iterable[Buffers], backend: Backend, *, transfer_name: str = "srgb", depth: DepthMode = "scale"
+) -> Iterator[Output]:
+    """Twice the size of every frame, and an image for every frame that was not rendered.
+
+    Waits for no future frame: each output comes before the next input is asked for.
+
+    Args:
+        frames: display frames in order; ``color`` is None where a frame was not rendered. A number that does not follow the one
+            before it, or another size, starts a new history.
+        backend: what computes, from ``stss.frames.backends.open_backend``.
+        transfer_name: ``none``, ``srgb`` or ``hdr`` (spec 9).
+        depth: ``clip`` or ``scale`` (spec 0).
+
+    Yields:
+        An ``Output`` for every frame but those extrapolation frames that have no rendered frame just before them.
+    """
+    curve = transfer(transfer_name)
+    window: deque[Prepared] = deque(maxlen=WINDOW)
+    for buffers in frames:
+        prepared = prepare(buffers, curve, depth)
+        if window and (buffers.number != window[-1].number + 1 or buffers.depth.shape != window[-1].nov.shape):
+            window.clear()
+        window.append(prepared)
+        output = compute(tuple(window), backend, curve)
+        if output is not None:
+            yield output
+
+
+def choose_rendered(numbers: Iterable[int], has_color: frozenset[int], choice: str | None) -> frozenset[int]:
+    """Which display frames count as rendered.
+
+    Args:
+        numbers: the display frames there are.
+        has_color: those that have colour.
+        choice: ``even``, ``odd`` or ``all`` frame numbers; None = every frame that has colour, but only the even ones where two
+            in a row have it, for then the sequence holds the truth of its extrapolation frames too.
+
+    Raises:
+        InputError: a frame that is to count as rendered has no colour, or none has.
+    """
+    if not has_color:
+        raise InputError("no frame has colour: there is nothing to supersample")
+    if choice is None:
+        return frozenset(n for n in has_color if n % 2 == 0) if any(n + 1 in has_color for n in has_color) else has_color
+    wanted = frozenset(n for n in numbers if choice == "all" or n % 2 == (choice == "odd"))
+    if missing := sorted(wanted - has_color):
+        raise InputError(f"--rendered {choice}: frame {missing[0]} has no colour ({len(missing)} such frames)")
+    return wanted

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""EXR and PNG files, and pictures made for the eye."""

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""How good a picture is: ``stss compare``, ``methods`` and ``flicker``."""

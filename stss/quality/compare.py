@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: MIT
+"""What a run wrote against the truth: per-frame scores, means by kind of frame, pictures of the difference."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.measure import Measurement
+from rich.table import Table
+
+from stss.errors import InputError
+from stss.images.read_write import read_rgb, write_rgb
+from stss.quality.flip_vmaf import require_packages, vmaf_scores
+from stss.quality.metrics import REGIONS, Scores, mean_scores, score, to_8bit, upsample_holes
+from stss.quality.output_and_truth import FALLBACK, KINDS, MADE_WITH, Pair, find_pairs, listed, require_size
+
+__all__ = ["Comparison", "Mean", "Row", "compare", "listed", "print_comparison"]
+
+BRIGHTENED = 4
+"""So many times the difference is brightened in the pictures."""
+METRICS = {
+    "psnr_luma": ("PSNR\nluma", 2, REGIONS),
+    "ssim": ("SSIM\nluma", 4, REGIONS),
+    "psnr_rgb": ("PSNR\nRGB", 2, REGIONS),
+    "flip": ("FLIP\n", 4, REGIONS),
+    "vmaf": ("VMAF\n", 2, REGIONS[:1]),
+}
+"""Field of ``Scores`` to heading, digits printed, and the regions it is taken over."""
+ASKED_FOR = ("flip", "vmaf")
+"""Those that are only taken when asked for."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One frame.
+
+    Attributes:
+        number: of the frame.
+        kind: "SF" or "EF"; None where the output does not say.
+        output: the file judged.
+        truth: the file it was judged by.
+        scores: region to scores.
+    """
+
+    number: int
+    kind: str | None
+    output: Path
+    truth: Path
+    scores: Mapping[str, Scores]
+
+
+@dataclass(frozen=True)
+class Mean:
+    """Means over frames: of a PSNR, the mean of the frames' decibels; frames whose region is empty do not count.
+
+    Attributes:
+        name: "SF", "EF", "MEAN" (the mean of these two, as the authors), or "all" where kinds are not known.
+        frames: how many frames it is of.
+        scores: region to scores.
+    """
+
+    name: str
+    frames: int
+    scores: Mapping[str, Scores]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The outcome.
+
+    Attributes:
+        rows: the frames that both folders have, in order.
+        means: by kind.
+        without_truth: frames of the output that the truth lacks.
+        without_output: frames of the truth that the output lacks.
+        notes: what the reader of the numbers must know; one line each.
+        made_with: method, weights, backend and transfer, those that the output's files name; more than one value each if they differ.
+        metrics: those taken, of ``METRICS``.
+    """
+
+    rows: Sequence[Row]
+    means: Sequence[Mean]
+    without_truth: Sequence[int]
+    without_output: Sequence[int]
+    notes: Sequence[str]
+    made_with: Mapping[str, Sequence[str]]
+    metrics: Sequence[str]
+
+    def to_json(self) -> str:
+        """As JSON: null where a region is empty, the text "inf" where a PSNR is infinite."""
+        found = {
+            "frames": [
+                {"frame": r.number, "kind": r.kind, "output": r.output.name, "truth": r.truth.name, **self._plain(r.scores)}
+                for r in self.rows
+            ],
+            "means": {m.name: {"frames": m.frames, **self._plain(m.scores)} for m in self.means},
+            "without_truth": self.without_truth,
+            "without_output": self.without_output,
+            "notes": self.notes,
+            "made_with": self.made_with,
+        }
+        return json.dumps(found, indent=2, allow_nan=False)
+
+    def _plain(self, scores: Mapping[str, Scores]) -> dict[str, dict[str, float | str | None]]:
+        return {
+            region: {
+                name: "inf" if value == math.inf else value
+                for name, value in asdict(found).items()
+                if name in self.metrics and region in METRICS[name][2]
+            }
+            for region, found in scores.items()
+        }
+
+
+def compare(
+    out: Path,
+    truth: Path,
+    *,
+    frames: tuple[int, int] | None = None,
+    pictures: Path | None = None,
+    flip: bool = False,
+    vmaf: bool = False,
+) -> Comparison:
+    """Judge the frames of a folder by those of another with the same numbers.
+
+    EXR holds the renderer's domain, PNG what a screen shows. Both are brought to what a screen shows, by the transfer
+    that the output's file names (``srgb`` where it names none), and then to 8 bits.
+
+    Source: spec 9.
+
+    Args:
+        out: written by `stss run`, or by anything that numbers its files.
+        truth: images of the size of the output's.
+        frames: first and last to judge, both included; None: all.
+        pictures: folder for pictures output | truth | 4 x difference, made if need be; None: none.
+        flip, vmaf: take these too.
+
+    Raises:
+        InputError: a folder is not there, the two have no frame in common, a file cannot be read, sizes differ, only
+            some of the output's files name their kind, ``pictures`` is one of the folders read, or a package is missing.
+    """
+    if pictures is not None and pictures.resolve() in [p.resolve() for p in (out, out / "holes", truth)]:
+        raise InputError(f"{pictures}: holds the images to compare; expected another folder for the pictures")
+    require_packages(flip=flip, vmaf=vmaf)
+    pairs, without_truth, without_output = find_pairs(out, truth, frames)
+    notes = _notes(out, pairs)
+    rows = [_judge(number, pair, pictures, flip=flip) for number, pair in pairs.items()]
+    if vmaf:
+        found = vmaf_scores(map(to_8bit, pair.shown()) for pair in pairs.values())
+        rows = [_with_vmaf(row, value) for row, value in zip(rows, found, strict=True)]
+    made_with = {name: sorted({p.made_with[name] for p in pairs.values() if name in p.made_with}) for name in MADE_WITH}
+    return Comparison(
+        rows,
+        _means(rows),
+        without_truth,
+        without_output,
+        notes,
+        {name: values for name, values in made_with.items() if values},
+        [name for name in METRICS if name not in ASKED_FOR or {"flip": flip, "vmaf": vmaf}[name]],
+    )
+
+
+def print_comparison(comparison: Comparison, console: Console) -> None:
+    """Print a table of frames and means, then what to know about them."""
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("\n\nframe", justify="right")
+    table.add_column("\n\nkind")
+    for metric in comparison.metrics:
+        heading, _, regions = METRICS[metric]
+        for region in regions:
+            above = heading if region == regions[0] else "\n"
+            table.add_column(f"{above}\n{region}", justify="right", no_wrap=True)
+    for row in comparison.rows:
+        table.add_row(str(row.number), row.kind or "", *_cells(row.scores, comparison.metrics))
+    table.add_section()
+    for mean in comparison.means:
+        table.add_row(f"of {mean.frames}", mean.name, *_cells(mean.scores, comparison.metrics), style="bold")
+    print_whole(table, console)
+    lines = [
+        *comparison.notes,
+        *(f"{name}: {', '.join(found)}" for name, found in comparison.made_with.items() if found),
+    ]
+    if comparison.without_truth:
+        lines.append(f"not compared, no truth: {listed(comparison.without_truth)}")
+    if comparison.without_output:
+        lines.append(f"not compared, no output: {listed(comparison.without_output)}")
+    for line in lines:
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def print_whole(table: Table, console: Console) -> None:
+    """Print a table at its full width, on a narrower console too: half a number is worse than a broken line."""
+    console.width = max(console.width, Measurement.get(console, console.options.update(max_width=1000), table).maximum)
+    console.print(table)
+
+
+def _judge(number: int, pair: Pair, pictures: Path | None, *, flip: bool) -> Row:
+    image, truth = pair.shown()
+    hole = None
+    if pair.holes is not None:
+        small = read_rgb(pair.holes)
+        require_size(pair.holes, small, pair.output, (image.shape[0] // 2, image.shape[1] // 2))
+        hole = upsample_holes(small[..., 0] > 0.5)
+    if pictures is not None:
+        pictures.mkdir(parents=True, exist_ok=True)
+        difference = np.clip(BRIGHTENED * np.abs(image - truth), 0, 1)
+        write_rgb(pictures / f"{pair.output.stem}.png", np.concatenate([image, truth, difference], axis=1))
+    return Row(number, pair.kind, pair.output, pair.truth, score(image, truth, hole, flip=flip))
+
+
+def _with_vmaf(row: Row, found: float) -> Row:
+    return replace(row, scores={**row.scores, "all": replace(row.scores["all"], vmaf=found)})
+
+
+def _notes(out: Path, pairs: Mapping[int, Pair]) -> list[str]:
+    notes: list[str] = []
+    unknown = [n for n, pair in pairs.items() if pair.kind is None]
+    if unknown and len(unknown) < len(pairs):
+        raise InputError(f"{out}: {listed(unknown)} without stss:kind, the others with it; expected files of one origin")
+    if unknown:
+        notes.append(f"{out}: kinds of frame are not known (no stss:kind); means are over all frames")
+    if any(p.transfer is None and ".exr" in (p.output.suffix.lower(), p.truth.suffix.lower()) for p in pairs.values()):
+        notes.append(f"{out}: no transfer named (no stss:transfer); EXR is taken as scene-linear and shown as {FALLBACK}")
+    lacking = [n for n, pair in pairs.items() if pair.holes is None and pair.kind != "SF"]
+    if lacking:
+        notes.append(f"{out / 'holes'}: no holes of {listed(lacking)}; not scored there")
+    return notes
+
+
+def _means(rows: Sequence[Row]) -> list[Mean]:
+    by_kind = [(kind, [row for row in rows if row.kind == kind]) for kind in (*KINDS, None)]
+    means = [Mean(kind or "all", len(of), mean_scores([row.scores for row in of])) for kind, of in by_kind if of]
+    if len(means) == len(KINDS):
+        means.append(Mean("MEAN", len(rows), mean_scores([mean.scores for mean in means], complete=True)))
+    return means
+
+
+def _cells(scores: Mapping[str, Scores], metrics: Sequence[str]) -> list[str]:
+    shown = [(getattr(scores[region], name), METRICS[name][1]) for name in metrics for region in METRICS[name][2]]
+    return ["-" if value is None else f"{value:.{digits}f}" for value, digits in shown]

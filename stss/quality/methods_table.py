@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: MIT
+"""Every method on one sequence: what the weights are worth, in one table and one picture."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from stss.baselines.registry import METHODS
+from stss.errors import InputError
+from stss.frames.backends import NETWORK, Backend
+from stss.quality.compare import Comparison, compare, print_whole
+from stss.quality.flicker import Flicker, flicker
+from stss.quality.flip_vmaf import require_packages
+from stss.run.job import RunOptions, run
+from stss.sequence.reader import Sequence as Frames
+from stss.weights.file import BILINEAR
+
+COLUMNS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
+    "PSNR\nRGB": (("SF", "all", "psnr_rgb"), ("EF", "all", "psnr_rgb")),
+    "PSNR\nedges": (("SF", "edges", "psnr_rgb"), ("EF", "edges", "psnr_rgb")),
+    "PSNR\nholes": (("EF", "holes", "psnr_rgb"),),
+    "SSIM\n": (("SF", "all", "ssim"), ("EF", "all", "ssim")),
+    "FLIP\n": (("SF", "all", "flip"), ("EF", "all", "flip")),
+    "VMAF\n": (("SF", "all", "vmaf"), ("EF", "all", "vmaf")),
+}
+"""Heading to kind, region and field of what stands below it."""
+FLICKER = ("SF", "EF")
+"""Flicker's error stands last."""
+DIGITS = {"psnr_rgb": 2, "ssim": 4, "flip": 4, "vmaf": 1}
+
+
+@dataclass(frozen=True)
+class Result:
+    """What came of one method: its name, the folder of its frames, its scores and its flicker."""
+
+    method: str
+    folder: Path
+    comparison: Comparison
+    flicker: Flicker
+
+
+def choose_methods(names: Sequence[str], weights: str) -> tuple[str, ...]:
+    """The methods of these names; of none, all of them, and the network if ``weights`` are more than bilinear.
+
+    Raises:
+        InputError: there is no such method, or one is named twice.
+    """
+    known = (*METHODS, NETWORK)
+    for name in names:
+        if name not in known or names.count(name) > 1:
+            raise InputError(f"methods: expected some of {', '.join(known)}, each once; got {','.join(names)}")
+    return tuple(names) or tuple(name for name in known if name != NETWORK or weights != BILINEAR)
+
+
+def run_methods(
+    sequence: Frames,
+    truth: Path,
+    out: Path,
+    methods: Sequence[str],
+    engine: Callable[[str], tuple[Backend, str]],
+    options: RunOptions,
+    *,
+    flip: bool = False,
+    vmaf: bool = False,
+    on_step: Callable[[str], None] = lambda step: None,
+) -> list[Result]:
+    """Run each method into ``out/METHOD`` and hold it against the truth.
+
+    Args:
+        sequence: what to run on.
+        truth: folder of what the frames should be.
+        out: folder; made if need be.
+        methods: see `choose_methods`.
+        engine: a method's name to what computes it and the identity of its weights.
+        options: as for ``stss run``.
+        flip, vmaf: take these too.
+        on_step: is told what is being done.
+
+    Raises:
+        InputError: as ``stss run``, ``stss compare`` and ``stss flicker``.
+    """
+    require_packages(flip=flip, vmaf=vmaf)
+    results: list[Result] = []
+    for method in methods:
+        on_step(f"{method}: running")
+        backend, identity = engine(method)
+        run(sequence, out / method, backend, identity, options)
+        on_step(f"{method}: comparing")
+        scores = compare(out / method, truth, frames=options.frames, flip=flip, vmaf=vmaf)
+        results.append(Result(method, out / method, scores, flicker(out / method, truth, sequence, frames=options.frames)))
+    return results
+
+
+def to_json(results: Sequence[Result]) -> str:
+    """As JSON: method to what `Comparison.to_json` and `Flicker.to_json` say."""
+    found = {r.method: {**json.loads(r.comparison.to_json()), "flicker": json.loads(r.flicker.to_json())} for r in results}
+    return json.dumps(found, indent=2, allow_nan=False)
+
+
+def print_results(results: Sequence[Result], console: Console) -> None:
+    """Print one row for each method: means over the frames."""
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("\n\nmethod")
+    metrics = results[0].comparison.metrics
+    shown = {heading: cells for heading, cells in COLUMNS.items() if cells[0][2] in metrics}
+    kinds = {**{heading: [kind for kind, _, _ in cells] for heading, cells in shown.items()}, "flicker\nerror": FLICKER}
+    for heading, below in kinds.items():
+        for i, kind in enumerate(below):
+            table.add_column((heading if i == 0 else "\n") + f"\n{kind}", justify="right", no_wrap=True)
+    for result in results:
+        means = {mean.name: mean.scores for mean in result.comparison.means}
+        scores = [_score(means, *cell) for cells in shown.values() for cell in cells]
+        table.add_row(result.method, *scores, *(_flicker(result.flicker, kind) for kind in FLICKER))
+    print_whole(table, console)
+    counts = {mean.name: mean.frames for mean in results[0].comparison.means}
+    known = f"means of {counts.get('SF', 0)} SF and {counts.get('EF', 0)} EF; PSNR over RGB, flicker in 8-bit levels"
+    console.print(known, highlight=False)
+
+
+def _score(means: Mapping[str, Mapping[str, object]], kind: str, region: str, name: str) -> str:
+    value = getattr(means[kind][region], name) if kind in means else None
+    return "-" if value is None else f"{value:.{DIGITS[name]}f}"
+
+
+def _flicker(found: Flicker, kind: str) -> str:
+    value = found.means[kind].error if kind in found.means else None
+    return "-" if value is None else f"{value:.2f}"

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: MIT
+"""Frames of two folders that belong together, and what their files say of themselves."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from stss.color import TRANSFERS, transfer
+from stss.errors import InputError
+from stss.images.read_write import read_header, read_rgb
+from stss_ref.arrays import Image
+
+KINDS = ("SF", "EF")
+SUFFIXES = (".png", ".exr")
+MADE_WITH = ("method", "weights", "backend", "transfer")
+FALLBACK = "srgb"
+"""The transfer for files that name none."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """An output, its truth, and what the output's file says of itself.
+
+    Attributes:
+        output: the file to judge.
+        truth: the file to judge it by.
+        kind: "SF" or "EF"; None where the file does not say.
+        transfer: how its renderer's domain is displayed; None where the file does not say.
+        holes: the file of its warping holes; None where there is none.
+        made_with: method, weights, backend and transfer, as far as the file names them.
+    """
+
+    output: Path
+    truth: Path
+    kind: str | None
+    transfer: str | None
+    holes: Path | None
+    made_with: Mapping[str, str]
+
+    def shown(self) -> tuple[Image, Image]:
+        """Output and truth as a screen shows them: (H, W, 3) float32, in [0, 1]; raises InputError where sizes differ."""
+        curve = transfer(self.transfer or FALLBACK)
+        image, truth = (
+            curve.display(read_rgb(path)) if path.suffix.lower() == ".exr" else read_rgb(path)
+            for path in (self.output, self.truth)
+        )
+        require_size(self.truth, truth, self.output, image.shape[:2])
+        return image, truth
+
+
+def find_pairs(out: Path, truth: Path, frames: tuple[int, int] | None = None) -> tuple[dict[int, Pair], list[int], list[int]]:
+    """Frames that two folders have in common, by number, and those that only the first and only the second has.
+
+    Args:
+        out: written by `stss run`, or by anything that numbers its files.
+        truth: likewise.
+        frames: first and last to look at, both included; None: all.
+
+    Raises:
+        InputError: a folder is not there, the two have no frame in common, or a file cannot be read.
+    """
+    outputs, truths = _numbered(out, frames), _numbered(truth, frames)
+    pairs = {n: _pair(outputs[n], truths[n]) for n in sorted(outputs.keys() & truths.keys())}
+    if not pairs:
+        found = f"found {listed(truths)}" + (f" within {frames[0]} to {frames[1]}" if frames else "")
+        raise InputError(f"{truth}: expected a frame that {out} has, one of {listed(outputs)}; {found}")
+    return pairs, sorted(outputs.keys() - truths.keys()), sorted(truths.keys() - outputs.keys())
+
+
+def require_size(path: Path, image: Image, other: Path, size: tuple[int, ...]) -> None:
+    """Raise InputError unless the image of ``path`` has ``size`` (H, W), which goes with that of ``other``."""
+    if image.shape[:2] != size:
+        expected, found = (f"{width} x {height}" for height, width in (size, image.shape[:2]))
+        raise InputError(f"{path}: expected {expected} pixels to go with {other}, found {found}")
+
+
+def listed(numbers: Iterable[int]) -> str:
+    """Numbers in words: "frames 1 to 5, 7", "frame 7", "no frames"."""
+    runs: list[list[int]] = []
+    for n in sorted(numbers):
+        if runs and n == runs[-1][1] + 1:
+            runs[-1][1] = n
+        else:
+            runs.append([n, n])
+    if not runs:
+        return "no frames"
+    several = len(runs) > 1 or runs[0][0] < runs[0][1]
+    return ("frames " if several else "frame ") + ", ".join(f"{a} to {b}" if a < b else str(a) for a, b in runs)
+
+
+def _numbered(folder: Path, frames: tuple[int, int] | None) -> dict[int, Path]:
+    """Images by frame number: the last digits of the name without its suffix."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: " + ("not a folder" if folder.exists() else "no such folder"))
+    found: dict[int, Path] = {}
+    for path in sorted(folder.iterdir(), key=lambda p: (p.suffix.lower() != ".png", p.name)):
+        digits = re.findall(r"\d+", path.stem)
+        if path.suffix.lower() not in SUFFIXES or path.name.startswith(".") or not digits:
+            continue
+        number = int(digits[-1])
+        if number in found and found[number].stem != path.stem:
+            raise InputError(f"{folder}: frame {number} is there twice: {found[number].name}, {path.name}")
+        if frames is None or frames[0] <= number <= frames[1]:
+            found[number] = path  # EXR comes last and stands
+    return found
+
+
+def _pair(output: Path, truth: Path) -> Pair:
+    attributes = read_header(output).attributes
+    made_with = {name: str(attributes[f"stss:{name}"]) for name in MADE_WITH if f"stss:{name}" in attributes}
+    kind, domain = attributes.get("stss:kind"), made_with.get("transfer")
+    if kind not in (*KINDS, None):
+        raise InputError(f"{output}: stss:kind: expected {' or '.join(KINDS)}, found {kind!r}")
+    if domain not in (*TRANSFERS, None):
+        raise InputError(f"{output}: stss:transfer: expected one of {', '.join(TRANSFERS)}, found {domain!r}")
+    holes = output.parent / "holes" / f"{output.stem}.png"
+    return Pair(output, truth, None if kind is None else str(kind), domain, holes if holes.exists() else None, made_with)

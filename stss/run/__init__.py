@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""``stss run``: a sequence of files in, a folder of files out."""

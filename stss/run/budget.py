@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: MIT
+"""The most accurate way to compute frames within a given time, by trying the ways on the first frames."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Sequence
+
+from stss.errors import InputError
+from stss.frames.backends import Backend
+from stss.frames.compute_options import Setting
+from stss.frames.display_frame import WINDOW, Prepared
+from stss.frames.supersample import plan
+
+FRAMES = 16
+"""Display frames that each setting is tried on."""
+WARM = 8
+"""Those before the first timed one."""
+
+
+SETTINGS = (
+    Setting("float32", "exact"),
+    Setting("half", "exact"),
+    Setting("float32", "bounded", 1 / 255),
+    Setting("float32", "bounded", 2 / 255),
+    Setting("float32", "bounded", 4 / 255),
+    Setting("float32", "bounded", 8 / 255),
+)
+"""The most accurate first."""
+
+
+def choose(
+    frames: Sequence[Prepared], budget: float, make: Callable[[Setting], Backend], tell: Callable[[str], None]
+) -> tuple[Setting, Backend]:
+    """The first of `SETTINGS` whose frames keep within the budget, or else the fastest.
+
+    Args:
+        frames: consecutive display frames, the first of them rendered.
+        budget: seconds a frame, the mean of the timed ones.
+        make: a backend for a setting.
+        tell: is handed lines for the user.
+
+    Raises:
+        InputError: there are too few frames to try anything on.
+    """
+    if len(frames) <= WARM:
+        raise InputError(f"--budget: expected more than {WARM} frames in a row to try settings on, got {len(frames)}")
+    fastest: tuple[float, Setting] | None = None
+    for setting in SETTINGS:
+        backend = make(setting)
+        seconds = measure(frames, backend)
+        if seconds <= budget:
+            tell(f"{setting.options}: {seconds * 1e3:.1f} ms a frame, within {budget * 1e3:g} ms")
+            return setting, backend
+        tell(f"{setting.options}: {seconds * 1e3:.1f} ms a frame")
+        fastest = min(fastest or (seconds, setting), (seconds, setting), key=lambda pair: pair[0])
+    assert fastest is not None
+    tell(f"no setting keeps within {budget * 1e3:g} ms a frame: the fastest is taken, {fastest[1].options}")
+    return fastest[1], make(fastest[1])
+
+
+def measure(frames: Sequence[Prepared], backend: Backend) -> float:
+    """Mean seconds of the frames after the first `WARM`."""
+    times: list[float] = []
+    for number in range(len(frames)):
+        window = frames[max(0, number - WINDOW + 1) : number + 1]
+        planned = plan(window)
+        if planned is None:
+            continue
+        start = time.perf_counter()
+        backend.compute(window, planned.steps)
+        times.append(time.perf_counter() - start)
+    return statistics.mean(times[WARM:] or times[-1:])

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: MIT
+"""What an output is made of: the display frames it depends on, and their files as a key (docs/decisions/0005)."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+from stss.color import Transfer
+from stss.errors import InputError
+from stss.frames.display_frame import WINDOW, Prepared, prepare
+from stss.sequence.reader import Sequence
+from stss_ref.depth import DepthMode
+
+
+class Window:
+    """The display frames an output depends on, read once and kept while they are needed."""
+
+    def __init__(self, sequence: Sequence, rendered: frozenset[int], curve: Transfer, depth: DepthMode):
+        self._sequence, self._rendered, self._curve = sequence, rendered, curve
+        self._depth: DepthMode = depth
+        self._kept: dict[int, Prepared | InputError] = {}
+
+    def up_to(self, number: int, *, keep_going: bool) -> list[Prepared]:
+        """The unbroken run of readable frames that ends in ``number``, oldest first, at most six.
+
+        Raises:
+            InputError: ``number`` cannot be read, or, unless ``keep_going``, one of the frames before it.
+        """
+        numbers = range(max(number - WINDOW + 1, self._sequence.numbers[0]), number + 1)
+        self._kept = {n: kept for n, kept in self._kept.items() if n in numbers}
+        window: list[Prepared] = []
+        for n in numbers:
+            loaded = self._load(n)
+            if not isinstance(loaded, InputError):
+                window.append(loaded)
+            elif n == number or not keep_going:
+                raise loaded
+            else:
+                window.clear()
+        return window
+
+    def _load(self, number: int) -> Prepared | InputError:
+        if number not in self._kept:
+            try:
+                buffers = self._sequence.load(number, color=number in self._rendered)
+                self._kept[number] = prepare(buffers, self._curve, self._depth)
+            except InputError as error:
+                self._kept[number] = error
+        return self._kept[number]
+
+
+class Keys:
+    """What an output file was made of and how, as one digest: equal keys mean equal files."""
+
+    def __init__(self, sequence: Sequence, rendered: frozenset[int], settings: dict[str, object]):
+        self._sequence, self._rendered = sequence, rendered
+        self._settings = json.dumps(settings, sort_keys=True)
+        self._digests: dict[Path, str] = {}
+
+    def of(self, number: int) -> str:
+        """The key of display frame ``number``: the settings, and content and role of every file its window may read."""
+        key = hashlib.sha256(f"{self._settings} {number}".encode())
+        for n in range(number - WINDOW + 1, number + 1):
+            if n in self._sequence.frames:
+                digests = [self._digest(path) for path in self._sequence.files(n)]
+                key.update(f"{n} {n in self._rendered} {digests}".encode())
+        return key.hexdigest()
+
+    def _digest(self, path: Path) -> str:
+        if path not in self._digests:
+            digest = hashlib.sha256()
+            try:
+                with path.open("rb") as file:
+                    while block := file.read(1 << 20):
+                        digest.update(block)
+            except OSError:
+                digest.update(b"unreadable")  # whoever needs its pixels will say so
+            self._digests[path] = digest.hexdigest()
+        return self._digests[path]

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: MIT
+"""Which channel of which file holds each buffer."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+from stss.errors import InputError
+from stss.images.headers import Header
+from stss.sequence.profiles import Channels, Profile
+
+LAYERS = ("ViewLayer", "View Layer", "RenderLayer")
+"""Blender's names for the one layer of a new scene, in the versions there were."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a buffer is: full names of its channels in a file."""
+
+    path: Path
+    names: Channels
+
+
+def find_buffers(header: Header, profile: Profile, buffers: Collection[str]) -> dict[str, Source]:
+    """The buffers that a file has; the first alternative whose channels are all there wins.
+
+    Args:
+        header: of the file.
+        profile: what the channels are called.
+        buffers: those that may be in this file.
+
+    Raises:
+        InputError: several layers have the same buffers, so that ``{layer}`` could mean any of them.
+    """
+    layers = {name.rsplit(".", 2)[0] for name in header.channels if name.count(".") >= 2}
+    found = {layer: _in_layer(header, profile, buffers, layer) for layer in sorted(layers)}
+    if not found:
+        return _in_layer(header, profile, buffers, None)
+    most = max(len(names) for names in found.values())
+    best = [layer for layer, names in found.items() if len(names) == most]
+    if len({tuple(found[layer].values()) for layer in best}) > 1:
+        best = [layer for layer in LAYERS if layer in best] or best
+        if best[0] not in LAYERS:
+            raise InputError(
+                f"{header.path}: layers {', '.join(best)} all fit profile {profile.name}; "
+                "write the layer's name in place of {layer} in a copy of the profile"
+            )
+    return found[best[0]]
+
+
+def _in_layer(header: Header, profile: Profile, buffers: Collection[str], layer: str | None) -> dict[str, Source]:
+    there = set(header.channels)
+    found: dict[str, Source] = {}
+    for buffer in buffers:
+        for names in profile.channels[buffer]:
+            full = names if layer is None else tuple(name.replace("{layer}", layer) for name in names)
+            if there.issuperset(full):
+                found[buffer] = Source(header.path, full)
+                break
+    return found
+
+
+def missing_buffer(profile: Profile, buffer: str, where: object, there: Collection[str]) -> InputError:
+    """The error of a buffer that is nowhere: what it would be called, what there is, what to do."""
+    wanted = " or ".join(", ".join(names) for names in profile.channels[buffer]) or "a constant"
+    ending = profile.file_of(buffer)
+    file = f" in a file NAME{ending}.NNNN.exr" if ending else ""
+    hint = f"; {profile.hints[buffer]}" if buffer in profile.hints else ""
+    found = ", ".join(there) or "nothing"
+    return InputError(f"{where}: no {buffer}: profile {profile.name} expects {wanted}{file}; found {found}{hint}")

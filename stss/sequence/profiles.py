@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: MIT
+"""Profiles: what each renderer calls its buffers, and in which conventions it writes them.
+
+A profile is a TOML file, the built-in ones too; docs/profiles.md explains every key. Nothing is guessed: a convention
+has no default here, so a file that leaves one out is refused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from stss.errors import InputError
+from stss_cl.toml_table import Table, read_toml
+
+BUFFERS = {
+    "color": 3,
+    "motion": 2,
+    "normal": 3,
+    "depth": 1,
+    "position": 3,
+    "stencil": 1,
+    "nov": 1,
+    "base_color": 3,
+    "roughness": 1,
+    "metallic": 1,
+}
+"""Buffer -> number of channels."""
+CONSTANTS = ("stencil", "roughness", "metallic")
+"""Buffers that one number for the whole frame can stand in for."""
+
+_TABLES = Path(__file__).with_name("profile_tables")
+
+Channels = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class MotionRule:
+    """How motion is stored: ``(value - bias) * scale`` is a displacement in ``unit``.
+
+    Attributes:
+        direction: "to_previous": previous minus current position; "from_previous": current minus previous.
+        unit: "pixels"; "uv": 1 is the whole frame; "ndc": 2 is the whole frame.
+        y: which way positive y points.
+        bias: subtracted first, x and y.
+        scale: factor after that, x and y.
+    """
+
+    direction: Literal["to_previous", "from_previous"]
+    unit: Literal["pixels", "uv", "ndc"]
+    y: Literal["up", "down"]
+    bias: tuple[float, float]
+    scale: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class DepthRule:
+    """How depth is stored.
+
+    Attributes:
+        kind: "planar": along the view axis; "ray": distance to the camera; "device": what a depth buffer holds.
+        background: values from here on mean that nothing was hit; so do 0, negative and non-finite ones.
+        near: "device" only: distance of the near plane.
+        far: "device" only: distance of the far plane; infinite allowed.
+        reversed: "device" only: 1 is the near plane, 0 the far one.
+    """
+
+    kind: Literal["planar", "ray", "device"]
+    background: float
+    near: float = 0.0
+    far: float = math.inf
+    reversed: bool = True
+
+
+@dataclass(frozen=True)
+class NormalRule:
+    """How the world-space normal is stored: ``(value - bias) * scale``.
+
+    Attributes:
+        bias: subtracted first.
+        scale: factor after that.
+        background: stored value that means that nothing was hit, where the renderer has one.
+    """
+
+    bias: float
+    scale: float
+    background: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Profile:
+    """A renderer's names and conventions.
+
+    Attributes:
+        name: what the command line calls it.
+        title: one line for people.
+        path: its TOML file.
+        channels: buffer -> alternatives in order of preference, each the full names of the buffer's channels.
+            ``{layer}`` stands for the text before the last two dots.
+        files: buffer -> what the name of its file ends with before the frame number; the other buffers share a file.
+        motion: how motion is stored.
+        depth: how depth is stored.
+        normal: how the normal is stored.
+        units_per_cm: scene units per centimetre: Unreal 1, Blender 0.01.
+        color_domain: "linear": scene-linear; "display": display-referred, 0..1.
+        depth_normalisation: spec 0: "clip" or "scale".
+        camera: alternatives of three attribute names that hold the camera's position, in scene units.
+        constants: buffer -> number that stands in where there is no channel.
+        hints: buffer -> what to do when it is missing.
+    """
+
+    name: str
+    title: str
+    path: Path
+    channels: Mapping[str, tuple[Channels, ...]]
+    motion: MotionRule
+    depth: DepthRule
+    normal: NormalRule
+    units_per_cm: float
+    color_domain: Literal["linear", "display"]
+    depth_normalisation: Literal["clip", "scale"]
+    files: Mapping[str, str] = field(default_factory=dict[str, str])
+    camera: tuple[Channels, ...] = ()
+    constants: Mapping[str, float] = field(default_factory=dict[str, float])
+    hints: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    def file_of(self, buffer: str) -> str:
+        """What the name of the buffer's file ends with; "" for the file the others share."""
+        return self.files.get(buffer, "")
+
+
+def profile_names() -> tuple[str, ...]:
+    """Names of the built-in profiles."""
+    return tuple(sorted(path.stem for path in _TABLES.glob("*.toml")))
+
+
+def load_profile(name_or_path: str | Path) -> Profile:
+    """A built-in profile by name, or a TOML file by path.
+
+    Raises:
+        InputError: there is no such profile; or a key of it is unknown, missing or wrong.
+    """
+    text = str(name_or_path)
+    if text in profile_names():
+        path = _TABLES / f"{text}.toml"
+    else:
+        path = Path(name_or_path)
+        if not path.is_file():
+            raise InputError(f"profile {text}: expected one of {', '.join(profile_names())} or a TOML file")
+    return _profile(path, read_toml(path))
+
+
+def _profile(path: Path, top: Table) -> Profile:
+    channels, files, hints = top.table("channels"), top.table("files", optional=True), top.table("hints", optional=True)
+    constants, camera = top.table("constants", optional=True), top.table("camera", optional=True)
+    profile = Profile(
+        name=top.text("name"),
+        title=top.text("title"),
+        path=path,
+        channels={buffer: channels.names(buffer, count) for buffer, count in BUFFERS.items()},
+        motion=_motion(top.table("motion")),
+        depth=_depth(top.table("depth")),
+        normal=_normal(top.table("normal")),
+        units_per_cm=top.number("units_per_cm", positive=True),
+        color_domain=top.choice("color_domain", ("linear", "display")),
+        depth_normalisation=top.choice("depth_normalisation", ("clip", "scale")),
+        files={buffer: files.text(buffer) for buffer in BUFFERS if buffer in files.rest},
+        camera=camera.names("attributes", 3) if "attributes" in camera.rest else (),
+        constants={buffer: constants.number(buffer) for buffer in CONSTANTS if buffer in constants.rest},
+        hints={buffer: hints.text(buffer) for buffer in BUFFERS if buffer in hints.rest},
+    )
+    for table in (channels, files, hints):
+        table.end(", ".join(BUFFERS))
+    constants.end(", ".join(CONSTANTS))
+    camera.end("attributes")
+    top.end("name, title, units_per_cm, color_domain, depth_normalisation and the tables "
+            "channels, motion, depth, normal, files, camera, constants, hints")  # fmt: skip
+    return profile
+
+
+def _motion(table: Table) -> MotionRule:
+    bias, scale = table.numbers("bias", 2), table.numbers("scale", 2)
+    rule = MotionRule(
+        table.choice("direction", ("to_previous", "from_previous")),
+        table.choice("unit", ("pixels", "uv", "ndc")),
+        table.choice("y", ("up", "down")),
+        (bias[0], bias[1]),
+        (scale[0], scale[1]),
+    )
+    table.end("direction, unit, y, bias, scale")
+    return rule
+
+
+def _depth(table: Table) -> DepthRule:
+    kind = table.choice("kind", ("planar", "ray", "device"))
+    if kind == "device":
+        near, far = table.number("near", positive=True), table.number("far", positive=True, infinite=True)
+        rule = DepthRule(kind, math.inf, near, far, table.take("reversed", "true or false", bool))
+        if far <= near:
+            raise table.fail("far", f"more than near ({near})", far)
+        table.end("kind, near, far, reversed")
+    else:
+        rule = DepthRule(kind, table.number("background", positive=True, infinite=True))
+        table.end("kind, background")
+    return rule
+
+
+def _normal(table: Table) -> NormalRule:
+    background = None
+    if "background" in table.rest:
+        x, y, z = table.numbers("background", 3)
+        background = x, y, z
+    rule = NormalRule(table.number("bias"), table.number("scale"), background)
+    table.end("bias, scale, background")
+    return rule

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: MIT
+"""The buffers of a frame as they are stored, and what becomes of values that are not finite."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from stss.errors import InputError
+from stss.images.read_write import read_channels
+from stss.sequence.camera import Camera
+from stss.sequence.channels import Source
+from stss_ref.arrays import Array
+
+NonFinite = Literal["refuse", "mask"]
+
+UNIT_RANGE = ("base_color", "roughness", "metallic")
+"""Buffers that are clipped to [0, 1]."""
+FINITE = ("color", "normal", "stencil", "nov", *UNIT_RANGE)
+"""Must be finite. Motion, depth and position say something by it: off screen, nothing hit, a hole."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One display frame before it is read.
+
+    Attributes:
+        files: all files that belong to it.
+        sources: buffer -> where it is; buffers that are not there are left out.
+        camera: None where it is not known.
+    """
+
+    files: tuple[Path, ...]
+    sources: Mapping[str, Source]
+    camera: Camera | None
+
+
+def read_stored(frame: Frame, size: tuple[int, int], constants: Mapping[str, float], *, color: bool = True) -> dict[str, Array]:
+    """Buffer -> (H, W, channels) float32 as stored, or a constant; without colour if so wished."""
+    wanted = {buffer: source for buffer, source in frame.sources.items() if color or buffer != "color"}
+    planes = {
+        path: read_channels(path, sorted({name for s in wanted.values() if s.path == path for name in s.names}))
+        for path in {source.path for source in wanted.values()}
+    }
+    stored = {b: np.stack([planes[s.path][name] for name in s.names], axis=-1) for b, s in wanted.items()}
+    for buffer, value in constants.items():
+        if buffer not in stored:
+            stored[buffer] = np.full((*size, 1), value, dtype=np.float32)
+    return stored
+
+
+def settle_non_finite(stored: dict[str, Array], sources: Mapping[str, Source], policy: NonFinite) -> None:
+    """Refuse values that are not finite where they must be, or put 0 there; in place.
+
+    A pixel whose colour was masked loses its position too, so that later frames see a hole there.
+
+    Raises:
+        InputError: the policy is "refuse", and there is such a value.
+    """
+    for buffer in FINITE:
+        if buffer not in stored:
+            continue
+        bad = ~np.isfinite(stored[buffer])
+        if not bad.any():
+            continue
+        if policy == "refuse":
+            channel = int(np.flatnonzero(bad.any(axis=(0, 1)))[0])
+            y, x = np.argwhere(bad[..., channel])[0]
+            where = f"{sources[buffer].path}: channel {sources[buffer].names[channel]}"
+            count = int(bad[..., channel].sum())
+            raise InputError(f"{where}: {count} non-finite values, first at (y={y}, x={x})")
+        stored[buffer] = np.where(bad, np.float32(0), stored[buffer])
+        if buffer == "color":
+            stored["position"] = np.where(bad.any(axis=-1, keepdims=True), np.float32(np.nan), stored["position"])

@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: MIT
+"""A renderer's files as display frames in the conventions of the specification."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from stss.errors import InputError
+from stss.frames.buffers import Buffers
+from stss.images.headers import Header, read_header
+from stss.sequence.camera import Camera, camera_of, read_cameras
+from stss.sequence.channels import Source, find_buffers, missing_buffer
+from stss.sequence.conventions import linear_depth, motion_in_pixels, normal_dot_view, ray_to_planar, world_normal
+from stss.sequence.find_files import find_frames
+from stss.sequence.profiles import BUFFERS, CONSTANTS, Profile, load_profile
+from stss.sequence.raw_frame import UNIT_RANGE, Frame, NonFinite, read_stored, settle_non_finite
+from stss_ref.arrays import Array, Plane
+
+BACKGROUND_POSITION = 1e7
+"""Where nothing was hit; cm, each coordinate: one place, so that sky stays sky, and far from every surface, so that a surface does not."""
+
+
+class Sequence:
+    """The display frames of a sequence; `open_sequence` makes one.
+
+    Attributes:
+        path: folder or pattern, as given.
+        profile: the renderer's names and conventions.
+        size: (H, W) of every frame.
+        frames: display frame -> its files, buffers and camera.
+        constants: buffer -> number that stands in where there is no channel.
+        settings: everything besides the files that decides what `load` returns: text and numbers.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        profile: Profile,
+        *,
+        size: tuple[int, int],
+        frames: Mapping[int, Frame],
+        constants: Mapping[str, float],
+        non_finite: NonFinite,
+        settings: Mapping[str, object],
+    ):
+        self.path, self.profile, self.size, self.frames, self.settings = path, profile, size, frames, dict(settings)
+        self.constants = dict(constants)
+        self._non_finite: NonFinite = non_finite
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """The display frames there are, sorted."""
+        return tuple(sorted(self.frames))
+
+    @property
+    def rendered(self) -> frozenset[int]:
+        """The frames that have a colour."""
+        return frozenset(number for number, frame in self.frames.items() if "color" in frame.sources)
+
+    def has(self, number: int, buffer: str) -> bool:
+        """Whether a buffer of a frame is in its files, is a constant, or can be computed."""
+        frame = self._frame(number)
+        computed = buffer == "nov" and frame.camera is not None
+        return buffer in frame.sources or buffer in self.constants or computed
+
+    def files(self, number: int) -> tuple[Path, ...]:
+        """The files of a frame: what `load` reads, and no others."""
+        return self._frame(number).files
+
+    def load(self, number: int, *, color: bool = True) -> Buffers:
+        """Read one display frame.
+
+        Args:
+            number: which.
+            color: False: leave the colour out, as if the frame had not been rendered.
+
+        Raises:
+            InputError: the frame or a buffer of it is not there, a file cannot be read, or a value is not finite where
+                it must be.
+        """
+        frame = self._frame(number)
+        for buffer in BUFFERS:
+            if not (buffer == "color" or self.has(number, buffer)):
+                there = sorted({name for path in frame.files for name in read_header(path).channels})
+                raise missing_buffer(self.profile, buffer, self._where(number), there)
+        stored = read_stored(frame, self.size, self.constants, color=color)
+        depth = self._convert(stored, frame.camera)
+        settle_non_finite(stored, frame.sources, self._non_finite)
+        for buffer in UNIT_RANGE:
+            stored[buffer] = np.clip(stored[buffer], 0, 1)
+        return Buffers(
+            number=number,
+            color=stored.get("color"),
+            motion=stored["motion"],
+            normal=stored["normal"],
+            depth=depth,
+            position=stored["position"],
+            stencil=stored["stencil"][..., 0],
+            nov=stored["nov"][..., 0],
+            base_color=stored["base_color"],
+            roughness=stored["roughness"][..., 0],
+            metallic=stored["metallic"][..., 0],
+        )
+
+    def _convert(self, stored: dict[str, Array], camera: Camera | None) -> Plane:
+        """Bring the stored buffers to spec section 0, in place; returns depth, infinite where nothing was hit."""
+        profile = self.profile
+        depth = linear_depth(stored["depth"][..., 0], profile.depth)
+        normal, missed = world_normal(stored["normal"], profile.normal)
+        missed |= ~np.isfinite(depth)
+        position = np.where(np.isfinite(stored["position"]).all(axis=-1, keepdims=True), stored["position"], np.nan)
+        if profile.depth.kind == "ray":
+            depth = ray_to_planar(depth, position, camera)
+        if "nov" not in stored:
+            assert camera is not None
+            stored["nov"] = normal_dot_view(normal, position, camera.position)[..., None]
+        stored["motion"] = motion_in_pixels(stored["motion"], profile.motion)
+        stored["normal"] = normal
+        stored["position"] = (position / profile.units_per_cm).astype(np.float32)
+        for buffer, background in (("normal", 0), ("nov", 0), ("position", BACKGROUND_POSITION), ("stencil", 0)):
+            stored[buffer] = np.where(missed[..., None], np.float32(background), stored[buffer])
+        return np.where(missed, np.float32(np.inf), depth)
+
+    def _frame(self, number: int) -> Frame:
+        if number not in self.frames:
+            raise InputError(
+                f"{self.path}: frame {number}: not there; STSS needs the G-buffer and motion of every display frame, "
+                "rendered or not"
+            )
+        return self.frames[number]
+
+    def _where(self, number: int) -> str:
+        return str(self.frames[number].files[0]) if len(self.frames[number].files) == 1 else f"{self.path}: frame {number}"
+
+
+def open_sequence(
+    path: str | Path,
+    profile: str | Path | Profile,
+    *,
+    camera: Path | None = None,
+    metallic: float | None = None,
+    roughness: float | None = None,
+    non_finite: NonFinite = "refuse",
+) -> Sequence:
+    """Find the frames of a sequence; reads headers, no pixels.
+
+    Args:
+        path: a folder with one sequence of EXR files, or a pattern like ``folder/name.####.exr``.
+        profile: a built-in profile's name, a TOML file, or a profile.
+        camera: CSV ``frame,x,y,z``, in the profile's unit of length; stands before what the files say of the camera.
+        metallic: number that stands in where the files have no metallic.
+        roughness: the same for roughness.
+        non_finite: what to do with non-finite colours, normals, base colours, roughness, metallic, NoV and stencils.
+            "refuse": InputError; "mask": 0, and no later frame trusts such a colour.
+
+    Raises:
+        InputError: there is no sequence, frames differ in size, or a buffer is in no frame.
+    """
+    path, table = Path(path), profile if isinstance(profile, Profile) else load_profile(profile)
+    cameras = None if camera is None else read_cameras(camera)
+    constants = dict(table.constants)
+    for buffer, value in (("metallic", metallic), ("roughness", roughness)):
+        if value is not None:
+            constants[buffer] = value
+            if not 0 <= value <= 1:
+                raise InputError(f"{buffer}: expected a number from 0 to 1, found {value}")
+    found = find_frames(path, {table.file_of(buffer) for buffer in BUFFERS})
+    first: Header | None = None
+    frames: dict[int, Frame] = {}
+    for number, files in sorted(found.items()):
+        headers = {ending: read_header(file) for ending, file in files.items()}
+        for header in headers.values():
+            first = first or header
+            if header.size != first.size:
+                found_size, size = f"{header.width} x {header.height}", f"{first.width} x {first.height}"
+                raise InputError(f"{header.path}: {found_size}; expected {size}, as {first.path.name} is")
+        frames[number] = _frame_of(number, headers, table, cameras, camera)
+    assert first is not None
+    _require_buffers(path, table, frames, constants)
+    settings = {
+        "profile": hashlib.sha256(table.path.read_bytes()).hexdigest(),
+        "camera": None if camera is None else hashlib.sha256(camera.read_bytes()).hexdigest(),
+        "constants": dict(sorted(constants.items())),
+        "non_finite": non_finite,
+    }
+    return Sequence(
+        path,
+        table,
+        size=first.size,
+        frames=frames,
+        constants=constants,
+        non_finite=non_finite,
+        settings=settings,
+    )
+
+
+def _frame_of(
+    number: int,
+    headers: Mapping[str, Header],
+    profile: Profile,
+    cameras: Mapping[int, Camera] | None,
+    table: Path | None,
+) -> Frame:
+    sources: dict[str, Source] = {}
+    for ending, header in headers.items():
+        sources |= find_buffers(header, profile, [buffer for buffer in BUFFERS if profile.file_of(buffer) == ending])
+    files = tuple(header.path for header in headers.values())
+    if cameras is None:
+        where = next((x for x in (camera_of(header, profile) for header in headers.values()) if x is not None), None)
+    elif number in cameras:
+        where = cameras[number]
+    else:
+        raise InputError(f"{table}: no line for frame {number}")
+    return Frame(files, {buffer: sources[buffer] for buffer in BUFFERS if buffer in sources}, where)
+
+
+def _require_buffers(path: Path, profile: Profile, frames: Mapping[int, Frame], constants: Mapping[str, float]) -> None:
+    """Raise InputError if a buffer is in no frame at all: then it is the profile or the render, not a lost file."""
+    assert set(constants) <= set(CONSTANTS)
+    for buffer in BUFFERS:
+        if buffer in constants or any(buffer in frame.sources for frame in frames.values()):
+            continue
+        if buffer == "nov":
+            if all(frame.camera is None for frame in frames.values()):
+                raise InputError(
+                    f"{path}: no nov and no camera: give --camera CSV (frame,x,y,z in the scene's unit) "
+                    f"or a channel {' or '.join(names[0] for names in profile.channels['nov'])}"
+                )
+            continue
+        there = sorted({name for file in next(iter(frames.values())).files for name in read_header(file).channels})
+        raise missing_buffer(profile, buffer, path, there)

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: MIT
+"""Display frames of the canonical scenes (``conformance.scenes``) as an engine hands them over, and their truth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conformance.scenes import SCENES, Scene, render
+from stss.color import transfer
+from stss.errors import InputError
+from stss.frames.buffers import Buffers
+from stss.frames.display_frame import Prepared, prepare
+from stss.sequence.reader import BACKGROUND_POSITION
+from stss_ref.arrays import Image
+
+TRANSFER = "srgb"
+TRUTH_SAMPLES = 9
+"""Rays for each pixel of the truth."""
+
+
+def check_request(scenes: Sequence[str], count: int, least: int) -> None:
+    """Check the user's --scenes and --frames.
+
+    Raises:
+        InputError: there is no such scene, or there are fewer frames than ``least``.
+    """
+    for name in scenes:
+        if name not in SCENES:
+            raise InputError(f"--scenes: expected some of {', '.join(SCENES)}, got {name!r}")
+    if count < least:
+        raise InputError(f"--frames: expected at least {least}, got {count}")
+
+
+def display_frames(scene: Scene, size: tuple[int, int], count: int) -> Iterator[Prepared]:
+    """The first ``count`` display frames at (height, width), new arrays each; the even ones are rendered."""
+    curve = transfer(TRANSFER)
+    for number in range(count):
+        seen = render(scene, number, *size)
+        planes: dict[str, NDArray[np.float32]] = {n: getattr(seen, n).astype(np.float32) for n in seen.__dataclass_fields__}
+        missed = np.isinf(planes["depth"])[..., None]
+        planes["position"] = np.where(missed, np.float32(BACKGROUND_POSITION), planes["position"])
+        color = planes.pop("color") if number % 2 == 0 else None
+        planes.pop("color", None)
+        yield prepare(Buffers(number=number, color=color, **planes), curve, "scale")
+
+
+def truth(scene: Scene, size: tuple[int, int], number: int) -> Image:
+    """Display frame ``number`` at twice the size, (2H, 2W, 3) display-referred."""
+    doubled = 2 * size[0], 2 * size[1]
+    return transfer(TRANSFER).encode(render(scene, number, *doubled, samples=TRUTH_SAMPLES).color)

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""``stss stress``: what each stage loses against float64."""

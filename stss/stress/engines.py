@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: MIT
+"""The kinds of arithmetic that `stss stress` compares: the reference in float32, and the OpenCL backend in each of its precisions."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+
+from conformance.protocol.port import Arrays, Outputs
+from conformance.protocol.stages import reference
+from stss_ref.arrays import Array
+from stss_ref.weights import Weights
+
+NETWORK = ("history", "encoder", "erm", "decoder", "network")
+"""The stages with weights, in the order of the tables."""
+IMAGE = ("warp", "motion_chain", "occlusion_warp", "holes")
+"""Those of the image space."""
+LARGEST = np.float32(65504)
+"""Of half: what is larger is stored as this."""
+
+
+class Arithmetic(Protocol):
+    """One way to compute a stage.
+
+    Attributes:
+        name: in the tables.
+        dtype: ``float32`` or ``float16``: what its numbers are rounded to, which gives the unit of its errors.
+    """
+
+    name: str
+    dtype: str
+
+    def stages(self) -> tuple[str, ...]:
+        """What it computes; the image space has no precisions."""
+        ...
+
+    def run(self, stage: str, inputs: Arrays, weights: Weights) -> Outputs:
+        """Outputs of a stage for float32 inputs, by the names of the stage table."""
+        ...
+
+    def features(self, inputs: Arrays, weights: Weights) -> dict[str, Array]:
+        """Of stage ``network``: ``x1``, ``x2``, ``x3``, ``x4``, ``feature``, ``reshaded``, ``image``, each with all errors before it."""
+        ...
+
+
+def features_of(inputs: Arrays, weights: Weights) -> dict[str, Array]:
+    """What the reference computes on its way to the image, in the dtype of the inputs; see ``Arithmetic.features``."""
+    frame = {name: inputs[name] for name in ("color", "gbuffer", "mask")}
+    x: dict[str, Any] = reference("encoder", frame, weights)
+    x |= reference("history", {"history": inputs["history"]}, weights)
+    x |= reference("erm", {"x4": x["x4"], "gbuffer": inputs["gbuffer"], "mask": inputs["mask"]}, weights)
+    taken = {name: x[name] for name in ("reshaded", "feature", "x1", "x2", "x3")}
+    return x | reference("decoder", {**taken, "color": inputs["color"]}, weights)
+
+
+class Reference:
+    """``stss_ref`` in float32."""
+
+    name = "ref"
+    dtype = "float32"
+
+    def stages(self) -> tuple[str, ...]:
+        """See ``Arithmetic``."""
+        return (*NETWORK, *IMAGE)
+
+    def run(self, stage: str, inputs: Arrays, weights: Weights) -> Outputs:
+        """See ``Arithmetic``."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return reference(stage, inputs, weights)
+
+    def features(self, inputs: Arrays, weights: Weights) -> dict[str, Array]:
+        """See ``Arithmetic``."""
+        return features_of(inputs, weights)
+
+
+class OpenCL:
+    """``stss_cl`` in one precision, on one device; keeps the network of the weights it was last called with."""
+
+    def __init__(self, device: Any, precision: str):
+        self.name = {"float32": "cl", "float32-direct": "cl direct", "half": "cl half"}[precision]
+        self.dtype = "float16" if precision == "half" else "float32"
+        self._device, self._precision = device, precision
+        self._weights: Weights | None = None
+        self._network: Any = None
+
+    def stages(self) -> tuple[str, ...]:
+        """See ``Arithmetic``."""
+        return (*NETWORK, *IMAGE) if self._precision == "float32" else NETWORK
+
+    def run(self, stage: str, inputs: Arrays, weights: Weights) -> Outputs:
+        """See ``Arithmetic``."""
+        from stss_cl.image_space.stages import ImageStages
+
+        if stage in IMAGE:
+            return ImageStages(self._device).run_stage(stage, inputs)
+        network = self._for(weights)
+        if self.dtype == "float16":  # as the layer before would have stored them
+            inputs = {name: np.clip(array, -LARGEST, LARGEST) for name, array in inputs.items()}
+        if stage == "network":
+            return {"image": network(*(inputs[name] for name in ("color", "gbuffer", "mask", "history")))}
+        like = {"history": "history", "encoder": "color", "erm": "gbuffer", "decoder": "color"}[stage]
+        height, width = inputs[like].shape[-3:-1]
+        return network.layers(height, width).run_stage(stage, inputs)
+
+    def features(self, inputs: Arrays, weights: Weights) -> dict[str, Array]:
+        """See ``Arithmetic``."""
+        from stss_cl.device.buffers import read
+
+        image = self.run("network", inputs, weights)
+        held = self._network.layers(*inputs["mask"].shape).features
+        places = {"x1": ("x1", 0, 24), "x2": ("x2", 0, 24), "x3": ("x3", 0, 32), "x4": ("x4", 0, 32)}
+        places |= {"feature": ("reshaded", 64, 32), "reshaded": ("reshaded", 0, 64)}
+        return {n: read(self._device, held[buffer], first, count) for n, (buffer, first, count) in places.items()} | image
+
+    def _for(self, weights: Weights) -> Any:
+        from stss_cl.network.network import Network
+
+        if self._weights is not weights:
+            self._network = None  # frees the old buffers first
+            self._network = Network(weights, self._device, self._precision)  # pyright: ignore[reportArgumentType]
+            self._weights = weights
+        return self._network

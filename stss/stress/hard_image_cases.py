@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: MIT
+"""Inputs that are made to lose digits, on the reference's own functions: what is lost, and what another formula would lose."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stss.color import LARGEST, transfer
+from stss.stress.inputs import REACH
+from stss.stress.table import Cell, Plan, Table, short
+from stss_ref.arrays import Array, Image, Mask
+from stss_ref.depth import normalise_depth
+from stss_ref.holes import HoleLimits, holes
+from stss_ref.sample import Taps, bilinear, follow, taps
+from stss_ref.warp import warp
+
+DISTANCES = (1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8)
+"""Of the scene from the origin; cm."""
+SCENE = 1000.0
+"""Extent of that scene; cm."""
+PIXELS = 20000
+WIDTHS = (240, 480, 960, 1920, 3840, 7680)
+NEAR_WHOLE = 1e-4
+"""How far motions are from whole pixels where they are nearly that; pixels."""
+DARK = 0.01
+"""Light below which the logarithmic curve is linear."""
+RELIEF = 2.0**-20
+"""Smallest relief, over the depth, that the other formula would take to the full range."""
+
+
+def positions(plan: Plan) -> Table:
+    """The hole test far from the origin: distances within 10 % of the limit for a surface seen head-on."""
+    limit = HoleLimits().facing
+    rows: list[tuple[Cell, ...]] = []
+    for far in DISTANCES:
+        shares: list[tuple[float, ...]] = []
+        for seed in range(plan.seeds):
+            here, there, origin = _pairs(seed, far, limit)
+            truth = np.sqrt(((there - here) ** 2).sum(axis=-1)) <= limit
+            single, half = _stored(here, there, "float32"), _stored(here, there, "float16")
+            metres = ((here / 100).astype("float32") / 0.01, (there / 100).astype("float32") / 0.01)
+            ways = (
+                _trusted(*single, "float32"),
+                _trusted(*single, "float64"),
+                _trusted(*metres, "float32"),
+                _trusted(single[0] - origin, single[1] - origin, "float32"),
+                _trusted(here - origin, there - origin, "float32"),
+                _trusted(*half, "float32"),
+            )
+            shares.append(tuple(100 * float((way != truth).mean()) for way in ways))
+        step = float(np.spacing(np.float32(far)))
+        rows.append((short(far), step, *(float(x) for x in np.max(shares, axis=0))))
+    columns = (
+        "cm from the origin", "step of float32, cm", "float32", "its test in float64", "metres, float32", "origin taken off after reading",
+        "origin taken off by the renderer", "half",
+    )  # fmt: skip
+    return Table("positions", "Wrong verdicts in per cent, of distances within 10 % of the 7.5 cm limit", columns, tuple(rows))
+
+
+def _pairs(seed: int, far: float, limit: float) -> tuple[Array, Array, Array]:
+    """Positions now and before, (N, 3) cm in float64, and the scene's origin."""
+    random = np.random.default_rng(seed)
+
+    def directions(*shape: int) -> Array:
+        d = random.standard_normal((*shape, 3))
+        return d / np.sqrt((d * d).sum(axis=-1, keepdims=True))
+
+    origin = far * directions()
+    here = origin + random.uniform(-1, 1, (PIXELS, 3)) * min(SCENE, far)
+    return here, here + directions(PIXELS) * limit * random.uniform(0.9, 1.1, (PIXELS, 1)), origin
+
+
+def _stored(here: Array, there: Array, dtype: str) -> tuple[Array, Array]:
+    """Both as a file of this dtype holds them; what is too large for half is NaN."""
+    with np.errstate(over="ignore"):
+        held = [p.astype(dtype).astype(np.float64) for p in (here, there)]
+    return np.where(np.isfinite(held[0]), held[0], np.nan), np.where(np.isfinite(held[1]), held[1], np.nan)
+
+
+def _trusted(here: Array, there: Array, dtype: str) -> Mask:
+    """What stage ``holes`` says of each pair, seen head-on at normalised depth 0 and without motion."""
+    # Each pair is two pixels wide: all four taps of its first pixel are then the same.
+    here, there = (np.repeat(p.astype(dtype), 2, axis=0)[None] for p in (here, there))
+    zero, one, normal = np.zeros((1, 2 * PIXELS), dtype), np.ones((1, 2 * PIXELS), dtype), np.ones_like(here)
+    return holes(np.zeros((1, 2 * PIXELS, 2), dtype), zero, zero, normal, normal, there, here, one, zero)[0, ::2]
+
+
+def motion(plan: Plan) -> Table:
+    """Positions in wide frames: where a motion leads is rounded, and with it the fraction between two pixels."""
+    rows: list[tuple[Cell, ...]] = []
+    for width in WIDTHS:
+        found = np.array([_motion_errors(seed, width) for seed in range(plan.seeds)])
+        rows.append((f"{width}", float(np.spacing(np.float32(width - 1))), *(float(x) for x in found.max(axis=0))))
+    columns = (
+        "width",
+        "step of a position, px",
+        "colour, p + m",
+        "colour, apart",
+        "wrong taps in %, p + m",
+        "wrong taps in %, apart",
+    )
+    title = f"Warped noise in [0, 1], motion up to {REACH:g} px: largest error; taps where within {short(NEAR_WHOLE)} px of whole pixels"
+    return Table("motion", title, columns, tuple(rows), tuple(map(float, WIDTHS)))
+
+
+def _motion_errors(seed: int, width: int) -> tuple[float, float, float, float]:
+    random = np.random.default_rng(seed)
+    color = random.random((8, width, 1)).astype(np.float32)
+    moved = random.uniform(-REACH, REACH, (8, width, 2)).astype(np.float32)
+    truth = warp(color.astype(np.float64), moved.astype(np.float64))[0]
+    errors = [float(np.abs(image - truth).max()) for image in (warp(color, moved)[0], bilinear(color, split_taps(moved)))]
+    whole = (np.rint(moved) + random.uniform(-NEAR_WHOLE, NEAR_WHOLE, moved.shape)).astype(np.float32)
+    right = taps(*follow(whole.astype(np.float64))[:2])
+    flips = [100 * float((_first(at) != _first(right)).mean()) for at in (taps(*follow(whole)[:2]), split_taps(whole))]
+    return errors[0], errors[1], flips[0], flips[1]
+
+
+def _first(at: Taps) -> NDArray[np.intp]:
+    """One number for the upper left of the four taps."""
+    return at.y0 * at.x0.shape[1] + at.x0
+
+
+def split_taps(motion: Image) -> Taps:
+    """The taps of ``p + motion(p)``, clamped into the frame, from ``p + floor(motion(p))`` in whole numbers and ``motion - floor(motion)``.
+
+    The fraction of a short motion is then exact wherever in the frame it is: see docs/decisions/0013.
+
+    Args:
+        motion: (H, W, 2) pixels, finite, not beyond what an integer holds.
+    """
+    height, width, _ = motion.shape
+    down = np.floor(motion)
+    y, x = np.indices((height, width))
+    places: list[tuple[Any, Any]] = []
+    for at, i, n in ((x, 0, width), (y, 1, height)):
+        whole, outside = at + down[..., i].astype(np.intp), np.zeros((height, width), np.bool_)
+        outside = (whole < 0) | (whole >= n - 1)
+        places.append((np.clip(whole, 0, n - 1), np.where(outside, 0, motion[..., i] - down[..., i]).astype(motion.dtype)))
+    (x0, fx), (y0, fy) = places
+    return Taps(x0, y0, np.minimum(x0 + 1, width - 1), np.minimum(y0 + 1, height - 1), fx, fy)
+
+
+def tone(_: Plan) -> Table:
+    """Transfer ``hdr`` near its pole: what an error of the encoded colour is in scene-linear light."""
+    hdr = transfer("hdr")
+    rows: list[tuple[Cell, ...]] = []
+    for value in (0.01, 0.1, 1.0, 10.0, 100.0, 1e3, 1e4):
+        color = np.full((1, 1, 3), value, np.float32)
+        encoded = hdr.encode(color).astype(np.float64)
+        losses = [abs(float(hdr.decode((encoded - by).astype(np.float32))[0, 0, 0]) / value - 1) for by in (0.0, 1e-6, 1e-3)]
+        losses.append(abs(_log_decode(_log_encode(value) - 1e-3) / value - 1))
+        upwards = float(hdr.decode((encoded + 1e-3).astype(np.float32))[0, 0, 0])
+        rows.append((short(value), float(1 - encoded.max()), *losses[:3], upwards, losses[3]))
+    columns = (
+        "light", "1 - encoded", "there and back", "encoded - 1e-6", "encoded - 1e-3", "light of encoded + 1e-3",
+        "log curve, encoded - 1e-3",
+    )  # fmt: skip
+    return Table("tone", "Relative error of the light", columns, tuple(rows))
+
+
+def _log_encode(light: float) -> float:
+    return float(np.log1p(light / DARK) / np.log1p(LARGEST / DARK))
+
+
+def _log_decode(encoded: float) -> float:
+    return float(DARK * np.expm1(encoded * np.log1p(LARGEST / DARK)))
+
+
+def wall(plan: Plan) -> Table:
+    """Depth by ``scale`` of a flat wall that faces the camera: its relief is what float32 rounds it by."""
+    rows: list[tuple[Cell, ...]] = []
+    for far in (1.0, 10.0, 100.0, 1e3, 1e4):
+        depths = [_flat(seed, far) for seed in range(plan.seeds)]
+        found = max(float(np.ptp(normalise_depth(d, "scale"))) for d in depths)
+        other = max(float(np.ptp(_relief(d))) for d in depths)
+        rows.append((short(far), float(np.spacing(np.float32(far))), found, other))
+    columns = ("depth", "step of float32", "range of the normalised depth", f"divisor at least {short(RELIEF)} of the depth")
+    return Table("wall", "Normalised depth of a flat wall (exactly: 0 everywhere)", columns, tuple(rows))
+
+
+def _flat(seed: int, far: float) -> NDArray[np.float32]:
+    """(H, W): depth of points of a plane, as a renderer takes it: their product with the view axis, in float32."""
+    random = np.random.default_rng(seed)
+    axis, one, other = np.linalg.qr(random.standard_normal((3, 3)))[0]
+    u, v = random.uniform(-0.5, 0.5, (2, 32, 32, 1)) * far
+    place = (far * axis + u * one + v * other).astype(np.float32)
+    return place @ axis.astype(np.float32)
+
+
+def _relief(d: Array) -> Array:
+    return (d - d.min()) / (d.max() - d.min() + max(1e-6, RELIEF * float(d.max())))

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: MIT
+"""Where digits are lost, stage by stage, and how fast: `stss stress`. It measures and does not judge.
+
+The truth is the reference in float64 on the same float32 inputs, so the rounding of the inputs is not counted, but where a table says so.
+An error is the largest difference over the largest number of the truth; a table's number is the worst of several seeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from stss.errors import InputError
+from stss.stress import hard_image_cases as cases
+from stss.stress import hard_network_cases as network_cases
+from stss.stress import sweeps
+from stss.stress.engines import Arithmetic, OpenCL, Reference
+from stss.stress.table import Plan, Table
+from stss_ref.weights import Weights
+
+MEASUREMENTS: dict[str, Callable[[Plan], Table]] = {
+    "bounds": sweeps.bounds,
+    "magnitude": sweeps.magnitude,
+    "weights": sweeps.weight_scale,
+    "size": sweeps.size,
+    "depth": sweeps.depth,
+    "layers": sweeps.layers,
+    "monte_carlo": sweeps.monte_carlo,
+    "order": sweeps.order,
+    "positions": cases.positions,
+    "attention": network_cases.attention,
+    "tone": cases.tone,
+    "keys": network_cases.keys,
+    "motion": cases.motion,
+    "huge": network_cases.huge,
+    "overflow": network_cases.overflow,
+    "wall": cases.wall,
+}
+"""Each table by its name, in the order of the report."""
+
+
+@dataclass(frozen=True)
+class Results:
+    """What was measured, and on what.
+
+    Attributes:
+        plan: how much of it.
+        device: name and driver of the OpenCL device; None without one.
+        tables: in the order of ``MEASUREMENTS``.
+    """
+
+    plan: Plan
+    device: str | None
+    tables: tuple[Table, ...]
+
+    def table(self, key: str) -> Table | None:
+        """The table of this name, if it was measured."""
+        return next((table for table in self.tables if table.key == key), None)
+
+
+def check_names(only: Sequence[str]) -> None:
+    """Raise InputError unless every name is one of ``MEASUREMENTS``."""
+    for name in only:
+        if name not in MEASUREMENTS:
+            raise InputError(f"only: expected some of {', '.join(MEASUREMENTS)}, got {name!r}")
+
+
+def make_plan(device: Any, weights: Weights | None, *, full: bool = False) -> Plan:
+    """How much is measured: about a minute and a half on two cores, or with ``full`` ten times as much.
+
+    Args:
+        device: an open ``stss_cl.device.discovery.Device``; None: the reference alone.
+        weights: the 92 tensors; None: random ones, others for each seed.
+        full: more seeds, larger frames.
+    """
+    engines: list[Arithmetic] = [Reference()]
+    if device is not None:
+        engines += [OpenCL(device, precision) for precision in ("float32", "float32-direct", "half")]
+    if full:
+        return Plan(engines, seeds=10, size=(96, 128), sizes=(8, 16, 32, 64, 128, 256), runs=24, weights=weights)
+    return Plan(engines, weights=weights)
+
+
+def stress(plan: Plan, only: Sequence[str] = (), on_step: Callable[[str], None] = lambda _: None) -> tuple[Table, ...]:
+    """Measure.
+
+    Args:
+        plan: how much.
+        only: names of ``MEASUREMENTS``; empty: all.
+        on_step: told the name of what is about to be measured.
+
+    Raises:
+        InputError: a name is unknown.
+    """
+    check_names(only)
+    tables: list[Table] = []
+    for name, measure in MEASUREMENTS.items():
+        if not only or name in only:
+            on_step(name)
+            tables.append(measure(plan))
+    return tuple(tables)

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: MIT
+"""What `stss stress` measured: on the terminal, as JSON, and in a page between its markers."""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+import re
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table as RichTable
+
+from stss.bench.report import cpu_model
+from stss.errors import InputError
+from stss.optional import versions
+from stss.stress.measure import Results
+from stss.stress.table import Cell, Table, short
+from stss.version import VERSION
+from stss.weights.file import identity
+
+FORMAT = 1
+"""Raised when a field of the JSON changes its meaning."""
+PACKAGES = ("numpy", "pyopencl", "pocl-binary-distribution")
+MARKER = re.compile(r"(<!-- stress: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def text_of(cell: Cell) -> str:
+    """As a table shows it."""
+    return cell if isinstance(cell, str) else short(cell)
+
+
+def print_results(results: Results, console: Console) -> None:
+    """One table after the other."""
+    for table in results.tables:
+        shown = RichTable(title=table.title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
+        for i, column in enumerate(table.columns):
+            shown.add_column(column, justify="right" if i else "left", no_wrap=i < 2)
+        for row in table.rows:
+            shown.add_row(*map(text_of, row))
+        console.print(shown)
+    console.print(measured_on(results), soft_wrap=True, markup=False, highlight=False)
+
+
+def measured_on(results: Results) -> str:
+    """One sentence: what, by what, on what."""
+    plan = results.plan
+    packages = ", ".join(f"{name} {version}" for name, version in versions(PACKAGES).items())
+    device = "the reference alone" if results.device is None else results.device
+    weights = "random weights" if plan.weights is None else f"weights {identity(plan.weights)[:12]}"
+    size = f"{plan.size[1]} x {plan.size[0]}"
+    return f"stss {VERSION}, {plan.seeds} seeds, {weights}, frames of {size}; {cpu_model()}; {device}; {packages}."
+
+
+def to_json(results: Results) -> str:
+    """Every number, and what it was measured on; no names of hosts, users or folders."""
+    plan = results.plan
+    data = {
+        "format": FORMAT,
+        "stss": VERSION,
+        "machine": {
+            "cpu": cpu_model(),
+            "system": platform.system(),
+            "architecture": platform.machine(),
+            "device": results.device,
+        },
+        "packages": {"python": platform.python_version(), **versions(PACKAGES)},
+        "plan": {"seeds": plan.seeds, "size": plan.size, "sizes": plan.sizes, "runs": plan.runs},
+        "weights": None if plan.weights is None else identity(plan.weights),
+        "tables": [_table(table) for table in results.tables],
+    }
+    return json.dumps(data, indent=1, allow_nan=False)
+
+
+def _table(table: Table) -> dict[str, Any]:
+    rows = [[_cell(cell) for cell in row] for row in table.rows]
+    return {"key": table.key, "title": table.title, "columns": table.columns, "rows": rows, "axis": table.axis}
+
+
+def _cell(cell: Cell) -> Any:
+    if isinstance(cell, float) and not math.isfinite(cell):
+        return "inf" if cell > 0 else None
+    return cell
+
+
+def write_json(path: Path, results: Results) -> None:
+    """Write `to_json` to ``path``.
+
+    Raises:
+        InputError: it can't be written.
+    """
+    _write(path, to_json(results) + "\n")
+
+
+def read_page(path: Path) -> str:
+    """The page that `write_page` is to renew.
+
+    Raises:
+        InputError: it can't be read, or has no marker ``<!-- stress: NAME -->`` ... ``<!-- end -->``.
+    """
+    try:
+        page = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    if not MARKER.search(page):
+        raise InputError(f"{path}: expected <!-- stress: NAME --> and <!-- end -->, found none")
+    return page
+
+
+def renew(page: str, results: Results) -> str:
+    """``page`` with the tables that were measured between their markers; the rest of it, and other tables, as they were."""
+
+    def between(match: re.Match[str]) -> str:
+        if match[2] == "measured":
+            return f"{match[1]}{measured_on(results)}\n{match[3]}"
+        table = results.table(match[2])
+        return match[0] if table is None else f"{match[1]}{markdown(table)}{match[3]}"
+
+    return MARKER.sub(between, page)
+
+
+def write_page(path: Path, results: Results) -> None:
+    """Renew the tables of the page ``path``; errors as `read_page`, or it can't be written."""
+    _write(path, renew(read_page(path), results))
+
+
+def markdown(table: Table) -> str:
+    """The title as a line, and the table."""
+    head = f"| {' | '.join(table.columns)} |\n|{'---|' * len(table.columns)}\n"
+    rows = "".join(f"| {' | '.join(map(text_of, row))} |\n" for row in table.rows)
+    return f"*{table.title}*\n\n{head}{rows}"
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error

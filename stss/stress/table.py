@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: MIT
+"""What `stss stress` measures with: its plan, its tables, its way to take an error."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from conformance.protocol.port import Arrays
+from conformance.tolerance import UNIT
+from stss.stress.engines import Arithmetic
+from stss_ref.arrays import Array
+from stss_ref.weights import Weights
+from stss_ref.weights import random as random_weights
+
+Cell = str | float
+"""Of a table: text or a number."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """One table of the report.
+
+    Attributes:
+        key: its name in the page's markers, in the JSON and for ``--only``.
+        title: what it shows, with the unit of its numbers.
+        columns: their headings.
+        rows: as many cells each.
+        axis: numbers that the last ``len(axis)`` columns stand for; empty where they are none.
+    """
+
+    key: str
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    axis: tuple[float, ...] = ()
+
+    def series(self, *names: str) -> tuple[float, ...]:
+        """The numbers under the axis of the row that begins with ``names``; empty where there is none."""
+        for row in self.rows:
+            if row[: len(names)] == names:
+                return tuple(_number(cell) for cell in row[-len(self.axis) :])
+        return ()
+
+    def column(self, name: str) -> tuple[float, ...]:
+        """The numbers of a column; NaN for other cells."""
+        at = self.columns.index(name)
+        return tuple(_number(row[at]) for row in self.rows)
+
+
+def short(number: float) -> str:
+    """Two or three significant digits, without an exponent where that is not longer."""
+    if not math.isfinite(number):
+        return "inf" if number > 0 else "-"
+    if number == 0 or 1e-3 <= abs(number) < 1e4:
+        return np.format_float_positional(number, precision=3 if abs(number) >= 100 else 2, fractional=False, trim="-")
+    mantissa, exponent = f"{number:.1e}".split("e")
+    return f"{mantissa.removesuffix('.0')}e{int(exponent)}"
+
+
+def _number(cell: Cell) -> float:
+    return float(cell) if isinstance(cell, int | float) else float("nan")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is measured, and by how much.
+
+    Attributes:
+        engines: those that are held against the truth; the first is the reference in float32.
+        seeds: how many draws of inputs, and of weights unless they are given; a number in a table is the worst of them.
+        size: (H, W) of the frames where the size is not what varies; multiples of 8.
+        sizes: sides of the square frames of the sweep over sizes.
+        runs: of the Monte Carlo arithmetic, and orders of summation.
+        weights: the 92 tensors; None: random ones, others for each seed.
+    """
+
+    engines: Sequence[Arithmetic] = field(repr=False)
+    seeds: int = 3
+    size: tuple[int, int] = (48, 64)
+    sizes: tuple[int, ...] = (8, 16, 32, 64, 128)
+    runs: int = 12
+    weights: Weights | None = field(default=None, repr=False)
+
+    def weights_of(self, seed: int) -> Weights:
+        """The network's tensors for one seed, float32."""
+        return random_weights(seed) if self.weights is None else self.weights
+
+    def engine(self, name: str) -> Arithmetic:
+        """The one of this name."""
+        return next(engine for engine in self.engines if engine.name == name)
+
+
+def relative_error(got: Arrays, truth: Arrays) -> float:
+    """``max |got - truth| / max |truth|``, the largest over the outputs; infinite where an output is not finite."""
+    ratios = [_ratio(got[name].astype(np.float64), truth[name]) for name in truth]
+    return max(ratio if np.isfinite(ratio) else float("inf") for ratio in ratios)
+
+
+def _ratio(got: Array, truth: Array) -> float:
+    largest, error = float(np.abs(truth).max()), float(np.abs(got - truth).max())
+    return 0.0 if error == 0 else error / largest if largest else float("inf")
+
+
+def in_units(error: float, arithmetic: Arithmetic) -> float:
+    """A relative error in units of the arithmetic's rounding: 2^-24 of float32, 2^-11 of half."""
+    return error / UNIT[arithmetic.dtype]

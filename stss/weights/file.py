@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: MIT
+"""Weights as files: the project's own format, and what identifies weights.
+
+The format is safetensors with the authors' 92 names (spec 10) and the metadata entry ``stss_weights_version``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+
+from stss.errors import InputError
+from stss_ref.weights import TENSORS, Weights, WeightsError, check, require_names, require_shape, zeros
+
+BILINEAR = "bilinear"
+"""Name of the method without a network: `zeros`."""
+DEFAULT = "default"
+"""Name of the weights that come with the program (docs/model-card.md)."""
+_DEFAULT_FILE = Path(__file__).with_name("default.safetensors")
+VERSION_KEY = "stss_weights_version"
+VERSION = "1"
+MAX_BYTES = 64 * 2**20
+
+
+@dataclass(frozen=True)
+class LoadedWeights:
+    """Weights and where they come from.
+
+    Attributes:
+        weights: the 92 tensors, checked.
+        source: file or name, as it was given.
+        identity: `identity` of the weights.
+        metadata: the file's metadata, without the format's version.
+    """
+
+    weights: Weights = field(repr=False)
+    source: str
+    identity: str
+    metadata: Mapping[str, str]
+
+
+def identity(weights: Weights) -> str:
+    """SHA-256 of the names, shapes and numbers: the same for equal weights, whatever file they came in."""
+    digest = hashlib.sha256()
+    for name in sorted(weights):
+        digest.update(f"{name} {weights[name].shape}\n".encode())
+        digest.update(weights[name].astype("<f4").tobytes())
+    return digest.hexdigest()
+
+
+def load(source: str | Path) -> LoadedWeights:
+    """Weights of a ``.safetensors`` file, or of the names ``default`` and ``bilinear``.
+
+    Raises:
+        InputError: the file can't be read or is of another format.
+        WeightsError: a tensor is not what the network takes.
+    """
+    if str(source) == BILINEAR:
+        weights, metadata = zeros(), dict[str, str]()
+    else:
+        path = _DEFAULT_FILE if str(source) == DEFAULT else Path(source)
+        _require_file(path)
+        weights, metadata = _read(path)
+    return LoadedWeights(weights, str(source), identity(weights), metadata)
+
+
+def _require_file(path: Path) -> None:
+    if path.suffix.lower() in {".pkl", ".pth", ".pt"}:
+        raise InputError(f"{path}: a PyTorch checkpoint; convert it first: stss weights import")
+    if path.suffix.lower() != ".safetensors":
+        raise InputError(f"{path}: expected a .safetensors file or one of the names {DEFAULT}, {BILINEAR}")
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    if not path.is_file():
+        raise InputError(f"{path}: not a file")
+    if size > MAX_BYTES:
+        raise InputError(f"{path}: larger than {MAX_BYTES >> 20} MiB, no weights of this network")
+
+
+def _read(path: Path) -> tuple[Weights, dict[str, str]]:
+    try:
+        with safe_open(path, "numpy") as file:
+            metadata = dict(file.metadata() or {})
+            version = metadata.pop(VERSION_KEY, None)
+            if version != VERSION:
+                found = "no such entry" if version is None else repr(version[:20])
+                raise InputError(f"{path}: expected {VERSION_KEY} {VERSION} in the metadata, found {found}")
+            return check(_tensors(file)), metadata
+    except SafetensorError as error:
+        raise InputError(f"{path}: damaged safetensors file ({error})") from error
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+    except WeightsError as error:
+        raise WeightsError(f"{path}: {error}") from error
+
+
+def _tensors(file: Any) -> dict[str, np.ndarray[Any, Any]]:
+    # Shapes and types first: NumPy has no bfloat16, for one.
+    require_names(cast("list[str]", file.keys()))
+    for name in TENSORS:
+        description = file.get_slice(name)
+        require_shape(name, tuple(description.get_shape()))
+        if description.get_dtype() != "F32":
+            raise WeightsError(f"{name}: expected dtype F32, got {description.get_dtype()}")
+    return {name: file.get_tensor(name) for name in TENSORS}
+
+
+def save(path: str | Path, weights: Weights, metadata: Mapping[str, str]) -> None:
+    """Write ``weights`` so that ``path`` is either as before or whole; equal arguments give equal bytes.
+
+    Args:
+        path: the file, ``.safetensors``.
+        weights: checked before anything is written.
+        metadata: where they come from; the format's version is added.
+
+    Raises:
+        InputError: the file can't be written.
+        WeightsError: ``weights`` are not of this network.
+    """
+    path = Path(path)
+    data = _serialised(check(weights), {**metadata, VERSION_KEY: VERSION})
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            Path(temporary).chmod(0o644)
+            Path(temporary).replace(path)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror or error}") from error
+
+
+def _serialised(weights: Weights, metadata: Mapping[str, str]) -> bytes:
+    # Not safetensors.numpy.save: it writes the metadata in another order each time.
+    header: dict[str, Any] = {"__metadata__": dict(sorted(metadata.items()))}
+    numbers = [weights[name].astype("<f4").tobytes() for name in weights]
+    end = 0
+    for name, data in zip(weights, numbers, strict=True):
+        start, end = end, end + len(data)
+        header[name] = {"dtype": "F32", "shape": list(weights[name].shape), "data_offsets": [start, end]}
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)
+    return len(text).to_bytes(8, "little") + text + b"".join(numbers)

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: MIT
+"""Device buffers: activations in their frame of zeros, and arrays that come from and go to the caller without a copy where possible."""
+
+from __future__ import annotations
+
+import mmap
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+import pyopencl.array as cla
+from numpy.typing import NDArray
+
+from stss_cl.device.discovery import Device
+from stss_ref.arrays import Array
+
+FLAGS = cl.mem_flags
+
+SLACK = 16
+"""Pixels behind the last row, for strips that stick out over its end (kernels/common.clh)."""
+
+
+HUGE_PAGE = 2 << 20
+
+
+@dataclass(frozen=True)
+class Padded:
+    """Activations (height, width, channels), channels last, inside a border of zeros (kernels/common.clh).
+
+    Attributes:
+        data: the buffer; ``images`` of them one behind the other.
+        height, width, channels: of what it holds.
+        dtype: float32, or float16 for half storage.
+        images: how many.
+        changes: its change map (kernels/change_map.clh), ``images`` of them one behind the other; None: it has none.
+    """
+
+    data: cl.Buffer
+    height: int
+    width: int
+    channels: int
+    dtype: np.dtype[Any]
+    images: int = 1
+    changes: cl.Buffer | None = None
+
+    @property
+    def rows(self) -> int:
+        """With the border, and room for whole tiles of 4."""
+        return -(-self.height // 4) * 4 + 2
+
+    @property
+    def columns(self) -> int:
+        """With the border, and room for whole tiles of 4."""
+        return -(-self.width // 4) * 4 + 2
+
+    @property
+    def inside(self) -> tuple[slice, slice]:
+        """Where the activations lie in (rows, columns)."""
+        return slice(1, self.height + 1), slice(1, self.width + 1)
+
+
+def zeroed(device: Device, size: int) -> cl.Buffer:
+    """Allocate ``size`` bytes of zeros; on a CPU in huge pages where the system has them: a frame's rows lie far apart."""
+    if device.is_cpu and size >= HUGE_PAGE and hasattr(mmap, "MADV_HUGEPAGE"):
+        memory = mmap.mmap(-1, -(-size // HUGE_PAGE) * HUGE_PAGE, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        memory.madvise(mmap.MADV_HUGEPAGE)
+        return cl.Buffer(device.context, FLAGS.READ_WRITE | FLAGS.USE_HOST_PTR, hostbuf=memory)
+    data = cl.Buffer(device.context, FLAGS.READ_WRITE, size)
+    cl.enqueue_fill_buffer(device.queue, data, np.zeros(1, np.uint8), 0, size)
+    return data
+
+
+def map_bytes(height: int, width: int, images: int = 1) -> int:
+    """Size of a change map: a byte for each tile of 4 x 4 pixels."""
+    return images * -(-height // 4) * -(-width // 4)
+
+
+def padded(
+    device: Device, height: int, width: int, channels: int, dtype: np.dtype[Any], images: int = 1, changes: bool = False
+) -> Padded:
+    """Allocate activations; all zero. ``changes``: with a change map of their own, nothing marked."""
+    shape = -(-height // 4) * 4 + 2, -(-width // 4) * 4 + 2
+    size = (images * shape[0] * shape[1] + SLACK) * channels * dtype.itemsize
+    data = zeroed(device, size)
+    marks = zeroed(device, map_bytes(height, width, images)) if changes else None
+    return Padded(data, height, width, channels, dtype, images, marks)
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What the network reads, at H8, W8 = H, W rounded up to multiples of 8; ``input``'s change map is that of ``base``, too.
+
+    Attributes:
+        input: (H8, W8, 24) color 6, color * mask 6, gbuffer 9, zeros 3.
+        earlier: 3 of (H8, W8, 4) oldest, middle, newest: warped colour and its mask.
+        eighth: (H8/8, W8/8, 16) gbuffer 9, mask, zeros 6.
+        base: (H8, W8, 4) float32, no border: color 0..2 and 0, what the decoder upsamples and adds.
+    """
+
+    input: Padded
+    earlier: Padded
+    eighth: Padded
+    base: cl.Buffer
+
+
+def inputs_for(device: Device, rows: int, columns: int, dtype: np.dtype[Any], changes: bool = False) -> Inputs:
+    """Allocate the network's inputs for (rows, columns), multiples of 8: a frame, or a strip of it; with change maps or without."""
+    return Inputs(
+        input=padded(device, rows, columns, 24, dtype, changes=changes),
+        earlier=padded(device, rows, columns, 4, dtype, images=3, changes=changes),
+        eighth=padded(device, rows // 8, columns // 8, 16, dtype, changes=changes),
+        base=cl.Buffer(device.context, FLAGS.READ_WRITE, rows * columns * 16),
+    )
+
+
+def write(device: Device, to: Padded, array: Array, first: int = 0) -> None:
+    """Copy (height, width, C) or (images, height, width, C) into channels ``first`` .. of ``to``, the others 0."""
+    host = np.zeros((to.images, to.rows, to.columns, to.channels), to.dtype)
+    rows, columns = to.inside
+    host[:, rows, columns, first : first + array.shape[-1]] = array
+    cl.enqueue_copy(device.queue, to.data, host)
+
+
+def read(device: Device, source: Padded, first: int = 0, channels: int | None = None) -> Array:
+    """Copy out (height, width, channels) float32."""
+    host = np.empty((source.images, source.rows, source.columns, source.channels), source.dtype)
+    cl.enqueue_copy(device.queue, host, source.data)  # the slack stays behind
+    last = source.channels if channels is None else first + channels
+    return np.ascontiguousarray(host[0][(*source.inside, slice(first, last))], np.float32)
+
+
+def constant(device: Device, array: NDArray[Any]) -> cl.Buffer:
+    """A read-only copy of ``array`` on the device."""
+    return cl.Buffer(device.context, FLAGS.READ_ONLY | FLAGS.COPY_HOST_PTR, hostbuf=np.ascontiguousarray(array))
+
+
+def on_device(array: cla.Array) -> cl.Buffer:
+    """The buffer of an array that is on the device already."""
+    assert isinstance(array.base_data, cl.Buffer)
+    return array.base_data
+
+
+def incoming(device: Device, array: Array | cla.Array) -> cl.Buffer:
+    """The caller's array as a buffer: its own memory on a CPU or if it is on the device already, else a copy."""
+    if isinstance(array, cla.Array):
+        return on_device(array)
+    how = FLAGS.USE_HOST_PTR if device.is_cpu else FLAGS.COPY_HOST_PTR
+    return cl.Buffer(device.context, FLAGS.READ_ONLY | how, hostbuf=array)
+
+
+class Outgoing:
+    """An array that a kernel writes, and may compare: NumPy's, filled in place on a CPU, or ``pyopencl.array``'s."""
+
+    def __init__(self, device: Device, shape: tuple[int, ...], *, on_device: bool):
+        self._device, self._on_device = device, on_device
+        if on_device:
+            self.array: Any = cla.empty(device.queue, shape, np.float32, allocator=device.pool)
+            self.data = self.array.base_data
+        else:
+            self.array = np.empty(shape, np.float32)
+            how = (FLAGS.USE_HOST_PTR, self.array) if device.is_cpu else (FLAGS.ALLOC_HOST_PTR, None)
+            size = 0 if device.is_cpu else self.array.nbytes
+            self.data = cl.Buffer(device.context, FLAGS.READ_WRITE | how[0], size, hostbuf=how[1])
+
+    def finish(self) -> Any:
+        """The array, complete; the queue has run dry, but for one on the device."""
+        if self._on_device:
+            return self.array
+        if not self._device.is_cpu:
+            cl.enqueue_copy(self._device.queue, self.array, self.data)
+            return self.array
+        # Mapping is what makes the device's writes visible in the host's memory.
+        mapped, _ = cl.enqueue_map_buffer(self._device.queue, self.data, cl.map_flags.READ, 0, self.array.shape, self.array.dtype)
+        mapped.base.release(self._device.queue)
+        self._device.queue.finish()
+        return self.array

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Launches of the image-space stages: warping, holes, occlusion."""

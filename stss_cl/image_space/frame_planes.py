@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: MIT
+"""What a frame is computed from, as buffers on the device: one for each display frame and plane."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pyopencl as cl
+
+from stss_cl.device.discovery import Device
+from stss_ref.arrays import Array, ArrayError, require_dtype, require_shape
+
+Source = Array | cl.Buffer
+"""A C-contiguous float32 array, or a buffer on the device that holds one."""
+MOST_STEPS = 5
+"""How many display frames back a colour frame may lie (spec 1)."""
+
+
+@dataclass(frozen=True)
+class Sources:
+    """The planes that stage ``frame`` reads, float32, of one size (H, W).
+
+    Attributes:
+        steps: how many display frames back the three colour frames lie, newest first.
+        colors: (H, W, 3) of each of them.
+        motions: (H, W, 2) of the frame itself and of those before it, newest first: as many as the largest step.
+        gbuffer: (H, W, 9).
+        nov: (H, W).
+        stencils: (H, W) of the frame itself and of the three colour frames.
+        normals: likewise (H, W, 3); from pixel to pixel ``normal_stride`` floats.
+        positions: likewise (H, W, 3).
+        normal_stride: 3, or 9 where the normals are those of G-buffers.
+    """
+
+    steps: tuple[int, int, int]
+    colors: tuple[cl.Buffer, ...]
+    motions: tuple[cl.Buffer, ...]
+    gbuffer: cl.Buffer
+    nov: cl.Buffer
+    stencils: tuple[cl.Buffer, ...]
+    normals: tuple[cl.Buffer, ...]
+    positions: tuple[cl.Buffer, ...]
+    normal_stride: int = 3
+
+
+def check_steps(steps: Sequence[int]) -> tuple[int, int, int]:
+    """The three steps.
+
+    Raises:
+        ArrayError: they are not three numbers in order.
+    """
+    given = tuple(int(step) for step in steps)
+    if len(given) != 3 or list(given) != sorted(given) or not 0 <= given[0] <= given[2] <= MOST_STEPS:
+        raise ArrayError(f"steps: expected three numbers from 0 to {MOST_STEPS}, newest (smallest) first, got {given}")
+    return given
+
+
+def upload(device: Device, name: str, source: Source, shape: tuple[int, ...]) -> cl.Buffer:
+    """``source`` on the device: itself, the array in place, or a copy.
+
+    Raises:
+        ArrayError: shape, dtype or size differ.
+    """
+    if isinstance(source, cl.Buffer):
+        expected = int(np.prod(shape)) * 4
+        if source.size < expected:
+            raise ArrayError(f"{name}: expected at least {expected} bytes, got {source.size}")
+        return source
+    require_shape(name, source, shape)
+    require_dtype(name, source, np.dtype(np.float32))
+    in_place = device.is_cpu and source.flags.c_contiguous and source.ctypes.data % 8 == 0
+    flags = cl.mem_flags.USE_HOST_PTR if in_place else cl.mem_flags.COPY_HOST_PTR
+    return cl.Buffer(device.context, cl.mem_flags.READ_ONLY | flags, hostbuf=np.ascontiguousarray(source))
+
+
+def planes(
+    device: Device, name: str, source: Source, count: int, shape: tuple[int, ...], *, more: bool = False
+) -> tuple[cl.Buffer, ...]:
+    """The first ``count`` planes of a stack (count, ...), each a buffer.
+
+    Args:
+        device: to run on.
+        name: for errors.
+        source: the stack.
+        count: how many are wanted.
+        shape: of one.
+        more: whether the stack may hold others behind.
+
+    Raises:
+        ArrayError: shape, dtype or size differ.
+    """
+    size = int(np.prod(shape)) * 4
+    if isinstance(source, cl.Buffer):
+        upload(device, name, source, (count, *shape))
+        return tuple(_part(device, source, i * size, size) for i in range(count))
+    require_shape(name, source, (None if more else count, *shape))
+    if len(source) < count:
+        raise ArrayError(f"{name}: expected at least {count}, got {len(source)}")
+    return tuple(upload(device, name, source[i], shape) for i in range(count))
+
+
+def _part(device: Device, buffer: cl.Buffer, first: int, size: int) -> cl.Buffer:
+    """Bytes ``first`` .. of a buffer: in place where the device lets a buffer begin there, else a copy."""
+    if size and first % (device.handle.mem_base_addr_align // 8) == 0:
+        return buffer.get_sub_region(first, size)
+    part = cl.Buffer(device.context, cl.mem_flags.READ_WRITE, size)
+    cl.enqueue_copy(device.queue, part, buffer, byte_count=size, src_offset=first)
+    return part

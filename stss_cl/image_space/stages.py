@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: MIT
+"""The image-space stages one by one: on device buffers, and on arrays as ports are asked for them (spec 11).
+
+Every result equals the reference's in float32 bit for bit where the device divides and takes square roots correctly rounded.
+``prepare`` holds what a whole frame runs instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Literal
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import DTypeLike, NDArray
+
+from stss_cl.device.discovery import Device
+from stss_cl.device.grid import grid
+from stss_cl.device.program import build
+from stss_ref.arrays import Array, ArrayError, require_dtype, require_finite, require_shape
+
+Gather = Literal["longest", "nearest", "bilinear"]
+Inputs = Mapping[str, NDArray[Any]]
+Outputs = dict[str, NDArray[Any]]
+
+LIMITS = {"FACING": "7.5f", "GRAZING": "45.0f", "DEPTH": "50.0f", "COSINE": "0.98f", "MESH": "1.0f"}
+"""The constants of the hole test (spec 4), as options of its kernel."""
+
+
+def kernels(device: Device, file: str, options: Mapping[str, object] | None = None) -> dict[str, cl.Kernel]:
+    """The kernels of an image-space ``file`` by name, with correctly rounded division and roots where the device has them."""
+    rounded = device.correctly_rounded_divide
+    program = build(device, file, options, "-cl-fp32-correctly-rounded-divide-sqrt" if rounded else "")
+    return {kernel.function_name: kernel for kernel in program.all_kernels()}
+
+
+def launch(
+    device: Device,
+    kernel: cl.Kernel,
+    width: int,
+    height: int,
+    *arguments: cl.Buffer | int | np.float32,
+    planes: int | None = None,
+) -> cl.Event:
+    """Enqueue one work-item for each of ``width`` x ``height`` places, rounded up to whole work-groups.
+
+    With ``planes`` that number of planes is the second of three dimensions and the rows are the third: what the planes read in
+    common is then still in a cache.
+    """
+    (across, down), (columns, rows) = grid(device, width, height)
+    size, local = ((across, down), (columns, rows)) if planes is None else ((across, planes, down), (columns, 1, rows))
+    typed = (np.int32(a) if isinstance(a, int) else a for a in arguments)
+    return kernel(device.queue, size, local, *typed)
+
+
+class ImageStages:
+    """The image-space stages on one device. Methods take buffers of float32 (masks: uint8), sizes in pixels, and enqueue."""
+
+    def __init__(self, device: Device, gather: Gather = "longest") -> None:
+        self.device = device
+        self._gather: Gather = gather
+
+    def motion_chain(self, motions: cl.Buffer, k: int, height: int, width: int) -> cl.Buffer:
+        """``motion`` (H, W, 2) over ``motions`` (k, H, W, 2)."""
+        kernel = kernels(self.device, "motion_chain.cl", {"GATHER": f"gather_{self._gather}"})["motion_chain"]
+        motion = self._buffer(height * width * 2, np.float32)
+        launch(self.device, kernel, width, height, motions, motion, k, height, width)
+        return motion
+
+    def warp(self, color: cl.Buffer, motion: cl.Buffer, channels: int, height: int, width: int) -> tuple[cl.Buffer, cl.Buffer]:
+        """``warped`` (H, W, channels) and ``inside`` (H, W)."""
+        kernel = kernels(self.device, "warp.cl", {"CHANNELS": channels})["warp"]
+        warped, inside = self._buffer(height * width * channels, np.float32), self._buffer(height * width, np.uint8)
+        launch(self.device, kernel, width, height, color, motion, warped, inside, height, width)
+        return warped, inside
+
+    def holes(
+        self,
+        motion: cl.Buffer,
+        stencil_previous: cl.Buffer,
+        stencil: cl.Buffer,
+        normal_previous: cl.Buffer,
+        normal: cl.Buffer,
+        position_previous: cl.Buffer,
+        position: cl.Buffer,
+        nov: cl.Buffer,
+        depth: cl.Buffer,
+        height: int,
+        width: int,
+    ) -> cl.Buffer:
+        """``valid`` (H, W)."""
+        kernel = kernels(self.device, "holes.cl", LIMITS)["holes"]
+        valid = self._buffer(height * width, np.uint8)
+        surfaces = (stencil_previous, stencil, normal_previous, normal, position_previous, position)
+        launch(self.device, kernel, width, height, motion, *surfaces, nov, depth, valid, height, width)
+        return valid
+
+    def occlusion_warp(
+        self, color: cl.Buffer, warped: cl.Buffer, motion: cl.Buffer, depth: cl.Buffer, valid: cl.Buffer, height: int, width: int
+    ) -> tuple[cl.Buffer, cl.Buffer]:
+        """``occlusion_motion`` (H, W, 2) and ``occlusion_warp`` (H, W, 3)."""
+        steps = kernels(self.device, "occlusion_warp.cl")
+        keys, first = self._buffer(height * width, np.uint32), self._buffer(height * width, np.uint32)
+        occlusion_motion, filled = (self._buffer(height * width * n, np.float32) for n in (2, 3))
+        size = (height, width)
+        launch(self.device, steps["splat_clear"], width, height, keys, first, *size)
+        launch(self.device, steps["splat_nearest"], width, height, motion, depth, 1, 0, keys, *size)
+        launch(self.device, steps["splat_first"], width, height, motion, depth, 1, 0, keys, first, *size)
+        buffers = (color, warped, motion, first, valid, occlusion_motion, filled)
+        launch(self.device, steps["occlusion_warp"], width, height, *buffers, *size)
+        return occlusion_motion, filled
+
+    def rrm(self, valid: cl.Buffer, rectangle: tuple[int, int, int, int], height: int, width: int) -> cl.Buffer:
+        """``valid`` (H, W) with a rectangle (y, x, h, w) of it set to 0."""
+        kernel = kernels(self.device, "rrm.cl")["rrm"]
+        masked = self._buffer(height * width, np.uint8)
+        launch(self.device, kernel, width, height, valid, masked, *rectangle, height, width)
+        return masked
+
+    def run_stage(self, name: str, inputs: Inputs) -> Outputs:
+        """Run one stage on arrays, under the names and in the dtypes of spec 11.
+
+        Args:
+            name: of ``STAGES``.
+            inputs: float32 arrays; ``valid`` of any dtype, 0 or not; ``rectangle`` of integers.
+
+        Raises:
+            ArrayError: shapes or dtypes differ, or an array that must be finite is not.
+        """
+        return STAGES[name](self, inputs)
+
+    def upload(self, array: NDArray[Any]) -> cl.Buffer:
+        """A new buffer with what ``array`` holds."""
+        flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
+        return cl.Buffer(self.device.context, flags, hostbuf=np.ascontiguousarray(array))
+
+    def download(self, buffer: cl.Buffer, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+        """A new array with what ``buffer`` holds when everything enqueued so far is done."""
+        array = np.empty(shape, dtype)
+        cl.enqueue_copy(self.device.queue, array, buffer)
+        return array
+
+    def _buffer(self, count: int, dtype: DTypeLike) -> cl.Buffer:
+        return cl.Buffer(self.device.context, cl.mem_flags.READ_WRITE, count * np.dtype(dtype).itemsize)
+
+
+def _size(inputs: Inputs, name: str, *channels: int | None) -> tuple[int, int]:
+    require_shape(name, inputs[name], (None, None, *channels))
+    return int(inputs[name].shape[0]), int(inputs[name].shape[1])
+
+
+def _take(inputs: Inputs, size: tuple[int, int], **channels: int) -> list[Array]:
+    """The named float32 arrays, of ``size`` and so many channels each; 0: none."""
+    for name, count in channels.items():
+        require_shape(name, inputs[name], (*size, count) if count else size)
+        require_dtype(name, inputs[name], np.dtype(np.float32))
+    return [inputs[name] for name in channels]
+
+
+def _motion_chain(stages: ImageStages, inputs: Inputs) -> Outputs:
+    motions = inputs["motions"]
+    require_shape("motions", motions, (None, None, None, 2))
+    require_dtype("motions", motions, np.dtype(np.float32))
+    k, height, width, _ = motions.shape
+    motion = stages.motion_chain(stages.upload(motions), k, height, width)
+    return {"motion": stages.download(motion, (height, width, 2), np.float32)}
+
+
+def _warp(stages: ImageStages, inputs: Inputs) -> Outputs:
+    size = _size(inputs, "color", None)
+    channels = int(inputs["color"].shape[2])
+    color, motion = _take(inputs, size, color=channels, motion=2)
+    require_finite("color", color)
+    warped, inside = stages.warp(stages.upload(color), stages.upload(motion), channels, *size)
+    return {
+        "warped": stages.download(warped, (*size, channels), np.float32),
+        "inside": stages.download(inside, size, np.uint8),
+    }
+
+
+def _holes(stages: ImageStages, inputs: Inputs) -> Outputs:
+    size = _size(inputs, "motion", 2)
+    arrays = _take(
+        inputs,
+        size,
+        motion=2,
+        stencil_previous=0,
+        stencil=0,
+        normal_previous=3,
+        normal=3,
+        position_previous=3,
+        position=3,
+        nov=0,
+        depth=0,
+    )
+    motion, *others = (stages.upload(array) for array in arrays)
+    stencil_0, stencil, normal_0, normal, position_0, position, nov, depth = others
+    valid = stages.holes(motion, stencil_0, stencil, normal_0, normal, position_0, position, nov, depth, *size)
+    return {"valid": stages.download(valid, size, np.uint8)}
+
+
+def _occlusion_warp(stages: ImageStages, inputs: Inputs) -> Outputs:
+    size = _size(inputs, "color", 3)
+    arrays = _take(inputs, size, color=3, warped=3, motion=2, depth=0)
+    require_finite("color", inputs["color"])
+    require_finite("depth", inputs["depth"])
+    require_shape("valid", inputs["valid"], size)
+    valid = stages.upload((inputs["valid"] != 0).astype(np.uint8))
+    color, warped, motion, depth = (stages.upload(array) for array in arrays)
+    motion, filled = stages.occlusion_warp(color, warped, motion, depth, valid, *size)
+    return {
+        "occlusion_motion": stages.download(motion, (*size, 2), np.float32),
+        "occlusion_warp": stages.download(filled, (*size, 3), np.float32),
+    }
+
+
+def _rrm(stages: ImageStages, inputs: Inputs) -> Outputs:
+    height, width = _size(inputs, "valid")
+    y, x, h, w = (int(v) for v in inputs["rectangle"])
+    if not (0 <= y <= y + h <= height and 0 <= x <= x + w <= width):
+        raise ArrayError(f"rectangle: expected to lie within {height} x {width}, got y={y}, x={x}, h={h}, w={w}")
+    valid = stages.upload((inputs["valid"] != 0).astype(np.uint8))
+    masked = stages.rrm(valid, (y, x, h, w), height, width)
+    return {"valid": stages.download(masked, (height, width), np.uint8)}
+
+
+STAGES: dict[str, Callable[[ImageStages, Inputs], Outputs]] = {
+    "motion_chain": _motion_chain,
+    "warp": _warp,
+    "holes": _holes,
+    "occlusion_warp": _occlusion_warp,
+    "rrm": _rrm,
+}
+"""The stages that ``ImageStages.run_stage`` knows."""

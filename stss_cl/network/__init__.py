@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""The network's launches and the buffers between them."""

@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: MIT
+"""The network's buffers and launches for one frame size."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+import pyopencl as cl
+
+from stss_cl.device.buffers import Outgoing, Padded, constant, incoming, inputs_for, read, write
+from stss_cl.device.discovery import Device
+from stss_cl.device.grid import ceil8, ceil_div, span
+from stss_cl.device.tuning import tuning_for
+from stss_cl.network.launch import HEIGHT_ARGUMENT, ROW_ARGUMENTS, Final
+from stss_cl.network.layer_builder import Chain, dtype_of
+from stss_cl.network.pack_inputs import PackInputs
+from stss_cl.network.pack_weights import pack_outc
+from stss_cl.network.strips import OVERLAP, Strip, rows_within, strips
+from stss_cl.skip.changed_tiles import kept_bytes
+from stss_ref.arrays import Array
+from stss_ref.weights import Weights
+
+GBUFFER, MASK = 9, 1
+
+
+class Layers(Chain):
+    """Every launch of the network at (height, width), in order, with the buffers between them.
+
+    A frame whose buffers would exceed the limit goes in strips: for each of ``strips``, ``place``, ``pack`` (or whatever else
+    fills ``inputs``), ``run``.
+
+    Args:
+        device: to run on.
+        weights: the 92 tensors.
+        height: of the frame; padded to a multiple of 8 inside.
+        width: likewise.
+        precision: see ``stss_cl.network.network.PRECISIONS``.
+        memory_limit: bytes that the buffers may take; None = half of the device's memory.
+        residual: False: leave out all layers but the last, whose weights are 0.
+        keep: every layer keeps what it wrote, so that ``run_changed`` can be had; without effect where the frame goes in strips.
+
+    Raises:
+        DeviceError: the limit is too small for any strip.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        weights: Weights,
+        height: int,
+        width: int,
+        precision: str,
+        memory_limit: int | None = None,
+        residual: bool = True,
+        keep: bool = False,
+    ):
+        full, columns, dtype = ceil8(height), ceil8(width), dtype_of(precision)
+        limit = int(device.handle.global_mem_size) // 2 if memory_limit is None else memory_limit
+        winograd = precision != "float32-direct" and tuning_for(device).winograd is not None
+        overlap = OVERLAP[winograd]
+        rows = rows_within(full, columns, dtype, limit, overlap)
+        keep = keep and kept_bytes(full, columns, dtype, winograd=winograd) <= limit
+        super().__init__(device, weights, precision, rows, columns, keep)
+        self.size = height, width
+        self.strips = strips(full, height, rows, overlap)
+        self._full, self._top = full, 0
+        # Kernels that must know where a strip lies: which of their arguments, and the divisor of their size.
+        self._placed: list[tuple[cl.Kernel, int, int]] = []
+        self.inputs = inputs_for(device, rows, columns, dtype, self.keep)
+        self._shared["two", 1, self.inputs.input.channels] = self.inputs.input  # done with after the first layer
+        self.features: dict[str, Padded] = {}
+        if residual:
+            self._encoder()
+            self._history()
+            self._erm()
+            self._decoder()
+        else:
+            self._image(self.inputs.input)
+
+    @cached_property
+    def _packing(self) -> PackInputs:
+        """Built when it is first asked for: stage ``prepare`` fills ``inputs`` itself."""
+        return PackInputs(self._device, self.inputs, *self.size)
+
+    def pack(self, color: cl.Buffer, gbuffer: cl.Buffer, mask: cl.Buffer, history: cl.Buffer) -> None:
+        """Bring the four inputs, plain arrays on the device, to where the first layers read them."""
+        self._packing(color, gbuffer, mask, history, self._top)
+
+    def all_finite(self) -> bool:
+        """Whether all inputs packed since the last question were; waits for the queue."""
+        return self._packing.all_finite()
+
+    def place(self, strip: Strip) -> None:
+        """Make the launches compute this strip."""
+        self._top = strip.top
+        for kernel, argument, divisor in self._placed:
+            kernel.set_arg(argument, np.int32(strip.top // divisor))
+        last = self.launches[-1]
+        first, top = ROW_ARGUMENTS[last.kernel.function_name]
+        last.kernel.set_arg(first, np.int32(strip.first))
+        last.kernel.set_arg(top, np.int32(strip.top))
+        if last.kernel.function_name == "winograd":
+            last.kernel.set_arg(HEIGHT_ARGUMENT, np.int32(strip.last))
+        else:
+            self.launches[-1] = replace(last, size=(last.size[0], strip.last - strip.first))
+
+    def run_stage(self, stage: str, inputs: Mapping[str, Array]) -> dict[str, Array]:
+        """Run one stage alone, on arrays; H, W are multiples of 8 and the frame is one strip."""
+        height, width = self.size
+        self.place(self.strips[0])
+        color = inputs.get("color", np.zeros((height, width, 6), np.float32))
+        gbuffer = inputs.get("gbuffer", np.zeros((height, width, 9), np.float32))
+        mask = inputs.get("mask", np.zeros((height, width), np.float32))
+        history = inputs.get("history", np.zeros((3, height, width, 4), np.float32))
+        held = [incoming(self._device, array) for array in (color, gbuffer, mask, history)]
+        self.pack(*held)
+        for name in ("x1", "x2", "x3", "x4"):
+            if name in inputs:
+                write(self._device, self.features[name], inputs[name])
+        if stage == "decoder":
+            both = np.concatenate([inputs["reshaded"], inputs["feature"]], axis=-1)
+            write(self._device, self.features["reshaded"], both)
+        image = Outgoing(self._device, (2 * height, 2 * width, 3), on_device=False)
+        for launch in self.ready(image.data):
+            if launch.stage == stage:
+                launch.enqueue(self._device.queue)
+        outputs = {
+            "encoder": {"x1": ("x1", 0, 24), "x2": ("x2", 0, 24), "x3": ("x3", 0, 32), "x4": ("x4", 0, 32)},
+            "history": {"feature": ("reshaded", 64, 32)},
+            "erm": {"reshaded": ("reshaded", 0, 64)},
+        }
+        if stage == "decoder":
+            return {"image": image.finish()}
+        image.finish()
+        return {name: read(self._device, self.features[key], first, n) for name, (key, first, n) in outputs[stage].items()}
+
+    def _encoder(self) -> None:
+        x = self._conv("encoder", "conv1", self.inputs.input, self._scratch("one", 1, 24), channels=(21,))
+        x = self.features["x1"] = self._conv("encoder", "conv2", x, self._padded(1, 24))
+        for i, (channels, divisor) in enumerate(((24, 2), (32, 4), (32, 8)), start=1):
+            name = f"down{i}"
+            x = self._conv("encoder", f"{name}.downsample", x, self._scratch("one", divisor, x.channels), stride=2, relu=False)
+            x = self._conv("encoder", f"{name}.conv1", x, self._scratch("two", divisor, channels))
+            x = self._conv("encoder", f"{name}.conv2", x, self._padded(divisor, channels))
+            self.features[f"x{i + 1}"] = x
+
+    def _history(self) -> None:
+        joined = self._padded(8, 96)
+        self.features["reshaded"] = self._padded(8, 96)
+        for image in range(3) if self.reads_history else ():
+            x = self.inputs.earlier
+            for name, channels, divisor in (("convHis1", 24, 2), ("convHis2", 32, 4), ("convHis3", 32, 8)):
+                one = self._scratch("one", divisor, channels)
+                x = self._conv("history", f"{name}.0", x, one, stride=2, image=image if divisor == 2 else 0)
+                x = self._conv("history", f"{name}.2", x, self._scratch("two", divisor, channels))
+                last = divisor == 8
+                out = joined if last else self._scratch("one", divisor, channels)
+                x = self._conv("history", f"{name}.4", x, out, out_first=32 * image if last else 0)
+        self._conv("history", "lowlevelGated", joined, self.features["reshaded"], relu=False, out_first=64)
+
+    def _erm(self) -> None:
+        tile = 4 if self._device.is_cpu else 1
+        options: dict[str, object] = {"KEYS": 32, "VALUES": 64, "MASK": "float", "SPAN": tile}
+        out, size = self.features["reshaded"], (self._width // 8, self._height // 8)
+        eighth = self.inputs.eighth
+        light = self._conv(
+            "erm", "latentEncoder.0", self.features["x4"], self._scratch("one", 8, 64), b=eighth, channels=(32, GBUFFER)
+        )
+        light = self._conv("erm", "latentEncoder.2", light, self._scratch("two", 8, 64))
+        light = self._conv("erm", "latentEncoder.4", light, self._scratch("one", 8, 64), relu=False)
+        key = self._conv("erm", "KEncoder.0", eighth, self._scratch("one", 8, 32), channels=(GBUFFER,))
+        key = self._conv("erm", "KEncoder.2", key, self._scratch("two", 8, 32))
+        key = self._conv("erm", "KEncoder.4", key, self._scratch("one", 8, 32), relu=False)
+        unit = self._scratch("two", 8, 32)
+        self._kernel(
+            "erm", "normalise", "erm.cl", options, size,
+            key.data, unit.data, key.height, key.width, key.columns, maps=(key.changes, unit.changes),
+        )  # fmt: skip
+        self._kernel(
+            "erm", "attend", "erm.cl", options, size,
+            unit.data, light.data, eighth.data, out.data, size[1], size[0], light.columns, out.channels,
+            maps=(unit.changes, light.changes, eighth.changes, out.changes),
+            changed_size=(ceil_div(size[0], tile), ceil_div(size[1], tile)),
+        )  # fmt: skip
+
+    def _decoder(self) -> None:
+        x = self.features["reshaded"]
+        for i, (middle, outputs, divisor) in enumerate(((64, 32, 4), (32, 24, 2), (24, 24, 1)), start=1):
+            up = self._scratch("one", divisor, x.channels)
+            tiles = span(self._device, 4) // 4
+            self._kernel(
+                "decoder", "upsample_corners", "resample.cl", {"SPAN": tiles}, (up.width, up.height),
+                x.data, up.data, x.height, x.width, x.columns, up.columns, self._full // (2 * divisor), 0, x.channels // 8,
+                maps=(x.changes, up.changes), changed_size=(ceil_div(ceil_div(up.width, 4), tiles), ceil_div(up.height, 4)),
+            )  # fmt: skip
+            self._placed.append((self.launches[-1].kernel, 7, 2 * divisor))
+            skip = self.features[f"x{4 - i}"]
+            name = f"up{i}.conv.double_conv"
+            wide = self._scratch("two", divisor, middle)
+            x = self._conv("decoder", f"{name}.0", skip, wide, b=up)
+            if i == 3:
+                self._last(f"{name}.2", x)
+                return
+            x = self._conv(
+                "decoder", f"{name}.2", x, self._scratch("one", divisor, outputs), channels=(28 if i == 2 else middle,)
+            )
+
+    def _last(self, name: str, wide: Padded) -> None:
+        """The last convolution and outc: in one launch where Winograd runs, else in two."""
+        if self._winograd and tuning_for(self._device).winograd is not None:
+            self._conv("decoder", name, wide, wide, final=self._final())
+        else:
+            self._image(self._conv("decoder", name, wide, self._scratch("one", 1, 24)))
+
+    def _final(self) -> Final:
+        weight, bias = (constant(self._device, array) for array in pack_outc(self._weights))
+        return Final(self.inputs.base, weight, bias, self._height, self._width, *self.size, self.inputs.input.changes)
+
+    def _image(self, feature: Padded) -> None:
+        """outc, and the upsampled frame; where outc is 0 any finite feature will do."""
+        final, width, strip = self._final(), self.size[1], tuning_for(self._device).strip
+        columns = ceil_div(ceil_div(width, strip.pixels), strip.group) * strip.group
+        self._kernel(
+            "decoder", "image", "decoder.cl", {"STRIP": strip.pixels, "GROUP": strip.group}, (columns, self.size[0]),
+            feature.data, final.color, final.weight, final.bias, final.bias, width, final.rows, final.columns, feature.columns, 0, 0,
+            group=(strip.group, 1), maps=(feature.changes, final.changes), bounded=False,
+        )  # fmt: skip

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: MIT
+"""The network on an OpenCL device: order of launches, life of buffers."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import numpy as np
+import pyopencl.array as cla
+
+from stss_cl.device.buffers import Outgoing, incoming
+from stss_cl.device.discovery import Device, open_device
+from stss_cl.network.layers import Layers
+from stss_ref.arrays import Array, require_dtype, require_finite, require_shape
+from stss_ref.weights import Weights
+
+Precision = Literal["float32", "float32-direct", "half"]
+PRECISIONS: tuple[Precision, ...] = ("float32", "float32-direct", "half")
+"""``float32``: Winograd where it is faster. ``float32-direct``: none. ``half``: activations stored as half,
+computed in float32."""
+
+Given = Array | cla.Array
+
+
+class Network:
+    """STSSNet (spec 7), ready for one set of weights; buffers are made once for each size and reused.
+
+    Args:
+        weights: the 92 tensors.
+        device: to run on; None = ``stss_cl.device.discovery.open_device()``.
+        precision: see ``PRECISIONS``.
+        memory_limit: bytes that the buffers may take; larger frames go in strips, with the same bits. None = half of the device's
+            memory.
+    """
+
+    def __init__(
+        self, weights: Weights, device: Device | None = None, precision: Precision = "float32", memory_limit: int | None = None
+    ):
+        if precision not in PRECISIONS:
+            raise ValueError(f"precision: expected one of {', '.join(PRECISIONS)}, got {precision!r}")
+        self.device = open_device() if device is None else device
+        self.precision: Precision = precision
+        self._weights, self._memory_limit = weights, memory_limit
+        # With a last layer of zeros the network adds exactly 0 to the upsampled frame, whatever the rest of it computes.
+        self.residual = bool(weights["outc.weight"].any() or weights["outc.bias"].any())
+        self._layers: Layers | None = None
+
+    def __call__(self, color: Given, gbuffer: Given, mask: Given, history: Given) -> Any:
+        """Compute the image at twice the size.
+
+        Args:
+            color: (H, W, 6); gbuffer: (H, W, 9); mask: (H, W); history: (3, H, W, 4): float32, C-contiguous, as
+                ``stss_ref.network.network``. NumPy arrays or, all four, ``pyopencl.array`` of this device's context.
+
+        Returns:
+            image: (2H, 2W, 3) float32, an array of the kind given; not clipped.
+
+        Raises:
+            ArrayError: shapes or dtypes differ, or an input is not finite: a NaN would spread over whole tiles.
+        """
+        on_device = isinstance(color, cla.Array)
+        height, width = check(color, gbuffer, mask, history)
+        layers = self.layers(height, width)
+        held = [incoming(self.device, array) for array in (color, gbuffer, mask, history)]
+        image = Outgoing(self.device, (2 * height, 2 * width, 3), on_device=on_device)
+        for strip in layers.strips:
+            layers.place(strip)
+            layers.pack(*held)
+            layers.run(image.data)
+        made = image.finish()
+        if not layers.all_finite():
+            for name, array in {"color": color, "gbuffer": gbuffer, "mask": mask, "history": history}.items():
+                require_finite(name, array.get() if isinstance(array, cla.Array) else array)
+        return made
+
+    def layers(self, height: int, width: int) -> Layers:
+        """Buffers and launches for one size, from the last call if it was of that size."""
+        if self._layers is None or self._layers.size != (height, width):
+            self._layers = None  # frees the old buffers before new ones are made
+            self._layers = Layers(self.device, self._weights, height, width, self.precision, self._memory_limit, self.residual)
+        return self._layers
+
+    def timings(self) -> dict[str, float]:
+        """Seconds of each stage's launches, of the last size called, one launch at a time."""
+        if self._layers is None:
+            return {}
+        height, width = self._layers.size
+        image = Outgoing(self.device, (2 * height, 2 * width, 3), on_device=True)
+        seconds: dict[str, float] = {}
+        for launch in self._layers.ready(image.data):
+            self.device.queue.finish()
+            start = time.perf_counter()
+            launch.enqueue(self.device.queue)
+            self.device.queue.finish()
+            seconds[launch.stage] = seconds.get(launch.stage, 0.0) + time.perf_counter() - start
+        return seconds
+
+
+def check(color: Given, gbuffer: Given, mask: Given, history: Given) -> tuple[int, int]:
+    """H and W, once shapes and dtypes fit."""
+    require_shape("color", color, (None, None, 6))
+    height, width = color.shape[:2]
+    shapes = {"gbuffer": (height, width, 9), "mask": (height, width), "history": (3, height, width, 4)}
+    for name, array in {"color": color, "gbuffer": gbuffer, "mask": mask, "history": history}.items():
+        require_shape(name, array, shapes.get(name, array.shape))
+        require_dtype(name, array, np.dtype(np.float32))
+    return height, width
+
+
+STAGES = frozenset({"history", "encoder", "erm", "decoder", "network"})
+"""The stages that ``run_stage`` knows."""
+
+
+def run_stage(
+    stage: str, inputs: Mapping[str, Array], weights: Weights, device: Device | None = None, precision: Precision = "float32"
+) -> dict[str, Array]:
+    """One stage of the network by the names of the port protocol (docs/ports.md), for tests of a single stage."""
+    network = Network(weights, device, precision)
+    if stage == "network":
+        return {"image": network(*(inputs[name] for name in ("color", "gbuffer", "mask", "history")))}
+    like = {"history": "history", "encoder": "color", "erm": "gbuffer", "decoder": "color"}[stage]
+    height, width = inputs[like].shape[-3:-1]
+    return Layers(network.device, weights, height, width, precision).run_stage(stage, inputs)

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: MIT
+"""The network's four inputs, plain arrays on the device, brought to where its first layers read them."""
+
+from __future__ import annotations
+
+from math import gcd
+
+import numpy as np
+import pyopencl as cl
+
+from stss_cl.device.buffers import FLAGS, Inputs
+from stss_cl.device.discovery import Device
+from stss_cl.device.grid import grid
+from stss_cl.device.program import build
+from stss_cl.network.launch import FAST_MULTIPLY_ADD, half
+
+
+class PackInputs:
+    """The kernels that fill ``inputs`` for frames of (height, width)."""
+
+    def __init__(self, device: Device, inputs: Inputs, height: int, width: int):
+        self._device, self._inputs, self._size = device, inputs, (np.int32(height), np.int32(width))
+        options: dict[str, object] = {"HALF": half(inputs.input.dtype)}
+        program = build(device, "encoder.cl", options)
+        erm = build(device, "erm.cl", {"KEYS": 32, "VALUES": 64, "MASK": "float", **options}, FAST_MULTIPLY_ADD)
+        self._input, self._history = cl.Kernel(program, "pack_input"), cl.Kernel(program, "pack_history")
+        self._eighth = cl.Kernel(erm, "downsample_8")
+        self._bad = cl.Buffer(device.context, FLAGS.READ_WRITE | FLAGS.COPY_HOST_PTR, hostbuf=np.zeros(2, np.int32))
+
+    def __call__(self, color: cl.Buffer, gbuffer: cl.Buffer, mask: cl.Buffer, history: cl.Buffer, top: int) -> None:
+        """Enqueue it; ``top``: which row of the frame is row 0 of ``inputs``."""
+        to, size, first = self._inputs, self._size, np.int32(top)
+        full, eighth = (to.input.width, to.input.height), (to.eighth.width, to.eighth.height)
+        queue, columns = self._device.queue, np.int32(to.input.columns)
+        # A group that divides the width, a multiple of 8: asking each work-item whether it lies beyond would cost a third of the time.
+        group = gcd(to.input.width, 64), 1
+        self._input(queue, full, group, color, gbuffer, mask, to.input.data, to.base, self._bad, *size, columns, first)
+        place = np.int32(to.eighth.height), np.int32(to.eighth.width), np.int32(to.eighth.columns), first
+        self._eighth(queue, *grid(self._device, *eighth), gbuffer, mask, to.eighth.data, *size, *place)
+        place = np.int32(to.earlier.rows), np.int32(to.earlier.columns), first
+        self._history(queue, (*full, 3), (*group, 1), history, to.earlier.data, self._bad, *size, *place)
+
+    def all_finite(self) -> bool:
+        """Whether all inputs packed since the last question were; waits for the queue."""
+        bad = np.empty(2, np.int32)
+        cl.enqueue_copy(self._device.queue, bad, self._bad)
+        if bad.any():
+            cl.enqueue_fill_buffer(self._device.queue, self._bad, np.zeros(1, np.int32), 0, 8)
+        return not bad.any()

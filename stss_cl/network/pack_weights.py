@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: MIT
+"""Weights as the kernels read them: channels padded to multiples of 8, outputs last, transformed for Winograd."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stss_cl.device.grid import ceil8
+from stss_ref.weights import Weights
+
+POINTS = {4: (0.625, -0.625, 1.5, -1.5, 0.0), 2: (1.0, -1.0, 0.0)}
+"""Where F(4x4, 3x3) and F(2x2, 3x3) evaluate, with infinity; constants exact in float32, errors of F(4x4) 2 to 3 times below those
+of 0, +-1, +-2."""
+
+
+def winograd_matrix(side: int) -> NDArray[np.float64]:
+    """``G`` (side + 2, 3) at stride 1: row j is ``[1, x_j, x_j^2] / prod_{k != j} (x_j - x_k)``, the last one ``[0, 0, 1]``."""
+    points = POINTS[side]
+    rows = [np.array([1.0, x, x * x]) / np.prod([x - other for other in points if other != x]) for x in points]
+    return np.array([*rows, [0.0, 0.0, 1.0]])
+
+
+EVERY_SECOND = np.array([[1.0, 0, 0], [1, 0, 1], [0, 0, 1], [0, 1, 0], [0, 1, 0]])
+"""``G`` at stride 2, for tiles of 2: the outer taps by F(2, 2) on 0, 1 and infinity; the middle tap meets the inputs between."""
+
+
+@dataclass(frozen=True)
+class Packed:
+    """One layer's tensors.
+
+    ``direct`` (k, k, IN, OUT), ``gate_direct`` (k, k, IN, 1) or None, ``bias`` (OUT), ``gate_bias``; float32. Inputs behind the first
+    ``used`` are padding.
+    """
+
+    direct: NDArray[np.float32]
+    gate_direct: NDArray[np.float32] | None
+    bias: NDArray[np.float32]
+    gate_bias: float
+    used: int
+
+
+def pack(weights: Weights, name: str, inputs: tuple[tuple[int, int], ...]) -> Packed:
+    """Pack the layer ``name``.
+
+    Args:
+        weights: the 92 tensors.
+        name: module path; gated if ``name.conv_feature.weight`` is there.
+        inputs: of each input side by side, its channels and the channels of the buffer it lies in.
+
+    Returns:
+        The packed tensors; outputs padded to a multiple of 8 by zeros.
+    """
+    gated = f"{name}.conv_feature.weight" in weights
+    feature = f"{name}.conv_feature" if gated else name
+    weight = _spread(weights[f"{feature}.weight"], inputs)
+    outputs = weight.shape[0]
+    weight = np.pad(weight, ((0, ceil8(outputs) - outputs), (0, 0), (0, 0), (0, 0)))
+    bias = np.pad(weights[f"{feature}.bias"], (0, ceil8(outputs) - outputs))
+    gate = _spread(weights[f"{name}.conv_mask.0.weight"], inputs) if gated else None
+    return Packed(
+        direct=_direct(weight),
+        gate_direct=None if gate is None else _direct(gate),
+        bias=bias.astype(np.float32),
+        gate_bias=float(weights[f"{name}.conv_mask.0.bias"][0]) if gated else 0.0,
+        used=sum(size for _, size in inputs[:-1]) + inputs[-1][0],
+    )
+
+
+def pack_outc(weights: Weights) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """The 1 x 1 convolution outc as kernels/decoder.clh reads it: (24, 16) and (16), output channel 4c + 2i + j at 8i + 3j + c."""
+    weight, bias = np.zeros((24, 16), np.float32), np.zeros(16, np.float32)
+    places = [8 * i + 3 * j + c for c in range(3) for i in range(2) for j in range(2)]
+    weight[:, places], bias[places] = weights["outc.weight"][:, :, 0, 0].T, weights["outc.bias"]
+    return weight, bias
+
+
+def _spread(weight: NDArray[Any], inputs: tuple[tuple[int, int], ...]) -> NDArray[Any]:
+    """Put each input's channels at the start of its buffer's."""
+    spread = np.zeros((weight.shape[0], sum(size for _, size in inputs), *weight.shape[2:]), weight.dtype)
+    source = target = 0
+    for channels, size in inputs:
+        spread[:, target : target + channels] = weight[:, source : source + channels]
+        source, target = source + channels, target + size
+    return spread
+
+
+def _direct(weight: NDArray[Any]) -> NDArray[np.float32]:
+    return np.ascontiguousarray(weight.transpose(2, 3, 1, 0), np.float32)
+
+
+def winograd(kernels: NDArray[np.float32], side: int, block: int, stride: int = 1) -> NDArray[np.float32]:
+    """Kernels of 3 x 3 as winograd.cl reads them, transformed in float64.
+
+    Args:
+        kernels: (3, 3, IN, OUT), as in `Packed`.
+        side: of a tile; 2 at stride 2.
+        block: outputs that are read together, a divisor of OUT.
+        stride: 1 or 2.
+
+    Returns:
+        ((side + 2)^2, OUT / block, IN, block), at stride 2 (25, ...): what is read one after the other lies so.
+    """
+    g = winograd_matrix(side) if stride == 1 else EVERY_SECOND
+    transformed = np.einsum("ku,uvco,lv->klco", g, kernels.astype(np.float64), g, optimize=True)
+    blocks = transformed.reshape(len(g) ** 2, kernels.shape[2], -1, block).swapaxes(1, 2)
+    return np.ascontiguousarray(blocks, np.float32)

@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: MIT
+"""Display frames one after the other: stage ``frame`` for each, computing only where something changed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from stss_cl.device.discovery import Device, open_device
+from stss_cl.frame import Frame
+from stss_cl.image_space.frame_planes import check_steps
+from stss_cl.image_space.stages import Gather
+from stss_cl.network.layers import Layers
+from stss_cl.network.network import Precision
+from stss_cl.skip.frame_cache import Kept, Last, Report, distance
+from stss_cl.skip.uploaded_frames import Arrivals, DisplayFrame, Held, Tiles, sources
+from stss_ref.arrays import ArrayError
+from stss_ref.weights import Weights
+
+Skip = Literal["off", "exact", "bounded"]
+SKIPS: tuple[Skip, ...] = ("off", "exact", "bounded")
+"""``off``: every frame is computed whole. ``exact``: what did not change is kept, with the bits of ``off``. ``bounded``: what changed
+little is kept as well."""
+MOST_CHANGED, MOST_CHANGED_BOUNDED = 0.75, 0.4
+"""Where a larger share of the network's inputs changed, all of it is computed: to look for the rest would not pay; for ``bounded``, where
+plain tiles and old features save more."""
+FIRST, AIM, SLOWER, FASTER = 0.2, 0.5, 0.25, 1.25
+"""``bounded``: the first tolerance and the departure aimed at, as shares of the largest error; limits of a step of the tolerance."""
+PATIENCE, AGAIN, REST = 8, 4, 48
+"""After so many frames in a row of which nothing was left out (after a rest: so many; the first of either kind makes up for what
+was left out meanwhile) so many are computed without looking."""
+
+
+class Stream:
+    """Stage ``frame`` (spec 11) for display frames as they come; buffers are made once for each size and reused.
+
+    Args:
+        weights: the 92 tensors.
+        device: to run on; None = ``stss_cl.device.discovery.open_device()``.
+        precision: see ``stss_cl.network.network.PRECISIONS``.
+        gather: how the motion chain reads between pixels.
+        memory_limit: see ``stss_cl.network.network.Network``; where what is kept does not fit, nothing is left out.
+        skip: of ``SKIPS``.
+        max_error: for ``bounded``: how far the image may be from that of ``off``, in units of the image. Held by checks: every so
+            many frames one is computed both ways, and the tolerance set by what is found (docs/skipping.md says how often it is missed).
+
+    Attributes:
+        report: what the last frame cost.
+        tolerance: of ``bounded``: a value, of the inputs or between two layers, that moved no farther from what was stored stays.
+    """
+
+    def __init__(
+        self,
+        weights: Weights,
+        device: Device | None = None,
+        precision: Precision = "float32",
+        gather: Gather = "longest",
+        memory_limit: int | None = None,
+        skip: Skip = "exact",
+        max_error: float = 0.0,
+    ):
+        self.device = open_device() if device is None else device
+        self.precision: Precision = precision
+        self.report = Report(1.0, 1.0, "whole")
+        self._whole = Frame(weights, self.device, precision, gather, memory_limit)
+        self._gather: Gather = gather
+        self._weights, self._memory_limit = weights, memory_limit
+        self._skip, self._max_error = skip, max_error if skip == "bounded" else 0.0
+        self.tolerance = FIRST * self._max_error
+        self._arrivals: Arrivals | None = None
+        self._kept: dict[bool, Kept] = {}
+        self._latest: Kept | None = None
+        self._tired = self._rests = 0
+
+    def __call__(self, window: Sequence[DisplayFrame], steps: Sequence[int]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Compute the last frame of ``window``.
+
+        Nothing of a call depends on those before it but the time it takes. Frames are known again by being the same objects.
+
+        Args:
+            window: consecutive display frames of one size, oldest first; read in place on a processor.
+            steps: how many frames back the three colour frames lie, newest first; ``window`` holds them.
+
+        Returns:
+            image: (2H, 2W, 3) float32, not clipped, and read-only where something is kept: it may be the last frame's.
+            valid: (H, W) False in the warping holes of the newest colour frame.
+
+        Raises:
+            ArrayError: shapes, dtypes or steps are not a frame's, or an array other than motion and position is not finite.
+        """
+        chosen = check_steps(steps)
+        if len(window) <= chosen[2]:
+            raise ArrayError(f"window: expected the {chosen[2] + 1} frames that the steps lead to, got {len(window)}")
+        if any(window[-1 - step].color is None for step in chosen):
+            raise ArrayError(f"window: expected a colour {', '.join(map(str, chosen))} frames back")
+        size = window[-1].nov.shape
+        arrivals, kept = self._arriving(size), self._keep(size, extrapolates=chosen[0] > 0)
+        self._rests = max(0, self._rests - 1)
+        held = arrivals.take(window, compare=kept is not None and not self._rests)
+        self._latest = kept
+        if kept is None:
+            self.report = Report(1.0, 1.0, "whole")
+            return self._whole.compute(sources(held, chosen), size)
+        busy = None if self._rests or kept.stale else self._busy(arrivals, kept, held, kept.read(chosen))
+        if busy is not None and kept.last is not None and not busy.any():
+            self.report = Report(0.0, 0.0, "none")
+            kept.last = _last(held, kept.read(chosen), kept.last.valid)
+            return kept.image, kept.last.valid
+        return self._compute(kept, held, chosen, busy, window[-1 - chosen[0]].color if self._max_error else None)
+
+    def expect(self, size: tuple[int, int]) -> None:
+        """Build what the first call for frames of (H, W) would wait for, such as while that frame is being read."""
+        self._arriving(size)
+        if self._keep(size, extrapolates=False) is None:
+            self._whole.expect(size)
+
+    def activity(self) -> NDArray[np.float32]:
+        """How much of the network the last frame took, for each 4 x 4 of its pixels: 0 nothing, 1 everything.
+
+        Of a frame that was computed where something changed it is the share of the stored activations that came to differ; of one of
+        which something was left out, see ``Kept.activity``.
+        """
+        assert self._arrivals is not None, "no frame was computed yet"
+        rows, columns = (-(-length // 4) for length in self._arrivals.size)
+        network = self.report.network
+        if self._latest is None or network in ("none", "whole"):
+            return np.full((rows, columns), network != "none", np.float32)
+        shares = self._latest.layers.activity() if network == "changed" else self._latest.activity()
+        return shares[:rows, :columns]
+
+    def _compute(
+        self, kept: Kept, held: list[Held], steps: tuple[int, int, int], busy: Tiles | None, color: NDArray[np.float32] | None
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """The frame, where anything is busy; None: everywhere. ``color``: the newest, for ``bounded``, see ``Kept.choose``."""
+        prepare, layers = kept.prepare, kept.layers
+        cl.enqueue_copy(self.device.queue, prepare.busy, _spread(busy, (prepare.rows, prepare.columns)), is_blocking=True)
+        tolerance = 0.0 if busy is None else self.tolerance
+        choice = kept.choose(color) if self._rests else None
+        older = layers.reads_history and (choice is None or choice.older)
+        prepare.start(sources(held, steps), tolerance=tolerance, older=older, looking=not self._rests)
+        prepare.strip()
+        changed = kept.changed() if kept.last is not None and not self._rests else 1.0
+        whole, departure = changed > (MOST_CHANGED_BOUNDED if self._max_error else MOST_CHANGED), None
+        if whole or kept.stale:
+            # What was left out is not what its inputs give: changes alone would not mend it.
+            choice = choice or kept.choose(color if whole else None)
+            departure = kept.run(choice)
+            network = "partly" if kept.stale else "whole"
+            if kept.last is not None:
+                layers.changed_only()  # built while the device computes, not when the first change waits for it
+        else:
+            network = "changed"
+            layers.run_changed(kept.target(whole=False), tolerance)
+        valid = np.empty(layers.size, np.uint8)
+        cl.enqueue_copy(self.device.queue, valid, prepare.mask)
+        kept.last = _last(held, kept.read(steps), valid.view(np.bool_))
+        self.report = Report(1.0 if busy is None else float(busy.mean()), float(changed), network, departure)
+        if tolerance > 0:
+            self._check(kept)
+        if not self._rests:
+            self._tired = self._tired + 1 if whole else 0
+            if self._tired >= PATIENCE:
+                self._tired, self._rests = PATIENCE - AGAIN, REST
+        return kept.image, valid.view(np.bool_)
+
+    def _check(self, kept: Kept) -> None:
+        """Every so often compute the frame once more, whole, and set the tolerance by how far the two are apart."""
+        if not kept.is_due():
+            return
+        left_out, prepare = kept.image, kept.prepare  # while the image is held, the next one is another
+        cl.enqueue_copy(self.device.queue, prepare.busy, _spread(None, (prepare.rows, prepare.columns)), is_blocking=True)
+        prepare.again()
+        prepare.strip()
+        kept.run(kept.choose(None))
+        departure = distance(kept.image, left_out)
+        self.report = replace(self.report, departure=departure)
+        kept.checked(well=departure <= AIM * self._max_error)
+        if departure > 0:
+            self.tolerance *= min(max(AIM * self._max_error / departure, SLOWER), FASTER)
+        self.tolerance = min(self.tolerance, self._max_error)
+
+    def _arriving(self, size: tuple[int, int]) -> Arrivals:
+        if self._arrivals is None or self._arrivals.size != size:
+            self._kept.clear()
+            self._arrivals = Arrivals(self.device, *size)
+        return self._arrivals
+
+    def _keep(self, size: tuple[int, int], *, extrapolates: bool) -> Kept | None:
+        """What is kept of SFs, or of EFs; None: nothing is."""
+        if self._skip == "off":
+            return None
+        if extrapolates not in self._kept:
+            limit = (self._memory_limit or int(self.device.handle.global_mem_size) // 2) // 2
+            layers = Layers(self.device, self._weights, *size, self.precision, limit, self._whole.network.residual, keep=True)
+            if not layers.keep:
+                self._skip = "off"
+                return None
+            self._kept[extrapolates] = Kept(self.device, layers, self._gather, self._max_error)
+        return self._kept[extrapolates]
+
+    def _busy(self, arrivals: Arrivals, kept: Kept, held: list[Held], steps: tuple[int, ...]) -> Tiles | None:
+        """Where the network's inputs may differ from those of the last frame of the kind; None: everywhere.
+
+        They are the same where, in all frames that either read, nothing moves and the surface is the same, and so are the colours.
+        """
+        last = kept.last
+        if last is None or _missing(steps) != _missing(last.steps):
+            return None
+        oldest, newest = min(last.oldest, held[-1 - steps[-1]].number), max(last.number, held[-1].number)
+        moved = arrivals.changed(oldest, newest)
+        if moved is None:
+            return None
+        for step, before in zip(steps, last.colors, strict=True):
+            moved = moved | arrivals.color_changed(held[-1 - step], before)
+        return moved
+
+
+def _last(held: list[Held], steps: tuple[int, ...], valid: NDArray[np.bool_]) -> Last:
+    return Last(held[-1].number, held[-1 - steps[-1]].number, steps, tuple(held[-1 - step] for step in steps), valid)
+
+
+def _missing(steps: tuple[int, ...]) -> list[bool]:
+    """Which older colour frames stand in for missing ones."""
+    return [older == newer for newer, older in pairwise(steps)]
+
+
+def _spread(changed: Tiles | None, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """The map of what is to be computed for a padded ``size``: a pixel reads its right and lower neighbours, and padding repeats."""
+    rows, columns = (length // 4 for length in size)
+    if changed is None:
+        return np.ones((rows, columns), np.uint8)
+    busy = changed.copy()
+    busy[:, :-1] |= changed[:, 1:]
+    busy[:-1] |= busy[1:].copy()
+    return np.pad(busy, ((0, rows - busy.shape[0]), (0, columns - busy.shape[1])), mode="edge").astype(np.uint8)

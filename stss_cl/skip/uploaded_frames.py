@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: MIT
+"""Display frames as they arrive on the device, each once, and where each differs from the one before it."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import takewhile
+from typing import Protocol
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from stss_cl.device.discovery import Device
+from stss_cl.device.program import build
+from stss_cl.image_space.frame_planes import Sources, upload
+from stss_cl.image_space.prepare import SCANNERS
+from stss_ref.arrays import Array, require_finite
+
+Tiles = NDArray[np.bool_]
+"""(ceil(H / 4), ceil(W / 4)): True where something changed in a tile of 4 x 4 pixels."""
+SPAN = 256
+"""Tiles of a work-item of changed_tiles.cl."""
+HELD = 9
+"""Display frames that are remembered: the window of an output, that of the one before it of the same kind, and one more. All but the
+window's give up their buffers."""
+FINITE = ("color", "gbuffer", "nov", "stencil")
+
+
+class DisplayFrame(Protocol):
+    """What an engine gives for a display frame (spec 0), float32. Nothing of it may change while a frame needs it.
+
+    Attributes:
+        color: (H, W, 3), or None.
+        motion: (H, W, 2).
+        gbuffer: (H, W, 9).
+        nov: (H, W).
+        stencil: (H, W).
+        position: (H, W, 3).
+    """
+
+    @property
+    def color(self) -> Array | None: ...  # noqa: D102
+    @property
+    def motion(self) -> Array: ...  # noqa: D102
+    @property
+    def gbuffer(self) -> Array: ...  # noqa: D102
+    @property
+    def nov(self) -> Array: ...  # noqa: D102
+    @property
+    def stencil(self) -> Array: ...  # noqa: D102
+    @property
+    def position(self) -> Array: ...  # noqa: D102
+
+
+@dataclass
+class Held:
+    """A display frame on the device.
+
+    Attributes:
+        frame: as it was given; None once it is older than the window.
+        number: counts the frames as they arrived; of no meaning but to compare.
+        planes: the buffers by name; none once it is older than the window.
+        color: its colour, if it has one.
+        changed: where it differs from the frame before it, or moves; None: there is none before it, or nobody looked.
+    """
+
+    frame: DisplayFrame | None
+    number: int
+    planes: dict[str, cl.Buffer]
+    color: cl.Buffer | None
+    changed: Tiles | None = None
+
+
+class Arrivals:
+    """The last frames of one size (height, width) that arrived, each the next display frame after the one before it."""
+
+    def __init__(self, device: Device, height: int, width: int):
+        self._device, self.size = device, (height, width)
+        self._finite = cl.Kernel(build(device, "finite.cl"), "finite")
+        self._shape = -(-height // 4), -(-width // 4)
+        self._map = cl.Buffer(device.context, cl.mem_flags.READ_WRITE, self._shape[0] * self._shape[1])
+        self._bad = cl.Buffer(
+            device.context, cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR, hostbuf=np.zeros(len(FINITE), np.int32)
+        )
+        self._chain: deque[Held] = deque(maxlen=HELD)
+        self._colors: dict[tuple[int, int], Tiles] = {}
+        self._count = 0
+
+    @cached_property
+    def _comparing(self) -> dict[str, cl.Kernel]:
+        """Built when a second frame comes."""
+        program = build(self._device, "changed_tiles.cl", {"SPAN": SPAN})
+        return {name: cl.Kernel(program, name) for name in ("differ", "differ_color")}
+
+    def take(self, window: Sequence[DisplayFrame], *, compare: bool) -> list[Held]:
+        """The frames of ``window``, consecutive and oldest first, on the device; those that are there already are not looked at again.
+
+        Args:
+            window: the frame to be computed is the last.
+            compare: look where new ones differ from those before them.
+
+        Raises:
+            ArrayError: a shape or dtype is not a frame's, or a value that must be finite is not.
+        """
+        first = next((i for i, held in enumerate(self._chain) if held.frame is window[0]), len(self._chain))
+        known = list(self._chain)[first : first + len(window)]
+        if not known or any(held.frame is not frame for held, frame in zip(known, window, strict=False)):
+            self.forget()
+            known = []
+        for frame in window[len(known) :]:
+            self._arrive(frame, compare=compare)
+            known.append(self._chain[-1])
+        for held in takewhile(lambda held: held is not known[0], self._chain):
+            held.frame, held.planes = None, {}
+        return known
+
+    def forget(self) -> None:
+        """What arrives next follows nothing."""
+        self._chain.clear()
+        self._colors.clear()
+
+    def changed(self, first: int, last: int) -> Tiles | None:
+        """Where something moves or differs in the frames numbered ``first`` + 1 .. ``last``; None: everywhere, for all that is known."""
+        maps = [held.changed for held in self._chain if first < held.number <= last]
+        if len(maps) < last - first or any(tiles is None for tiles in maps):
+            return None
+        return np.logical_or.reduce([tiles for tiles in maps if tiles is not None] or [np.zeros(self._shape, np.bool_)])
+
+    def color_changed(self, now: Held, before: Held) -> Tiles:
+        """Where the colours of two frames differ."""
+        if now is before:
+            return np.zeros(self._shape, np.bool_)
+        key = now.number, before.number
+        if key not in self._colors:
+            for old in [k for k in self._colors if min(k) < self._count - 2 * HELD]:
+                del self._colors[old]
+            self._launch("differ_color", now.color, before.color, self._map)
+            self._colors[key] = self._read_map()
+        return self._colors[key]
+
+    def _arrive(self, frame: DisplayFrame, *, compare: bool) -> None:
+        height, width = self.size
+        shapes = {"motion": (2,), "gbuffer": (9,), "nov": (), "stencil": (), "position": (3,)}
+        planes = {
+            name: upload(self._device, name, np.asarray(getattr(frame, name)), (height, width, *more))
+            for name, more in shapes.items()
+        }
+        color = None if frame.color is None else upload(self._device, "color", frame.color, (height, width, 3))
+        before = self._chain[-1] if self._chain else None
+        if color is not None:
+            self._scan(color, 3, 0)
+        if before is None or not compare:
+            for which, (name, floats) in enumerate((("gbuffer", 9), ("nov", 1), ("stencil", 1)), start=1):
+                self._scan(planes[name], floats, which)
+        else:
+            earlier = [before.planes[name] for name in ("gbuffer", "nov", "stencil", "position")]
+            self._launch("differ", *planes.values(), *earlier, self._map, self._bad)
+        self._require_finite(frame)
+        changed = self._read_map() if before is not None and compare else None
+        self._chain.append(Held(frame, self._count, planes, color, changed))
+        self._count += 1
+
+    def _launch(self, name: str, *arguments: cl.Buffer | None) -> None:
+        kernel = self._comparing[name]
+        size = -(-self._shape[1] // SPAN), self._shape[0]
+        # A group that does not follow the size, see stss_cl.network.launch.grid; one work-item does much.
+        kernel(self._device.queue, size, (1, 1) if self._device.is_cpu else None, *arguments, *map(np.int32, self.size))
+
+    def _scan(self, buffer: cl.Buffer, floats: int, which: int) -> None:
+        count = np.uint64(self.size[0] * self.size[1] * floats)
+        self._finite(self._device.queue, (SCANNERS,), None, buffer, count, self._bad, np.int32(which))
+
+    def _read_map(self) -> Tiles:
+        tiles = np.empty(self._shape, np.uint8)
+        cl.enqueue_copy(self._device.queue, tiles, self._map)
+        return tiles.view(np.bool_)
+
+    def _require_finite(self, frame: DisplayFrame) -> None:
+        bad = np.empty(len(FINITE), np.int32)
+        cl.enqueue_copy(self._device.queue, bad, self._bad)
+        if bad.any():
+            cl.enqueue_fill_buffer(self._device.queue, self._bad, np.zeros(1, np.int32), 0, bad.nbytes)
+            self.forget()
+            name = FINITE[int(bad.argmax())]
+            require_finite(name, getattr(frame, name))
+
+
+def sources(held: Sequence[Held], steps: tuple[int, int, int]) -> Sources:
+    """What stage ``frame`` reads for the last of ``held``, consecutive frames of which the steps lead to those with colour."""
+    back = held[::-1]
+    now, colors = back[0].planes, [back[step] for step in steps]
+    shown = [now, *(frame.planes for frame in colors)]
+    return Sources(
+        steps=steps,
+        colors=tuple(frame.color for frame in colors if frame.color is not None),
+        motions=tuple(frame.planes["motion"] for frame in back[: steps[2]]),
+        gbuffer=now["gbuffer"],
+        nov=now["nov"],
+        stencils=tuple(planes["stencil"] for planes in shown),
+        normals=tuple(planes["gbuffer"] for planes in shown),
+        positions=tuple(planes["position"] for planes in shown),
+        normal_stride=9,
+    )

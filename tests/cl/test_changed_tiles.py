@@ -1,0 +1,411 @@
+"""Computing only what changed: the bits of computing everything, no work where nothing changed, no drift where small steps are let go."""
+
+from functools import cached_property
+
+import numpy as np
+import pyopencl as cl
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from conformance.cases.planes import SEEDS, sizes
+from stss_cl.device.buffers import incoming, padded, read
+from stss_cl.device.grid import grid
+from stss_cl.device.program import build
+from stss_cl.device.tuning import Direct, Strip, Tuning, Winograd, trial, tuning_for
+from stss_cl.network.layers import Layers
+from stss_cl.network.network import PRECISIONS
+from stss_cl.network.strips import OVERLAP, STEP, bytes_for
+from stss_cl.skip.changed_tiles import kept_bytes
+from stss_ref.weights import random as random_weights
+from stss_ref.weights import zeros
+
+few = settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
+CHANGES = st.lists(st.tuples(st.sampled_from(["nothing", "pixel", "rectangle", "all", "back"]), SEEDS), min_size=1, max_size=5)
+
+
+def contents(device, held):
+    """Activations as (images, rows, columns, channels) with their border."""
+    host = np.empty((held.images, held.rows, held.columns, held.channels), held.dtype)
+    cl.enqueue_copy(device.queue, host, held.data)
+    return host
+
+
+def raw(device, buffer, dtype=np.uint8):
+    host = np.empty(buffer.size // np.dtype(dtype).itemsize, dtype)
+    cl.enqueue_copy(device.queue, host, buffer)
+    return host
+
+
+def bits(array):
+    return array.view(np.uint16 if array.dtype == np.float16 else np.uint32)
+
+
+def tiles(before, after):
+    """The change map between two contents."""
+    differ = (bits(before) != bits(after)).any(-1)[:, 1:-1, 1:-1]
+    images, rows, columns = differ.shape
+    return differ.reshape(images, rows // 4, 4, columns // 4, 4).any((2, 4)).astype(np.uint8)
+
+
+class Sequence:
+    """Frame after frame on one set of buffers."""
+
+    def __init__(self, device, size, precision="float32", weights=None, **options):
+        self.device, self.size, self.precision = device, size, precision
+        self.weights = random_weights(5) if weights is None else weights
+        self.options = options
+        self.layers = Layers(device, self.weights, *size, precision, keep=True, **options)
+        assert self.layers.keep
+        self.given = self.layers.inputs.input, self.layers.inputs.earlier, self.layers.inputs.eighth
+        self.image = self.buffer()
+        self.poison()
+
+    def buffer(self):
+        return cl.Buffer(self.device.context, cl.mem_flags.READ_WRITE, 48 * self.size[0] * self.size[1])
+
+    def poison(self):
+        cl.enqueue_fill_buffer(self.device.queue, self.image, np.float32([np.nan]), 0, self.image.size)
+
+    def show(self, image=None):
+        return raw(self.device, image or self.image, np.float32).reshape(2 * self.size[0], 2 * self.size[1], 3)
+
+    def fill(self, inputs, layers=None):
+        layers = layers or self.layers
+        held = [incoming(self.device, array) for array in inputs]
+        layers.pack(*held)
+        self.device.queue.finish()
+
+    def feed(self, inputs):
+        """Fill the inputs and mark what of them came to differ."""
+        before, base = [contents(self.device, held) for held in self.given], self.base()
+        self.fill(inputs)
+        marks = [tiles(old, contents(self.device, held)) for held, old in zip(self.given, before, strict=True)]
+        marks[0] |= tiles(base, self.base())  # in half precision it may differ where the input does not
+        for held, marked in zip(self.given, marks, strict=True):
+            self.mark(held, marked)
+
+    def base(self):
+        """The frame that is upsampled and added, with a border as activations have."""
+        rows, columns = self.given[0].height, self.given[0].width
+        return np.pad(
+            raw(self.device, self.layers.inputs.base, np.float32).reshape(1, rows, columns, 4), ((0, 0), (1, 1), (1, 1), (0, 0))
+        )
+
+    def mark(self, held, marks):
+        assert held.changes.size == marks.size
+        cl.enqueue_copy(self.device.queue, held.changes, marks)
+
+    def first(self, inputs):
+        self.feed(inputs)
+        self.layers.run(self.image)
+
+    def next(self, inputs, tolerance=0.0):
+        self.feed(inputs)
+        self.layers.run_changed(self.image, tolerance)
+
+    def fresh(self, inputs):
+        """The image from buffers that the layers share and launches that compute everything."""
+        image = self.buffer()
+        self.fill(inputs, self.plain)
+        self.plain.run(image)
+        return self.show(image)
+
+    @cached_property
+    def plain(self):
+        made = Layers(self.device, self.weights, *self.size, self.precision, **self.options)
+        assert not made.keep
+        return made
+
+
+def noise(random, size):
+    shapes = ((*size, 6), (*size, 9), size, (3, *size, 4))
+    color, gbuffer, mask, history = (random.random(shape, dtype=np.float32) for shape in shapes)
+    return [color, gbuffer, (mask < 0.7).astype(np.float32), history]
+
+
+def step(inputs, first, kind, seed):
+    """The next frame's inputs."""
+    random = np.random.default_rng(seed)
+    if kind == "back":
+        return first
+    if kind == "nothing":
+        return inputs
+    height, width = inputs[2].shape
+    top, left = random.integers(height), random.integers(width)
+    if kind == "all":
+        place = np.s_[:, :]
+    elif kind == "pixel":
+        place = np.s_[top : top + 1, left : left + 1]
+    else:
+        place = np.s_[top : top + random.integers(1, height + 1), left : left + random.integers(1, width + 1)]
+    made, other = [array.copy() for array in inputs], noise(random, (height, width))
+    for i in np.flatnonzero(random.random(4) < 0.6):
+        if i < 3:
+            made[i][place] = other[i][place]
+        else:
+            image = random.integers(3)
+            made[3][image][place] = other[3][image][place]
+    return made
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@few
+@given(size=sizes(72), changes=CHANGES, seed=SEEDS)
+def test_the_image_is_that_of_computing_everything(device, precision, size, changes, seed):
+    sequence = Sequence(device, size, precision)
+    inputs = first = noise(np.random.default_rng(seed), size)
+    sequence.first(inputs)
+    for kind, chosen in changes:
+        inputs = step(inputs, first, kind, chosen)
+        sequence.next(inputs)
+        np.testing.assert_array_equal(bits(sequence.show()), bits(sequence.fresh(inputs)), kind)
+
+
+@pytest.mark.parametrize(
+    "tuning",
+    [
+        Tuning({n: Winograd(1, 1, 1) for n in (24, 32, 64)}, {n: Direct(3, 1, 2) for n in (24, 32, 64)}, Strip(4, 3)),
+        Tuning({n: Winograd(9, 3, n // 8) for n in (24, 32, 64)}, {n: Direct(8, 1, 1) for n in (24, 32, 64)}, Strip(8, 1)),
+        Tuning(None, {n: Direct(5, n // 8, 4) for n in (24, 32, 64)}, Strip(32, 2)),
+    ],
+)
+@settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(size=sizes(72), changes=CHANGES)
+def test_other_tile_sizes(device, tuning, size, changes):
+    with trial(tuning):
+        sequence = Sequence(device, size)
+        inputs = first = noise(np.random.default_rng(0), size)
+        sequence.first(inputs)
+        for kind, seed in changes:
+            inputs = step(inputs, first, kind, seed)
+            sequence.next(inputs)
+            np.testing.assert_array_equal(bits(sequence.show()), bits(sequence.fresh(inputs)), kind)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_where_nothing_is_marked_nothing_is_written(device, precision):
+    sequence = Sequence(device, (24, 41), precision)
+    inputs = noise(np.random.default_rng(0), sequence.size)
+    sequence.first(inputs)
+    before = [contents(device, held) for held in sequence.layers.features.values()]
+    sequence.poison()
+    sequence.next(inputs)
+    assert np.isnan(sequence.show()).all()
+    sequence.fill(noise(np.random.default_rng(1), sequence.size))  # others, but nobody says so
+    sequence.layers.run_changed(sequence.image)
+    assert np.isnan(sequence.show()).all()
+    for held, old in zip(sequence.layers.features.values(), before, strict=True):
+        np.testing.assert_array_equal(contents(device, held), old)
+
+
+@pytest.mark.parametrize("tall", [False, True])
+@pytest.mark.parametrize("precision", PRECISIONS)
+@few
+@given(across=st.integers(0, 15), along=st.integers(0, 799), seed=SEEDS)
+def test_far_from_a_change_nothing_is_written(device, precision, tall, across, along, seed):
+    """No further than the strips' overlap, and everything that did change is."""
+    sequence = far(device, precision, tall)
+    inputs = noise(np.random.default_rng(0), sequence.size)
+    sequence.first(inputs)
+    before = sequence.show()
+    sequence.poison()
+    changed = [array.copy() for array in inputs]
+    changed[0][(along, across) if tall else (across, along)] += np.random.default_rng(seed).random()
+    sequence.next(changed)
+    written = np.isfinite(sequence.show()).any((1, 2) if tall else (0, 2))
+    reach = OVERLAP[precision != "float32-direct"]
+    assert written[2 * along]
+    places = np.flatnonzero(written) // 2
+    assert along - reach <= places.min()
+    assert places.max() <= along + reach
+    np.testing.assert_array_equal(np.where(np.isnan(sequence.show()), before, sequence.show()), sequence.fresh(changed))
+
+
+_far = {}
+
+
+def far(device, precision, tall=False):
+    """A frame so long that no change reaches from one end to the other; made once for a precision."""
+    if (precision, tall) not in _far:
+        _far[precision, tall] = Sequence(device, (800, 16) if tall else (16, 800), precision)
+    return _far[precision, tall]
+
+
+@pytest.mark.parametrize("which", range(3))
+def test_a_mark_left_out_shows(device, which):
+    """A changed tile of an input that is not marked: the image then is another than that of computing everything."""
+    sequence = Sequence(device, (64, 64))
+    inputs = noise(np.random.default_rng(0), sequence.size)
+    sequence.first(inputs)
+    changed = [array.copy() for array in inputs]
+    changed[0][24:48, 24:48] += 1  # in the input and what is added to the image
+    changed[1][24:48, 24:48] += 1  # in the input and the input at 1/8 size
+    changed[3][:, 24:48, 24:48] += 1
+    before = [contents(device, held) for held in sequence.given]
+    sequence.fill(changed)
+    for i, (held, old) in enumerate(zip(sequence.given, before, strict=True)):
+        marks = tiles(old, contents(device, held))
+        assert marks.any()
+        sequence.mark(held, np.zeros_like(marks) if i == which else marks)
+    sequence.layers.run_changed(sequence.image)
+    assert (sequence.show() != sequence.fresh(changed)).any()
+
+
+def launches(sequence):
+    """All but the last, in pairs: computing everything and only what changed, with the buffer that both write."""
+    places = {"upsample_corners": 1, "normalise": 1, "attend": 3, "conv": 6, "winograd": 6}
+    pairs = zip(sequence.layers.launches, sequence.layers._changed.launches, strict=True)
+    return [(every, some, every.held[places[every.kernel.function_name]]) for every, some in list(pairs)[:-1]]
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@few
+@given(size=sizes(72), seed=SEEDS)
+def test_the_tiles_that_changed_are_marked_and_no_others(device, precision, size, seed):
+    sequence = Sequence(device, size, precision)
+    inputs = noise(np.random.default_rng(seed), size)
+    sequence.first(inputs)
+    sequence.next(inputs)
+    pairs, features = launches(sequence), sequence.layers.features.values()
+    before, wide = [raw(device, out) for _, _, out in pairs], [contents(device, held) for held in features]
+    sequence.next(step(inputs, inputs, "rectangle", seed))
+    for held, old in zip(features, wide, strict=True):
+        np.testing.assert_array_equal(raw(device, held.changes), tiles(old, contents(device, held)).ravel())
+    for (_, some, out), old in zip(pairs, before, strict=True):
+        maps = [x for x in some.skip.arguments if isinstance(x, cl.Buffer)]
+        assert raw(device, maps[-1]).any() == (old != raw(device, out)).any(), some.name
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@few
+@given(size=sizes(40), tolerance=st.sampled_from([1e-6, 1e-3, 0.05]), changes=CHANGES, seed=SEEDS)
+def test_small_steps_let_go_do_not_add_up(device, precision, size, tolerance, changes, seed):
+    """After any number of frames, every value is within the tolerance of what the values that it is made of give."""
+    sequence = Sequence(device, size, precision)
+    tolerance = np.float32(tolerance)
+    inputs = first = noise(np.random.default_rng(seed), size)
+    sequence.first(inputs)
+    drift = np.random.default_rng(seed)
+    for kind, chosen in changes * 2:
+        inputs = step(inputs, first, kind, chosen)
+        inputs = [inputs[0] + np.float32(drift.normal() * tolerance), *inputs[1:]]
+        sequence.next(inputs, float(tolerance))
+    dtype = sequence.given[0].dtype
+    made = sequence.show()
+    for every, _, out in launches(sequence):
+        kept = raw(device, out)
+        every.enqueue(device.queue)
+        now = raw(device, out)
+        cl.enqueue_copy(device.queue, out, kept)
+        away = np.abs(now.view(dtype).astype(np.float32) - kept.view(dtype).astype(np.float32)).max()
+        assert away <= tolerance, every.name
+    again = sequence.buffer()
+    sequence.layers.ready(again)[-1].enqueue(device.queue)
+    np.testing.assert_array_equal(bits(sequence.show(again)), bits(made))
+
+
+def test_a_tolerance_saves_work_and_exactness_comes_back(device):
+    sequence = far(device, "float32")
+    random = np.random.default_rng(0)
+    inputs = noise(random, sequence.size)
+    changed = [array.copy() for array in inputs]
+    changed[0][8, 400] += 0.1
+    written = []
+    for tolerance in (0.0, 1e-3):
+        sequence.first(inputs)
+        sequence.poison()
+        sequence.next(changed, tolerance)
+        written.append(np.isfinite(sequence.show()).sum())
+    assert 0 < written[1] < written[0]
+    sequence.first(inputs)
+    sequence.next(changed)
+    np.testing.assert_array_equal(sequence.show(), sequence.fresh(changed))
+
+
+@few
+@given(left=st.integers(0, 60), seed=SEEDS)
+def test_the_attention_sees_keys_that_changed_alone(device, left, seed):
+    """Where its values are the same everywhere nothing else brings the change to it."""
+    weights = random_weights(5)
+    weights |= {name: np.zeros_like(tensor) for name, tensor in weights.items() if "latentEncoder" in name and "weight" in name}
+    sequence = Sequence(device, (64, 512), weights=weights)
+    inputs = noise(np.random.default_rng(0), sequence.size)
+    sequence.first(inputs)
+    changed = [array.copy() for array in inputs]
+    changed[1][:, 8 * left : 8 * left + 8] = np.random.default_rng(seed).random((64, 8, 9))
+    sequence.next(changed)
+    np.testing.assert_array_equal(bits(sequence.show()), bits(sequence.fresh(changed)))
+
+
+@pytest.mark.parametrize("precision", ["float32", "half"])
+@few
+@given(size=sizes(40), changes=CHANGES, place=st.tuples(st.integers(0, 39), st.integers(0, 39)))
+def test_without_a_residual(device, precision, size, changes, place):
+    sequence = Sequence(device, size, precision, zeros(), residual=False)
+    inputs = first = noise(np.random.default_rng(0), size)
+    sequence.first(inputs)
+    for kind, seed in changes:
+        inputs = step(inputs, first, kind, seed)
+        sequence.next(inputs)
+        np.testing.assert_array_equal(bits(sequence.show()), bits(sequence.fresh(inputs)))
+    sequence.poison()
+    changed = [array.copy() for array in inputs]
+    changed[0][tuple(np.minimum(place, np.subtract(size, 1)))] += 1
+    sequence.next(changed)
+    assert np.isfinite(sequence.show()).sum() <= (2 * 12) ** 2 * 3
+    expected = np.where(np.isnan(sequence.show()), sequence.fresh(inputs), sequence.show())
+    np.testing.assert_array_equal(expected, sequence.fresh(changed))
+
+
+def test_too_little_memory_keeps_nothing(device):
+    """First no buffers of their own for the layers, then strips; the image stays the same."""
+    size, weights = (1200, 24), random_weights(5)
+    inputs = noise(np.random.default_rng(0), size)
+    images = []
+    whole, rows = bytes_for(*size, np.float32), 2 * OVERLAP[True] + 3 * STEP
+    for limit, keeps, strips in (
+        (None, True, 1),
+        (kept_bytes(*size, np.float32, winograd=tuning_for(device).winograd is not None) - 1, False, 1),
+        (whole - 1, False, 2),
+    ):
+        layers = Layers(device, weights, *size, "float32", limit, keep=True)
+        assert layers.keep == keeps
+        assert (layers.inputs.input.changes is not None) == keeps
+        assert len(layers.strips) >= strips
+        held = [incoming(device, array) for array in inputs]
+        image = cl.Buffer(device.context, cl.mem_flags.READ_WRITE, 48 * size[0] * size[1])
+        for strip in layers.strips:
+            layers.place(strip)
+            layers.pack(*held)
+            layers.run(image)
+        images.append(raw(device, image))
+    assert rows < size[0]
+    for image in images[1:]:
+        np.testing.assert_array_equal(image, images[0])
+
+
+@few
+@given(size=sizes(72), seed=SEEDS)
+def test_the_input_at_an_eighth_marks_what_changed(device, size, seed):
+    random = np.random.default_rng(seed)
+    _, gbuffer, mask, _ = noise(random, size)
+    other = gbuffer.copy()
+    other[random.integers(size[0]) :, random.integers(size[1]) :] += 1
+    rows, columns = (-(-n // 8) for n in size)
+    held = padded(device, rows, columns, 16, np.dtype(np.float32), changes=True)
+    program = build(device, "erm.cl", {"KEYS": 32, "VALUES": 64, "MASK": "float", "SKIP": True})
+    kernel = cl.Kernel(program, "downsample_8")
+
+    def run(gbuffer):
+        buffers = [incoming(device, array) for array in (gbuffer, mask)]
+        numbers = (np.int32(n) for n in (*size, rows, columns, held.columns, 0))
+        kernel(device.queue, *grid(device, columns, rows), *buffers, held.data, *numbers, held.changes)
+        device.queue.finish()
+        return contents(device, held)
+
+    before = run(gbuffer)
+    cl.enqueue_fill_buffer(device.queue, held.changes, np.zeros(1, np.uint8), 0, held.changes.size)
+    after = run(other)
+    np.testing.assert_array_equal(raw(device, held.changes).reshape(1, -(-rows // 4), -(-columns // 4)), tiles(before, after))
+    assert read(device, held).shape == (rows, columns, 16)

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: MIT
+"""Plain tiles: which they are, and what leaving them to the upsampled frame does to the others."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import ndimage
+
+from conformance.tolerance import ratio
+from stss_cl.device.buffers import Outgoing, incoming
+from stss_cl.network.layers import Layers
+from stss_cl.network.network import PRECISIONS
+from stss_cl.skip.error_control import WHOLE
+from stss_cl.skip.flat_tiles import Plain
+from stss_ref.resample import upsample_centres
+from tests.cl.test_stream import WEIGHTS
+
+FLAT, SURFACE, EDGE = 0.01, 0.1, 3
+SIZE = (77, 100)
+PADDED = (80, 104)
+
+
+def picture(seed: int, *, plain: bool) -> list[np.ndarray]:
+    """What the network reads; ``plain``: the colour is a ramp but for some marks, and the frame has some holes."""
+    rng = np.random.default_rng(seed)
+    color, gbuffer = rng.random((*SIZE, 6), np.float32), rng.random((*SIZE, 9), np.float32)
+    mask, history = np.ones(SIZE, np.float32), rng.random((3, *SIZE, 4), np.float32)
+    if plain:
+        y, x = np.indices(SIZE, np.float32)
+        gbuffer[...] = 0.5
+        color[..., :3] = (0.004 * y + 0.003 * x)[..., None]
+        for _ in range(3):
+            at = int(rng.integers(2, SIZE[0] - 3)), int(rng.integers(2, SIZE[1] - 3))
+            color[at[0] : at[0] + int(rng.integers(1, 6)), at[1]] += np.float32(rng.choice([0.4 * FLAT, 0.02, 0.3]))
+            gbuffer[int(rng.integers(SIZE[0])), int(rng.integers(SIZE[1])), int(rng.integers(9))] += np.float32(
+                rng.choice([0.04, 0.2])
+            )
+            mask[int(rng.integers(SIZE[0])), int(rng.integers(SIZE[1]))] = 0
+    return [color, gbuffer, mask, history]
+
+
+def tiles(values: np.ndarray) -> np.ndarray:
+    """The largest value of each tile of 4 x 4."""
+    rows, columns = values.shape
+    return values.reshape(rows // 4, 4, columns // 4, 4).max(axis=(1, 3))
+
+
+def bent(values: np.ndarray, limit: float) -> np.ndarray:
+    """Where a second difference along an axis exceeds the limit, padded."""
+    beyond = [(0, p - s) for p, s in zip(PADDED, SIZE, strict=True)]
+    padded = np.pad(values.astype(np.float64), [*beyond, (0, 0)], mode="edge")
+    across, down = (np.abs(ndimage.convolve1d(padded, [1, -2, 1], axis=axis, mode="nearest")).max(axis=-1) for axis in (0, 1))
+    return np.maximum(across, down) > limit
+
+
+def expected(color: np.ndarray, gbuffer: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Which tiles are no plain ones, by SciPy."""
+    hole = np.pad(mask == 0, [(0, p - s) for p, s in zip(PADDED, SIZE, strict=True)])
+    found = tiles(ndimage.maximum_filter(bent(color[..., :3], FLAT) | bent(gbuffer, SURFACE) | hole, 3))
+    y, x = np.indices(found.shape)
+    inner = (y >= EDGE) & (x >= EDGE) & (4 * (y + EDGE) < SIZE[0]) & (4 * (x + EDGE) < SIZE[1])
+    return found | ~inner
+
+
+class Setup:
+    """The network for SIZE, with plain tiles."""
+
+    def __init__(self, device, precision):
+        self.device, self.precision = device, precision
+        self.layers = Layers(device, WEIGHTS, *SIZE, precision, keep=True)
+        mask = np.zeros(SIZE, np.uint8)
+        self.mask = incoming(device, mask), mask  # read in place on a processor
+        self.plain = Plain(device, self.layers.launches, self.layers.inputs, self.mask[0], SIZE, FLAT)
+        self.held = []
+
+    def __call__(self, arrays, level=WHOLE):
+        self.held = [incoming(self.device, array) for array in arrays], arrays
+        self.mask[1][...] = arrays[2] != 0
+        if not self.device.is_cpu:
+            self.mask = incoming(self.device, self.mask[1]), self.mask[1]
+        self.layers.pack(*self.held[0])
+        image = Outgoing(self.device, (2 * SIZE[0], 2 * SIZE[1], 3), on_device=False)
+        self.plain.read(self.held[0][1])
+        self.layers.run(image.data, level, self.plain)
+        self.departure = None if level.plain else self.plain.departure(image.data)
+        return image.finish().copy()
+
+
+@pytest.fixture(scope="module", params=PRECISIONS)
+def setup(request, device):
+    return Setup(device, request.param)
+
+
+@given(seed=st.integers(0, 2**16))
+def test_which_tiles_are_plain(setup, seed):
+    arrays = picture(seed, plain=True)
+    setup(arrays, setup.layers.levels[1])
+    want = expected(*arrays[:3])
+    np.testing.assert_array_equal(setup.plain.wanted(), want)
+    assert not want.all()
+    for fine, coarse in zip(setup.plain.maps(), setup.plain.maps()[1:], strict=False):
+        rows, columns = coarse.shape
+        grown = ndimage.maximum_filter(
+            np.pad(fine, [(0, 2 * n - m) for n, m in zip((rows, columns), fine.shape, strict=True)]), 3
+        )
+        np.testing.assert_array_equal(coarse, grown.reshape(rows, 2, columns, 2).max(axis=(1, 3)))
+
+
+def test_the_rest_of_the_image_is_that_of_the_whole_network(setup):
+    """What is no plain tile is as by the whole network, whatever the layers held before; the others are the upsampled frame."""
+    arrays = picture(1, plain=True)
+    whole = setup(arrays)
+    setup(picture(2, plain=False))
+    got = setup(arrays, setup.layers.levels[1])
+    height, width, _ = got.shape
+    wanted = setup.plain.wanted().repeat(8, axis=0).repeat(8, axis=1)[:height, :width]
+    assert 0.1 < wanted.mean() < 0.9
+    np.testing.assert_array_equal(got[~wanted], upsample_centres(arrays[0][..., :3])[~wanted])
+    assert not np.array_equal(got[~wanted], whole[~wanted])
+    if setup.precision == "float32-direct":
+        np.testing.assert_array_equal(got[wanted], whole[wanted])
+    # A Winograd tile rounds what lies around its own pixels, too.
+    assert ratio(f"network.cl.{setup.precision}", got[wanted], whole[wanted]) <= 1
+
+
+@given(seed=st.integers(0, 2**16))
+def test_the_departure_is_seen_in_the_whole_image(setup, seed):
+    """Without computing it: how far the plain tiles' pixels lie from the upsampled frame, in the image of the whole network."""
+    arrays = picture(seed, plain=True)
+    whole = setup(arrays)
+    height, width, _ = whole.shape
+    plain = ~expected(*arrays[:3]).repeat(8, axis=0).repeat(8, axis=1)[:height, :width]
+    assert setup.departure == np.abs(whole - upsample_centres(arrays[0][..., :3]))[plain].max() > 0
+
+
+def test_without_plain_tiles_nothing_is_left_out(setup):
+    arrays = picture(3, plain=False)
+    whole = setup(arrays)
+    assert setup.departure == 0
+    setup(picture(2, plain=True))
+    np.testing.assert_array_equal(setup(arrays, setup.layers.levels[1]), whole)
+    assert setup.plain.wanted().all()

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: MIT
+"""The table of planted faults, and inputs on which every one of them shows.
+
+``for mutant in of_stage("warp"): port = mutant.port()`` gives ports to be found out. By name, for a command line:
+``tests.meta.mutants:warp_x_sign``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conformance.protocol.port import Case
+from conformance.protocol.stages import STAGES
+from stss_ref.weights import Weights, random
+from tests.meta.mutants.erm import DECODER, ERM
+from tests.meta.mutants.frame import FRAME, NETWORK
+from tests.meta.mutants.holes import HOLES, OCCLUSION_WARP, RRM
+from tests.meta.mutants.image import MOTION_CHAIN, WARP
+from tests.meta.mutants.network import ENCODER, HISTORY
+from tests.meta.variants import Mutant, Variant
+
+Float = NDArray[np.float32]
+Size = tuple[int, int]
+
+MUTANTS: tuple[Mutant, ...] = (
+    *MOTION_CHAIN,
+    *WARP,
+    *HOLES,
+    *OCCLUSION_WARP,
+    *RRM,
+    *HISTORY,
+    *ENCODER,
+    *ERM,
+    *DECODER,
+    *NETWORK,
+    *FRAME,
+)
+
+
+def of_stage(stage: str, *, shared: bool = False) -> tuple[Mutant, ...]:
+    """Those that the tests of ``stage`` ought to catch; with ``shared``, those of other stages whose code it shares, too."""
+    return tuple(mutant for mutant in MUTANTS if mutant.stage == stage or (shared and stage in mutant.also))
+
+
+def find(name: str) -> Mutant:
+    """The mutant of this `Mutant.id`."""
+    return next(mutant for mutant in MUTANTS if mutant.id == name)
+
+
+def __getattr__(name: str) -> Callable[[], Variant]:
+    if any(mutant.id == name for mutant in MUTANTS):
+        return find(name).port
+    raise AttributeError(name)
+
+
+@cache
+def samples(stage: str) -> tuple[Case, ...]:
+    """Some inputs of ``stage``, the same at every call."""
+    generator = np.random.default_rng(list(STAGES).index(stage))
+    return tuple(Case(stage, _float32(inputs), weights) for inputs, weights in _SAMPLES[stage](generator))
+
+
+def _float32(inputs: dict[str, Any]) -> dict[str, Any]:
+    return {name: np.ascontiguousarray(a, np.float32 if a.dtype.kind == "f" else a.dtype) for name, a in inputs.items()}
+
+
+SIZES: tuple[Size, ...] = ((9, 7), (19, 23), (12, 33), (1, 9), (6, 1), (1, 1))
+KINDS = ("short", "half", "swapped", "whole", "broken", "long")
+
+
+def motion(generator: np.random.Generator, size: Size, kind: str) -> NDArray[Any]:
+    """(H, W, 2) of pixels that lead to fractions, halves, equally long ones, whole pixels, nowhere, or far outside."""
+    shape = (*size, 2)
+    if kind == "half":
+        return generator.integers(-5, 6, shape) / 2
+    if kind == "swapped":
+        pair = generator.permuted(np.broadcast_to(generator.uniform(1, 3, (4, 1, 2)), (4, size[0] * size[1], 2)), axis=-1)
+        return generator.permuted(pair, axis=0)[0].reshape(shape) * generator.choice([-1, 1], shape)
+    if kind == "whole":
+        return generator.integers(-2, 3, shape).astype(np.float64)
+    if kind == "long":
+        return generator.uniform(-1.2, 1.2, shape) * max(size)
+    moved = generator.uniform(-2, 2, shape) * (generator.random((*size, 1)) < 0.9)
+    if kind == "broken":
+        moved[generator.random(shape) < 0.08] = np.nan
+        moved[generator.random(shape) < 0.04] = np.inf
+        moved[generator.random(size) < 0.1] = generator.choice([-1e-3, 1e-3], 2)
+    return moved
+
+
+def _motion_chain(generator: np.random.Generator) -> Any:
+    for size in SIZES:
+        for kind in KINDS:
+            motions = np.stack([motion(generator, size, kind) for _ in range(3)])
+            yield {"motions": motions}, None
+
+
+def _warp(generator: np.random.Generator) -> Any:
+    for size in SIZES:
+        for kind in KINDS:
+            yield {"color": generator.random((*size, 6)), "motion": motion(generator, size, kind)}, None
+
+
+def _surface(generator: np.random.Generator, size: Size) -> tuple[Any, Any, Any]:
+    """Stencil, normal, position of a frame: mostly one plane, some moving objects, some background, some broken pixels."""
+    y, x = np.indices(size)
+    stencil = generator.choice([0.0, 0, 0, 1, 2], size) * (x + y > 3)
+    position = np.stack([6.0 * x, 6.0 * y, 500 + generator.normal(0, 12, size)], axis=-1)
+    position[generator.random(size) < 0.03] = np.nan
+    normal = np.array([0.0, 0, 1]) + generator.normal(0, 0.12, (*size, 3))
+    normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    normal = normal * generator.choice([1.0, 1, 1, 0.97, 0, -1], (*size, 1))
+    return stencil, normal, position
+
+
+def _holes(generator: np.random.Generator) -> Any:
+    for size in SIZES:
+        for kind in KINDS:
+            before, now = _surface(generator, size), _surface(generator, size)
+            pairs = zip(("stencil", "normal", "position"), before, now, strict=True)
+            inputs = {key: a for name, b, n in pairs for key, a in ((f"{name}_previous", b), (name, n))}
+            inputs["motion"] = motion(generator, size, kind) / 2
+            inputs["nov"], inputs["depth"] = generator.uniform(-1, 1, size), generator.random(size)
+            yield inputs, None
+
+
+def _occlusion_warp(generator: np.random.Generator) -> Any:
+    for size in SIZES:
+        for kind in KINDS:
+            color, warped = generator.random((2, *size, 3))
+            depth = np.where(generator.random(size) < 0.3, generator.choice([0.0, -0.0, 0.5, 1.0], size), generator.random(size))
+            valid = (generator.random(size) < 0.5).astype(np.uint8)
+            yield (
+                {"color": color, "warped": warped, "motion": motion(generator, size, kind), "depth": depth, "valid": valid},
+                None,
+            )
+
+
+def _rrm(generator: np.random.Generator) -> Any:
+    for rectangle in ((2, 1, 3, 2), (0, 0, 1, 4), (5, 3, 4, 9)):
+        valid = (generator.random((9, 12)) < 0.7).astype(np.uint8)
+        yield {"valid": valid, "rectangle": np.array(rectangle, np.int32)}, None
+
+
+@cache
+def weights_of(kind: str) -> Weights:
+    """Weights that keep a signal's size, that enlarge it, or with materials that are almost 0."""
+    weights = dict(random(7))
+    factors = {"plain": {}, "loud": {"": 1.8, "conv_feature.weight": 1.6}, "faint": {"KEncoder.4": 2.0**-12}}[kind]
+    for part, factor in factors.items():
+        weights |= {name: np.float32(factor) * tensor for name, tensor in weights.items() if part in name}
+    return weights
+
+
+def _features(generator: np.random.Generator, height: int, width: int) -> dict[str, Any]:
+    """The network's inputs and its inner features."""
+    half, quarter, eighth = ((height // n, width // n) for n in (2, 4, 8))
+    # In blocks, so that at 1/8 size there are pixels of every mask, and whole windows of holes.
+    mask = (generator.random((height, width)) < 0.8) & (np.arange(width) // 8 % 7 < 4)
+    inner = {"x1": (height, width, 24), "x2": (*half, 24), "x3": (*quarter, 32), "x4": (*eighth, 32)}
+    outer = {"reshaded": (*eighth, 64), "feature": (*eighth, 32)}
+    features = {name: np.maximum(generator.normal(0, 1, shape), 0) for name, shape in (inner | outer).items()}
+    features["color"] = generator.random((height, width, 6))
+    features["gbuffer"] = generator.random((height, width, 9))
+    features["mask"] = mask.astype(np.float64)
+    features["history"] = generator.random((3, height, width, 4))
+    return features
+
+
+def _networks(stage: str, generator: np.random.Generator) -> Any:
+    sizes = [(16, 24), (40, 56)] if stage != "network" else [(13, 18), (16, 24), (8, 9)]
+    # Through the whole network loud weights amplify rounding errors beyond any bound.
+    kinds = ("plain", "faint", "loud") if stage != "network" else ("plain", "faint")
+    for height, width in sizes:
+        for kind in kinds:
+            features = _features(generator, height, width)
+            yield {name: features[name] for name in STAGES[stage].inputs}, weights_of(kind)
+
+
+def _frame(generator: np.random.Generator) -> Any:
+    for steps in ((1, 3, 5), (0, 2, 4), (1, 3, 3), (0, 2, 2), (1, 1, 1)):
+        size = (11, 16)
+        surfaces = zip(*(_surface(generator, size) for _ in range(4)), strict=True)
+        inputs: dict[str, Any] = dict(zip(("stencils", "normals", "positions"), map(np.stack, surfaces), strict=True))
+        inputs["colors"] = generator.uniform(-0.3, 1.3, (3, *size, 3))
+        inputs["motions"] = np.stack([motion(generator, size, "short") / 4 for _ in range(5)])
+        inputs["gbuffer"], inputs["nov"] = generator.random((*size, 9)), generator.uniform(-1, 1, size)
+        yield {**inputs, "steps": np.array(steps, np.int32)}, weights_of("plain")
+
+
+_SAMPLES: dict[str, Callable[[np.random.Generator], Any]] = {
+    "motion_chain": _motion_chain,
+    "warp": _warp,
+    "holes": _holes,
+    "occlusion_warp": _occlusion_warp,
+    "rrm": _rrm,
+    "frame": _frame,
+    **{stage: partial(_networks, stage) for stage in ("history", "encoder", "erm", "decoder", "network")},
+}

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: MIT
+"""``make alarms``: right ports with other arithmetic pass the full tier; the table of docs/conformance.md."""
+
+import os
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from time import perf_counter
+
+from conformance.judge import TIERS, Judge
+from conformance.protocol.stages import STAGES
+from conformance.run_suite import run_suite
+from tests.meta.right_ports import PORTS, port
+
+PAGE = Path(__file__).parents[2] / "docs" / "conformance.md"
+FIRST, LAST = "<!-- written by make alarms -->", "<!-- end -->"
+
+
+def judged(name, tier=TIERS["full"]):
+    """What a right port fails, largest error / bound by stage, cases, undecided numbers, cases not judged."""
+    results = run_suite(Judge(port(name), tier))
+    worst = dict.fromkeys(STAGES, 0.0)
+    for result in results:
+        for output, ratio in result.record.worst.items():
+            stage = output.split(".")[0]
+            worst[stage] = max(ratio, worst[stage])
+    counts = [sum(getattr(result.record, what) for result in results) for what in ("cases", "undecided", "unjudged")]
+    return [f"{r.id}: {r.message}" for r in results if r.outcome not in ("passed", "skipped")], worst, counts
+
+
+def table(found):
+    """Markdown: a row for each port."""
+    stages = [stage for stage in STAGES if stage != "rrm"]
+    rows = ["| port | cases | " + " | ".join(stages) + " |", "|---|---|" + "---|" * len(stages)]
+    for name, (_, worst, counts) in found.items():
+        rows.append(f"| `{name}` | {counts[0]} | " + " | ".join(f"{worst[stage]:.2g}" for stage in stages) + " |")
+    return "\n".join(rows)
+
+
+def main():
+    os.environ["OMP_NUM_THREADS"] = "1"
+    start = perf_counter()
+    names = sys.argv[1:] or list(PORTS)
+    with ProcessPoolExecutor() as pool:
+        found = dict(zip(names, pool.map(judged, names), strict=True))
+    for name, (alarms, worst, counts) in found.items():
+        print(f"{name}: {counts[0]} cases, {counts[1]} numbers decided by rounding, {counts[2]} cases not judged")
+        print("   ", ", ".join(f"{stage} {ratio:.2g}" for stage, ratio in worst.items()))
+        for alarm in alarms:
+            print("    FALSE ALARM", alarm)
+    print(f"{perf_counter() - start:.0f} s")
+    if PAGE.exists() and not sys.argv[1:]:
+        head, rest = PAGE.read_text(encoding="utf-8").split(FIRST)
+        PAGE.write_text(f"{head}{FIRST}\n\n{table(found)}\n\n{LAST}{rest.split(LAST)[1]}", encoding="utf-8")
+    sys.exit(1 if any(alarms for alarms, _, _ in found.values()) else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: MIT
+"""``make mutants``: which test of the quick tier finds out each planted fault; the table of docs/mutants.md.
+
+``python -m tests.meta.run_mutants SEED`` tries other cases than a user's default ones.
+"""
+
+import os
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from itertools import repeat
+from pathlib import Path
+from time import perf_counter
+
+from conformance.judge import TIERS, Judge
+from conformance.run_suite import run_suite
+from tests.meta.mutants import MUTANTS, find
+
+PAGE = Path(__file__).parents[2] / "docs" / "mutants.md"
+MARK = "<!-- written by make mutants -->"
+
+
+def killers(name, seed=0):
+    """The tests of its stage's quick tier that a mutant fails, and the seconds that took; the first one only, unshrunken."""
+    mutant, start = find(name), perf_counter()
+    results = run_suite(Judge(mutant.port(), TIERS["quick"], seed, shrink=False), [mutant.stage], first_only=True)
+    return [result.id for result in results if result.outcome in ("failed", "error")], perf_counter() - start
+
+
+def table(found):
+    """Markdown: a row for each mutant."""
+    rows = ["| stage | fault | found out by |", "|---|---|---|"]
+    for mutant in MUTANTS:
+        by, _ = found[mutant.id]
+        tests = ", ".join(f"`{test.partition('.')[2]}`" for test in by) or "**nothing**"
+        rows.append(f"| `{mutant.stage}` | {mutant.what} | {tests} |")
+    return "\n".join(rows)
+
+
+def main():
+    os.environ["OMP_NUM_THREADS"] = "1"
+    names, seed = [mutant.id for mutant in MUTANTS], int(sys.argv[1]) if sys.argv[1:] else 0
+    start = perf_counter()
+    with ProcessPoolExecutor() as pool:
+        found = dict(zip(names, pool.map(killers, names, repeat(seed), chunksize=2), strict=True))
+    survivors = [name for name, (by, _) in found.items() if not by]
+    for name, (by, seconds) in found.items():
+        print(f"{name:42s} {seconds:5.1f} s  {', '.join(by) or 'SURVIVES'}")
+    print(f"{len(names) - len(survivors)} of {len(names)} found out, {perf_counter() - start:.0f} s")
+    if seed == 0:
+        head = PAGE.read_text(encoding="utf-8").split(MARK)[0]
+        PAGE.write_text(f"{head}{MARK}\n\n{table(found)}\n", encoding="utf-8")
+    sys.exit(1 if survivors else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: MIT
+"""The correct ports are correct, and their arithmetic is another one."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from conformance.protocol.stages import STAGES, check_inputs, check_outputs, reference
+from stss_ref.conv import conv
+from tests.meta import right_ports as others
+from tests.meta.mutants import samples, weights_of
+from tests.meta.variants import departs
+
+ROWS = {"float32": "stage.cl", "float16": "network.cl.half"}
+"""What the port is held to: that of the OpenCL backend."""
+
+NETWORK = {"history", "encoder", "erm", "decoder", "network", "frame"}
+READS = {"warp", "occlusion_warp"}
+DIFFERENT = {
+    "as_is": set(),
+    "in_order": NETWORK,
+    "pairwise": NETWORK,
+    "fma": NETWORK | READS,
+    "orders": NETWORK | READS,
+    "centres": {"warp", "occlusion_warp", "frame"},
+    "double_position": {"warp", "occlusion_warp", "frame"},
+    "flush": set(),
+    "winograd_2": NETWORK,
+    "winograd_4": NETWORK,
+    "winograd_4_near": NETWORK,
+    "half": NETWORK | READS,
+}
+"""Stages in which a port's bits are others than those of the reference run in float32."""
+
+
+@cache
+def made(name):
+    return others.port(name)
+
+
+@cache
+def given(stage, dtype):
+    """A stage's samples as a port of this dtype is given them, and what the reference makes of them in float64 and float32."""
+    with np.errstate(all="ignore"):
+        # Loud weights amplify every rounding.
+        return [
+            (inputs, weights, reference(stage, exactly(inputs), weights), reference(stage, inputs, weights))
+            for inputs, weights in [(held(case.inputs, dtype), case.weights) for case in samples(stage)]
+            if weights is not weights_of("loud")
+        ]
+
+
+def held(inputs, dtype):
+    return {name: others.to_half(a) if dtype == "float16" and a.dtype.kind == "f" else a for name, a in inputs.items()}
+
+
+def exactly(inputs):
+    return {name: a.astype(np.float64) if a.dtype.kind == "f" else a for name, a in inputs.items()}
+
+
+@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("name", others.PORTS)
+def test_each_is_near_the_reference(name, stage):
+    """Within what is asked of the OpenCL backend; with other bits where they ought to be others, and only there."""
+    judged = made(name)
+    different = False
+    for inputs, weights, exact, rounded in given(stage, judged.dtype):
+        got = judged.run(stage, inputs, weights)
+        check_outputs(stage, got, check_inputs(stage, inputs))
+        assert not departs(got, exact, ROWS[judged.dtype])
+        different |= departs(got, rounded, None)
+    assert different == (stage in DIFFERENT[name])
+
+
+@pytest.mark.parametrize("name", others.PORTS)
+def test_what_is_promised_exactly_holds(name):
+    """One colour stays one colour wherever it is read, and whole pixels move unchanged."""
+    random = np.random.default_rng(5)
+    judged = made(name)
+    flat = np.broadcast_to(others.to_half(random.random(3)), (7, 11, 3)).copy()
+    motion = others.to_half(random.normal(0, 3, (7, 11, 2)))
+    np.testing.assert_array_equal(judged.run("warp", {"color": flat, "motion": motion})["warped"], flat)
+    color, one_left = (
+        others.to_half(random.random((7, 11, 3))),
+        np.zeros((7, 11, 2), np.float32) - np.array([1, 0], np.float32),
+    )
+    np.testing.assert_array_equal(judged.run("warp", {"color": color, "motion": one_left})["warped"][:, 1:], color[:, :-1])
+
+
+def operands(size=(5, 6), channels=4, outputs=3, kernel=3):
+    random = np.random.default_rng(6)
+    x, weight, bias = (
+        random.normal(0, 1, shape).astype(np.float32)
+        for shape in ((*size, channels), (outputs, channels, kernel, kernel), (outputs,))
+    )
+    return x, weight, bias
+
+
+def test_in_order_is_in_order():
+    """NumPy adds in order here, as the loop does; nothing promises that, so this does."""
+    x, weight, bias = operands()
+    want = np.zeros((5, 6, 3), np.float32)
+    padded = np.pad(x, ((1, 1), (1, 1), (0, 0)))
+    for i, j, o in np.ndindex(want.shape):
+        want[i, j, o] = bias[o]
+        for c in reversed(range(4)):
+            for v in range(3):
+                for u in range(3):
+                    want[i, j, o] += padded[i + u, j + v, c] * weight[o, c, u, v]
+    np.testing.assert_array_equal(others.convolved(others.add_in_order, x, weight, bias), want)
+
+
+def test_a_fused_sum_rounds_once():
+    """1 + 2**-12 squared, less 1 + 2**-11, is 2**-24; rounded before the sum it is 0."""
+    a = np.array([1 + 2.0**-12], np.float32)
+    c = -np.array([1 + 2.0**-11], np.float32)
+    assert (a * a + c).item() == 0
+    assert others.multiply_add(a, a, c).item() == 2.0**-24
+    assert others.add_fused(a[None], a[None], c).item() == 2.0**-24
+
+
+@pytest.mark.parametrize("add", [others.add_in_order, others.add_pairwise, others.add_fused])
+@pytest.mark.parametrize(("stride", "kernel"), [(1, 3), (2, 3), (1, 1)])
+def test_small_whole_numbers_are_exact_in_any_order(add, stride, kernel):
+    x, weight, bias = (np.round(4 * a) for a in operands(kernel=kernel))
+    np.testing.assert_array_equal(others.convolved(add, x, weight, bias, stride), conv(x, weight, bias, stride))
+
+
+@pytest.mark.parametrize("name", ["winograd_2", "winograd_4", "winograd_4_near"])
+@pytest.mark.parametrize("size", [(1, 1), (4, 4), (5, 6), (9, 3)])
+def test_winograd_is_a_convolution(name, size):
+    """To float64's rounding, at every size: what departs in float32 is rounding and nothing else."""
+    function = others.PORTS[name]["functions"]["conv.conv"]
+    x, weight, bias = (a.astype(np.float64) for a in operands(size))
+    assert function.func is others.winograd
+    assert not departs({"y": function(x, weight, bias)}, {"y": conv(x, weight, bias)}, "network.float64")
+    np.testing.assert_array_equal(function(x, weight, bias, 2), conv(x, weight, bias, 2))
+
+
+def test_ports_are_found_by_name():
+    assert [judged.name for judged in others.ports()] == list(others.PORTS)
+    assert {judged.name for judged in others.ports() if judged.winograd} == {
+        "winograd_2",
+        "winograd_4",
+        "winograd_4_near",
+    }
+    assert {judged.name for judged in others.ports() if judged.dtype == "float16"} == {"half"}
+    assert [getattr(others, name)().name for name in others.PORTS] == list(others.PORTS)
+    with pytest.raises(AttributeError):
+        others.quarter  # noqa: B018
