@@ -14,7 +14,8 @@ from rich.progress import Progress
 from conformance.scenes import DEMO, Rendered, render
 from stss.color import transfer
 from stss.errors import InputError
-from stss.frames.backends import open_backend
+from stss.frames.backends import DEFAULTS, open_backend
+from stss.frames.compute_options import ComputeOptions
 from stss.images.contact_sheet import COMPARISON, comparison, contact_sheet, magnify
 from stss.images.read_write import read_rgb, write_channels, write_rgb
 from stss.quality.compare import compare, print_comparison
@@ -54,9 +55,7 @@ def demo(
     *,
     weights: str = DEFAULT,
     backend: str = "cl",
-    device: str | None = None,
-    precision: str = "float32",
-    memory_limit: int | None = None,
+    compute: ComputeOptions = DEFAULTS,
     overwrite: bool = False,
     frames: int = FRAMES,
     size: tuple[int, int] = SIZE,
@@ -70,7 +69,7 @@ def demo(
     Args:
         out: the folder; made if need be.
         weights: a safetensors file, or ``bilinear``.
-        backend, device, precision, memory_limit (MiB): what computes; see ``stss.frames.backends.open_backend``.
+        backend, compute: what computes; see ``stss.frames.backends.open_backend``.
         overwrite: replace an earlier demo.
         frames: how many display frames.
         size: H, W of the frames.
@@ -80,14 +79,13 @@ def demo(
         InputError: ``out`` holds an earlier demo and ``overwrite`` is not set, or cannot be written to.
     """
     loaded = load(weights)
-    limit = None if memory_limit is None else memory_limit << 20
     with Progress(console=console, transient=True) as progress:
         task = progress.add_task("rendering", total=frames)
         write_demo_sequence(out, frames, size, overwrite=overwrite, on_frame=lambda _: progress.advance(task))
     sequence = open_sequence(out / "frames", "stss")
     methods = {"output": loaded} if weights == BILINEAR else {"bilinear": load(BILINEAR), "output": loaded}
     for name, method in methods.items():
-        engine = open_backend(backend, method.weights, device=device, precision=precision, memory_limit=limit)
+        engine = open_backend(backend, method.weights, compute)
         run(sequence, out / name, engine, method.identity, RunOptions(overwrite=overwrite))
         console.print(f"{method.source} against the truth:", highlight=False, markup=False)
         print_comparison(compare(out / name, out / "truth", frames=None, pictures=out / "pictures" / name), console)

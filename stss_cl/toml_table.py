@@ -9,36 +9,35 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any, cast
 
-from stss.errors import InputError
-
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib  # pyright: ignore[reportMissingImports]
 
 
-def read_toml(path: Path) -> Table:
+def read_toml(path: Path, error: type[Exception]) -> Table:
     """The top table of a file.
 
-    Raises:
-        InputError: the file cannot be read, or is not TOML.
+    Args:
+        path: the file.
+        error: what to raise where the file cannot be read, is not TOML, or has a wrong value.
     """
     try:
-        return Table(path, "", tomllib.loads(path.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as TOML: {' '.join(str(error).split())}") from error
+        return Table(path, "", error, tomllib.loads(path.read_text(encoding="utf-8")))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as fault:
+        raise error(f"{path}: cannot be read as TOML: {' '.join(str(fault).split())}") from fault
 
 
 class Table:
     """A TOML table whose keys are taken one by one; what is left over at the end is unknown."""
 
-    def __init__(self, path: Path, prefix: str, table: dict[str, Any]):
-        self.path, self.prefix, self.rest = path, prefix, dict(table)
+    def __init__(self, path: Path, prefix: str, error: type[Exception], table: dict[str, Any]):
+        self.path, self.prefix, self.error, self.rest = path, prefix, error, dict(table)
 
-    def fail(self, key: str, expected: str, found: object) -> InputError:
+    def fail(self, key: str, expected: str, found: object) -> Exception:
         """The error to raise for a key."""
         shown = "nothing" if found is None else repr(found)
-        return InputError(f"{self.path}: {self.prefix}{key}: expected {expected}, found {shown}")
+        return self.error(f"{self.path}: {self.prefix}{key}: expected {expected}, found {shown}")
 
     def take(self, key: str, expected: str, kind: type | tuple[type, ...]) -> Any:
         """The value of a key, of the given type."""
@@ -92,9 +91,9 @@ class Table:
         """A table within this one."""
         value = {} if optional and key not in self.rest else self.take(key, "a table", dict)
         self.rest.pop(key, None)
-        return Table(self.path, f"{self.prefix}{key}.", value)
+        return Table(self.path, f"{self.prefix}{key}.", self.error, value)
 
     def end(self, known: str) -> None:
-        """Raise InputError if a key is left over."""
+        """Raise the error if a key is left over."""
         for key in self.rest:
-            raise InputError(f"{self.path}: {self.prefix}{key}: unknown key; known are {known}")
+            raise self.error(f"{self.path}: {self.prefix}{key}: unknown key; known are {known}")

@@ -27,7 +27,7 @@ from conformance.scenes import render
 from stss.color import transfer
 from stss.errors import InputError
 from stss.frames.buffers import Buffers
-from stss.frames.display_frame import WINDOW, Prepared, frame_inputs, prepare
+from stss.frames.display_frame import WINDOW, DisplayFrame, frame_inputs, prepare
 from stss.frames.supersample import plan
 from stss.images.read_write import read_rgb
 from stss.sequence.reader import BACKGROUND_POSITION, open_sequence
@@ -60,7 +60,7 @@ class Sample:
     truth: Image
 
 
-def samples(frames: Sequence[Prepared], truths: Mapping[int, Image]) -> Iterator[Sample]:
+def samples(frames: Sequence[DisplayFrame], truths: Mapping[int, Image]) -> Iterator[Sample]:
     """Every frame with a truth twice: once as if it had been rendered, once as if it had not.
 
     Args:
@@ -135,7 +135,7 @@ def sequence_samples(low: Path, high: Path, profile: str, camera: Path | None) -
     """The samples of a renderer's sequence: frames that have a truth, within runs of consecutive frames."""
     sequence, curve = open_sequence(low, profile, camera=camera), transfer("srgb")
     truths = _numbered(high)
-    window: list[Prepared] = []
+    window: list[DisplayFrame] = []
     for number in sequence.numbers:
         if number not in sequence.rendered:
             raise InputError(f"{low}: frame {number} has no colour; training needs that of every frame")

@@ -12,8 +12,8 @@ import numpy as np
 
 from conformance.scenes import SCENES
 from stss.errors import InputError
-from stss.frames.compute_options import Setting
-from stss.frames.display_frame import Prepared, frame_inputs
+from stss.frames.compute_options import ComputeOptions
+from stss.frames.display_frame import DisplayFrame, frame_inputs
 from stss.frames.supersample import plan
 from stss.quality.metrics import psnr
 from stss.sequence.scenes import check_request, display_frames, truth
@@ -32,19 +32,19 @@ JUDGED = 2
 
 
 SETTINGS = (
-    Setting("float32", "off"),
-    Setting("float32", "exact"),
-    *(Setting("float32", "bounded", levels / 255) for levels in (1, 2, 4)),
-    Setting("float32-direct", "off"),
-    Setting("float32-direct", "exact"),
-    Setting("half", "off"),
-    Setting("half", "exact"),
-    Setting("half", "bounded", 2 / 255),
+    ComputeOptions(precision="float32", skip="off"),
+    ComputeOptions(precision="float32", skip="exact"),
+    *(ComputeOptions(precision="float32", skip="bounded", max_error=levels / 255) for levels in (1, 2, 4)),
+    ComputeOptions(precision="float32-direct", skip="off"),
+    ComputeOptions(precision="float32-direct", skip="exact"),
+    ComputeOptions(precision="half", skip="off"),
+    ComputeOptions(precision="half", skip="exact"),
+    ComputeOptions(precision="half", skip="bounded", max_error=2 / 255),
 )
 FULL = SETTINGS[0]
 
 
-def chosen_settings(words: Sequence[str] | None) -> tuple[Setting, ...]:
+def chosen_settings(words: Sequence[str] | None) -> tuple[ComputeOptions, ...]:
     """Those of `SETTINGS` whose names contain one of ``words``; None: all.
 
     Raises:
@@ -71,7 +71,7 @@ class Point:
     """
 
     scene: str
-    setting: Setting
+    setting: ComputeOptions
     times: tuple[float, ...]
     full: tuple[float, ...]
     error: float
@@ -95,7 +95,7 @@ def measure(
     weights: Weights,
     device: Device,
     scenes: Sequence[str],
-    settings: Sequence[Setting],
+    settings: Sequence[ComputeOptions],
     size: tuple[int, int],
     count: int,
     on_step: Callable[[str], None] = lambda _: None,
@@ -125,14 +125,14 @@ def measure(
             yield _point(name, setting, weights, device, frames, judged)
 
 
-def _window(frames: Sequence[Prepared], number: int) -> tuple[Sequence[Prepared], tuple[int, int, int]]:
+def _window(frames: Sequence[DisplayFrame], number: int) -> tuple[Sequence[DisplayFrame], tuple[int, int, int]]:
     window = frames[max(0, number - 5) : number + 1]
     planned = plan(window)
     assert planned is not None  # frame 0 is rendered
     return window, planned.steps
 
 
-def _reference(frames: Sequence[Prepared], number: int, weights: Weights) -> Image:
+def _reference(frames: Sequence[DisplayFrame], number: int, weights: Weights) -> Image:
     inputs = frame_inputs(*_window(frames, number))
     arrays: dict[str, Array] = {name: value for name, value in vars(inputs).items() if name != "steps"}
     exact = {name: value.astype(np.float64) for name, value in arrays.items()}
@@ -141,10 +141,10 @@ def _reference(frames: Sequence[Prepared], number: int, weights: Weights) -> Ima
 
 def _point(
     scene: str,
-    setting: Setting,
+    setting: ComputeOptions,
     weights: Weights,
     device: Device,
-    frames: Sequence[Prepared],
+    frames: Sequence[DisplayFrame],
     judged: dict[int, tuple[Image, Image]],
 ) -> Point:
     full = Stream(weights, device, FULL.precision, skip="off")

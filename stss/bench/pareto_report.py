@@ -18,7 +18,7 @@ from stss.bench.pareto import CANONICAL, Point, frontier, measure
 from stss.bench.peers import Setup
 from stss.bench.report import PACKAGES, cpu_model
 from stss.errors import InputError
-from stss.frames.compute_options import Setting
+from stss.frames.compute_options import ComputeOptions
 from stss.optional import require, versions
 from stss.version import VERSION
 from stss.weights.file import identity
@@ -33,7 +33,7 @@ LEAST = 1e-8
 def bench_pareto(
     setups: Sequence[Setup],
     scenes: Sequence[str] | None,
-    settings: Sequence[Setting],
+    settings: Sequence[ComputeOptions],
     frames: int,
     peers: Sequence[str],
     repeat: int,

@@ -20,6 +20,7 @@ from stss.cli.options import (
     sequence_options,
     weights_option,
 )
+from stss.frames.compute_options import ComputeOptions
 from stss.sequence.reader import open_sequence
 
 
@@ -54,7 +55,8 @@ def methods_command(
     flip: bool,
     vmaf: bool,
     as_json: bool,
-    **device: Any,
+    backend: str,
+    compute: ComputeOptions,
 ) -> None:
     """Run SEQUENCE by the network and without it, and hold all of it against TRUTH: one table, one picture.
 
@@ -77,7 +79,7 @@ def methods_command(
             truth,
             out,
             chosen,
-            lambda method: open_method(method, loaded, **device, tell=lambda line: click.echo(line, err=True)),
+            lambda method: open_method(method, loaded, backend, compute, tell=lambda line: click.echo(line, err=True)),
             options,
             flip=flip,
             vmaf=vmaf,
@@ -119,7 +121,13 @@ def flicker_command(
 @weights_option
 @backend_options
 def flicker_scenes_command(
-    scenes: tuple[str, ...], methods: tuple[str, ...], size: tuple[int, int], frames: int, weights: str, **device: Any
+    scenes: tuple[str, ...],
+    methods: tuple[str, ...],
+    size: tuple[int, int],
+    frames: int,
+    weights: str,
+    backend: str,
+    compute: ComputeOptions,
 ) -> None:
     """Measure flicker on built-in scenes whose cameras stand or turn slowly: every method against the truth, in 8-bit levels."""
     from stss.quality import flicker_scenes
@@ -130,7 +138,7 @@ def flicker_scenes_command(
     chosen, loaded, console = method_table.choose_methods(methods, weights), load(weights), Console(stderr=True)
 
     def make(method: str) -> Any:
-        return open_method(method, loaded, **device, tell=lambda line: click.echo(line, err=True))[0]
+        return open_method(method, loaded, backend, compute, tell=lambda line: click.echo(line, err=True))[0]
 
     with console.status("") as status:
         found = flicker_scenes.measure(scenes or flicker_scenes.STILL, chosen, make, size, frames, on_step=status.update)

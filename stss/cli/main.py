@@ -30,7 +30,8 @@ from stss.cli.options import (
 from stss.cli.stress import stress_command
 from stss.errors import InputError
 from stss.frames.backends import NETWORK
-from stss.run.choose_backend import Engine
+from stss.frames.compute_options import ComputeOptions, Skip
+from stss.run.choose_backend import first_frames, open_method, with_skipping, within_budget
 from stss.run.job import FrameReport, RunOptions, Summary
 from stss.run.job import run as run_sequence
 from stss.run.skip_report import told
@@ -82,10 +83,8 @@ def run(
     weights: str,
     method: str,
     backend: str,
-    device: str | None,
-    precision: str,
-    memory_limit: int | None,
-    skip: str | None,
+    compute: ComputeOptions,
+    skip: Skip | None,
     max_error: float | None,
     budget: float | None,
     suffix: str,
@@ -96,10 +95,14 @@ def run(
     options = RunOptions.of(frames.profile, format=suffix, **chosen)
     console = Console(stderr=True)
     first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
-    how = Engine(method, load(weights), backend, device, precision, memory_limit)
+    loaded, possible = load(weights), backend == "cl" and method == NETWORK
+    compute = with_skipping(compute, skip, max_error, budget, possible=possible)
     with _progress(console) as progress:
         task = progress.add_task("", total=last - first + 1)
-        engine, identity = how.open(skip, max_error, budget, frames, options, tell=lambda line: click.echo(line, err=True))
+        if budget is None:
+            engine, identity = open_method(method, loaded, backend, compute, tell=_tell)
+        else:
+            engine, identity = within_budget(loaded, compute, budget, first_frames(frames, options), tell=_tell)
         summary = run_sequence(frames, out, engine, identity, options, on_frame=lambda _: progress.advance(task))
     _report(summary, out, console)
     sys.exit(1 if any(frame.fault for frame in summary.frames) else 0)
@@ -186,6 +189,10 @@ for command in (
     bench_command, conform, devices, export, flicker_command, flicker_scenes_command, methods_command, port, stress_command, tune,
 ):  # fmt: skip
     stss.add_command(command)
+
+
+def _tell(line: str) -> None:
+    click.echo(line, err=True)
 
 
 def _progress(console: Console) -> Progress:

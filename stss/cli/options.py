@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
 from stss.color import TRANSFERS
-from stss.frames.backends import BACKENDS, PRECISIONS, SKIPS
+from stss.frames.backends import BACKENDS
+from stss.frames.compute_options import PRECISIONS, SKIPS, ComputeOptions, Precision
 from stss.weights.file import DEFAULT
 
 PATH = click.Path(path_type=Path)
@@ -75,7 +77,13 @@ def frame_options(command: Command) -> Command:
 
 
 def backend_options(command: Command) -> Command:
-    """Add the options of everything that computes frames."""
+    """Add the options of everything that computes frames; the command gets ``backend`` and ``compute``, a ``ComputeOptions``."""
+
+    @wraps(command)
+    def collected(*, device: str | None, precision: Precision, memory_limit: int | None, **others: Any) -> Any:
+        limit = None if memory_limit is None else memory_limit << 20
+        return command(**others, compute=ComputeOptions(device=device, precision=precision, memory_limit=limit))
+
     options = (
         click.option("--backend", type=click.Choice(BACKENDS), default="cl", show_default=True, help="OpenCL, or the reference."),
         click.option("--device", help="Part of an OpenCL device's name (stss devices)  [default: $STSS_DEVICE, or the fastest]"),
@@ -93,9 +101,10 @@ def backend_options(command: Command) -> Command:
             help="For the network's buffers; larger frames go in strips  [default: half of the device's memory]",
         ),
     )
+    decorated: Any = collected
     for option in reversed(options):
-        command = option(command)
-    return command
+        decorated = option(decorated)
+    return decorated
 
 
 weights_option = click.option(

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from stss.errors import InputError
-from stss.frames.display_frame import OnArrays, Prepared
+from stss.frames.compute_options import ComputeOptions
+from stss.frames.display_frame import DisplayFrame, OnArrays
 from stss_ref.arrays import Array, Image, Mask
 from stss_ref.frame import FrameInputs, frame, prepare
 from stss_ref.motion_chain import Gather
@@ -19,10 +20,7 @@ NETWORK = "network"
 """The method that uses the network; `stss.baselines` has the others."""
 BACKENDS = ("cl", "ref")
 """The names ``open_backend`` takes."""
-PRECISIONS = ("float32", "float32-direct", "half")
-"""See ``stss_cl.network.network.PRECISIONS``; the reference knows float32 alone."""
-SKIPS = ("off", "exact", "bounded")
-"""See ``stss_cl.skip.stream.SKIPS``."""
+DEFAULTS = ComputeOptions()
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,7 @@ class Backend(Protocol):
         """Make ready for frames of (H, W), which ``compute`` would do for the first of them."""
         ...
 
-    def compute(self, window: Sequence[Prepared], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
+    def compute(self, window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
         """``(image (2H, 2W, 3), valid (H, W))`` as ``stss_ref.frame.frame``, for the last frame of ``window``.
 
         Args:
@@ -102,34 +100,23 @@ class OpenCLBackend:
 
     method = NETWORK
 
-    def __init__(
-        self,
-        weights: Weights,
-        gather: Gather = "longest",
-        *,
-        device: str | None = None,
-        precision: str = "float32",
-        memory_limit: int | None = None,
-        skip: str = "exact",
-        max_error: float = 0.0,
-        tell: Callable[[str], None] = lambda line: None,
-    ):
+    def __init__(self, weights: Weights, options: ComputeOptions, gather: Gather, tell: Callable[[str], None]):
         # Imported here: the OpenCL library is opened only by those who use it.
         from stss.devices.selection import choose
         from stss_cl.skip.stream import Stream
 
-        chosen = choose(device, tell)
-        self._stream = Stream(weights, chosen, precision, gather, memory_limit, skip, max_error)  # pyright: ignore[reportArgumentType]
+        device = choose(options.device, tell)
+        self._stream = Stream(weights, device, options.precision, gather, options.memory_limit, options.skip, options.max_error)
         # What bounded keeps depends on all frames before; what exact keeps shows in no bit.
-        self.accumulates = skip == "bounded"
-        bound = f" within {max_error:g}" if self.accumulates else ""
-        self.name = f"cl {precision}{bound} on {chosen.name}, {chosen.driver}"
+        self.accumulates = options.skip == "bounded"
+        bound = f" within {options.max_error:g}" if self.accumulates else ""
+        self.name = f"cl {options.precision}{bound} on {device.name}, {device.driver}"
 
     def expect(self, size: tuple[int, int]) -> None:
         """See ``Backend``."""
         self._stream.expect(size)
 
-    def compute(self, window: Sequence[Prepared], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
+    def compute(self, window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
         """See ``Backend``."""
         return self._stream(window, steps)
 
@@ -148,13 +135,9 @@ class OpenCLBackend:
 def open_backend(
     name: str,
     weights: Weights,
-    gather: Gather = "longest",
+    options: ComputeOptions = DEFAULTS,
     *,
-    device: str | None = None,
-    precision: str = "float32",
-    memory_limit: int | None = None,
-    skip: str = "exact",
-    max_error: float = 0.0,
+    gather: Gather = "longest",
     tell: Callable[[str], None] = lambda line: None,
 ) -> Backend:
     """Make the backend of this name ready to compute.
@@ -162,25 +145,18 @@ def open_backend(
     Args:
         name: one of ``BACKENDS``.
         weights: the 92 tensors.
+        options: how it computes.
         gather: how the motion chain reads between pixels.
-        device: part of an OpenCL device's name; None: ``$STSS_DEVICE``, or the fastest that passed its self-test.
-        precision: one of ``PRECISIONS``; the reference takes ``float32`` only.
-        memory_limit: bytes for the buffers of the OpenCL backend; larger frames go in strips, with the same bits.
-        skip: one of ``SKIPS``: what the OpenCL backend leaves out; the reference computes everything.
-        max_error: for ``bounded``, in units of the image.
         tell: is handed lines for the user, such as that a self-test is being run.
 
     Raises:
-        InputError: ``name`` or ``precision`` is none of these, or does not go with the other options.
+        InputError: there is no such backend, or it does not take these options.
         stss_cl.errors.DeviceError: there is no such device.
     """
     if name not in BACKENDS:
         raise InputError(f"backend: expected one of {', '.join(BACKENDS)}, got {name!r}")
-    if precision not in PRECISIONS:
-        raise InputError(f"precision: expected one of {', '.join(PRECISIONS)}, got {precision!r}")
     if name == "cl":
-        limits = {"memory_limit": memory_limit, "max_error": max_error}
-        return OpenCLBackend(weights, gather, device=device, precision=precision, skip=skip, tell=tell, **limits)  # pyright: ignore[reportArgumentType]
-    if device is not None or precision != "float32":
+        return OpenCLBackend(weights, options, gather, tell)
+    if options.device is not None or options.precision != "float32":
         raise InputError("backend ref: expected neither a device nor another precision than float32")
     return ReferenceBackend(weights, gather)

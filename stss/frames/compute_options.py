@@ -1,28 +1,56 @@
 # SPDX-License-Identifier: MIT
-"""A way to compute frames: what the user may trade for time."""
+"""How frames are computed: what the user may trade for time and memory."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
+
+from stss.errors import InputError
+
+Precision = Literal["float32", "float32-direct", "half"]
+PRECISIONS: tuple[Precision, ...] = get_args(Precision)
+"""See ``stss_cl.network.network.PRECISIONS``; the reference knows float32 alone."""
+Skip = Literal["off", "exact", "bounded"]
+SKIPS: tuple[Skip, ...] = get_args(Skip)
+"""See ``stss_cl.skip.stream.SKIPS``."""
 
 
 @dataclass(frozen=True)
-class Setting:
-    """What ``stss.frames.backends.open_backend`` takes; ``max_error`` in output units, for ``bounded``."""
+class ComputeOptions:
+    """What ``stss.frames.open_backend`` takes beside the weights.
 
-    precision: Literal["float32", "float32-direct", "half"]
-    skip: Literal["off", "exact", "bounded"]
+    Attributes:
+        device: part of an OpenCL device's name; None: ``$STSS_DEVICE``, or the fastest that passed its self-test.
+        precision: one of ``PRECISIONS``; the reference takes ``float32`` only.
+        memory_limit: bytes for the buffers of the OpenCL backend; larger frames go in strips, with the same bits.
+        skip: one of ``SKIPS``: what the OpenCL backend leaves out; the reference computes everything.
+        max_error: for ``bounded``: how far an image may be from the full one, in units of the image.
+
+    Raises:
+        InputError: ``precision`` or ``skip`` is none of these.
+    """
+
+    device: str | None = None
+    precision: Precision = "float32"
+    memory_limit: int | None = None
+    skip: Skip = "exact"
     max_error: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what no backend knows."""
+        for name, value, known in (("precision", self.precision, PRECISIONS), ("skip", self.skip, SKIPS)):
+            if value not in known:
+                raise InputError(f"{name}: expected one of {', '.join(known)}, got {value!r}")
 
     @property
     def name(self) -> str:
-        """As in tables."""
+        """Precision and skipping, as in tables."""
         bound = f" {self.max_error * 255:g}/255" if self.skip == "bounded" else ""
         return f"{self.precision} {self.skip}{bound}"
 
     @property
-    def options(self) -> str:
-        """As the user would type it."""
+    def typed(self) -> str:
+        """The same as the user would type it."""
         bound = f" --max-error {self.max_error * 255:g}/255" if self.max_error else ""
         return f"--precision {self.precision} --skip {self.skip}{bound}"

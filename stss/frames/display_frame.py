@@ -20,7 +20,7 @@ WINDOW = 6
 
 
 @dataclass(frozen=True)
-class Prepared:
+class DisplayFrame:
     """A display frame as stage ``frame`` takes it, made once and used by up to six outputs.
 
     ``color`` (H, W, 3) display-referred or None, ``motion`` (H, W, 2), ``gbuffer`` (H, W, 9), ``nov`` and ``stencil`` (H, W),
@@ -36,7 +36,7 @@ class Prepared:
     position: Image
 
 
-def prepare(buffers: Buffers, to_display: Transfer, depth: DepthMode) -> Prepared:
+def prepare(buffers: Buffers, to_display: Transfer, depth: DepthMode) -> DisplayFrame:
     """Take one frame's colour through the transfer, normalise its depth and stack its G-buffer."""
     planes = [
         buffers.normal,
@@ -45,7 +45,7 @@ def prepare(buffers: Buffers, to_display: Transfer, depth: DepthMode) -> Prepare
         buffers.metallic[..., None],
         buffers.base_color,
     ]
-    return Prepared(
+    return DisplayFrame(
         number=buffers.number,
         color=None if buffers.color is None else to_display.encode(buffers.color),
         motion=buffers.motion,
@@ -56,7 +56,7 @@ def prepare(buffers: Buffers, to_display: Transfer, depth: DepthMode) -> Prepare
     )
 
 
-def frame_inputs(window: Sequence[Prepared], steps: tuple[int, int, int]) -> FrameInputs:
+def frame_inputs(window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> FrameInputs:
     """Stack what stage ``frame`` takes for the newest frame of ``window``.
 
     Args:
@@ -94,7 +94,7 @@ class OnArrays(ABC):
         """See ``Backend``: there is nothing to make ready for (H, W)."""
         del size
 
-    def compute(self, window: Sequence[Prepared], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
+    def compute(self, window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
         """See ``Backend``."""
         return self.frame(frame_inputs(window, steps))
 

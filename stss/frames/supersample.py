@@ -11,7 +11,7 @@ from stss.color import Transfer, transfer
 from stss.errors import InputError
 from stss.frames.backends import Backend
 from stss.frames.buffers import Buffers
-from stss.frames.display_frame import WINDOW, Prepared, prepare
+from stss.frames.display_frame import WINDOW, DisplayFrame, prepare
 from stss_ref.arrays import Image, Mask
 from stss_ref.depth import DepthMode
 from stss_ref.schedule import FrameKind, Schedule, schedule
@@ -34,14 +34,14 @@ class Output:
     valid: Mask
 
 
-def plan(window: Sequence[Prepared]) -> Schedule | None:
+def plan(window: Sequence[DisplayFrame]) -> Schedule | None:
     """The schedule of the newest frame of ``window``; None where there is nothing to extrapolate it from."""
     newest = window[-1].number
     rendered = {prepared.number for prepared in window if prepared.color is not None}
     return schedule(newest, rendered, reach=newest - window[0].number)
 
 
-def compute(window: Sequence[Prepared], backend: Backend, from_display: Transfer) -> Output | None:
+def compute(window: Sequence[DisplayFrame], backend: Backend, from_display: Transfer) -> Output | None:
     """Compute the newest frame of ``window``; None where there is nothing to extrapolate it from.
 
     Args:
@@ -74,7 +74,7 @@ def supersample(
         An ``Output`` for every frame but those extrapolation frames that have no rendered frame just before them.
     """
     curve = transfer(transfer_name)
-    window: deque[Prepared] = deque(maxlen=WINDOW)
+    window: deque[DisplayFrame] = deque(maxlen=WINDOW)
     for buffers in frames:
         prepared = prepare(buffers, curve, depth)
         if window and (buffers.number != window[-1].number + 1 or buffers.depth.shape != window[-1].nov.shape):

@@ -15,7 +15,7 @@ from rich.table import Table
 
 from stss.color import transfer
 from stss.errors import InputError
-from stss.frames.display_frame import Prepared, prepare
+from stss.frames.display_frame import DisplayFrame, prepare
 from stss.images.resample import enlarged
 from stss.quality.compare import print_whole
 from stss.quality.metrics import PEAK
@@ -89,7 +89,7 @@ def flicker(out: Path, truth: Path, sequence: Frames, *, frames: tuple[int, int]
     if not numbers:
         raise InputError(f"{out}: expected two frames in a row that {truth} and {sequence.path} have, found none")
     rows: list[Row] = []
-    before: tuple[int, tuple[Image, Image], Prepared] | None = None
+    before: tuple[int, tuple[Image, Image], DisplayFrame] | None = None
     for number in numbers:
         if before is None or before[0] != number - 1:
             before = number - 1, _shown(pairs[number - 1], sequence), _load(sequence, number - 1)
@@ -101,7 +101,7 @@ def flicker(out: Path, truth: Path, sequence: Frames, *, frames: tuple[int, int]
     return Flicker(rows, _means(rows))
 
 
-def display_motion(before: Prepared, now: Prepared) -> tuple[Image, Mask]:
+def display_motion(before: DisplayFrame, now: DisplayFrame) -> tuple[Image, Mask]:
     """The motion between two frames at display resolution, and where it can be followed.
 
     Args:
@@ -163,7 +163,7 @@ def _shown(pair: Pair, sequence: Frames) -> tuple[Image, Image]:
     return image, truth
 
 
-def _load(sequence: Frames, number: int) -> Prepared:
+def _load(sequence: Frames, number: int) -> DisplayFrame:
     buffers = sequence.load(number, color=False)
     return prepare(buffers, transfer("none"), sequence.profile.depth_normalisation)
 

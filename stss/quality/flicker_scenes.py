@@ -13,7 +13,7 @@ from rich.table import Table
 
 from conformance.scenes import SCENES
 from stss.frames.backends import Backend
-from stss.frames.display_frame import WINDOW, Prepared
+from stss.frames.display_frame import WINDOW, DisplayFrame
 from stss.frames.supersample import plan
 from stss.quality.flicker import Change, change_between, display_motion
 from stss.sequence.scenes import check_request, display_frames, truth
@@ -74,7 +74,7 @@ def measure(
     return found
 
 
-def _images(frames: Sequence[Prepared], backend: Backend) -> list[Image]:
+def _images(frames: Sequence[DisplayFrame], backend: Backend) -> list[Image]:
     images: list[Image] = []
     for number in range(len(frames)):
         window = frames[max(0, number - WINDOW + 1) : number + 1]

@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 
 from stss.errors import InputError
 from stss.frames.backends import Backend
-from stss.frames.compute_options import Setting
-from stss.frames.display_frame import WINDOW, Prepared
+from stss.frames.compute_options import ComputeOptions
+from stss.frames.display_frame import WINDOW, DisplayFrame
 from stss.frames.supersample import plan
 
 FRAMES = 16
@@ -20,19 +20,19 @@ WARM = 8
 
 
 SETTINGS = (
-    Setting("float32", "exact"),
-    Setting("half", "exact"),
-    Setting("float32", "bounded", 1 / 255),
-    Setting("float32", "bounded", 2 / 255),
-    Setting("float32", "bounded", 4 / 255),
-    Setting("float32", "bounded", 8 / 255),
+    ComputeOptions(precision="float32", skip="exact"),
+    ComputeOptions(precision="half", skip="exact"),
+    ComputeOptions(precision="float32", skip="bounded", max_error=1 / 255),
+    ComputeOptions(precision="float32", skip="bounded", max_error=2 / 255),
+    ComputeOptions(precision="float32", skip="bounded", max_error=4 / 255),
+    ComputeOptions(precision="float32", skip="bounded", max_error=8 / 255),
 )
 """The most accurate first."""
 
 
 def choose(
-    frames: Sequence[Prepared], budget: float, make: Callable[[Setting], Backend], tell: Callable[[str], None]
-) -> tuple[Setting, Backend]:
+    frames: Sequence[DisplayFrame], budget: float, make: Callable[[ComputeOptions], Backend], tell: Callable[[str], None]
+) -> tuple[ComputeOptions, Backend]:
     """The first of `SETTINGS` whose frames keep within the budget, or else the fastest.
 
     Args:
@@ -46,21 +46,21 @@ def choose(
     """
     if len(frames) <= WARM:
         raise InputError(f"--budget: expected more than {WARM} frames in a row to try settings on, got {len(frames)}")
-    fastest: tuple[float, Setting] | None = None
+    fastest: tuple[float, ComputeOptions] | None = None
     for setting in SETTINGS:
         backend = make(setting)
         seconds = measure(frames, backend)
         if seconds <= budget:
-            tell(f"{setting.options}: {seconds * 1e3:.1f} ms a frame, within {budget * 1e3:g} ms")
+            tell(f"{setting.typed}: {seconds * 1e3:.1f} ms a frame, within {budget * 1e3:g} ms")
             return setting, backend
-        tell(f"{setting.options}: {seconds * 1e3:.1f} ms a frame")
+        tell(f"{setting.typed}: {seconds * 1e3:.1f} ms a frame")
         fastest = min(fastest or (seconds, setting), (seconds, setting), key=lambda pair: pair[0])
     assert fastest is not None
-    tell(f"no setting keeps within {budget * 1e3:g} ms a frame: the fastest is taken, {fastest[1].options}")
+    tell(f"no setting keeps within {budget * 1e3:g} ms a frame: the fastest is taken, {fastest[1].typed}")
     return fastest[1], make(fastest[1])
 
 
-def measure(frames: Sequence[Prepared], backend: Backend) -> float:
+def measure(frames: Sequence[DisplayFrame], backend: Backend) -> float:
     """Mean seconds of the frames after the first `WARM`."""
     times: list[float] = []
     for number in range(len(frames)):

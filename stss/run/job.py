@@ -15,7 +15,7 @@ from typing import Any, Literal
 from stss.color import Transfer, transfer
 from stss.errors import InputError
 from stss.frames.backends import NETWORK, Backend, Cost
-from stss.frames.display_frame import Prepared
+from stss.frames.display_frame import DisplayFrame
 from stss.frames.supersample import Output, choose_rendered, plan
 from stss.images.read_write import read_header, write_mask, write_rgb
 from stss.run.pipeline import overlap
@@ -158,7 +158,7 @@ class _Read:
     """What one output is made of, and its key."""
 
     key: str
-    window: list[Prepared]
+    window: list[DisplayFrame]
 
 
 @dataclass(frozen=True)

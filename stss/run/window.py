@@ -9,7 +9,7 @@ from pathlib import Path
 
 from stss.color import Transfer
 from stss.errors import InputError
-from stss.frames.display_frame import WINDOW, Prepared, prepare
+from stss.frames.display_frame import WINDOW, DisplayFrame, prepare
 from stss.sequence.reader import Sequence
 from stss_ref.depth import DepthMode
 
@@ -20,9 +20,9 @@ class Window:
     def __init__(self, sequence: Sequence, rendered: frozenset[int], curve: Transfer, depth: DepthMode):
         self._sequence, self._rendered, self._curve = sequence, rendered, curve
         self._depth: DepthMode = depth
-        self._kept: dict[int, Prepared | InputError] = {}
+        self._kept: dict[int, DisplayFrame | InputError] = {}
 
-    def up_to(self, number: int, *, keep_going: bool) -> list[Prepared]:
+    def up_to(self, number: int, *, keep_going: bool) -> list[DisplayFrame]:
         """The unbroken run of readable frames that ends in ``number``, oldest first, at most six.
 
         Raises:
@@ -30,7 +30,7 @@ class Window:
         """
         numbers = range(max(number - WINDOW + 1, self._sequence.numbers[0]), number + 1)
         self._kept = {n: kept for n, kept in self._kept.items() if n in numbers}
-        window: list[Prepared] = []
+        window: list[DisplayFrame] = []
         for n in numbers:
             loaded = self._load(n)
             if not isinstance(loaded, InputError):
@@ -41,7 +41,7 @@ class Window:
                 window.clear()
         return window
 
-    def _load(self, number: int) -> Prepared | InputError:
+    def _load(self, number: int) -> DisplayFrame | InputError:
         if number not in self._kept:
             try:
                 buffers = self._sequence.load(number, color=number in self._rendered)

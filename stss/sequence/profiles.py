@@ -150,7 +150,7 @@ def load_profile(name_or_path: str | Path) -> Profile:
         path = Path(name_or_path)
         if not path.is_file():
             raise InputError(f"profile {text}: expected one of {', '.join(profile_names())} or a TOML file")
-    return _profile(path, read_toml(path))
+    return _profile(path, read_toml(path, InputError))
 
 
 def _profile(path: Path, top: Table) -> Profile:

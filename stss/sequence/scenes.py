@@ -12,7 +12,7 @@ from conformance.scenes import SCENES, Scene, render
 from stss.color import transfer
 from stss.errors import InputError
 from stss.frames.buffers import Buffers
-from stss.frames.display_frame import Prepared, prepare
+from stss.frames.display_frame import DisplayFrame, prepare
 from stss.sequence.reader import BACKGROUND_POSITION
 from stss_ref.arrays import Image
 
@@ -34,7 +34,7 @@ def check_request(scenes: Sequence[str], count: int, least: int) -> None:
         raise InputError(f"--frames: expected at least {least}, got {count}")
 
 
-def display_frames(scene: Scene, size: tuple[int, int], count: int) -> Iterator[Prepared]:
+def display_frames(scene: Scene, size: tuple[int, int], count: int) -> Iterator[DisplayFrame]:
     """The first ``count`` display frames at (height, width), new arrays each; the even ones are rendered."""
     curve = transfer(TRANSFER)
     for number in range(count):

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import time
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,9 +12,10 @@ from conformance.scenes import SCENES
 from stss.bench.pareto import frontier
 from stss.errors import InputError
 from stss.frames.backends import ReferenceBackend
+from stss.frames.compute_options import ComputeOptions
 from stss.run import budget
 from stss.run.budget import SETTINGS, choose
-from stss.run.choose_backend import Engine
+from stss.run.choose_backend import open_method, with_skipping
 from stss.sequence.scenes import display_frames, truth
 from stss.weights.file import BILINEAR, load
 
@@ -66,20 +66,18 @@ def test_too_few_frames_are_said(frames):
         ({"budget": 0.04, "skip": "exact"}, "--budget: expected neither --skip"),
         ({"max_error": 0.01, "skip": "exact"}, "--max-error: expected --skip bounded, got exact"),
         ({"skip": "bounded"}, "--skip bounded: expected --max-error"),
-        ({"skip": "exact", "backend": "ref"}, "expected the network on the backend cl"),
+        ({"skip": "exact", "possible": False}, "expected the network on the backend cl"),
     ],
 )
 def test_options_that_do_not_go_together(chosen, words):
-    backend = chosen.pop("backend", "cl")
-    engine = Engine("network", load(BILINEAR), backend, None, "float32", None)
-    options = {"skip": None, "max_error": None, "budget": None} | chosen
+    options = {"skip": None, "max_error": None, "budget": None, "possible": True} | chosen
     with pytest.raises(InputError, match=words):
-        engine.open(**options, sequence=SimpleNamespace(), options=SimpleNamespace(), tell=print)
+        with_skipping(ComputeOptions(), **options)
 
 
 def test_the_reference_needs_none_of_them():
-    engine = Engine("network", load(BILINEAR), "ref", None, "float32", None)
-    backend, _ = engine.open(None, None, None, SimpleNamespace(), SimpleNamespace(), print)
+    compute = with_skipping(ComputeOptions(), None, None, None, possible=False)
+    backend, _ = open_method("network", load(BILINEAR), "ref", compute)
     assert isinstance(backend, ReferenceBackend)
 
 

@@ -339,9 +339,17 @@ def test_an_unknown_stage_or_backend(job):
     refused(folder, "backend", "ref, cl", "'cuda'", backend="cuda")
 
 
+ROOMS = {
+    "stss_cl.device.discovery": "device",
+    "stss_cl.image_space.stages": "image_stages",
+    "stss_cl.network.network": "network",
+    "stss_cl.frame": "frame",
+}
+
+
 def fake_backend(monkeypatch, **modules):
     def import_module(name):
-        found = modules.get(name.removeprefix("stss_cl."))
+        found = modules.get(ROOMS.get(name))
         if isinstance(found, Exception):
             raise found
         if found is None:

@@ -204,7 +204,7 @@ def run_frame(device, height, width):
 
 def run_stream(device, precision):
     """Two extrapolated frames; before the second a corner of the picture changed, and something moves."""
-    from stss.frames.display_frame import Prepared
+    from stss.frames.display_frame import DisplayFrame
     from stss.frames.supersample import plan
     from stss_cl.skip.stream import Stream
     from stss_ref.weights import random as random_weights
@@ -221,7 +221,7 @@ def run_stream(device, precision):
             motion[2:4, 4:7] = 1.25
             stencil[2:4, 4:7] = 1
         shown = color if number % 2 == 0 else None
-        frames.append(Prepared(number, shown, motion, g.copy(), g[..., 0].copy(), stencil, 20 * g[..., :3]))
+        frames.append(DisplayFrame(number, shown, motion, g.copy(), g[..., 0].copy(), stencil, 20 * g[..., :3]))
         if number in {9, 11}:
             window = frames[-6:]
             image, _ = stream(window, plan(window).steps)

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyopencl import Program
 
-from stss.frames.display_frame import Prepared
+from stss.frames.display_frame import DisplayFrame
 from stss.frames.supersample import plan
 from stss_cl.device import program
 from stss_cl.network.network import PRECISIONS
@@ -37,12 +37,12 @@ UNREAD = WEIGHTS | {
 class Sequence:
     """Display frames, and the windows asked for one after the other, each by its last frame and its length."""
 
-    frames: tuple[Prepared, ...]
+    frames: tuple[DisplayFrame, ...]
     calls: tuple[tuple[int, int], ...]
 
 
 def first_frame(rng, size, *, rendered):
-    return Prepared(
+    return DisplayFrame(
         number=0,
         color=rng.random((*size, 3), np.float32) if rendered else None,
         motion=np.zeros((*size, 2), np.float32),
@@ -75,7 +75,7 @@ def next_frame(rng, before, color, change, *, rendered):
     if change in {"moving", "everything"}:
         motion[where] = rng.normal(0, 2, motion[where].shape)
         planes["stencil"][where] = 1
-    return Prepared(before.number + 1, color if rendered else None, motion, **planes), color
+    return DisplayFrame(before.number + 1, color if rendered else None, motion, **planes), color
 
 
 @st.composite

@@ -188,7 +188,7 @@ class _Copy(MetaPathFinder, Loader):
 def _sources() -> dict[str, str]:
     # `arrays` stays the original: it computes nothing, and its errors are those that the suite knows.
     paths = [path for path in (ROOT / "stss_ref").glob("*.py") if path.name != "arrays.py"]
-    return {path.name: path.read_text(encoding="utf-8") for path in [*paths, ROOT / "conformance" / "stages.py"]}
+    return {path.name: path.read_text(encoding="utf-8") for path in [*paths, ROOT / "conformance" / "protocol" / "stages.py"]}
 
 
 def _changed(changes: Sequence[Change]) -> dict[str, str]:
