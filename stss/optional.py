@@ -6,7 +6,6 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from stss.errors import InputError
@@ -35,14 +34,3 @@ def require(name: str, extra: str = "bench") -> Any:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
         raise InputError(f"{package} is not installed: pip install 'stss[{extra}]'") from error
-
-
-def versions(names: tuple[str, ...]) -> dict[str, str]:
-    """Version of each of the distributions that is installed."""
-    found: dict[str, str] = {}
-    for name in names:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found

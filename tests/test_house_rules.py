@@ -21,6 +21,13 @@ MAY_IMPORT = {
     "stss": {"stss", "stss_cl", "conformance", "stss_ref"},
 }
 
+FLOORS = {
+    "stss": "__main__ > cli > demo bench > quality > check run > port sequence baselines > conform stress frames"
+    " > images weights devices color optional > errors version machine",
+    "conformance": "run_suite suite > judge > findings > answers cases > protocol scenes tolerance",
+}
+"""The rooms of a package from top to bottom: a room imports those on the floors below it, and none beside it."""
+
 
 def name(path):
     return str(path.relative_to(ROOT))
@@ -43,6 +50,25 @@ def test_imports_go_one_way(path):
             assert any(module == allowed or module.startswith(allowed + ".") for allowed in MAY_IMPORT[package]), module
         elif package == "stss_ref":
             assert top == "numpy" or top in sys.stdlib_module_names, module
+
+
+@pytest.mark.parametrize("path", [p for p in SOURCES if p.relative_to(ROOT).parts[0] in FLOORS], ids=name)
+def test_rooms_import_those_below(path):
+    """Every room stands in the plan, and no import leads up or across; a package's ``__init__`` hands on what it likes."""
+    package, *rest = path.relative_to(ROOT).with_suffix("").parts
+    if rest == ["__init__"]:
+        return
+    floors = {room: i for i, floor in enumerate(FLOORS[package].split(" > ")) for room in floor.split()}
+    for module in imports(path):
+        top, *below = module.split(".")
+        if top == package and below and below[0] != rest[0]:
+            assert floors[below[0]] > floors[rest[0]], f"{rest[0]} imports {module}"
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_folders_can_be_taken_in_at_a_glance(package):
+    for folder in {path.parent for path in SOURCES if path.relative_to(ROOT).parts[0] == package} - {ROOT / "stss_ref"}:
+        assert len([path for path in folder.glob("*.py") if path.name != "__init__.py"]) <= 16, folder
 
 
 @pytest.mark.parametrize("path", [p for p in SOURCES + TESTS if p.name not in ("tolerance.py", "test_house_rules.py")], ids=name)

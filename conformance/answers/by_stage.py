@@ -9,12 +9,14 @@ from typing import Any
 from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
+from conformance.answers.frame import undecided_before
 from conformance.answers.holes import expect_holes
 from conformance.answers.motion_chain import expect_motion_chain
-from conformance.answers.network import expect_with_weights, undecided_before
+from conformance.answers.network import expect_with_weights
 from conformance.answers.occlusion_warp import expect_occlusion_warp
 from conformance.answers.port_arithmetic import Arithmetic
-from conformance.answers.warp import expect_rrm, expect_warp
+from conformance.answers.rrm import expect_rrm
+from conformance.answers.warp import expect_warp
 from conformance.protocol.port import Outputs
 from conformance.protocol.stages import STAGES
 from stss_ref.weights import Weights

@@ -15,9 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
-from conformance.answers.holes import expect_holes
-from conformance.answers.motion_chain import expect_motion_chain
-from conformance.answers.occlusion_warp import expect_occlusion_warp
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.protocol.stages import STAGES
 from conformance.tolerance import BOUNDS, UNIT
@@ -90,31 +87,3 @@ def _opened(weights: Weights) -> Weights:
     """All gates open: what a gate's own rounding multiplies, be it as good as closed."""
     gates = {name: tensor * 0 + (OPEN if name.endswith("bias") else 0) for name, tensor in weights.items() if "conv_mask" in name}
     return {**weights, **gates}
-
-
-def undecided_before(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic) -> int:
-    """Of stage ``frame``: how many decisions before the network (motion, holes, splat) come within rounding of their threshold.
-
-    One of them may change the whole image, so a frame that has any is not judged; it is counted.
-    """
-    steps = [int(step) for step in inputs["steps"]]
-    count = 0
-    for i, step in enumerate(steps):
-        if step == 0:
-            continue
-        chain = expect_motion_chain({"motions": inputs["motions"][:step]}, arithmetic)["motion"]
-        motion, allowed = chain.want, np.asarray(chain.allowed)
-        off = np.where(allowed > arithmetic.tiny, allowed, 0)
-        planes = {
-            "stencil_previous": inputs["stencils"][i + 1], "stencil": inputs["stencils"][0],
-            "normal_previous": inputs["normals"][i + 1], "normal": inputs["normals"][0],
-            "position_previous": inputs["positions"][i + 1], "position": inputs["positions"][0],
-            "nov": inputs["nov"], "depth": inputs["gbuffer"][..., 3],
-        }  # fmt: skip
-        valid = expect_holes({"motion": motion, **planes}, arithmetic, off)["valid"]
-        count += chain.undecided + valid.undecided
-        if i == 0:
-            color = inputs["colors"][0]
-            given = {"color": color, "warped": color, "motion": motion, "depth": inputs["gbuffer"][..., 3], "valid": valid.want}
-            count += expect_occlusion_warp(given, arithmetic, off=off)["occlusion_motion"].undecided
-    return count

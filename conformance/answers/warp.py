@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stages warp and rrm: the right answers of a port, and how interpolation may be off."""
+"""Stage warp: the right answers of a port, and how interpolation may be off."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from conformance.answers.expected import Expected, exact, mask
+from conformance.answers.expected import Expected, mask
 from conformance.answers.port_arithmetic import Arithmetic, Reach, reach
 from conformance.tolerance import BOUNDS
-from stss_ref.rrm import rrm
 from stss_ref.sample import bilinear, taps
 
 Bool = NDArray[np.bool_]
@@ -24,12 +23,6 @@ def expect_warp(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic) -> dict
     want, allowed = interpolated(inputs["color"], at, arithmetic)
     inside, unsure = within_frame(at)
     return {"warped": Expected(want, allowed), "inside": mask(inside, unsure)}
-
-
-def expect_rrm(inputs: dict[str, NDArray[Any]], _: Arithmetic) -> dict[str, Expected]:
-    """Nothing is computed."""
-    y, x, height, width = (int(n) for n in inputs["rectangle"])
-    return {"valid": exact(rrm(inputs["valid"], (y, x, height, width)).astype(np.uint8))}
 
 
 def interpolated(image: Float64, at: Reach, arithmetic: Arithmetic) -> tuple[Float64, Float64]:

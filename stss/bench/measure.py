@@ -36,7 +36,7 @@ PAUSE = 0.02
 
 
 @dataclass(frozen=True)
-class Row:
+class Timing:
     """One contender at one size.
 
     Attributes:
@@ -74,9 +74,9 @@ class SizeResult:
 
     height: int
     width: int
-    rows: tuple[Row, ...]
+    rows: tuple[Timing, ...]
 
-    def ratio(self, row: Row) -> float | None:
+    def ratio(self, row: Timing) -> float | None:
         """How many times as fast as the first peer ``row`` is, by the minima; None where that is no comparison."""
         base = next((r for r in self.rows if r.name in PEERS and not r.fault), None)
         if base is None or row.fault or row.name in FRAMES:
@@ -163,12 +163,12 @@ class _Worker:
         if (seconds := self._ask("time")) is not None:
             self._times.append(seconds)
 
-    def finish(self) -> Row:
+    def finish(self) -> Timing:
         """Its row."""
         memory, stages = self._ask("finish") or (None, {})
         if self._fault:
-            return Row(self.name, details=self._details, fault=self._fault)
-        return Row(self.name, tuple(self._times), self._error, memory, stages, self._details)
+            return Timing(self.name, details=self._details, fault=self._fault)
+        return Timing(self.name, tuple(self._times), self._error, memory, stages, self._details)
 
     def stop(self) -> None:
         """End the process, whatever it does."""

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from stss.bench.peers import PEERS, Contender, Setup
-from stss.optional import installed, versions
+from stss.machine import versions
+from stss.optional import installed
 from stss_ref.arrays import Image
 from stss_ref.frame import FrameInputs, NetworkInputs, frame
 from stss_ref.network import network

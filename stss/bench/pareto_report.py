@@ -13,13 +13,14 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from stss.bench.measure import Row, bench
+from stss.bench.measure import Timing, bench
 from stss.bench.pareto import CANONICAL, Point, frontier, measure
 from stss.bench.peers import Setup
-from stss.bench.report import PACKAGES, cpu_model
+from stss.bench.report import PACKAGES
 from stss.errors import InputError
 from stss.frames.compute_options import ComputeOptions
-from stss.optional import require, versions
+from stss.machine import cpu_model, versions
+from stss.optional import require
 from stss.version import VERSION
 from stss.weights.file import identity
 from stss_cl.device.discovery import open_device
@@ -75,7 +76,7 @@ def bench_pareto(
         plot(points, rows, picture)
 
 
-def print_points(points: Sequence[Point], peers: Sequence[Row], console: Console) -> None:
+def print_points(points: Sequence[Point], peers: Sequence[Timing], console: Console) -> None:
     """One table a scene; a star marks the settings that no other one beats in both time and error."""
     for scene in dict.fromkeys(point.scene for point in points):
         rows = [point for point in points if point.scene == scene]
@@ -102,7 +103,7 @@ def print_points(points: Sequence[Point], peers: Sequence[Row], console: Console
         console.print(f"{row.name}: {told}", soft_wrap=True, markup=False, highlight=False)
 
 
-def write_json(path: Path, points: Sequence[Point], peers: Sequence[Row], weights: str, size: tuple[int, int]) -> None:
+def write_json(path: Path, points: Sequence[Point], peers: Sequence[Timing], weights: str, size: tuple[int, int]) -> None:
     """Every single time, and what it was measured on.
 
     Raises:
@@ -141,7 +142,7 @@ def write_json(path: Path, points: Sequence[Point], peers: Sequence[Row], weight
         raise InputError(f"{path}: {error.strerror}") from error
 
 
-def plot(points: Sequence[Point], peers: Sequence[Row], path: Path) -> None:
+def plot(points: Sequence[Point], peers: Sequence[Timing], path: Path) -> None:
     """Time against error to float64, a panel a scene; the line joins the settings that no other one beats in both.
 
     Raises:
@@ -167,7 +168,7 @@ def plot(points: Sequence[Point], peers: Sequence[Row], path: Path) -> None:
         plt.close(figure)
 
 
-def _panel(panel: Any, scene: str, points: Sequence[Point], peers: Sequence[Row]) -> None:
+def _panel(panel: Any, scene: str, points: Sequence[Point], peers: Sequence[Timing]) -> None:
     at = [(point.median * 1e3, max(point.error, LEAST)) for point in points]
     best = [at[i] for i in frontier(at)]
     panel.step([x for x, _ in best], [y for _, y in best], where="post", color="0.7", linewidth=1, zorder=0)

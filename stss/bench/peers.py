@@ -7,7 +7,6 @@ brings the result back. Called with arrays, it does all three.
 
 from __future__ import annotations
 
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,7 +18,8 @@ import numpy as np
 from stss.bench import onnx_export
 from stss.bench.torch_network import TorchNetwork
 from stss.errors import InputError
-from stss.optional import require, versions
+from stss.machine import versions
+from stss.optional import require
 from stss_ref.arrays import Array, Image, Plane
 from stss_ref.frame import NetworkInputs
 from stss_ref.resample import pad_to_8
@@ -235,8 +235,3 @@ PEERS: dict[str, Callable[[Setup], Peer]] = {
     "pytorch-cuda-compiled": partial(PyTorch, tuned=True, cuda=True, compiled=True),
 }
 """Every peer, by the name that ``--peers`` takes."""
-
-
-def available_threads() -> int:
-    """Cores that this process may run on."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -13,10 +13,11 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from stss.bench.measure import PAUSE, WARM_UP, Row, SizeResult
+from stss.bench.measure import PAUSE, WARM_UP, SizeResult, Timing
 from stss.bench.peers import PEERS
 from stss.errors import InputError
-from stss.optional import require, versions
+from stss.machine import cpu_model, versions
+from stss.optional import require
 from stss.version import VERSION
 
 FORMAT = 1
@@ -99,7 +100,7 @@ def write_json(path: Path, results: Sequence[SizeResult], weights: str, threads:
         raise InputError(f"{path}: {error.strerror}") from error
 
 
-def _row(result: SizeResult, row: Row) -> dict[str, Any]:
+def _row(result: SizeResult, row: Timing) -> dict[str, Any]:
     if row.fault:
         return {"name": row.name, "peer": row.name in PEERS, "details": row.details, "fault": row.fault}
     return {
@@ -149,12 +150,3 @@ def _panel(result: SizeResult, panel: Any) -> None:
     panel.invert_yaxis()
     panel.set_xlabel("ms per frame: minimum, line to the median")
     panel.set_title(f"{result.width} x {result.height} to {2 * result.width} x {2 * result.height}", loc="left", fontsize=10)
-
-
-def cpu_model() -> str:
-    """What the CPU calls itself."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        return next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.processor() or "unknown"

@@ -3,14 +3,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import click
 from rich.console import Console
 
-from stss.cli.options import PATH, Names, Size
-from stss.weights.file import identity, load
+from stss.cli.options import PATH, Size
 
 
 @click.command()
@@ -46,89 +44,3 @@ def tune(device: str | None, size: tuple[int, int], show: bool) -> None:
     from stss.devices import tune as tuning
 
     tuning.run(device, size, show=show, console=Console(), tell=lambda line: click.echo(line, err=True))
-
-
-@click.command("bench")
-@click.option(
-    "--size",
-    "sizes",
-    type=Size(),
-    multiple=True,
-    default=((540, 960),),
-    show_default="960x540",
-    help="Of the inputs; may be repeated.",
-)
-@click.option("--repeat", type=click.IntRange(1), default=10, show_default=True, help="Timed runs of each contender.")
-@click.option("--ours", type=Names(), help="Of ref, cl, cl-direct, cl-half, cl-frame  [default: cl, and cl-frame]")
-@click.option(
-    "--peers",
-    type=Names(),
-    default="pytorch,pytorch-tuned,onnxruntime,openvino,openvino-default",
-    show_default=True,
-    help="The first is what ratios are to.",
-)
-@click.option("--weights", help="A .safetensors file  [default: random weights]")
-@click.option("--device", help="Part of the name of the OpenCL device.")
-@click.option("--json", "json_file", type=PATH, help="File for every single time, versions and machine.")
-@click.option("--plot", type=PATH, help="File for a picture: .png, .svg or .pdf.")
-@click.option(
-    "--pareto", is_flag=True, help="Time against error instead: every precision and skip mode, on the canonical scenes."
-)
-@click.option("--scenes", type=Names(), help="With --pareto  [default: all]")
-@click.option(
-    "--settings",
-    type=Names(),
-    help="With --pareto: those whose names contain one of these, such as float32,2/255  [default: all]",
-)
-@click.option("--frames", type=click.IntRange(10), default=20, show_default=True, help="With --pareto: of each scene.")
-def bench_command(
-    sizes: tuple[tuple[int, int], ...],
-    repeat: int,
-    ours: tuple[str, ...] | None,
-    peers: tuple[str, ...],
-    weights: str | None,
-    device: str | None,
-    json_file: Path | None,
-    plot: Path | None,
-    pareto: bool,
-    scenes: tuple[str, ...] | None,
-    settings: tuple[str, ...] | None,
-    frames: int,
-) -> None:
-    """Time the network here and by other engines, and their distance from the float64 reference."""
-    from stss.bench import report as bench_report
-    from stss.bench.measure import bench as run_bench
-    from stss.bench.ours import default_ours
-    from stss.bench.peers import Setup, available_threads
-    from stss_ref.weights import random as random_weights
-
-    tensors = random_weights(0) if weights is None else load(weights).weights
-    threads = available_threads()
-    console = Console(stderr=True)
-    setups = [Setup(tensors, *size, device=device, threads=threads) for size in sizes]
-    if pareto:
-        from stss.bench.pareto import chosen_settings
-        from stss.bench.pareto_report import bench_pareto
-
-        bench_pareto(setups, scenes, chosen_settings(settings), frames, peers, repeat, console, json_file, plot)
-        return
-    with console.status("") as status:
-        results = run_bench(setups, default_ours() if ours is None else ours, peers, repeat, on_step=status.update)
-    bench_report.print_results(results, Console())
-    if json_file is not None:
-        bench_report.write_json(json_file, results, identity(tensors), threads)
-    if plot is not None:
-        bench_report.plot(results, plot)
-    sys.exit(1 if any(row.fault for result in results for row in result.rows) else 0)
-
-
-@click.command()
-@click.argument("weights")
-@click.option("-o", "--out", type=PATH, required=True, help="The .onnx file to write.")
-@click.option("--size", type=Size(), default=(544, 960), show_default="960x544", help="Of the inputs: multiples of 8.")
-def export(weights: str, out: Path, size: tuple[int, int]) -> None:
-    """Write the network with WEIGHTS, for inputs of one size, as an ONNX model for other engines."""
-    from stss.bench import onnx_export
-
-    onnx_export.write(out, load(weights).weights, *size)
-    click.echo(f"{out}: {size[1]}x{size[0]} to {2 * size[1]}x{2 * size[0]}, opset {onnx_export.OPSET}")

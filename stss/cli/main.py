@@ -14,8 +14,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from stss.baselines.registry import METHODS
+from stss.cli.bench import bench_command, export
 from stss.cli.conform import conform
-from stss.cli.devices import bench_command, devices, export, port, tune
+from stss.cli.devices import devices, port, tune
 from stss.cli.evaluate import flicker_command, flicker_scenes_command, methods_command
 from stss.cli.options import (
     PATH,

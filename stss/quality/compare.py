@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 from rich import box
 from rich.console import Console
-from rich.measure import Measurement
 from rich.table import Table
 
 from stss.errors import InputError
@@ -20,8 +19,9 @@ from stss.images.read_write import read_rgb, write_rgb
 from stss.quality.flip_vmaf import require_packages, vmaf_scores
 from stss.quality.metrics import REGIONS, Scores, mean_scores, score, to_8bit, upsample_holes
 from stss.quality.output_and_truth import FALLBACK, KINDS, MADE_WITH, Pair, find_pairs, listed, require_size
+from stss.quality.tables import print_whole
 
-__all__ = ["Comparison", "Mean", "Row", "compare", "listed", "print_comparison"]
+__all__ = ["Comparison", "FrameScores", "Mean", "compare", "listed", "print_comparison"]
 
 BRIGHTENED = 4
 """So many times the difference is brightened in the pictures."""
@@ -38,7 +38,7 @@ ASKED_FOR = ("flip", "vmaf")
 
 
 @dataclass(frozen=True)
-class Row:
+class FrameScores:
     """One frame.
 
     Attributes:
@@ -85,7 +85,7 @@ class Comparison:
         metrics: those taken, of ``METRICS``.
     """
 
-    rows: Sequence[Row]
+    rows: Sequence[FrameScores]
     means: Sequence[Mean]
     without_truth: Sequence[int]
     without_output: Sequence[int]
@@ -195,13 +195,7 @@ def print_comparison(comparison: Comparison, console: Console) -> None:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
-def print_whole(table: Table, console: Console) -> None:
-    """Print a table at its full width, on a narrower console too: half a number is worse than a broken line."""
-    console.width = max(console.width, Measurement.get(console, console.options.update(max_width=1000), table).maximum)
-    console.print(table)
-
-
-def _judge(number: int, pair: Pair, pictures: Path | None, *, flip: bool) -> Row:
+def _judge(number: int, pair: Pair, pictures: Path | None, *, flip: bool) -> FrameScores:
     image, truth = pair.shown()
     hole = None
     if pair.holes is not None:
@@ -212,10 +206,10 @@ def _judge(number: int, pair: Pair, pictures: Path | None, *, flip: bool) -> Row
         pictures.mkdir(parents=True, exist_ok=True)
         difference = np.clip(BRIGHTENED * np.abs(image - truth), 0, 1)
         write_rgb(pictures / f"{pair.output.stem}.png", np.concatenate([image, truth, difference], axis=1))
-    return Row(number, pair.kind, pair.output, pair.truth, score(image, truth, hole, flip=flip))
+    return FrameScores(number, pair.kind, pair.output, pair.truth, score(image, truth, hole, flip=flip))
 
 
-def _with_vmaf(row: Row, found: float) -> Row:
+def _with_vmaf(row: FrameScores, found: float) -> FrameScores:
     return replace(row, scores={**row.scores, "all": replace(row.scores["all"], vmaf=found)})
 
 
@@ -234,7 +228,7 @@ def _notes(out: Path, pairs: Mapping[int, Pair]) -> list[str]:
     return notes
 
 
-def _means(rows: Sequence[Row]) -> list[Mean]:
+def _means(rows: Sequence[FrameScores]) -> list[Mean]:
     by_kind = [(kind, [row for row in rows if row.kind == kind]) for kind in (*KINDS, None)]
     means = [Mean(kind or "all", len(of), mean_scores([row.scores for row in of])) for kind, of in by_kind if of]
     if len(means) == len(KINDS):

@@ -17,9 +17,9 @@ from stss.color import transfer
 from stss.errors import InputError
 from stss.frames.display_frame import DisplayFrame, prepare
 from stss.images.resample import enlarged
-from stss.quality.compare import print_whole
 from stss.quality.metrics import PEAK
 from stss.quality.output_and_truth import KINDS, Pair, find_pairs, require_size
+from stss.quality.tables import print_whole
 from stss.sequence.reader import Sequence as Frames
 from stss_ref.arrays import Image, Mask
 from stss_ref.holes import holes
@@ -45,7 +45,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Row:
+class FrameFlicker:
     """One frame: its number, "SF" or "EF" or None, its change, and the share of pixels that could be followed."""
 
     number: int
@@ -58,7 +58,7 @@ class Row:
 class Flicker:
     """The outcome: rows in order; means by kind, and over all frames as ``all``."""
 
-    rows: Sequence[Row]
+    rows: Sequence[FrameFlicker]
     means: Mapping[str, Change]
 
     def to_json(self) -> str:
@@ -88,7 +88,7 @@ def flicker(out: Path, truth: Path, sequence: Frames, *, frames: tuple[int, int]
     numbers = [n for n in pairs if n - 1 in pairs and n in sequence.frames and n - 1 in sequence.frames]
     if not numbers:
         raise InputError(f"{out}: expected two frames in a row that {truth} and {sequence.path} have, found none")
-    rows: list[Row] = []
+    rows: list[FrameFlicker] = []
     before: tuple[int, tuple[Image, Image], DisplayFrame] | None = None
     for number in numbers:
         if before is None or before[0] != number - 1:
@@ -96,7 +96,7 @@ def flicker(out: Path, truth: Path, sequence: Frames, *, frames: tuple[int, int]
         now, buffers = _shown(pairs[number], sequence), _load(sequence, number)
         motion, followed = display_motion(before[2], buffers)
         change, _ = change_between(before[1], now, motion, followed)
-        rows.append(Row(number, pairs[number].kind, change, float(followed.mean())))
+        rows.append(FrameFlicker(number, pairs[number].kind, change, float(followed.mean())))
         before = number, now, buffers
     return Flicker(rows, _means(rows))
 
@@ -168,7 +168,7 @@ def _load(sequence: Frames, number: int) -> DisplayFrame:
     return prepare(buffers, transfer("none"), sequence.profile.depth_normalisation)
 
 
-def _means(rows: Sequence[Row]) -> dict[str, Change]:
+def _means(rows: Sequence[FrameFlicker]) -> dict[str, Change]:
     groups = {kind: [row.change for row in rows if row.kind == kind] for kind in KINDS}
     groups["all"] = [row.change for row in rows]
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from stss.images.contact_sheet import contact_sheet, magnify
 from stss.images.read_write import read_rgb
-from stss.quality.methods_table import Result
+from stss.quality.methods_table import MethodResult
 from stss.quality.metrics import edges, to_8bit, upsample_holes
 from stss.quality.output_and_truth import Pair, find_pairs
 from stss_ref.arrays import Array, Mask
@@ -32,7 +32,7 @@ class Place:
     crop: tuple[int, int, int, int]
 
 
-def method_sheet(results: Sequence[Result], truth: Path, frames: tuple[int, int] | None = None) -> Array:
+def method_sheet(results: Sequence[MethodResult], truth: Path, frames: tuple[int, int] | None = None) -> Array:
     """Lay out, of the last SF and the last EF, the place with most edges, and the place with most holes of all EF.
 
     A row for each method and one for the truth; two columns for each place, the frame and its difference from the truth.

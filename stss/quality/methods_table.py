@@ -15,9 +15,10 @@ from rich.table import Table
 from stss.baselines.registry import METHODS
 from stss.errors import InputError
 from stss.frames.backends import NETWORK, Backend
-from stss.quality.compare import Comparison, compare, print_whole
+from stss.quality.compare import Comparison, compare
 from stss.quality.flicker import Flicker, flicker
 from stss.quality.flip_vmaf import require_packages
+from stss.quality.tables import print_whole
 from stss.run.job import RunOptions, run
 from stss.sequence.reader import Sequence as Frames
 from stss.weights.file import BILINEAR
@@ -37,7 +38,7 @@ DIGITS = {"psnr_rgb": 2, "ssim": 4, "flip": 4, "vmaf": 1}
 
 
 @dataclass(frozen=True)
-class Result:
+class MethodResult:
     """What came of one method: its name, the folder of its frames, its scores and its flicker."""
 
     method: str
@@ -70,7 +71,7 @@ def run_methods(
     flip: bool = False,
     vmaf: bool = False,
     on_step: Callable[[str], None] = lambda step: None,
-) -> list[Result]:
+) -> list[MethodResult]:
     """Run each method into ``out/METHOD`` and hold it against the truth.
 
     Args:
@@ -87,24 +88,24 @@ def run_methods(
         InputError: as ``stss run``, ``stss compare`` and ``stss flicker``.
     """
     require_packages(flip=flip, vmaf=vmaf)
-    results: list[Result] = []
+    results: list[MethodResult] = []
     for method in methods:
         on_step(f"{method}: running")
         backend, identity = engine(method)
         run(sequence, out / method, backend, identity, options)
         on_step(f"{method}: comparing")
         scores = compare(out / method, truth, frames=options.frames, flip=flip, vmaf=vmaf)
-        results.append(Result(method, out / method, scores, flicker(out / method, truth, sequence, frames=options.frames)))
+        results.append(MethodResult(method, out / method, scores, flicker(out / method, truth, sequence, frames=options.frames)))
     return results
 
 
-def to_json(results: Sequence[Result]) -> str:
+def to_json(results: Sequence[MethodResult]) -> str:
     """As JSON: method to what `Comparison.to_json` and `Flicker.to_json` say."""
     found = {r.method: {**json.loads(r.comparison.to_json()), "flicker": json.loads(r.flicker.to_json())} for r in results}
     return json.dumps(found, indent=2, allow_nan=False)
 
 
-def print_results(results: Sequence[Result], console: Console) -> None:
+def print_results(results: Sequence[MethodResult], console: Console) -> None:
     """Print one row for each method: means over the frames."""
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
     table.add_column("\n\nmethod")

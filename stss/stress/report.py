@@ -14,9 +14,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table as RichTable
 
-from stss.bench.report import cpu_model
 from stss.errors import InputError
-from stss.optional import versions
+from stss.machine import cpu_model, versions
 from stss.stress.measure import Results
 from stss.stress.table import Cell, Table, short
 from stss.version import VERSION

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from stss.bench import report as bench_report
-from stss.bench.measure import Row, SizeResult, bench
+from stss.bench.measure import SizeResult, Timing, bench
 from stss.bench.ours import FRAMES, OURS, default_ours, frame_inputs, inputs_for, truth
 from stss.bench.peers import PEERS, Setup
 from stss.errors import InputError
@@ -34,10 +34,10 @@ RESULT = SizeResult(
     540,
     960,
     (
-        Row("cl", (0.2, 0.25, 0.9), 1e-6, 300 * 2**20, {"erm": 0.01}, {"precision": "float32"}),
-        Row("cl-frame", (0.3, 0.3, 0.3), 1e-6),
-        Row("openvino", fault="not installed"),
-        Row("pytorch", (0.6, 0.7, 0.8), float("inf")),
+        Timing("cl", (0.2, 0.25, 0.9), 1e-6, 300 * 2**20, {"erm": 0.01}, {"precision": "float32"}),
+        Timing("cl-frame", (0.3, 0.3, 0.3), 1e-6),
+        Timing("openvino", fault="not installed"),
+        Timing("pytorch", (0.6, 0.7, 0.8), float("inf")),
     ),
 )
 
