@@ -3,31 +3,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from stss_ref.arrays import Image, Mask, Plane, require_shape
+from stss_ref.constants import HoleLimits
 from stss_ref.sample import Taps, bilinear, follow, taps
-
-
-@dataclass(frozen=True)
-class HoleLimits:
-    """The constants of the hole test (spec 4; ExtraNet).
-
-    Attributes:
-        facing: largest trusted distance on a surface seen head-on; cm.
-        grazing: the same seen edge-on; cm.
-        depth: what normalised depth 1 adds to both; cm.
-        cosine: smallest trusted cosine between a moving object's normals.
-        mesh: largest trusted value of ``3 |warped stencil - stencil|``.
-    """
-
-    facing: float = 7.5
-    grazing: float = 45.0
-    depth: float = 50.0
-    cosine: float = 0.98
-    mesh: float = 1.0
 
 
 def holes(

@@ -209,6 +209,11 @@ def reads_history(weights: Weights) -> bool:
     return any(np.any(weights[f"lowlevelGated.{name}.weight"]) for name in ("conv_feature", "conv_mask.0"))
 
 
+def has_residual(weights: Weights) -> bool:
+    """Whether the network adds anything: with a last layer of zeros the image is the upsampled frame, whatever the rest computes."""
+    return bool(np.any(weights["outc.weight"]) or np.any(weights["outc.bias"]))
+
+
 def random(seed: int) -> Weights:
     """Weights that keep the size of a signal from layer to layer (He et al. 2015), the same for the same ``seed``.
 

@@ -27,7 +27,7 @@ from conformance.scenes import render
 from stss.color import transfer
 from stss.errors import InputError
 from stss.frames.buffers import Buffers
-from stss.frames.display_frame import WINDOW, DisplayFrame, frame_inputs, prepare
+from stss.frames.display_frame import WINDOW, DisplayFrame, frame_inputs, prepare, window_at
 from stss.frames.supersample import plan
 from stss.images.read_write import read_rgb
 from stss.sequence.reader import BACKGROUND_POSITION, open_sequence
@@ -72,8 +72,7 @@ def samples(frames: Sequence[DisplayFrame], truths: Mapping[int, Image]) -> Iter
             continue
         for kind, odd in ((FrameKind.SF, 0), (FrameKind.EF, 1)):
             window = [
-                frame if (last.number - frame.number) % 2 == odd else replace(frame, color=None)
-                for frame in frames[max(0, i - WINDOW + 1) : i + 1]
+                frame if (last.number - frame.number) % 2 == odd else replace(frame, color=None) for frame in window_at(frames, i)
             ]
             planned = plan(window)
             if planned is not None:

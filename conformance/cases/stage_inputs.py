@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from conformance.cases.planes import SEEDS, Size, colors, dyadic_motions, masks, motions, sizes
 from conformance.scenes import SCENES, Rendered, render
+from stss_ref.constants import HoleLimits
 from stss_ref.weights import TENSORS, Weights, random
 
 Inputs = dict[str, NDArray[Any]]
@@ -92,7 +93,8 @@ def thresholds(draw: st.DrawFn, largest: int = 16) -> Inputs:
     objects = _stencil(rng, size, "one") / 2 if what == "other" else np.full(size, float(what == "turned"))
     inputs = {"normal": normal, "normal_previous": normal, "position": position, "position_previous": position}
     if what == "far":
-        bias = 7.5 * np.abs(nov) + 45 * (1 - np.abs(nov)) + 50 * depth
+        limits = HoleLimits()
+        bias = limits.facing * np.abs(nov) + limits.grazing * (1 - np.abs(nov)) + limits.depth * depth
         inputs["position_previous"] = position + _unit(rng, size) * (bias * rng.uniform(0.8, 1.2, size))[..., None]
     if what == "turned":
         # An angle about that of cosine 0.98, or any; lengths other than 1, of which only one is divided by.

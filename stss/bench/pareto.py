@@ -13,7 +13,7 @@ import numpy as np
 from conformance.scenes import SCENES
 from stss.errors import InputError
 from stss.frames.compute_options import ComputeOptions
-from stss.frames.display_frame import DisplayFrame, frame_inputs
+from stss.frames.display_frame import DisplayFrame, frame_inputs, window_at
 from stss.frames.supersample import plan
 from stss.quality.metrics import psnr
 from stss.sequence.scenes import check_request, display_frames, truth
@@ -126,7 +126,7 @@ def measure(
 
 
 def _window(frames: Sequence[DisplayFrame], number: int) -> tuple[Sequence[DisplayFrame], tuple[int, int, int]]:
-    window = frames[max(0, number - 5) : number + 1]
+    window = window_at(frames, number)
     planned = plan(window)
     assert planned is not None  # frame 0 is rendered
     return window, planned.steps

@@ -15,11 +15,12 @@ from stss.sequence.profiles import BUFFERS
 from stss.sequence.raw_frame import FINITE, NonFinite, read_stored
 from stss.sequence.reader import Sequence
 from stss_ref.arrays import Array, Mask
+from stss_ref.constants import HoleLimits
 
 Level = Literal["error", "warning", "note"]
 Line = tuple[Level, str]
 
-HOLE_CM = 7.5
+HOLE_CM = HoleLimits().facing
 """Smallest distance that the hole test tells apart (spec 4)."""
 
 

@@ -14,7 +14,7 @@ from stss_ref.arrays import Array, Image, Mask
 from stss_ref.frame import FrameInputs, frame, prepare
 from stss_ref.motion_chain import Gather
 from stss_ref.resample import upsample_centres
-from stss_ref.weights import Weights
+from stss_ref.weights import Weights, has_residual
 
 NETWORK = "network"
 """The method that uses the network; `stss.baselines` has the others."""
@@ -84,8 +84,7 @@ class ReferenceBackend(OnArrays):
     def __init__(self, weights: Weights, gather: Gather = "longest"):
         self._weights = weights
         self._gather: Gather = gather
-        # With a last layer of zeros the network adds exactly 0 to the upsampled frame, whatever the rest of it computes.
-        self._residual = bool(weights["outc.weight"].any() or weights["outc.bias"].any())
+        self._residual = has_residual(weights)
 
     def frame(self, inputs: FrameInputs) -> tuple[Image, Mask]:
         """See ``Backend``."""

@@ -56,6 +56,11 @@ def prepare(buffers: Buffers, to_display: Transfer, depth: DepthMode) -> Display
     )
 
 
+def window_at(frames: Sequence[DisplayFrame], position: int) -> Sequence[DisplayFrame]:
+    """What the output of ``frames[position]`` depends on: that frame and up to five before it, of consecutive ``frames``."""
+    return frames[max(0, position - WINDOW + 1) : position + 1]
+
+
 def frame_inputs(window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> FrameInputs:
     """Stack what stage ``frame`` takes for the newest frame of ``window``.
 

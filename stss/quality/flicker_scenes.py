@@ -13,7 +13,7 @@ from rich.table import Table
 
 from conformance.scenes import SCENES
 from stss.frames.backends import Backend
-from stss.frames.display_frame import WINDOW, DisplayFrame
+from stss.frames.display_frame import DisplayFrame, window_at
 from stss.frames.supersample import plan
 from stss.quality.flicker import Change, change_between, display_motion
 from stss.sequence.scenes import check_request, display_frames, truth
@@ -77,7 +77,7 @@ def measure(
 def _images(frames: Sequence[DisplayFrame], backend: Backend) -> list[Image]:
     images: list[Image] = []
     for number in range(len(frames)):
-        window = frames[max(0, number - WINDOW + 1) : number + 1]
+        window = window_at(frames, number)
         planned = plan(window)
         assert planned is not None  # frame 0 is rendered
         images.append(np.clip(backend.compute(window, planned.steps)[0], 0, 1))

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from stss.errors import InputError
 from stss.frames.backends import Backend
 from stss.frames.compute_options import ComputeOptions
-from stss.frames.display_frame import WINDOW, DisplayFrame
+from stss.frames.display_frame import DisplayFrame, window_at
 from stss.frames.supersample import plan
 
 FRAMES = 16
@@ -64,7 +64,7 @@ def measure(frames: Sequence[DisplayFrame], backend: Backend) -> float:
     """Mean seconds of the frames after the first `WARM`."""
     times: list[float] = []
     for number in range(len(frames)):
-        window = frames[max(0, number - WINDOW + 1) : number + 1]
+        window = window_at(frames, number)
         planned = plan(window)
         if planned is None:
             continue

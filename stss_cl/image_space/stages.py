@@ -8,6 +8,7 @@ Every result equals the reference's in float32 bit for bit where the device divi
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from typing import Any, Literal
 
 import numpy as np
@@ -18,12 +19,13 @@ from stss_cl.device.discovery import Device
 from stss_cl.device.grid import grid
 from stss_cl.device.program import build
 from stss_ref.arrays import Array, ArrayError, require_dtype, require_finite, require_shape
+from stss_ref.constants import HoleLimits
 
 Gather = Literal["longest", "nearest", "bilinear"]
 Inputs = Mapping[str, NDArray[Any]]
 Outputs = dict[str, NDArray[Any]]
 
-LIMITS = {"FACING": "7.5f", "GRAZING": "45.0f", "DEPTH": "50.0f", "COSINE": "0.98f", "MESH": "1.0f"}
+LIMITS = {name.upper(): f"{value}f" for name, value in asdict(HoleLimits()).items()}
 """The constants of the hole test (spec 4), as options of its kernel."""
 
 

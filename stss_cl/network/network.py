@@ -14,7 +14,7 @@ from stss_cl.device.buffers import Outgoing, incoming
 from stss_cl.device.discovery import Device, open_device
 from stss_cl.network.layers import Layers
 from stss_ref.arrays import Array, require_dtype, require_finite, require_shape
-from stss_ref.weights import Weights
+from stss_ref.weights import Weights, has_residual
 
 Precision = Literal["float32", "float32-direct", "half"]
 PRECISIONS: tuple[Precision, ...] = ("float32", "float32-direct", "half")
@@ -44,7 +44,7 @@ class Network:
         self.precision: Precision = precision
         self._weights, self._memory_limit = weights, memory_limit
         # With a last layer of zeros the network adds exactly 0 to the upsampled frame, whatever the rest of it computes.
-        self.residual = bool(weights["outc.weight"].any() or weights["outc.bias"].any())
+        self.residual = has_residual(weights)
         self._layers: Layers | None = None
 
     def __call__(self, color: Given, gbuffer: Given, mask: Given, history: Given) -> Any:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stss.frames.display_frame import WINDOW
+from stss.frames.display_frame import window_at
 from stss.frames.supersample import plan
 from stss.sequence.scenes import display_frames
 from stss.weights.file import load
@@ -41,7 +41,7 @@ def measure(seed, weights, errors, size, count, tallies):
     full = Stream(weights, skip="off")
     streams = {error: Stream(weights, full.device, skip="bounded", max_error=error) for error in errors}
     for number in range(count):
-        window = frames[max(0, number - WINDOW + 1) : number + 1]
+        window = window_at(frames, number)
         steps = plan(window).steps
         image = full(window, steps)[0]
         for error, stream in streams.items():

@@ -22,6 +22,10 @@ def _holes(name, what, *change, more=()):
     return fault("holes", name, what, FILE, *change, more=more)
 
 
+def _limit(name, what, *change):
+    return fault("holes", name, what, "constants.py", *change)
+
+
 HOLES = (
     _holes("axes_swapped", "takes dx for dy", _FOLLOW, "x, y, inside = follow(motion[..., ::-1])"),
     _holes("not_followed", "reads the earlier buffers at p", _AT, "at = taps(*follow(motion * 0)[:2])"),
@@ -38,11 +42,11 @@ HOLES = (
         _BIAS,
         "limits.grazing * facing + limits.facing * (1 - facing) + limits.depth * depth",
     ),
-    _holes("facing_5", "5 cm for 7.5 cm", "facing: float = 7.5", "facing: float = 5.0"),
-    _holes("grazing_40", "40 cm for 45 cm", "grazing: float = 45.0", "grazing: float = 40.0"),
-    _holes("depth_missing", "no term of the depth", "depth: float = 50.0", "depth: float = 0.0"),
+    _limit("facing_5", "5 cm for 7.5 cm", "facing: float = 7.5", "facing: float = 5.0"),
+    _limit("grazing_40", "40 cm for 45 cm", "grazing: float = 45.0", "grazing: float = 40.0"),
+    _limit("depth_missing", "no term of the depth", "depth: float = 50.0", "depth: float = 0.0"),
     _holes("depth_reversed", "1 - depth for depth", "limits.depth * depth", "limits.depth * (1 - depth)"),
-    _holes("cosine_95", "cosine 0.95 for 0.98", "cosine: float = 0.98", "cosine: float = 0.95"),
+    _limit("cosine_95", "cosine 0.95 for 0.98", "cosine: float = 0.98", "cosine: float = 0.95"),
     _holes("mesh_once", "stencils' difference taken once, not three times", "3 * np.abs(s - stencil)", "np.abs(s - stencil)"),
     _holes("mesh_signed", "only a larger earlier stencil is another object", "3 * np.abs(s - stencil)", "3 * (s - stencil)"),
     _holes("metres", "distances in metres", _DISTANCE, f"{_DISTANCE} / 100"),
