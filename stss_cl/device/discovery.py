@@ -7,6 +7,7 @@ import hashlib
 import os
 from collections import Counter
 from functools import cached_property
+from typing import Literal, get_args
 
 import pyopencl as cl
 from pyopencl.tools import ImmediateAllocator, MemoryPool
@@ -15,6 +16,7 @@ from stss_cl.device.caches import pocl_cache
 from stss_cl.errors import DeviceError
 
 __all__ = [
+    "CLASSES",
     "NO_DEVICE",
     "Device",
     "DeviceError",
@@ -34,15 +36,29 @@ _process: list[int] = []
 """The process that first used OpenCL, once there is one: what a driver starts then does not survive a fork."""
 
 
+DeviceClass = Literal["cpu", "gpu"]
+CLASSES: tuple[DeviceClass, ...] = get_args(DeviceClass)
+"""``cpu``: work-items of a group run one after the other, and memory is the host's. ``gpu``: neither."""
+
+
 class Properties:
     """What a device says of itself, without opening it.
 
+    Args:
+        handle: pyopencl's device.
+        device_class: of ``CLASSES``, as which it is treated whatever it is; None: ``$STSS_DEVICE_CLASS``, or else what it is.
+
     Attributes:
         handle: pyopencl's device.
+        device_class: decides host code, work-groups and the tuning row. Any device gives right results as either.
+
+    Raises:
+        DeviceError: there is no such class.
     """
 
-    def __init__(self, handle: cl.Device):
+    def __init__(self, handle: cl.Device, device_class: str | None = None):
         self.handle = handle
+        self.device_class: DeviceClass = _class_of(handle, device_class)
 
     @property
     def name(self) -> str:
@@ -51,8 +67,8 @@ class Properties:
 
     @property
     def is_cpu(self) -> bool:
-        """Whether it is a processor: work-items of one work-group then run one after the other."""
-        return bool(self.handle.type & cl.device_type.CPU)
+        """Whether it is treated as a processor, see ``device_class``."""
+        return self.device_class == "cpu"
 
     @property
     def is_gpu(self) -> bool:
@@ -62,7 +78,7 @@ class Properties:
     @property
     def kind(self) -> str:
         """``GPU``, ``CPU`` or ``other``."""
-        return "GPU" if self.is_gpu else "CPU" if self.is_cpu else "other"
+        return "GPU" if self.is_gpu else "CPU" if self.handle.type & cl.device_type.CPU else "other"
 
     @property
     def has_fp16(self) -> bool:
@@ -113,8 +129,8 @@ class Properties:
 class Device(Properties):
     """An OpenCL device with its context and one in-order queue; of use only in the process that opened it."""
 
-    def __init__(self, handle: cl.Device, context: cl.Context, queue: cl.CommandQueue):
-        super().__init__(handle)
+    def __init__(self, handle: cl.Device, context: cl.Context, queue: cl.CommandQueue, device_class: str | None = None):
+        super().__init__(handle, device_class)
         self._context = context
         self._queue = queue
         self._process = os.getpid()
@@ -145,6 +161,16 @@ def full_name(handle: cl.Device) -> str:
 def is_gpu(handle: cl.Device) -> bool:
     """Whether it is a graphics processor; Oclgrind calls itself everything at once and is not one."""
     return bool(handle.type & cl.device_type.GPU) and not handle.type & cl.device_type.CPU
+
+
+def _class_of(handle: cl.Device, named: str | None) -> DeviceClass:
+    what, wanted = ("device_class", named) if named is not None else ("STSS_DEVICE_CLASS", os.environ.get("STSS_DEVICE_CLASS"))
+    if wanted is None:
+        return "cpu" if handle.type & cl.device_type.CPU else "gpu"
+    for known in CLASSES:
+        if wanted == known:
+            return known
+    raise DeviceError(f"{what}: expected one of {', '.join(CLASSES)}, got {wanted!r}")
 
 
 def found() -> list[cl.Device]:
@@ -204,28 +230,29 @@ def matching(name: str | None) -> dict[str, cl.Device]:
     raise DeviceError(f"device {name!r}: expected part of one of {', '.join(devices)}")
 
 
-def open_device(name: str | None = None) -> Device:
+def open_device(name: str | None = None, device_class: str | None = None) -> Device:
     """Open the device whose ``platform: device`` holds ``name``, case ignored.
 
     Args:
         name: part of the name; None: ``$STSS_DEVICE``, or else the first GPU, or else the first device.
+        device_class: see ``Properties``.
 
     Raises:
         DeviceError: there is none, or it cannot be opened.
     """
     fitting = list(matching(os.environ.get("STSS_DEVICE") if name is None else name).values())
-    return open_handle(next(filter(is_gpu, fitting), fitting[0]))
+    return open_handle(next(filter(is_gpu, fitting), fitting[0]), device_class)
 
 
-def open_handle(handle: cl.Device) -> Device:
-    """Open a device of ``found()``.
+def open_handle(handle: cl.Device, device_class: str | None = None) -> Device:
+    """Open a device of ``found()``; ``device_class``: see ``Properties``.
 
     Raises:
         DeviceError: the driver refuses.
     """
     try:
         context = cl.Context([handle])
-        return Device(handle, context, cl.CommandQueue(context))
+        return Device(handle, context, cl.CommandQueue(context), device_class)
     except cl.Error as error:
         raise DeviceError(f"device {full_name(handle)}: cannot be opened: {_one_line(str(error))}") from None
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from stss_cl.device.caches import private
-from stss_cl.device.discovery import DeviceError, Properties
+from stss_cl.device.discovery import DeviceClass, DeviceError, Properties
 from stss_cl.device.program import source
 
 if sys.version_info >= (3, 11):
@@ -77,12 +77,12 @@ def tuning_for(device: Properties) -> Tuning:
     Raises:
         DeviceError: the kept row is wrong; the message names file and key.
     """
-    return _trial.get() or _in_force(device.name, device.driver, device.is_cpu)
+    return _trial.get() or _in_force(device.name, device.driver, device.device_class)
 
 
 def built_in(device: Properties) -> Tuning:
     """The row of ``tuning.toml`` for this device or its class."""
-    return _built_in(device.name, device.is_cpu)
+    return _built_in(device.name, device.device_class)
 
 
 def kept(device: Properties) -> Tuning | None:
@@ -91,7 +91,7 @@ def kept(device: Properties) -> Tuning | None:
     Raises:
         DeviceError: it is wrong.
     """
-    return _kept(device.name, device.driver)
+    return _kept(device.name, device.driver, device.device_class)
 
 
 def keep(device: Properties, tuning: Tuning | None) -> Path:
@@ -112,7 +112,7 @@ def keep(device: Properties, tuning: Tuning | None) -> Path:
 
 def kept_path(device: Properties) -> Path:
     """Where this device's row is kept, whether or not it is there."""
-    return _path(device.name, device.driver)
+    return _path(device.name, device.driver, device.device_class)
 
 
 def to_toml(tuning: Tuning) -> str:
@@ -139,22 +139,22 @@ def _inline(row: Winograd | Direct | Strip) -> str:
 
 
 @lru_cache(64)
-def _in_force(name: str, driver: str, is_cpu: bool) -> Tuning:
-    return _kept(name, driver) or _built_in(name, is_cpu)
+def _in_force(name: str, driver: str, device_class: DeviceClass) -> Tuning:
+    return _kept(name, driver, device_class) or _built_in(name, device_class)
 
 
 @lru_cache(64)
-def _built_in(name: str, is_cpu: bool) -> Tuning:
+def _built_in(name: str, device_class: DeviceClass) -> Tuning:
     table = _read(BUILT_IN)
     classes = {key: _tuning(table.table(key)) for key in ("cpu", "gpu")}
     devices = table.table("device") if "device" in table.rest else _Table(BUILT_IN, "", {})
     single = {key: _tuning(devices.table(key)) for key in tuple(devices.rest)}
     table.end()
-    return single.get(name, classes["cpu" if is_cpu else "gpu"])
+    return single.get(name, classes[device_class])
 
 
-def _kept(name: str, driver: str) -> Tuning | None:
-    path = _path(name, driver)
+def _kept(name: str, driver: str, device_class: DeviceClass) -> Tuning | None:
+    path = _path(name, driver, device_class)
     if not path.exists():
         return None
     table = _read(path)
@@ -165,9 +165,9 @@ def _kept(name: str, driver: str) -> Tuning | None:
     return _tuning(table)
 
 
-def _path(name: str, driver: str) -> Path:
+def _path(name: str, driver: str, device_class: DeviceClass) -> Path:
     # A row found with other kernels may be the slower one with these.
-    what = [name, driver, *_kernels()]
+    what = [name, driver, device_class, *_kernels()]
     return private("tuning") / f"{hashlib.sha256(json.dumps(what).encode()).hexdigest()[:32]}.toml"
 
 

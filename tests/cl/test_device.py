@@ -120,7 +120,7 @@ def test_no_device_says_what_to_install(monkeypatch):
 
 def test_a_graphics_processor_comes_first_and_a_simulator_is_none(machine, monkeypatch):
     monkeypatch.delenv("STSS_DEVICE", raising=False)
-    monkeypatch.setattr(devices, "open_handle", lambda handle: handle)
+    monkeypatch.setattr(devices, "open_handle", lambda handle, device_class=None: handle)
     assert open_device() is machine[0]
     assert open_device("ulator") is machine[4]
     assert not devices.is_gpu(machine[4])
@@ -324,3 +324,20 @@ def test_the_users_own_cache_is_kept(device, cache_home, tmp_path):
     assert done.stdout.strip().endswith(str(own))
     assert list(own.iterdir())
     assert not (cache_home / "stss" / "pocl").exists()
+
+
+def test_the_class_is_what_the_device_is_unless_named(monkeypatch):
+    """A GPU's host code and tuning row on any device, by the environment or by argument; another word is refused."""
+    monkeypatch.delenv("STSS_DEVICE_CLASS", raising=False)
+    plain = open_device()
+    assert plain.device_class == ("cpu" if plain.kind == "CPU" else "gpu")
+    assert open_device(device_class="gpu").device_class == "gpu"
+    monkeypatch.setenv("STSS_DEVICE_CLASS", "gpu")
+    forced = open_device()
+    assert (forced.device_class, forced.is_cpu, forced.kind) == ("gpu", False, plain.kind)
+    assert open_device(device_class="cpu").is_cpu
+    monkeypatch.setenv("STSS_DEVICE_CLASS", "tpu")
+    with pytest.raises(DeviceError, match="STSS_DEVICE_CLASS: expected one of cpu, gpu, got 'tpu'"):
+        open_device()
+    with pytest.raises(DeviceError, match="device_class: expected one of"):
+        open_device(device_class="")

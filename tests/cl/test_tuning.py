@@ -40,7 +40,8 @@ def own_cache(tmp_path, monkeypatch):
 
 
 def fake(name="P: one", *, is_cpu=True, driver="1"):
-    return SimpleNamespace(name=name, driver=driver, is_cpu=is_cpu, max_work_group=64)
+    device_class = "cpu" if is_cpu else "gpu"
+    return SimpleNamespace(name=name, driver=driver, device_class=device_class, is_cpu=is_cpu, max_work_group=64)
 
 
 ROW = Tuning(
