@@ -4,8 +4,11 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
+from contextlib import suppress
 from dataclasses import asdict
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +43,7 @@ from stss.sequence.reader import open_sequence
 from stss.version import VERSION
 from stss.weights import inspect as inspection
 from stss.weights.file import load, save
+from stss_cl.device.caches import private
 from stss_cl.errors import DeviceError
 from stss_ref.arrays import ArrayError
 from stss_ref.checkpoint import read_checkpoint
@@ -99,12 +103,14 @@ def run(
     loaded, possible = load(weights), backend == "cl" and method == NETWORK
     compute = with_skipping(compute, skip, max_error, budget, possible=possible)
     with _progress(console) as progress:
-        task = progress.add_task("", total=last - first + 1)
+        task = progress.add_task("building kernels", total=last - first + 1)
         if budget is None:
             engine, identity = open_method(method, loaded, backend, compute, tell=_tell)
         else:
             engine, identity = within_budget(loaded, compute, budget, first_frames(frames, options), tell=_tell)
-        summary = run_sequence(frames, out, engine, identity, options, on_frame=lambda _: progress.advance(task))
+        summary = run_sequence(
+            frames, out, engine, identity, options, on_frame=lambda _: progress.update(task, advance=1, description="")
+        )
     _report(summary, out, console)
     sys.exit(1 if any(frame.fault for frame in summary.frames) else 0)
 
@@ -197,7 +203,7 @@ def _tell(line: str) -> None:
 
 
 def _progress(console: Console) -> Progress:
-    """A bar with frame rate and time left."""
+    """A bar with what is waited for before the first frame, frame rate and time left."""
 
     class Rate(TextColumn):
         def __init__(self) -> None:
@@ -208,6 +214,7 @@ def _progress(console: Console) -> Progress:
             return super().render(task)
 
     return Progress(
+        TextColumn("{task.description}"),
         BarColumn(), MofNCompleteColumn(), Rate(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
         console=console,
         disable=not console.is_terminal,
@@ -231,6 +238,10 @@ def _report(summary: Summary, out: Path, console: Console) -> None:
 def main() -> None:
     """Run the command; the user's mistakes are one line and status 2."""
     status: Any = 0
+    if find_spec("matplotlib"):
+        # colour-science imports it, and it keeps things where other programs do. A command that needs no device is not refused.
+        with suppress(DeviceError):
+            os.environ.setdefault("MPLCONFIGDIR", str(private("matplotlib")))
     try:
         status = stss.main(standalone_mode=False)
     except click.ClickException as error:

@@ -5,17 +5,14 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
 import pyopencl as cl
 from rich.console import Console
 from rich.table import Table
 
-from stss.devices.verdicts import Verdict, known, verdict
+from stss.devices.verdicts import Tell, Verdict, verdict
 from stss_cl.device.discovery import NO_DEVICE, Device, DeviceError, Properties, is_gpu, matching, named, open_handle
-
-Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -49,17 +46,17 @@ def choose(name: str | None = None, tell: Tell = lambda line: None) -> Device:
         return open_handle(next(iter((gpus or others).values())))
 
     refused: list[str] = []
+    verdicts: dict[str, Verdict] = {}
     for group in (gpus, others):
-        verdicts = {n: _verdict(n, h, tell) for n, h in group.items()}
+        verdicts |= {n: verdict(n, h, tell=tell) for n, h in group.items()}
         passed = [n for n in group if verdicts[n].passed]
         refused += [f"{n} {verdicts[n]}" for n in group if n not in passed]
         if passed:
             for line in refused:
                 tell(f"not used: {line}")
             return open_handle(devices[max(passed, key=lambda n: verdicts[n].gflops)])
-    raise DeviceError(
-        f"self-test: {'; '.join(refused)}: stss devices --again tests anew, STSS_TRUST_DEVICE=1 uses it all the same"
-    )
+    anew = "stss devices --again" if all(verdicts[n].lasting for n in verdicts) else "the next start"
+    raise DeviceError(f"self-test: {'; '.join(refused)}: {anew} tests anew, STSS_TRUST_DEVICE=1 uses it all the same")
 
 
 def rows(*, again: bool = False, tell: Tell = lambda line: None) -> list[Row]:
@@ -72,7 +69,7 @@ def rows(*, again: bool = False, tell: Tell = lambda line: None) -> list[Row]:
     Raises:
         DeviceError: there is no device.
     """
-    found = [_row(n, h, _verdict(n, h, tell, again=again)) for n, h in named().items()]
+    found = [_row(n, h, verdict(n, h, again=again, tell=tell)) for n, h in named().items()]
     if not found:
         raise DeviceError(NO_DEVICE)
     return sorted(found, key=lambda row: (row.kind != "GPU", not row.verdict.passed, -row.verdict.gflops))
@@ -94,12 +91,6 @@ def print_rows(found: list[Row], console: Console) -> None:
         memory = f"{row.memory / 2**30:.1f} GiB"
         table.add_row(row.name, row.kind, row.driver, memory, "yes" if row.fp16 else "no", f"{row.verdict}{speed}")
     console.print(table, markup=False, highlight=False)
-
-
-def _verdict(name: str, handle: cl.Device, tell: Tell, *, again: bool = False) -> Verdict:
-    if again or known(name, handle) is None:
-        tell(f"self-test of {name}, once: about 10 s")
-    return verdict(name, handle, again=again)
 
 
 def _row(name: str, handle: cl.Device, found: Verdict) -> Row:

@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Generator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -20,17 +21,41 @@ from typing import Any, Literal
 import pyopencl as cl
 
 import stss_cl
+import stss_ref
+from conformance import tolerance
 from stss.version import VERSION
 from stss_cl.device import program
-from stss_cl.device.caches import private
+from stss_cl.device.caches import home, is_temporary, keep, private, read
 from stss_cl.errors import DeviceError
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
 TIME_LIMIT = 60.0
-"""Seconds a self-test may take, most of which goes into compiling; ``$STSS_SELFTEST_SECONDS`` sets another limit."""
+"""Seconds of processor time a self-test may take, most of which goes into compiling; ``$STSS_SELFTEST_SECONDS`` sets another limit.
+
+Not of the clock: a busy machine gives a process little of it.
+"""
+MOST_TIME = 86400.0
+CLOCK = 20
+"""How many times as long it may take on the clock: no machine that is of use is so busy."""
+IDLE = 60.0
+"""Seconds of the clock, at most those of the limit, in which it must use a hundredth of a processor: who waits for ever uses none."""
+POLL = 0.25
+"""Seconds from one look at the child to the next."""
+
+FAULTS = ("SIGSEGV", "SIGBUS", "SIGILL", "SIGFPE", "SIGABRT", "SIGTRAP", "SIGSYS")
+"""Signals by which a driver's fault ends a process; others come from outside: a user, or a system short of memory."""
 
 COMMAND = (sys.executable, "-m", "stss.devices.selftest")
 
+Tell = Callable[[str], None]
+
 _PACKAGE = Path(__file__).parents[1]
+_OUTCOMES = ("passed", "failed", "hung", "crashed")
+_MOST_BYTES = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -38,16 +63,19 @@ class Verdict:
     """What came of a self-test.
 
     Attributes:
-        outcome: ``hung``: no answer within the time limit; ``crashed``: the process ended by a signal.
+        outcome: ``failed``: it disagrees, or there is no result; ``hung``: no answer within the time limit; ``crashed``: the process
+            ended by a signal.
         why: a few words, unless it passed.
         gflops: speed, if it passed; 10**9 float32 operations a second.
         seconds: what the self-test took.
+        lasting: whether the device is to blame, so that another test would end likewise; what does not last is not kept.
     """
 
     outcome: Literal["passed", "failed", "hung", "crashed"]
     why: str = ""
     gflops: float = 0.0
     seconds: float = 0.0
+    lasting: bool = True
 
     @property
     def passed(self) -> bool:
@@ -58,42 +86,61 @@ class Verdict:
         return f"{self.outcome}: {self.why}" if self.why else self.outcome
 
 
-def verdict(name: str, handle: cl.Device, *, again: bool = False, command: Sequence[str] = COMMAND) -> Verdict:
-    """The kept verdict on a device, or that of a self-test now.
+def verdict(
+    name: str, handle: cl.Device, *, again: bool = False, command: Sequence[str] = COMMAND, tell: Tell = lambda line: None
+) -> Verdict:
+    """The kept verdict on a device, or that of a self-test now: one process tests, others that ask meanwhile wait for it.
 
     Args:
         name: of ``stss_cl.device.discovery.named``.
         handle: the device of this name.
         again: test, whatever is kept.
         command: what tests the device whose name is appended.
+        tell: is handed a line if there is something to wait for.
     """
     if not again and (kept := known(name, handle)):
         return kept
-    found = run_selftest(name, command)
-    path = _path(name, handle)
-    beside = path.with_suffix(f".{os.getpid()}")
-    beside.write_text(json.dumps({"device": name, **asdict(found)}), encoding="utf-8")
-    beside.replace(path)
+    limit, path = _limit(), _path(name, handle)
+    with _alone(path.with_suffix(".lock"), lambda: tell(f"waiting for another process, which tests {name}")):
+        if not again and (kept := known(name, handle)):
+            return kept
+        tell(
+            f"self-test of {name}" if again else f"first start: building kernels for {name} and testing it, half a minute or more"
+        )
+        if is_temporary():
+            tell(
+                "no cache home that can be written to: what is built serves until the process ends; XDG_CACHE_HOME names another"
+            )
+        found = run_selftest(name, command, limit)
+        if found.lasting:
+            stored = {"device": name, **asdict(found)}
+            del stored["lasting"]
+            keep(path, json.dumps(stored).encode())
     return found
 
 
 def known(name: str, handle: cl.Device) -> Verdict | None:
     """The verdict kept for this device, its driver, this version of ours and these kernels; None: there is none."""
     try:
-        kept = json.loads(_path(name, handle).read_text(encoding="utf-8"))
-        del kept["device"]
-        return Verdict(**kept)
-    except (OSError, ValueError, TypeError, KeyError):
+        kept: Any = json.loads(read(_path(name, handle), _MOST_BYTES) or b"")
+        if kept.pop("device") != name or kept["outcome"] not in _OUTCOMES or not isinstance(kept["why"], str):
+            return None
+        numbers = kept["gflops"], kept["seconds"]
+        if not all(type(number) in (int, float) and 0 <= number < math.inf for number in numbers):
+            return None
+        return Verdict(**kept) if len(kept) == 4 else None  # outcome, why, gflops, seconds
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
 
 
-def run_selftest(name: str, command: Sequence[str] = COMMAND) -> Verdict:
-    """Test a device in a child process, which is killed with all its threads after the time limit."""
-    limit, start = _limit(), time.perf_counter()
+def run_selftest(name: str, command: Sequence[str] = COMMAND, limit: float | None = None) -> Verdict:
+    """Test a device in a child process, which is killed with all that it started after ``limit`` seconds; None: as set."""
+    limit, start = _limit() if limit is None else limit, time.monotonic()
     # Beside our packages, since -m takes modules from the working directory first, and that is the user's.
     child = subprocess.Popen(
         [*command, name],
         cwd=_PACKAGE.parent,
+        env={**os.environ, "XDG_CACHE_HOME": str(home())},  # what it compiles serves us, in a temporary folder too
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -101,13 +148,72 @@ def run_selftest(name: str, command: Sequence[str] = COMMAND) -> Verdict:
         errors="replace",
         start_new_session=True,
     )
+    watch = _Watch(child.pid, limit)
     try:
-        out, log = child.communicate(timeout=limit)
-    except subprocess.TimeoutExpired:
-        return Verdict("hung", f"no answer within {limit:g} s", seconds=limit)
+        while True:
+            try:
+                out, log = child.communicate(timeout=POLL)
+                break
+            except subprocess.TimeoutExpired:
+                if child.poll() is not None:
+                    _kill(child)  # something that it left behind holds its output open
+                elif why := watch.over():
+                    return Verdict("hung", why, seconds=round(time.monotonic() - start, 3), lasting=False)
     finally:
         _kill(child)
-    return _read(child.returncode, out, log, round(time.perf_counter() - start, 3))
+        for pipe in filter(None, (child.stdout, child.stderr)):
+            pipe.close()
+    return _read(child.returncode, out, log, round(time.monotonic() - start, 3))
+
+
+class _Watch:
+    """Whether a session of processes has had its time."""
+
+    def __init__(self, session: int, limit: float):
+        self._session, self._limit, self._idle = session, limit, min(IDLE, limit)
+        self._start = self._active = time.monotonic()
+        self._used = 0.0
+
+    def over(self) -> str:
+        """Why it must end; empty: it may go on."""
+        now = time.monotonic()
+        if now - self._start > CLOCK * self._limit:
+            return f"no answer within {CLOCK * self._limit:g} s"
+        used = _processor_seconds(self._session)
+        if used is None:
+            return ""
+        if used > self._limit:
+            return f"no answer within {self._limit:g} s of processor time"
+        if abs(used - self._used) > self._idle / 100:  # less: one of them ended
+            self._used, self._active = used, now
+        return f"no answer, and idle for {self._idle:g} s" if now - self._active > self._idle else ""
+
+
+def _processor_seconds(session: int) -> float | None:
+    """What the processes of a session and those that they waited for have used; None: this system does not say."""
+    ticks, seen = 0, False
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):  # it has ended
+            fields = path.read_text(errors="replace").rpartition(")")[2].split()
+            if int(fields[3]) == session:
+                ticks, seen = ticks + sum(map(int, fields[11:15])), True
+    return ticks / os.sysconf("SC_CLK_TCK") if seen else None
+
+
+@contextmanager
+def _alone(path: Path, wait: Callable[[], None]) -> Generator[None]:
+    """Hold the lock of this file, which ends with its process, however that ends; ``wait`` is called if another has it."""
+    with ExitStack() as held:
+        # Windows has no flock, some file systems have no locks, a full one no room: every process then tests for itself.
+        with suppress(OSError):
+            file = held.enter_context(path.open("ab"))
+            if fcntl is not None:
+                try:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    wait()
+                    fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def _limit() -> float:
@@ -116,33 +222,40 @@ def _limit() -> float:
         limit = TIME_LIMIT if named is None else float(named)
     except ValueError:
         limit = 0.0
-    if not limit > 0:
-        raise DeviceError(f"STSS_SELFTEST_SECONDS: expected a number of seconds > 0, got {named!r}")
+    if not 0 < limit <= MOST_TIME:
+        raise DeviceError(f"STSS_SELFTEST_SECONDS: expected a number of seconds > 0, {MOST_TIME:g} at most, got {named!r}")
     return limit
 
 
 def _read(status: int, out: str, log: str, seconds: float) -> Verdict:
-    last = (log.strip().splitlines() or [""])[-1].strip()
+    last = _printable((log.strip().splitlines() or [""])[-1].strip())
     if status < 0:
-        return Verdict("crashed", f"{_signal(-status)}: {last}" if last else _signal(-status), seconds=seconds)
+        name = _signal(-status)
+        return Verdict("crashed", f"{name}: {last}" if last else name, seconds=seconds, lasting=name in FAULTS)
     try:
         result: Any = json.loads(out.strip().splitlines()[-1])  # a driver may have printed something before
-        why, gflops = str(result["why"]), float(result["gflops"])
+        why, gflops = _printable(str(result["why"])), float(result["gflops"])
+        if not 0 <= gflops < math.inf:
+            raise ValueError
     except (ValueError, TypeError, LookupError):
-        return Verdict("failed", last or f"ended with status {status} and no result", seconds=seconds)
+        return Verdict("failed", last or f"ended with status {status} and no result", seconds=seconds, lasting=False)
     return Verdict("failed" if why else "passed", why, gflops, seconds)
 
 
+def _printable(text: str) -> str:
+    """A driver's words, without what would steer a terminal."""
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
 def _kill(child: subprocess.Popen[str]) -> None:
-    """End the child and what it started; a no-op where it ended by itself."""
-    if child.poll() is not None:
-        return
+    """End the child and all that it started, whether or not it ended by itself."""
     if hasattr(os, "killpg"):
-        os.killpg(child.pid, signal.SIGKILL)
-    else:
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(child.pid, signal.SIGKILL)
+    elif child.poll() is None:
         child.kill()
     with suppress(subprocess.TimeoutExpired):  # one that the driver holds inside the kernel cannot be ended
-        child.communicate(timeout=5)
+        child.wait(timeout=5)
 
 
 def _signal(number: int) -> str:
@@ -160,10 +273,16 @@ def _path(name: str, handle: cl.Device) -> Path:
 
 @lru_cache(1)
 def _sources() -> str:
-    """Digest of what runs on a device and of what starts it."""
-    host = Path(stss_cl.__file__).parent
-    files = [*program.KERNELS.glob("*.cl*"), *host.rglob("*.py"), *host.rglob("*.toml"), Path(__file__).with_name("selftest.py")]
+    """Digest of what runs on a device, of what starts it, and of what it is held against."""
     digest = hashlib.sha256()
-    for path in sorted(files):
-        digest.update(path.read_bytes())
+    for path in _judged():
+        text = path.read_bytes()
+        digest.update(f"{path.name} {len(text)} ".encode() + text)
     return digest.hexdigest()
+
+
+def _judged() -> list[Path]:
+    """All kernels and host sources, the reference, the bounds and the self-test."""
+    host, reference = Path(stss_cl.__file__).parent, Path(stss_ref.__file__).parent
+    files = [*program.KERNELS.rglob("*.cl*"), *host.rglob("*.py"), *host.rglob("*.toml"), *reference.rglob("*.py")]
+    return [*sorted(files), Path(tolerance.__file__), Path(__file__).with_name("selftest.py")]

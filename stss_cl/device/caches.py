@@ -9,25 +9,41 @@ import shutil
 import stat
 import tempfile
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 
 from stss_cl.errors import DeviceError
 
+LEAST_FREE = 32 << 20
+"""Bytes that must be free where kernels are kept: all of ours take about 10 MiB, and compilers do not survive a full disk."""
+LONGEST = 512
+"""Characters of the home's path: PoCL ends the process where a path in its cache has more than 1023."""
+
 WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
 def home() -> Path:
-    """``$XDG_CACHE_HOME``, or ``~/.cache``; made if need be, a private temporary folder where that cannot be."""
+    """``$XDG_CACHE_HOME``, or ``~/.cache``, links resolved; made if need be, a private temporary folder where it cannot serve.
+
+    Raises:
+        DeviceError: there is no place for a temporary folder either.
+    """
     named = os.environ.get("XDG_CACHE_HOME", "")
     try:
         # A relative path counts as unset (XDG Base Directory Specification): it would follow the working directory.
-        folder = Path(named) if Path(named).is_absolute() else Path.home() / ".cache"
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    except (OSError, RuntimeError):  # RuntimeError: no home
+        folder = Path(named) if Path(named).is_absolute() else _user_home() / ".cache"
+        _make(folder)
+        folder = folder.resolve(strict=True)
+        return folder if _serves(folder) else _temporary()
+    except (OSError, RuntimeError):  # RuntimeError: no home, or links in a circle
         return _temporary()
-    return folder if os.access(folder, os.W_OK | os.X_OK) else _temporary()
+
+
+def is_temporary() -> bool:
+    """Whether what is compiled now is gone when the process ends, for want of a home that can be written to."""
+    where = home()
+    return bool(_temporary.cache_info().currsize) and where == _temporary()
 
 
 def private(*parts: str) -> Path:
@@ -37,11 +53,7 @@ def private(*parts: str) -> Path:
         DeviceError: it, or one above it, is not a folder, belongs to another user, or sits where others may replace it.
     """
     folder = home()
-    found = folder.stat()
-    if _others_rule(found):
-        raise DeviceError(
-            f"kernel cache {folder}: expected a folder that only you can write to; chmod o-w, or set XDG_CACHE_HOME"
-        )
+    _refuse_others(folder)
     for part in ("stss", *parts):
         folder /= part
         try:
@@ -53,6 +65,29 @@ def private(*parts: str) -> Path:
                 f"kernel cache {folder}: cannot be used: {error.strerror}; set XDG_CACHE_HOME to another place"
             ) from None
     return folder
+
+
+def keep(path: Path, data: bytes) -> None:
+    """Write a file of a private folder, whole or not at all; where that cannot be (a full disk, ...) there is none."""
+    with suppress(OSError):
+        handle, beside = tempfile.mkstemp(dir=path.parent, prefix=".")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+            Path(beside).replace(path)
+        except OSError:
+            Path(beside).unlink()
+
+
+def read(path: Path, most: int) -> bytes | None:
+    """What ``keep`` wrote; None: no file of at most ``most`` bytes, but nothing, a link, a pipe, a folder."""
+    flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    try:
+        with os.fdopen(os.open(path, flags), "rb") as file:
+            found = os.fstat(file.fileno())
+            return file.read(most) if stat.S_ISREG(found.st_mode) and found.st_size <= most else None
+    except OSError:
+        return None
 
 
 @contextmanager
@@ -109,13 +144,61 @@ def _empty(folder: Path) -> None:
             path.unlink()
 
 
-def _others_rule(found: os.stat_result) -> bool:
-    """Whether others may rename what lies in this folder. A group may be the user's own, so only "all" counts."""
-    return hasattr(os, "getuid") and bool(found.st_mode & stat.S_IWOTH) and not found.st_mode & stat.S_ISVTX
+def _make(folder: Path) -> None:
+    """``mkdir -p`` with mode 0700 for each folder that is made, whatever the umask; ``mkdir(parents=True)`` opens the upper ones."""
+    for each in (*reversed(folder.parents), folder):
+        if not each.exists():
+            each.mkdir(mode=0o700, exist_ok=True)
+
+
+def _user_home() -> Path:
+    if os.environ.get("HOME") == "":
+        raise RuntimeError("an empty HOME stands for the root folder")
+    found = Path.home()
+    if not found.is_absolute():
+        raise RuntimeError("a relative HOME follows the working directory")
+    return found
+
+
+def _serves(folder: Path) -> bool:
+    """Whether there is a way to write here, and room."""
+    return (
+        len(str(folder)) <= LONGEST
+        and os.access(folder, os.R_OK | os.W_OK | os.X_OK)
+        and shutil.disk_usage(folder).free >= LEAST_FREE
+    )
+
+
+def _refuse_others(folder: Path) -> None:
+    """Refuse a home that others rule: its owner, and all where all may write, could replace what lies in it.
+
+    A group may be the user's own, so only "all" counts; root can do as it likes anyway.
+    """
+    if not hasattr(os, "getuid"):
+        return
+    found = folder.stat()
+    if found.st_uid not in (os.getuid(), 0):
+        raise DeviceError(
+            f"kernel cache {folder}: belongs to user {found.st_uid}, not to you; set XDG_CACHE_HOME to another place"
+        )
+    if found.st_mode & stat.S_IWOTH and not found.st_mode & stat.S_ISVTX:
+        raise DeviceError(
+            f"kernel cache {folder}: expected a folder that only you can write to; chmod o-w, or set XDG_CACHE_HOME"
+        )
 
 
 @lru_cache(1)
 def _temporary() -> Path:
-    folder = Path(tempfile.mkdtemp(prefix="stss-"))
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="stss-"))
+    except OSError:
+        raise DeviceError(
+            "kernel cache: neither the cache home nor a temporary folder can be written to; set XDG_CACHE_HOME or TMPDIR"
+        ) from None
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    if not _serves(folder):
+        raise DeviceError(
+            f"kernel cache: expected {LEAST_FREE >> 20} MiB free in the cache home or in {folder.parent}; "
+            "set XDG_CACHE_HOME or TMPDIR"
+        )
     return folder

@@ -32,6 +32,10 @@ __all__ = [
 
 NO_DEVICE = "no OpenCL device: pip install 'pyopencl[pocl]' gives one that runs on any CPU"
 
+# PyOpenCL keeps the code that it generates as pickles, which run what they hold, in a folder that other programs share and that the
+# umask alone protects. It asks at every call; $PYOPENCL_NO_CACHE counts only before its import.
+cl._PYOPENCL_NO_CACHE = True  # pyright: ignore[reportPrivateUsage]
+
 _process: list[int] = []
 """The process that first used OpenCL, once there is one: what a driver starts then does not survive a fork."""
 

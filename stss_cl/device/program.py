@@ -3,22 +3,30 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import re
 import warnings
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import pyopencl as cl
+from pyopencl.characterize import has_src_build_cache
 
-from stss_cl.device.caches import private
+from stss_cl.device.caches import keep, private, read
 from stss_cl.device.discovery import Device
 from stss_cl.errors import DeviceError
 
 _PACKAGE = Path(__file__).parents[1]
 KERNELS = _PACKAGE / "kernels" if (_PACKAGE / "kernels").is_dir() else _PACKAGE.parent / "kernels"
 """Where the sources are: inside the wheel, or beside the package in a checkout."""
+
+MOST_BINARY = 64 << 20
+"""Bytes of a compiled program that is kept; ours have some 100 KiB."""
 
 _programs: WeakKeyDictionary[cl.Context, dict[tuple[str, str], cl.Program]] = WeakKeyDictionary()
 
@@ -67,11 +75,28 @@ def _build(device: Device, file: str, options: str) -> cl.Program:
             if "PYOPENCL_COMPILER_OUTPUT" not in os.environ:
                 # Not only faults: Intel's compiler reports every kernel that it has made vectors of.
                 warnings.simplefilter("ignore", cl.CompilerWarning)
-            # PyOpenCL keeps binaries of platforms that do not cache them; its own place is shared with other programs.
-            return cl.Program(device.context, text).build(options, cache_dir=str(private("pyopencl")))
+            return _kept_or_built(device, text, options)
     except cl.Error as error:
         log = str(error)
         raise DeviceError(f"kernels/{file} ({options}) does not build on {device.name}: {_fault(log, text)}", log) from None
+
+
+def _kept_or_built(device: Device, text: str, options: str) -> cl.Program:
+    """From the binary that an earlier process kept, on platforms that keep none themselves."""
+    if has_src_build_cache(device.handle):
+        with suppress(cl.Error):
+            return cl.Program(device.context, text).build(options)
+        # Versions of PoCL fail where another process makes the same folder of the cache in the same instant: it is there now.
+        return cl.Program(device.context, text).build(options)
+    what = json.dumps([device.name, device.driver, device.platform_version, options, text])
+    path = private("binaries") / hashlib.sha256(what.encode()).hexdigest()
+    if binary := read(path, MOST_BINARY):
+        with suppress(cl.Error):  # a driver may refuse what it made, and then makes it anew
+            return cl.Program(device.context, [device.handle], [binary]).build(options)
+    built = cl.Program(device.context, text).build(options)
+    binaries: Any = built.get_info(cl.program_info.BINARIES)
+    keep(path, binaries[0])
+    return built
 
 
 def _fault(log: str, text: str) -> str:
