@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -249,7 +248,7 @@ def main() -> None:
     except OSError as error:
         if error.filename is None:
             raise
-        _fail(f"{os.fsdecode(error.filename)}: {error.strerror}")
+        _fail(f"{error.filename}: {error.strerror}")
     sys.exit(status if isinstance(status, int) else 0)
 
 

@@ -1,12 +1,14 @@
 """What ``stss`` is handed: numbers, names and files that no renderer writes; each is refused in one line, at once."""
 
 import os
+import re
 import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from stss import terminal as printing
 from stss.errors import InputError
 from stss.images.read_write import write_rgb
 from stss.sequence.profiles import load_profile
@@ -237,7 +239,7 @@ def test_a_terminal_without_utf8(tmp_path):
         assert result.returncode == 0, result.stderr
         assert result.stdout.isascii() == ("PYTHONIOENCODING" in env)
         assert "Traceback" not in result.stderr
-    refused(stss("check", tmp_path / "Größe.toml", env={"PYTHONIOENCODING": "ascii"}), "Gr\\xf6\\xdfe.toml")
+    refused(stss("weights", "inspect", "Größe.toml", env={"PYTHONIOENCODING": "ascii"}), "Gr\\xf6\\xdfe.toml")
 
 
 # Channels and metadata
@@ -261,6 +263,13 @@ def test_what_a_table_shows_is_printable(tmp_path):
     result = call("check", tmp_path / "in", "--profile", tmp_path / "mine.toml")
     assert "\\x1b[2J" in result.stdout
     assert all(line.isprintable() for line in result.stdout.splitlines())
+
+
+def test_nothing_is_printed_past_the_one_place():
+    """``stss/terminal.py``; JSON has escapes of its own."""
+    for path in sorted(Path(printing.__file__).parent.rglob("*.py")):
+        found = re.findall(r"(?<![\w.])Console\(\S*\)|click\.s?echo\((?!.*json).*", path.read_text())
+        assert not found or path.name == "terminal.py", f"{path}: {found}"
 
 
 def test_a_long_message_is_cut(tmp_path):
