@@ -11,7 +11,6 @@ import sys
 from io import TextIOWrapper
 from typing import Any
 
-import click
 from rich.console import Console
 from rich.text import Text
 
@@ -28,7 +27,9 @@ def printable(text: str) -> str:
 
 def echo(line: str, *, err: bool = False) -> None:
     """Print a line made `printable`."""
-    click.echo(printable(line), err=err)
+    stream = sys.stderr if err else sys.stdout  # click.echo would take ASCII for a mistake, and write UTF-8
+    stream.write(printable(line) + "\n")
+    stream.flush()
 
 
 class Terminal(Console):
