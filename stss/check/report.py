@@ -23,6 +23,7 @@ from stss.sequence.find_files import find_frames
 from stss.sequence.profiles import BUFFERS, Profile, load_profile
 from stss.sequence.raw_frame import NonFinite
 from stss.sequence.reader import Sequence, open_sequence
+from stss.terminal import printable
 
 PAIRS = 3
 """So many pairs of neighbouring frames are read."""
@@ -208,7 +209,7 @@ def print_report(report: Report, console: Console) -> None:
     """The findings, then what is stored where, and how well each choice of motion fits."""
     colours = {"error": "red", "warning": "yellow", "note": "cyan"}
     for finding in report.findings:
-        console.print(f"[{colours[finding.level]}]{finding.level}[/]: {escape(finding.text)}", soft_wrap=True)
+        console.print(f"[{colours[finding.level]}]{finding.level}[/]: {escape(printable(finding.text))}", soft_wrap=True)
     channels = cast(dict[str, dict[str, Any]], report.tables.get("channels", {}))
     if channels:
         table = Table("buffer", "channels", "format", "compression")

@@ -222,10 +222,10 @@ def _report(summary: Summary, out: Path, console: Console) -> None:
 
     for frame in summary.frames:
         if frame.outcome == "left out":
-            console.print(f"left out: {text(frame)}", soft_wrap=True, markup=False, highlight=False)
+            console.print(printable(f"left out: {text(frame)}"), soft_wrap=True, markup=False, highlight=False)
     written = ", ".join(f"{summary.count('done', kind)} {kind.value}" for kind in FrameKind)
     rest = f"{summary.count('kept')} kept, {summary.count('left out')} left out"
-    console.print(f"{out}: {written} written, {rest}", soft_wrap=True, markup=False, highlight=False)
+    console.print(printable(f"{out}: {written} written, {rest}"), soft_wrap=True, markup=False, highlight=False)
     if costs := [frame.cost for frame in summary.frames if frame.cost]:
         console.print(told(costs), soft_wrap=True, markup=False, highlight=False)
 

@@ -221,6 +221,7 @@ def test_names_with_control_characters_are_shown_escaped(tmp_path):
     folder = write(tmp_path / "a\n\x1b[2J" / "b\r\x07.0001.exr")
     refused(call("run", folder, "-o", tmp_path / "out", "--frames", "5:5", *PLAIN), "a\\n\\x1b[2J")
     refused(call("check", tmp_path, "--profile", "\x1b]0;title\x07"), "\\x1b]0;title\\x07")
+    said(call("check", "nowhere\n\x1b[2J"), "nowhere\\n\\x1b[2J: expected a folder")
     result = call("check", folder)
     assert all(line.isprintable() for line in result.stdout.splitlines())
 
