@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test check bench mutants alarms misses portability clean
+.PHONY: demo test check bench mutants alarms misses fuzz portability clean
 
 demo: $(VENV)/.base
 	$(BIN)/stss demo demo --overwrite
@@ -27,6 +27,11 @@ mutants alarms: $(VENV)/.test
 # How often --skip bounded breaks its promise, over a hundred random films (half an hour).
 misses: $(VENV)/.test
 	$(BIN)/python -m tests.meta.bound_violations --write
+
+# Damaged files of every kind, others each time (4 minutes); again with SEED=N, longer with MINUTES=M.
+MINUTES ?= 4
+fuzz: $(VENV)/.test
+	$(BIN)/python -m tests.fuzz --minutes $(MINUTES) $(if $(SEED),--seed $(SEED))
 
 # Every OpenCL runtime that can be installed here, each with the tests of the backend.
 portability: $(VENV)/.test

@@ -15,8 +15,10 @@ import pytest
 
 from conformance.judge import DepartureError, Judge, Record
 from conformance.protocol.stages import STAGES
+from stss_ref.regular_file import read_regular
 
 SUITE_FOLDER = Path(__file__).with_name("suite")
+MAX_KNOWN_BYTES = 1 << 20
 SEQUENCE = "sequence"
 """The tests of whole sequences, which need stage ``frame``."""
 SUITE = (*STAGES, SEQUENCE)
@@ -95,13 +97,19 @@ def run_suite(
 def read_known(path: Path) -> dict[str, str]:
     """Ids and reasons of a file of known failures: one id and one link or reason per line; ``#`` begins a comment."""
     known: dict[str, str] = {}
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+    try:
+        lines = read_regular(path, MAX_KNOWN_BYTES).decode("utf-8").splitlines()
+    except OSError as error:
+        raise KnownFailuresError(f"{path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise KnownFailuresError(f"{path}: expected text in UTF-8") from error
+    for number, line in enumerate(lines, 1):
         text = line.split("#", 1)[0].strip() if line.lstrip().startswith("#") else line.strip()
         if not text:
             continue
         name, _, reason = text.partition(" ")
         if not reason.strip():
-            raise KnownFailuresError(f"{path}:{number}: expected a test and a link or reason, got {text!r}")
+            raise KnownFailuresError(f"{path}:{number}: expected a test and a link or reason, got {text[:80]!r}")
         known[name] = reason.strip()
     return known
 

@@ -4,10 +4,13 @@
 from __future__ import annotations
 
 import math
+import reprlib
 import sys
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any, cast
+
+from stss_ref.regular_file import read_regular
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -15,28 +18,43 @@ else:
     import tomli as tomllib  # pyright: ignore[reportMissingImports]
 
 
-def read_toml(path: Path, error: type[Exception]) -> Table:
+MAX_BYTES = 64 << 10
+"""Of a file; the tables here take three thousand."""
+
+
+MAX_DOTS = 200
+"""In a line; the parser's time grows with the cube of a dotted key's length."""
+
+
+def read_toml(path: Path, error: Callable[[str], Exception]) -> Table:
     """The top table of a file.
 
     Args:
-        path: the file.
-        error: what to raise where the file cannot be read, is not TOML, or has a wrong value.
+        path: a regular file of at most `MAX_BYTES`.
+        error: made of a message, and raised, where something is wrong: here and in what the table is asked for.
     """
     try:
-        return Table(path, "", error, tomllib.loads(path.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as fault:
-        raise error(f"{path}: cannot be read as TOML: {' '.join(str(fault).split())}") from fault
+        text = read_regular(path, MAX_BYTES).decode("utf-8")
+        if any(line.count(".") > MAX_DOTS for line in text.splitlines()):
+            raise error(f"{path}: cannot be read as TOML: expected at most {MAX_DOTS} dots in a line")
+        return Table(path, "", error, tomllib.loads(text))
+    except OSError as found:
+        raise error(f"{path}: cannot be read as TOML: {found.strerror}") from None
+    except RecursionError:
+        raise error(f"{path}: cannot be read as TOML: nested too deeply") from None
+    except ValueError as found:  # not UTF-8, not TOML, or a number of more digits than Python converts
+        raise error(f"{path}: cannot be read as TOML: {' '.join(str(found).split())}") from None
 
 
 class Table:
     """A TOML table whose keys are taken one by one; what is left over at the end is unknown."""
 
-    def __init__(self, path: Path, prefix: str, error: type[Exception], table: dict[str, Any]):
+    def __init__(self, path: Path, prefix: str, error: Callable[[str], Exception], table: dict[str, Any]):
         self.path, self.prefix, self.error, self.rest = path, prefix, error, dict(table)
 
     def fail(self, key: str, expected: str, found: object) -> Exception:
         """The error to raise for a key."""
-        shown = "nothing" if found is None else repr(found)
+        shown = "nothing" if found is None else _shown(found)
         return self.error(f"{self.path}: {self.prefix}{key}: expected {expected}, found {shown}")
 
     def take(self, key: str, expected: str, kind: type | tuple[type, ...]) -> Any:
@@ -63,16 +81,17 @@ class Table:
     def number(self, key: str, *, positive: bool = False, infinite: bool = False) -> float:
         """A number, finite unless said."""
         expected = "a number > 0" if positive else "a number"
-        value = float(self.take(key, expected, (int, float)))
-        if math.isnan(value) or (math.isinf(value) and not infinite) or (positive and value <= 0):
-            raise self.fail(key, expected, value)
+        found = self.take(key, expected, (int, float))
+        value = _float(found)
+        if not (math.isfinite(value) or (infinite and math.isinf(value))) or (positive and value <= 0):
+            raise self.fail(key, expected, found)
         return value
 
     def numbers(self, key: str, count: int) -> tuple[float, ...]:
         """A list of so many finite numbers."""
         expected = f"{count} numbers"
         values = cast(list[Any], self.take(key, expected, list))
-        if len(values) != count or not all(type(x) in (int, float) and math.isfinite(x) for x in values):
+        if len(values) != count or not all(type(x) in (int, float) and math.isfinite(_float(x)) for x in values):
             raise self.fail(key, expected, values)
         return tuple(float(x) for x in values)
 
@@ -93,7 +112,44 @@ class Table:
         self.rest.pop(key, None)
         return Table(self.path, f"{self.prefix}{key}.", self.error, value)
 
-    def end(self, known: str) -> None:
+    def whole(self, key: str, most: int, *, divides: int | None = None, multiple: int = 1) -> int:
+        """A whole number from 1 to ``most``; a divisor of one number, a multiple of another."""
+        value = self.rest.pop(key, None)
+        if type(value) is not int or not 1 <= value <= most:
+            raise self.fail(key, f"a whole number from 1 to {most}", value)
+        if divides is not None and divides % value:
+            raise self.fail(key, f"a divisor of {divides}", value)
+        if value % multiple:
+            raise self.fail(key, f"a multiple of {multiple}", value)
+        return value
+
+    def flag(self, key: str) -> bool:
+        """True or false; false where it is not there."""
+        return key in self.rest and cast(bool, self.take(key, "true or false", bool))
+
+    def end(self, known: str = "") -> None:
         """Raise the error if a key is left over."""
         for key in self.rest:
-            raise self.error(f"{self.path}: {self.prefix}{key}: unknown key; known are {known}")
+            raise self.error(f"{self.path}: {self.prefix}{key}: unknown key" + (f"; known are {known}" if known else ""))
+
+
+def _float(value: float) -> float:
+    """As a float; NaN in place of a whole number that is too large for one."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.nan
+
+
+class _Shown(reprlib.Repr):
+    """Values of a stranger's file, cut short; ``repr`` itself fails for nested tables and for long whole numbers."""
+
+    def repr_int(self, x: int, level: int) -> str:
+        del level
+        return repr(x) if abs(x) < 10**40 else f"a whole number of {x.bit_length()} bits"
+
+
+def _shown(value: object) -> str:
+    short = _Shown()
+    short.maxstring = short.maxother = 80
+    return short.repr(value)

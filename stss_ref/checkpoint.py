@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from stss_ref.arrays import Array
+from stss_ref.regular_file import read_regular
 from stss_ref.tensor_pickle import describe, short, tensor
 from stss_ref.weights import TENSORS, Weights, WeightsError, check, require_names, require_shape
 
@@ -49,13 +50,7 @@ def read_checkpoint(path: str | Path) -> Weights:
 
 
 def _read_file(path: Path) -> bytes:
-    # A pipe or a device would block, or never end.
-    if path.exists() and not path.is_file():
-        raise WeightsError("not a file")
-    with path.open("rb") as file:
-        data = file.read(MAX_BYTES + 1)
-    if len(data) > MAX_BYTES:
-        raise WeightsError(f"larger than {MAX_BYTES >> 20} MiB; the authors' checkpoints take 1.7 MB")
+    data = read_regular(path, MAX_BYTES)
     if not data.startswith(b"PK\x03\x04"):
         raise WeightsError(f"not a PyTorch checkpoint: {_kind(data)}")
     return data

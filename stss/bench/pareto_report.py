@@ -21,6 +21,7 @@ from stss.errors import InputError
 from stss.frames.compute_options import ComputeOptions
 from stss.machine import cpu_model, versions
 from stss.optional import require
+from stss.terminal import Terminal
 from stss.version import VERSION
 from stss.weights.file import identity
 from stss_cl.device.discovery import open_device
@@ -67,9 +68,9 @@ def bench_pareto(
         for point in measure(setup.weights, device, scenes or CANONICAL, settings, size, frames, on_step=status.update):
             points.append(point)
             if point.setting == settings[-1]:
-                print_points([p for p in points if p.scene == point.scene], (), Console())
+                print_points([p for p in points if p.scene == point.scene], (), Terminal())
     rows = [row for group in others for row in group]
-    print_points((), rows, Console())
+    print_points((), rows, Terminal())
     if json_file is not None:
         write_json(json_file, points, rows, identity(setup.weights), size)
     if picture is not None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, islice, pairwise
 from pathlib import Path
 from typing import Any, cast
 
@@ -23,9 +23,12 @@ from stss.sequence.find_files import find_frames
 from stss.sequence.profiles import BUFFERS, Profile, load_profile
 from stss.sequence.raw_frame import NonFinite
 from stss.sequence.reader import Sequence, open_sequence
+from stss.terminal import printable
 
 PAIRS = 3
 """So many pairs of neighbouring frames are read."""
+LISTED = 8
+"""So many frame numbers stand in a line."""
 LOSSY = ("pxr24", "b44", "b44a", "dwaa", "dwab")
 
 
@@ -113,8 +116,8 @@ def check(
 
 def missing_frames(numbers: list[int]) -> list[Finding]:
     """Display frames that are not there at all: the likeliest reason that a sequence cannot work."""
-    gone = sorted(set(range(numbers[0], numbers[-1] + 1)) - set(numbers))
-    if not gone:
+    count = numbers[-1] - numbers[0] + 1 - len(numbers)
+    if not count:
         return []
     steps = {b - a for a, b in pairwise(numbers)}
     if len(steps) == 1:
@@ -124,7 +127,9 @@ def missing_frames(numbers: list[int]) -> list[Finding]:
             "may come at half rate: render G-buffer and motion of every display frame, motion to the one just before"
         )
         return [Finding("error", text)]
-    return [Finding("error", f"display frames {_listed(gone)} are not there: G-buffer and motion of each are needed")]
+    gone = chain.from_iterable(range(a + 1, b) for a, b in pairwise(numbers))  # never walked: numbers may lie far apart
+    text = f"display frames {_listed(islice(gone, LISTED), count)} are not there: G-buffer and motion of each are needed"
+    return [Finding("error", text)]
 
 
 def missing_buffers(sequence: Sequence, numbers: list[int]) -> list[Finding]:
@@ -133,7 +138,7 @@ def missing_buffers(sequence: Sequence, numbers: list[int]) -> list[Finding]:
     for buffer in BUFFERS:
         gone = [n for n in numbers if not sequence.has(n, buffer)]
         if gone and buffer != "color":
-            text = f"{buffer}: not there in frames {_listed(gone)}; every display frame needs it, rendered or not"
+            text = f"{buffer}: not there in frames {_listed(gone, len(gone))}; every display frame needs it, rendered or not"
             findings.append(Finding("error", text))
     rendered = sorted(sequence.rendered.intersection(numbers))
     if rendered == numbers:
@@ -141,14 +146,15 @@ def missing_buffers(sequence: Sequence, numbers: list[int]) -> list[Finding]:
     elif rendered and rendered == [n for n in numbers if (n - rendered[0]) % 2 == 0 and n >= rendered[0]]:
         findings.append(Finding("note", f"colour: every second frame from {rendered[0]} on"))
     else:
-        shown = _listed(rendered) if rendered else "none"
+        shown = _listed(rendered, len(rendered)) if rendered else "none"
         findings.append(Finding("warning", f"colour: expected every frame or every second one; found frames {shown}"))
     return findings
 
 
-def _listed(numbers: list[int]) -> str:
-    more = f", ... ({len(numbers)} in all)" if len(numbers) > 8 else ""
-    return ", ".join(str(n) for n in numbers[:8]) + more
+def _listed(numbers: Iterable[int], count: int) -> str:
+    """The first of ``count`` numbers."""
+    more = f", ... ({count} in all)" if count > LISTED else ""
+    return ", ".join(str(n) for n in islice(numbers, LISTED)) + more
 
 
 def _frame_table(sequence: Sequence, numbers: list[int]) -> dict[str, object]:
@@ -203,7 +209,7 @@ def print_report(report: Report, console: Console) -> None:
     """The findings, then what is stored where, and how well each choice of motion fits."""
     colours = {"error": "red", "warning": "yellow", "note": "cyan"}
     for finding in report.findings:
-        console.print(f"[{colours[finding.level]}]{finding.level}[/]: {escape(finding.text)}", soft_wrap=True)
+        console.print(f"[{colours[finding.level]}]{finding.level}[/]: {escape(printable(finding.text))}", soft_wrap=True)
     channels = cast(dict[str, dict[str, Any]], report.tables.get("channels", {}))
     if channels:
         table = Table("buffer", "channels", "format", "compression")

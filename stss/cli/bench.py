@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 import click
-from rich.console import Console
 
-from stss.cli.options import PATH, Names, Size
+from stss.cli.options import MAX_COUNT, PATH, Names, Size
+from stss.terminal import Terminal, echo
 from stss.weights.file import identity, load
 
 
@@ -23,7 +23,7 @@ from stss.weights.file import identity, load
     show_default="960x540",
     help="Of the inputs; may be repeated.",
 )
-@click.option("--repeat", type=click.IntRange(1), default=10, show_default=True, help="Timed runs of each contender.")
+@click.option("--repeat", type=click.IntRange(1, MAX_COUNT), default=10, show_default=True, help="Timed runs of each contender.")
 @click.option("--ours", type=Names(), help="Of ref, cl, cl-direct, cl-half, cl-frame  [default: cl, and cl-frame]")
 @click.option(
     "--peers",
@@ -45,7 +45,7 @@ from stss.weights.file import identity, load
     type=Names(),
     help="With --pareto: those whose names contain one of these, such as float32,2/255  [default: all]",
 )
-@click.option("--frames", type=click.IntRange(10), default=20, show_default=True, help="With --pareto: of each scene.")
+@click.option("--frames", type=click.IntRange(10, MAX_COUNT), default=20, show_default=True, help="With --pareto: of each scene.")
 def bench_command(
     sizes: tuple[tuple[int, int], ...],
     repeat: int,
@@ -70,7 +70,7 @@ def bench_command(
 
     tensors = random_weights(0) if weights is None else load(weights).weights
     threads = available_threads()
-    console = Console(stderr=True)
+    console = Terminal(stderr=True)
     setups = [Setup(tensors, *size, device=device, threads=threads) for size in sizes]
     if pareto:
         from stss.bench.pareto import chosen_settings
@@ -80,7 +80,7 @@ def bench_command(
         return
     with console.status("") as status:
         results = run_bench(setups, default_ours() if ours is None else ours, peers, repeat, on_step=status.update)
-    bench_report.print_results(results, Console())
+    bench_report.print_results(results, Terminal())
     if json_file is not None:
         bench_report.write_json(json_file, results, identity(tensors), threads)
     if plot is not None:
@@ -97,4 +97,4 @@ def export(weights: str, out: Path, size: tuple[int, int]) -> None:
     from stss.bench import onnx_export
 
     onnx_export.write(out, load(weights).weights, *size)
-    click.echo(f"{out}: {size[1]}x{size[0]} to {2 * size[1]}x{2 * size[0]}, opset {onnx_export.OPSET}")
+    echo(f"{out}: {size[1]}x{size[0]} to {2 * size[1]}x{2 * size[0]}, opset {onnx_export.OPSET}")

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
 
-from stss.cli.options import PATH, Names
+from stss.cli.options import MAX_SECONDS, MAX_SEED, PATH, Names, Number
 from stss.errors import InputError
 from stss.optional import require
+from stss.terminal import Terminal, echo
 
 
 @click.command()
@@ -21,10 +21,12 @@ from stss.optional import require
 @click.option("--exec", "program", metavar="PROGRAM", help='A program that is called with a job folder: "./port --gpu 1".')
 @click.option("--stages", type=Names(), help="Some only  [default: all that the port has]")
 @click.option("--tier", type=click.Choice(["quick", "full"]), default="quick", show_default=True, help="How many cases.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Other cases.")
+@click.option("--seed", type=click.IntRange(0, MAX_SEED), default=0, show_default=True, help="Other cases.")
 @click.option("--dtype", type=click.Choice(["float32", "float16"]), help="What it computes in  [default: as it says; float32]")
 @click.option("--winograd", is_flag=True, help="It computes convolutions in Winograd's way: wider bounds for them.")
-@click.option("--timeout", type=click.FloatRange(0, min_open=True), default=120, show_default=True, help="Seconds for one start.")
+@click.option(
+    "--timeout", type=Number(0, MAX_SECONDS, min_open=True), default=120, show_default=True, help="Seconds for one start."
+)
 @click.option("--known-failures", type=PATH, help="File: on each line a test and a link or reason.")
 @click.option("--failures", type=PATH, default=Path("conform-failures"), show_default=True, help="Folder for what fails.")
 @click.option("--replay", type=PATH, help="Run one of those folders again, and nothing else.")
@@ -64,7 +66,7 @@ def conform(
     _require_places((json_file, junit, report), failures)
     if unknown := set(stages or ()) - set(SUITE):
         raise InputError(f"--stages: expected some of {', '.join(SUITE)}, got {', '.join(sorted(unknown))}")
-    console = Console(stderr=True)
+    console = Terminal(stderr=True)
     judge = Judge(port, TIERS[tier], seed)
     try:
         known = read_known(known_failures) if known_failures is not None else {}
@@ -84,8 +86,9 @@ def conform(
         for r in results
         if r.outcome == "failed" and r.record.finding is not None
     }
-    conform_report.print_results(results, Console())
-    click.echo("".join(f"{name}: {again} --replay {shlex.quote(str(folder))}\n" for name, folder in folders.items()), nl=False)
+    conform_report.print_results(results, Terminal())
+    for name, folder in folders.items():
+        echo(f"{name}: {again} --replay {shlex.quote(str(folder))}")
     if json_file is not None:
         conform_report.write_json(json_file, conform_report.to_json(judge, results, folders))
     if report is not None:
@@ -114,8 +117,8 @@ def _replay(port: Any, folder: Path) -> int:
 
     worst, output = 0.0, ""
     for output, ratio in conforming.replay(port, folder):
-        click.echo(f"{output}: {'wrong' if ratio == float('inf') else f'error / bound {ratio:.3g}'}")
+        echo(f"{output}: {'wrong' if ratio == float('inf') else f'error / bound {ratio:.3g}'}")
         worst = max(worst, ratio)
     if not output:
-        click.echo("the port answers; what it failed with was no answer, so nothing is held against this one")
+        echo("the port answers; what it failed with was no answer, so nothing is held against this one")
     return int(worst > 1)

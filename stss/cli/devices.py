@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import click
-from rich.console import Console
 
 from stss.cli.options import PATH, Size
+from stss.terminal import Terminal, echo
 
 
 @click.command()
@@ -18,11 +19,11 @@ def devices(again: bool, as_json: bool) -> None:
     """List the OpenCL devices and whether they agree with the reference."""
     from stss.devices import selection as found
 
-    rows = found.rows(again=again, tell=lambda line: click.echo(line, err=True))
+    rows = found.rows(again=again, tell=partial(echo, err=True))
     if as_json:
         click.echo(found.to_json(rows))
     else:
-        found.print_rows(rows, Console())
+        found.print_rows(rows, Terminal())
 
 
 @click.command()
@@ -43,4 +44,4 @@ def tune(device: str | None, size: tuple[int, int], show: bool) -> None:
     """Find the fastest tile sizes for a device and keep them."""
     from stss.devices import tune as tuning
 
-    tuning.run(device, size, show=show, console=Console(), tell=lambda line: click.echo(line, err=True))
+    tuning.run(device, size, show=show, console=Terminal(), tell=partial(echo, err=True))

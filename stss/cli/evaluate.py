@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
 
 from stss.cli.options import (
+    MAX_COUNT,
     PATH,
     FrameRange,
     Names,
@@ -22,6 +23,7 @@ from stss.cli.options import (
 )
 from stss.frames.compute_options import ComputeOptions
 from stss.sequence.reader import open_sequence
+from stss.terminal import Terminal, echo
 
 
 @click.command("methods")
@@ -72,14 +74,14 @@ def methods_command(
     files = open_sequence(sequence, profile, camera=camera, metallic=metallic, roughness=roughness, non_finite=non_finite)
     options = RunOptions.of(files.profile, transfer=transfer, depth=depth, rendered=rendered, frames=frames, overwrite=overwrite)
     chosen, loaded = method_table.choose_methods(methods, weights), load(weights)
-    console = Console(stderr=True)
+    console = Terminal(stderr=True)
     with console.status("") as status:
         results = method_table.run_methods(
             files,
             truth,
             out,
             chosen,
-            lambda method: open_method(method, loaded, backend, compute, tell=lambda line: click.echo(line, err=True)),
+            lambda method: open_method(method, loaded, backend, compute, tell=partial(echo, err=True)),
             options,
             flip=flip,
             vmaf=vmaf,
@@ -89,7 +91,7 @@ def methods_command(
     if as_json:
         click.echo(method_table.to_json(results))
     else:
-        method_table.print_results(results, Console())
+        method_table.print_results(results, Terminal())
     console.print(f"pictures to look at: {out / 'sheet.png'}", soft_wrap=True, highlight=False, markup=False)
 
 
@@ -110,14 +112,14 @@ def flicker_command(
     if as_json:
         click.echo(found.to_json())
     else:
-        print_flicker(found, Console())
+        print_flicker(found, Terminal())
 
 
 @click.command("flicker-scenes")
 @click.option("--scenes", type=Names(), default=(), help="Of the canonical ones  [default: static,slow-pan]")
 @click.option("--methods", type=Names(), default=(), help="Which, such as bilinear,taau,network  [default: all]")
 @click.option("--size", type=Size(), default="320x180", show_default=True, help="Of the inputs.")
-@click.option("--frames", type=click.IntRange(1), default=20, show_default=True, help="Display frames of a scene.")
+@click.option("--frames", type=click.IntRange(1, MAX_COUNT), default=20, show_default=True, help="Display frames of a scene.")
 @weights_option
 @backend_options
 def flicker_scenes_command(
@@ -135,11 +137,11 @@ def flicker_scenes_command(
     from stss.run.choose_backend import open_method
     from stss.weights.file import load
 
-    chosen, loaded, console = method_table.choose_methods(methods, weights), load(weights), Console(stderr=True)
+    chosen, loaded, console = method_table.choose_methods(methods, weights), load(weights), Terminal(stderr=True)
 
     def make(method: str) -> Any:
-        return open_method(method, loaded, backend, compute, tell=lambda line: click.echo(line, err=True))[0]
+        return open_method(method, loaded, backend, compute, tell=partial(echo, err=True))[0]
 
     with console.status("") as status:
         found = flicker_scenes.measure(scenes or flicker_scenes.STILL, chosen, make, size, frames, on_step=status.update)
-    flicker_scenes.print_steadiness(found, Console())
+    flicker_scenes.print_steadiness(found, Terminal())

@@ -23,6 +23,7 @@ from stss.cli.devices import devices, port, tune
 from stss.cli.evaluate import flicker_command, flicker_scenes_command, methods_command
 from stss.cli.options import (
     PATH,
+    SIDE,
     FrameRange,
     backend_options,
     frame_options,
@@ -40,6 +41,7 @@ from stss.run.job import FrameReport, RunOptions, Summary
 from stss.run.job import run as run_sequence
 from stss.run.skip_report import told
 from stss.sequence.reader import open_sequence
+from stss.terminal import Terminal, accept_any_text, echo, printable
 from stss.version import VERSION
 from stss.weights import inspect as inspection
 from stss.weights.file import load, save
@@ -98,7 +100,7 @@ def run(
     """Make SEQUENCE, a folder or a pattern like a.####.exr, twice as large and twice as fast."""
     frames = open_sequence(sequence, profile, camera=camera, metallic=metallic, roughness=roughness, non_finite=non_finite)
     options = RunOptions.of(frames.profile, format=suffix, **chosen)
-    console = Console(stderr=True)
+    console = Terminal(stderr=True)
     first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
     loaded, possible = load(weights), backend == "cl" and method == NETWORK
     compute = with_skipping(compute, skip, max_error, budget, possible=possible)
@@ -131,7 +133,7 @@ def check(sequence: Path, profile: str, as_json: bool, **options: Any) -> None:
     if as_json:
         click.echo(report.to_json())
     else:
-        checking.print_report(report, Console())
+        checking.print_report(report, Terminal())
     sys.exit(report.status)
 
 
@@ -150,7 +152,7 @@ def compare(out: Path, truth: Path, as_json: bool, **chosen: Any) -> None:
     if as_json:
         click.echo(comparison.to_json())
     else:
-        comparing.print_comparison(comparison, Console())
+        comparing.print_comparison(comparison, Terminal())
 
 
 @stss.command()
@@ -162,7 +164,7 @@ def demo(out: Path, weights: str, overwrite: bool, **chosen: Any) -> None:
     """Render a small scene into OUT, supersample it, and compare it with its truth: pictures to look at."""
     from stss import demo as demonstration
 
-    demonstration.demo(out, weights=weights, overwrite=overwrite, console=Console(), **chosen)
+    demonstration.demo(out, weights=weights, overwrite=overwrite, console=Terminal(), **chosen)
 
 
 @stss.group()
@@ -175,13 +177,13 @@ def weights() -> None:
 @click.option("-o", "--out", type=PATH, required=True, help="The .safetensors file to write.")
 def import_weights(checkpoint: Path, out: Path) -> None:
     """Read the authors' PyTorch CHECKPOINT, without executing it, and write it as safetensors."""
-    save(out, read_checkpoint(checkpoint), {"imported_from": checkpoint.name})
-    click.echo(f"{out}: {load(out).identity}")
+    save(out, read_checkpoint(checkpoint), {"imported_from": printable(checkpoint.name)})
+    echo(f"{out}: {load(out).identity}")
 
 
 @weights.command()
 @click.argument("file")
-@click.option("--size", type=(int, int), default=(544, 960), show_default=True, help="H W that multiply-adds are for.")
+@click.option("--size", type=(SIDE, SIDE), default=(544, 960), show_default=True, help="H W that multiply-adds are for.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def inspect(file: str, size: tuple[int, int], as_json: bool) -> None:
     """Print the layers of the weights in FILE: shapes, parameters, multiply-adds."""
@@ -189,7 +191,7 @@ def inspect(file: str, size: tuple[int, int], as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(asdict(found)))
     else:
-        inspection.print_inspection(found, Console())
+        inspection.print_inspection(found, Terminal())
 
 
 for command in (
@@ -199,7 +201,7 @@ for command in (
 
 
 def _tell(line: str) -> None:
-    click.echo(line, err=True)
+    echo(line, err=True)
 
 
 def _progress(console: Console) -> Progress:
@@ -227,10 +229,10 @@ def _report(summary: Summary, out: Path, console: Console) -> None:
 
     for frame in summary.frames:
         if frame.outcome == "left out":
-            console.print(f"left out: {text(frame)}", soft_wrap=True, markup=False, highlight=False)
+            console.print(printable(f"left out: {text(frame)}"), soft_wrap=True, markup=False, highlight=False)
     written = ", ".join(f"{summary.count('done', kind)} {kind.value}" for kind in FrameKind)
     rest = f"{summary.count('kept')} kept, {summary.count('left out')} left out"
-    console.print(f"{out}: {written} written, {rest}", soft_wrap=True, markup=False, highlight=False)
+    console.print(printable(f"{out}: {written} written, {rest}"), soft_wrap=True, markup=False, highlight=False)
     if costs := [frame.cost for frame in summary.frames if frame.cost]:
         console.print(told(costs), soft_wrap=True, markup=False, highlight=False)
 
@@ -242,19 +244,34 @@ def main() -> None:
         # colour-science imports it, and it keeps things where other programs do. A command that needs no device is not refused.
         with suppress(DeviceError):
             os.environ.setdefault("MPLCONFIGDIR", str(private("matplotlib")))
+    accept_any_text()
     try:
+        _require_utf8(sys.argv[1:])
         status = stss.main(standalone_mode=False)
     except click.ClickException as error:
-        _fail(error.format_message())
+        _fail(" ".join(error.format_message().split()))
     except (InputError, ArrayError, WeightsError, DeviceError) as error:
         _fail(str(error))
     except (KeyboardInterrupt, click.exceptions.Abort):
         status = 130
     except BrokenPipeError:
         status = 141
+    except OSError as error:
+        if error.filename is None:
+            raise
+        _fail(f"{error.filename}: {error.strerror}")
     sys.exit(status if isinstance(status, int) else 0)
 
 
+def _require_utf8(words: list[str]) -> None:
+    """Raise InputError for a word that is not UTF-8: neither OpenImageIO nor JSON can take it as a name."""
+    for word in words:
+        try:
+            word.encode()
+        except UnicodeEncodeError:
+            raise InputError(f"{word}: expected a name in UTF-8") from None
+
+
 def _fail(message: str) -> None:
-    click.echo(f"stss: {message}", err=True)
+    echo(f"stss: {message}", err=True)
     sys.exit(2)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
@@ -13,10 +14,32 @@ import click
 from stss.color import TRANSFERS
 from stss.frames.backends import BACKENDS
 from stss.frames.compute_options import PRECISIONS, SKIPS, ComputeOptions, Precision
+from stss.images.headers import MAX_SIDE
+from stss.sequence.find_files import MAX_DIGITS
 from stss.weights.file import DEFAULT
 
 PATH = click.Path(path_type=Path)
 Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+MAX_SEED = 2**32 - 1
+MAX_SECONDS = 7 * 24 * 3600
+MAX_MIB = 1 << 24
+"""Of ``--memory-limit``: 16 TiB."""
+SIDE = click.IntRange(1, MAX_SIDE)
+MAX_COUNT = 10**6
+"""Of frames and repetitions that an option asks for."""
+
+
+class Number(click.FloatRange):
+    """A number within a range, never NaN or infinite; ``click.FloatRange`` takes both."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Parse; a wrong one is the user's mistake."""
+        found = super().convert(value, param, ctx)
+        if not math.isfinite(found):
+            self.fail(f"expected a finite number, got {value!r}", param, ctx)
+        return found
 
 
 class FrameRange(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
@@ -29,8 +52,9 @@ class FrameRange(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
         if isinstance(value, tuple):
             return value
         first, _, last = str(value).partition(":")
-        if not (first.isdecimal() and last.isdecimal() and int(first) <= int(last)):
-            self.fail(f"expected two frame numbers a:b with a <= b, got {value!r}", param, ctx)
+        if not (_is_whole(first, MAX_DIGITS) and _is_whole(last, MAX_DIGITS) and int(first) <= int(last)):
+            expected = f"two frame numbers a:b with a <= b, of at most {MAX_DIGITS} digits"
+            self.fail(f"expected {expected}, got {value!r}", param, ctx)
         return int(first), int(last)
 
 
@@ -39,8 +63,8 @@ def sequence_options(command: Command) -> Command:
     options = (
         click.option("--profile", default="stss", show_default=True, help="The renderer's conventions: a name or a TOML file."),
         click.option("--camera", type=PATH, help="CSV of frame,x,y,z in the sequence's unit of length, for NoV."),
-        click.option("--metallic", type=click.FloatRange(0, 1), help="Constant, for files that have none."),
-        click.option("--roughness", type=click.FloatRange(0, 1), help="Constant, for files that have none."),
+        click.option("--metallic", type=Number(0, 1), help="Constant, for files that have none."),
+        click.option("--roughness", type=Number(0, 1), help="Constant, for files that have none."),
         click.option(
             "--non-finite",
             type=click.Choice(["refuse", "mask"]),
@@ -96,7 +120,7 @@ def backend_options(command: Command) -> Command:
         ),
         click.option(
             "--memory-limit",
-            type=click.IntRange(1),
+            type=click.IntRange(1, MAX_MIB),
             metavar="MIB",
             help="For the network's buffers; larger frames go in strips  [default: half of the device's memory]",
         ),
@@ -192,9 +216,14 @@ class Size(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
         if isinstance(value, tuple):
             return value
         width, _, height = str(value).partition("x")
-        if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
-            self.fail(f"expected a size such as 960x540, got {value!r}", param, ctx)
+        if not all(_is_whole(side, 5) and 1 <= int(side) <= MAX_SIDE for side in (width, height)):
+            self.fail(f"expected a size such as 960x540, at most {MAX_SIDE} a side, got {value!r}", param, ctx)
         return int(height), int(width)
+
+
+def _is_whole(word: str, digits: int) -> bool:
+    """Whether it is a whole number of so many ASCII digits at most; ``int`` of more than 4300 raises."""
+    return word.isascii() and word.isdecimal() and len(word.lstrip("0")) <= digits
 
 
 class Names(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]

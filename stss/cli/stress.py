@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from stss.cli.options import PATH, Names
 from stss.errors import InputError
 from stss.frames.backends import BACKENDS
+from stss.terminal import Terminal, echo
 from stss.weights.file import load
 
 
@@ -46,7 +48,7 @@ def stress_command(
     tensors = None if weights is None else load(weights).weights
     opened = _open(backend, device)
     plan = make_plan(opened, tensors, full=full)
-    console = Console(stderr=True)
+    console = Terminal(stderr=True)
     with _progress(console) as progress:
         task = progress.add_task("", total=len(only or MEASUREMENTS), name="")
         begun: list[str] = []
@@ -57,7 +59,7 @@ def stress_command(
 
         tables = stress(plan, only, on_step=step)
     results = Results(plan, None if opened is None else f"{opened.name}, {opened.driver}", tables)
-    stress_report.print_results(results, Console())
+    stress_report.print_results(results, Terminal())
     if json_file is not None:
         stress_report.write_json(json_file, results)
     if page is not None:
@@ -70,7 +72,7 @@ def _open(backend: str, device: str | None) -> Any:
     if backend == "cl":
         from stss.devices.selection import choose
 
-        return choose(device, lambda line: click.echo(line, err=True))
+        return choose(device, partial(echo, err=True))
     if device is not None:
         raise InputError("backend ref: expected no device")
     return None

@@ -19,12 +19,15 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 
 from stss.errors import InputError
+from stss_ref.regular_file import require_regular
 
 MAX_SIDE = 16384
 MAX_CHANNELS = 1024
 MAX_BYTES = 4 << 30
+MAX_FILE_BYTES = 4 << 30
 MAX_PARTS = 256
 
+_BLOCK = 1 << 20
 _FORMATS = {"uint": "uint32"}
 """OpenImageIO name -> the usual one."""
 _MAGIC = {".exr": b"\x76\x2f\x31\x01", ".png": b"\x89PNG\r\n\x1a\n"}
@@ -84,14 +87,17 @@ def opened(path: Path) -> Generator[oiio.ImageInput, None, None]:
     magic = _MAGIC.get(path.suffix.lower())
     if magic is None:
         raise InputError(f"{path}: expected an .exr or .png file")
-    if not path.is_file():
-        raise InputError(f"{path}: " + ("not a regular file" if path.exists() else "no such file"))
     try:
+        str(path).encode()
+        if require_regular(path) > MAX_FILE_BYTES:
+            raise InputError(f"{path}: expected a file of at most {MAX_FILE_BYTES >> 20} MiB")
         with path.open("rb") as file:
             if file.read(len(magic)) != magic:
                 raise InputError(f"{path}: empty, or not the kind of file its name says")
             if path.suffix.lower() == ".png" and not _whole_png(file):
                 raise InputError(f"{path}: truncated or corrupt")
+    except UnicodeEncodeError:
+        raise InputError(f"{path}: expected a name in UTF-8") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     config = oiio.ImageSpec()
@@ -110,8 +116,10 @@ def _whole_png(file: BinaryIO) -> bool:
     """Whether each chunk up to the last is there with its checksum; libpng itself would complain on standard error."""
     while len(head := file.read(8)) == 8:
         length, kind = int.from_bytes(head[:4], "big"), head[4:]
-        data = file.read(min(length, MAX_BYTES))
-        if len(data) != length or file.read(4) != zlib.crc32(data, zlib.crc32(kind)).to_bytes(4, "big"):
+        checksum = zlib.crc32(kind)
+        while length and (data := file.read(min(length, _BLOCK))):
+            checksum, length = zlib.crc32(data, checksum), length - len(data)
+        if length or file.read(4) != checksum.to_bytes(4, "big"):
             return False
         if kind == b"IEND":
             return True

@@ -47,8 +47,16 @@ def read_channels(path: Path, names: Sequence[str]) -> dict[str, Plane]:
                 raise InputError(f"{path}: truncated or corrupt: {error or 'pixels cannot be decoded'}")
             for name in names:
                 if places[name][0] == part and first <= places[name][1] < stop:
-                    planes[name] = np.ascontiguousarray(pixels[..., places[name][1] - first], dtype=np.float32)
+                    planes[name] = _quiet(np.ascontiguousarray(pixels[..., places[name][1] - first], dtype=np.float32))
     return {name: planes[name] for name in names}
+
+
+def _quiet(plane: Plane) -> Plane:
+    """Without signalling NaN, in place: NumPy warns where one is cast."""
+    nan = np.isnan(plane)
+    if nan.any():
+        plane[nan] = np.nan
+    return plane
 
 
 def read_rgb(path: Path) -> Image:

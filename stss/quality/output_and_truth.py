@@ -11,6 +11,7 @@ from pathlib import Path
 from stss.color import TRANSFERS, transfer
 from stss.errors import InputError
 from stss.images.read_write import read_header, read_rgb
+from stss.sequence.find_files import frame_number
 from stss_ref.arrays import Image
 
 KINDS = ("SF", "EF")
@@ -100,7 +101,7 @@ def _numbered(folder: Path, frames: tuple[int, int] | None) -> dict[int, Path]:
         digits = re.findall(r"\d+", path.stem)
         if path.suffix.lower() not in SUFFIXES or path.name.startswith(".") or not digits:
             continue
-        number = int(digits[-1])
+        number = frame_number(path, digits[-1])
         if number in found and found[number].stem != path.stem:
             raise InputError(f"{folder}: frame {number} is there twice: {found[number].name}, {path.name}")
         if frames is None or frames[0] <= number <= frames[1]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -29,6 +30,8 @@ from stss_ref.arrays import Array, Image, Mask
 from stss_ref.depth import DepthMode
 from stss_ref.schedule import FrameKind, schedule
 
+MAX_GAP = 1000
+"""Display frames that may be missing in a row."""
 SKIPPED = "skipped"
 """Below the run's folder: pictures of what was computed."""
 Outcome = Literal["done", "kept", "left out"]
@@ -116,6 +119,7 @@ def run(
     """
     rendered = choose_rendered(sequence.numbers, sequence.rendered, options.rendered)
     numbers = _numbers(sequence, options.frames)
+    _require_near(sequence, sequence.numbers[0] if backend.accumulates else numbers[0], numbers[-1])
     if backend.accumulates and options.resume:
         what = "--skip bounded" if backend.method == NETWORK else backend.method
         raise InputError(f"--resume: {what} makes each output of all before it; run it anew, with --overwrite")
@@ -260,6 +264,13 @@ def _numbers(sequence: Sequence, frames: tuple[int, int] | None) -> range:
             f"--frames {frames[0]}:{frames[1]}: expected to lie within {first}:{last}, the frames of {sequence.path}"
         )
     return range(frames[0], frames[1] + 1)
+
+
+def _require_near(sequence: Sequence, first: int, last: int) -> None:
+    """Raise InputError where frames lie so far apart that they belong to no one sequence: each between would be reported."""
+    for a, b in pairwise(sequence.numbers):
+        if b - a - 1 > MAX_GAP and a < last and b > first:
+            raise InputError(f"{sequence.path}: no frame between {a} and {b}; expected gaps of at most {MAX_GAP}")
 
 
 def _claim(out: Path, options: RunOptions) -> None:

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
+import io
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +15,10 @@ from stss.errors import InputError
 from stss.images.headers import Header
 from stss.sequence.profiles import Profile
 from stss_ref.arrays import Array
+from stss_ref.regular_file import read_regular
+
+MAX_BYTES = 64 << 20
+"""Of a table; a line takes about 40."""
 
 
 @dataclass(frozen=True)
@@ -33,24 +38,30 @@ def read_cameras(path: Path) -> dict[int, Camera]:
     """A table ``frame,x,y,z``, in scene units.
 
     Raises:
-        InputError: not such a table; or a frame is in it twice.
+        InputError: not such a table, not a regular file of at most `MAX_BYTES`; or a frame is in it twice.
     """
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = list(csv.reader(file))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        rows = csv.reader(io.StringIO(read_regular(path, MAX_BYTES).decode("utf-8-sig"), newline=""))
+        first = next(rows, ["nothing"])
+        if [word.strip() for word in first] != ["frame", "x", "y", "z"]:
+            raise InputError(f"{path}: expected the first line to be frame,x,y,z; found {','.join(first)}")
+        return _table(path, rows)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: cannot be read: {error}") from error
-    if not rows or [word.strip() for word in rows[0]] != ["frame", "x", "y", "z"]:
-        raise InputError(f"{path}: expected the first line to be frame,x,y,z; found {','.join(rows[0]) if rows else 'nothing'}")
+
+
+def _table(path: Path, rows: Iterable[list[str]]) -> dict[int, Camera]:
     cameras: dict[int, Camera] = {}
-    for line, row in enumerate(rows[1:], start=2):
+    for line, row in enumerate(rows, start=2):
         if not row:
             continue
         try:
-            number, position = int(row[0]), np.array([float(word) for word in row[1:]])
+            number, position = int(row[0]), np.array([float(word) for word in row[1:4]])
         except ValueError:
             number, position = -1, np.empty(0)
-        if position.shape != (3,) or not np.isfinite(position).all():
+        if len(row) != 4 or position.shape != (3,) or not np.isfinite(position).all():
             raise InputError(f"{path}: line {line}: expected a frame number and three numbers; found {','.join(row)}")
         if number in cameras:
             raise InputError(f"{path}: line {line}: frame {number} is there twice")

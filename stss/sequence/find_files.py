@@ -10,8 +10,11 @@ from pathlib import Path
 from stss.errors import InputError
 
 _SEPARATORS = "._- "
-_STEM = re.compile(r"(.*?)(\d+)(\D*)")
+_STEM = re.compile(r"(.*?)(\d+)(\D*)", re.DOTALL)
 """The frame number is the last group of digits of the name without its suffix."""
+
+MAX_DIGITS = 9
+"""Of a frame number, leading zeros apart; more are a date or a hash, not a frame."""
 
 Frames = dict[int, dict[str, Path]]
 """Frame number -> what the name ends with ("" for the file that buffers share) -> file."""
@@ -26,7 +29,8 @@ def find_frames(path: Path, endings: Collection[str]) -> Frames:
         endings: what names end with before the frame number, one for each kind of file; "" where a kind has no ending.
 
     Raises:
-        InputError: there are no such files, those of several sequences, or two for one frame.
+        InputError: there are no such files, those of several sequences, or two for one frame; a number has too many
+            digits; or the folder cannot be read.
     """
     folder, wanted = path, None
     if "#" in path.name:
@@ -34,18 +38,15 @@ def find_frames(path: Path, endings: Collection[str]) -> Frames:
         before, _, after = Path(path.name).stem.partition("#")
         name = before + after.lstrip("#")
         wanted = (_split(name, endings) or (name.rstrip(_SEPARATORS), ""))[0]
-    if not folder.is_dir():
-        found = "a file" if folder.exists() else "nothing"
-        raise InputError(f"{path}: expected a folder, or a pattern like name.####.exr; found {found}")
     by_prefix: dict[str, Frames] = {}
-    for file in sorted(folder.iterdir()):
+    for file in _files(path, folder):
         match = _STEM.fullmatch(file.stem)
-        if file.suffix.lower() != ".exr" or file.name.startswith(".") or match is None or not file.is_file():
+        if file.suffix.lower() != ".exr" or file.name.startswith(".") or match is None:
             continue
         name = _split(match[1].rstrip(_SEPARATORS) + match[3], endings)
         if name is None or (wanted is not None and name[0] != wanted):
             continue
-        other = by_prefix.setdefault(name[0], {}).setdefault(int(match[2]), {}).setdefault(name[1], file)
+        other = by_prefix.setdefault(name[0], {}).setdefault(frame_number(file, match[2]), {}).setdefault(name[1], file)
         if other != file:
             raise InputError(f"{file}: the same frame as {other.name}")
     if not by_prefix:
@@ -55,6 +56,27 @@ def find_frames(path: Path, endings: Collection[str]) -> Frames:
         stems = ", ".join(name or "(no name)" for name in sorted(by_prefix))
         raise InputError(f"{path}: several sequences: {stems}; give one as a pattern, like NAME.####.exr")
     return next(iter(by_prefix.values()))
+
+
+def _files(path: Path, folder: Path) -> list[Path]:
+    """What is in the folder, sorted."""
+    try:
+        return sorted(folder.iterdir())
+    except FileNotFoundError:
+        found = "nothing"
+    except NotADirectoryError:
+        found = "a file"
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    raise InputError(f"{path}: expected a folder, or a pattern like name.####.exr; found {found}")
+
+
+def frame_number(file: Path, digits: str) -> int:
+    """The frame number in a file's name; raises InputError past `MAX_DIGITS`."""
+    digits = digits.lstrip("0")
+    if len(digits) > MAX_DIGITS:
+        raise InputError(f"{file}: expected a frame number of at most {MAX_DIGITS} digits, found {len(digits)}")
+    return int(digits or 0)
 
 
 def _split(name: str, endings: Collection[str]) -> tuple[str, str] | None:

@@ -148,7 +148,7 @@ def load_profile(name_or_path: str | Path) -> Profile:
         path = _TABLES / f"{text}.toml"
     else:
         path = Path(name_or_path)
-        if not path.is_file():
+        if not path.exists():
             raise InputError(f"profile {text}: expected one of {', '.join(profile_names())} or a TOML file")
     return _profile(path, read_toml(path, InputError))
 

@@ -19,6 +19,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 
 from stss.errors import InputError
+from stss_ref.regular_file import require_regular
 from stss_ref.weights import TENSORS, Weights, WeightsError, check, require_names, require_shape, zeros
 
 BILINEAR = "bilinear"
@@ -79,11 +80,9 @@ def _require_file(path: Path) -> None:
     if path.suffix.lower() != ".safetensors":
         raise InputError(f"{path}: expected a .safetensors file or one of the names {DEFAULT}, {BILINEAR}")
     try:
-        size = path.stat().st_size
+        size = require_regular(path)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
-    if not path.is_file():
-        raise InputError(f"{path}: not a file")
     if size > MAX_BYTES:
         raise InputError(f"{path}: larger than {MAX_BYTES >> 20} MiB, no weights of this network")
 

@@ -6,23 +6,17 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import sys
 from collections.abc import Generator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, cast
 
 from stss_cl.device.caches import private
 from stss_cl.device.discovery import DeviceClass, DeviceError, Properties
 from stss_cl.device.program import source
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # pyright: ignore[reportMissingImports]
+from stss_cl.toml_table import Table, read_toml
 
 BUILT_IN = Path(__file__).with_name("tuning.toml")
 OUTPUTS = (24, 32, 64)
@@ -85,6 +79,20 @@ def built_in(device: Properties) -> Tuning:
     return _built_in(device.name, device.device_class)
 
 
+def built_in_rows(path: Path) -> tuple[dict[str, Tuning], dict[str, Tuning]]:
+    """The rows of a file such as ``tuning.toml``: by class, ``cpu`` and ``gpu``, and by the name of a device.
+
+    Raises:
+        DeviceError: a row is wrong; the message names file and key.
+    """
+    table = _read(path)
+    classes = {key: _tuning(table.table(key)) for key in ("cpu", "gpu")}
+    devices = table.table("device", optional=True)
+    single = {key: _tuning(devices.table(key)) for key in tuple(devices.rest)}
+    table.end()
+    return classes, single
+
+
 def kept(device: Properties) -> Tuning | None:
     """The row that ``keep`` wrote; None: there is none for this driver and these kernels.
 
@@ -145,11 +153,7 @@ def _in_force(name: str, driver: str, device_class: DeviceClass) -> Tuning:
 
 @lru_cache(64)
 def _built_in(name: str, device_class: DeviceClass) -> Tuning:
-    table = _read(BUILT_IN)
-    classes = {key: _tuning(table.table(key)) for key in ("cpu", "gpu")}
-    devices = table.table("device") if "device" in table.rest else _Table(BUILT_IN, "", {})
-    single = {key: _tuning(devices.table(key)) for key in tuple(devices.rest)}
-    table.end()
+    classes, single = built_in_rows(BUILT_IN)
     return single.get(name, classes[device_class])
 
 
@@ -160,7 +164,7 @@ def _kept(name: str, driver: str, device_class: DeviceClass) -> Tuning | None:
     table = _read(path)
     for key, expected in (("device", name), ("driver", driver)):
         if table.rest.get(key) != expected:
-            raise table.fail(key, repr(expected))
+            raise table.fail(key, repr(expected), table.rest.get(key))
         del table.rest[key]
     return _tuning(table)
 
@@ -176,7 +180,7 @@ def _kernels() -> tuple[str, ...]:
     return source("conv.cl"), source("winograd.cl")
 
 
-def _tuning(table: _Table) -> Tuning:
+def _tuning(table: Table) -> Tuning:
     """A whole row; every key of it is checked."""
     winograd = table.table("winograd") if "winograd" in table.rest else None
     direct, strip = table.table("direct"), table.table("strip")
@@ -190,7 +194,7 @@ def _tuning(table: _Table) -> Tuning:
     return found
 
 
-def _winograd(table: _Table, outputs: int) -> Winograd:
+def _winograd(table: Table, outputs: int) -> Winograd:
     tiles = table.whole("tiles", MOST_TILES)
     rows = table.whole("rows", MOST_HELD, divides=tiles)
     found = Winograd(tiles, rows, table.whole("block", outputs // 8, divides=outputs // 8), table.flag("prefetch"))
@@ -198,50 +202,12 @@ def _winograd(table: _Table, outputs: int) -> Winograd:
     return found
 
 
-def _direct(table: _Table, outputs: int) -> Direct:
+def _direct(table: Table, outputs: int) -> Direct:
     pixels, block = table.whole("pixels", MOST_PIXELS), table.whole("block", outputs // 8, divides=outputs // 8)
     found = Direct(pixels, block, table.whole("group", MOST_GROUP))
     table.end()
     return found
 
 
-class _Table:
-    """A TOML table whose keys are taken one by one; what is left over at the end is unknown."""
-
-    def __init__(self, path: Path, prefix: str, values: dict[str, Any]):
-        self.path, self.prefix, self.rest = path, prefix, dict(values)
-
-    def fail(self, key: str, expected: str) -> DeviceError:
-        found = repr(self.rest[key]) if key in self.rest else "nothing"
-        return DeviceError(f"tuning {self.path}: {self.prefix}{key}: expected {expected}, found {found}")
-
-    def table(self, key: str) -> _Table:
-        if not isinstance(self.rest.get(key), dict):
-            raise self.fail(key, "a table")
-        return _Table(self.path, f"{self.prefix}{key}.", cast(dict[str, Any], self.rest.pop(key)))
-
-    def whole(self, key: str, most: int, *, divides: int | None = None, multiple: int = 1) -> int:
-        value = self.rest.get(key)
-        if type(value) is not int or not 1 <= value <= most:
-            raise self.fail(key, f"a whole number from 1 to {most}")
-        if divides is not None and divides % value:
-            raise self.fail(key, f"a divisor of {divides}")
-        if value % multiple:
-            raise self.fail(key, f"a multiple of {multiple}")
-        return self.rest.pop(key)
-
-    def flag(self, key: str) -> bool:
-        if type(self.rest.get(key, False)) is not bool:
-            raise self.fail(key, "true or false")
-        return self.rest.pop(key, False)
-
-    def end(self) -> None:
-        for key in self.rest:
-            raise DeviceError(f"tuning {self.path}: {self.prefix}{key}: unknown key")
-
-
-def _read(path: Path) -> _Table:
-    try:
-        return _Table(path, "", tomllib.loads(path.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise DeviceError(f"tuning {path}: cannot be read as TOML: {' '.join(str(error).split())}") from None
+def _read(path: Path) -> Table:
+    return read_toml(path, lambda message: DeviceError(f"tuning {message}"))

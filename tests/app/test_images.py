@@ -167,7 +167,7 @@ def test_strange_names_and_texts(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.exr", None, "no such file"),
+        ("a.exr", None, "No such file"),
         ("a.exr", b"", "empty, or not the kind"),
         ("a.exr", b"\x89PNG\r\n\x1a\n", "empty, or not the kind"),
         ("a.tif", b"II*\0", r"expected an \.exr or \.png file"),
@@ -182,7 +182,7 @@ def test_other_files_are_refused(tmp_path, name, content, message):
 
 def test_a_folder_is_not_a_file(tmp_path):
     (tmp_path / "a.exr").mkdir()
-    with pytest.raises(InputError, match="not a regular file"):
+    with pytest.raises(InputError, match="expected a regular file, found a folder"):
         images.read_header(tmp_path / "a.exr")
 
 

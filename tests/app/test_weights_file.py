@@ -94,7 +94,7 @@ def test_a_checkpoint_is_sent_to_import(tmp_path: Path, suffix: str):
     ("name", "message"),
     [
         ("missing.safetensors", "No such file"),
-        ("folder.safetensors", "not a file"),
+        ("folder.safetensors", "expected a regular file, found a folder"),
         ("bicubic", "expected a .safetensors file or one of the names default, bilinear"),
     ],
 )

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: MIT
+r"""Text on its way to the user. All of it goes through here: names come from files that strangers made.
+
+A control character would move the cursor, hide a message or set the window's title; a line break would make one message
+two; half of a name that is not UTF-8 cannot be encoded at all. Each is shown as Python writes it: ``\x1b``.
+"""
+
+from __future__ import annotations
+
+import sys
+from io import TextIOWrapper
+from typing import Any
+
+from rich.console import Console
+from rich.text import Text
+
+MOST = 2000
+"""Characters of a message; what a file says of itself may be longer."""
+
+
+def printable(text: str) -> str:
+    """One line that any terminal can show, of `MOST` characters at most; printable text as it is."""
+    if len(text) > MOST:
+        text = f"{text[: MOST // 2]} ... {text[-MOST // 2 :]}"
+    return text if text.isprintable() else "".join(map(_shown, text))
+
+
+def echo(line: str, *, err: bool = False) -> None:
+    """Print a line made `printable`."""
+    stream = sys.stderr if err else sys.stdout  # click.echo would take ASCII for a mistake, and write UTF-8
+    stream.write(printable(line) + "\n")
+    stream.flush()
+
+
+class Terminal(Console):
+    """Rich's console, where every text, in tables too, is made printable; line breaks stay."""
+
+    def render_str(self, text: str, **how: Any) -> Text:
+        """See ``rich.console.Console``; what it is given besides markup is text."""
+        return super().render_str("".join(c if c == "\n" else _shown(c) for c in text), **how)
+
+
+def accept_any_text() -> None:
+    """From here on standard output and standard error escape what their encoding lacks, rather than raise."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _shown(character: str) -> str:
+    return character if character.isprintable() else repr(character)[1:-1]

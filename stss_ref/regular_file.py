@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: MIT
+"""Small files read whole: never a pipe or a device, which would block or never end, and never more than was allowed."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+
+_KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+
+
+def read_regular(path: Path, most: int) -> bytes:
+    """The bytes of a regular file.
+
+    Args:
+        path: the file; links are followed.
+        most: bytes that it may have; a multiple of 1024.
+
+    Raises:
+        OSError: it cannot be read, is no regular file, or is larger; ``strerror`` says which.
+    """
+    require_regular(path)
+    # Without O_NONBLOCK a pipe that took the file's place since would block.
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    with os.fdopen(handle, "rb") as file:
+        _require_regular(path, os.fstat(handle).st_mode)
+        data = file.read(most + 1)
+    if len(data) > most:
+        limit = f"{most >> 20} MiB" if most >= 1 << 20 else f"{most >> 10} KiB"
+        raise OSError(errno.EFBIG, f"expected at most {limit}, found more", str(path))
+    return data
+
+
+def require_regular(path: Path) -> int:
+    """Raise OSError unless ``path`` is a regular file; returns its size in bytes."""
+    found = path.stat()
+    _require_regular(path, found.st_mode)
+    return found.st_size
+
+
+def _require_regular(path: Path, mode: int) -> None:
+    if not stat.S_ISREG(mode):
+        kind = _KINDS.get(stat.S_IFMT(mode), "something else")
+        raise OSError(errno.EINVAL, f"expected a regular file, found {kind}", str(path))

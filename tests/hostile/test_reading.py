@@ -1,0 +1,432 @@
+"""What ``stss`` is handed: numbers, names and files that no renderer writes; each is refused in one line, at once."""
+
+import os
+import re
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stss import terminal as printing
+from stss.errors import InputError
+from stss.images.read_write import write_rgb
+from stss.sequence.profiles import load_profile
+from stss.sequence.reader import open_sequence
+from stss.terminal import MOST, printable
+from stss.weights.file import save
+from stss_cl.device import tuning
+from stss_cl.errors import DeviceError
+from stss_ref.weights import zeros
+from tests.app.conftest import frame_channels, write_raw
+from tests.fuzz.harness import Result, call
+from tests.hostile.cases import refused, stss
+
+SIZE = (8, 16)
+PLAIN = ("--weights", "bilinear", "--backend", "ref")
+FAR = 99999999
+
+
+def write(path, number=1, change=lambda channels: channels):
+    path.parent.mkdir(exist_ok=True)
+    write_raw(path.with_name("0.exr"), change(frame_channels(number, SIZE)))
+    return path.with_name("0.exr").rename(path).parent
+
+
+@pytest.fixture
+def sequence(tmp_path):
+    for number in (1, 2):
+        write(tmp_path / "in" / f"seq.{number:04d}.exr", number)
+    return tmp_path / "in"
+
+
+def said(result, *words):
+    """Status 2, and what is wrong: on stderr, or as a finding of ``stss check``."""
+    if result.stdout:
+        result = Result(result.returncode, "", f"stss: {result.stdout.splitlines()[0]}")
+    refused(result, *words)
+
+
+# Numbers
+
+
+@pytest.fixture
+def apart(tmp_path):
+    """Frames 1 and 99999999; outputs and truth of the same numbers."""
+    for number in (1, FAR):
+        write(tmp_path / "in" / f"seq.{number}.exr")
+        for folder in ("out", "truth"):
+            (tmp_path / folder).mkdir(exist_ok=True)
+            write_rgb(tmp_path / folder / f"frame.{number}.png", np.zeros((2 * SIZE[0], 2 * SIZE[1], 3)))
+    return tmp_path
+
+
+GAP = f"no frame between 1 and {FAR}; expected gaps of at most 1000"
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("check in", f"frames step by {FAR - 1}"),
+        ("run in -o new --rendered all", GAP),
+        ("run in -o new --rendered all --keep-going", GAP),
+        (f"run in -o new --rendered all --method taau --frames {FAR}:{FAR} --keep-going", GAP),
+        ("methods in truth -o new --rendered all --methods bilinear", GAP),
+        ("flicker out truth --sequence in", "expected two frames in a row"),
+        (f"run in -o new --frames 2:{FAR - 1} --keep-going", GAP),
+    ],
+)
+def test_a_gap_between_frames_is_never_walked(apart, monkeypatch, command, words):
+    monkeypatch.chdir(apart)
+    plain = () if command.split()[0] in ("check", "flicker") else PLAIN
+    said(call(*command.split(), *plain, seconds=20), words)
+    assert not (apart / "new").exists()
+
+
+def test_frames_apart_are_compared_all_the_same(apart):
+    assert call("compare", apart / "out", apart / "truth", seconds=20).returncode == 0
+
+
+def test_a_finding_lists_the_first_of_the_frames_that_are_not_there(apart):
+    write(apart / "in" / "seq.3.exr")
+    said(call("check", apart / "in", seconds=20), "display frames 2, 4, 5, 6, 7, 8, 9, 10, ... (99999996 in all)")
+
+
+@pytest.mark.parametrize("digits", ["1234567890", "9" * 240])
+@pytest.mark.parametrize("command", ["check in", "run in -o new", "compare in in"])
+def test_a_frame_number_has_nine_digits_at_most(tmp_path, monkeypatch, digits, command):
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "in" / f"a.{digits}.exr")
+    said(call(*command.split()), "expected a frame number of at most 9 digits", f"found {len(digits)}")
+
+
+def test_leading_zeros_do_not_count(tmp_path):
+    write(tmp_path / "in" / f"a.{'0' * 30}123456789.exr")
+    assert "frame 123456789" not in call("check", tmp_path / "in").stderr
+
+
+HUGE = "9" * 5000
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "values"),
+    [
+        ("run in -o new", "--frames", ["1", "2:1", f"1:{HUGE}", "1:1234567890", "-1:2", "a:b", "²:3", "nan:nan"]),
+        ("run in -o new", "--metallic", ["nan", "inf", "-0.1", "1.1", "1e400", "x"]),
+        ("run in -o new", "--roughness", ["nan", "-inf"]),
+        ("run in -o new", "--memory-limit", ["0", "-1", "1e30", "1" + "0" * 30, HUGE, "nan"]),
+        ("run in -o new", "--max-error", ["nan", "inf", "0", "-1", "1", "1e400/1e400", "1/0", "2/nan", "x"]),
+        ("run in -o new", "--budget", ["nan", "inf", "0", "-1ms", "1e400", "x"]),
+        ("check in", "--frames", [f"{HUGE}:{HUGE}"]),
+        ("compare in in", "--frames", [f"1:{HUGE}"]),
+        ("flicker in in --sequence in", "--frames", [f"1:{HUGE}"]),
+        ("flicker-scenes", "--size", ["0x1", f"{HUGE}x1", "16385x8", "8", "-8x8", "nanxnan"]),
+        ("flicker-scenes", "--frames", ["0", HUGE, "1" + "0" * 30]),
+        ("bench", "--size", ["99999x99999", f"1x{HUGE}"]),
+        ("bench", "--repeat", ["0", HUGE, "1" + "0" * 30]),
+        ("bench", "--frames", ["9", "1" + "0" * 30]),
+        ("export default -o x.onnx", "--size", ["0x0", "16392x8"]),
+        ("tune", "--size", [HUGE]),
+        ("weights inspect default", "--size", ["0 8", "-8 8", "8 99999", f"8 {HUGE}"]),
+        ("conform --exec true", "--seed", ["-1", "4294967296", HUGE]),
+        ("conform --exec true", "--timeout", ["nan", "inf", "0", "-1", "1e30"]),
+    ],
+)
+def test_an_option_out_of_its_range_is_refused(sequence, monkeypatch, command, option, values):
+    monkeypatch.chdir(sequence.parent)
+    for value in values:
+        said(call(*command.split(), option, *value.split()), option)
+        assert not (sequence.parent / "new").exists()
+
+
+# TOML
+
+
+TOML = {
+    "401 digits": (
+        "units_per_cm = 1",
+        f"units_per_cm = {'9' * 401}",
+        "units_per_cm: expected a number > 0, found a whole number of",
+    ),
+    "401 digits where infinity may stand": (
+        "background = 1e9",
+        f"background = {'9' * 401}",
+        "depth.background: expected a number > 0",
+    ),
+    "401 digits in a list": ("bias = [0, 0]", f"bias = [0, {'9' * 401}]", "motion.bias: expected 2 numbers"),
+    "5000 digits": ("units_per_cm = 1", f"units_per_cm = {'9' * 5000}", "cannot be read as TOML"),
+    "5000 hexadecimal digits": ("units_per_cm = 1", f"units_per_cm = 0x{'f' * 5000}", "found a whole number of 20000 bits"),
+    "nested lists": ("units_per_cm = 1", f"units_per_cm = {'[' * 5000}{']' * 5000}", "nested too deeply"),
+    "nested tables": ("units_per_cm = 1", f"units_per_cm = {'{a=' * 3000}1{'}' * 3000}", "nested too deeply"),
+    "dotted keys": ("units_per_cm = 1", f"units_per_cm.{'a.' * 5000}a = 1", "expected at most 200 dots in a line"),
+    "dotted keys, as many as may be": (
+        "units_per_cm = 1",
+        "\n".join(f"{'a.' * 199}a{i} = 1" for i in range(140)),
+        "units_per_cm",
+    ),
+    "a control character": ('name = "stss"', 'name = "\\u001b[2J"', "name: expected one line of text"),
+    "control characters as a key": ("units_per_cm = 1", 'units_per_cm = 1\n"\\u001b[2J\\n" = 1', "\\x1b[2J\\n: unknown key"),
+    "half of a pair": ("units_per_cm = 1", 'units_per_cm = "\\ud800"', "cannot be read as TOML"),
+    "too large": ("units_per_cm = 1", "units_per_cm = 1 #" + 70000 * "x", "expected at most 64 KiB, found more"),
+}
+
+
+@pytest.mark.parametrize("case", TOML)
+def test_a_hostile_profile_is_one_line(tmp_path, case):
+    old, new, words = TOML[case]
+    text = load_profile("stss").path.read_text()
+    assert old in text
+    (tmp_path / "mine.toml").write_text(text.replace(old, new, 1))
+    refused(call("check", tmp_path, "--profile", tmp_path / "mine.toml"), "mine.toml: ", words)
+
+
+@pytest.mark.parametrize(
+    "value", ["9" * 401, "9" * 5000, "0x" + "f" * 5000, "[" * 5000 + "]" * 5000, "{a=" * 3000 + "1" + "}" * 3000]
+)
+def test_a_hostile_row_of_tile_sizes_is_one_line(tmp_path, value):
+    (tmp_path / "tuning.toml").write_text(f"cpu = {value}\n")
+    with pytest.raises(DeviceError, match=r"^tuning .*tuning\.toml: ") as caught:
+        tuning.built_in_rows(tmp_path / "tuning.toml")
+    assert len(str(caught.value)) < 500
+
+
+# Names
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        b"check \xff", b"check in --profile \xff.toml", b"check in --camera \xff.csv", b"run in -o \xff", b"run \xff -o new",
+        b"run in -o new --weights \xff.safetensors", b"run in -o new --device \xff", b"compare in \xff", b"weights inspect \xff",
+        b"weights import \xff -o w.safetensors", b"export default -o \xff.onnx", b"port \xff", b"\xff", b"check --\xff",
+        b"conform --exec \xff", b"conform --exec true --known-failures \xff",
+    ],
+)  # fmt: skip
+def test_an_argument_that_is_not_utf8_is_refused(sequence, monkeypatch, command):
+    monkeypatch.chdir(sequence.parent)
+    refused(call(*command.split()), "\\udcff", "expected a name in UTF-8")
+    assert sorted(path.name for path in sequence.parent.iterdir()) == ["in"]
+
+
+@pytest.mark.parametrize("command", ["check", "run -o new", "compare", "flicker"])
+def test_a_file_whose_name_is_not_utf8_is_refused(sequence, monkeypatch, command):
+    monkeypatch.chdir(sequence.parent)
+    (sequence / "seq.0002.exr").rename(sequence / os.fsdecode(b"seq.\xff.0002.exr"))
+    (sequence / "seq.0001.exr").unlink()
+    more = {"compare": [sequence], "flicker": [sequence, "--sequence", sequence]}.get(command, [])
+    said(call(*command.split(), sequence, *more), "seq.\\udcff.0002.exr: expected a name in UTF-8")
+
+
+def test_names_with_control_characters_are_shown_escaped(tmp_path):
+    folder = write(tmp_path / "a\n\x1b[2J" / "b\r\x07.0001.exr")
+    refused(call("run", folder, "-o", tmp_path / "out", "--frames", "5:5", *PLAIN), "a\\n\\x1b[2J")
+    refused(call("check", tmp_path, "--profile", "\x1b]0;title\x07"), "\\x1b]0;title\\x07")
+    said(call("check", "nowhere\n\x1b[2J"), "nowhere\\n\\x1b[2J: expected a folder")
+    result = call("check", folder)
+    assert all(line.isprintable() for line in result.stdout.splitlines())
+
+
+def test_a_name_longer_than_the_file_system_takes(tmp_path):
+    write(tmp_path / "a.0001.exr")
+    for command in (["check", "x" * 5000], ["check", tmp_path, "--camera", "x" * 5000], ["weights", "inspect", "x" * 5000],
+                    ["check", tmp_path, "--profile", "x" * 5000], ["compare", "x" * 300, tmp_path]):  # fmt: skip
+        said(call(*command), "xxx")
+
+
+def test_a_terminal_without_utf8(tmp_path):
+    folder = write(tmp_path / "Größe" / "ä\x1b.0001.exr")
+    for env in ({"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C"}):
+        result = stss("check", folder, env=env)
+        assert result.returncode == 0, result.stderr
+        assert result.stdout.isascii() == ("PYTHONIOENCODING" in env)
+        assert "Traceback" not in result.stderr
+    refused(stss("weights", "inspect", "Größe.toml", env={"PYTHONIOENCODING": "ascii"}), "Gr\\xf6\\xdfe.toml")
+
+
+# Channels and metadata
+
+
+def test_channel_names_with_control_characters_are_shown_escaped(tmp_path):
+    def change(channels):
+        return {("\x1b[31mevil\u202e" if name == "depth.Z" else name): plane for name, plane in channels.items()}
+
+    folder = write(tmp_path / "in" / "a.0001.exr", change=change)
+    said(call("check", folder), "\\x1b[31mevil\\u202e")
+    refused(call("run", folder, "-o", tmp_path / "out"), "\\x1b[31mevil\\u202e")
+
+
+def test_what_a_table_shows_is_printable(tmp_path):
+    text = load_profile("stss").path.read_text().replace('["depth.Z"]', '["depth\\u001b[2J.Z"]')
+    (tmp_path / "mine.toml").write_text(text)
+    change = lambda channels: {("depth\x1b[2J.Z" if k == "depth.Z" else k): v for k, v in channels.items()}  # noqa: E731
+    for number in (1, 2):
+        write(tmp_path / "in" / f"a.{number}.exr", change=change)
+    result = call("check", tmp_path / "in", "--profile", tmp_path / "mine.toml")
+    assert "\\x1b[2J" in result.stdout
+    assert all(line.isprintable() for line in result.stdout.splitlines())
+
+
+def test_nothing_is_printed_past_the_one_place():
+    """``stss/terminal.py``; JSON has escapes of its own."""
+    for path in sorted(Path(printing.__file__).parent.rglob("*.py")):
+        found = re.findall(r"(?<![\w.])Console\(\S*\)|click\.s?echo\((?!.*json).*", path.read_text())
+        assert not found or path.name == "terminal.py", f"{path}: {found}"
+
+
+def test_a_long_message_is_cut(tmp_path):
+    folder = write(tmp_path / "in" / "a.0001.exr", change=lambda c: {f"{'x' * 20}{i}": c["depth.Z"] for i in range(400)})
+    assert len(call("run", folder, "-o", tmp_path / "out").stderr) < MOST + 50
+    assert printable("a" * MOST) == "a" * MOST
+    assert len(printable("\x1b" * 10**6)) < 4 * MOST + 50
+
+
+def test_a_signalling_nan_is_a_nan_like_any_other(tmp_path):
+    def change(channels):
+        planes = {name: np.asarray(plane, np.float32).copy() for name, plane in channels.items()}
+        for name in ("depth.Z", "motion.X", "position.Y", "R", "normal.X"):
+            planes[name].view(np.uint32)[3, 4] = 0x7FA00000
+        return planes
+
+    for number in (1, 2):
+        folder = write(tmp_path / "in" / f"a.{number}.exr", number, change)
+    assert call("check", folder, "--non-finite", "mask").returncode == 1
+    assert call("run", folder, "-o", tmp_path / "out", "--non-finite", "mask", "--rendered", "all", *PLAIN).returncode == 0
+    refused(call("run", folder, "-o", tmp_path / "new", *PLAIN), "non-finite")
+
+
+# Files that are none
+
+
+def special(path, kind):
+    path.parent.mkdir(exist_ok=True)
+    if kind == "a folder":
+        path.mkdir()
+    elif kind == "a pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero")
+    return path
+
+
+PLACES = {
+    "frames": ("in/seq.0003.exr", "check in"),
+    "frames run": ("in/seq.0003.exr", "run in -o new"),
+    "camera": ("special.csv", "run in -o new --camera special.csv"),
+    "profile": ("special.toml", "run in -o new --profile special.toml"),
+    "weights": ("special.safetensors", "run in -o new --weights special.safetensors"),
+    "checkpoint": ("special.pkl", "weights import special.pkl -o new.safetensors"),
+    "compared": ("truth/frame.0001.png", "compare in truth"),
+    "known failures": ("special", "conform --port stss.conform.own_ports:ReferencePort --stages rrm --known-failures special"),
+}
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("kind", ["a folder", "a pipe", "a device"])
+def test_only_regular_files_are_read(sequence, monkeypatch, place, kind):
+    monkeypatch.chdir(sequence.parent)
+    name, command = PLACES[place]
+    special(sequence.parent / name, kind)
+    said(call(*command.split(), seconds=20), name, f"expected a regular file, found {kind}")
+    assert not (sequence.parent / "new").exists()
+
+
+SIZES = {
+    "camera": ("big.csv", "run in -o new --camera big.csv", "at most 64 MiB"),
+    "profile": ("big.toml", "run in -o new --profile big.toml", "at most 64 KiB"),
+    "weights": ("big.safetensors", "run in -o new --weights big.safetensors", "larger than 64 MiB"),
+    "checkpoint": ("big.pkl", "weights import big.pkl -o new.safetensors", "at most 64 MiB"),
+    "frames": ("in/seq.0003.exr", "check in", "at most 4096 MiB"),
+    "known failures": (
+        "big",
+        "conform --port stss.conform.own_ports:ReferencePort --stages rrm --known-failures big",
+        "at most 1 MiB",
+    ),
+}
+
+
+@pytest.mark.parametrize("place", SIZES)
+def test_a_size_has_a_limit_that_is_named(sequence, monkeypatch, place):
+    """Sparse files of 60 GiB: reading one would take longer than the watchdog waits."""
+    monkeypatch.chdir(sequence.parent)
+    name, command, words = SIZES[place]
+    with Path(name).open("wb") as file:
+        file.truncate(60 << 30)
+    said(call(*command.split(), seconds=20), name, words)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "found nothing"),
+        ("frame,x,y\n", "expected the first line to be frame,x,y,z"),
+        ("x" * 200000, "field larger than field limit"),
+        (f"frame,x,y,z\n{HUGE},0,0,0\n", "line 2: expected a frame number and three numbers"),
+        ("frame,x,y,z\n1,nan,0,0\n", "line 2: expected a frame number and three numbers; found 1,nan,0,0"),
+        ("frame,x,y,z\n1,1e999,0,0\n", "line 2"),
+        ("frame,x,y,z\n1" + ",0" * 100000 + "\n", "line 2"),
+        ("frame,x,y,z\n1,0,0,0\n1,0,0,0\n", "line 3: frame 1 is there twice"),
+        ("frame,x,y,z\n1,\x1b[2J,0,0\n", "found 1,\\x1b[2J,0,0"),
+        ('frame,x,y,z\n1,"\n\n",0,0\n', "found 1,\\n\\n,0,0"),
+        ("frame,x,y,z\n1,\0,0,0\n", "line 2"),
+        ("frame,x,y,z\n" + "\n" * 3000000, "no line for frame 1"),
+    ],
+)
+def test_a_hostile_camera_table_is_one_line(sequence, text, words):
+    table = sequence.parent / "camera.csv"
+    table.write_text(text)
+    refused(call("run", sequence, "-o", sequence.parent / "new", "--camera", table, seconds=20), "camera.csv: ", words)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"\xff\xfe", "expected text in UTF-8"),
+        (b"warp.\x1b[2J\n", "expected a test and a link or reason, got 'warp.\\x1b[2J'"),
+        (b"x" * 100000, "expected a test and a link or reason"),
+        (b"no.such why\n", "no such test: no.such"),
+    ],
+)
+def test_a_hostile_list_of_known_failures_is_one_line(tmp_path, monkeypatch, content, words):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "known").write_bytes(content)
+    refused(
+        call("conform", "--port", "stss.conform.own_ports:ReferencePort", "--stages", "rrm", "--known-failures", "known"), words
+    )
+
+
+def test_a_header_that_claims_more_than_the_file_can_hold(sequence):
+    """Refused before memory is taken: 16384 x 16384 of 19 channels are 19 GiB."""
+    path = sequence / "seq.0002.exr"
+    for side in (4000, 16384, 2**31 - 1):
+        window = struct.pack("<4i", 0, 0, SIZE[1] - 1, SIZE[0] - 1)
+        path.write_bytes(path.read_bytes().replace(window, struct.pack("<4i", 0, 0, side - 1, side - 1)))
+        said(call("check", sequence, seconds=20), "seq.0002.exr: ")
+        write(path, 2)
+
+
+def test_a_name_that_is_kept_can_be_read_again(tmp_path):
+    """A checkpoint's name goes into the metadata of the weights made of it."""
+    path = tmp_path / "w.safetensors"
+    save(path, zeros(), {"imported_from": printable("a\udcff\x1b.pkl")})
+    assert call("weights", "inspect", path).returncode == 0
+
+
+def test_weights_of_a_hostile_header(tmp_path):
+    path = tmp_path / "w.safetensors"
+    for data in (b"", b"\xff" * 8, (2**63).to_bytes(8, "little") + b"{}", (100 << 20).to_bytes(8, "little") + b"{}" * 50,
+                 struct.pack("<Q", 20000) + b"[" * 20000):  # fmt: skip
+        path.write_bytes(data)
+        refused(call("weights", "inspect", path, seconds=20), "damaged safetensors file")
+
+
+def test_an_unreadable_folder_is_one_line(tmp_path):
+    if os.geteuid() != 0:
+        pytest.skip("needs root, to become nobody")
+    folder = write(tmp_path / "in" / "a.0001.exr")
+    folder.chmod(0)
+    os.seteuid(65534)
+    try:
+        with pytest.raises(InputError, match="cannot be read: Permission denied"):
+            open_sequence(folder, "stss")
+    finally:
+        os.seteuid(0)
