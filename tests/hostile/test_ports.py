@@ -417,6 +417,46 @@ def test_one_number_that_is_none_fails(stage, output):
     one()
 
 
+@pytest.mark.parametrize(
+    ("stage", "output"),
+    [(stage, name) for stage, row in STAGES.items() for name, spec in row.outputs.items() if spec.kind == "uint8"],
+)
+def test_one_wrong_pixel_of_a_mask_fails(stage, output):
+    """At any place, unless the case has numbers that rounding decides."""
+
+    @settings(max_examples=25, database=None)
+    @given(STRATEGIES[stage], st.data())
+    def one(inputs, data):
+        def plant(outputs):
+            place = tuple(data.draw(st.integers(0, side - 1)) for side in outputs[output].shape)
+            outputs[output][place] ^= 1
+
+        found, judge = "", Judge(Planted(plant))
+        try:
+            judge.agrees(stage, inputs)
+        except DepartureError as error:
+            found = str(error)
+        assert f"{stage}.{output}: wrong at " in found or judge.record.undecided
+
+    one()
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_an_answer_that_is_not_judged_is_a_number_all_the_same(monkeypatch, number):
+    """Where rounding decides on a whole frame, it does not decide whether the frame is one."""
+    monkeypatch.setattr("conformance.judge.expect", lambda *_: {})
+    case = smallest_case("frame")
+
+    def plant(outputs):
+        outputs["image"][3, 4, 1] = number
+
+    judge = Judge(ReferencePort())
+    judge.agrees("frame", case.inputs, case.weights)
+    assert (judge.record.unjudged, judge.record.worst) == (1, {})
+    with pytest.raises(DepartureError, match=r"frame.image: wrong at \[3, 4, 1\]"):
+        Judge(Planted(plant)).agrees("frame", case.inputs, case.weights)
+
+
 @pytest.mark.parametrize("stage", STAGES)
 def test_zeros_of_either_sign_and_lost_small_numbers_pass(stage):
     """What docs/conformance.md lets a port do."""
