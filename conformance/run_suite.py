@@ -22,6 +22,8 @@ MAX_KNOWN_BYTES = 1 << 20
 SEQUENCE = "sequence"
 """The tests of whole sequences, which need stage ``frame``."""
 SUITE = (*STAGES, SEQUENCE)
+JUDGED = "suite.something_is_judged"
+"""Id of the result that is added where nothing was: a run that says nothing of a port does not pass it."""
 
 
 @dataclass
@@ -71,13 +73,17 @@ def run_suite(
         on_result: called after every test.
 
     Returns:
-        One for each test, in the order of the stages.
+        One for each test, in the order of the stages; and a failure, ``JUDGED``, if none of them held anything against a bound.
 
     Raises:
         KnownFailuresError: ``known`` names no test, or one that passes.
+        ValueError: no stages, or an unknown one.
     """
+    stages = set(stages)
+    if not stages or stages - set(SUITE):
+        raise ValueError(f"stages: expected some of {', '.join(SUITE)}, got {', '.join(sorted(stages)) or 'none'}")
     plugin = _Plugin(judge, known, on_result)
-    files = [str(SUITE_FOLDER / f"test_{stage}.py") for stage in SUITE if stage in set(stages)]
+    files = [str(SUITE_FOLDER / f"test_{stage}.py") for stage in SUITE if stage in stages]
     arguments = [*files, "-c", os.devnull, "--rootdir", str(SUITE_FOLDER), "--import-mode=importlib", "-W", "ignore"]
     arguments += [f"-pno:{name}" for name in ("cacheprovider", "terminal", "logging", "faulthandler")]
     if junit is not None:
@@ -151,6 +157,23 @@ class _Plugin:
         if report.failed:
             self.broken = str(report.longrepr)
 
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        """Before the JUnit file is written: it has this one as well."""
+        if self.broken or any(_judged(result) for result in self.results):
+            return
+        stages = sorted({result.stage for result in self.results}, key=SUITE.index)
+        lacking = f"the port has none of the stages asked for: {', '.join(stages)}"
+        skipped = all(result.outcome == "skipped" for result in self.results)
+        message = f"nothing was judged: {lacking if skipped else 'rounding decided on every answer'}"
+        stage, name = JUDGED.split(".")
+        result = Result(JUDGED, stage, "At least one answer of the port is held against what is right.", "failed", message)
+        self.results.append(result)
+        report = pytest.TestReport(JUDGED, (stage, None, name), {}, "failed", message, "call")
+        session.config.hook.pytest_runtest_logreport(report=report)
+        if self._on_result:
+            self._on_result(result)
+
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(
         self, item: pytest.Item, call: pytest.CallInfo[None]
@@ -179,6 +202,11 @@ class _Plugin:
         self.results.append(result)
         if self._on_result:
             self._on_result(result)
+
+
+def _judged(result: Result) -> bool:
+    """Whether it says anything of the port: it failed, or something was held against a bound and found right."""
+    return result.outcome in ("failed", "error", "known") or bool(result.record.worst)
 
 
 def _stage(item: Any) -> str:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -19,6 +19,25 @@ Sizes = dict[str, int]
 """Size of each letter."""
 Label = Callable[[str], str]
 """From an array's name to what an error calls it, such as its file."""
+
+
+class Described(Protocol):
+    """An array, or what a file claims to hold: enough to say whether it fits."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Its sizes."""
+        ...
+
+    @property
+    def ndim(self) -> int:
+        """How many."""
+        ...
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of its numbers."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -53,8 +72,8 @@ class ArraySpec:
     def __str__(self) -> str:
         return "(" + ", ".join(map(str, self.dims)) + ("," if len(self.dims) == 1 else "") + ")"
 
-    def check(self, name: str, array: AnyArray, sizes: Sizes) -> None:
-        """Raise ArrayError unless ``array`` fits; letters it is the first to have go into ``sizes``."""
+    def check(self, name: str, array: Described, sizes: Sizes) -> None:
+        """Raise ArrayError unless shape and kind fit; letters it is the first to have go into ``sizes``."""
         bound = dict(sizes)
         if array.ndim == len(self.dims):
             for dim, length in zip(self.dims, array.shape, strict=True):
@@ -64,18 +83,17 @@ class ArraySpec:
             known = [str(dim.length(sizes)) if not dim.letter or dim.letter in sizes else str(dim) for dim in self.dims]
             expected = ", ".join(known) + ("," if len(known) == 1 else "")
             raise ArrayError(f"{name}: expected shape ({expected}), got {array.shape}")
-        self._check_kind(name, array)
-        sizes.update(bound)
-
-    def _check_kind(self, name: str, array: AnyArray) -> None:
         if self.kind == "int" and array.dtype.kind not in "iu":
             raise ArrayError(f"{name}: expected integers, got {array.dtype}")
-        if self.kind == "uint8":
-            if array.dtype != np.uint8:
-                raise ArrayError(f"{name}: expected dtype uint8, got {array.dtype}")
-            if array.max() > 1:
-                first = tuple(int(i) for i in np.argwhere(array > 1)[0])
-                raise ArrayError(f"{name}: expected 0 and 1, got {array[first]}, first at index {first}")
+        if self.kind == "uint8" and array.dtype != np.uint8:
+            raise ArrayError(f"{name}: expected dtype uint8, got {array.dtype}")
+        sizes.update(bound)
+
+    def check_numbers(self, name: str, array: AnyArray) -> None:
+        """Raise ArrayError where a mask holds more than 0 and 1."""
+        if self.kind == "uint8" and array.max() > 1:
+            first = tuple(int(i) for i in np.argwhere(array > 1)[0])
+            raise ArrayError(f"{name}: expected 0 and 1, got {array[first]}, first at index {first}")
 
 
 def array_spec(text: str) -> ArraySpec:
@@ -92,12 +110,14 @@ def _dim(word: str) -> Dim:
     return Dim(int(match[1] or 1), match[2], int(match[3] or 1))
 
 
-def check_arrays(specs: Mapping[str, ArraySpec], arrays: Arrays, sizes: Sizes, dtype: str | None, label: Label) -> Sizes:
-    """Check every array of ``specs``, other ones are not looked at.
+def check_shapes(
+    specs: Mapping[str, ArraySpec], arrays: Mapping[str, Described], sizes: Sizes, dtype: str | None, label: Label
+) -> Sizes:
+    """Check shape and dtype of every array of ``specs``, other ones are not looked at; no number is.
 
     Args:
         specs: what is expected; sizes become known in this order.
-        arrays: what there is.
+        arrays: what there is, or is said to be.
         sizes: of the letters that are known already.
         dtype: what all floats must have; None: that of the first one, float32 or float64.
         label: what an error calls the array of a name.
@@ -119,6 +139,12 @@ def check_arrays(specs: Mapping[str, ArraySpec], arrays: Arrays, sizes: Sizes, d
                 raise ArrayError(f"{label(name)}: expected dtype {dtype or 'float32 or float64'}, got {array.dtype}")
             dtype = array.dtype.name
     return sizes
+
+
+def check_numbers(specs: Mapping[str, ArraySpec], arrays: Arrays, label: Label) -> None:
+    """Raise ArrayError where a mask holds more than 0 and 1."""
+    for name, spec in specs.items():
+        spec.check_numbers(label(name), arrays[name])
 
 
 def require_multiples(inputs: Mapping[str, ArraySpec], outputs: Mapping[str, ArraySpec], sizes: Sizes, label: Label) -> None:

@@ -2,37 +2,43 @@
 """The job folder of spec 11, read and written: what a port that is a program is handed, and what it leaves.
 
 ``JOB/0000/stage``, ``JOB/0000/in/NAME.npy``, ``JOB/0000/in/weights.safetensors``; then ``JOB/0000/out/NAME.npy`` or an empty file
-``JOB/0000/unsupported``. Nothing that is read is executed, and no memory is taken for numbers that a file only claims to have.
+``JOB/0000/unsupported``. Whoever wrote it is a stranger: it is a tree of real files, or refused, and shapes and sizes are those of the
+stage before memory is taken.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager
-from math import prod
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
+import safetensors
 from safetensors.numpy import save
 
-from conformance.protocol.array_specs import Sizes
+from conformance.protocol.array_specs import ArraySpec, Sizes, check_numbers
+from conformance.protocol.job_tree import Folder, JobError
+from conformance.protocol.npy import Claim, read_claim, read_numbers, write_array
 from conformance.protocol.port import AnyArray, Arrays, Case, Outputs, Unsupported
-from conformance.protocol.stages import check_inputs, check_outputs, find
+from conformance.protocol.stages import check_input_shapes, check_inputs, check_output_shapes, find, require_inputs
 from stss_ref.arrays import ArrayError
-from stss_ref.weights import Weights, check
+from stss_ref.weights import Weights, WeightsError, check
 
 WEIGHTS = "weights.safetensors"
 WEIGHTS_METADATA = {"stss_weights_version": "1"}
 DTYPE = "float32"
 """Of every float in a job, whatever a port computes in."""
-
-
-class JobError(ValueError):
-    """A job folder is not what it must be; the message names the file, what was expected and what was found."""
+MOST_CASES = 100_000
+"""Of one job."""
+MOST_BYTES = 2 * 2**30
+"""Of one case's inputs: the largest, stage frame for an image of 7680 x 4320, has 1.9 GiB."""
+MOST_WEIGHTS_BYTES = 64 * 2**20
+"""Of a weights file: this network's has 1.7 MiB."""
 
 
 def write_job(job: Path, cases: Sequence[Case]) -> None:
@@ -49,7 +55,8 @@ def write_job(job: Path, cases: Sequence[Case]) -> None:
         (folder / "in").mkdir(parents=True)
         (folder / "stage").write_text(f"{case.stage}\n", encoding="ascii")
         for name, array in case.inputs.items():
-            _write_array(folder / "in" / f"{name}.npy", array)
+            with (folder / "in" / f"{name}.npy").open("xb") as file:
+                write_array(name, file, array)
         if not find(case.stage).weights:
             continue
         if case.weights is None:
@@ -74,69 +81,122 @@ def _link(source: Path, path: Path) -> None:
         shutil.copyfile(source, path)
 
 
-def case_folders(job: Path) -> list[Path]:
-    """The folders of a job's cases, in order; other files beside them do not matter."""
-    if not job.is_dir():
-        raise JobError(f"{job}: no such folder")
-    folders = [path for path in job.iterdir() if re.fullmatch(r"[0-9]{4,9}", path.name) and path.is_dir()]
-    if not folders:
-        raise JobError(f"{job}: no case in it; the first is a folder named 0000")
-    return sorted(folders, key=lambda path: int(path.name))
+def case_names(job: Folder) -> list[str]:
+    """Names of the folders of a job's cases, in order; other files beside them do not matter.
+
+    Raises:
+        JobError: there is none, or more than ``MOST_CASES``; or one is a link.
+    """
+    numbered = [name for name in job.names() if re.fullmatch(r"[0-9]{4,9}", name) and job.kind(name) != "file"]
+    if not numbered:
+        raise JobError(f"{job.path}: no case in it; the first is a folder named 0000")
+    if len(numbered) > MOST_CASES:
+        raise JobError(f"{job.path}: expected up to {MOST_CASES} cases, got {len(numbered)}")
+    for name in numbered:
+        job.require(name, "folder")
+    return sorted(numbered, key=int)
 
 
-def read_stage(case: Path) -> str:
+def read_stage(case: Folder) -> str:
     """The case's stage, which need not be in the table: a later version of the project may have more."""
-    path = case / "stage"
-    _require_file(path)
-    with path.open("rb") as file:
+    with case.file("stage") as file:
         text = file.read(100)
     if not re.fullmatch(rb"[a-z0-9_]{1,64}\s*", text):
-        raise JobError(f"{path}: expected one line, the name of a stage, got {text[:40]!r}")
+        raise JobError(f"{case.path / 'stage'}: expected one line, the name of a stage, got {text[:40]!r}")
     return text.decode().strip()
 
 
-def read_inputs(case: Path, stage: str) -> Outputs:
+def read_inputs(case: Folder, stage: str) -> Outputs:
     """The arrays of ``case/in``, checked against the table.
 
     Raises:
-        JobError: one is missing, damaged, of another stage, or not what the stage takes.
+        JobError: one is missing, damaged, of another stage, or not what the stage takes; or all are larger than ``MOST_BYTES``.
     """
-    folder = case / "in"
-    if not folder.is_dir():
-        raise JobError(f"{folder}: no such folder")
     taken = find(stage).inputs
-    for path in sorted(folder.glob("*.npy")):
+    with case.folder("in") as folder:
         # Hidden files are those of file managers.
-        if path.stem not in taken and not path.name.startswith("."):
-            raise JobError(f"{path}: not an input of stage {stage} ({', '.join(taken)})")
-    inputs = {name: read_array(folder / f"{name}.npy") for name in taken}
+        found = [name.removesuffix(".npy") for name in folder.names() if name.endswith(".npy") and not name.startswith(".")]
+
+        def fits(claims: Mapping[str, Claim]) -> None:
+            check_input_shapes(stage, claims, DTYPE, label)
+            if sum(claim.nbytes for claim in claims.values()) > MOST_BYTES:
+                largest = max(claims, key=lambda name: claims[name].nbytes)
+                raise ArrayError(f"{label(largest)}: expected inputs of up to {MOST_BYTES >> 30} GiB in a case")
+
+        def label(name: str) -> str:
+            return f"{folder.path / name}.npy"
+
+        try:
+            require_inputs(stage, found, label)
+            return _read_arrays(folder, taken, fits)
+        except ArrayError as error:
+            raise JobError(str(error)) from error
+
+
+def read_weights(data: bytes, path: Path) -> Weights:
+    """The tensors of a job's weights file.
+
+    Args:
+        data: all of its bytes.
+        path: for messages.
+
+    Raises:
+        JobError: it is damaged, of another version, or a tensor is not what the network takes.
+    """
     try:
-        check_inputs(stage, inputs, DTYPE, label=lambda name: f"{folder / name}.npy")
-    except ArrayError as error:
-        raise JobError(str(error)) from error
-    return inputs
+        tensors = dict(safetensors.deserialize(data))
+        header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
+        version = header.get("__metadata__", {}).get("stss_weights_version")
+        if version != WEIGHTS_METADATA["stss_weights_version"]:
+            raise JobError(f"{path}: expected stss_weights_version 1 in the metadata, got {str(version)[:20]!r}")
+        for name, tensor in tensors.items():
+            if tensor["dtype"] != "F32":
+                raise JobError(f"{path}: {name[:80]}: expected dtype F32, got {tensor['dtype']}")
+        return check({
+            name: np.frombuffer(tensor["data"], "<f4").astype(np.float32).reshape(tensor["shape"])
+            for name, tensor in tensors.items()
+        })  # fmt: skip
+    except WeightsError as error:
+        raise JobError(f"{path}: {error}") from error
+    except (safetensors.SafetensorError, ValueError) as error:
+        if isinstance(error, JobError):
+            raise
+        raise JobError(f"{path}: damaged safetensors file ({error})") from error
 
 
-def clear(case: Path) -> None:
-    """Remove what an earlier run left, so that results of two runs never stand side by side."""
-    (case / "unsupported").unlink(missing_ok=True)
-    for path in (case / "out").glob("*.npy"):
-        path.unlink()
+def clear(case: Folder) -> None:
+    """Remove what an earlier run left, so that results of two runs never stand side by side.
+
+    Raises:
+        JobError: what lies there is no real file, and nothing was removed.
+    """
+    if case.kind("unsupported") is not None:
+        case.require("unsupported", "file")
+    if case.kind("out") is not None:
+        with case.folder("out") as out:
+            old = [name for name in out.names() if name.endswith(".npy")]
+            for name in old:
+                out.require(name, "file")
+            for name in old:
+                out.remove(name)
+    case.remove("unsupported")
 
 
-def write_outputs(case: Path, outputs: Arrays) -> None:
+def write_outputs(case: Folder, outputs: Arrays) -> None:
     """Write ``case/out``; a file is there only when it is whole."""
-    (case / "out").mkdir(exist_ok=True)
-    for name, array in outputs.items():
-        _write_array(case / "out" / f"{name}.npy", array)
+    with case.made("out") as out:
+        for name, array in outputs.items():
+            with out.written(f"{name}.npy") as file:
+                write_array(name, file, array)
 
 
-def write_unsupported(case: Path) -> None:
+def write_unsupported(case: Folder) -> None:
     """Say that the stage is not there."""
-    (case / "unsupported").touch()
+    with case.written("unsupported"):
+        pass
 
 
-def read_outputs(case: Path, stage: str, sizes: Sizes) -> Outputs | Unsupported:
+def read_outputs(case: Folder, stage: str, sizes: Sizes) -> Outputs | Unsupported:
     """What a program left in ``case``; files that the table does not name are not looked at.
 
     Args:
@@ -145,88 +205,54 @@ def read_outputs(case: Path, stage: str, sizes: Sizes) -> Outputs | Unsupported:
         sizes: what `check_inputs` said of its inputs.
 
     Raises:
-        JobError: an output is missing, damaged, or not what the stage gives.
+        JobError: an output is missing, damaged, no real file, or not what the stage gives.
     """
-    paths = {name: case / "out" / f"{name}.npy" for name in find(stage).outputs}
-    if (case / "unsupported").exists():
-        if there := [path for path in paths.values() if path.exists()]:
-            raise JobError(f"{there[0]}: written, although {case / 'unsupported'} says that there is no such stage")
-        return Unsupported(stage)
-    outputs = {name: read_array(path) for name, path in paths.items()}
-    try:
-        check_outputs(stage, outputs, sizes, DTYPE, label=lambda name: str(paths[name]))
-    except ArrayError as error:
-        raise JobError(str(error)) from error
-    return outputs
+    given = find(stage).outputs
+    unsupported = case.kind("unsupported") is not None
+    if unsupported:
+        case.require("unsupported", "file")
+    if case.kind("out") is None:
+        if unsupported:
+            return Unsupported(stage)
+        raise JobError(f"{case.path / 'out' / next(iter(given))}.npy: missing")
+    with case.folder("out") as out:
+        there = [name for name in given if out.kind(f"{name}.npy") is not None]
+        if unsupported and there:
+            claimed = case.path / "unsupported"
+            raise JobError(f"{out.path / there[0]}.npy: written, although {claimed} says that there is no such stage")
+        if unsupported:
+            return Unsupported(stage)
+
+        def label(name: str) -> str:
+            return f"{out.path / name}.npy"
+
+        try:
+            return _read_arrays(out, given, lambda claims: check_output_shapes(stage, claims, sizes, DTYPE, label))
+        except ArrayError as error:
+            raise JobError(str(error)) from error
 
 
-def read_array(path: Path) -> AnyArray:
+def read_array(folder: Folder, name: str) -> AnyArray:
     """One plain array of numbers, in the machine's byte order and C-contiguous, whatever it was in the file.
 
     Raises:
-        JobError: there is none, or it is of objects, or its size is not what its header says.
+        JobError: there is none, or it is of objects, or its size is not what its header says, or more than ``MOST_BYTES``.
     """
-    _require_file(path)
-    with path.open("rb") as file:
-        shape, fortran, dtype = _header(path, file)
-        count = prod(shape)
-        expected, got = file.tell() + count * dtype.itemsize, os.fstat(file.fileno()).st_size
-        if expected != got:
-            raise JobError(f"{path}: expected {expected} bytes for {dtype} of shape {_short(shape)}, got {got}")
-        numbers = np.fromfile(file, dtype, count)
-    array = numbers.reshape(shape[::-1]).T if fortran else numbers.reshape(shape)
-    return array.astype(dtype.newbyteorder("="), order="C", copy=False)
+    path = folder.path / name
+    with folder.file(name) as file:
+        claim = read_claim(path, file)
+        if claim.nbytes > MOST_BYTES:
+            raise JobError(f"{path}: expected up to {MOST_BYTES >> 30} GiB")
+        return read_numbers(path, file, claim)
 
 
-def _header(path: Path, file: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Shape, whether in Fortran's order, and dtype."""
-    readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-    try:
-        version = np.lib.format.read_magic(file)
-        shape, fortran, dtype = readers[version](file)
-    except KeyError as error:
-        raise JobError(f"{path}: expected version 1.0 or 2.0 of the .npy format, got {_short(error)}") from error
-    except Exception as error:
-        # A stranger's text, which NumPy evaluates as a literal: more than ValueError comes out.
-        raise JobError(f"{path}: not a .npy file: {_short(error)}") from error
-    if dtype.hasobject:
-        raise JobError(f"{path}: an array of objects, which only executing it could read; expected numbers")
-    if dtype.kind not in "biuf" or dtype.subdtype is not None:
-        raise JobError(f"{path}: expected an array of numbers, got {_short(dtype)}")
-    if any(n < 0 for n in shape):
-        raise JobError(f"{path}: a negative size in its shape {_short(shape)}")
-    return shape, fortran, dtype
-
-
-def _short(value: object) -> str:
-    """The first line of its text, cut off."""
-    lines = str(value).splitlines()
-    return lines[0][:100] if lines else type(value).__name__
-
-
-def _require_file(path: Path) -> None:
-    # A pipe or a device would block, or never end.
-    if not path.is_file():
-        raise JobError(f"{path}: {'not a file' if path.exists() else 'missing'}")
-
-
-def _write_array(path: Path, array: AnyArray) -> None:
-    """Version 1.0, little-endian, C order; integers as int32."""
-    narrow = array.astype(np.int32) if array.dtype.kind in "iu" and array.dtype != np.uint8 else array
-    if narrow is not array and (narrow != array).any():
-        raise ArrayError(f"{path.stem}: expected integers of 32 bits")
-    plain = narrow.astype(narrow.dtype.newbyteorder("<"), order="C", copy=False)
-    with _replacing(path) as file:
-        np.lib.format.write_array(file, plain, version=(1, 0), allow_pickle=False)
-
-
-@contextmanager
-def _replacing(path: Path) -> Generator[BinaryIO, None, None]:
-    temporary = path.with_name(f".{path.name}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            yield file
-        temporary.replace(path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+def _read_arrays(folder: Folder, specs: Mapping[str, ArraySpec], fits: Callable[[Mapping[str, Claim]], None]) -> Outputs:
+    """The arrays of these names; ``fits`` is asked before the first number is read. It raises ArrayError."""
+    with ExitStack() as opened:
+        paths = {name: folder.path / f"{name}.npy" for name in specs}
+        files: dict[str, BinaryIO] = {name: opened.enter_context(folder.file(path.name)) for name, path in paths.items()}
+        claims = {name: read_claim(paths[name], file) for name, file in files.items()}
+        fits(claims)
+        arrays = {name: read_numbers(paths[name], file, claims[name]) for name, file in files.items()}
+    check_numbers(specs, arrays, lambda name: str(paths[name]))
+    return arrays

@@ -3,24 +3,19 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import signal
-import subprocess
 import tempfile
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
-from conformance.protocol.job_folder import DTYPE, JobError, read_outputs, write_job
+from conformance.protocol.job_folder import DTYPE, read_outputs, write_job
+from conformance.protocol.job_tree import Folder, JobError, open_folder
+from conformance.protocol.own_session import MOST_SAID, Ending, described, run_alone
 from conformance.protocol.port import Arrays, Case, Outputs, PortError, Unsupported
 from conformance.protocol.stages import STAGES, check_inputs
 from stss_ref.weights import Weights, zeros
-
-TAIL_BYTES = 2000
-"""How much of the end of stderr an error shows."""
 
 
 class FolderPort:
@@ -72,55 +67,68 @@ class FolderPort:
 
         Raises:
             ArrayError: inputs are not what a stage takes.
-            PortError: the program is not there, fails, takes too long, or leaves an output missing, damaged, misshapen or
-                of another dtype.
+            PortError: the program is not there, fails, takes or says too much, leaves processes behind, removes its job, or leaves
+                an output missing, damaged, misshapen or of another dtype.
         """
         if not cases:
             return []
         sizes = [check_inputs(case.stage, case.inputs, DTYPE) for case in cases]
         job = Path(tempfile.mkdtemp(prefix="stss-job-"))
-        try:
-            write_job(job, cases)
-            self._start(job)
-            folders = [job / f"{number:04d}" for number in range(len(cases))]
-            results = [read_outputs(*case) for case in zip(folders, [case.stage for case in cases], sizes, strict=True)]
-        except JobError as error:
-            raise PortError(f"{self.name}: {error}{self._said()}") from error
-        except PortError:
-            raise
-        except BaseException:
-            shutil.rmtree(job, ignore_errors=True)
-            raise
-        shutil.rmtree(job, ignore_errors=True)
-        return results
-
-    def _start(self, job: Path) -> None:
-        """Run the program on ``job`` to its end."""
-        with (job / "stdout.txt").open("wb") as out, (job / "stderr.txt").open("wb") as err:
+        with open_folder(job) as folder:
+            kept = False
             try:
-                process = subprocess.Popen(
-                    [*self._command, str(job)],
-                    stdin=subprocess.DEVNULL,
-                    stdout=out,
-                    stderr=err,
-                    start_new_session=True,
-                )
-            except OSError as error:
-                shutil.rmtree(job, ignore_errors=True)
-                raise PortError(f"{self._command[0]}: cannot be started: {error.strerror or error}") from error
-            status = None
-            try:
-                with suppress(subprocess.TimeoutExpired):
-                    status = process.wait(self._timeout)
+                write_job(job, cases)
+                self._start(folder)
+                results: list[Outputs | Unsupported] = []
+                for number, case in enumerate(cases):
+                    with folder.folder(f"{number:04d}") as given:
+                        results.append(read_outputs(given, case.stage, sizes[number]))
+                return results
+            except JobError as error:
+                kept = True
+                raise PortError(f"{self.name}: {error}{self._said()}") from error
+            except _FailedError as error:
+                kept = True
+                where = f"its job is kept: {job}" if folder.in_place() else f"and removed its job {job}"
+                raise PortError(f"{self.name}: {error}; {where}{self._said()}") from error
             finally:
-                _end(process)
-        self.stderr = _tail(job / "stderr.txt")
-        if status != 0:
-            how = f"stopped after {self._timeout:g} s" if status is None else _ending(status)
-            raise PortError(f"{self.name}: {how}; its job is kept: {job}{self._said()}")
+                # What lies there by now may be somebody else's.
+                if not kept and folder.in_place():
+                    shutil.rmtree(job, ignore_errors=True)
+
+    def _start(self, job: Folder) -> None:
+        """Run the program on ``job`` to its end."""
+        with (job.path / "stdout.txt").open("w+b") as out, (job.path / "stderr.txt").open("w+b") as err:
+            try:
+                ending = run_alone([*self._command, str(job.path)], out, err, self._timeout)
+            except OSError as error:
+                raise PortError(f"{self._command[0]}: cannot be started: {error.strerror or error}") from error
+            self.stderr = ending.stderr
+        if failed := _failed(ending, self._timeout):
+            raise _FailedError(failed)
+        if not job.in_place():
+            raise JobError(f"{job.path}: the program removed or replaced its job folder")
 
     def _said(self) -> str:
         return f"\n{self.stderr}" if self.stderr else ""
+
+
+class _FailedError(Exception):
+    """How a program failed as a whole."""
+
+
+def _failed(ending: Ending, timeout: float) -> str:
+    """Why nothing that the program left counts; empty if all is well."""
+    if ending.status is None:
+        return f"stopped after {timeout:g} s" if not ending.talked else f"stopped: more than {MOST_SAID >> 20} MiB on its output"
+    if ending.status != 0:
+        return described(ending.status)
+    if ending.left_behind:
+        count = ending.left_behind
+        return (
+            f"ended and left {count} process{'es' if count > 1 else ''} running, which {'were' if count > 1 else 'was'} stopped"
+        )
+    return ""
 
 
 def smallest_case(stage: str) -> Case:
@@ -130,30 +138,3 @@ def smallest_case(stage: str) -> Case:
     sizes = {"H": 8, "W": 8, "C": 3, "k": 1}
     inputs = {name: np.zeros(spec.shape(sizes), dtypes[spec.kind]) for name, spec in row.inputs.items()}
     return Case(stage, inputs, zeros() if row.weights else None)
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """End the program, if it still runs, with what it has started itself."""
-    if process.poll() is not None:
-        return
-    if os.name == "posix":
-        with suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-    else:
-        process.kill()
-    process.wait()
-
-
-def _ending(status: int) -> str:
-    if status >= 0:
-        return f"ended with status {status}"
-    try:
-        return f"ended by {signal.Signals(-status).name}"
-    except ValueError:
-        return f"ended by signal {-status}"
-
-
-def _tail(path: Path) -> str:
-    with path.open("rb") as file:
-        file.seek(max(0, path.stat().st_size - TAIL_BYTES))
-        return file.read().decode(errors="replace").strip()

@@ -7,12 +7,21 @@ least 1, the same in all arrays of the stage; ``H/8`` says that H is a multiple 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from conformance.protocol.array_specs import ArraySpec, Label, Sizes, array_spec, check_arrays, require_multiples
+from conformance.protocol.array_specs import (
+    ArraySpec,
+    Described,
+    Label,
+    Sizes,
+    array_spec,
+    check_numbers,
+    check_shapes,
+    require_multiples,
+)
 from conformance.protocol.port import Arrays, Outputs
 from stss_ref.arrays import ArrayError
 from stss_ref.decoder import decoder
@@ -211,18 +220,39 @@ def check_inputs(stage: str, inputs: Arrays, dtype: str | None = None, label: La
     Raises:
         ArrayError: one is missing, not the stage's, misshapen, of another dtype, or a mask of more than 0 and 1.
     """
+    sizes = check_input_shapes(stage, inputs, dtype, label)
+    check_numbers(find(stage).inputs, inputs, label)
+    return sizes
+
+
+def check_input_shapes(stage: str, inputs: Mapping[str, Described], dtype: str | None = None, label: Label = str) -> Sizes:
+    """The same before there is a number: arrays, or what files claim to hold."""
     row = find(stage)
-    for name in inputs:
-        if name not in row.inputs:
-            raise ArrayError(f"{label(name)}: not an input of stage {stage} ({', '.join(row.inputs)})")
-    sizes = check_arrays(row.inputs, inputs, {}, dtype, label)
+    require_inputs(stage, inputs, label)
+    sizes = check_shapes(row.inputs, inputs, {}, dtype, label)
     require_multiples(row.inputs, row.outputs, sizes, label)
     return sizes
 
 
+def require_inputs(stage: str, names: Iterable[str], label: Label = str) -> None:
+    """Raise ArrayError where a name is none of the stage's inputs."""
+    taken = find(stage).inputs
+    for name in names:
+        if name not in taken:
+            raise ArrayError(f"{label(name)}: not an input of stage {stage} ({', '.join(taken)})")
+
+
 def check_outputs(stage: str, outputs: Arrays, sizes: Sizes, dtype: str = "float32", label: Label = str) -> None:
     """Say that ``outputs`` are what ``stage`` gives for inputs of these sizes; NaN is left to be judged. Errors as above."""
-    check_arrays(find(stage).outputs, outputs, sizes, dtype, label)
+    check_output_shapes(stage, outputs, sizes, dtype, label)
+    check_numbers(find(stage).outputs, outputs, label)
+
+
+def check_output_shapes(
+    stage: str, outputs: Mapping[str, Described], sizes: Sizes, dtype: str = "float32", label: Label = str
+) -> None:
+    """The same before there is a number."""
+    check_shapes(find(stage).outputs, outputs, sizes, dtype, label)
 
 
 def reference(stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:

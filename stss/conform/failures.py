@@ -16,16 +16,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected, largest
-from conformance.judge import Finding
-from conformance.protocol.job_folder import JobError, case_folders, read_array, read_inputs, read_stage, write_job
-from conformance.protocol.port import Port, PortError
+from conformance.judge import DepartureError, Finding, Judge
+from conformance.protocol.job_folder import (
+    MOST_WEIGHTS_BYTES,
+    WEIGHTS,
+    case_names,
+    read_array,
+    read_inputs,
+    read_stage,
+    read_weights,
+    write_job,
+)
+from conformance.protocol.job_tree import Folder, JobError, open_folder
+from conformance.protocol.port import Case, Port, PortError
 from conformance.protocol.program_port import FolderPort
 from conformance.protocol.stages import STAGES
 from stss.errors import InputError
 from stss.images.contact_sheet import contact_sheet
 from stss.images.read_write import write_rgb
-from stss.weights.file import load
-from stss_ref.weights import WeightsError
+from stss_ref.arrays import ArrayError
 
 CASE = "0000"
 PICTURE_SIDE = 240
@@ -111,6 +120,8 @@ def keep_failure(folder: Path, name: str, finding: Finding, replay: str) -> Path
                 write_rgb(made / "picture.png", picture[0])
         (made / "README.txt").write_text(f"{finding.message}\n\nRun it again:\n  {replay} --replay {kept}\n", encoding="utf-8")
         made.chmod(0o755)
+        if kept.is_symlink():
+            kept.unlink()
         shutil.rmtree(kept, ignore_errors=True)
         made.rename(kept)
     except BaseException:
@@ -147,28 +158,68 @@ def _picture(got: NDArray[Any], expected: Expected) -> tuple[NDArray[Any]] | Non
 
 
 def replay(port: Port, folder: Path) -> list[tuple[str, float]]:
-    """Run a kept failure again: ``error / bound`` of each output that it judges.
+    """Run a kept failure again: ``error / bound`` of each output that is judged.
+
+    A failure that was no answer says nothing of what is right, so an answer to it is held against the reference.
 
     Raises:
         InputError: the folder is none, or the port fails.
     """
     try:
-        (case,) = case_folders(folder)
-        stage = read_stage(case)
-        inputs = read_inputs(case, stage)
-        weights = load(case / "in" / "weights.safetensors").weights if STAGES[stage].weights else None
-        if stage not in port.stages():
-            raise InputError(f"{port.name} has no stage {stage}")
-        outputs = port.run(stage, inputs, weights)
-        found: list[tuple[str, float]] = []
-        for path in sorted((case / "allowed").glob("*.npy")):
-            others = sorted((case / "expected").glob(f"{path.stem}.*.npy"), key=lambda p: int(p.stem.rpartition(".")[2]))
-            want, *more = (read_array(p) for p in others)
-            vectors = f"{stage}.{path.stem}" in ("motion_chain.motion", "occlusion_warp.occlusion_motion")
-            expected = Expected(want, read_array(path), tuple(more), vectors)
-            found.append((f"{stage}.{path.stem}", largest(expected, outputs[path.stem])))
-    except (JobError, PortError, WeightsError) as error:
+        with open_folder(folder) as kept:
+            name, *more = case_names(kept)
+            if more:
+                raise JobError(f"{folder}: expected the folder of one failure, got {len(more) + 1} cases")
+            with kept.folder(name) as opened:
+                case = _case(opened)
+                if case.stage not in port.stages():
+                    raise InputError(f"{port.name} has no stage {case.stage}")
+                return _held_against_kept(port, opened, case) or _held_against_the_reference(port, case)
+    except (JobError, PortError) as error:
         raise InputError(str(error)) from error
-    except (ValueError, KeyError) as error:
-        raise InputError(f"{folder}: expected the folder of one failure: {error}") from error
+
+
+def _case(folder: Folder) -> Case:
+    stage = read_stage(folder)
+    if stage not in STAGES:
+        raise JobError(f"{folder.path / 'stage'}: not a stage: {stage}")
+    inputs = read_inputs(folder, stage)
+    if not STAGES[stage].weights:
+        return Case(stage, inputs)
+    with folder.folder("in") as given:
+        return Case(stage, inputs, read_weights(given.read(WEIGHTS, MOST_WEIGHTS_BYTES), given.path / WEIGHTS))
+
+
+def _held_against_kept(port: Port, folder: Folder, case: Case) -> list[tuple[str, float]]:
+    if folder.kind("allowed") is None:
+        return []
+    found: list[tuple[str, float]] = []
+    judge = Judge(port)
+    with folder.folder("allowed") as allowed, folder.folder("expected") as expected:
+        try:
+            outputs = judge.run(case.stage, case.inputs, case.weights)
+        except DepartureError as error:
+            raise JobError(str(error)) from error
+        for name in allowed.names():
+            output = name.removesuffix(".npy")
+            rights = sorted(expected.names(), key=lambda right: (len(right), right))
+            answers = [read_array(expected, right) for right in rights if right.startswith(f"{output}.")]
+            limit = read_array(allowed, name)
+            if output not in outputs or not answers or {a.shape for a in answers} != {limit.shape}:
+                raise JobError(f"{folder.path}: expected the folder of one failure: {output} does not fit")
+            vectors = f"{case.stage}.{output}" in ("motion_chain.motion", "occlusion_warp.occlusion_motion")
+            right = Expected(answers[0], limit, tuple(answers[1:]), vectors)
+            found.append((f"{case.stage}.{output}", largest(right, outputs[output])))
     return found
+
+
+def _held_against_the_reference(port: Port, case: Case) -> list[tuple[str, float]]:
+    judge = Judge(port)
+    try:
+        judge.agrees(case.stage, case.inputs, case.weights)
+    except DepartureError as error:
+        if error.finding.expected is None:
+            raise JobError(str(error)) from error
+    except ArrayError as error:
+        raise JobError(f"stage {case.stage}: {error}") from error
+    return list(judge.record.worst.items())

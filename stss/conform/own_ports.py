@@ -9,20 +9,23 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
+
 from conformance.protocol.job_folder import (
+    MOST_WEIGHTS_BYTES,
     WEIGHTS,
-    JobError,
-    case_folders,
+    case_names,
     clear,
     read_inputs,
     read_stage,
+    read_weights,
     write_outputs,
     write_unsupported,
 )
+from conformance.protocol.job_tree import Folder, JobError, open_folder
 from conformance.protocol.port import Arrays, Outputs, Port
 from conformance.protocol.stages import STAGES, reference
 from stss.errors import InputError
-from stss.weights.file import MAX_BYTES, load
 from stss_cl.errors import DeviceError
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
@@ -126,34 +129,37 @@ def run_job(job: Path, backend: str) -> None:
         backend: a name of ``PORTS``.
 
     Raises:
-        InputError: the job is malformed, the message names the file; or the backend or its device is not there.
-        WeightsError: a tensor is not what the network takes.
+        InputError: the job is malformed or larger than the memory, the message names the file; or the backend or its device is
+            not there.
     """
     if backend not in PORTS:
         raise InputError(f"backend: expected one of {', '.join(PORTS)}, got {backend!r}")
     port: Port = PORTS[backend]()
     weights = _WeightsFiles()
     try:
-        for case in case_folders(job):
-            _run_case(case, port, weights)
+        # A job's numbers are anybody's: what they overflow to is the answer, and no warning.
+        with open_folder(job) as folder, np.errstate(all="ignore"):
+            for name in case_names(folder):
+                with folder.folder(name) as case:
+                    _run_case(case, port, weights)
     except JobError as error:
         raise InputError(str(error)) from error
-    except OSError as error:
-        raise InputError(f"{error.filename or job}: {error.strerror or error}") from error
 
 
-def _run_case(case: Path, port: Port, weights: _WeightsFiles) -> None:
+def _run_case(case: Folder, port: Port, weights: _WeightsFiles) -> None:
     clear(case)
     stage = read_stage(case)
     if stage not in STAGES or stage not in port.stages():
         write_unsupported(case)
         return
-    inputs = read_inputs(case, stage)
-    given = weights.read(case / "in" / WEIGHTS) if STAGES[stage].weights else None
     try:
+        inputs = read_inputs(case, stage)
+        given = weights.read(case) if STAGES[stage].weights else None
         outputs = port.run(stage, inputs, given)
     except (ArrayError, DeviceError) as error:
-        raise InputError(f"{case}: {error}") from error
+        raise JobError(f"{case.path}: {error}") from error
+    except MemoryError as error:
+        raise JobError(f"{case.path}: stage {stage} needs more memory than there is") from error
     write_outputs(case, outputs)
 
 
@@ -163,12 +169,12 @@ class _WeightsFiles:
     def __init__(self):
         self._read: dict[str, Weights] = {}
 
-    def read(self, path: Path) -> Weights:
-        if not path.is_file() or path.stat().st_size > MAX_BYTES:
-            return load(path).weights  # which says what is wrong
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    def read(self, case: Folder) -> Weights:
+        with case.folder("in") as folder:
+            data, path = folder.read(WEIGHTS, MOST_WEIGHTS_BYTES), folder.path / WEIGHTS
+        digest = hashlib.sha256(data).hexdigest()
         if digest not in self._read:
             if len(self._read) == CACHED_WEIGHTS:
                 self._read.pop(next(iter(self._read)))
-            self._read[digest] = load(path).weights
+            self._read[digest] = read_weights(data, path)
         return self._read[digest]

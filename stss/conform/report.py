@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from conformance.judge import Judge, tallied
-from conformance.run_suite import Result
+from conformance.run_suite import JUDGED, Result
 from stss.images.read_write import placed
 from stss.version import VERSION
 
@@ -43,7 +43,7 @@ def print_results(results: Sequence[Result], console: Console) -> None:
         ("error / bound", "left"),
     ):
         table.add_column(name, justify=justify, no_wrap=name != "error / bound")  # pyright: ignore[reportArgumentType]
-    for stage, some in by_stage(results).items():
+    for stage, some in by_stage([r for r in results if r.id != JUDGED]).items():
         if all(r.outcome == "skipped" for r in some):
             table.add_row(stage, str(len(some)), "-", "-", "the port lacks it")
             continue
@@ -87,6 +87,7 @@ def to_json(judge: Judge, results: Sequence[Result], folders: dict[str, Path]) -
         "tier": judge.tier.name,
         "seed": judge.seed,
         "passed": passed(results),
+        "judged": JUDGED not in {r.id for r in results},
         "tests": [
             {
                 "id": r.id,
@@ -107,7 +108,7 @@ def to_json(judge: Judge, results: Sequence[Result], folders: dict[str, Path]) -
 
 
 def passed(results: Sequence[Result]) -> bool:
-    """Whether nothing failed but what is known to."""
+    """Whether something was judged, and nothing failed but what is known to."""
     return all(r.outcome in ("passed", "skipped", "known") for r in results)
 
 
@@ -122,6 +123,7 @@ def write_page(path: Path, judge: Judge, results: Sequence[Result], folders: dic
     arithmetic = judge.arithmetic.dtype + (", Winograd" if judge.arithmetic.winograd else "")
     counted = tallied([r.record for r in results])
     verdict = "passes" if passed(results) else "departs from the specification"
+    verdict = "was not judged" if JUDGED in {r.id for r in results} else verdict
     rows = "".join(_row(r) for r in results)
     failures = "".join(_failure(r, folders.get(r.id)) for r in results if r.outcome in ("failed", "error"))
     name = html.escape(judge.port.name)

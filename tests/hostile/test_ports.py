@@ -1,0 +1,537 @@
+"""Job folders and ports that mean harm: nothing outside is touched, nothing hangs, nothing wrong passes, nothing is left running."""
+
+import json
+import os
+import re
+import shutil
+import socket
+import sys
+import tracemalloc
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from conformance.cases import stage_inputs as drawn
+from conformance.judge import DepartureError, Judge
+from conformance.protocol import job_folder, own_session
+from conformance.protocol.job_folder import MOST_WEIGHTS_BYTES, write_job
+from conformance.protocol.port import Case, PortError
+from conformance.protocol.program_port import FolderPort, smallest_case
+from conformance.protocol.stages import STAGES, reference
+from conformance.run_suite import run_suite
+from stss.cli.main import stss as command
+from stss.conform.failures import replay
+from stss.conform.own_ports import ReferencePort, run_job
+from stss.errors import InputError
+from stss_ref.weights import random as random_weights
+from tests.fuzz import job_folders
+from tests.hostile.cases import refused, stss
+
+
+@pytest.fixture
+def job(tmp_path):
+    """A job of one case of stage warp, and what lies outside of it."""
+    write_job(tmp_path / "job", [smallest_case("warp")])
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    np.save(outside / "color.npy", np.zeros((8, 8, 3), np.float32))
+    np.save(outside / "warped.npy", np.zeros((8, 8, 3), np.float32))
+    (outside / "stage").write_text("warp\n")
+    (outside / "unsupported").write_text("mine")
+    return tmp_path / "job"
+
+
+def refused_here(job, *words):
+    """As `refused`, in this process: the command line prints an InputError as one line."""
+    done = CliRunner().invoke(command, ["port", str(job)])
+    assert isinstance(done.exception, InputError), done.exception
+    assert str(done.exception).isprintable()
+    for word in words:
+        assert str(word) in str(done.exception)
+
+
+def everything(folder):
+    """Names, kinds, bytes and times of all that lies in a folder."""
+    return {
+        path.relative_to(folder): (path.lstat().st_mode, path.lstat().st_mtime_ns, path.is_file() and path.read_bytes())
+        for path in folder.rglob("*")
+    }
+
+
+# A job that is no tree of real files: what lies there, what is put in its place.
+
+LINKS = {
+    "0000": "outside", "0000/in": "outside", "0000/stage": "outside/stage", "0000/in/color.npy": "outside/color.npy",
+    "0000/out": "outside", "0000/unsupported": "outside/unsupported", "0000/out/warped.npy": "outside/warped.npy",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("place", LINKS)
+@pytest.mark.parametrize("absolute", [True, False])
+def test_a_link_in_a_job_is_refused(job, place, absolute):
+    """Nothing outside is read, written or removed."""
+    path, target = job / place, job.parent / LINKS[place]
+    path.parent.mkdir(exist_ok=True)
+    if path.is_dir():
+        path.rename(job / "aside")
+    elif path.exists():
+        path.unlink()
+    path.symlink_to(target if absolute else os.path.relpath(target, path.parent))
+    before = everything(job.parent)
+    refused_here(job, path, "a link; a job is a tree of real files")
+    assert everything(job.parent) == before
+
+
+@pytest.mark.parametrize("place", ["0000", "0000/in", "0000/stage", "0000/in/color.npy", "0000/out", "0000/unsupported"])
+@pytest.mark.parametrize("kind", ["pipe", "socket", "zero"])
+def test_a_pipe_or_device_in_a_job_is_refused(job, monkeypatch, place, kind):
+    """It neither hangs nor reads without end."""
+    path = job / place
+    shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "socket":
+        monkeypatch.chdir(path.parent)
+        with socket.socket(socket.AF_UNIX) as made:
+            made.bind(path.name)
+    else:
+        try:
+            os.mknod(path, 0o20666, os.makedev(1, 5))
+        except PermissionError:
+            pytest.skip("a device can be made only by root")
+    refused_here(job, f"{path}: not a ")
+
+
+def test_a_hard_link_is_replaced_not_written_through(job):
+    """Two names of one file: the other one keeps its bytes and its times."""
+    (job / "0000" / "out").mkdir()
+    other = job.parent / "outside" / "warped.npy"
+    for place in ("out/warped.npy", "out/.warped.npy.tmp", "unsupported"):
+        os.link(other, job / "0000" / place)
+    before = everything(other.parent)
+    run_job(job, "ref")
+    assert everything(other.parent) == before
+    (job / "0000" / "stage").write_text("of_a_later_version\n")
+    run_job(job, "ref")
+    assert (job / "0000" / "unsupported").exists()
+    assert everything(other.parent) == before
+
+
+def test_a_link_that_comes_while_a_case_runs_is_not_followed(job, monkeypatch):
+    """Files are named relative to folders that stay open, so that a swap changes nothing outside."""
+    outside = job.parent / "outside"
+    before = everything(outside)
+
+    def swap(stage, inputs, weights):
+        (job / "0000").rename(job / "aside")
+        (job / "0000").symlink_to(outside)
+        return reference(stage, inputs, weights)
+
+    monkeypatch.setattr("stss.conform.own_ports.reference", swap)
+    run_job(job, "ref")
+    assert everything(outside) == before
+    assert (job / "aside" / "out" / "warped.npy").exists()
+
+
+def test_names_do_not_reach_the_terminal(job):
+    """A file's name is a stranger's text."""
+    (job / "0000" / "in" / "\x1b]0;hi\x07\nx.npy").touch()
+    refused(stss("port", job), "\\x1b]0;hi\\x07\\nx.npy: not an input of stage warp")
+    (job / "0000" / "in" / "\x1b]0;hi\x07\nx.npy").unlink()
+    Path(os.fsdecode(os.fsencode(job / "0000" / "in") + b"/\xff\xfe.npy")).touch()
+    refused_here(job, "\\udcff\\udcfe.npy")
+
+
+def test_too_many_cases_are_refused(job, monkeypatch):
+    monkeypatch.setattr(job_folder, "MOST_CASES", 2)
+    for name in ("0001", "0002"):
+        (job / name).mkdir()
+    refused_here(job, "expected up to 2 cases, got 3")
+
+
+# Files that claim more than they hold, or more than there is.
+
+SPARSE = 60 * 2**30
+MOST_TAKEN = 2 * MOST_WEIGHTS_BYTES
+
+
+def sparse(path, shape, dtype="<f4", size=None):
+    """A file of zeros that takes no room on the disk."""
+    header = f"{{'descr': '{dtype}', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    path.write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
+    numbers = int(np.prod(shape, dtype=object)) * np.dtype(dtype).itemsize
+    os.truncate(path, path.stat().st_size + numbers if size is None else size)
+
+
+def all_of_one_stage(given):
+    sparse(given / "color.npy", (2**15, 2**15, 13))
+    sparse(given / "motion.npy", (2**15, 2**15, 2))
+
+
+def mask(given):
+    (given.parent / "stage").write_text("rrm")
+    for name in ("color", "motion"):
+        (given / f"{name}.npy").unlink()
+    sparse(given / "valid.npy", (2**18, 2**18), "|u1")
+    sparse(given / "rectangle.npy", (4,), "<i4")
+
+
+def header(given):
+    (given / "color.npy").write_bytes(b"\x93NUMPY\x02\x00" + (2**32 - 1).to_bytes(4, "little"))
+    os.truncate(given / "color.npy", SPARSE)
+
+
+def weights(given):
+    (given.parent / "stage").write_text("history")
+    for name in ("color", "motion"):
+        (given / f"{name}.npy").unlink()
+    np.save(given / "history.npy", smallest_case("history").inputs["history"])
+    (given / "weights.safetensors").touch()
+    os.truncate(given / "weights.safetensors", SPARSE)
+
+
+CLAIMS = {
+    "all of one stage": (all_of_one_stage, "color.npy: expected inputs of up to 2 GiB"),
+    "a mask": (mask, "valid.npy: expected inputs of up to 2 GiB"),
+    "misshapen": (lambda given: sparse(given / "color.npy", (SPARSE // 4,)), "color.npy: expected shape (H, W, C)"),
+    "wrong size": (lambda given: sparse(given / "color.npy", (8, 8, 3), size=SPARSE), "color.npy: expected 8"),
+    "a header": (header, "color.npy: not a .npy file: expected a header of up to 10000 bytes"),
+    "nothing": (lambda given: sparse(given / "color.npy", (0, 10**30, 10**30)), "color.npy: expected shape"),
+    "weights": (weights, "weights.safetensors: larger than"),
+}
+
+
+@pytest.mark.parametrize("claim", CLAIMS)
+def test_a_sparse_file_takes_no_memory(job, claim):
+    """Refused in one line, before a number is read."""
+    make, words = CLAIMS[claim]
+    make(job / "0000" / "in")
+    tracemalloc.start()
+    try:
+        refused_here(job, words)
+        assert tracemalloc.get_traced_memory()[1] < MOST_TAKEN
+    finally:
+        tracemalloc.stop()
+
+
+# Ports that are programs.
+
+PROGRAM = """
+import os, pathlib, shutil, subprocess, sys, time
+import numpy as np
+
+job = pathlib.Path(sys.argv[1])
+case, out = job / "0000", job / "0000" / "out"
+outside = job.parent.parent / "outside"
+
+def right():
+    out.mkdir()
+    np.save(out / "warped.npy", np.load(case / "in" / "color.npy"))
+    np.save(out / "inside.npy", np.ones((8, 8), np.uint8))
+
+"""
+
+
+@pytest.fixture
+def program(tmp_path, monkeypatch):
+    """A port of stage warp that is ``PROGRAM`` and some lines, with its jobs in a folder of their own."""
+    (tmp_path / "jobs").mkdir()
+    (tmp_path / "outside").mkdir()
+    np.save(tmp_path / "outside" / "warped.npy", np.zeros((8, 8, 3), np.float32))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "jobs"))
+
+    def make(lines, timeout=30.0):
+        (tmp_path / "program.py").write_text(PROGRAM + lines)
+        return FolderPort([sys.executable, str(tmp_path / "program.py")], timeout)
+
+    return make
+
+
+SPARSE_ANSWER = "file = open(out / 'warped.npy', 'r+b'); file.truncate(60 * 2**30)"
+CHILD = "subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)']"
+FAULTS = {
+    "removes its job": ("right(); shutil.rmtree(job)", "removed or replaced its job folder"),
+    "removes its job and fails": ("shutil.rmtree(job); sys.exit(3)", "ended with status 3; and removed its job"),
+    "replaces its job": ("right(); shutil.move(job, job.parent / 'aside'); shutil.copytree(job.parent / 'aside', job)", "replaced"),
+    "puts a link in its place": ("right(); shutil.move(job, job.parent / 'aside'); job.symlink_to(outside)", "replaced its job"),
+    "removes a case": ("shutil.rmtree(case)", "0000: no such folder"),
+    "case becomes a link": ("right(); shutil.move(case, job / 'x'); case.symlink_to(job / 'x')", "0000: a link"),
+    "out is a link": ("out.symlink_to(outside)", "out: a link"),
+    "answers with a link": ("right(); (out / 'warped.npy').unlink(); (out / 'warped.npy').symlink_to('/dev/zero')", "npy: a link"),
+    "answers with a pipe": ("right(); (out / 'warped.npy').unlink(); os.mkfifo(out / 'warped.npy')", "npy: not a file"),
+    "answers 60 GiB": (f"right(); {SPARSE_ANSWER}", "warped.npy: expected"),
+    "unsupported is a link": ("(case / 'unsupported').symlink_to(outside)", "unsupported: a link"),
+    "leaves a child": (f"right(); {CHILD})", "left 1 process running, which was stopped"),
+    "leaves a child of another group": (f"right(); {CHILD}, process_group=0)", "left 1 process running"),
+    "leaves two and fails": (f"{CHILD}); {CHILD}); sys.exit(3)", "ended with status 3"),
+    "takes too long": (f"{CHILD}); time.sleep(600)", "stopped after 2 s"),
+    "talks without end": ("while True: os.write(2, b'x' * 2**20)", "stopped: more than 64 MiB"),
+    "writes a terminal's orders": ("sys.stderr.write('\\x1b[2J!'); sys.exit(1)", "\\x1b[2J!"),
+    "makes stderr a link": ("(job / 'stderr.txt').unlink(); (job / 'stderr.txt').symlink_to('/etc/passwd'); sys.exit(1)", "status 1"),
+}  # fmt: skip
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_faulty_program_says_what_it_did(program, tmp_path, fault):
+    """One error without a traceback; nothing outside its job is touched, and no process of it is left."""
+    lines, words = FAULTS[fault]
+    if "process_group" in lines and sys.version_info < (3, 11):
+        lines = lines.replace("process_group=0", "preexec_fn=lambda: os.setpgid(0, 0)")
+    before = everything(tmp_path / "outside")
+    with pytest.raises(PortError) as caught:
+        program(lines, 2.0 if fault == "takes too long" else 30.0).run("warp", smallest_case("warp").inputs)
+    assert words in str(caught.value)
+    assert "root:" not in str(caught.value)
+    assert all(line.isprintable() for line in str(caught.value).splitlines())
+    assert everything(tmp_path / "outside") == before
+    assert not processes_of(tmp_path)
+
+
+def processes_of(folder):
+    """Those that were started for a job in this folder, and their children."""
+    sessions = set()
+    for path in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (path / "cmdline").read_bytes(), (path / "stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if words[1][0] not in "ZX" and (os.fsencode(folder) in words[0] or b"time.sleep(600)" in words[0]):
+            sessions.add(path.name)
+    return sessions
+
+
+def test_a_program_whose_children_end_in_time_passes(program, monkeypatch):
+    """One that is about to end, and one that has and is not waited for, are no fault."""
+    monkeypatch.setattr(own_session, "GRACE", 20.0)
+    port = program("right(); subprocess.Popen(['true']); subprocess.Popen(['sleep', '0.3'])")
+    assert port.run("warp", smallest_case("warp").inputs).keys() == {"warped", "inside"}
+
+
+def test_a_hostile_program_is_a_mistake_in_one_line(tmp_path):
+    """As ``stss conform`` says it."""
+    (tmp_path / "program.py").write_text("import shutil, sys; shutil.rmtree(sys.argv[1])")
+    done = stss("conform", "--exec", f"{sys.executable} {tmp_path / 'program.py'}", cwd=tmp_path)
+    refused(done, "the program removed or replaced its job folder")
+
+
+# Nothing judged is no success.
+
+FEW = """
+from stss.conform.own_ports import ReferencePort
+
+class Few(ReferencePort):
+    def stages(self):
+        return frozenset({"rrm"})
+
+class None_(ReferencePort):
+    def stages(self):
+        return frozenset()
+"""
+
+
+@pytest.mark.parametrize(
+    ("port", "stages"), [("None_", None), ("Few", "warp,holes"), ("Few", "sequence")], ids=["no stage", "others", "sequence"]
+)
+def test_nothing_judged_is_a_failure(tmp_path, monkeypatch, port, stages):
+    """Its own words, status 1, and the same in JSON, JUnit and on the page."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "few_ports", raising=False)
+    (tmp_path / "few_ports.py").write_text(FEW)
+    files = ["--json", "found.json", "--junit", "junit.xml", "--report", "page.html"]
+    some = ["--stages", stages] if stages else []
+    done = CliRunner().invoke(command, ["conform", "--port", f"few_ports:{port}", *some, *files])
+    assert done.exit_code == 1
+    said = "nothing was judged: the port has none of the stages asked for"
+    assert said in done.output
+    found = json.loads(Path("found.json").read_text())
+    assert not found["passed"]
+    assert not found["judged"]
+    assert said in found["tests"][-1]["message"]
+    suite = ElementTree.parse("junit.xml").getroot()[0]
+    assert suite.get("failures") == "1"
+    assert said in suite.find(".//failure").text
+    assert "was not judged" in Path("page.html").read_text()
+
+
+def test_no_stages_are_no_run():
+    """Pytest without files would run those of the user."""
+    for stages in ([], ["wrap"]):
+        with pytest.raises(ValueError, match="stages: expected some of motion_chain"):
+            run_suite(Judge(ReferencePort()), stages)
+
+
+# One wrong number among right ones.
+
+STRATEGIES = {
+    "motion_chain": drawn.chain_inputs(6), "warp": drawn.warp_inputs(6), "holes": drawn.holes_inputs(6),
+    "occlusion_warp": drawn.occlusion_inputs(6), "rrm": drawn.rrm_inputs(6), "frame": drawn.frame_inputs(),
+    **{stage: drawn.network_inputs(stage) for stage in ("history", "encoder", "erm", "decoder", "network")},
+}  # fmt: skip
+
+
+class Planted(ReferencePort):
+    """The reference, but for what ``change`` does to its outputs."""
+
+    def __init__(self, change, dtype="float32"):
+        self.change, self.dtype = change, dtype
+
+    def run(self, stage, inputs, weights=None):
+        outputs = super().run(stage, inputs, weights)
+        self.change(outputs)
+        return outputs
+
+
+@pytest.mark.parametrize(
+    ("stage", "output"),
+    [(stage, name) for stage, row in STAGES.items() for name, spec in row.outputs.items() if spec.kind == "float"],
+)
+def test_one_number_that_is_none_fails(stage, output):
+    """NaN or Inf at any one place of any float output, whatever the case; where the answer is lost as a whole, at another place."""
+    weights = random_weights(0) if STAGES[stage].weights else None
+
+    @settings(max_examples=6 if weights else 25, database=None)
+    @given(STRATEGIES[stage], st.data())
+    def one(inputs, data):
+        def plant(outputs):
+            places = np.argwhere(np.isfinite(outputs[output]).all(axis=-1, keepdims=True) | np.zeros(outputs[output].shape, bool))
+            if len(places):
+                place = tuple(places[data.draw(st.integers(0, len(places) - 1))])
+                outputs[output][place] = data.draw(st.sampled_from([np.nan, np.inf, -np.inf]))
+                planted.append(place)
+
+        planted = []
+        found = ""
+        try:
+            Judge(Planted(plant)).agrees(stage, inputs, weights)
+        except DepartureError as error:
+            found = str(error)
+        assert bool(planted) == (f"{stage}.{output}: " in found)
+
+    one()
+
+
+@pytest.mark.parametrize(
+    ("stage", "output"),
+    [(stage, name) for stage, row in STAGES.items() for name, spec in row.outputs.items() if spec.kind == "uint8"],
+)
+def test_one_wrong_pixel_of_a_mask_fails(stage, output):
+    """At any place, unless the case has numbers that rounding decides."""
+
+    @settings(max_examples=25, database=None)
+    @given(STRATEGIES[stage], st.data())
+    def one(inputs, data):
+        def plant(outputs):
+            place = tuple(data.draw(st.integers(0, side - 1)) for side in outputs[output].shape)
+            outputs[output][place] ^= 1
+
+        found, judge = "", Judge(Planted(plant))
+        try:
+            judge.agrees(stage, inputs)
+        except DepartureError as error:
+            found = str(error)
+        assert f"{stage}.{output}: wrong at " in found or judge.record.undecided
+
+    one()
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_an_answer_that_is_not_judged_is_a_number_all_the_same(monkeypatch, number):
+    """Where rounding decides on a whole frame, it does not decide whether the frame is one."""
+    monkeypatch.setattr("conformance.judge.expect", lambda *_: {})
+    case = smallest_case("frame")
+
+    def plant(outputs):
+        outputs["image"][3, 4, 1] = number
+
+    judge = Judge(ReferencePort())
+    judge.agrees("frame", case.inputs, case.weights)
+    assert (judge.record.unjudged, judge.record.worst) == (1, {})
+    with pytest.raises(DepartureError, match=r"frame.image: wrong at \[3, 4, 1\]"):
+        Judge(Planted(plant)).agrees("frame", case.inputs, case.weights)
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_zeros_of_either_sign_and_lost_small_numbers_pass(stage):
+    """What docs/conformance.md lets a port do."""
+    weights = random_weights(0) if STAGES[stage].weights else None
+
+    def change(outputs):
+        for array in outputs.values():
+            if array.dtype.kind == "f":
+                array[np.abs(array) < np.finfo(np.float32).tiny] = -0.0
+
+    @settings(max_examples=3 if weights else 15, database=None)
+    @given(STRATEGIES[stage])
+    def one(inputs):
+        Judge(Planted(change)).agrees(stage, inputs, weights)
+
+    one()
+
+
+def test_a_port_that_writes_into_what_it_was_given_is_found_out():
+    """Inputs and weights are its own copies: what it does to them is not what it is judged by."""
+
+    class Careless(ReferencePort):
+        def run(self, stage, inputs, weights=None):
+            for array in [*inputs.values(), *(weights or {}).values()]:
+                array[...] = 0
+            return super().run(stage, inputs, weights)
+
+    case = smallest_case("rrm").inputs
+    with pytest.raises(DepartureError):
+        Judge(Careless()).agrees("rrm", {**case, "valid": np.ones((8, 8), np.uint8)})
+    history = np.ones((3, 8, 8, 4), np.float32)
+    with pytest.raises(DepartureError):
+        Judge(Careless()).agrees("history", {"history": history}, random_weights(0))
+
+
+def test_a_port_that_answers_in_one_buffer_is_found_out():
+    """The answer before is kept: two that differ are told apart though the port has them in one place."""
+
+    class Reusing(ReferencePort):
+        buffer = np.zeros((8, 8), np.uint8)
+
+        def run(self, stage, inputs, weights=None):
+            self.buffer[...] ^= 1
+            return {"valid": self.buffer}
+
+    judge = Judge(Reusing())
+    first, second = (judge.run("rrm", smallest_case("rrm").inputs)["valid"] for _ in range(2))
+    with pytest.raises(DepartureError):
+        judge.same("rrm.valid", second, first)
+
+
+# Replay, and job folders at random.
+
+
+def test_a_replay_is_judged_or_says_so(tmp_path):
+    """A failure that was no answer is held against the reference when there is one; a folder that was tampered with is refused."""
+    kept = tmp_path / "kept"
+    write_job(kept, [Case("warp", {name: array + 0.5 for name, array in smallest_case("warp").inputs.items()})])
+    assert list(replay(ReferencePort(), kept)) == [("warp.warped", 0), ("warp.inside", 0)]
+    wrong = Planted(lambda outputs: outputs["warped"].fill(np.nan))
+    assert dict(replay(wrong, kept))["warp.warped"] == np.inf
+    for name in ("allowed", "expected"):
+        (kept / "0000" / name).mkdir()
+    np.save(kept / "0000" / "allowed" / "warped.npy", np.zeros(3))
+    with pytest.raises(InputError, match="expected the folder of one failure"):
+        replay(wrong, kept)
+
+
+def test_damaged_job_folders_are_answered_or_refused():
+    """A fixed slice of ``make fuzz``."""
+    assert job_folders.run(seed=1, seconds=3) > 20
+
+
+def test_a_damaged_job_folder_is_named_by_its_seed(monkeypatch):
+    """The fuzzer can fail."""
+    monkeypatch.setattr(job_folders, "run_job", lambda job, backend: 1 / 0)
+    with pytest.raises(AssertionError, match=re.compile("seed 5, case 0: .*ZeroDivisionError", re.DOTALL)):
+        job_folders.run(seed=5, seconds=5)
