@@ -60,12 +60,12 @@ def conform(
     from stss.conform import failures as conforming
     from stss.conform import report as conform_report
 
-    port = conforming.load_port(spec, program, timeout, dtype, winograd)
-    if replay is not None:
-        sys.exit(_replay(port, replay))
     require_places({"--json": json_file, "--junit": junit, "--report": report}, [known_failures])
     if failures.exists() and not failures.is_dir():
         raise InputError(f"{failures}: expected a folder, found a file")
+    port = conforming.load_port(spec, program, timeout, dtype, winograd)
+    if replay is not None:
+        sys.exit(_replay(port, replay))
     if unknown := set(stages or ()) - set(SUITE):
         raise InputError(f"--stages: expected some of {', '.join(SUITE)}, got {', '.join(sorted(unknown))}")
     console = Console(stderr=True)

@@ -7,7 +7,7 @@ import hashlib
 import os
 import re
 from collections.abc import Generator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
@@ -125,10 +125,10 @@ class OutputFolder:
 
     def _read(self) -> dict[str, str]:
         """The list; a line that was cut off, or names what lies elsewhere, counts as not there."""
-        try:
-            text = (self.path / SUMS).read_text(encoding="utf-8", errors="replace")
-        except FileNotFoundError:
-            return {}
+        path = self.path / SUMS
+        if path.is_dir():
+            raise InputError(f"{path}: expected a file, found a folder")
+        text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
         found = (_LINE.fullmatch(line) for line in text.split("\n"))
         return {match[2]: match[1] for match in found if match and self._is_own(match[2])}
 
@@ -142,6 +142,6 @@ class OutputFolder:
     def _listed(self) -> list[Path]:
         found: list[Path] = []
         for subfolder in self._subfolders:
-            with suppress(FileNotFoundError):
-                found += (self.path / subfolder).iterdir()
+            if (self.path / subfolder).is_dir():
+                found += sorted((self.path / subfolder).iterdir())
         return found

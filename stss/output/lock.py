@@ -78,7 +78,8 @@ def _open(path: Path) -> tuple[int, bool]:
     try:
         return os.open(path, _WITHOUT_LINKS | os.O_CREAT | os.O_EXCL, 0o666), True
     except FileExistsError:
-        return os.open(path, _WITHOUT_LINKS | os.O_CREAT, 0o666), False
+        with told(path):
+            return os.open(path, _WITHOUT_LINKS | os.O_CREAT, 0o666), False
 
 
 def _flock(handle: int) -> bool:
