@@ -61,8 +61,7 @@ def conform(
     from stss.conform import report as conform_report
 
     require_places({"--json": json_file, "--junit": junit, "--report": report}, [known_failures])
-    if failures.exists() and not failures.is_dir():
-        raise InputError(f"{failures}: expected a folder, found a file")
+    _require_folder(failures)
     port = conforming.load_port(spec, program, timeout, dtype, winograd)
     if replay is not None:
         sys.exit(_replay(port, replay))
@@ -95,6 +94,12 @@ def conform(
     if report is not None:
         conform_report.write_page(report, judge, results, folders)
     sys.exit(0 if conform_report.passed(results) else 1)
+
+
+def _require_folder(failures: Path) -> None:
+    """Say of a place that is no folder before minutes of work, not after."""
+    if failures.exists() and not failures.is_dir():
+        raise InputError(f"{failures}: expected a folder, found a file")
 
 
 def _command(spec: str | None, program: str | None, dtype: str | None, winograd: bool) -> str:

@@ -49,7 +49,7 @@ from stss_ref.checkpoint import read_checkpoint
 from stss_ref.schedule import FrameKind
 from stss_ref.weights import WeightsError
 
-_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 """What a write to a file without a name, standard output, fails with where nothing more goes in."""
 
 

@@ -63,7 +63,9 @@ class OutputFolder:
             with told(self.path):
                 self._claim(refusal)
             write_whole(self.path / SUMS, self._lines())
-            with told(self.path / SUMS), (self.path / SUMS).open("ab", buffering=0) as self._log:
+            with told(self.path / SUMS):
+                self._log = (self.path / SUMS).open("ab", buffering=0)
+            with self._log:
                 yield
 
     def write(self, name: str, data: bytes) -> None:

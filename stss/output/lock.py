@@ -8,7 +8,7 @@ import os
 import platform
 import time
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from stss.errors import InputError
@@ -116,9 +116,10 @@ def _holder(handle: int) -> str:
 
 
 def _release(path: Path, handle: int) -> None:
-    try:
-        path.unlink(missing_ok=True)
-    except OSError:
-        pass  # a file without a lock on it stops nobody
-    finally:
+    """Remove the file, and unlock it only then: in between, nobody may lock what is about to go."""
+    if fcntl is None:
+        os.close(handle)  # no lock is on it, and Windows does not remove an open file
+    with suppress(OSError):  # a file that stays stops nobody who can lock it
+        path.unlink()
+    if fcntl is not None:
         os.close(handle)
