@@ -172,6 +172,7 @@ def test_no_table_that_is_read_is_an_output(finished, demo, weights, tmp_path, n
         ("export", "{w}", "-o", "{link}", "--size", "16x16"),
         ("bench", "--weights", "{w}", "--json", "{w}"),
         ("bench", "--json", "{new}", "--plot", "{new}"),
+        ("bench", "--json", "{new}", "--plot", "{folder}/../new.safetensors"),
         ("stress", "--weights", "{w}", "--json", "{hard}"),
         ("conform", "--exec", "true", "--known-failures", "{w}", "--report", "{link}"),
         ("conform", "--exec", "true", "--junit", "{new}", "--json", "{new}"),
@@ -181,6 +182,8 @@ def test_no_file_that_is_named_twice_is_written(weights, tmp_path, arguments):
     names = {name: tmp_path / f"{name}.safetensors" for name in ("w", "link", "hard", "new")}
     shutil.copy(weights, names["w"])
     names["link"].symlink_to(names["w"])
+    names["folder"] = tmp_path / "folder"
+    names["folder"].mkdir()
     names["hard"].hardlink_to(names["w"])
     before = contents(tmp_path)
     refused(stss(*(argument.format(**names) for argument in arguments)), "the same file as")
