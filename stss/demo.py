@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -13,13 +12,15 @@ from rich.progress import Progress
 
 from conformance.scenes import DEMO, Rendered, render
 from stss.color import transfer
-from stss.errors import InputError
 from stss.frames.backends import DEFAULTS, open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.images.contact_sheet import COMPARISON, comparison, contact_sheet, magnify
-from stss.images.read_write import read_rgb, write_channels, write_rgb
+from stss.images.read_write import encode_channels, encode_rgb, read_rgb, write_rgb
+from stss.output.apart import require_apart
+from stss.output.folder import OutputFolder
+from stss.output.write_whole import told
 from stss.quality.compare import compare, print_comparison
-from stss.run.job import RunOptions, frame_path, run
+from stss.run.job import RunOptions, frame_name, run
 from stss.sequence.reader import open_sequence
 from stss.weights.file import BILINEAR, DEFAULT, load
 from stss_ref.arrays import Array, Plane
@@ -79,6 +80,8 @@ def demo(
         InputError: ``out`` holds an earlier demo and ``overwrite`` is not set, or cannot be written to.
     """
     loaded = load(weights)
+    with told(out):
+        require_apart([*_folder(out).present(), out / "sheet.png"], [Path(weights)])
     with Progress(console=console, transient=True) as progress:
         task = progress.add_task("rendering", total=frames)
         write_demo_sequence(out, frames, size, overwrite=overwrite, on_frame=lambda _: progress.advance(task))
@@ -86,10 +89,10 @@ def demo(
     methods = {"output": loaded} if weights == BILINEAR else {"bilinear": load(BILINEAR), "output": loaded}
     for name, method in methods.items():
         engine = open_backend(backend, method.weights, compute)
-        run(sequence, out / name, engine, method.identity, RunOptions(overwrite=overwrite))
+        run(sequence, out / name, engine, method.identity, RunOptions(overwrite=overwrite), reads=[Path(weights)])
         console.print(f"{method.source} against the truth:", highlight=False, markup=False)
         print_comparison(compare(out / name, out / "truth", frames=None, pictures=out / "pictures" / name), console)
-    outputs = {number: frame_path(out / "output", number, "exr") for number in sequence.numbers}
+    outputs = {number: out / "output" / frame_name(number, "exr") for number in sequence.numbers}
     write_rgb(out / "sheet.png", demo_sheet(out, outputs))
     console.print(f"pictures to look at: {out / 'sheet.png'}", soft_wrap=True, highlight=False, markup=False)
 
@@ -116,16 +119,19 @@ def write_demo_sequence(
     Raises:
         InputError: ``out`` holds frames of an earlier demo and ``overwrite`` is not set, or cannot be written to.
     """
-    folders = out / "frames", out / "truth"
-    _claim(*folders, overwrite=overwrite)
+    folder = _folder(out)
+    refusal = None if overwrite else "holds frames of an earlier demo; --overwrite replaces them"
     height, width = size
-    for number in range(frames):
-        low = render(DEMO, number, height, width, samples=INPUT_SAMPLES)
-        channels = frame_channels(low, rendered=number % 2 == 0)
-        write_channels(demo_path(folders[0], number), channels, half=_HALF, metadata={"stss:scene": DEMO.name})
-        truth = render(DEMO, number, 2 * height, 2 * width, samples=SAMPLES).color
-        write_rgb(demo_path(folders[1], number), truth, metadata={"stss:scene": DEMO.name})
-        on_frame(number)
+    with folder.opened(refusal=refusal):
+        for number in range(frames):
+            low = render(DEMO, number, height, width, samples=INPUT_SAMPLES)
+            channels = frame_channels(low, rendered=number % 2 == 0)
+            path, metadata = demo_path(out / "frames", number), {"stss:scene": DEMO.name}
+            folder.write(f"frames/{path.name}", encode_channels(path, channels, half=_HALF, metadata=metadata))
+            truth = render(DEMO, number, 2 * height, 2 * width, samples=SAMPLES).color
+            folder.write(f"truth/{path.name}", encode_rgb(path, truth, metadata=metadata))
+            on_frame(number)
+        folder.finish(remove_others=True)
 
 
 def frame_channels(frame: Rendered, *, rendered: bool) -> dict[str, Plane]:
@@ -179,14 +185,5 @@ def _fill(image: Array, shape: tuple[int, ...]) -> Array:
     return np.pad(image, ((0, shape[0] - image.shape[0]), (0, shape[1] - image.shape[1]), (0, 0)), mode="edge")
 
 
-def _claim(*folders: Path, overwrite: bool) -> None:
-    for folder in folders:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{folder}: cannot be made a folder: {error.strerror}") from None
-    earlier = [p for folder in folders for p in folder.iterdir() if re.fullmatch(r"demo\.\d+\.exr", p.name)]
-    if earlier and not overwrite:
-        raise InputError(f"{earlier[0].parent}: holds frames of an earlier demo; --overwrite replaces them")
-    for path in earlier:
-        path.unlink()
+def _folder(out: Path) -> OutputFolder:
+    return OutputFolder(out, ("frames", "truth"), r"demo\.\d+\.exr")

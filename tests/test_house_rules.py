@@ -23,7 +23,7 @@ MAY_IMPORT = {
 
 FLOORS = {
     "stss": "__main__ > cli > demo bench > quality > check run > port sequence baselines > conform stress frames"
-    " > images weights devices color optional > errors terminal version machine",
+    " > images weights devices color optional > output > errors terminal version machine",
     "conformance": "run_suite suite > judge > findings > answers cases > protocol scenes tolerance",
 }
 """The rooms of a package from top to bottom: a room imports those on the floors below it, and none beside it."""

@@ -8,7 +8,6 @@ threads: a gate computed by the convolution of its feature instead of one of its
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from stss.errors import InputError
 from stss.optional import require
+from stss.output.write_whole import write_named
 from stss.version import VERSION
 from stss.weights.file import identity
 from stss_ref.erm import WINDOW
@@ -54,15 +54,7 @@ def export(weights: Weights, height: int, width: int) -> Any:
 
 def write(path: Path, weights: Weights, height: int, width: int) -> None:
     """Write `export` of ``weights`` to ``path``, all of it or nothing."""
-    data: bytes = export(weights, height, width).SerializeToString()
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_bytes(data)
-        temporary.replace(path)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_named(path, export(weights, height, width).SerializeToString())
 
 
 class _Graph:

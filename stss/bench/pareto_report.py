@@ -21,6 +21,7 @@ from stss.errors import InputError
 from stss.frames.compute_options import ComputeOptions
 from stss.machine import cpu_model, versions
 from stss.optional import require
+from stss.output.write_whole import write_figure, write_named
 from stss.terminal import Terminal
 from stss.version import VERSION
 from stss.weights.file import identity
@@ -137,10 +138,7 @@ def write_json(path: Path, points: Sequence[Point], peers: Sequence[Timing], wei
             for row in peers
         ],
     }
-    try:
-        path.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
+    write_named(path, json.dumps(data, indent=1) + "\n")
 
 
 def plot(points: Sequence[Point], peers: Sequence[Timing], path: Path) -> None:
@@ -162,9 +160,7 @@ def plot(points: Sequence[Point], peers: Sequence[Timing], path: Path) -> None:
             _panel(panel, scene, [point for point in points if point.scene == scene], peers)
         handles, labels = panels[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=7)
-        figure.savefig(path, dpi=110)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: {error}") from error
+        write_figure(path, figure, 110)
     finally:
         plt.close(figure)
 

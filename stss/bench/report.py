@@ -15,9 +15,9 @@ from rich.table import Table
 
 from stss.bench.measure import PAUSE, WARM_UP, SizeResult, Timing
 from stss.bench.peers import PEERS
-from stss.errors import InputError
 from stss.machine import cpu_model, versions
 from stss.optional import require
+from stss.output.write_whole import write_figure, write_named
 from stss.version import VERSION
 
 FORMAT = 1
@@ -94,10 +94,7 @@ def write_json(path: Path, results: Sequence[SizeResult], weights: str, threads:
     Raises:
         InputError: it can't be written.
     """
-    try:
-        path.write_text(to_json(results, weights, threads) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
+    write_named(path, to_json(results, weights, threads) + "\n")
 
 
 def _row(result: SizeResult, row: Timing) -> dict[str, Any]:
@@ -132,9 +129,7 @@ def plot(results: Sequence[SizeResult], path: Path) -> None:
     try:
         for result, panel in zip(results, panels[:, 0], strict=True):
             _panel(result, panel)
-        figure.savefig(path, dpi=150)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: {error}") from error
+        write_figure(path, figure, 150)
     finally:
         plt.close(figure)
 

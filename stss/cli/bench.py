@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from stss.cli.options import MAX_COUNT, PATH, Names, Size
+from stss.output.apart import require_places
 from stss.terminal import Terminal, echo
 from stss.weights.file import identity, load
 
@@ -68,6 +69,7 @@ def bench_command(
     from stss.machine import available_threads
     from stss_ref.weights import random as random_weights
 
+    require_places({"--json": json_file, "--plot": plot}, [None if weights is None else Path(weights)])
     tensors = random_weights(0) if weights is None else load(weights).weights
     threads = available_threads()
     console = Terminal(stderr=True)
@@ -96,5 +98,6 @@ def export(weights: str, out: Path, size: tuple[int, int]) -> None:
     """Write the network with WEIGHTS, for inputs of one size, as an ONNX model for other engines."""
     from stss.bench import onnx_export
 
+    require_places({"--out": out}, [Path(weights)])
     onnx_export.write(out, load(weights).weights, *size)
     echo(f"{out}: {size[1]}x{size[0]} to {2 * size[1]}x{2 * size[0]}, opset {onnx_export.OPSET}")

@@ -13,6 +13,8 @@ import click
 from stss.cli.options import MAX_SECONDS, MAX_SEED, PATH, Names, Number
 from stss.errors import InputError
 from stss.optional import require
+from stss.output.apart import require_places
+from stss.output.write_whole import by_name
 from stss.terminal import Terminal, echo
 
 
@@ -60,22 +62,23 @@ def conform(
     from stss.conform import failures as conforming
     from stss.conform import report as conform_report
 
+    require_places({"--json": json_file, "--junit": junit, "--report": report}, [known_failures])
+    _require_folder(failures)
     port = conforming.load_port(spec, program, timeout, dtype, winograd)
     if replay is not None:
         sys.exit(_replay(port, replay))
-    _require_places((json_file, junit, report), failures)
     if unknown := set(stages or ()) - set(SUITE):
         raise InputError(f"--stages: expected some of {', '.join(SUITE)}, got {', '.join(sorted(unknown))}")
     console = Terminal(stderr=True)
     judge = Judge(port, TIERS[tier], seed)
     try:
         known = read_known(known_failures) if known_failures is not None else {}
-        with console.status("") as status:
+        with console.status("") as status, by_name(junit) as junit_file:
 
             def on_result(result: Any) -> None:
                 status.update(f"{result.id}: {result.outcome}")
 
-            results = run_suite(judge, stages or SUITE, known=tuple(known), junit=junit, on_result=on_result)
+            results = run_suite(judge, stages or SUITE, known=tuple(known), junit=junit_file, on_result=on_result)
     except KnownFailuresError as error:
         raise InputError(str(error)) from error
     except OSError as error:
@@ -96,14 +99,10 @@ def conform(
     sys.exit(0 if conform_report.passed(results) else 1)
 
 
-def _require_places(files: tuple[Path | None, ...], failures: Path) -> None:
-    """Say of places that cannot be written to before minutes of work, not after."""
-    for path in (*files, failures):
-        if path is None:
-            continue
-        folder = path is failures
-        if not path.absolute().parent.is_dir() or (path.exists() and path.is_dir() != folder):
-            raise InputError(f"{path}: expected {'a folder' if folder else 'a file'} in a folder that is there")
+def _require_folder(failures: Path) -> None:
+    """Say of a place that is no folder before minutes of work, not after."""
+    if failures.exists() and not failures.is_dir():
+        raise InputError(f"{failures}: expected a folder, found a file")
 
 
 def _command(spec: str | None, program: str | None, dtype: str | None, winograd: bool) -> str:

@@ -22,6 +22,8 @@ from stss.cli.options import (
     weights_option,
 )
 from stss.frames.compute_options import ComputeOptions
+from stss.output.apart import require_apart
+from stss.output.write_whole import told
 from stss.sequence.reader import open_sequence
 from stss.terminal import Terminal, echo
 
@@ -72,8 +74,11 @@ def methods_command(
     from stss.weights.file import load
 
     files = open_sequence(sequence, profile, camera=camera, metallic=metallic, roughness=roughness, non_finite=non_finite)
+    reads = [Path(weights), *([*truth.iterdir()] if truth.is_dir() else [])]
     options = RunOptions.of(files.profile, transfer=transfer, depth=depth, rendered=rendered, frames=frames, overwrite=overwrite)
     chosen, loaded = method_table.choose_methods(methods, weights), load(weights)
+    with told(out):
+        require_apart([out / "sheet.png"], [*files.reads, *reads])
     console = Terminal(stderr=True)
     with console.status("") as status:
         results = method_table.run_methods(
@@ -86,6 +91,7 @@ def methods_command(
             flip=flip,
             vmaf=vmaf,
             on_step=status.update,
+            reads=reads,
         )
     write_rgb(out / "sheet.png", method_sheet(results, truth, frames))
     if as_json:

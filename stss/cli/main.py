@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import sys
@@ -36,6 +37,7 @@ from stss.cli.stress import stress_command
 from stss.errors import InputError
 from stss.frames.backends import NETWORK
 from stss.frames.compute_options import ComputeOptions, Skip
+from stss.output.apart import require_places
 from stss.run.choose_backend import first_frames, open_method, with_skipping, within_budget
 from stss.run.job import FrameReport, RunOptions, Summary
 from stss.run.job import run as run_sequence
@@ -51,6 +53,9 @@ from stss_ref.arrays import ArrayError
 from stss_ref.checkpoint import read_checkpoint
 from stss_ref.schedule import FrameKind
 from stss_ref.weights import WeightsError
+
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+"""What a write to a file without a name, standard output, fails with where nothing more goes in."""
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120})
@@ -111,7 +116,13 @@ def run(
         else:
             engine, identity = within_budget(loaded, compute, budget, first_frames(frames, options), tell=_tell)
         summary = run_sequence(
-            frames, out, engine, identity, options, on_frame=lambda _: progress.update(task, advance=1, description="")
+            frames,
+            out,
+            engine,
+            identity,
+            options,
+            on_frame=lambda _: progress.update(task, advance=1, description=""),
+            reads=[Path(weights)],
         )
     _report(summary, out, console)
     sys.exit(1 if any(frame.fault for frame in summary.frames) else 0)
@@ -177,6 +188,7 @@ def weights() -> None:
 @click.option("-o", "--out", type=PATH, required=True, help="The .safetensors file to write.")
 def import_weights(checkpoint: Path, out: Path) -> None:
     """Read the authors' PyTorch CHECKPOINT, without executing it, and write it as safetensors."""
+    require_places({"--out": out}, [checkpoint])
     save(out, read_checkpoint(checkpoint), {"imported_from": printable(checkpoint.name)})
     echo(f"{out}: {load(out).identity}")
 
@@ -257,9 +269,13 @@ def main() -> None:
     except BrokenPipeError:
         status = 141
     except OSError as error:
-        if error.filename is None:
+        if error.filename is not None:
+            _fail(f"{error.filename}: {error.strerror}")
+            sys.exit(2)
+        if error.errno not in _FULL:
             raise
-        _fail(f"{error.filename}: {error.strerror}")
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is still in the buffer would fail again
+        _fail(f"what was printed cannot be written: {error.strerror}")
     sys.exit(status if isinstance(status, int) else 0)
 
 

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from stss.cli.options import PATH, Names
 from stss.errors import InputError
 from stss.frames.backends import BACKENDS
+from stss.output.apart import require_places
 from stss.terminal import Terminal, echo
 from stss.weights.file import load
 
@@ -42,6 +43,7 @@ def stress_command(
     from stss.stress.measure import MEASUREMENTS, Results, check_names, make_plan, stress
 
     check_names(only)
+    require_places({"--json": json_file, "--write": page}, [None if weights is None else Path(weights)])
     if page is not None:  # before minutes are spent
         stress_report.read_page(page)
         require("matplotlib")

@@ -34,6 +34,7 @@ from conformance.protocol.stages import STAGES
 from stss.errors import InputError
 from stss.images.contact_sheet import contact_sheet
 from stss.images.read_write import write_rgb
+from stss.output.write_whole import make_folder, told, write_whole
 from stss_ref.arrays import ArrayError
 
 CASE = "0000"
@@ -110,24 +111,28 @@ def keep_failure(folder: Path, name: str, finding: Finding, replay: str) -> Path
         replay: the command that runs it again, without the folder.
     """
     kept = folder / name
-    folder.mkdir(parents=True, exist_ok=True)
-    made = Path(tempfile.mkdtemp(prefix=".", dir=folder))
+    make_folder(folder)
+    with told(folder):
+        made = Path(tempfile.mkdtemp(prefix=".", dir=folder))
     try:
-        write_job(made, [finding.case])
-        if finding.expected is not None and finding.got is not None:
-            _write_right(made / CASE, finding.output, finding.got, finding.expected)
-            if picture := _picture(finding.got, finding.expected):
-                write_rgb(made / "picture.png", picture[0])
-        (made / "README.txt").write_text(f"{finding.message}\n\nRun it again:\n  {replay} --replay {kept}\n", encoding="utf-8")
-        made.chmod(0o755)
-        if kept.is_symlink():
-            kept.unlink()
-        shutil.rmtree(kept, ignore_errors=True)
-        made.rename(kept)
+        with told(kept):
+            _write_failure(made, finding, f"{replay} --replay {kept}")
+            made.chmod(0o755)
+            shutil.rmtree(kept, ignore_errors=True)
+            made.rename(kept)
     except BaseException:
         shutil.rmtree(made, ignore_errors=True)
         raise
     return kept
+
+
+def _write_failure(folder: Path, finding: Finding, again: str) -> None:
+    write_job(folder, [finding.case])
+    if finding.expected is not None and finding.got is not None:
+        _write_right(folder / CASE, finding.output, finding.got, finding.expected)
+        if picture := _picture(finding.got, finding.expected):
+            write_rgb(folder / "picture.png", picture[0])
+    write_whole(folder / "README.txt", f"{finding.message}\n\nRun it again:\n  {again}\n".encode())
 
 
 def _write_right(case: Path, output: str, got: NDArray[Any], expected: Expected) -> None:

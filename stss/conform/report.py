@@ -17,7 +17,7 @@ from rich.table import Table
 
 from conformance.judge import Judge, tallied
 from conformance.run_suite import JUDGED, Result
-from stss.images.read_write import placed
+from stss.output.write_whole import write_named
 from stss.version import VERSION
 
 FORMAT = 1
@@ -114,8 +114,7 @@ def passed(results: Sequence[Result]) -> bool:
 
 def write_json(path: Path, found: dict[str, Any]) -> None:
     """Write `to_json`'s object."""
-    with placed(path) as beside:
-        beside.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    write_named(path, json.dumps(found, indent=1) + "\n")
 
 
 def write_page(path: Path, judge: Judge, results: Sequence[Result], folders: dict[str, Path]) -> None:
@@ -133,8 +132,7 @@ def write_page(path: Path, judge: Judge, results: Sequence[Result], folders: dic
 {counted["unjudged"]} cases not judged for that; stss {VERSION}.</p>
 <table><tr><th>test<th>what it asks<th><th class="n">cases<th class="n">error / bound</tr>{rows}</table>{failures}</html>
 """
-    with placed(path) as beside:
-        beside.write_text(text, encoding="utf-8")
+    write_named(path, text)
 
 
 def _row(r: Result) -> str:

@@ -94,7 +94,7 @@ def opened(path: Path) -> Generator[oiio.ImageInput, None, None]:
         with path.open("rb") as file:
             if file.read(len(magic)) != magic:
                 raise InputError(f"{path}: empty, or not the kind of file its name says")
-            if path.suffix.lower() == ".png" and not _whole_png(file):
+            if path.suffix.lower() == ".png" and not whole_png(file):
                 raise InputError(f"{path}: truncated or corrupt")
     except UnicodeEncodeError:
         raise InputError(f"{path}: expected a name in UTF-8") from None
@@ -112,7 +112,7 @@ def opened(path: Path) -> Generator[oiio.ImageInput, None, None]:
         last_error(image)  # a pending message would be printed when the object goes
 
 
-def _whole_png(file: BinaryIO) -> bool:
+def whole_png(file: BinaryIO) -> bool:
     """Whether each chunk up to the last is there with its checksum; libpng itself would complain on standard error."""
     while len(head := file.read(8)) == 8:
         length, kind = int.from_bytes(head[:4], "big"), head[4:]

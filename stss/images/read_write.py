@@ -1,25 +1,20 @@
 # SPDX-License-Identifier: MIT
-"""EXR and PNG pixels through OpenImageIO: read whole or not at all, written beside and renamed into place."""
+"""EXR and PNG pixels through OpenImageIO: read whole or not at all, written whole or not at all."""
 
 from __future__ import annotations
 
-import os
-import secrets
-from collections.abc import Collection, Generator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import OpenImageIO as oiio  # noqa: N813
 
 from stss.errors import InputError
+from stss.images.encode import encode_exr, encode_png, require_finite
 from stss.images.headers import Header, last_error, locate, opened, read_header
-from stss_ref.arrays import Array, Image, Mask, Plane
+from stss.output.write_whole import write_whole
+from stss_ref.arrays import Image, Mask, Plane
 
-__all__ = ["Header", "placed", "read_channels", "read_header", "read_rgb", "write_channels", "write_mask", "write_rgb"]
-
-HALF_MAX = 65504.0
+__all__ = ["Header", "read_channels", "read_header", "read_rgb", "write_channels", "write_mask", "write_rgb"]
 
 _GAP = 4
 """So many unwanted channels are read along, rather than decompressing the file once more."""
@@ -89,17 +84,48 @@ def write_channels(
     half: Collection[str] = (),
     metadata: Mapping[str, str] | None = None,
 ) -> None:
-    """Write an EXR (zip); channels are float, those in ``half`` are half unless a value exceeds half's range.
+    """Write an EXR: `encode_channels`, whole or not at all.
+
+    Raises:
+        InputError: it can't be written.
+        ValueError: as `encode_channels`.
+    """
+    write_whole(path, encode_channels(path, channels, half=half, metadata=metadata))
+
+
+def write_rgb(path: Path, image: Image, *, metadata: Mapping[str, str] | None = None) -> None:
+    """Write a colour image: `encode_rgb`, whole or not at all.
+
+    Raises:
+        InputError: as `encode_rgb`; or it can't be written.
+        ValueError: a value is not finite.
+    """
+    write_whole(path, encode_rgb(path, image, metadata=metadata))
+
+
+def write_mask(path: Path, mask: Mask) -> None:
+    """Write a mask: `encode_mask`, whole or not at all."""
+    write_whole(path, encode_mask(path, mask))
+
+
+def encode_channels(
+    path: Path,
+    channels: Mapping[str, Plane],
+    *,
+    half: Collection[str] = (),
+    metadata: Mapping[str, str] | None = None,
+) -> bytes:
+    """An EXR (zip) as bytes; channels are float, those in ``half`` are half unless a value exceeds half's range.
 
     Raises:
         ValueError: a value is not finite, or a channel does not have the size of the others.
     """
     pixels = np.stack([np.asarray(plane, dtype=np.float32) for plane in channels.values()], axis=-1)
-    _write_exr(path, tuple(channels), pixels, half, metadata or {})
+    return encode_exr(path, tuple(channels), pixels, half, metadata or {})
 
 
-def write_rgb(path: Path, image: Image, *, metadata: Mapping[str, str] | None = None) -> None:
-    """Write a colour image by its suffix.
+def encode_rgb(path: Path, image: Image, *, metadata: Mapping[str, str] | None = None) -> bytes:
+    """A colour image as bytes, by the suffix of the name it will have.
 
     Args:
         path: .exr: scene-linear, half, zip. .png: 8 bits, rounded to nearest, clipped to 0..1.
@@ -111,31 +137,17 @@ def write_rgb(path: Path, image: Image, *, metadata: Mapping[str, str] | None = 
         ValueError: a value is not finite.
     """
     if path.suffix.lower() == ".exr":
-        _write_exr(path, tuple("RGB"), np.ascontiguousarray(image, dtype=np.float32), "RGB", metadata or {})
-    elif path.suffix.lower() == ".png":
-        _require_finite(path, tuple("RGB"), image)
+        return encode_exr(path, tuple("RGB"), np.ascontiguousarray(image, dtype=np.float32), "RGB", metadata or {})
+    if path.suffix.lower() == ".png":
+        require_finite(path, tuple("RGB"), image)
         pixels = np.rint(np.clip(image.astype(np.float64), 0, 1) * 255).astype(np.uint8)
-        _write_png(path, np.ascontiguousarray(pixels), metadata or {})
-    else:
-        raise InputError(f"{path}: expected a name ending in .exr or .png")
+        return encode_png(path, np.ascontiguousarray(pixels), metadata or {})
+    raise InputError(f"{path}: expected a name ending in .exr or .png")
 
 
-def write_mask(path: Path, mask: Mask) -> None:
-    """Write a mask as an 8-bit grey PNG: 255 = True."""
-    _write_png(path, np.where(mask, 255, 0).astype(np.uint8)[..., None], {})
-
-
-@contextmanager
-def placed(path: Path) -> Generator[Path, None, None]:
-    """A temporary path beside ``path`` to write to; renamed into place, or removed when the block fails."""
-    temporary = path.with_name(f".{path.stem}.{secrets.token_hex(6)}{path.suffix}")
-    try:
-        yield temporary
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+def encode_mask(path: Path, mask: Mask) -> bytes:
+    """A mask as an 8-bit grey PNG: 255 = True."""
+    return encode_png(path, np.where(mask, 255, 0).astype(np.uint8)[..., None], {})
 
 
 def _runs(wanted: set[tuple[int, int, bool]]) -> list[tuple[int, int, int, bool]]:
@@ -147,46 +159,3 @@ def _runs(wanted: set[tuple[int, int, bool]]) -> list[tuple[int, int, int, bool]
         else:
             runs.append((part, index, index + 1, integer))
     return runs
-
-
-def _require_finite(path: Path, names: Sequence[str], pixels: Array) -> None:
-    if np.isfinite(pixels).all():
-        return
-    for i, name in enumerate(names):
-        bad = ~np.isfinite(pixels[..., i])
-        if bad.any():
-            y, x = np.argwhere(bad)[0]
-            raise ValueError(f"{path}: channel {name}: {int(bad.sum())} non-finite values, first at (y={y}, x={x})")
-
-
-def _write_exr(path: Path, names: tuple[str, ...], pixels: Array, half: Collection[str], metadata: Mapping[str, str]) -> None:
-    _require_finite(path, names, pixels)
-    # Largest and least: np.abs would copy all of it, and a maximum along two axes is ten times as slow.
-    fits = [max(pixels[..., i].max(), -pixels[..., i].min()) <= HALF_MAX for i in range(len(names))]
-    formats = ["half" if name in half and small else "float" for name, small in zip(names, fits, strict=True)]
-    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], len(names), formats[0])
-    spec.channelnames = names
-    if len({*formats}) > 1:  # OpenImageIO ignores formats that are all the same
-        spec.channelformats = tuple(oiio.TypeDesc(name) for name in formats)
-    spec.attribute("compression", "zip")
-    spec.attribute("DateTime", "")  # else the time of writing: the same picture would have other bytes
-    _write(path, spec, pixels, metadata)
-
-
-def _write_png(path: Path, pixels: np.ndarray[Any, np.dtype[np.uint8]], metadata: Mapping[str, str]) -> None:
-    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], "uint8")
-    spec.attribute("oiio:ColorSpace", "srgb_rec709_scene")
-    _write(path, spec, pixels, metadata)
-
-
-def _write(path: Path, spec: oiio.ImageSpec, pixels: Array | np.ndarray[Any, Any], metadata: Mapping[str, str]) -> None:
-    for name, text in metadata.items():
-        spec.attribute(name, text)
-    with placed(path) as temporary:
-        output = oiio.ImageOutput.create(str(temporary))
-        if output is None:
-            raise InputError(f"{path}: cannot be written: {last_error(oiio)}")
-        done = output.open(str(temporary), spec) and output.write_image(pixels)
-        error = last_error(output)
-        if not (output.close() and done):
-            raise InputError(f"{path}: cannot be written: {error or last_error(output) or 'no reason given'}")

@@ -16,6 +16,8 @@ from rich.table import Table
 
 from stss.errors import InputError
 from stss.images.read_write import read_rgb, write_rgb
+from stss.output.apart import require_apart
+from stss.output.write_whole import make_folder
 from stss.quality.flip_vmaf import require_packages, vmaf_scores
 from stss.quality.metrics import REGIONS, Scores, mean_scores, score, to_8bit, upsample_holes
 from stss.quality.output_and_truth import FALLBACK, KINDS, MADE_WITH, Pair, find_pairs, listed, require_size
@@ -150,6 +152,10 @@ def compare(
         raise InputError(f"{pictures}: holds the images to compare; expected another folder for the pictures")
     require_packages(flip=flip, vmaf=vmaf)
     pairs, without_truth, without_output = find_pairs(out, truth, frames)
+    if pictures is not None:
+        reads = [path for pair in pairs.values() for path in (pair.output, pair.truth, pair.holes)]
+        require_apart([_picture_path(pictures, pair) for pair in pairs.values()], reads)
+        make_folder(pictures)
     notes = _notes(out, pairs)
     rows = [_judge(number, pair, pictures, flip=flip) for number, pair in pairs.items()]
     if vmaf:
@@ -203,10 +209,13 @@ def _judge(number: int, pair: Pair, pictures: Path | None, *, flip: bool) -> Fra
         require_size(pair.holes, small, pair.output, (image.shape[0] // 2, image.shape[1] // 2))
         hole = upsample_holes(small[..., 0] > 0.5)
     if pictures is not None:
-        pictures.mkdir(parents=True, exist_ok=True)
         difference = np.clip(BRIGHTENED * np.abs(image - truth), 0, 1)
-        write_rgb(pictures / f"{pair.output.stem}.png", np.concatenate([image, truth, difference], axis=1))
+        write_rgb(_picture_path(pictures, pair), np.concatenate([image, truth, difference], axis=1))
     return FrameScores(number, pair.kind, pair.output, pair.truth, score(image, truth, hole, flip=flip))
+
+
+def _picture_path(pictures: Path, pair: Pair) -> Path:
+    return pictures / f"{pair.output.stem}.png"
 
 
 def _with_vmaf(row: FrameScores, found: float) -> FrameScores:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from stss.errors import InputError
 from stss.optional import require
+from stss.output.write_whole import told
 from stss_ref.arrays import Image, Plane, require_shape
 
 EXTRA = "metrics"
@@ -75,7 +76,8 @@ def vmaf_scores(frames: Iterable[Iterable[Bytes]]) -> list[float]:
         raise InputError(f"VMAF: {str(error).splitlines()[0]}") from None
     with tempfile.TemporaryDirectory(prefix="stss-vmaf-") as name:
         folder = Path(name)
-        height, width = _write_raw(folder, frames)
+        with told(folder):
+            height, width = _write_raw(folder, frames)
         source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-video_size", f"{width}x{height}", "-framerate", "60"]
         planes = "format=yuv444p"
         graph = f"[0]{planes}[a];[1]{planes}[b];[a][b]libvmaf=model={MODEL}:log_fmt=json:log_path=log.json"

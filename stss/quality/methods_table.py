@@ -15,6 +15,8 @@ from rich.table import Table
 from stss.baselines.registry import METHODS
 from stss.errors import InputError
 from stss.frames.backends import NETWORK, Backend
+from stss.output.lock import locked
+from stss.output.write_whole import make_folder
 from stss.quality.compare import Comparison, compare
 from stss.quality.flicker import Flicker, flicker
 from stss.quality.flip_vmaf import require_packages
@@ -71,6 +73,7 @@ def run_methods(
     flip: bool = False,
     vmaf: bool = False,
     on_step: Callable[[str], None] = lambda step: None,
+    reads: Sequence[Path] = (),
 ) -> list[MethodResult]:
     """Run each method into ``out/METHOD`` and hold it against the truth.
 
@@ -83,19 +86,23 @@ def run_methods(
         options: as for ``stss run``.
         flip, vmaf: take these too.
         on_step: is told what is being done.
+        reads: files that must not be written to, besides those of the sequence.
 
     Raises:
         InputError: as ``stss run``, ``stss compare`` and ``stss flicker``.
     """
     require_packages(flip=flip, vmaf=vmaf)
     results: list[MethodResult] = []
-    for method in methods:
-        on_step(f"{method}: running")
-        backend, identity = engine(method)
-        run(sequence, out / method, backend, identity, options)
-        on_step(f"{method}: comparing")
-        scores = compare(out / method, truth, frames=options.frames, flip=flip, vmaf=vmaf)
-        results.append(MethodResult(method, out / method, scores, flicker(out / method, truth, sequence, frames=options.frames)))
+    make_folder(out)
+    with locked(out):
+        for method in methods:
+            on_step(f"{method}: running")
+            backend, identity = engine(method)
+            run(sequence, out / method, backend, identity, options, reads=reads)
+            on_step(f"{method}: comparing")
+            scores = compare(out / method, truth, frames=options.frames, flip=flip, vmaf=vmaf)
+            changes = flicker(out / method, truth, sequence, frames=options.frames)
+            results.append(MethodResult(method, out / method, scores, changes))
     return results
 
 

@@ -6,8 +6,7 @@ While one frame is computed the files of the next are read and the one before is
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -18,7 +17,10 @@ from stss.errors import InputError
 from stss.frames.backends import NETWORK, Backend, Cost
 from stss.frames.display_frame import DisplayFrame
 from stss.frames.supersample import Output, choose_rendered, plan
-from stss.images.read_write import read_header, write_mask, write_rgb
+from stss.images.read_write import encode_mask, encode_rgb, read_header
+from stss.output.apart import require_apart
+from stss.output.folder import OutputFolder
+from stss.output.write_whole import told
 from stss.run.pipeline import overlap
 from stss.run.skip_report import picture
 from stss.run.window import Keys, Window
@@ -32,8 +34,9 @@ from stss_ref.schedule import FrameKind, schedule
 
 MAX_GAP = 1000
 """Display frames that may be missing in a row."""
-SKIPPED = "skipped"
-"""Below the run's folder: pictures of what was computed."""
+HOLES, SKIPPED = "holes", "skipped"
+"""Below the run's folder: the warping holes; pictures of what was computed."""
+_REFUSAL = "holds frames of an earlier run; --resume keeps what is still right, --overwrite replaces all"
 Outcome = Literal["done", "kept", "left out"]
 
 
@@ -49,7 +52,7 @@ class RunOptions:
         format: ``exr``, ``png``.
         keep_going: leave out a frame that cannot be read, rather than stop.
         resume: keep the files of an earlier run that are what this run would write.
-        overwrite: replace the files of an earlier run.
+        overwrite: replace the files of an earlier run one by one; remove the rest of them once all are written.
         show_skipped: write ``skipped/frame.NNNN.png`` as well: where the frame was computed, and where kept.
     """
 
@@ -100,10 +103,11 @@ def run(
     weights_id: str,
     options: RunOptions,
     on_frame: Callable[[FrameReport], None] = lambda report: None,
+    reads: Iterable[Path] = (),
 ) -> Summary:
     """Write ``out/frame.NNNN.exr`` (or ``.png``) for every display frame, and ``out/holes/frame.NNNN.png`` for every EF.
 
-    A file is complete or not there: it is written beside and renamed.
+    A file is complete or not there: see ``stss.output``.
 
     Args:
         sequence: what to read.
@@ -112,11 +116,15 @@ def run(
         weights_id: identity of the weights, for the metadata.
         options: the user's choices.
         on_frame: called after every frame.
+        reads: files that must not be written to, besides those of the sequence.
 
     Raises:
-        InputError: a frame cannot be read (unless ``keep_going``), the options do not fit the sequence, or ``out`` holds frames of an
-            earlier run and neither ``resume`` nor ``overwrite`` is set.
+        InputError: a frame cannot be read (unless ``keep_going``), the options do not fit the sequence, a file that is read would be
+            written to, another process writes to ``out``, it holds frames of others, or those of an earlier run and neither
+            ``resume`` nor ``overwrite`` is set.
     """
+    if options.resume and options.overwrite:
+        raise InputError("--resume, --overwrite: expected one of them: keep what an earlier run finished, or replace it")
     rendered = choose_rendered(sequence.numbers, sequence.rendered, options.rendered)
     numbers = _numbers(sequence, options.frames)
     _require_near(sequence, sequence.numbers[0] if backend.accumulates else numbers[0], numbers[-1])
@@ -135,25 +143,18 @@ def run(
         "stss:profile": sequence.profile.name,
     }
     keys = Keys(sequence, rendered, {**metadata, "format": options.format, "read": sequence.settings})
-    job = _Job(Window(sequence, rendered, curve, options.depth), keys, backend, curve, out, options, metadata, rendered)
+    folder = OutputFolder(out, ("", HOLES, SKIPPED), r"frame\.\d+\.(exr|png)")
+    job = _Job(Window(sequence, rendered, curve, options.depth), keys, backend, curve, folder, options, metadata, rendered)
     if options.show_skipped and backend.cost is None:
         raise InputError(f"--show-skipped: expected the network on the backend cl, got {backend.method} on {backend.name}")
-    _claim(out, options)
-    if backend.accumulates:
-        for number in range(sequence.numbers[0], numbers[0]):
-            job.compute(job.read(number))
-
-    summary = Summary([])
-
-    def done(report: FrameReport) -> None:
-        summary.frames.append(report)
-        on_frame(report)
-
-    def meanwhile() -> None:
-        if not options.resume:  # then perhaps nothing is left to compute
-            backend.expect(sequence.size)
-
-    overlap(numbers, job.read, job.compute, job.write, done, meanwhile)
+    with told(out):
+        require_apart(folder.present(), [*sequence.reads, *reads])
+    with folder.opened(refusal=None if options.resume or options.overwrite else _REFUSAL):
+        if backend.accumulates:
+            for number in range(sequence.numbers[0], numbers[0]):
+                job.compute(job.read(number))
+        summary = job.run(numbers, sequence.size, on_frame)
+        folder.finish(remove_others=options.overwrite)
     return summary
 
 
@@ -189,10 +190,25 @@ class _Job:
     keys: Keys
     backend: Backend
     curve: Transfer
-    out: Path
+    folder: OutputFolder
     options: RunOptions
     metadata: dict[str, str]
     rendered: frozenset[int]
+
+    def run(self, numbers: range, size: tuple[int, int], on_frame: Callable[[FrameReport], None]) -> Summary:
+        """Take all frames through all steps; ``size`` is (H, W) of the inputs."""
+        summary = Summary([])
+
+        def done(report: FrameReport) -> None:
+            summary.frames.append(report)
+            on_frame(report)
+
+        def meanwhile() -> None:
+            if not self.options.resume:  # then perhaps nothing is left to compute
+                self.backend.expect(size)
+
+        overlap(numbers, self.read, self.compute, self.write, done, meanwhile)
+        return summary
 
     def read(self, number: int) -> _Read | FrameReport:
         """Read what display frame ``number`` is made of, unless it is kept; nothing else touches ``window`` and ``keys``."""
@@ -225,34 +241,35 @@ class _Job:
             return made
         output = Output(made.number, made.kind, self.curve.decode(made.image), made.valid)
         if made.activity is not None:
-            write_rgb(frame_path(self.out / SKIPPED, made.number, "png"), picture(made.image, made.activity))
-        write_output(output, self.out, self.options.format, self.curve, {**self.metadata, "stss:key": made.key})
+            self._write_rgb(frame_name(made.number, "png", SKIPPED), picture(made.image, made.activity), {})
+        if output.kind is FrameKind.EF:
+            name = frame_name(output.number, "png", HOLES)
+            self.folder.write(name, encode_mask(self.folder.path / name, ~output.valid))
+        # The image last: it is what says that the frame is done.
+        image = self.curve.display(output.image) if self.options.format == "png" else output.image
+        metadata = {"stss:key": made.key, "stss:frame": str(output.number), "stss:kind": output.kind.value}
+        self._write_rgb(frame_name(output.number, self.options.format), image, {**self.metadata, **metadata})
         return FrameReport(made.number, made.kind, "done", cost=made.cost)
 
+    def _write_rgb(self, name: str, image: Image, metadata: dict[str, str]) -> None:
+        self.folder.write(name, encode_rgb(self.folder.path / name, image, metadata=metadata))
+
     def _kept(self, number: int, key: str) -> FrameKind | None:
-        """The kind of the frame that an earlier run wrote, if it is what this run would write."""
-        try:
-            found = read_header(frame_path(self.out, number, self.options.format)).attributes
-        except InputError:
+        """The kind of the frame that an earlier run wrote, if all its files are what this run would write, to the last byte."""
+        name = frame_name(number, self.options.format)
+        if not self.folder.holds(name):
             return None
+        found = read_header(self.folder.path / name).attributes
         if found.get("stss:key") != key:
             return None
         kind = FrameKind(found["stss:kind"])
-        return kind if kind is FrameKind.SF or frame_path(self.out / "holes", number, "png").exists() else None
+        beside = ([HOLES] if kind is FrameKind.EF else []) + ([SKIPPED] if self.options.show_skipped else [])
+        return kind if all(self.folder.holds(frame_name(number, "png", where)) for where in beside) else None
 
 
-def write_output(output: Output, out: Path, suffix: str, curve: Transfer, metadata: dict[str, str]) -> None:
-    """Write one output and, for an EF, its holes; the image last, for it is what says that the frame is done."""
-    if output.kind is FrameKind.EF:
-        write_mask(frame_path(out / "holes", output.number, "png"), ~output.valid)
-    image = curve.display(output.image) if suffix == "png" else output.image
-    metadata = {**metadata, "stss:frame": str(output.number), "stss:kind": output.kind.value}
-    write_rgb(frame_path(out, output.number, suffix), image, metadata=metadata)
-
-
-def frame_path(folder: Path, number: int, suffix: str) -> Path:
-    """Where a frame's file goes."""
-    return folder / f"frame.{number:04d}.{suffix}"
+def frame_name(number: int, suffix: str, subfolder: str = "") -> str:
+    """Where a frame's file lies below the run's folder."""
+    return f"{subfolder}/frame.{number:04d}.{suffix}".lstrip("/")
 
 
 def _numbers(sequence: Sequence, frames: tuple[int, int] | None) -> range:
@@ -271,23 +288,3 @@ def _require_near(sequence: Sequence, first: int, last: int) -> None:
     for a, b in pairwise(sequence.numbers):
         if b - a - 1 > MAX_GAP and a < last and b > first:
             raise InputError(f"{sequence.path}: no frame between {a} and {b}; expected gaps of at most {MAX_GAP}")
-
-
-def _claim(out: Path, options: RunOptions) -> None:
-    """Make the folder; refuse to mix with what an earlier run finished, remove what it left half-written."""
-    folders = (out, out / "holes", out / SKIPPED)
-    try:
-        for folder in folders[: 2 + options.show_skipped]:
-            folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be made a folder: {error.strerror}") from None
-    finished = _matching(r"frame\.\d+\.(exr|png)", *folders)
-    if finished and not (options.resume or options.overwrite):
-        raise InputError(f"{out}: holds frames of an earlier run; --resume keeps what is still right, --overwrite replaces all")
-    unfinished = _matching(r"\.frame\.\d+\.[0-9a-f]{12}\.(exr|png)", *folders)
-    for path in unfinished + (finished if options.overwrite else []):
-        path.unlink()
-
-
-def _matching(pattern: str, *folders: Path) -> list[Path]:
-    return [path for folder in folders if folder.is_dir() for path in folder.iterdir() if re.fullmatch(pattern, path.name)]

@@ -34,6 +34,7 @@ class Sequence:
         frames: display frame -> its files, buffers and camera.
         constants: buffer -> number that stands in where there is no channel.
         settings: everything besides the files that decides what `load` returns: text and numbers.
+        tables: files that were read besides those of the frames: the profile's, the camera's.
     """
 
     def __init__(
@@ -46,9 +47,10 @@ class Sequence:
         constants: Mapping[str, float],
         non_finite: NonFinite,
         settings: Mapping[str, object],
+        tables: tuple[Path, ...] = (),
     ):
         self.path, self.profile, self.size, self.frames, self.settings = path, profile, size, frames, dict(settings)
-        self.constants = dict(constants)
+        self.constants, self.tables = dict(constants), tables
         self._non_finite: NonFinite = non_finite
 
     @property
@@ -70,6 +72,11 @@ class Sequence:
     def files(self, number: int) -> tuple[Path, ...]:
         """The files of a frame: what `load` reads, and no others."""
         return self._frame(number).files
+
+    @property
+    def reads(self) -> tuple[Path, ...]:
+        """Every file that is read."""
+        return (*self.tables, *(path for frame in self.frames.values() for path in frame.files))
 
     def load(self, number: int, *, color: bool = True) -> Buffers:
         """Read one display frame.
@@ -195,6 +202,7 @@ def open_sequence(
         constants=constants,
         non_finite=non_finite,
         settings=settings,
+        tables=(table.path,) if camera is None else (table.path, camera),
     )
 
 

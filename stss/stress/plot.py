@@ -7,8 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from stss.errors import InputError
 from stss.optional import require
+from stss.output.write_whole import make_folder, write_figure
 from stss.stress.measure import Results
 from stss.stress.table import Table
 
@@ -35,10 +35,8 @@ def plot(results: Results, folder: Path) -> tuple[Path, ...]:
             try:
                 for panel, ax in zip(panels.values(), axes.flat, strict=True):
                     panel(results, ax)
-                folder.mkdir(parents=True, exist_ok=True)
-                figure.savefig(folder / name, dpi=110)
-            except OSError as error:
-                raise InputError(f"{folder / name}: {error.strerror}") from error
+                make_folder(folder)
+                write_figure(folder / name, figure, 110)
             finally:
                 plt.close(figure)
             drawn.append(folder / name)

@@ -16,6 +16,7 @@ from rich.table import Table as RichTable
 
 from stss.errors import InputError
 from stss.machine import cpu_model, versions
+from stss.output.write_whole import write_named
 from stss.stress.measure import Results
 from stss.stress.table import Cell, Table, short
 from stss.version import VERSION
@@ -91,7 +92,7 @@ def write_json(path: Path, results: Results) -> None:
     Raises:
         InputError: it can't be written.
     """
-    _write(path, to_json(results) + "\n")
+    write_named(path, to_json(results) + "\n")
 
 
 def read_page(path: Path) -> str:
@@ -123,7 +124,7 @@ def renew(page: str, results: Results) -> str:
 
 def write_page(path: Path, results: Results) -> None:
     """Renew the tables of the page ``path``; errors as `read_page`, or it can't be written."""
-    _write(path, renew(read_page(path), results))
+    write_named(path, renew(read_page(path), results))
 
 
 def markdown(table: Table) -> str:
@@ -131,10 +132,3 @@ def markdown(table: Table) -> str:
     head = f"| {' | '.join(table.columns)} |\n|{'---|' * len(table.columns)}\n"
     rows = "".join(f"| {' | '.join(map(text_of, row))} |\n" for row in table.rows)
     return f"*{table.title}*\n\n{head}{rows}"
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error

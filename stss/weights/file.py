@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +17,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 
 from stss.errors import InputError
+from stss.output.write_whole import write_named
 from stss_ref.regular_file import require_regular
 from stss_ref.weights import TENSORS, Weights, WeightsError, check, require_names, require_shape, zeros
 
@@ -127,22 +126,7 @@ def save(path: str | Path, weights: Weights, metadata: Mapping[str, str]) -> Non
         InputError: the file can't be written.
         WeightsError: ``weights`` are not of this network.
     """
-    path = Path(path)
-    data = _serialised(check(weights), {**metadata, VERSION_KEY: VERSION})
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".tmp")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            Path(temporary).chmod(0o644)
-            Path(temporary).replace(path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}") from error
+    write_named(Path(path), _serialised(check(weights), {**metadata, VERSION_KEY: VERSION}))
 
 
 def _serialised(weights: Weights, metadata: Mapping[str, str]) -> bytes:

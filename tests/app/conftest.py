@@ -55,10 +55,10 @@ def write_frames(tmp_path):
 
 def write_raw(path, channels, half=()):
     """Write an EXR, non-finite values too."""
-    from stss.images import read_write as images
+    from stss.images import encode
 
-    finite, images._require_finite = images._require_finite, lambda *_: None
+    finite, encode.require_finite = encode.require_finite, lambda *_: None
     try:
         write_channels(path, channels, half=half)
     finally:
-        images._require_finite = finite
+        encode.require_finite = finite

@@ -41,7 +41,7 @@ def weights(tmp_path_factory):
 
 
 def frames_of(out):
-    return {path.name: path.read_bytes() for path in sorted(Path(out).rglob("*.*")) if path.is_file()}
+    return {path.name: path.read_bytes() for path in sorted(Path(out).rglob("frame.*")) if path.is_file()}
 
 
 def fails(result, *words):

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: MIT
+"""EXR and PNG as bytes: OpenImageIO says that all went well when a file was cut short, so what it made is looked at."""
+
+from __future__ import annotations
+
+import io
+import os
+import struct
+import tempfile
+from collections.abc import Collection, Generator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenImageIO as oiio  # noqa: N813
+
+from stss.errors import InputError
+from stss.images.headers import last_error, whole_png
+from stss_ref.arrays import Array
+
+HALF_MAX = 65504.0
+
+_CHUNK_LINES = 16
+"""Lines that EXR's ``zip`` compresses together."""
+Pixels = Array | np.ndarray[Any, Any]
+
+
+def encode_exr(path: Path, names: tuple[str, ...], pixels: Array, half: Collection[str], metadata: Mapping[str, str]) -> bytes:
+    """An EXR (zip).
+
+    Args:
+        path: where it will lie, for messages.
+        names: of the channels.
+        pixels: (H, W, C) float32.
+        half: channels that are stored as half unless a value exceeds half's range; the others are float.
+        metadata: name -> text.
+
+    Raises:
+        InputError: there is no room for it.
+        ValueError: a value is not finite.
+    """
+    require_finite(path, names, pixels)
+    # Largest and least: np.abs would copy all of it, and a maximum along two axes is ten times as slow.
+    fits = [max(pixels[..., i].max(), -pixels[..., i].min()) <= HALF_MAX for i in range(len(names))]
+    formats = ["half" if name in half and small else "float" for name, small in zip(names, fits, strict=True)]
+    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], len(names), formats[0])
+    spec.channelnames = names
+    if len({*formats}) > 1:  # OpenImageIO ignores formats that are all the same
+        spec.channelformats = tuple(oiio.TypeDesc(name) for name in formats)
+    spec.attribute("compression", "zip")
+    spec.attribute("DateTime", "")  # else the time of writing: the same picture would have other bytes
+    data = _encoded(path, ".exr", spec, pixels, metadata)
+    if not _whole_exr(data, pixels.shape[0]):
+        raise _cut_short(path)
+    return data
+
+
+def encode_png(path: Path, pixels: np.ndarray[Any, np.dtype[np.uint8]], metadata: Mapping[str, str]) -> bytes:
+    """A PNG of 8 bits.
+
+    Args:
+        path: where it will lie, for messages.
+        pixels: (H, W, C).
+        metadata: name -> text.
+
+    Raises:
+        InputError: there is no room for it.
+    """
+    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], "uint8")
+    spec.attribute("oiio:ColorSpace", "srgb_rec709_scene")
+    data = _encoded(path, ".png", spec, pixels, metadata)
+    if not whole_png(io.BytesIO(data[8:])):
+        raise _cut_short(path)
+    return data
+
+
+def require_finite(path: Path, names: tuple[str, ...], pixels: Array) -> None:
+    """Raise ValueError if a value of (H, W, C) is not finite; name the first."""
+    if np.isfinite(pixels).all():
+        return
+    for i, name in enumerate(names):
+        bad = ~np.isfinite(pixels[..., i])
+        if bad.any():
+            y, x = np.argwhere(bad)[0]
+            raise ValueError(f"{path}: channel {name}: {int(bad.sum())} non-finite values, first at (y={y}, x={x})")
+
+
+def _encoded(path: Path, suffix: str, spec: oiio.ImageSpec, pixels: Pixels, metadata: Mapping[str, str]) -> bytes:
+    for name, text in metadata.items():
+        spec.attribute(name, text)
+    with _memory(suffix) as place:
+        output = oiio.ImageOutput.create(f"image{suffix}")
+        if output is None:
+            raise InputError(f"{path}: cannot be written: {last_error(oiio)}")
+        done = output.open(place, spec) and output.write_image(pixels)
+        error = last_error(output)
+        if not (output.close() and done):
+            raise InputError(f"{path}: cannot be written: {error or last_error(output) or 'no reason given'}")
+        return Path(place).read_bytes()
+
+
+@contextmanager
+def _memory(suffix: str) -> Generator[str, None, None]:
+    """The name of a file in memory; where the system has none, of one in the folder for temporary files."""
+    try:
+        handle = os.memfd_create("stss")
+    except (AttributeError, OSError):
+        handle = None
+    place = Path(f"/proc/self/fd/{handle}")
+    try:
+        if handle is not None and place.exists():
+            yield str(place)
+        else:
+            with tempfile.TemporaryDirectory(prefix="stss-") as folder:
+                yield str(Path(folder) / f"image{suffix}")
+    finally:
+        if handle is not None:
+            os.close(handle)
+
+
+def _whole_exr(data: bytes, height: int) -> bool:
+    """Whether the table of chunks leads from one to the next up to the very last byte."""
+    try:
+        at = 8  # behind magic number and version
+        while data[at]:  # an attribute: name, type, size, value
+            at = data.index(b"\0", data.index(b"\0", at) + 1) + 1
+            at += 4 + struct.unpack_from("<i", data, at)[0]
+        chunks = -(-height // _CHUNK_LINES)
+        table = struct.unpack_from(f"<{chunks}Q", data, at + 1)
+        at += 1 + 8 * chunks
+        for place in table:
+            if place != at:
+                return False
+            at += 8 + struct.unpack_from("<i", data, at + 4)[0]
+    except (IndexError, ValueError, struct.error):
+        return False
+    return at == len(data)
+
+
+def _cut_short(path: Path) -> InputError:
+    return InputError(f"{path}: cannot be written: cut short by a limit on memory or on the size of files")

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: MIT
+"""A folder of numbered files that knows what was written into it (docs/decisions/0025)."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+from stss.errors import InputError
+from stss.output.lock import locked
+from stss.output.write_whole import UNFINISHED, make_folder, sync, told, write_whole
+
+SUMS = "stss.sha256"
+"""Below the folder: the SHA-256 of every file written into it, in the form of ``sha256sum``."""
+_LINE = re.compile(r"([0-9a-f]{64})  (.+)")
+
+
+class OutputFolder:
+    """Files of which a later process can tell that they are its own, and whole.
+
+    A file's checksum is on the disk before the file is renamed into place. So whatever ends the process, a file that is there and
+    that no line tells of was written by somebody else.
+
+    Attributes:
+        path: the folder.
+    """
+
+    def __init__(self, path: Path, subfolders: Sequence[str], name: str):
+        """Look at nothing yet.
+
+        Args:
+            path: the folder.
+            subfolders: where below it files lie; "" is the folder itself.
+            name: what all their names match.
+        """
+        self.path, self._subfolders, self._name = path, tuple(subfolders), re.compile(name)
+        self._sums: dict[str, str] = {}
+        self._written: set[str] = set()
+        self._log: BinaryIO | None = None
+
+    def present(self) -> list[Path]:
+        """What is there with a name that this folder's files have, and the list of their checksums."""
+        found = [path for path in self._listed() if self._name.fullmatch(path.name)]
+        return [path for path in (*found, self.path / SUMS) if os.path.lexists(path)]
+
+    @contextmanager
+    def opened(self, *, refusal: str | None) -> Generator[None, None, None]:
+        """Have the folder to write to; made if need be. Nothing that is finished is removed.
+
+        Args:
+            refusal: what to say where an earlier process finished files; None: take the folder as it is.
+
+        Raises:
+            InputError: another process has it, it can't be written to, it holds files of others, or of an earlier process.
+        """
+        make_folder(self.path)
+        with locked(self.path):
+            with told(self.path):
+                self._claim(refusal)
+            write_whole(self.path / SUMS, self._lines())
+            with told(self.path / SUMS):
+                self._log = (self.path / SUMS).open("ab", buffering=0)
+            with self._log:
+                yield
+
+    def write(self, name: str, data: bytes) -> None:
+        """Write the file ``name``, its place below the folder.
+
+        Raises:
+            InputError: it can't be written; what was there is as it was.
+        """
+        assert self._log is not None
+        self._sums[name] = hashlib.sha256(data).hexdigest()
+        with told(self.path / SUMS):
+            line = f"{self._sums[name]}  {name}\n".encode()
+            if self._log.write(line) != len(line):
+                raise OSError("no room for a line")
+            sync(self._log.fileno())
+        make_folder((self.path / name).parent)
+        write_whole(self.path / name, data)
+        self._written.add(name)
+
+    def holds(self, name: str) -> bool:
+        """Whether the file is there, byte for byte as it was written."""
+        path = self.path / name
+        try:
+            return name in self._sums and path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == self._sums[name]
+        except OSError:
+            return False
+
+    def finish(self, *, remove_others: bool) -> None:
+        """End well: the list in order, each file once.
+
+        Args:
+            remove_others: remove what an earlier process wrote and this one did not.
+
+        Raises:
+            InputError: a file can't be removed or written.
+        """
+        for name in sorted(self._sums.keys() - self._written) if remove_others else ():
+            with told(self.path / name):
+                (self.path / name).unlink(missing_ok=True)
+        self._sums = {name: digest for name, digest in self._sums.items() if (self.path / name).is_file()}
+        write_whole(self.path / SUMS, self._lines())
+
+    def _claim(self, refusal: str | None) -> None:
+        for path in (self.path / subfolder for subfolder in self._subfolders):
+            if os.path.lexists(path) and not path.is_dir():
+                raise InputError(f"{path}: expected a folder, found a file")
+        self._sums = self._read()
+        present = [path.relative_to(self.path).as_posix() for path in self.present() if path.name != SUMS]
+        for name in present:
+            if name not in self._sums:
+                raise InputError(f"{self.path / name}: not in {SUMS}, so nothing of an earlier run; expected another folder")
+            if (self.path / name).is_dir():
+                raise InputError(f"{self.path / name}: expected a file, found a folder")
+        if present and refusal is not None:
+            raise InputError(f"{self.path}: {refusal}")
+        for path in self._listed():
+            if UNFINISHED.fullmatch(path.name):
+                path.unlink(missing_ok=True)
+
+    def _read(self) -> dict[str, str]:
+        """The list; a line that was cut off, or names what lies elsewhere, counts as not there."""
+        path = self.path / SUMS
+        if path.is_dir():
+            raise InputError(f"{path}: expected a file, found a folder")
+        text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+        found = (_LINE.fullmatch(line) for line in text.split("\n"))
+        return {match[2]: match[1] for match in found if match and self._is_own(match[2])}
+
+    def _is_own(self, name: str) -> bool:
+        subfolder, _, last = name.rpartition("/")
+        return subfolder in self._subfolders and self._name.fullmatch(last) is not None
+
+    def _lines(self) -> bytes:
+        return "".join(f"{self._sums[name]}  {name}\n" for name in sorted(self._sums)).encode()
+
+    def _listed(self) -> list[Path]:
+        found: list[Path] = []
+        for subfolder in self._subfolders:
+            if (self.path / subfolder).is_dir():
+                found += sorted((self.path / subfolder).iterdir())
+        return found

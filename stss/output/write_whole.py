@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: MIT
+"""A file is as it was before, or all of what was to be written."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import re
+import secrets
+import tempfile
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from stss.errors import InputError
+
+UNFINISHED = re.compile(r"\.stss-[0-9a-f]{12}\.part")
+"""The name of a file while it is written; one that is left was left by a process that was killed."""
+_NO_SYNC = {errno.EINVAL, errno.ENOSYS, errno.ENOTSUP}
+"""What a file system answers that has nothing to wait for."""
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write ``data`` beside ``path``, wait until it is on the disk, and rename it into place.
+
+    A link at ``path`` is replaced; what it leads to stays as it is. The mode is that of any new file, by the umask.
+
+    Raises:
+        InputError: it can't be written; ``path`` is as it was, and nothing is left beside it.
+    """
+    with told(path):
+        _write_beside(path, data)
+
+
+def write_named(path: Path, data: bytes | str) -> None:
+    """Write a file that the user named: as `write_whole`, but a link stays, and a device or a pipe is written to.
+
+    Args:
+        path: the file.
+        data: bytes; text is written as UTF-8.
+
+    Raises:
+        InputError: it can't be written.
+    """
+    data = data.encode() if isinstance(data, str) else data
+    with told(path):
+        if path.exists() and not path.is_file() and not path.is_dir():
+            with path.open("wb") as file:
+                file.write(data)
+        else:
+            _write_beside(path.resolve() if path.exists() else path, data)
+
+
+def write_figure(path: Path, figure: Any, dpi: int) -> None:
+    """Write a figure of Matplotlib's as `write_named` does; the suffix says in which format.
+
+    Raises:
+        InputError: it can't be written, or Matplotlib has no such format.
+    """
+    drawn = io.BytesIO()
+    try:
+        figure.savefig(drawn, dpi=dpi, format=path.suffix[1:] or None)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from error
+    write_named(path, drawn.getvalue())
+
+
+@contextmanager
+def by_name(path: Path | None) -> Generator[Path | None, None, None]:
+    """A file that a library writes by its name: it gets another name, and what it wrote is then written as by `write_named`.
+
+    Args:
+        path: the file that the user named; None: none, and the library gets none.
+
+    Raises:
+        InputError: it can't be written.
+    """
+    if path is None:
+        yield None
+        return
+    with tempfile.TemporaryDirectory(prefix="stss-") as folder:
+        beside = Path(folder) / path.name
+        yield beside
+        write_named(path, beside.read_bytes())
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder and those above it, unless it is there.
+
+    Raises:
+        InputError: it can't be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be made a folder: {error.strerror}") from error
+
+
+@contextmanager
+def told(path: Path) -> Generator[None, None, None]:
+    """Turn an error of the system about ``path`` into the user's one line."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _write_beside(path: Path, data: bytes) -> None:
+    temporary = path.with_name(f".stss-{secrets.token_hex(6)}.part")
+    try:
+        with temporary.open("xb") as file:
+            file.write(data)
+            file.flush()
+            sync(file.fileno())
+        temporary.replace(path)
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
+
+
+def sync(handle: int) -> None:
+    """Wait until what was written is on the disk: only then some file systems say that it is full."""
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in _NO_SYNC:
+            raise

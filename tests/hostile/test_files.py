@@ -1,0 +1,535 @@
+"""Files: nothing that is read is lost, nothing is half-written, one run at a time in a folder."""
+
+import contextlib
+import io
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stss.cli.main import main
+from stss.demo import write_demo_sequence
+from stss.errors import InputError
+from stss.images.read_write import write_rgb
+from stss.output import lock as locks
+from stss.output.folder import SUMS, OutputFolder
+from stss.output.lock import LOCK, locked
+from stss.output.write_whole import write_named, write_whole
+from stss.weights.file import save
+from stss_ref.weights import random as random_weights
+from tests.hostile.cases import refused
+
+PLAIN = ("--method", "bilinear")
+"""A run that needs neither network nor device."""
+SIZE = (18, 32)
+FRAMES = 4
+NOBODY = 65534
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    """``frames/demo.NNNN.exr`` and their truth."""
+    out = tmp_path_factory.mktemp("demo")
+    write_demo_sequence(out, FRAMES, SIZE)
+    return out
+
+
+@pytest.fixture(scope="module")
+def finished(demo, tmp_path_factory):
+    """What a run makes of them."""
+    out = tmp_path_factory.mktemp("finished") / "out"
+    assert stss("run", demo / "frames", "-o", out, *PLAIN).returncode == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    path = tmp_path_factory.mktemp("weights") / "w.safetensors"
+    save(path, random_weights(3), {})
+    return path
+
+
+@pytest.fixture
+def inputs(demo, tmp_path):
+    """The frames under the names of outputs, and some that are not written to."""
+    folder = tmp_path / "X"
+    folder.mkdir()
+    for number in range(FRAMES):
+        shutil.copy(demo / "frames" / f"demo.{number:04d}.exr", folder / f"frame.{number:04d}.exr")
+    return folder
+
+
+def stss(*arguments):
+    """``stss`` in this process: most of a command's time is its start."""
+    printed, status = io.StringIO(), 0
+    before, sys.argv = sys.argv, ["stss", *map(str, arguments)]
+    try:
+        with contextlib.redirect_stderr(printed), contextlib.redirect_stdout(io.StringIO()):
+            main()
+    except SystemExit as end:
+        status = end.code
+    finally:
+        sys.argv = before
+    return subprocess.CompletedProcess(arguments, status, "", printed.getvalue())
+
+
+def contents(folder):
+    """Every file below, by name; a link counts as what it says, a folder as none."""
+    return {
+        str(path.relative_to(folder)): path.readlink() if path.is_symlink() else path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_symlink() or path.is_file()
+    }
+
+
+def same_folder(inputs, out):
+    return inputs
+
+
+def linked_folder(inputs, out):
+    out.symlink_to(inputs)
+    return out
+
+
+def linked_files(inputs, out):
+    out.mkdir()
+    for path in inputs.iterdir():
+        (out / path.name).symlink_to(path)
+    return out
+
+
+def hard_links(inputs, out):
+    out.mkdir()
+    for path in inputs.iterdir():
+        (out / path.name).hardlink_to(path)
+    return out
+
+
+def one_of_more_digits(inputs, out):
+    """No output has this name; but ``--overwrite`` removes what looks like a frame of an earlier run."""
+    (inputs / "frame.0003.exr").rename(inputs / "frame.00003.exr")
+    for number in range(3):
+        (inputs / f"frame.{number:04d}.exr").rename(inputs / f"frame.{number:06d}.exr")
+    return inputs
+
+
+@pytest.mark.parametrize("option", ["--overwrite", "--resume"])
+@pytest.mark.parametrize("place", [same_folder, linked_folder, linked_files, hard_links, one_of_more_digits])
+def test_no_input_is_an_output(inputs, tmp_path, place, option):
+    out = place(inputs, tmp_path / "out")
+    before = contents(tmp_path)
+    refused(stss("run", inputs, "-o", out, option, *PLAIN), "the same file as", "which is read")
+    assert contents(tmp_path) == before
+
+
+def test_no_input_is_an_output_even_of_an_earlier_run(finished, demo, tmp_path):
+    """The frames of a run serve as inputs of the next: by their list they are its own, yet it reads them."""
+    out = tmp_path / "out"
+    shutil.copytree(finished, out)
+    for number in range(FRAMES):
+        shutil.copy(demo / "frames" / f"demo.{number:04d}.exr", out / f"frame.{number:04d}.exr")
+    before = contents(out)
+    refused(stss("run", out, "-o", out, "--overwrite", *PLAIN), "the same file as")
+    assert contents(out) == before
+
+
+@pytest.mark.parametrize("option", ["--overwrite", "--resume"])
+def test_frames_of_others_are_not_replaced(inputs, demo, tmp_path, option):
+    before = contents(inputs)
+    refused(stss("run", demo / "frames", "-o", inputs, option, *PLAIN), "frame.0000.exr", "nothing of an earlier run")
+    assert contents(inputs) == before
+
+
+@pytest.mark.parametrize("name", ["camera.csv", "mine.toml", "w.safetensors"])
+def test_no_table_that_is_read_is_an_output(finished, demo, weights, tmp_path, name):
+    """Each is made the first output by a link."""
+    out, table = tmp_path / "out", tmp_path / name
+    shutil.copytree(finished, out)
+    rows = "".join(f"{number},0,0,0\n" for number in range(FRAMES))
+    profile = Path(sys.modules["stss"].__file__).parent / "sequence" / "profile_tables" / "stss.toml"
+    table.write_bytes({"c": b"frame,x,y,z\n" + rows.encode(), "m": profile.read_bytes(), "w": weights.read_bytes()}[name[0]])
+    (out / "frame.0000.exr").unlink()
+    (out / "frame.0000.exr").symlink_to(table)
+    option = {"c": "--camera", "m": "--profile", "w": "--weights"}[name[0]]
+    before = contents(tmp_path)
+    refused(stss("run", demo / "frames", "-o", out, "--overwrite", *PLAIN, option, table), "the same file as", table)
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("weights", "import", "{w}", "-o", "{w}"),
+        ("weights", "import", "{w}", "-o", "{link}"),
+        ("weights", "import", "{w}", "-o", "{hard}"),
+        ("export", "{w}", "-o", "{link}", "--size", "16x16"),
+        ("bench", "--weights", "{w}", "--json", "{w}"),
+        ("bench", "--json", "{new}", "--plot", "{new}"),
+        ("bench", "--json", "{new}", "--plot", "{folder}/../new.safetensors"),
+        ("stress", "--weights", "{w}", "--json", "{hard}"),
+        ("conform", "--exec", "true", "--known-failures", "{w}", "--report", "{link}"),
+        ("conform", "--exec", "true", "--junit", "{new}", "--json", "{new}"),
+    ],
+)
+def test_no_file_that_is_named_twice_is_written(weights, tmp_path, arguments):
+    names = {name: tmp_path / f"{name}.safetensors" for name in ("w", "link", "hard", "new")}
+    shutil.copy(weights, names["w"])
+    names["link"].symlink_to(names["w"])
+    names["folder"] = tmp_path / "folder"
+    names["folder"].mkdir()
+    names["hard"].hardlink_to(names["w"])
+    before = contents(tmp_path)
+    refused(stss(*(argument.format(**names) for argument in arguments)), "the same file as")
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize("command", ["compare", "methods"])
+def test_no_picture_replaces_what_is_compared(finished, demo, tmp_path, command):
+    out, truth = tmp_path / "out", tmp_path / "truth"
+    shutil.copytree(finished, out)
+    truth.mkdir()
+    for number in range(FRAMES):
+        shutil.copy(demo / "truth" / f"demo.{number:04d}.exr", truth / f"frame.{number:04d}.exr")
+    where = {"compare": tmp_path / "pictures" / "frame.0001.png", "methods": tmp_path / "pictures" / "sheet.png"}[command]
+    where.parent.mkdir()
+    where.symlink_to(truth / "frame.0001.exr")
+    before = contents(tmp_path)
+    arguments = {
+        "compare": ("compare", out, truth, "--pictures", where.parent),
+        "methods": ("methods", demo / "frames", truth, "-o", where.parent, "--methods", "bilinear"),
+    }
+    refused(stss(*arguments[command]), "the same file as")
+    assert contents(tmp_path) == before
+
+
+def test_resume_and_overwrite_do_not_go_together(demo, tmp_path):
+    result = stss("run", demo / "frames", "-o", tmp_path / "out", "--resume", "--overwrite", *PLAIN)
+    refused(result, "--resume", "--overwrite")
+    assert not (tmp_path / "out").exists()
+
+
+def test_overwrite_removes_nothing_before_the_new_frames_are_there(finished, demo, tmp_path):
+    """A frame in the middle cannot be read: those before it are new, those behind it those of the earlier run."""
+    out, frames = tmp_path / "out", tmp_path / "frames"
+    shutil.copytree(finished, out)
+    shutil.copytree(demo / "frames", frames)
+    (frames / "demo.0002.exr").write_bytes((frames / "demo.0002.exr").read_bytes()[:3000])
+    before = contents(out)
+    refused(stss("run", frames, "-o", out, "--overwrite", "--method", "lanczos"), "demo.0002.exr")
+    after = contents(out)
+    changed = {name for name in before if before[name] != after[name]}
+    assert after.keys() == before.keys()
+    assert changed == {"frame.0000.exr", "frame.0001.exr", SUMS}
+
+
+def test_overwrite_removes_what_is_left_of_the_earlier_run_at_its_end(finished, demo, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(finished, out)
+    (out / "notes.txt").write_text("mine")
+    assert stss("run", demo / "frames", "-o", out, "--overwrite", "--frames", "2:2", *PLAIN).returncode == 0
+    assert sorted(contents(out)) == ["frame.0002.exr", "notes.txt", SUMS]
+    assert contents(out)["frame.0002.exr"] == contents(finished)["frame.0002.exr"]
+
+
+DAMAGE = {
+    "empty": lambda data: b"",
+    "cut": lambda data: data[: len(data) // 2],
+    "last byte lost": lambda data: data[:-1],
+    "a bit flipped": lambda data: data[:-40] + bytes([data[-40] ^ 16]) + data[-39:],
+    "longer": lambda data: data + b"\0",
+    "another frame's": None,
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+@pytest.mark.parametrize("name", ["frame.0000.exr", "frame.0003.exr", "holes/frame.0001.png"])
+def test_resume_keeps_only_what_is_as_it_was_written(finished, demo, tmp_path, name, damage):
+    from stss.frames.backends import open_backend  # noqa: F401  (imported once for all rows)
+
+    out = tmp_path / "out"
+    shutil.copytree(finished, out)
+    other = {"f": "frame.0002.exr", "h": "holes/frame.0003.png"}[name[0]]
+    change = DAMAGE[damage] or (lambda _: (out / other).read_bytes() + (b"" if name[0] == "f" else b"\0"))
+    (out / name).write_bytes(change((out / name).read_bytes()))
+    assert kept(demo, out) == FRAMES - 1
+    assert contents(out) == contents(finished)
+    assert kept(demo, out) == FRAMES
+
+
+def kept(demo, out, **more):
+    """Resume in this process: how many frames were kept."""
+    from stss.run.choose_backend import MethodBackend
+    from stss.run.job import RunOptions, run
+    from stss.sequence.reader import open_sequence
+
+    sequence = open_sequence(demo / "frames", "stss")
+    return run(sequence, out, MethodBackend("bilinear"), "none", RunOptions(resume=True), **more).count("kept")
+
+
+def test_a_run_that_is_killed_can_be_resumed(finished, demo, tmp_path):
+    """Killed as the third frame is to be renamed into place: its checksum is known, the file is not there."""
+    out = tmp_path / "out"
+    code = (
+        "import os, pathlib, sys; from stss.cli.main import main; replace = pathlib.Path.replace\n"
+        "def die(self, to):\n"
+        "    if to.name == 'frame.0002.exr': os.kill(os.getpid(), 9)\n"
+        "    return replace(self, to)\n"
+        "pathlib.Path.replace = die; main()"
+    )
+    command = [sys.executable, "-c", code, "run", str(demo / "frames"), "-o", str(out), *PLAIN]
+    assert subprocess.run(command, capture_output=True, check=False).returncode == -signal.SIGKILL
+    left = [path for path in out.iterdir() if path.suffix == ".part"]
+    assert len(left) == 1
+    assert (out / LOCK).exists()
+    assert kept(demo, out) == 2
+    assert contents(out) == contents(finished)
+
+
+CUT_OFF = ("0123", f"{'0' * 64}  ", f"{'0' * 64}  ../../secret", f"{'0' * 64}  holes/../frame.0000.exr", "\xff\xfe\0")
+
+
+@pytest.mark.parametrize("line", CUT_OFF)
+def test_a_damaged_list_harms_nothing(finished, demo, tmp_path, line):
+    out, secret = tmp_path / "a" / "b" / "out", tmp_path / "a" / "secret"
+    shutil.copytree(finished, out)
+    secret.write_text("mine")
+    with (out / SUMS).open("a", encoding="latin-1") as file:
+        file.write(line)
+    assert kept(demo, out) == FRAMES
+    assert contents(out) == contents(finished)
+    assert secret.exists()
+
+
+@contextlib.contextmanager
+def limited(size):
+    """No file of this process may grow beyond ``size`` bytes, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize("suffix", ["exr", "png"])
+@pytest.mark.parametrize("size", [0, 100, 200, 1000])
+def test_a_file_that_does_not_fit_is_no_file(finished, demo, tmp_path, suffix, size):
+    """What the system does not take fails the run, and nothing is left that is not whole."""
+    out = tmp_path / "out"
+    with limited(size):
+        result = stss("run", demo / "frames", "-o", out, *PLAIN, "--format", suffix)
+    refused(result, "cannot be written")
+    assert not [path for path in contents(out) if path.endswith((suffix, ".part"))]
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount a small file system")
+@pytest.mark.parametrize("suffix", ["exr", "png"])
+def test_a_full_disk_is_told_and_resumed_from(demo, tmp_path, suffix):
+    out, small = tmp_path / "whole", tmp_path / "small"
+    arguments = ("run", demo / "frames", *PLAIN, "--format", suffix)
+    assert stss(*arguments, "-o", out).returncode == 0
+    with mounted(small, "size=32k"):
+        refused(stss(*arguments, "-o", small / "out"), "No space left on device")
+        found, whole = contents(small / "out"), contents(out)
+        assert len(found) > 2
+        assert not [name for name in found if name.startswith(".stss-")]
+        assert all(found[name] == whole[name] for name in found if name != SUMS)
+        assert subprocess.run(["mount", "-o", "remount,size=9m", small], check=False).returncode == 0
+        assert stss(*arguments, "-o", small / "out", "--resume").returncode == 0
+        assert contents(small / "out") == whole
+
+
+@contextlib.contextmanager
+def mounted(folder, options):
+    folder.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", folder], capture_output=True, check=False).returncode:
+        pytest.skip("mounting is not permitted here")
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", folder], check=True)
+
+
+@pytest.mark.parametrize("option", ["--overwrite", "--resume"])
+def test_a_read_only_file_system_is_told(finished, demo, tmp_path, option):
+    if os.geteuid() != 0:
+        pytest.skip("only root may mount a small file system")
+    with mounted(tmp_path / "small", "size=9m"):
+        out = tmp_path / "small" / "out"
+        shutil.copytree(finished, out)
+        subprocess.run(["mount", "-o", "remount,ro", tmp_path / "small"], check=True)
+        refused(stss("run", demo / "frames", "-o", out, option, *PLAIN), out, "Read-only file system")
+        assert contents(out) == contents(finished)
+
+
+@pytest.fixture
+def readable():
+    """A folder that every user can reach; pytest's own are for their owner alone."""
+    with tempfile.TemporaryDirectory() as name:
+        Path(name).chmod(0o755)
+        yield Path(name)
+
+
+@contextlib.contextmanager
+def unprivileged():
+    """What root may do, this process may not for a while."""
+    root = os.geteuid() == 0
+    if root:
+        os.seteuid(NOBODY)
+    try:
+        yield
+    finally:
+        if root:
+            os.seteuid(0)
+
+
+@pytest.mark.parametrize("option", ["--overwrite", "--resume"])
+def test_a_folder_of_somebody_else_is_told(finished, demo, readable, option):
+    """By a user who may read everything and write nothing."""
+    out, frames = readable / "out", readable / "frames"
+    shutil.copytree(finished, out)
+    shutil.copytree(demo / "frames", frames)
+    for path in readable.rglob("*"):
+        path.chmod(0o555 if path.is_dir() else 0o444)
+    with unprivileged():
+        result = stss("run", frames, "-o", out, option, *PLAIN)
+    refused(result, out, "Permission denied")
+    assert contents(out) == contents(finished)
+    for path in (out, out / "holes", frames):
+        path.chmod(0o755)
+
+
+@pytest.mark.parametrize("name", ["frame.0001.exr", "holes/frame.0001.png", "holes", SUMS, LOCK])
+def test_a_folder_where_a_file_is_expected(finished, demo, tmp_path, name):
+    """And a file where a folder is."""
+    out = tmp_path / "out"
+    shutil.copytree(finished, out)
+    if (out / name).is_dir():
+        shutil.rmtree(out / name)
+        (out / name).write_text("a file")
+    else:
+        (out / name).unlink(missing_ok=True)
+        (out / name).mkdir()
+    before = contents(out)
+    refused(stss("run", demo / "frames", "-o", out, "--overwrite", *PLAIN), name.partition("/")[0])
+    assert contents(out) == before
+
+
+NAMED = [
+    ("export", "bilinear", "--size", "16x16", "-o"),
+    ("bench", "--ours", "ref", "--peers", "", "--size", "16x16", "--repeat", "1", "--json"),
+    ("stress", "--backend", "ref", "--only", "depth", "--json"),
+    ("conform", "--exec", "true", "--report"),
+]
+
+
+@pytest.mark.parametrize("arguments", NAMED, ids=lambda row: row[0])
+def test_a_named_file_that_is_a_folder(tmp_path, arguments):
+    refused(stss(*arguments, tmp_path), tmp_path, "expected a file")
+    refused(stss(*arguments, tmp_path / "no" / "x"), tmp_path / "no" / "x", "expected a file")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_second_run_says_who_has_the_folder(demo, finished, tmp_path):
+    """It ends with status 2, and the first one never knows: its temporary files are left alone."""
+    out = tmp_path / "out"
+    folder = OutputFolder(out, ("", "holes"), r"frame\.\d+\.(exr|png)")
+    with folder.opened(refusal=None):
+        unfinished = out / f".stss-{'0' * 12}.part"
+        unfinished.write_bytes(b"being written")
+        before = contents(out)
+        for option in ("--resume", "--overwrite"):
+            refused(stss("run", demo / "frames", "-o", out, option, *PLAIN), out, f"process {os.getpid()} on ", "writes there")
+            assert contents(out) == before
+        folder.write("frame.0000.exr", b"first")
+        folder.finish(remove_others=False)
+    assert not (out / LOCK).exists()
+    assert (out / "frame.0000.exr").read_bytes() == b"first"
+
+
+def test_a_lock_ends_with_its_process(tmp_path):
+    code = (
+        "import os, pathlib, sys; from stss.output.lock import locked\n"
+        "lock = locked(pathlib.Path(sys.argv[1])); lock.__enter__(); os._exit(9)"
+    )
+    subprocess.run([sys.executable, "-c", code, tmp_path], check=False)
+    assert (tmp_path / LOCK).exists()
+    with locked(tmp_path):
+        assert f"process {os.getpid()} on " in (tmp_path / LOCK).read_text()
+    assert not (tmp_path / LOCK).exists()
+
+
+def test_without_locks_the_file_is_the_lock(tmp_path, monkeypatch):
+    """As on a network file system without locks: who was killed leaves a file, and the message says what to do."""
+    monkeypatch.setattr(locks, "fcntl", None)
+    with (
+        locked(tmp_path),
+        pytest.raises(InputError, match=r"writes there; if it ended long ago, remove .*\.stss-lock"),
+        locked(tmp_path),
+    ):
+        pass
+    with locked(tmp_path):
+        pass
+    assert not (tmp_path / LOCK).exists()
+
+
+def test_a_lock_does_not_follow_a_link(tmp_path):
+    (tmp_path / "mine").write_text("mine")
+    (tmp_path / LOCK).symlink_to(tmp_path / "mine")
+    with pytest.raises(InputError, match="cannot be written"), locked(tmp_path):
+        pass
+    assert (tmp_path / "mine").read_text() == "mine"
+
+
+def test_a_file_that_the_user_named(tmp_path):
+    """A link stays and its target is new; a device is written to, not replaced; the mode is that of any new file."""
+    target, link = tmp_path / "target", tmp_path / "link"
+    target.write_text("old")
+    link.symlink_to(target)
+    write_named(link, "new")
+    assert link.is_symlink()
+    assert target.read_text() == "new"
+    write_named(Path("/dev/null"), "gone")
+    assert Path("/dev/null").is_char_device()
+    with pytest.raises(InputError, match=r"/dev/full: cannot be written: No space"):
+        write_named(Path("/dev/full"), "much")
+    before = os.umask(0o027)
+    try:
+        write_named(tmp_path / "mode", b"")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "mode").stat().st_mode & 0o777 == 0o640
+    write_whole(link, b"instead")
+    assert not link.is_symlink()
+    assert target.read_text() == "new"
+    assert not [path for path in tmp_path.iterdir() if path.suffix == ".part"]
+
+
+@pytest.mark.parametrize("name", ["a.exr", "a.png"])
+def test_without_files_in_memory_a_cut_picture_is_found_too(tmp_path, monkeypatch, name):
+    """OpenImageIO closes a file that was cut short as if all were well; here it is cut by hand."""
+    monkeypatch.delattr(os, "memfd_create")
+    picture = np.random.default_rng(0).random((40, 40, 3))
+    write_rgb(tmp_path / name, picture)
+    whole, read = (tmp_path / name).read_bytes(), Path.read_bytes
+    for keep in (0, 9, len(whole) // 2, len(whole) - 1):
+        monkeypatch.setattr(Path, "read_bytes", lambda path, keep=keep: read(path)[:keep])
+        with pytest.raises(InputError, match="cut short"):
+            write_rgb(tmp_path / name, picture)
+        monkeypatch.setattr(Path, "read_bytes", read)
+        assert (tmp_path / name).read_bytes() == whole
+
+
+def test_what_is_printed_to_a_full_disk(demo):
+    with open("/dev/full", "w") as full:  # noqa: PTH123
+        command = [sys.executable, "-m", "stss", "weights", "inspect", "bilinear", "--json"]
+        result = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert result.returncode == 2
+    assert result.stderr == "stss: what was printed cannot be written: No space left on device\n"
