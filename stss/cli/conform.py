@@ -83,20 +83,25 @@ def conform(
         raise InputError(str(error)) from error
     except OSError as error:
         raise InputError(f"{error.filename or known_failures}: {error.strerror or error}") from error
-    again = _command(spec, program, dtype, winograd)
-    folders = {
-        r.id: conforming.keep_failure(failures, r.id, r.record.finding, again)
-        for r in results
-        if r.outcome == "failed" and r.record.finding is not None
-    }
-    conform_report.print_results(results, Terminal())
-    for name, folder in folders.items():
-        echo(f"{name}: {again} --replay {shlex.quote(str(folder))}")
+    folders = _keep_failures(results, failures, _command(spec, program, dtype, winograd))
     if json_file is not None:
         conform_report.write_json(json_file, conform_report.to_json(judge, results, folders))
     if report is not None:
         conform_report.write_page(report, judge, results, folders)
     sys.exit(0 if conform_report.passed(results) else 1)
+
+
+def _keep_failures(results: list[Any], failures: Path, again: str) -> dict[str, Path]:
+    """Keep what failed below ``failures``; print the results, and how each failure is run again."""
+    from stss.conform.failures import keep_failure
+    from stss.conform.report import print_results
+
+    found = {r.id: r.record.finding for r in results if r.outcome == "failed" and r.record.finding is not None}
+    folders = {name: keep_failure(failures, name, finding, again) for name, finding in found.items()}
+    print_results(results, Terminal())
+    for name, folder in folders.items():
+        echo(f"{name}: {again} --replay {shlex.quote(str(folder))}")
+    return folders
 
 
 def _require_folder(failures: Path) -> None:

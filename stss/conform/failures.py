@@ -118,6 +118,8 @@ def keep_failure(folder: Path, name: str, finding: Finding, replay: str) -> Path
         with told(kept):
             _write_failure(made, finding, f"{replay} --replay {kept}")
             made.chmod(0o755)
+            if kept.is_symlink():
+                kept.unlink()
             shutil.rmtree(kept, ignore_errors=True)
             made.rename(kept)
     except BaseException:
