@@ -6,9 +6,11 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
+from pathlib import Path
 from typing import Any
 
 from stss.errors import InputError
+from stss.version import DISTRIBUTION
 
 
 def installed(name: str) -> bool:
@@ -29,8 +31,26 @@ def require(name: str, extra: str = "bench") -> Any:
     package = name.partition(".")[0]
     # colour-science leaves an empty stand-in for a missing Matplotlib among the modules: what has no file is not there.
     if package in sys.modules and getattr(sys.modules[package], "__file__", None) is None:
-        raise InputError(f"{package} is not installed: pip install 'stss[{extra}]'")
+        raise InputError(f"{package} is not installed: pip install '{DISTRIBUTION}[{extra}]'")
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
-        raise InputError(f"{package} is not installed: pip install 'stss[{extra}]'") from error
+        raise InputError(f"{package} is not installed: pip install '{DISTRIBUTION}[{extra}]'") from error
+
+
+def require_own_conformance() -> None:
+    """Make sure that ``import conformance`` finds ours: other distributions may have a package of that name.
+
+    Raises:
+        InputError: it finds another one, or none.
+    """
+    site = Path(__file__).resolve().parents[1]
+    ours = site / "stss_judge" if (site / "stss_judge").is_dir() else site
+    spec = importlib.util.find_spec("conformance")
+    places = [*(spec.submodule_search_locations or ()), spec.origin] if spec is not None else [None]
+    found = places[0]
+    if found is None or Path(found).resolve() != ours / "conformance":
+        raise InputError(
+            f"conformance: expected the package in {ours}, found {found or 'none'}: put {ours} first in PYTHONPATH, "
+            "or install stss into an environment of its own"
+        )

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT
-"""The version of the installed distribution."""
+"""The version, and the name under which it is distributed."""
 
-from importlib.metadata import version
-
-VERSION = version("stss")
+VERSION = "0.1.0"
+DISTRIBUTION = "spacetime-supersampling"
+"""What ``pip`` calls it: on the package index ``stss`` is another project."""

@@ -111,7 +111,7 @@ def contender(name: str, setup: Setup) -> Contender:
 
 
 def network_inputs(height: int, width: int) -> NetworkInputs:
-    """Noise: what no shortcut for flat or still places can profit from. A fifth of the mask is holes."""
+    """Noise, so no shortcut for flat or still places helps. A fifth of the mask is holes."""
     random = np.random.default_rng(0)
 
     def noise(*shape: int) -> Image:

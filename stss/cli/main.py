@@ -37,6 +37,7 @@ from stss.cli.stress import stress_command
 from stss.errors import InputError
 from stss.frames.backends import NETWORK
 from stss.frames.compute_options import ComputeOptions, Skip
+from stss.optional import require_own_conformance
 from stss.output.apart import require_places
 from stss.run.choose_backend import first_frames, open_method, with_skipping, within_budget
 from stss.run.job import FrameReport, RunOptions, Summary
@@ -62,6 +63,7 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 @click.version_option(VERSION, prog_name="stss")
 def stss() -> None:
     """Space-time supersampling: frames in, twice the resolution and twice the frame rate out."""
+    require_own_conformance()
 
 
 @stss.command()

@@ -41,7 +41,7 @@ ASKED_FOR = ("flip", "vmaf")
 
 @dataclass(frozen=True)
 class FrameScores:
-    """One frame.
+    """The scores of one frame.
 
     Attributes:
         number: of the frame.
@@ -60,7 +60,7 @@ class FrameScores:
 
 @dataclass(frozen=True)
 class Mean:
-    """Means over frames: of a PSNR, the mean of the frames' decibels; frames whose region is empty do not count.
+    """Means over frames. A PSNR's mean is over decibels; frames whose region is empty do not count.
 
     Attributes:
         name: "SF", "EF", "MEAN" (the mean of these two, as the authors), or "all" where kinds are not known.
@@ -75,7 +75,7 @@ class Mean:
 
 @dataclass(frozen=True)
 class Comparison:
-    """The outcome.
+    """What ``compare`` found.
 
     Attributes:
         rows: the frames that both folders have, in order.

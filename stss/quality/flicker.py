@@ -31,7 +31,7 @@ COLUMNS = ("output", "truth", "error")
 
 @dataclass(frozen=True)
 class Change:
-    """Of one frame since the one before it, or a mean over frames; in 8-bit levels. None: nothing could be followed.
+    """How a frame changed since the one before it, or a mean over frames, in 8-bit levels. None: nothing could be followed.
 
     Attributes:
         output: how much the output changes, ``mean |d|``.
@@ -56,7 +56,7 @@ class FrameFlicker:
 
 @dataclass(frozen=True)
 class Flicker:
-    """The outcome: rows in order; means by kind, and over all frames as ``all``."""
+    """What ``flicker`` found: rows in order; means by kind, and over all frames as ``all``."""
 
     rows: Sequence[FrameFlicker]
     means: Mapping[str, Change]

@@ -56,7 +56,7 @@ def flip_map(image: Image, truth: Image) -> Plane:
 
 
 def vmaf_scores(frames: Iterable[Iterable[Bytes]]) -> list[float]:
-    """VMAF of each frame of a sequence, which takes motion in the truth for what hides errors.
+    """VMAF of each frame of a sequence: motion in the truth hides errors.
 
     Source: Netflix, VMAF, model ``vmaf_v0.6.1``, as FFmpeg's filter ``libvmaf`` computes it, of the luma; FFmpeg is that of the
     package ``imageio-ffmpeg``.

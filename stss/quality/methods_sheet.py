@@ -25,7 +25,7 @@ BRIGHTENED = 4
 
 @dataclass(frozen=True)
 class Place:
-    """What of which frame is shown: y, x, height, width."""
+    """Which part of which frame is shown: y, x, height, width."""
 
     caption: str
     number: int
@@ -33,7 +33,7 @@ class Place:
 
 
 def method_sheet(results: Sequence[MethodResult], truth: Path, frames: tuple[int, int] | None = None) -> Array:
-    """Lay out, of the last SF and the last EF, the place with most edges, and the place with most holes of all EF.
+    """Lay out the place with most edges of the last SF and of the last EF, and the place with most holes of all EF.
 
     A row for each method and one for the truth; two columns for each place, the frame and its difference from the truth.
 

@@ -41,7 +41,7 @@ DIGITS = {"psnr_rgb": 2, "ssim": 4, "flip": 4, "vmaf": 1}
 
 @dataclass(frozen=True)
 class MethodResult:
-    """What came of one method: its name, the folder of its frames, its scores and its flicker."""
+    """The result of one method: its name, the folder of its frames, its scores and its flicker."""
 
     method: str
     folder: Path
@@ -50,7 +50,7 @@ class MethodResult:
 
 
 def choose_methods(names: Sequence[str], weights: str) -> tuple[str, ...]:
-    """The methods of these names; of none, all of them, and the network if ``weights`` are more than bilinear.
+    """The methods of these names; without names all methods, and the network if ``weights`` are more than bilinear.
 
     Raises:
         InputError: there is no such method, or one is named twice.

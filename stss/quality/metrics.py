@@ -202,7 +202,7 @@ def score(image: Image, truth: Image, hole: Mask | None = None, *, flip: bool = 
 
 
 def mean_scores(frames: Sequence[Mapping[str, Scores]], *, complete: bool = False) -> Mapping[str, Scores]:
-    """Mean over frames of each score: of a PSNR, the mean of decibels.
+    """Mean over frames of each score; a PSNR's mean is over decibels.
 
     Args:
         frames: what ``score`` gave, one per frame, or means of it.

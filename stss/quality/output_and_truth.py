@@ -95,7 +95,7 @@ def listed(numbers: Iterable[int]) -> str:
 def _numbered(folder: Path, frames: tuple[int, int] | None) -> dict[int, Path]:
     """Images by frame number: the last digits of the name without its suffix."""
     if not folder.is_dir():
-        raise InputError(f"{folder}: " + ("not a folder" if folder.exists() else "no such folder"))
+        raise InputError(f"{folder}: " + ("expected a folder, found a file" if folder.exists() else "no such folder"))
     found: dict[int, Path] = {}
     for path in sorted(folder.iterdir(), key=lambda p: (p.suffix.lower() != ".png", p.name)):
         digits = re.findall(r"\d+", path.stem)
