@@ -5,13 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pyopencl.array as cla
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from stss.frames.display_frame import WINDOW
 from stss.frames.supersample import plan
+from stss_cl.network.network import Network
 from stss_cl.skip.stream import Stream
+from stss_ref.arrays import ArrayError
 from tests.cl.test_stream import CHANGES, UNREAD, WEIGHTS, assert_same, first_frame, next_frame
 
 PLANES = ("color", "motion", "gbuffer", "nov", "stencil", "position")
@@ -152,7 +155,42 @@ def test_a_call_that_ends_half_way_leaves_nothing_behind(device, monkeypatch, br
     for i in range(14):
         window = frames[max(0, i + 1 - WINDOW) : i + 1]
         if i in (8, 9):
-            with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+            with monkeypatch.context() as patch:
                 patch.setattr(broken, interrupted)
-                stream(window, plan(window).steps)
+                with pytest.raises(KeyboardInterrupt):
+                    stream(window, plan(window).steps)
         assert_same(stream(window, plan(window).steps), plain(window, plan(window).steps))
+
+
+def network_inputs(size=(16, 24)):
+    rng = np.random.default_rng(2)
+    return [rng.random(shape, np.float32) for shape in ((*size, 6), (*size, 9), size, (3, *size, 4))]
+
+
+def anywhere(array, first):
+    """A copy that begins ``first`` floats behind where NumPy lets an array begin."""
+    place = np.empty(array.size + first, np.float32)[first:].reshape(array.shape)
+    place[...] = array
+    return place
+
+
+@pytest.mark.parametrize("first", [1, 2, 3])
+def test_arrays_may_begin_anywhere(device, first):
+    """Kernels read four floats at once, from where four floats may lie: elsewhere the process ended."""
+    network, inputs = Network(WEIGHTS, device), network_inputs()
+    np.testing.assert_array_equal(network(*(anywhere(array, first) for array in inputs)), network(*inputs))
+
+
+def test_arrays_need_not_be_contiguous(device):
+    network, inputs = Network(WEIGHTS, device), network_inputs()
+    np.testing.assert_array_equal(network(*map(np.asfortranarray, inputs)), network(*inputs))
+
+
+def test_a_part_of_an_array_on_the_device_is_that_part(device):
+    """Not what lies at the beginning of its buffer."""
+    network, inputs = Network(WEIGHTS, device), network_inputs()
+    parts = [cla.to_device(device.queue, np.stack([np.full_like(array, 9), array]))[1] for array in inputs]
+    np.testing.assert_array_equal(network(*parts).get(), network(*inputs))
+    turned = cla.to_device(device.queue, inputs[2].T.copy()).T
+    with pytest.raises(ArrayError, match="mask: expected a C-contiguous array"):
+        network(*parts[:2], turned, parts[3])
