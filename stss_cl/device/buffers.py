@@ -65,12 +65,23 @@ class Padded:
 def zeroed(device: Device, size: int) -> cl.Buffer:
     """Allocate ``size`` bytes of zeros; on a CPU in huge pages where the system has them: a frame's rows lie far apart."""
     if device.is_cpu and size >= HUGE_PAGE and hasattr(mmap, "MADV_HUGEPAGE"):
-        memory = mmap.mmap(-1, -(-size // HUGE_PAGE) * HUGE_PAGE, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        memory = mmap.mmap(-1, whole_pages(size), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
         memory.madvise(mmap.MADV_HUGEPAGE)
         return cl.Buffer(device.context, FLAGS.READ_WRITE | FLAGS.USE_HOST_PTR, hostbuf=memory)
     data = cl.Buffer(device.context, FLAGS.READ_WRITE, size)
     cl.enqueue_fill_buffer(device.queue, data, np.zeros(1, np.uint8), 0, size)
     return data
+
+
+def whole_pages(size: int) -> int:
+    """What ``zeroed`` takes for ``size`` bytes, at most."""
+    return size if size < HUGE_PAGE else -(-size // HUGE_PAGE) * HUGE_PAGE
+
+
+def padded_bytes(height: int, width: int, channels: int, dtype: np.dtype[Any], images: int = 1) -> int:
+    """Size of activations with their border and slack."""
+    pixels = images * (-(-height // 4) * 4 + 2) * (-(-width // 4) * 4 + 2) + SLACK
+    return pixels * channels * dtype.itemsize
 
 
 def map_bytes(height: int, width: int, images: int = 1) -> int:
@@ -82,9 +93,7 @@ def padded(
     device: Device, height: int, width: int, channels: int, dtype: np.dtype[Any], images: int = 1, changes: bool = False
 ) -> Padded:
     """Allocate activations; all zero. ``changes``: with a change map of their own, nothing marked."""
-    shape = -(-height // 4) * 4 + 2, -(-width // 4) * 4 + 2
-    size = (images * shape[0] * shape[1] + SLACK) * channels * dtype.itemsize
-    data = zeroed(device, size)
+    data = zeroed(device, padded_bytes(height, width, channels, dtype, images))
     marks = zeroed(device, map_bytes(height, width, images)) if changes else None
     return Padded(data, height, width, channels, dtype, images, marks)
 

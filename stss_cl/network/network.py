@@ -31,8 +31,8 @@ class Network:
         weights: the 92 tensors.
         device: to run on; None = ``stss_cl.device.discovery.open_device()``.
         precision: see ``PRECISIONS``.
-        memory_limit: bytes that the buffers may take; larger frames go in strips, with the same bits. None = half of the device's
-            memory.
+        memory_limit: bytes that the buffers may take, as ``stss_cl.network.strips.bytes_for`` counts them; larger frames go in strips,
+            with the same bits. None = half of the device's memory.
     """
 
     def __init__(

@@ -13,11 +13,14 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from stss_cl.device.discovery import Device, open_device
+from stss_cl.device.grid import ceil8
 from stss_cl.frame import Frame
 from stss_cl.image_space.frame_planes import MOST_STEPS, check_steps
 from stss_cl.image_space.stages import Gather
+from stss_cl.network.layer_builder import dtype_of
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import Precision
+from stss_cl.network.strips import bytes_for
 from stss_cl.skip.frame_cache import Kept, Last, Report, distance
 from stss_cl.skip.uploaded_frames import Arrivals, DisplayFrame, Held, Tiles, sources
 from stss_ref.arrays import ArrayError
@@ -70,7 +73,7 @@ class Stream:
         self.report = Report(1.0, 1.0, "whole")
         self._whole = Frame(weights, self.device, precision, gather, memory_limit)
         self._gather: Gather = gather
-        self._weights, self._memory_limit = weights, memory_limit
+        self._weights, self._memory = weights, self.device.memory // 2 if memory_limit is None else memory_limit
         self._skip, self._max_error = skip, max_error if skip == "bounded" else 0.0
         self.tolerance = FIRST * self._max_error
         self._arrivals: Arrivals | None = None
@@ -201,13 +204,19 @@ class Stream:
         if self._skip == "off":
             return None
         if extrapolates not in self._kept:
-            limit = (self._memory_limit or int(self.device.handle.global_mem_size) // 2) // 2
-            layers = Layers(self.device, self._weights, *size, self.precision, limit, self._whole.network.residual, keep=True)
-            if not layers.keep:
+            if not self._can_keep(size):
                 self._skip = "off"
                 return None
+            layers = Layers(
+                self.device, self._weights, *size, self.precision, self._memory, self._whole.network.residual, keep=True
+            )
             self._kept[extrapolates] = Kept(self.device, layers, self._gather, self._max_error)
         return self._kept[extrapolates]
+
+    def _can_keep(self, size: tuple[int, int]) -> bool:
+        """Whether the limit is enough to keep all of an SF and all of an EF."""
+        height, width = map(ceil8, size)
+        return 2 * bytes_for(height, height, width, dtype_of(self.precision), keep=True) <= self._memory
 
     def _busy(self, arrivals: Arrivals, kept: Kept, held: list[Held], steps: tuple[int, ...]) -> Tiles | None:
         """Where the network's inputs may differ from those of the last frame of the kind; None: everywhere.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 from stss.frames.display_frame import WINDOW
 from stss.frames.supersample import plan
+from stss_cl.errors import DeviceError
 from stss_cl.network.network import Network
 from stss_cl.skip.stream import Stream
 from stss_ref.arrays import ArrayError
@@ -194,3 +196,21 @@ def test_a_part_of_an_array_on_the_device_is_that_part(device):
     turned = cla.to_device(device.queue, inputs[2].T.copy()).T
     with pytest.raises(ArrayError, match="mask: expected a C-contiguous array"):
         network(*parts[:2], turned, parts[3])
+
+
+def test_a_limit_changes_no_bit_or_is_refused(device):
+    """From far too little to more than enough; what suffices for one mode suffices for all."""
+    frame = Film(4, (680, 24), (), ALL, 1).frames()
+    want, needed = Stream(UNREAD, device, skip="off")(frame, (0, 0, 0)), {}
+    for skip in ("off", "exact"):
+        for mebibytes in (1, 16, 20, 23, 26, 30, 40, 100):
+            stream = Stream(UNREAD, device, skip=skip, memory_limit=mebibytes << 20)
+            try:
+                got = stream(frame, (0, 0, 0))
+            except DeviceError as error:
+                refused = re.fullmatch(rf"memory limit: {mebibytes} MiB; frames of 24 x 680 need at least (\d+) MiB", str(error))
+                needed[skip] = int(refused[1])
+                continue
+            assert_same(got, want)
+            assert mebibytes >= needed[skip]
+    assert 16 <= needed["off"] == needed["exact"] <= 40
