@@ -9,6 +9,7 @@ from stss.cli.main import stss
 from stss.color import transfer
 from stss.errors import InputError
 from stss.frames.backends import open_backend
+from stss.frames.compute_options import ComputeOptions
 from stss.frames.supersample import supersample
 from stss.images.read_write import read_channels
 from stss.sequence.reader import open_sequence
@@ -52,7 +53,7 @@ def broken(name, place, value, frames):
 def backends():
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("STSS_TRUST_DEVICE", "1")
-        ours = {skip: open_backend("cl", load("default").weights, skip=skip, max_error=0.1) for skip in SKIPS}
+        ours = {skip: open_backend("cl", load("default").weights, ComputeOptions(skip=skip, max_error=0.1)) for skip in SKIPS}
         plain = load("bilinear").weights
         return ours | {"cl": open_backend("cl", plain), "ref": open_backend("ref", plain)}
 
