@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from stss_cl.device.buffers import Outgoing, on_device
 from stss_cl.device.discovery import Device
-from stss_cl.image_space.frame_planes import Sources
-from stss_cl.image_space.prepare import FINITE, Prepare
+from stss_cl.image_space.frame_planes import Source, Sources
+from stss_cl.image_space.prepare import Prepare
 from stss_cl.image_space.stages import Gather
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import Network, Precision
@@ -78,15 +78,25 @@ class Frame:
         height, width = gbuffer.shape[:2]
         layers = self.network.layers(height, width)
         prepare = self._preparation(layers)
-        color, motion, *rest = (
-            on_device(a) if isinstance(a, cla.Array) else a for a in (colors, motions, gbuffer, nov, stencils, normals, positions)
+        given = {
+            "colors": (colors, (3, height, width, 3)),
+            "motions": (motions, (None, height, width, 2)),
+            "gbuffer": (gbuffer, (height, width, 9)),
+            "nov": (nov, (height, width)),
+            "stencils": (stencils, (4, height, width)),
+            "normals": (normals, (4, height, width, 3)),
+            "positions": (positions, (4, height, width, 3)),
+        }
+        prepare.begin(
+            steps=steps,
+            tops=[strip.top for strip in layers.strips],
+            **{name: self._source(name, array, shape) for name, (array, shape) in given.items()},
         )
-        prepare.begin(color, steps, motion, *rest, tops=[strip.top for strip in layers.strips])
         made, valid = self._finish(prepare, layers, on_device=stays)
         name = prepare.not_finite()
         if name is not None:
-            given = (colors, gbuffer, nov, stencils, normals)[FINITE.index(name)]
-            require_finite(name, given.get() if isinstance(given, cla.Array) else given)
+            array = given[name][0]
+            require_finite(name, array.get() if isinstance(array, cla.Array) else array)
         return made, valid
 
     def expect(self, size: tuple[int, int]) -> None:
@@ -99,6 +109,12 @@ class Frame:
         prepare = self._preparation(layers)
         prepare.start(sources, tops=[strip.top for strip in layers.strips])
         return self._finish(prepare, layers, on_device=False)
+
+    def _source(self, name: str, array: Given, shape: tuple[int | None, ...]) -> Source:
+        if not isinstance(array, cla.Array):
+            return array
+        require_shape(name, array, shape)
+        return on_device(self.device, name, array)
 
     def _preparation(self, layers: Layers) -> Prepare:
         if self._prepare is None or self._prepare.inputs is not layers.inputs:

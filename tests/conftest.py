@@ -25,3 +25,14 @@ def reference_data() -> Path:
         if place.is_dir():
             return place
     pytest.skip("no reference data: neither ../shared/reference nor $STSS_REFERENCE_DATA is there")
+
+
+@pytest.fixture(scope="session")
+def device():
+    """The device that the OpenCL backend chooses by itself, or the one that ``$STSS_DEVICE`` names."""
+    from stss_cl.device.discovery import DeviceError, open_device
+
+    try:
+        return open_device()
+    except DeviceError as error:
+        pytest.skip(str(error))

@@ -13,7 +13,7 @@ import pyopencl.array as cla
 from numpy.typing import NDArray
 
 from stss_cl.device.discovery import Device
-from stss_ref.arrays import Array
+from stss_ref.arrays import Array, ArrayError, require_dtype
 
 FLAGS = cl.mem_flags
 
@@ -22,6 +22,8 @@ SLACK = 16
 
 
 HUGE_PAGE = 2 << 20
+ALIGNMENT = 16
+"""Bytes: where a ``float4`` may lie. A part of an array need not begin at such a place."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +65,23 @@ class Padded:
 def zeroed(device: Device, size: int) -> cl.Buffer:
     """Allocate ``size`` bytes of zeros; on a CPU in huge pages where the system has them: a frame's rows lie far apart."""
     if device.is_cpu and size >= HUGE_PAGE and hasattr(mmap, "MADV_HUGEPAGE"):
-        memory = mmap.mmap(-1, -(-size // HUGE_PAGE) * HUGE_PAGE, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        memory = mmap.mmap(-1, whole_pages(size), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
         memory.madvise(mmap.MADV_HUGEPAGE)
         return cl.Buffer(device.context, FLAGS.READ_WRITE | FLAGS.USE_HOST_PTR, hostbuf=memory)
     data = cl.Buffer(device.context, FLAGS.READ_WRITE, size)
     cl.enqueue_fill_buffer(device.queue, data, np.zeros(1, np.uint8), 0, size)
     return data
+
+
+def whole_pages(size: int) -> int:
+    """What ``zeroed`` takes for ``size`` bytes, at most."""
+    return size if size < HUGE_PAGE else -(-size // HUGE_PAGE) * HUGE_PAGE
+
+
+def padded_bytes(height: int, width: int, channels: int, dtype: np.dtype[Any], images: int = 1) -> int:
+    """Size of activations with their border and slack."""
+    pixels = images * (-(-height // 4) * 4 + 2) * (-(-width // 4) * 4 + 2) + SLACK
+    return pixels * channels * dtype.itemsize
 
 
 def map_bytes(height: int, width: int, images: int = 1) -> int:
@@ -80,9 +93,7 @@ def padded(
     device: Device, height: int, width: int, channels: int, dtype: np.dtype[Any], images: int = 1, changes: bool = False
 ) -> Padded:
     """Allocate activations; all zero. ``changes``: with a change map of their own, nothing marked."""
-    shape = -(-height // 4) * 4 + 2, -(-width // 4) * 4 + 2
-    size = (images * shape[0] * shape[1] + SLACK) * channels * dtype.itemsize
-    data = zeroed(device, size)
+    data = zeroed(device, padded_bytes(height, width, channels, dtype, images))
     marks = zeroed(device, map_bytes(height, width, images)) if changes else None
     return Padded(data, height, width, channels, dtype, images, marks)
 
@@ -135,18 +146,33 @@ def constant(device: Device, array: NDArray[Any]) -> cl.Buffer:
     return cl.Buffer(device.context, FLAGS.READ_ONLY | FLAGS.COPY_HOST_PTR, hostbuf=np.ascontiguousarray(array))
 
 
-def on_device(array: cla.Array) -> cl.Buffer:
-    """The buffer of an array that is on the device already."""
+def on_device(device: Device, name: str, array: cla.Array) -> cl.Buffer:
+    """What an array holds that is on the device already: its buffer, or a part of it.
+
+    Raises:
+        ArrayError: it is not float32, or not C-contiguous.
+    """
+    require_dtype(name, array, np.dtype(np.float32))
+    if not array.flags.c_contiguous:
+        raise ArrayError(f"{name}: expected a C-contiguous array, got strides {array.strides}")
     assert isinstance(array.base_data, cl.Buffer)
-    return array.base_data
+    return part(device, array.base_data, array.offset, array.nbytes) if array.offset else array.base_data
 
 
-def incoming(device: Device, array: Array | cla.Array) -> cl.Buffer:
-    """The caller's array as a buffer: its own memory on a CPU or if it is on the device already, else a copy."""
-    if isinstance(array, cla.Array):
-        return on_device(array)
-    how = FLAGS.USE_HOST_PTR if device.is_cpu else FLAGS.COPY_HOST_PTR
-    return cl.Buffer(device.context, FLAGS.READ_ONLY | how, hostbuf=array)
+def part(device: Device, buffer: cl.Buffer, first: int, size: int) -> cl.Buffer:
+    """Bytes ``first`` .. of a buffer: in place where the device lets a buffer begin there, else a copy."""
+    if size and first % (device.handle.mem_base_addr_align // 8) == 0:
+        return buffer.get_sub_region(first, size)
+    made = cl.Buffer(device.context, FLAGS.READ_WRITE, size)
+    cl.enqueue_copy(device.queue, made, buffer, byte_count=size, src_offset=first)
+    return made
+
+
+def incoming(device: Device, array: Array) -> cl.Buffer:
+    """The caller's array as a buffer: its own memory on a CPU where kernels can read it there, else a copy."""
+    in_place = device.is_cpu and array.flags.c_contiguous and array.ctypes.data % ALIGNMENT == 0
+    how = FLAGS.USE_HOST_PTR if in_place else FLAGS.COPY_HOST_PTR
+    return cl.Buffer(device.context, FLAGS.READ_ONLY | how, hostbuf=np.ascontiguousarray(array))
 
 
 class Outgoing:

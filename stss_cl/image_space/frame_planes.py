@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 
+from stss_cl.device.buffers import incoming, part
 from stss_cl.device.discovery import Device
 from stss_ref.arrays import Array, ArrayError, require_dtype, require_shape
 
@@ -70,9 +71,7 @@ def upload(device: Device, name: str, source: Source, shape: tuple[int, ...]) ->
         return source
     require_shape(name, source, shape)
     require_dtype(name, source, np.dtype(np.float32))
-    in_place = device.is_cpu and source.flags.c_contiguous and source.ctypes.data % 8 == 0
-    flags = cl.mem_flags.USE_HOST_PTR if in_place else cl.mem_flags.COPY_HOST_PTR
-    return cl.Buffer(device.context, cl.mem_flags.READ_ONLY | flags, hostbuf=np.ascontiguousarray(source))
+    return incoming(device, source)
 
 
 def planes(
@@ -94,17 +93,8 @@ def planes(
     size = int(np.prod(shape)) * 4
     if isinstance(source, cl.Buffer):
         upload(device, name, source, (count, *shape))
-        return tuple(_part(device, source, i * size, size) for i in range(count))
+        return tuple(part(device, source, i * size, size) for i in range(count))
     require_shape(name, source, (None if more else count, *shape))
     if len(source) < count:
         raise ArrayError(f"{name}: expected at least {count}, got {len(source)}")
     return tuple(upload(device, name, source[i], shape) for i in range(count))
-
-
-def _part(device: Device, buffer: cl.Buffer, first: int, size: int) -> cl.Buffer:
-    """Bytes ``first`` .. of a buffer: in place where the device lets a buffer begin there, else a copy."""
-    if size and first % (device.handle.mem_base_addr_align // 8) == 0:
-        return buffer.get_sub_region(first, size)
-    part = cl.Buffer(device.context, cl.mem_flags.READ_WRITE, size)
-    cl.enqueue_copy(device.queue, part, buffer, byte_count=size, src_offset=first)
-    return part

@@ -18,8 +18,7 @@ from stss_cl.network.launch import HEIGHT_ARGUMENT, ROW_ARGUMENTS, Final
 from stss_cl.network.layer_builder import Chain, dtype_of
 from stss_cl.network.pack_inputs import PackInputs
 from stss_cl.network.pack_weights import pack_outc
-from stss_cl.network.strips import OVERLAP, Strip, rows_within, strips
-from stss_cl.skip.changed_tiles import kept_bytes
+from stss_cl.network.strips import OVERLAP, Strip, bytes_for, rows_within, strips
 from stss_ref.arrays import Array
 from stss_ref.weights import Weights
 
@@ -62,7 +61,7 @@ class Layers(Chain):
         winograd = precision != "float32-direct" and tuning_for(device).winograd is not None
         overlap = OVERLAP[winograd]
         rows = rows_within(full, columns, dtype, limit, overlap)
-        keep = keep and kept_bytes(full, columns, dtype, winograd=winograd) <= limit
+        keep = keep and bytes_for(full, full, columns, dtype, keep=True) <= limit
         super().__init__(device, weights, precision, rows, columns, keep)
         self.size = height, width
         self.strips = strips(full, height, rows, overlap)

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import pyopencl.array as cla
 
-from stss_cl.device.buffers import Outgoing, incoming
+from stss_cl.device.buffers import Outgoing, incoming, on_device
 from stss_cl.device.discovery import Device, open_device
 from stss_cl.network.layers import Layers
 from stss_ref.arrays import Array, require_dtype, require_finite, require_shape
@@ -31,8 +31,8 @@ class Network:
         weights: the 92 tensors.
         device: to run on; None = ``stss_cl.device.discovery.open_device()``.
         precision: see ``PRECISIONS``.
-        memory_limit: bytes that the buffers may take; larger frames go in strips, with the same bits. None = half of the device's
-            memory.
+        memory_limit: bytes that the buffers may take, as ``stss_cl.network.strips.bytes_for`` counts them; larger frames go in strips,
+            with the same bits. None = half of the device's memory.
     """
 
     def __init__(
@@ -60,18 +60,21 @@ class Network:
         Raises:
             ArrayError: shapes or dtypes differ, or an input is not finite: a NaN would spread over whole tiles.
         """
-        on_device = isinstance(color, cla.Array)
         height, width = check(color, gbuffer, mask, history)
         layers = self.layers(height, width)
-        held = [incoming(self.device, array) for array in (color, gbuffer, mask, history)]
-        image = Outgoing(self.device, (2 * height, 2 * width, 3), on_device=on_device)
+        given = {"color": color, "gbuffer": gbuffer, "mask": mask, "history": history}
+        held = [
+            on_device(self.device, name, array) if isinstance(array, cla.Array) else incoming(self.device, array)
+            for name, array in given.items()
+        ]
+        image = Outgoing(self.device, (2 * height, 2 * width, 3), on_device=isinstance(color, cla.Array))
         for strip in layers.strips:
             layers.place(strip)
             layers.pack(*held)
             layers.run(image.data)
         made = image.finish()
         if not layers.all_finite():
-            for name, array in {"color": color, "gbuffer": gbuffer, "mask": mask, "history": history}.items():
+            for name, array in given.items():
                 require_finite(name, array.get() if isinstance(array, cla.Array) else array)
         return made
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import DTypeLike
 
+from stss_cl.device.buffers import padded_bytes, whole_pages
 from stss_cl.errors import DeviceError
 
 OVERLAP = {False: 128, True: 256}
@@ -20,13 +21,16 @@ convolution of stride 1 counts 4 times, at an eighth of the size twice: 230.
 STEP = 32
 """Strips begin at multiples of this: Winograd's tiles of 4 pixels at 1/8 size then lie as in the whole frame."""
 
-CHANNELS = {
-    1: 24 * 3 + 4 * 3,
-    2: 24 * 3 + 32 * 2,
-    4: 24 + 32 * 3 + 96 + 64,
-    8: 32 * 3 + 96 * 2 + 64 * 2 + 16,
-}
-"""Channels of all activations by the divisor of their size (``stss_cl/network/layers.py``)."""
+SHARED = {1: (12, *3 * [24]), 2: (*3 * [24], 32, 32), 4: (24, *3 * [32], 64, 96), 8: (16, *3 * [32], 64, 64, 96, 96)}
+"""Channels of each buffer of activations by the divisor of its size (``stss_cl/network/layers.py``); 12 is three of 4."""
+KEPT = {1: (24, 24), 2: 10 * (24,), 4: 9 * (32,), 8: (*10 * [32], 64)}
+"""Those that are there besides where each layer keeps what it wrote; without Winograd the decoder stores one more of 24 at full size."""
+MAP = 1 / 16
+"""Bytes of a change map for each value's pixel: one for 4 x 4."""
+BASE, IMAGE, PREPARE = 16, 48, 3 * 8 + 2 * 4 + 1
+"""Bytes for each pixel: of what the decoder upsamples; of the image; of motions, splat and holes (``stss_cl.image_space.prepare``)."""
+WEIGHTS = 8 << 20
+"""What the weights take, transformed for Winograd, and rounded up."""
 
 
 @dataclass(frozen=True)
@@ -38,14 +42,26 @@ class Strip:
     last: int
 
 
-def bytes_for(rows: int, width: int, dtype: DTypeLike) -> int:
-    """What the network's buffers take for ``rows`` x ``width``, weights, borders, inputs and image left out."""
-    size = np.dtype(dtype).itemsize
-    return rows * width * 16 + sum(rows // d * (width // d) * channels * size for d, channels in CHANNELS.items())
+def bytes_for(rows: int, height: int, width: int, dtype: DTypeLike, *, keep: bool = False) -> int:
+    """What a network and the frames it computes take on a device, but for the caller's display frames.
+
+    Args:
+        rows: of a strip; ``height`` where the frame is not divided.
+        height, width: of the frame, multiples of 8.
+        dtype: of the activations.
+        keep: whether each layer keeps what it wrote, with a change map.
+    """
+    total = rows * width * BASE + height * width * (IMAGE + PREPARE) + WEIGHTS
+    for divisor, shared in SHARED.items():
+        channels = (*shared, *KEPT[divisor], *([24] if divisor == 1 else [])) if keep else shared
+        high, wide = rows // divisor, width // divisor
+        total += sum(whole_pages(padded_bytes(high, wide, count, np.dtype(dtype))) for count in channels)
+        total += int(keep * len(channels) * high * wide * MAP)
+    return total
 
 
 def rows_within(height: int, width: int, dtype: DTypeLike, limit: int, overlap: int) -> int:
-    """The most rows of a strip whose buffers stay below ``limit`` bytes; ``height`` if the whole frame does.
+    """The most rows of a strip with which ``bytes_for`` stays within ``limit`` bytes; ``height`` if the whole frame does.
 
     Args:
         height: of the frame, a multiple of 8.
@@ -57,15 +73,17 @@ def rows_within(height: int, width: int, dtype: DTypeLike, limit: int, overlap: 
     Raises:
         DeviceError: not even the smallest strip does.
     """
-    if bytes_for(height, width, dtype) <= limit:
+    if bytes_for(height, height, width, dtype) <= limit:
         return height
     # The last strip ends with the frame and begins at a multiple of STEP, so all of them have this remainder.
     smallest = 2 * overlap + STEP + height % STEP
-    if smallest >= height or bytes_for(smallest, width, dtype) > limit:
-        needed = min(bytes_for(min(smallest, height), width, dtype), bytes_for(height, width, dtype))
-        raise DeviceError(f"memory limit: {limit / 2**20:.0f} MiB; a frame {width} wide needs at least {needed / 2**20:.0f} MiB")
+    if smallest >= height or bytes_for(smallest, height, width, dtype) > limit:
+        needed = bytes_for(min(smallest, height), height, width, dtype)
+        raise DeviceError(
+            f"memory limit: {limit / 2**20:.0f} MiB; frames of {width} x {height} need at least {-(-needed // 2**20)} MiB"
+        )
     rows = smallest
-    while rows + STEP < height and bytes_for(rows + STEP, width, dtype) <= limit:
+    while rows + STEP < height and bytes_for(rows + STEP, height, width, dtype) <= limit:
         rows += STEP
     return rows
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Change maps: which tiles of a buffer differ from the last frame (kernels/change_map.clh), and what keeping all buffers takes."""
+"""Change maps: which tiles of a buffer differ from the last frame (kernels/change_map.clh)."""
 
 from __future__ import annotations
 
@@ -7,24 +7,13 @@ from collections.abc import Iterable
 
 import numpy as np
 import pyopencl as cl
-from numpy.typing import DTypeLike
 
 from stss_cl.device.buffers import FLAGS, map_bytes
 from stss_cl.device.discovery import Device
 from stss_cl.device.program import build
 from stss_cl.network.launch import IMAGE_ARGUMENT, Launch
-from stss_cl.network.strips import bytes_for
 
-KEPT = {1: 2 * 24, 2: 10 * 24, 4: 9 * 32, 8: 12 * 32}
-"""Channels by the divisor of their size that layers no longer share where each keeps what it wrote (``stss_cl/network/layers.py``)."""
 FULL_MAPS, LEAST = 16, 1 << 16
-
-
-def kept_bytes(rows: int, width: int, dtype: DTypeLike, *, winograd: bool) -> int:
-    """What ``stss_cl.network.strips.bytes_for`` says, where no two layers share a buffer; without Winograd the decoder stores one more."""
-    size = np.dtype(dtype).itemsize
-    apart = sum(rows // d * (width // d) * channels * size for d, channels in KEPT.items())
-    return bytes_for(rows, width, dtype) + apart + (0 if winograd else rows * width * 24 * size)
 
 
 class Maps:

@@ -18,7 +18,6 @@ from stss_cl.image_space.stages import Gather
 from stss_cl.network.layers import Layers
 from stss_cl.skip.error_control import FIRST, GROWTH, Depth, Level, Shot
 from stss_cl.skip.flat_tiles import Plain
-from stss_cl.skip.uploaded_frames import Held
 
 FLAT = 0.5
 """``bounded``: the largest second difference of a colour that counts as flat, as a share of the largest error."""
@@ -50,12 +49,12 @@ class Report:
 
 @dataclass(frozen=True)
 class Last:
-    """The last frame of a kind: its number and that of the oldest frame it read, whose colours it read, and its ``valid``."""
+    """The last frame of a kind: its number and those of the oldest frame and of the colours that it read, and its ``valid``."""
 
     number: int
     oldest: int
     steps: tuple[int, ...]
-    colors: tuple[Held, ...]
+    colors: tuple[int, ...]
     valid: NDArray[np.bool_]
 
 

@@ -13,11 +13,14 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from stss_cl.device.discovery import Device, open_device
+from stss_cl.device.grid import ceil8
 from stss_cl.frame import Frame
-from stss_cl.image_space.frame_planes import check_steps
+from stss_cl.image_space.frame_planes import MOST_STEPS, check_steps
 from stss_cl.image_space.stages import Gather
+from stss_cl.network.layer_builder import dtype_of
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import Precision
+from stss_cl.network.strips import bytes_for
 from stss_cl.skip.frame_cache import Kept, Last, Report, distance
 from stss_cl.skip.uploaded_frames import Arrivals, DisplayFrame, Held, Tiles, sources
 from stss_ref.arrays import ArrayError
@@ -70,7 +73,7 @@ class Stream:
         self.report = Report(1.0, 1.0, "whole")
         self._whole = Frame(weights, self.device, precision, gather, memory_limit)
         self._gather: Gather = gather
-        self._weights, self._memory_limit = weights, memory_limit
+        self._weights, self._memory = weights, self.device.memory // 2 if memory_limit is None else memory_limit
         self._skip, self._max_error = skip, max_error if skip == "bounded" else 0.0
         self.tolerance = FIRST * self._max_error
         self._arrivals: Arrivals | None = None
@@ -81,15 +84,18 @@ class Stream:
     def __call__(self, window: Sequence[DisplayFrame], steps: Sequence[int]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Compute the last frame of ``window``.
 
-        Nothing of a call depends on those before it but the time it takes. Frames are known again by being the same objects.
+        Nothing of a call depends on those before it but the time it takes. Frames are known again by being the same objects, from one
+        window to the next. On a processor their arrays are read in place, and those of a window are compared with what arrives in the
+        next one: nothing of a frame may change until a call without it, which already finds the frame's arrays free for another one.
+        A caller that hands in windows of six thus needs six sets of arrays, and an object for each frame.
 
         Args:
-            window: consecutive display frames of one size, oldest first; read in place on a processor.
+            window: consecutive display frames of one size, oldest first.
             steps: how many frames back the three colour frames lie, newest first; ``window`` holds them.
 
         Returns:
             image: (2H, 2W, 3) float32, not clipped, and read-only where something is kept: it may be the last frame's.
-            valid: (H, W) False in the warping holes of the newest colour frame.
+            valid: (H, W) False in the warping holes of the newest colour frame; likewise.
 
         Raises:
             ArrayError: shapes, dtypes or steps are not a frame's, or an array other than motion and position is not finite.
@@ -99,7 +105,7 @@ class Stream:
             raise ArrayError(f"window: expected the {chosen[2] + 1} frames that the steps lead to, got {len(window)}")
         if any(window[-1 - step].color is None for step in chosen):
             raise ArrayError(f"window: expected a colour {', '.join(map(str, chosen))} frames back")
-        size = window[-1].nov.shape
+        window, size = window[-MOST_STEPS - 1 :], window[-1].nov.shape
         arrivals, kept = self._arriving(size), self._keep(size, extrapolates=chosen[0] > 0)
         self._rests = max(0, self._rests - 1)
         held = arrivals.take(window, compare=kept is not None and not self._rests)
@@ -138,31 +144,33 @@ class Stream:
         self, kept: Kept, held: list[Held], steps: tuple[int, int, int], busy: Tiles | None, color: NDArray[np.float32] | None
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """The frame, where anything is busy; None: everywhere. ``color``: the newest, for ``bounded``, see ``Kept.choose``."""
-        prepare, layers = kept.prepare, kept.layers
+        prepare, layers, last = kept.prepare, kept.layers, kept.last
+        kept.last = None  # should this end half-way, nothing of it is the next frame's
         cl.enqueue_copy(self.device.queue, prepare.busy, _spread(busy, (prepare.rows, prepare.columns)), is_blocking=True)
         tolerance = 0.0 if busy is None else self.tolerance
         choice = kept.choose(color) if self._rests else None
         older = layers.reads_history and (choice is None or choice.older)
         prepare.start(sources(held, steps), tolerance=tolerance, older=older, looking=not self._rests)
         prepare.strip()
-        changed = kept.changed() if kept.last is not None and not self._rests else 1.0
+        changed = kept.changed() if last is not None and not self._rests else 1.0
         whole, departure = changed > (MOST_CHANGED_BOUNDED if self._max_error else MOST_CHANGED), None
         if whole or kept.stale:
             # What was left out is not what its inputs give: changes alone would not mend it.
             choice = choice or kept.choose(color if whole else None)
             departure = kept.run(choice)
             network = "partly" if kept.stale else "whole"
-            if kept.last is not None:
+            if last is not None:
                 layers.changed_only()  # built while the device computes, not when the first change waits for it
         else:
             network = "changed"
             layers.run_changed(kept.target(whole=False), tolerance)
         valid = np.empty(layers.size, np.uint8)
         cl.enqueue_copy(self.device.queue, valid, prepare.mask)
-        kept.last = _last(held, kept.read(steps), valid.view(np.bool_))
+        valid.flags.writeable = False
         self.report = Report(1.0 if busy is None else float(busy.mean()), float(changed), network, departure)
         if tolerance > 0:
             self._check(kept)
+        kept.last = _last(held, kept.read(steps), valid.view(np.bool_))
         if not self._rests:
             self._tired = self._tired + 1 if whole else 0
             if self._tired >= PATIENCE:
@@ -196,13 +204,19 @@ class Stream:
         if self._skip == "off":
             return None
         if extrapolates not in self._kept:
-            limit = (self._memory_limit or int(self.device.handle.global_mem_size) // 2) // 2
-            layers = Layers(self.device, self._weights, *size, self.precision, limit, self._whole.network.residual, keep=True)
-            if not layers.keep:
+            if not self._can_keep(size):
                 self._skip = "off"
                 return None
+            layers = Layers(
+                self.device, self._weights, *size, self.precision, self._memory, self._whole.network.residual, keep=True
+            )
             self._kept[extrapolates] = Kept(self.device, layers, self._gather, self._max_error)
         return self._kept[extrapolates]
+
+    def _can_keep(self, size: tuple[int, int]) -> bool:
+        """Whether the limit is enough to keep all of an SF and all of an EF."""
+        height, width = map(ceil8, size)
+        return 2 * bytes_for(height, height, width, dtype_of(self.precision), keep=True) <= self._memory
 
     def _busy(self, arrivals: Arrivals, kept: Kept, held: list[Held], steps: tuple[int, ...]) -> Tiles | None:
         """Where the network's inputs may differ from those of the last frame of the kind; None: everywhere.
@@ -217,12 +231,15 @@ class Stream:
         if moved is None:
             return None
         for step, before in zip(steps, last.colors, strict=True):
-            moved = moved | arrivals.color_changed(held[-1 - step], before)
+            recolored = arrivals.color_changed(held[-1 - step].number, before)
+            if recolored is None:
+                return None
+            moved = moved | recolored
         return moved
 
 
 def _last(held: list[Held], steps: tuple[int, ...], valid: NDArray[np.bool_]) -> Last:
-    return Last(held[-1].number, held[-1 - steps[-1]].number, steps, tuple(held[-1 - step] for step in steps), valid)
+    return Last(held[-1].number, held[-1 - steps[-1]].number, steps, tuple(held[-1 - step].number for step in steps), valid)
 
 
 def _missing(steps: tuple[int, ...]) -> list[bool]:

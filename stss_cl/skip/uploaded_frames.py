@@ -25,13 +25,13 @@ Tiles = NDArray[np.bool_]
 SPAN = 256
 """Tiles of a work-item of changed_tiles.cl."""
 HELD = 9
-"""Display frames that are remembered: the window of an output, that of the one before it of the same kind, and one more. All but the
-window's give up their buffers."""
+"""Display frames that are remembered: the window of an output, that of the one before it of the same kind, and one more. Of all but the
+window's it is remembered where they differ, and nothing else: their arrays are the caller's again."""
 FINITE = ("color", "gbuffer", "nov", "stencil")
 
 
 class DisplayFrame(Protocol):
-    """What an engine gives for a display frame (spec 0), float32. Nothing of it may change while a frame needs it.
+    """What an engine gives for a display frame (spec 0), float32. Nothing of it may change while it is in the window of a call.
 
     Attributes:
         color: (H, W, 3), or None.
@@ -64,8 +64,9 @@ class Held:
         frame: as it was given; None once it is older than the window.
         number: counts the frames as they arrived; of no meaning but to compare.
         planes: the buffers by name; none once it is older than the window.
-        color: its colour, if it has one.
+        color: its colour, if it has one; none once it is older than the window.
         changed: where it differs from the frame before it, or moves; None: there is none before it, or nobody looked.
+        recolored: where its colour differs from the last one before it, nowhere if it has none; None: likewise.
     """
 
     frame: DisplayFrame | None
@@ -73,6 +74,11 @@ class Held:
     planes: dict[str, cl.Buffer]
     color: cl.Buffer | None
     changed: Tiles | None = None
+    recolored: Tiles | None = None
+
+    def let_go(self) -> None:
+        """Its arrays are the caller's again, who may write to them."""
+        self.frame, self.planes, self.color = None, {}, None
 
 
 class Arrivals:
@@ -87,7 +93,6 @@ class Arrivals:
             device.context, cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR, hostbuf=np.zeros(len(FINITE), np.int32)
         )
         self._chain: deque[Held] = deque(maxlen=HELD)
-        self._colors: dict[tuple[int, int], Tiles] = {}
         self._count = 0
 
     @cached_property
@@ -97,7 +102,9 @@ class Arrivals:
         return {name: cl.Kernel(program, name) for name in ("differ", "differ_color")}
 
     def take(self, window: Sequence[DisplayFrame], *, compare: bool) -> list[Held]:
-        """The frames of ``window``, consecutive and oldest first, on the device; those that are there already are not looked at again.
+        """The frames of ``window``, consecutive and oldest first, on the device; those of the last window are not looked at again.
+
+        Frames are compared when they arrive, with frames of the same window: of all others the arrays may have been written to since.
 
         Args:
             window: the frame to be computed is the last.
@@ -112,37 +119,35 @@ class Arrivals:
             self.forget()
             known = []
         for frame in window[len(known) :]:
-            self._arrive(frame, compare=compare)
+            self._arrive(frame, known, compare=compare)
             known.append(self._chain[-1])
+        if self._chain[-1] is not known[-1]:
+            while self._chain[-1] is not known[-1]:
+                self._chain.pop()
+            self._count += 1  # what arrives next does not follow the one that was last
         for held in takewhile(lambda held: held is not known[0], self._chain):
-            held.frame, held.planes = None, {}
+            held.let_go()
         return known
 
     def forget(self) -> None:
         """What arrives next follows nothing."""
         self._chain.clear()
-        self._colors.clear()
 
     def changed(self, first: int, last: int) -> Tiles | None:
         """Where something moves or differs in the frames numbered ``first`` + 1 .. ``last``; None: everywhere, for all that is known."""
-        maps = [held.changed for held in self._chain if first < held.number <= last]
-        if len(maps) < last - first or any(tiles is None for tiles in maps):
-            return None
-        return np.logical_or.reduce([tiles for tiles in maps if tiles is not None] or [np.zeros(self._shape, np.bool_)])
+        return self._either([held.changed for held in self._chain if first < held.number <= last], last - first)
 
-    def color_changed(self, now: Held, before: Held) -> Tiles:
-        """Where the colours of two frames differ."""
-        if now is before:
-            return np.zeros(self._shape, np.bool_)
-        key = now.number, before.number
-        if key not in self._colors:
-            for old in [k for k in self._colors if min(k) < self._count - 2 * HELD]:
-                del self._colors[old]
-            self._launch("differ_color", now.color, before.color, self._map)
-            self._colors[key] = self._read_map()
-        return self._colors[key]
+    def color_changed(self, one: int, other: int) -> Tiles | None:
+        """Where the colours of two frames may differ, by their numbers; None: everywhere, for all that is known."""
+        first, last = sorted((one, other))
+        return self._either([held.recolored for held in self._chain if first < held.number <= last], last - first)
 
-    def _arrive(self, frame: DisplayFrame, *, compare: bool) -> None:
+    def _either(self, maps: list[Tiles | None], count: int) -> Tiles | None:
+        known = [tiles for tiles in maps if tiles is not None]
+        return np.logical_or.reduce([*known, np.zeros(self._shape, np.bool_)]) if len(known) == count else None
+
+    def _arrive(self, frame: DisplayFrame, window: Sequence[Held], *, compare: bool) -> None:
+        """``window``: the frames before it that its outputs read, too."""
         height, width = self.size
         shapes = {"motion": (2,), "gbuffer": (9,), "nov": (), "stencil": (), "position": (3,)}
         planes = {
@@ -150,7 +155,7 @@ class Arrivals:
             for name, more in shapes.items()
         }
         color = None if frame.color is None else upload(self._device, "color", frame.color, (height, width, 3))
-        before = self._chain[-1] if self._chain else None
+        before = window[-1] if window else None
         if color is not None:
             self._scan(color, 3, 0)
         if before is None or not compare:
@@ -161,8 +166,18 @@ class Arrivals:
             self._launch("differ", *planes.values(), *earlier, self._map, self._bad)
         self._require_finite(frame)
         changed = self._read_map() if before is not None and compare else None
-        self._chain.append(Held(frame, self._count, planes, color, changed))
+        recolored = self._recolored(color, window) if compare else None
+        self._chain.append(Held(frame, self._count, planes, color, changed, recolored))
         self._count += 1
+
+    def _recolored(self, color: cl.Buffer | None, window: Sequence[Held]) -> Tiles | None:
+        if color is None:
+            return np.zeros(self._shape, np.bool_)
+        before = next((held.color for held in reversed(window) if held.color is not None), None)
+        if before is None:
+            return None
+        self._launch("differ_color", color, before, self._map)
+        return self._read_map()
 
     def _launch(self, name: str, *arguments: cl.Buffer | None) -> None:
         kernel = self._comparing[name]

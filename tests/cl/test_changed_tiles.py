@@ -12,11 +12,10 @@ from conformance.cases.planes import SEEDS, sizes
 from stss_cl.device.buffers import incoming, padded, read
 from stss_cl.device.grid import grid
 from stss_cl.device.program import build
-from stss_cl.device.tuning import Direct, Strip, Tuning, Winograd, trial, tuning_for
+from stss_cl.device.tuning import Direct, Strip, Tuning, Winograd, trial
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import PRECISIONS
 from stss_cl.network.strips import OVERLAP, STEP, bytes_for
-from stss_cl.skip.changed_tiles import kept_bytes
 from stss_ref.weights import random as random_weights
 from stss_ref.weights import zeros
 
@@ -363,10 +362,10 @@ def test_too_little_memory_keeps_nothing(device):
     size, weights = (1200, 24), random_weights(5)
     inputs = noise(np.random.default_rng(0), size)
     images = []
-    whole, rows = bytes_for(*size, np.float32), 2 * OVERLAP[True] + 3 * STEP
+    whole, rows = bytes_for(size[0], *size, np.float32), 2 * OVERLAP[True] + 3 * STEP
     for limit, keeps, strips in (
         (None, True, 1),
-        (kept_bytes(*size, np.float32, winograd=tuning_for(device).winograd is not None) - 1, False, 1),
+        (bytes_for(size[0], *size, np.float32, keep=True) - 1, False, 1),
         (whole - 1, False, 2),
     ):
         layers = Layers(device, weights, *size, "float32", limit, keep=True)

@@ -1,0 +1,216 @@
+"""Memory that a caller shares with us: arrays that are reused, images that are held, calls that end half-way."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pyopencl.array as cla
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from stss.frames.display_frame import WINDOW
+from stss.frames.supersample import plan
+from stss_cl.errors import DeviceError
+from stss_cl.network.network import Network
+from stss_cl.skip.stream import Stream
+from stss_ref.arrays import ArrayError
+from tests.cl.test_stream import CHANGES, UNREAD, WEIGHTS, assert_same, first_frame, next_frame
+
+PLANES = ("color", "motion", "gbuffer", "nov", "stencil", "position")
+EVERY_SECOND, ALL, MOST = (True, False), (True,), (True, False, True, True)
+
+
+@dataclass(frozen=True)
+class Film:
+    """Display frames: what changes from each to the next, which of them are rendered, and how many a window holds."""
+
+    seed: int
+    size: tuple[int, int]
+    changes: tuple[str, ...]
+    rendered: tuple[bool, ...]
+    window: int
+
+    def frames(self):
+        rng = np.random.default_rng(self.seed)
+        frames = [first_frame(rng, self.size, rendered=True)]
+        color = frames[0].color
+        for i, change in enumerate(self.changes, start=1):
+            made, color = next_frame(rng, frames[-1], color, change, rendered=self.rendered[i % len(self.rendered)])
+            frames.append(made)
+        return frames
+
+
+FILMS = st.builds(
+    Film,
+    seed=st.integers(0, 2**32 - 1),
+    size=st.tuples(st.integers(1, 20), st.integers(1, 28)),
+    changes=st.lists(st.sampled_from(CHANGES), min_size=6, max_size=12).map(tuple),
+    rendered=st.sampled_from((EVERY_SECOND, ALL, MOST)),
+    window=st.integers(1, WINDOW),
+)
+FIRST_COLOR_LAST_READ = Film(1, (16, 24), ("nothing", "color", *7 * ["nothing"]), EVERY_SECOND, WINDOW)
+"""Frame 6 reads what frame 4 read but for the colour of frame 0, which has left the window."""
+
+
+class Reuses:
+    """A caller who has ``count`` sets of arrays, and writes each frame over the one that left the window."""
+
+    def __init__(self, like, count):
+        self._sets = [{name: np.empty_like(getattr(like, name)) for name in PLANES} for _ in range(count)]
+
+    def __call__(self, frame):
+        arrays = self._sets[frame.number % len(self._sets)]
+        given = {name: getattr(frame, name) for name in PLANES}
+        for name, array in arrays.items():
+            array[...] = np.nan if given[name] is None else given[name]
+        return replace(frame, **{name: None if given[name] is None else arrays[name] for name in PLANES})
+
+
+def show(frames, length, *callers):
+    """What each caller's stream, of (stream, caller), gives for each frame, and its report."""
+    windows = [[] for _ in callers]
+    for frame in frames:
+        got = []
+        for (stream, caller), window in zip(callers, windows, strict=True):
+            del window[: max(0, len(window) + 1 - length)]
+            window.append(caller(frame))
+            planned = plan(window)
+            if planned is not None:
+                got.append((stream(window, planned.steps), stream.report))
+        if got:
+            yield got
+
+
+@pytest.fixture(scope="module", params=[(s, w) for s in ("exact", "bounded") for w in ("read", "unread")], ids=" ".join)
+def two_streams(request, device):
+    """Of one kind, that have seen the same."""
+    skip, weights = request.param[0], {"read": WEIGHTS, "unread": UNREAD}[request.param[1]]
+    return [Stream(weights, device, skip=skip, max_error=0.1) for _ in range(2)]
+
+
+@settings(max_examples=15)
+@example(film=FIRST_COLOR_LAST_READ)
+@given(film=FILMS)
+def test_arrays_may_be_rewritten_once_their_frame_left_the_window(two_streams, film):
+    """As many sets of arrays as a window has frames give the bits, and the cost, of new arrays for every frame."""
+    frames = film.frames()
+    callers = zip(two_streams, (Reuses(frames[0], film.window), lambda frame: frame), strict=True)
+    for reused, fresh in show(frames, film.window, *callers):
+        assert_same(reused[0], fresh[0])
+        assert reused[1] == fresh[1]
+
+
+def still_with(change, *, at, count=10):
+    """Frames in which nothing changes but for ``change`` in frame ``at``, each all in arrays of its own."""
+    changes = [change if i == at else "nothing" for i in range(1, count)]
+    return Film(1, (16, 24), tuple(changes), EVERY_SECOND, WINDOW).frames()
+
+
+def test_a_frame_that_left_the_window_and_comes_again_is_a_new_one(device):
+    """A caller who goes back, writes other values into the arrays of what lay behind, and goes on with the same objects."""
+    frames, other = still_with("nothing", at=0), still_with("everything", at=5)
+    keeping, plain = Stream(WEIGHTS, device), Stream(WEIGHTS, device, skip="off")
+    for last in (5, 6, 7, 4):
+        window = frames[max(0, last + 1 - WINDOW) : last + 1]
+        keeping(window, plan(window).steps)
+    for i in (5, 6, 7):
+        for name in set(PLANES) - {"color"} | ({"color"} if i % 2 == 0 else set()):
+            getattr(frames[i], name)[...] = getattr(other[i], name)
+    for last in (5, 6, 7):
+        window = frames[last + 1 - WINDOW : last + 1]
+        assert_same(keeping(window, plan(window).steps), plain(window, plan(window).steps))
+
+
+def test_a_window_may_be_longer_than_what_is_read(device):
+    frames = still_with("everything", at=3, count=16)
+    long, short = Stream(WEIGHTS, device), Stream(WEIGHTS, device)
+    for i in range(16):
+        window = frames[max(0, i + 1 - WINDOW) : i + 1]
+        steps = plan(window).steps
+        assert_same(long(frames[: i + 1], steps), short(window, steps))
+
+
+@pytest.mark.parametrize("skip", ["exact", "bounded"])
+def test_nobody_can_write_to_what_is_kept(device, skip):
+    """Of a still picture image and holes are handed out again and again."""
+    stream, frames = Stream(WEIGHTS, device, skip=skip, max_error=0.1), still_with("nothing", at=0)
+    for i in range(10):
+        window = frames[max(0, i + 1 - WINDOW) : i + 1]
+        for array in stream(window, plan(window).steps):
+            with pytest.raises(ValueError, match="read-only"):
+                array[0, 0] = 0
+    assert stream.report.network == "none"
+
+
+@pytest.mark.parametrize("broken", ["stss_cl.network.layer_builder.Chain.run_changed", "stss_cl.skip.frame_cache.Kept.changed"])
+def test_a_call_that_ends_half_way_leaves_nothing_behind(device, monkeypatch, broken):
+    """Such as by Ctrl-C, or by a device that ran out of memory: the same frame again is right."""
+
+    def interrupted(*_args, **_kwargs):
+        raise KeyboardInterrupt
+
+    frames = still_with("rectangle", at=8, count=14)
+    stream, plain = Stream(WEIGHTS, device), Stream(WEIGHTS, device, skip="off")
+    for i in range(14):
+        window = frames[max(0, i + 1 - WINDOW) : i + 1]
+        if i in (8, 9):
+            with monkeypatch.context() as patch:
+                patch.setattr(broken, interrupted)
+                with pytest.raises(KeyboardInterrupt):
+                    stream(window, plan(window).steps)
+        assert_same(stream(window, plan(window).steps), plain(window, plan(window).steps))
+
+
+def network_inputs(size=(16, 24)):
+    rng = np.random.default_rng(2)
+    return [rng.random(shape, np.float32) for shape in ((*size, 6), (*size, 9), size, (3, *size, 4))]
+
+
+def anywhere(array, first):
+    """A copy that begins ``first`` floats behind where NumPy lets an array begin."""
+    place = np.empty(array.size + first, np.float32)[first:].reshape(array.shape)
+    place[...] = array
+    return place
+
+
+@pytest.mark.parametrize("first", [1, 2, 3])
+def test_arrays_may_begin_anywhere(device, first):
+    """Kernels read four floats at once, from where four floats may lie: elsewhere the process ended."""
+    network, inputs = Network(WEIGHTS, device), network_inputs()
+    np.testing.assert_array_equal(network(*(anywhere(array, first) for array in inputs)), network(*inputs))
+
+
+def test_arrays_need_not_be_contiguous(device):
+    network, inputs = Network(WEIGHTS, device), network_inputs()
+    np.testing.assert_array_equal(network(*map(np.asfortranarray, inputs)), network(*inputs))
+
+
+def test_a_part_of_an_array_on_the_device_is_that_part(device):
+    """Not what lies at the beginning of its buffer."""
+    network, inputs = Network(WEIGHTS, device), network_inputs()
+    parts = [cla.to_device(device.queue, np.stack([np.full_like(array, 9), array]))[1] for array in inputs]
+    np.testing.assert_array_equal(network(*parts).get(), network(*inputs))
+    turned = cla.to_device(device.queue, inputs[2].T.copy()).T
+    with pytest.raises(ArrayError, match="mask: expected a C-contiguous array"):
+        network(*parts[:2], turned, parts[3])
+
+
+def test_a_limit_changes_no_bit_or_is_refused(device):
+    """From far too little to more than enough; what suffices for one mode suffices for all."""
+    frame = Film(4, (680, 24), (), ALL, 1).frames()
+    want, needed = Stream(UNREAD, device, skip="off")(frame, (0, 0, 0)), {}
+    for skip in ("off", "exact"):
+        for mebibytes in (1, 16, 20, 23, 26, 30, 40, 100):
+            stream = Stream(UNREAD, device, skip=skip, memory_limit=mebibytes << 20)
+            try:
+                got = stream(frame, (0, 0, 0))
+            except DeviceError as error:
+                refused = re.fullmatch(rf"memory limit: {mebibytes} MiB; frames of 24 x 680 need at least (\d+) MiB", str(error))
+                needed[skip] = int(refused[1])
+                continue
+            assert_same(got, want)
+            assert mebibytes >= needed[skip]
+    assert 16 <= needed["off"] == needed["exact"] <= 40

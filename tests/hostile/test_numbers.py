@@ -1,0 +1,119 @@
+"""Numbers that are none, and numbers too large for what holds them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stss.cli.main import stss
+from stss.color import transfer
+from stss.errors import InputError
+from stss.frames.backends import open_backend
+from stss.frames.compute_options import ComputeOptions
+from stss.frames.supersample import supersample
+from stss.images.read_write import read_channels
+from stss.sequence.reader import open_sequence
+from stss.weights.file import load
+from stss_cl.network.network import PRECISIONS, Network
+from stss_cl.skip.stream import SKIPS
+from stss_ref.arrays import ArrayError
+from stss_ref.weights import random as random_weights
+from tests.app.conftest import write_frames  # noqa: F401 - a fixture
+
+SIZE, NUMBERS, RENDERED = (24, 32), range(7), (0, 2, 4, 6)
+FAULTS = {
+    "color": ("R",),
+    "base_color": ("basecolor.G",),
+    "normal": ("normal.X", "normal.Y", "normal.Z"),
+    "roughness": ("roughness.X",),
+    "metallic": ("metallic.X",),
+    "nov": ("nov.X",),
+    "stencil": ("stencil.X",),
+    "all of these": ("R", "G", "B", "basecolor.R", "normal.Y", "roughness.X", "metallic.X", "nov.X", "stencil.X"),
+    "what may be": ("motion.X", "depth.Z", "position.Z"),
+}
+"""Channels of the frames by what is wrong in them; of the last ones it is not wrong (docs/decisions/0003-non-finite-input.md)."""
+PLACES = {"pixel": np.s_[11:12, 13:14], "corner": np.s_[:1, -1:], "border": np.s_[-1:, :], "frame": np.s_[:, :]}
+VALUES = {"nan": np.nan, "inf": np.inf, "-inf": -np.inf}
+
+
+def broken(name, place, value, frames):
+    """For ``write_frames``: such values in these frames."""
+
+    def change(number, channels):
+        for channel in FAULTS[name] if number in frames else ():
+            if channel in channels:
+                channels[channel] = channels[channel].copy()
+                channels[channel][PLACES[place]] = VALUES[value]
+
+    return change
+
+
+@pytest.fixture(scope="module")
+def backends():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("STSS_TRUST_DEVICE", "1")
+        ours = {skip: open_backend("cl", load("default").weights, ComputeOptions(skip=skip, max_error=0.1)) for skip in SKIPS}
+        plain = load("bilinear").weights
+        return ours | {"cl": open_backend("cl", plain), "ref": open_backend("ref", plain)}
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("name", FAULTS)
+def test_masked_values_end_in_finite_images_alike_everywhere(write_frames, backends, name, place):  # noqa: F811
+    """In an SF and in an EF, however much is left out, and on both backends."""
+    value = list(VALUES)[(len(name) + len(place)) % 3]
+    change = broken(name, place, value, frames=(2, 3))
+    sequence = open_sequence(write_frames(NUMBERS, change=change, rendered=RENDERED, size=SIZE), "stss", non_finite="mask")
+    frames = [sequence.load(number) for number in NUMBERS]
+    made = {which: list(supersample(frames, backend)) for which, backend in backends.items()}
+    assert {len(outputs) for outputs in made.values()} == {len(NUMBERS)}
+    for outputs in zip(*made.values(), strict=True):
+        got = dict(zip(made, outputs, strict=True))
+        for output in outputs:
+            assert np.isfinite(output.image).all()
+            np.testing.assert_array_equal(output.valid, got["ref"].valid)
+        np.testing.assert_array_equal(got["exact"].image, got["off"].image)
+        np.testing.assert_array_equal(got["cl"].image, got["ref"].image)
+
+
+REFUSED = [(name, number) for name in FAULTS if name != "what may be" for number in (2, 3) if (name, number) != ("color", 3)]
+"""What, and in which frame; an EF has no colour."""
+
+
+@pytest.mark.parametrize(("name", "number"), REFUSED)
+def test_refused_values_are_named_and_nothing_is_written(write_frames, tmp_path, monkeypatch, name, number):  # noqa: F811
+    """Frames before the broken one are whole; nothing of it, or behind it, is there."""
+    monkeypatch.setenv("STSS_TRUST_DEVICE", "1")
+    value = list(VALUES)[(len(name) + number) % 3]
+    folder = write_frames(NUMBERS, change=broken(name, "pixel", value, (number,)), rendered=RENDERED, size=SIZE)
+    command = ["run", str(folder), "-o", str(tmp_path / "out"), "--profile", "stss", "--weights", "bilinear"]
+    with pytest.raises(InputError, match=rf"seq\.000{number}\.exr: channel .*: 1 non-finite values, first at \(y=11, x=13\)"):
+        stss.main(command, standalone_mode=False)
+    written = sorted(path.name for path in (tmp_path / "out").glob("*.exr"))
+    assert written == [f"frame.{n:04d}.exr" for n in range(number)]
+    for path in (tmp_path / "out").glob("*.exr"):
+        assert all(np.isfinite(plane).all() for plane in read_channels(path, ["R", "G", "B"]).values())
+
+
+def huge(weights, factor):
+    """Weights whose first layer makes activations ``factor`` times as large."""
+    return weights | {
+        name: weights[name] * np.float32(factor) for name in ("conv1.conv_feature.weight", "conv1.weight") if name in weights
+    }
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("factor", [1e6, 1e36])
+def test_activations_too_large_are_no_image(device, precision, factor):
+    """Half holds 65504 at most: what is larger is stored as that. Whatever comes out that is not finite is refused, and never written."""
+    rng = np.random.default_rng(4)
+    inputs = [rng.random(shape, np.float32) for shape in ((*SIZE, 6), (*SIZE, 9), SIZE, (3, *SIZE, 4))]
+    image = Network(huge(random_weights(3), factor), device, precision)(*inputs)
+    if precision == "half" and factor == 1e6:
+        assert np.isfinite(image).all()
+    if np.isfinite(image).all():
+        return
+    for name in ("none", "srgb", "hdr"):
+        with pytest.raises(ArrayError, match=r"image: \d+ non-finite"):
+            transfer(name).decode(image)
