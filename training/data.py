@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Literal
 
 import numpy as np
@@ -70,6 +70,14 @@ def places(shards: list[Shard], split: str, kind: str) -> list[Place]:
     return [Place(s, i) for s in shards if s.split == split for i, k in enumerate(s.kinds) if k == kind]
 
 
+def sets(choice: list[Place]) -> list[list[Place]]:
+    """The samples by the folder that holds their shard: each folder is drawn from equally often, however much is in it."""
+    found: dict[str, list[Place]] = {}
+    for place in choice:
+        found.setdefault(str(PurePath(place.shard.name).parent), []).append(place)
+    return list(found.values())
+
+
 class Batches:
     """Training batches, half SF and half EF; a batch depends on the seed and its number alone, so a resumed run sees the same.
 
@@ -80,8 +88,8 @@ class Batches:
         self, shards: list[Shard], *, side: int, batch: int, seed: int, kinds: Sequence[Kind] = KINDS, masking: bool = True
     ):
         self._kinds, self._masking = kinds, masking
-        self._places = {kind: places(shards, "training", kind) for kind in KINDS}
-        if not all(self._places.values()):
+        self._sets = {kind: sets(places(shards, "training", kind)) for kind in KINDS}
+        if not all(self._sets.values()):
             raise InputError("the training split lacks SF or EF samples")
         smallest = min(min(s.inputs.shape[1:3]) for s in shards if s.split == "training")
         if side % 8 or not 8 <= side <= smallest:
@@ -102,7 +110,8 @@ class Batches:
         return collate(inputs, masks, truth)
 
     def _draw(self, kind: Kind, random: np.random.Generator) -> tuple[Array, Array]:
-        place = self._places[kind][int(random.integers(len(self._places[kind])))]
+        chosen = self._sets[kind][int(random.integers(len(self._sets[kind])))]
+        place = chosen[int(random.integers(len(chosen)))]
         return crop(place.shard.inputs[place.index], place.shard.truth[place.index], self._side, random)
 
     def between(self, first: int, last: int, ahead: int = 4, workers: int = 1) -> Iterator[tuple[int, Batch]]:
