@@ -16,7 +16,7 @@ from training.patterns import Random, filtered, random_material
 
 CAMERAS = ("still", "pan", "tilt", "dolly", "dolly", "forward", "orbit", "shake", "cut")
 INPUTS = {"aliased": (), "color": ("color",), "all": ("color", "normal", "nov", "base_color", "roughness", "metallic")}
-"""Which buffers are means over the pixel: an engine without antialiasing; one with it; a path tracer, which filters its G-buffer as well."""
+"""Which buffers are means over the pixel: an engine without antialiasing; one with it; a path tracer, G-buffer and all."""
 LENGTH = 12
 """Frames of a film that are worth looking at: paths are centred on its middle."""
 

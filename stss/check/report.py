@@ -19,6 +19,8 @@ from stss.check.motion_convention import judge_motion
 from stss.check.value_statistics import Level, Values, motion_lines
 from stss.errors import InputError
 from stss.images.headers import read_header
+from stss.sequence.antialiasing import judge_sampling
+from stss.sequence.choose_weights import suited
 from stss.sequence.find_files import find_frames
 from stss.sequence.profiles import BUFFERS, Profile, load_profile
 from stss.sequence.raw_frame import NonFinite
@@ -108,6 +110,10 @@ def check(
         tables |= {"size": list(sequence.size), "frames": _frame_table(sequence, looked)}
         findings += _storage(sequence, looked, tables)
         findings += _pixels(sequence, looked, non_finite, tables)
+        sampling = judge_sampling(sequence)
+        tables["sampling"] = dataclasses.asdict(sampling)
+        how = "antialiased" if sampling.antialiased else "aliased, one sample a pixel"
+        findings.append(Finding("note", f"sampling: {how} ({sampling.reason}); stss run takes the weights {suited(sampling)}"))
     except InputError as error:
         findings.append(Finding("error", str(error)))
     order: dict[Level, int] = {"error": 0, "warning": 1, "note": 2}

@@ -82,7 +82,7 @@ def run_methods(
         truth: folder of what the frames should be.
         out: folder; made if need be.
         methods: see `choose_methods`.
-        engine: a method's name to what computes it and the identity of its weights.
+        engine: a method's name to what computes it and the label of its weights.
         options: as for ``stss run``.
         flip, vmaf: take these too.
         on_step: is told what is being done.
@@ -97,8 +97,8 @@ def run_methods(
     with locked(out):
         for method in methods:
             on_step(f"{method}: running")
-            backend, identity = engine(method)
-            run(sequence, out / method, backend, identity, options, reads=reads)
+            backend, label = engine(method)
+            run(sequence, out / method, backend, label, options, reads=reads)
             on_step(f"{method}: comparing")
             scores = compare(out / method, truth, frames=options.frames, flip=flip, vmaf=vmaf)
             changes = flicker(out / method, truth, sequence, frames=options.frames)

@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: MIT
+"""Which of the weights that come with the program suit a sequence: chosen once for all of its frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from stss.sequence.antialiasing import Sampling, judge_sampling
+from stss.sequence.reader import Sequence
+from stss.weights.file import ANTIALIASED, REALTIME, LoadedWeights, load
+
+AUTO = "auto"
+"""In place of a name of weights: those that suit the frames."""
+
+
+def suited(sampling: Sampling) -> str:
+    """The name of the weights for frames that are sampled so."""
+    return ANTIALIASED if sampling.antialiased else REALTIME
+
+
+def choose_weights(source: str, sequence: Sequence, tell: Callable[[str], None]) -> LoadedWeights:
+    """The weights named, or with `AUTO` those that suit the sequence; the same for every part of it.
+
+    Args:
+        source: `AUTO`, or see `stss.weights.file.load`.
+        sequence: a few of its frames are looked at, see `stss.sequence.antialiasing.judge_sampling`.
+        tell: is handed the choice and its reason.
+
+    Raises:
+        InputError: the file can't be read or is of another format.
+        WeightsError: a tensor is not what the network takes.
+    """
+    if source != AUTO:
+        return load(source)
+    sampling = judge_sampling(sequence)
+    name = suited(sampling)
+    tell(f"weights: {name} ({sampling.reason}); --weights chooses others")
+    return load(name)
