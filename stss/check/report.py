@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from stss.check.jitter import judge_jitter
 from stss.check.motion_convention import judge_motion
 from stss.check.value_statistics import Level, Values, motion_lines
 from stss.errors import InputError
@@ -203,12 +204,14 @@ def _pixels(sequence: Sequence, numbers: list[int], non_finite: NonFinite, table
     chosen = pairs[:: max(1, -(-len(pairs) // PAIRS))]
     verdict = judge_motion((sequence.load(a), sequence.load(b)) for a, b in chosen)
     tables["reprojection"] = dataclasses.asdict(verdict)
+    jitter = judge_jitter((sequence.load(a), sequence.load(b)) for a, b in chosen)
+    tables["jitter"] = dataclasses.asdict(jitter)
     values = Values()
     for number in sorted({n for pair in chosen for n in pair}) or usable[:1]:
         values.add(sequence, number)
     tables["values"] = values.table()
     lines = [*motion_lines(verdict, sequence.profile.name), *values.lines(sequence, non_finite)]
-    return [Finding(level, text) for level, text in lines]
+    return [Finding(level, text) for level, text in lines] + [Finding("warning", text) for text in jitter.lines]
 
 
 def print_report(report: Report, console: Console) -> None:
