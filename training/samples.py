@@ -182,10 +182,10 @@ def write(folder: Path, scene: str, split: str, made: Iterable[Sample]) -> int:
 def write_film(seed: int, inputs: str, size: tuple[int, int], out: Path) -> str:
     """The shard of the analytic film number ``seed``, unless it is there. Returns a line to print."""
     film = random_film(seed, inputs)
-    name = film.scene.name
+    scene, name = film.scene.name, f"{film.scene.name}-{inputs}"
     if (out / name / "index.json").exists():
         return f"{name}: there"
-    return f"{name}: {write(out / name, name, split_of(name), film_samples(film, size))} samples"
+    return f"{name}: {write(out / name, scene, split_of(scene), film_samples(film, size))} samples"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

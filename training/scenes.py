@@ -44,7 +44,7 @@ def random_film(seed: int, inputs: str = "aliased") -> Film:
     """The film number ``seed``; ``inputs``: a name of `INPUTS`."""
     random = np.random.default_rng([seed, 20240711])
     objects = (*_surroundings(random), *_things(random), *_thin(random), *_moving(random))
-    scene = Scene(f"analytic-{inputs}-{seed:05d}", _camera(random, str(random.choice(CAMERAS))), objects)
+    scene = Scene(f"analytic-{seed:05d}", _camera(random, str(random.choice(CAMERAS))), objects)
     return Film(scene, _light(random), INPUTS[inputs])
 
 

@@ -93,11 +93,23 @@ def test_batches_are_half_and_half_and_depend_on_the_step_alone(data):
     ]
 
 
+def test_every_folder_of_shards_is_drawn_from_equally_often(tmp_path):
+    """However much lies in each: here one shard beside nine."""
+    for folder, count in (("few", 1), ("many", 9)):
+        for i in range(count):
+            value = float(folder == "few")
+            made = [Sample(0, kind, np.zeros((16, 16, 24)), np.full((32, 32, 3), value)) for kind in (FrameKind.SF, FrameKind.EF)]
+            write(tmp_path / folder / str(i), f"{folder} {i}", "training", made)
+    batches = Batches(load_shards(tmp_path), side=16, batch=20, seed=0)
+    few = np.mean([(batches[step].truth.max(axis=(1, 2, 3)) > 0.5).mean() for step in range(5)])
+    assert 0.35 < few < 0.65
+
+
 def test_batches_for_ablations(data):
     shards = load_shards(data)
     for kind, others in (("SF", {"EF"}), ("EF", {"SF"})):
         batches = Batches(shards, side=16, batch=4, seed=0, kinds=(kind,), masking=False)
-        batches._places = {**batches._places, **{key: [] for key in others}}  # to draw from the other would fail
+        batches._sets = {**batches._sets, **{key: [] for key in others}}  # to draw from the other would fail
         assert (batches[0].mask == 1).all()
     masked = Batches(shards, side=16, batch=4, seed=0)
     assert any((masked[step].mask == 0).any() for step in range(4))
