@@ -21,6 +21,7 @@ from stss.cli.options import (
     sequence_options,
     weights_option,
 )
+from stss.frames.backends import NETWORK
 from stss.frames.compute_options import ComputeOptions
 from stss.output.apart import require_apart
 from stss.output.write_whole import told
@@ -76,7 +77,8 @@ def methods_command(
     files = open_sequence(sequence, profile, camera=camera, metallic=metallic, roughness=roughness, non_finite=non_finite)
     reads = [Path(weights), *([*truth.iterdir()] if truth.is_dir() else [])]
     options = RunOptions.of(files.profile, transfer=transfer, depth=depth, rendered=rendered, frames=frames, overwrite=overwrite)
-    chosen, loaded = method_table.choose_methods(methods, weights), choose_weights(weights, files, partial(echo, err=True))
+    chosen = method_table.choose_methods(methods, weights)
+    loaded = choose_weights(weights, files, partial(echo, err=True), needed=NETWORK in chosen)
     with told(out):
         require_apart([out / "sheet.png"], [*files.reads, *reads])
     console = Terminal(stderr=True)

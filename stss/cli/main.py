@@ -47,7 +47,7 @@ from stss.sequence.reader import open_sequence
 from stss.terminal import Terminal, accept_any_text, echo, printable
 from stss.version import VERSION
 from stss.weights import inspect as inspection
-from stss.weights.file import BILINEAR, load, save
+from stss.weights.file import load, save
 from stss_cl.device.caches import private
 from stss_cl.errors import DeviceError
 from stss_ref.arrays import ArrayError
@@ -109,7 +109,7 @@ def run(
     console = Terminal(stderr=True)
     first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
     possible = backend == "cl" and method == NETWORK
-    loaded = load(BILINEAR) if method != NETWORK else choose_weights(weights, frames, _tell)
+    loaded = choose_weights(weights, frames, _tell, needed=method == NETWORK)
     compute = with_skipping(compute, skip, max_error, budget, possible=possible)
     with _progress(console) as progress:
         task = progress.add_task("building kernels", total=last - first + 1)

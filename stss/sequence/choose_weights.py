@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from stss.sequence.antialiasing import Sampling, judge_sampling
 from stss.sequence.reader import Sequence
-from stss.weights.file import ANTIALIASED, REALTIME, LoadedWeights, load
+from stss.weights.file import ANTIALIASED, BILINEAR, REALTIME, LoadedWeights, load
 
 AUTO = "auto"
 """In place of a name of weights: those that suit the frames."""
@@ -18,13 +18,14 @@ def suited(sampling: Sampling) -> str:
     return ANTIALIASED if sampling.antialiased else REALTIME
 
 
-def choose_weights(source: str, sequence: Sequence, tell: Callable[[str], None]) -> LoadedWeights:
+def choose_weights(source: str, sequence: Sequence, tell: Callable[[str], None], *, needed: bool = True) -> LoadedWeights:
     """The weights named, or with `AUTO` those that suit the sequence; the same for every part of it.
 
     Args:
         source: `AUTO`, or see `stss.weights.file.load`.
         sequence: a few of its frames are looked at, see `stss.sequence.antialiasing.judge_sampling`.
         tell: is handed the choice and its reason.
+        needed: whether a network runs at all; where none does, `AUTO` chooses and tells nothing.
 
     Raises:
         InputError: the file can't be read or is of another format.
@@ -32,6 +33,8 @@ def choose_weights(source: str, sequence: Sequence, tell: Callable[[str], None])
     """
     if source != AUTO:
         return load(source)
+    if not needed:
+        return load(BILINEAR)
     sampling = judge_sampling(sequence)
     name = suited(sampling)
     tell(f"weights: {name} ({sampling.reason}); --weights chooses others")

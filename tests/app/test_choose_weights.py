@@ -68,6 +68,15 @@ def test_a_name_overrides_the_frames_and_nothing_is_said(rendered):
     assert (loaded.source, said) == ("antialiased", [])
 
 
+def test_a_method_without_a_network_needs_no_choice(rendered):
+    said = []
+    sequence = open_sequence(rendered / "aliased", "stss")
+    assert choose_weights(AUTO, sequence, said.append, needed=False).source == "bilinear"
+    assert said == []
+    with pytest.raises(InputError):  # a wrong name is wrong all the same
+        choose_weights("bicubic", sequence, said.append, needed=False)
+
+
 def test_check_says_which_weights_a_run_takes_and_why(rendered):
     report = check(rendered / "all", "stss")
     assert any("mixtures, not of unit length); stss run takes the weights antialiased" in f.text for f in report.findings)
