@@ -21,8 +21,9 @@ from stss.output.folder import OutputFolder
 from stss.output.write_whole import told
 from stss.quality.compare import compare, print_comparison
 from stss.run.job import RunOptions, frame_name, run
+from stss.sequence.choose_weights import AUTO, choose_weights
 from stss.sequence.reader import open_sequence
-from stss.weights.file import BILINEAR, DEFAULT, load
+from stss.weights.file import BILINEAR, load
 from stss_ref.arrays import Array, Plane
 
 FRAMES = 16
@@ -54,7 +55,7 @@ _MAGNIFIED = 4
 def demo(
     out: Path,
     *,
-    weights: str = DEFAULT,
+    weights: str = AUTO,
     backend: str = "cl",
     compute: ComputeOptions = DEFAULTS,
     overwrite: bool = False,
@@ -69,7 +70,7 @@ def demo(
 
     Args:
         out: the folder; made if need be.
-        weights: a safetensors file, or ``bilinear``.
+        weights: see `stss.sequence.choose_weights.choose_weights`.
         backend, compute: what computes; see ``stss.frames.backends.open_backend``.
         overwrite: replace an earlier demo.
         frames: how many display frames.
@@ -79,17 +80,19 @@ def demo(
     Raises:
         InputError: ``out`` holds an earlier demo and ``overwrite`` is not set, or cannot be written to.
     """
-    loaded = load(weights)
+    if weights != AUTO:
+        load(weights)  # what is wrong with them is said before anything is rendered
     with told(out):
         require_apart([*_folder(out).present(), out / "sheet.png"], [Path(weights)])
     with Progress(console=console, transient=True) as progress:
         task = progress.add_task("rendering", total=frames)
         write_demo_sequence(out, frames, size, overwrite=overwrite, on_frame=lambda _: progress.advance(task))
     sequence = open_sequence(out / "frames", "stss")
+    loaded = choose_weights(weights, sequence, lambda line: console.print(line, soft_wrap=True, highlight=False, markup=False))
     methods = {"output": loaded} if weights == BILINEAR else {"bilinear": load(BILINEAR), "output": loaded}
     for name, method in methods.items():
         engine = open_backend(backend, method.weights, compute)
-        run(sequence, out / name, engine, method.identity, RunOptions(overwrite=overwrite), reads=[Path(weights)])
+        run(sequence, out / name, engine, method.label, RunOptions(overwrite=overwrite), reads=[Path(weights)])
         console.print(f"{method.source} against the truth:", highlight=False, markup=False)
         print_comparison(compare(out / name, out / "truth", frames=None, pictures=out / "pictures" / name), console)
     outputs = {number: out / "output" / frame_name(number, "exr") for number in sequence.numbers}

@@ -41,10 +41,9 @@ class Batch(NamedTuple):
     truth: NDArray[np.float32]
 
 
-def crop(inputs: Array, truth: Array, side: int, random: Random) -> tuple[Array, Array]:
-    """The same random square of both: ``side`` pixels of the low resolution."""
-    height, width, _ = inputs.shape
-    y, x = (int(random.integers(0, length - side, endpoint=True)) for length in (height, width))
+def crop(inputs: Array, truth: Array, corner: tuple[int, int], side: int) -> tuple[Array, Array]:
+    """The same square of both, from ``corner`` (y, x) on: ``side`` pixels of the low resolution."""
+    y, x = corner
     small, large = inputs[y : y + side, x : x + side], truth[2 * y : 2 * (y + side), 2 * x : 2 * (x + side)]
     return small.astype(np.float32), large.astype(np.float32)
 

@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Literal
 
 import numpy as np
@@ -70,6 +70,14 @@ def places(shards: list[Shard], split: str, kind: str) -> list[Place]:
     return [Place(s, i) for s in shards if s.split == split for i, k in enumerate(s.kinds) if k == kind]
 
 
+def sets(choice: list[Place]) -> list[list[Place]]:
+    """The samples by the folder that holds their shard: each folder is drawn from equally often, however much is in it."""
+    found: dict[str, list[Place]] = {}
+    for place in choice:
+        found.setdefault(str(PurePath(place.shard.name).parent), []).append(place)
+    return list(found.values())
+
+
 class Batches:
     """Training batches, half SF and half EF; a batch depends on the seed and its number alone, so a resumed run sees the same.
 
@@ -80,8 +88,8 @@ class Batches:
         self, shards: list[Shard], *, side: int, batch: int, seed: int, kinds: Sequence[Kind] = KINDS, masking: bool = True
     ):
         self._kinds, self._masking = kinds, masking
-        self._places = {kind: places(shards, "training", kind) for kind in KINDS}
-        if not all(self._places.values()):
+        self._sets = {kind: sets(places(shards, "training", kind)) for kind in KINDS}
+        if not all(self._sets.values()):
             raise InputError("the training split lacks SF or EF samples")
         smallest = min(min(s.inputs.shape[1:3]) for s in shards if s.split == "training")
         if side % 8 or not 8 <= side <= smallest:
@@ -89,21 +97,39 @@ class Batches:
         if batch < 2 or batch % 2:
             raise InputError(f"batch: expected an even number, one half SF, one half EF, got {batch}")
         self._side, self._batch, self._seed = side, batch, seed
+        self._details: dict[tuple[str, int], Array] = {}
 
     def __getitem__(self, step: int) -> Batch:
         random = np.random.default_rng([self._seed, step])
         made: list[tuple[Array, Array, Array]] = []
         for i in range(self._batch):
             drawn = [self._draw(self._kinds[i % len(self._kinds)], random) for _ in range(DRAWN)]
-            inputs, truth = augment(*max(drawn, key=lambda pair: detail(pair[1])), random)
+            place, corner = max(drawn, key=lambda one: self._detail(*one))
+            inputs, truth = augment(
+                *crop(place.shard.inputs[place.index], place.shard.truth[place.index], corner, self._side), random
+            )
             mask = mask_at_random(inputs, random) if self._masking else inputs[..., MASK]
             made.append((inputs, mask, truth))
         inputs, masks, truth = (np.stack(arrays) for arrays in zip(*made, strict=True))
         return collate(inputs, masks, truth)
 
-    def _draw(self, kind: Kind, random: np.random.Generator) -> tuple[Array, Array]:
-        place = self._places[kind][int(random.integers(len(self._places[kind])))]
-        return crop(place.shard.inputs[place.index], place.shard.truth[place.index], self._side, random)
+    def _draw(self, kind: Kind, random: np.random.Generator) -> tuple[Place, tuple[int, int]]:
+        """A sample and the corner of a crop in it."""
+        chosen = self._sets[kind][int(random.integers(len(self._sets[kind])))]
+        place = chosen[int(random.integers(len(chosen)))]
+        height, width = place.shard.inputs.shape[1:3]
+        return place, (
+            int(random.integers(0, height - self._side, endpoint=True)),
+            int(random.integers(0, width - self._side, endpoint=True)),
+        )
+
+    def _detail(self, place: Place, corner: tuple[int, int]) -> float:
+        key = place.shard.name, place.index
+        if key not in self._details:
+            self._details[key] = details(place.shard.truth[place.index])
+        (y, x), sums = corner, self._details[key]
+        below, right = y + self._side, x + self._side
+        return float(sums[below, right] - sums[y, right] - sums[below, x] + sums[y, x])
 
     def between(self, first: int, last: int, ahead: int = 4, workers: int = 1) -> Iterator[tuple[int, Batch]]:
         """``(step, batch)`` for ``first <= step < last``, made ahead by threads."""
@@ -116,11 +142,12 @@ class Batches:
                 yield step, batch
 
 
-def detail(truth: Array) -> float:
-    """What a picture at half the size cannot hold: mean distance of four pixels from their mean."""
+def details(truth: Array) -> Array:
+    """What a picture at half the size cannot hold, the distances of four pixels from their mean: sums from the corner, (H + 1, W + 1)."""
     height, width, channels = truth.shape
-    blocks = truth.reshape(height // 2, 2, width // 2, 2, channels)
-    return float(np.abs(blocks - blocks.mean(axis=(1, 3), keepdims=True)).mean())
+    blocks = truth.astype(np.float32).reshape(height // 2, 2, width // 2, 2, channels)
+    found = np.abs(blocks - blocks.mean(axis=(1, 3), keepdims=True)).sum(axis=(1, 3, 4), dtype=np.float64)
+    return np.pad(found.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
 
 
 def whole(place: Place) -> Batch:

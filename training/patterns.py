@@ -12,8 +12,8 @@ from stss_ref.arrays import Array
 
 Random = np.random.Generator
 _TABLE = 64
-FINEST = 8.0
-"""Shortest period of a pattern; cm. At 5 m a pixel of 160 is about 4 cm."""
+FINEST = 5.0
+"""Shortest period of a pattern; cm. At 5 m a pixel of 160 is about 4 cm: what is finer is noise that nobody can undo."""
 EYE = (0.0, -420.0, 140.0)
 """About where the cameras are; cm."""
 PIXEL = 0.0075
@@ -79,9 +79,8 @@ def random_material(random: Random, size: float, *, plain: float = 0.2) -> Mater
 
 
 def _pattern(random: Random, size: float) -> Pattern:
-    # Log-uniform: from about two pixels to a few patches on the whole object. Engines filter their textures: finer detail would be
-    # noise that nobody can undo, and drown what there is to learn.
-    period = max(FINEST, float(size * np.exp(random.uniform(np.log(0.12), np.log(0.9)))))
+    # Log-uniform: from about a pixel to a few patches on the whole object.
+    period = max(FINEST, float(size * np.exp(random.uniform(np.log(0.06), np.log(0.7)))))
     axes = (0, 1, 2) if random.random() < 0.5 else (0, 2)
     choices = (
         lambda: checker(period, axes=axes),

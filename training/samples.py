@@ -36,7 +36,7 @@ from stss_ref.frame import NetworkInputs
 from stss_ref.frame import prepare as warp_all
 from stss_ref.schedule import FrameKind
 from training.command import command
-from training.scenes import Film, random_film
+from training.scenes import INPUTS, Film, random_film
 
 SPLITS = ("training", "validation", "test")
 CHANNELS = 24
@@ -179,13 +179,13 @@ def write(folder: Path, scene: str, split: str, made: Iterable[Sample]) -> int:
     return len(kept)
 
 
-def write_film(seed: int, size: tuple[int, int], out: Path) -> str:
+def write_film(seed: int, inputs: str, size: tuple[int, int], out: Path) -> str:
     """The shard of the analytic film number ``seed``, unless it is there. Returns a line to print."""
-    film = random_film(seed)
-    name = film.scene.name
+    film = random_film(seed, inputs)
+    scene, name = film.scene.name, f"{film.scene.name}-{inputs}"
     if (out / name / "index.json").exists():
         return f"{name}: there"
-    return f"{name}: {write(out / name, name, split_of(name), film_samples(film, size))} samples"
+    return f"{name}: {write(out / name, scene, split_of(scene), film_samples(film, size))} samples"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -194,6 +194,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder of the shards")
     parser.add_argument("--analytic", type=int, metavar="N", help="make N random analytic films")
     parser.add_argument("--first", type=int, default=0, help="number of the first film")
+    parser.add_argument("--inputs", choices=tuple(INPUTS), default="aliased", help="what of the films is a mean over the pixel")
     parser.add_argument("--size", default="160x96", help="WxH of the low resolution of the films")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--sequence", nargs=2, type=Path, metavar=("LR", "HR"), help="frames of a renderer and their truth")
@@ -213,7 +214,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.stdout.write(f"{name}: {count} samples\n")
     if chosen.analytic:
         width, height = (int(v) for v in chosen.size.split("x"))
-        work = partial(write_film, size=(height, width), out=chosen.out)
+        work = partial(write_film, inputs=chosen.inputs, size=(height, width), out=chosen.out)
         seeds = range(chosen.first, chosen.first + chosen.analytic)
         with ProcessPoolExecutor(chosen.jobs) as pool:
             for line in pool.map(work, seeds):

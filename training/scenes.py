@@ -15,8 +15,8 @@ from conformance.scenes.shapes import Box, Cylinder, Disc, Plane, Shape, Sphere
 from training.patterns import Random, filtered, random_material
 
 CAMERAS = ("still", "pan", "tilt", "dolly", "dolly", "forward", "orbit", "shake", "cut")
-AVERAGED = ((), ("color",), *2 * [("color", "normal", "nov", "base_color", "roughness", "metallic")])
-"""In turn: an engine without antialiasing; one with it; a path tracer, which filters its G-buffer as well, twice as often."""
+INPUTS = {"aliased": (), "color": ("color",), "all": ("color", "normal", "nov", "base_color", "roughness", "metallic")}
+"""Which buffers are means over the pixel: an engine without antialiasing; one with it; a path tracer, G-buffer and all."""
 LENGTH = 12
 """Frames of a film that are worth looking at: paths are centred on its middle."""
 
@@ -40,16 +40,18 @@ class Film:
         return replace(self.scene, light=self.light(frame))
 
 
-def random_film(seed: int) -> Film:
-    """The film number ``seed``."""
+def random_film(seed: int, inputs: str = "aliased") -> Film:
+    """The film number ``seed``; ``inputs``: a name of `INPUTS`."""
     random = np.random.default_rng([seed, 20240711])
     objects = (*_surroundings(random), *_things(random), *_thin(random), *_moving(random))
     scene = Scene(f"analytic-{seed:05d}", _camera(random, str(random.choice(CAMERAS))), objects)
-    return Film(scene, _light(random), AVERAGED[seed % len(AVERAGED)])
+    return Film(scene, _light(random), INPUTS[inputs])
 
 
 def _surroundings(random: Random) -> list[Object]:
-    ground = Object("ground", Plane(), filtered(random_material(random, 300, plain=0.05), 50), casts=False)
+    floor = random_material(random, 300, plain=0.05)
+    # As with mip maps, or without.
+    ground = Object("ground", Plane(), filtered(floor, 50) if random.random() < 0.6 else floor, casts=False)
     kind = random.random()
     if kind < 0.35:  # a room
         half = (float(random.uniform(500, 900)), float(random.uniform(700, 1000)), float(random.uniform(250, 500)))
@@ -101,14 +103,14 @@ def _shape(random: Random, size: float) -> Shape:
 
 
 def _thin(random: Random) -> list[Object]:
-    """Poles, rails and wires about a pixel wide, with what is behind them changing as the camera moves."""
+    """Poles, rails and wires about a pixel wide or less, with what is behind them changing as the camera moves."""
     found: list[Object] = []
-    for group in range(int(random.integers(0, 3))):
+    for group in range(int(random.integers(1, 5))):
         material = random_material(random, 40, plain=0.6)
         x, y, step = random.uniform(-300, 100), random.uniform(-350, 200), random.uniform(15, 90)
-        thickness = float(np.exp(random.uniform(np.log(0.5), np.log(5))))
+        thickness = float(np.exp(random.uniform(np.log(0.3), np.log(4))))
         upright = random.random() < 0.6
-        for i in range(int(random.integers(2, 5))):
+        for i in range(int(random.integers(2, 7))):
             if upright:
                 height = 40 + 10 * group + float(random.uniform(0, 80))
                 shape: Shape = Cylinder(thickness, height)

@@ -127,7 +127,7 @@ def advance(
     squares = max(young, squares)
     value = (1 - squares) * loss(output, truth, mask, structure(output, truth))
     if squares:
-        value = value + squares * squared(output, truth, mask)
+        value = value + squares * squared(output, truth)
     if young:
         value = value + young * supervision([p.float() for p in pictures], truth)
     value.backward()

@@ -15,10 +15,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from stss.check.jitter import judge_jitter
 from stss.check.motion_convention import judge_motion
 from stss.check.value_statistics import Level, Values, motion_lines
 from stss.errors import InputError
 from stss.images.headers import read_header
+from stss.sequence.antialiasing import judge_sampling
+from stss.sequence.choose_weights import suited
 from stss.sequence.find_files import find_frames
 from stss.sequence.profiles import BUFFERS, Profile, load_profile
 from stss.sequence.raw_frame import NonFinite
@@ -108,6 +111,10 @@ def check(
         tables |= {"size": list(sequence.size), "frames": _frame_table(sequence, looked)}
         findings += _storage(sequence, looked, tables)
         findings += _pixels(sequence, looked, non_finite, tables)
+        sampling = judge_sampling(sequence)
+        tables["sampling"] = dataclasses.asdict(sampling)
+        how = "antialiased" if sampling.antialiased else "aliased, one sample a pixel"
+        findings.append(Finding("note", f"sampling: {how} ({sampling.reason}); stss run takes the weights {suited(sampling)}"))
     except InputError as error:
         findings.append(Finding("error", str(error)))
     order: dict[Level, int] = {"error": 0, "warning": 1, "note": 2}
@@ -197,12 +204,14 @@ def _pixels(sequence: Sequence, numbers: list[int], non_finite: NonFinite, table
     chosen = pairs[:: max(1, -(-len(pairs) // PAIRS))]
     verdict = judge_motion((sequence.load(a), sequence.load(b)) for a, b in chosen)
     tables["reprojection"] = dataclasses.asdict(verdict)
+    jitter = judge_jitter((sequence.load(a), sequence.load(b)) for a, b in chosen)
+    tables["jitter"] = dataclasses.asdict(jitter)
     values = Values()
     for number in sorted({n for pair in chosen for n in pair}) or usable[:1]:
         values.add(sequence, number)
     tables["values"] = values.table()
     lines = [*motion_lines(verdict, sequence.profile.name), *values.lines(sequence, non_finite)]
-    return [Finding(level, text) for level, text in lines]
+    return [Finding(level, text) for level, text in lines] + [Finding("warning", text) for text in jitter.lines]
 
 
 def print_report(report: Report, console: Console) -> None:

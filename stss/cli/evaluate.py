@@ -21,6 +21,7 @@ from stss.cli.options import (
     sequence_options,
     weights_option,
 )
+from stss.frames.backends import NETWORK
 from stss.frames.compute_options import ComputeOptions
 from stss.output.apart import require_apart
 from stss.output.write_whole import told
@@ -71,12 +72,13 @@ def methods_command(
     from stss.quality.methods_sheet import method_sheet
     from stss.run.choose_backend import open_method
     from stss.run.job import RunOptions
-    from stss.weights.file import load
+    from stss.sequence.choose_weights import choose_weights
 
     files = open_sequence(sequence, profile, camera=camera, metallic=metallic, roughness=roughness, non_finite=non_finite)
     reads = [Path(weights), *([*truth.iterdir()] if truth.is_dir() else [])]
     options = RunOptions.of(files.profile, transfer=transfer, depth=depth, rendered=rendered, frames=frames, overwrite=overwrite)
-    chosen, loaded = method_table.choose_methods(methods, weights), load(weights)
+    chosen = method_table.choose_methods(methods, weights)
+    loaded = choose_weights(weights, files, partial(echo, err=True), needed=NETWORK in chosen)
     with told(out):
         require_apart([out / "sheet.png"], [*files.reads, *reads])
     console = Terminal(stderr=True)
@@ -141,9 +143,11 @@ def flicker_scenes_command(
     from stss.quality import flicker_scenes
     from stss.quality import methods_table as method_table
     from stss.run.choose_backend import open_method
-    from stss.weights.file import load
+    from stss.sequence.choose_weights import AUTO
+    from stss.weights.file import REALTIME, load
 
-    chosen, loaded, console = method_table.choose_methods(methods, weights), load(weights), Terminal(stderr=True)
+    chosen, console = method_table.choose_methods(methods, weights), Terminal(stderr=True)
+    loaded = load(REALTIME if weights == AUTO else weights)  # these scenes have one ray a pixel
 
     def make(method: str) -> Any:
         return open_method(method, loaded, backend, compute, tell=partial(echo, err=True))[0]

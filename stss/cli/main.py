@@ -43,6 +43,7 @@ from stss.run.choose_backend import first_frames, open_method, with_skipping, wi
 from stss.run.job import FrameReport, RunOptions, Summary
 from stss.run.job import run as run_sequence
 from stss.run.skip_report import told
+from stss.sequence.choose_weights import choose_weights
 from stss.sequence.reader import open_sequence
 from stss.terminal import Terminal, accept_any_text, echo, printable
 from stss.version import VERSION
@@ -109,19 +110,20 @@ def run(
     options = RunOptions.of(frames.profile, format=suffix, **chosen)
     console = Terminal(stderr=True)
     first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
-    loaded, possible = load(weights), backend == "cl" and method == NETWORK
+    possible = backend == "cl" and method == NETWORK
+    loaded = choose_weights(weights, frames, _tell, needed=method == NETWORK)
     compute = with_skipping(compute, skip, max_error, budget, possible=possible)
     with _progress(console) as progress:
         task = progress.add_task("building kernels", total=last - first + 1)
         if budget is None:
-            engine, identity = open_method(method, loaded, backend, compute, tell=_tell)
+            engine, label = open_method(method, loaded, backend, compute, tell=_tell)
         else:
-            engine, identity = within_budget(loaded, compute, budget, first_frames(frames, options), tell=_tell)
+            engine, label = within_budget(loaded, compute, budget, first_frames(frames, options), tell=_tell)
         summary = run_sequence(
             frames,
             out,
             engine,
-            identity,
+            label,
             options,
             on_frame=lambda _: progress.update(task, advance=1, description=""),
             reads=[Path(weights)],

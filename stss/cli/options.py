@@ -15,8 +15,8 @@ from stss.color import TRANSFERS
 from stss.frames.backends import BACKENDS
 from stss.frames.compute_options import PRECISIONS, SKIPS, ComputeOptions, Precision
 from stss.images.headers import MAX_SIDE
+from stss.sequence.choose_weights import AUTO
 from stss.sequence.find_files import MAX_DIGITS
-from stss.weights.file import DEFAULT
 
 PATH = click.Path(path_type=Path)
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -133,9 +133,9 @@ def backend_options(command: Command) -> Command:
 
 weights_option = click.option(
     "--weights",
-    default=DEFAULT,
+    default=AUTO,
     show_default=True,
-    help="A .safetensors file, those that come with stss, or bilinear: no network.",
+    help="realtime or antialiased, which come with stss; a .safetensors file; bilinear: no network; auto: what suits the frames.",
 )
 
 

@@ -22,6 +22,7 @@ from stss.quality.flip_vmaf import require_packages, vmaf_scores
 from stss.quality.metrics import REGIONS, Scores, mean_scores, score, to_8bit, upsample_holes
 from stss.quality.output_and_truth import FALLBACK, KINDS, MADE_WITH, Pair, find_pairs, listed, require_size
 from stss.quality.tables import print_whole
+from stss.quality.temporal_psnr import Shown, recurrent_psnr, temporal_psnr
 
 __all__ = ["Comparison", "FrameScores", "Mean", "compare", "listed", "print_comparison"]
 
@@ -33,10 +34,13 @@ METRICS = {
     "psnr_rgb": ("PSNR\nRGB", 2, REGIONS),
     "flip": ("FLIP\n", 4, REGIONS),
     "vmaf": ("VMAF\n", 2, REGIONS[:1]),
+    "tpsnr": ("tPSNR\nRGB", 2, REGIONS[:1]),
 }
 """Field of ``Scores`` to heading, digits printed, and the regions it is taken over."""
 ASKED_FOR = ("flip", "vmaf")
 """Those that are only taken when asked for."""
+BELOW = ("tpsnr",)
+"""Those that have no column of a frame's: their means stand below the table."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,7 @@ class Comparison:
         notes: what the reader of the numbers must know; one line each.
         made_with: method, weights, backend and transfer, those that the output's files name; more than one value each if they differ.
         metrics: those taken, of ``METRICS``.
+        recpsnr: of the last frame, dB; see `stss.quality.temporal_psnr`.
     """
 
     rows: Sequence[FrameScores]
@@ -94,6 +99,7 @@ class Comparison:
     notes: Sequence[str]
     made_with: Mapping[str, Sequence[str]]
     metrics: Sequence[str]
+    recpsnr: float
 
     def to_json(self) -> str:
         """As JSON: null where a region is empty, the text "inf" where a PSNR is infinite."""
@@ -105,6 +111,7 @@ class Comparison:
             "means": {m.name: {"frames": m.frames, **self._plain(m.scores)} for m in self.means},
             "without_truth": self.without_truth,
             "without_output": self.without_output,
+            "recpsnr": _in_json(self.recpsnr),
             "notes": self.notes,
             "made_with": self.made_with,
         }
@@ -113,12 +120,16 @@ class Comparison:
     def _plain(self, scores: Mapping[str, Scores]) -> dict[str, dict[str, float | str | None]]:
         return {
             region: {
-                name: "inf" if value == math.inf else value
+                name: _in_json(value)
                 for name, value in asdict(found).items()
                 if name in self.metrics and region in METRICS[name][2]
             }
             for region, found in scores.items()
         }
+
+
+def _in_json(value: float | None) -> float | str | None:
+    return "inf" if value == math.inf else value
 
 
 def compare(
@@ -157,10 +168,10 @@ def compare(
         require_apart([_picture_path(pictures, pair) for pair in pairs.values()], reads)
         make_folder(pictures)
     notes = _notes(out, pairs)
-    rows = [_judge(number, pair, pictures, flip=flip) for number, pair in pairs.items()]
+    rows, recpsnr = _rows(pairs, pictures, flip=flip)
     if vmaf:
         found = vmaf_scores(map(to_8bit, pair.shown()) for pair in pairs.values())
-        rows = [_with_vmaf(row, value) for row, value in zip(rows, found, strict=True)]
+        rows = [_with(row, vmaf=value) for row, value in zip(rows, found, strict=True)]
     made_with = {name: sorted({p.made_with[name] for p in pairs.values() if name in p.made_with}) for name in MADE_WITH}
     return Comparison(
         rows,
@@ -170,6 +181,7 @@ def compare(
         notes,
         {name: values for name, values in made_with.items() if values},
         [name for name in METRICS if name not in ASKED_FOR or {"flip": flip, "vmaf": vmaf}[name]],
+        recpsnr,
     )
 
 
@@ -178,19 +190,21 @@ def print_comparison(comparison: Comparison, console: Console) -> None:
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
     table.add_column("\n\nframe", justify="right")
     table.add_column("\n\nkind")
-    for metric in comparison.metrics:
+    columns = [metric for metric in comparison.metrics if metric not in BELOW]
+    for metric in columns:
         heading, _, regions = METRICS[metric]
         for region in regions:
             above = heading if region == regions[0] else "\n"
             table.add_column(f"{above}\n{region}", justify="right", no_wrap=True)
     for row in comparison.rows:
-        table.add_row(str(row.number), row.kind or "", *_cells(row.scores, comparison.metrics))
+        table.add_row(str(row.number), row.kind or "", *_cells(row.scores, columns))
     table.add_section()
     for mean in comparison.means:
-        table.add_row(f"of {mean.frames}", mean.name, *_cells(mean.scores, comparison.metrics), style="bold")
+        table.add_row(f"of {mean.frames}", mean.name, *_cells(mean.scores, columns), style="bold")
     print_whole(table, console)
     lines = [
         *comparison.notes,
+        _temporal(comparison),
         *(f"{name}: {', '.join(found)}" for name, found in comparison.made_with.items() if found),
     ]
     if comparison.without_truth:
@@ -201,8 +215,29 @@ def print_comparison(comparison: Comparison, console: Console) -> None:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
-def _judge(number: int, pair: Pair, pictures: Path | None, *, flip: bool) -> FrameScores:
-    image, truth = pair.shown()
+def _temporal(comparison: Comparison) -> str:
+    """tPSNR, the mean of each kind's steps, and recPSNR."""
+    steps = [f"{mean.name} {cell}" for mean in comparison.means for cell in _cells(mean.scores, BELOW)]
+    return f"tPSNR of the steps: {', '.join(steps)}; recPSNR of the last frame: {comparison.recpsnr:.2f}"
+
+
+def _rows(pairs: Mapping[int, Pair], pictures: Path | None, *, flip: bool) -> tuple[list[FrameScores], float]:
+    """The frames' rows, each with the tPSNR of its step from the frame before where that is there; and the last one's recPSNR."""
+    rows: list[FrameScores] = []
+    before: Shown | None = None
+    for number, pair in pairs.items():
+        shown = pair.shown()
+        row = _judge(number, pair, shown, pictures, flip=flip)
+        if before is not None and rows[-1].number == number - 1:
+            row = _with(row, tpsnr=temporal_psnr(shown, before))
+        rows.append(row)
+        before = shown
+    assert before is not None  # find_pairs found one at least
+    return rows, recurrent_psnr(before)
+
+
+def _judge(number: int, pair: Pair, shown: Shown, pictures: Path | None, *, flip: bool) -> FrameScores:
+    image, truth = shown
     hole = None
     if pair.holes is not None:
         small = read_rgb(pair.holes)
@@ -218,8 +253,9 @@ def _picture_path(pictures: Path, pair: Pair) -> Path:
     return pictures / f"{pair.output.stem}.png"
 
 
-def _with_vmaf(row: FrameScores, found: float) -> FrameScores:
-    return replace(row, scores={**row.scores, "all": replace(row.scores["all"], vmaf=found)})
+def _with(row: FrameScores, **found: float) -> FrameScores:
+    """A row with further scores of the whole frame."""
+    return replace(row, scores={**row.scores, "all": replace(row.scores["all"], **found)})
 
 
 def _notes(out: Path, pairs: Mapping[int, Pair]) -> list[str]:

@@ -32,11 +32,12 @@ COLUMNS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
     "SSIM\n": (("SF", "all", "ssim"), ("EF", "all", "ssim")),
     "FLIP\n": (("SF", "all", "flip"), ("EF", "all", "flip")),
     "VMAF\n": (("SF", "all", "vmaf"), ("EF", "all", "vmaf")),
+    "tPSNR\n": (("SF", "all", "tpsnr"), ("EF", "all", "tpsnr")),
 }
 """Heading to kind, region and field of what stands below it."""
 FLICKER = ("SF", "EF")
-"""Flicker's error stands last."""
-DIGITS = {"psnr_rgb": 2, "ssim": 4, "flip": 4, "vmaf": 1}
+"""Flicker's error stands last, after the recPSNR."""
+DIGITS = {"psnr_rgb": 2, "ssim": 4, "flip": 4, "vmaf": 1, "tpsnr": 2}
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ def run_methods(
         truth: folder of what the frames should be.
         out: folder; made if need be.
         methods: see `choose_methods`.
-        engine: a method's name to what computes it and the identity of its weights.
+        engine: a method's name to what computes it and the label of its weights.
         options: as for ``stss run``.
         flip, vmaf: take these too.
         on_step: is told what is being done.
@@ -97,8 +98,8 @@ def run_methods(
     with locked(out):
         for method in methods:
             on_step(f"{method}: running")
-            backend, identity = engine(method)
-            run(sequence, out / method, backend, identity, options, reads=reads)
+            backend, label = engine(method)
+            run(sequence, out / method, backend, label, options, reads=reads)
             on_step(f"{method}: comparing")
             scores = compare(out / method, truth, frames=options.frames, flip=flip, vmaf=vmaf)
             changes = flicker(out / method, truth, sequence, frames=options.frames)
@@ -118,13 +119,18 @@ def print_results(results: Sequence[MethodResult], console: Console) -> None:
     table.add_column("\n\nmethod")
     metrics = results[0].comparison.metrics
     shown = {heading: cells for heading, cells in COLUMNS.items() if cells[0][2] in metrics}
-    kinds = {**{heading: [kind for kind, _, _ in cells] for heading, cells in shown.items()}, "flicker\nerror": FLICKER}
+    kinds = {
+        **{heading: [kind for kind, _, _ in cells] for heading, cells in shown.items()},
+        "rec\nPSNR": ("",),
+        "flicker\nerror": FLICKER,
+    }
     for heading, below in kinds.items():
         for i, kind in enumerate(below):
             table.add_column((heading if i == 0 else "\n") + f"\n{kind}", justify="right", no_wrap=True)
     for result in results:
         means = {mean.name: mean.scores for mean in result.comparison.means}
         scores = [_score(means, *cell) for cells in shown.values() for cell in cells]
+        scores.append(f"{result.comparison.recpsnr:.2f}")
         table.add_row(result.method, *scores, *(_flicker(result.flicker, kind) for kind in FLICKER))
     print_whole(table, console)
     counts = {mean.name: mean.frames for mean in results[0].comparison.means}

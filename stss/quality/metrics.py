@@ -43,6 +43,7 @@ class Scores:
         psnr_rgb: dB, over R, G and B together; as ``psnr_luma``.
         flip: mean of FLIP's error map, 0 to 1, 0 where the two agree; None where the region is empty, or it was not taken.
         vmaf: 0 to 100, of a whole frame within its sequence; None elsewhere, or where it was not taken.
+        tpsnr: dB, of the whole frame's change since the one before (`stss.quality.temporal_psnr`); None elsewhere, or without one before.
     """
 
     psnr_luma: float | None
@@ -50,6 +51,7 @@ class Scores:
     psnr_rgb: float | None
     flip: float | None = None
     vmaf: float | None = None
+    tpsnr: float | None = None
 
 
 def to_8bit(image: Image) -> Bytes:

@@ -19,7 +19,7 @@ from stss.sequence.reader import Sequence
 from stss.weights.file import LoadedWeights
 
 NO_WEIGHTS = "none"
-"""Stands for the weights' identity in the files of a method without a network."""
+"""Stands for the weights' label in the files of a method without a network."""
 
 
 def open_method(
@@ -30,7 +30,7 @@ def open_method(
     *,
     tell: Callable[[str], None] = lambda line: None,
 ) -> tuple[Backend, str]:
-    """What computes a method, and the identity of its weights.
+    """What computes a method, and the label of its weights.
 
     Args:
         method: ``network``, or one of ``METHODS``; the other arguments matter to the network alone.
@@ -42,7 +42,7 @@ def open_method(
     """
     if method != NETWORK:
         return MethodBackend(method), NO_WEIGHTS
-    return open_backend(backend, loaded.weights, options, tell=tell), loaded.identity
+    return open_backend(backend, loaded.weights, options, tell=tell), loaded.label
 
 
 def with_skipping(
@@ -79,7 +79,7 @@ def within_budget(
     *,
     tell: Callable[[str], None] = lambda line: None,
 ) -> tuple[Backend, str]:
-    """The most accurate backend whose frames take no more than ``budget`` seconds, and the identity of its weights.
+    """The most accurate backend whose frames take no more than ``budget`` seconds, and the label of its weights.
 
     Args:
         loaded: the network's weights.
@@ -96,7 +96,7 @@ def within_budget(
         tried = replace(setting, device=options.device, memory_limit=options.memory_limit)
         return open_backend("cl", loaded.weights, tried, tell=tell)
 
-    return budgeting.choose(frames, budget, make, tell)[1], loaded.identity
+    return budgeting.choose(frames, budget, make, tell)[1], loaded.label
 
 
 def first_frames(sequence: Sequence, options: RunOptions) -> list[DisplayFrame]:

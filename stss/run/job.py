@@ -100,7 +100,7 @@ def run(
     sequence: Sequence,
     out: Path,
     backend: Backend,
-    weights_id: str,
+    weights: str,
     options: RunOptions,
     on_frame: Callable[[FrameReport], None] = lambda report: None,
     reads: Iterable[Path] = (),
@@ -113,7 +113,7 @@ def run(
         sequence: what to read.
         out: the folder to write to; made if need be.
         backend: what computes.
-        weights_id: identity of the weights, for the metadata.
+        weights: their label, for the metadata.
         options: the user's choices.
         on_frame: called after every frame.
         reads: files that must not be written to, besides those of the sequence.
@@ -136,7 +136,7 @@ def run(
         "stss:version": VERSION,
         "stss:spec": SPEC_VERSION,
         "stss:method": backend.method,
-        "stss:weights": weights_id,
+        "stss:weights": weights,
         "stss:backend": backend.name,
         "stss:transfer": options.transfer,
         "stss:depth": options.depth,

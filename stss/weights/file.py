@@ -23,9 +23,12 @@ from stss_ref.weights import TENSORS, Weights, WeightsError, check, require_name
 
 BILINEAR = "bilinear"
 """Name of the method without a network: `zeros`."""
+REALTIME, ANTIALIASED = "realtime", "antialiased"
+"""Names of the weights that come with the program (docs/model-card.md): for frames with one sample a pixel, and for antialiased ones."""
+SHIPPED = {name: Path(__file__).with_name(f"{name}.safetensors") for name in (REALTIME, ANTIALIASED)}
+"""Name -> file."""
 DEFAULT = "default"
-"""Name of the weights that come with the program (docs/model-card.md)."""
-_DEFAULT_FILE = Path(__file__).with_name("default.safetensors")
+"""Where nothing is known of the frames: `REALTIME`, for engines give such frames; else see ``stss.sequence.choose_weights``."""
 VERSION_KEY = "stss_weights_version"
 VERSION = "1"
 MAX_BYTES = 64 * 2**20
@@ -47,6 +50,11 @@ class LoadedWeights:
     identity: str
     metadata: Mapping[str, str]
 
+    @property
+    def label(self) -> str:
+        """What outputs are marked with: the identity, after the name of weights that have one."""
+        return f"{self.source} {self.identity}" if self.source in (*SHIPPED, BILINEAR) else self.identity
+
 
 def identity(weights: Weights) -> str:
     """SHA-256 of the names, shapes and numbers: the same for equal weights, whatever file they came in."""
@@ -58,16 +66,17 @@ def identity(weights: Weights) -> str:
 
 
 def load(source: str | Path) -> LoadedWeights:
-    """Weights of a ``.safetensors`` file, or of the names ``default`` and ``bilinear``.
+    """Weights of a ``.safetensors`` file, or of the names ``realtime`` (also ``default``), ``antialiased`` and ``bilinear``.
 
     Raises:
         InputError: the file can't be read or is of another format.
         WeightsError: a tensor is not what the network takes.
     """
+    source = REALTIME if str(source) == DEFAULT else source
     if str(source) == BILINEAR:
         weights, metadata = zeros(), dict[str, str]()
     else:
-        path = _DEFAULT_FILE if str(source) == DEFAULT else Path(source)
+        path = SHIPPED.get(str(source)) or Path(source)
         _require_file(path)
         weights, metadata = _read(path)
     return LoadedWeights(weights, str(source), identity(weights), metadata)
@@ -77,7 +86,7 @@ def _require_file(path: Path) -> None:
     if path.suffix.lower() in {".pkl", ".pth", ".pt"}:
         raise InputError(f"{path}: a PyTorch checkpoint; convert it first: stss weights import")
     if path.suffix.lower() != ".safetensors":
-        raise InputError(f"{path}: expected a .safetensors file or one of the names {DEFAULT}, {BILINEAR}")
+        raise InputError(f"{path}: expected a .safetensors file or one of the names {', '.join(SHIPPED)}, {BILINEAR}")
     try:
         size = require_regular(path)
     except OSError as error:

@@ -16,7 +16,8 @@ DATA = (
     *(f"stss_cl/kernels/{path.name}" for path in (ROOT / "kernels").iterdir()),
     *(f"stss/sequence/profile_tables/{path.name}" for path in (ROOT / "stss/sequence/profile_tables").iterdir()),
     "stss_cl/device/tuning.toml",
-    "stss/weights/default.safetensors",
+    "stss/weights/realtime.safetensors",
+    "stss/weights/antialiased.safetensors",
     *(f"stss_judge/conformance/suite/{path.name}" for path in (ROOT / "conformance/suite").glob("*.py")),
     "stss_judge/conformance/examples/cpp/port.cpp",
 )

@@ -125,10 +125,10 @@ def test_compare_takes_them_when_asked(folders):
     assert ef.scores["all"].vmaf < sf.scores["all"].vmaf
     assert mean.scores["all"].vmaf == (sf.scores["all"].vmaf + ef.scores["all"].vmaf) / 2
     assert ef.scores["holes"].vmaf is None
-    assert found.metrics == ["psnr_luma", "ssim", "psnr_rgb", "flip", "vmaf"]
+    assert found.metrics == ["psnr_luma", "ssim", "psnr_rgb", "flip", "vmaf", "tpsnr"]
     frame = json.loads(found.to_json())["frames"][0]
     assert list(frame["all"]) == found.metrics
-    assert list(frame["holes"]) == found.metrics[:-1]
+    assert list(frame["holes"]) == found.metrics[:-2]
     console = Console(file=io.StringIO(), width=80)
     print_comparison(found, console)
     row = next(line.split() for line in console.file.getvalue().splitlines() if line.split()[:2] == ["1", "EF"])
@@ -138,7 +138,7 @@ def test_compare_takes_them_when_asked(folders):
 
 def test_compare_leaves_them_out_when_not_asked(folders):
     found = compare(*folders)
-    assert list(json.loads(found.to_json())["means"]["SF"]["all"]) == ["psnr_luma", "ssim", "psnr_rgb"]
+    assert list(json.loads(found.to_json())["means"]["SF"]["all"]) == ["psnr_luma", "ssim", "psnr_rgb", "tpsnr"]
     console = Console(file=io.StringIO(), width=80)
     print_comparison(found, console)
     assert not {"FLIP", "VMAF"} & set(console.file.getvalue().split())

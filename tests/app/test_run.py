@@ -252,7 +252,7 @@ def test_what_was_skipped_is_told_and_shown(sequence, tmp_path):
     from stss.frames.backends import open_backend
     from stss.run.skip_report import told
 
-    out, weights = tmp_path / "out", load("default").weights
+    out, weights = tmp_path / "out", load("realtime").weights
     summary = run(sequence, out, open_backend("cl", weights), "w", RunOptions(show_skipped=True))
     costs = [frame.cost for frame in summary.frames]
     assert all(costs)

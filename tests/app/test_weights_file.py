@@ -95,7 +95,7 @@ def test_a_checkpoint_is_sent_to_import(tmp_path: Path, suffix: str):
     [
         ("missing.safetensors", "No such file"),
         ("folder.safetensors", "expected a regular file, found a folder"),
-        ("bicubic", "expected a .safetensors file or one of the names default, bilinear"),
+        ("bicubic", "expected a .safetensors file or one of the names realtime, antialiased, bilinear"),
     ],
 )
 def test_what_is_no_weights_file_is_named(tmp_path: Path, name: str, message: str):
@@ -250,10 +250,17 @@ def test_the_authors_weights_survive_the_conversion(reference_data: Path, path: 
     assert _same(load(path).weights, weights)
 
 
-def test_the_weights_that_come_with_the_program():
+@pytest.mark.parametrize("name", ["realtime", "antialiased"])
+def test_the_weights_that_come_with_the_program(name: str):
     """They are there, are no zero residual, and say where they are from."""
-    loaded = load("default")
+    loaded = load(name)
     assert loaded.weights["outc.weight"].any()
     runs = json.loads(loaded.metadata["average_of"])
     assert runs
     assert all({"settings", "steps"} <= set(run) for run in runs)
+
+
+def test_outputs_are_marked_with_the_name_of_weights_that_have_one(path: Path):
+    save(path, random(1), {})
+    assert load(path).label == identity(random(1))
+    assert load("antialiased").label == f"antialiased {load('antialiased').identity}"

@@ -64,7 +64,7 @@ def main():
     parser.add_argument("--first", type=int, default=10**6, help="number of the first film; training has those from 0 on")
     parser.add_argument("--frames", type=positive, default=32)
     parser.add_argument("--size", default="320x180")
-    parser.add_argument("--weights", default="default")
+    parser.add_argument("--weights", default="realtime")
     parser.add_argument("--levels", default="1,2,4", help="largest errors, in steps of 8 bits")
     parser.add_argument("--write", action="store_true", help="put the table into docs/skipping.md")
     given = parser.parse_args()

@@ -15,7 +15,7 @@ from stss_ref.schedule import FrameKind
 from training import samples as module
 from training.augment import MASK, NORMAL, augment, collate, mask_at_random, turn_of_the_world
 from training.samples import film_frames, pack, samples, split_of, unpack
-from training.scenes import Film, random_film
+from training.scenes import INPUTS, Film, random_film
 
 SIZE = (24, 32)
 
@@ -65,6 +65,18 @@ def test_random_films_differ_and_repeat():
     images = [next(film_frames(random_film(seed), SIZE, 1)).color for seed in (1, 1, 2)]
     np.testing.assert_array_equal(images[0], images[1])
     assert (images[0] != images[2]).any()
+
+
+def test_films_of_one_scene_are_in_one_split_however_they_are_sampled():
+    scenes = {random_film(3, inputs).scene.name for inputs in INPUTS}
+    assert len(scenes) == 1
+
+
+@pytest.mark.parametrize("inputs", INPUTS)
+def test_inputs_say_what_is_a_mean_over_the_pixel(inputs):
+    sharp, made = (next(film_frames(random_film(3, kind), SIZE, 1)) for kind in ("aliased", inputs))
+    for name in ("color", "normal", "depth"):
+        assert (getattr(made, name) != getattr(sharp, name)).any() == (name in INPUTS[inputs])
 
 
 def test_a_scene_is_in_one_split():

@@ -14,7 +14,7 @@ from training.samples import Sample, write
 torch = pytest.importorskip("torch", reason="the package torch is not installed: pip install '.[train]'")
 torch.set_num_threads(1)
 
-from training.data import Batches, load_shards  # noqa: E402
+from training.data import Batches, details, load_shards  # noqa: E402
 from training.train import Settings, main, rate_at, start  # noqa: E402
 
 
@@ -93,11 +93,32 @@ def test_batches_are_half_and_half_and_depend_on_the_step_alone(data):
     ]
 
 
+def test_every_folder_of_shards_is_drawn_from_equally_often(tmp_path):
+    """However much lies in each: here one shard beside nine."""
+    for folder, count in (("few", 1), ("many", 9)):
+        for i in range(count):
+            value = float(folder == "few")
+            made = [Sample(0, kind, np.zeros((16, 16, 24)), np.full((32, 32, 3), value)) for kind in (FrameKind.SF, FrameKind.EF)]
+            write(tmp_path / folder / str(i), f"{folder} {i}", "training", made)
+    batches = Batches(load_shards(tmp_path), side=16, batch=20, seed=0)
+    few = np.mean([(batches[step].truth.max(axis=(1, 2, 3)) > 0.5).mean() for step in range(5)])
+    assert 0.35 < few < 0.65
+
+
+def test_detail_of_a_crop_is_that_of_its_pixels():
+    truth = np.random.default_rng(0).random((20, 28, 3)).astype(np.float16)
+    blocks = truth[4:12, 6:22].astype(np.float32).reshape(4, 2, 8, 2, 3)
+    want = np.abs(blocks - blocks.mean(axis=(1, 3), keepdims=True)).sum()
+    sums = details(truth)
+    assert sums.shape == (11, 15)
+    assert abs(sums[6, 11] - sums[2, 11] - sums[6, 3] + sums[2, 3] - want) < 1e-4
+
+
 def test_batches_for_ablations(data):
     shards = load_shards(data)
     for kind, others in (("SF", {"EF"}), ("EF", {"SF"})):
         batches = Batches(shards, side=16, batch=4, seed=0, kinds=(kind,), masking=False)
-        batches._places = {**batches._places, **{key: [] for key in others}}  # to draw from the other would fail
+        batches._sets = {**batches._sets, **{key: [] for key in others}}  # to draw from the other would fail
         assert (batches[0].mask == 1).all()
     masked = Batches(shards, side=16, batch=4, seed=0)
     assert any((masked[step].mask == 0).any() for step in range(4))

@@ -25,7 +25,7 @@ PRIMITIVES: dict[str, Callable[[], Any]] = {
     "monkey": lambda: bpy.ops.mesh.primitive_monkey_add(size=1),
 }
 SMOOTH = ("sphere", "torus", "monkey")
-WORDS = ("STSS", "frame 42", "Halt!", "R2x2", "exit", "98.6 m")
+WORDS = ("STSS", "frame 42", "Halt!", "R2x2", "exit", "98.6 m", "Platform 7", "No entry", "Kiosk", "%&?")
 
 
 def _mesh_object(shape: str, seed: int) -> Any:
@@ -150,7 +150,7 @@ def build(scene: Spec) -> None:
     ambient = 0.0 if sky["lights"] else sky["ambient"]
     materials: dict[tuple[int, bool], Any] = {}
     for spec in scene["objects"]:
-        flat = spec["shape"] in ("card", "bush")
+        flat = spec["shape"] in ("card", "bush", "grass")
         key = (spec["material"], flat)
         if key not in materials:
             materials[key] = build_material(scene["materials"][spec["material"]] | {"flat": flat}, ambient)

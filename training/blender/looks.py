@@ -33,7 +33,7 @@ def material(rng: random.Random, texture: str | None = None, metal: float = 0.2)
         "texture": kind,
         "a": colour(rng, 0.4, 0.95),
         "b": colour(rng, 0.03, 0.4),
-        "scale": math.exp(rng.uniform(math.log(0.3), math.log(3.0))) * (0.4 if kind == "brick" else 1.0),
+        "scale": math.exp(rng.uniform(math.log(0.5), math.log(4.5))) * (0.4 if kind == "brick" else 1.0),
         "metallic": [1.0, rng.choice((1.0, 1.0, 0.0))] if is_metal else [0.0, 0.0],
         "roughness": [rough, min(1.0, rough * rng.choice((1.0, 1.0, 1.8)))],
         "bump": rng.uniform(0.1, 0.6) if kind in PROCEDURAL and rng.random() < 0.35 else 0.0,

@@ -50,6 +50,8 @@ def start(given: argparse.Namespace, split: str, seed: int) -> subprocess.Popen[
         "--truth-samples",
         str(given.truth_samples if split == "train" else given.test_samples),
     ]
+    command += ["--truth-frames", *map(str, given.truth_frames)] if given.truth_frames else []
+    command += ["--antialiased"] if given.antialiased else []
     if nice := shutil.which("nice"):
         command = [nice, "-n", str(given.nice), *command]
     with (folder / "log.txt").open("wb") as log:
@@ -104,6 +106,8 @@ def main() -> None:
     parser.add_argument(
         "--test-samples", type=int, default=36, help="the same for validation and test: noise would count as error"
     )
+    parser.add_argument("--truth-frames", type=int, nargs="+", metavar="N", help="which frames get a truth; default: all")
+    parser.add_argument("--antialiased", action="store_true", help="samples spread over the pixel, G-buffer and all")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="scenes rendered at the same time, one thread each")
     parser.add_argument("--nice", type=int, default=19)
     parser.add_argument("-o", "--output", type=Path, required=True)

@@ -14,7 +14,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +25,6 @@ from scenes import SPLITS, VERSION, describe
 
 POINT = 0.01
 """Filter width in pixels, the smallest there is: every sample lies at the pixel's centre."""
-ALIASED = 4
-"""Every so manieth scene has its samples at the pixels' centres; the others' are spread over the pixel, G-buffer and all."""
 
 
 def common(scene: Any, threads: int) -> None:
@@ -93,11 +91,11 @@ def quiet() -> Iterator[None]:
         os.close(nothing)
 
 
-def render_frames(folder: Path, frames: int) -> float:
+def render_frames(folder: Path, frames: Iterable[int]) -> float:
     """Render what is not there yet; a file is whole or not there. Returns the seconds it took."""
     folder.mkdir(parents=True, exist_ok=True)
     scene, start = bpy.context.scene, time.monotonic()
-    for number in range(1, frames + 1):
+    for number in frames:
         path = folder / f"frame.{number:04}.exr"
         if path.exists():
             continue
@@ -120,6 +118,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--frames", type=int, default=16)
     parser.add_argument("--samples", type=int, default=32, help="of a small frame's pixel")
     parser.add_argument("--truth-samples", type=int, default=36, help="of a truth's pixel, 16 or more")
+    parser.add_argument("--truth-frames", type=int, nargs="+", metavar="N", help="which frames get a truth; default: all")
+    parser.add_argument("--antialiased", action="store_true", help="samples spread over the pixel, G-buffer and all")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder; what is finished there is kept")
     given = parser.parse_args()
@@ -146,8 +146,9 @@ def main() -> None:
     """Render a scene; `scene.json` is written last: where it is, the scene is finished."""
     given = arguments()
     described = describe(given.scene, given.split, given.frames)
-    aliased = given.scene % ALIASED == 0
-    settings = {"aliased": aliased, "size": given.size, "samples": given.samples, "truth_samples": given.truth_samples}
+    aliased, every = not given.antialiased, range(1, given.frames + 1)
+    settings: dict[str, Any] = {"aliased": aliased, "size": given.size, "samples": given.samples}
+    settings |= {"truth_samples": given.truth_samples, "truth_frames": given.truth_frames or list(every)}
     settings |= {"blender": bpy.app.version_string}
     claim(given.output, {"scene": given.scene, "split": given.split, "frames": given.frames, "scenes": VERSION} | settings)
     lines = [f"{t + 1},{x:.9g},{y:.9g},{z:.9g}" for t in range(given.frames) for x, y, z in [camera(described["shots"], t)[0]]]
@@ -157,9 +158,9 @@ def main() -> None:
     scene = bpy.context.scene
     common(scene, given.threads)
     small(scene, given.size, given.samples, aliased=aliased)
-    seconds = {"lr": render_frames(given.output / "lr", given.frames)}
+    seconds = {"lr": render_frames(given.output / "lr", every)}
     truth(scene, given.size, given.truth_samples)
-    seconds["hr"] = render_frames(given.output / "hr", given.frames)
+    seconds["hr"] = render_frames(given.output / "hr", settings["truth_frames"])
     (given.output / "scene.json").write_text(json.dumps(described | {"render": settings | {"seconds": seconds}}, indent=1))
     sys.stdout.write(f"{given.output}: {given.frames} frames, lr {seconds['lr']:.1f} s, hr {seconds['hr']:.1f} s\n")
 

@@ -13,13 +13,13 @@ from typing import Any
 from looks import CUTOUTS, PICTURES, lights, material, sky
 from paths import add, camera, distance
 
-VERSION = 2
+VERSION = 3
 """Raise it when the same seed no longer gives the same scene."""
 
 SPLITS = ("train", "validation", "test")
 LAYOUTS = ("hall", "street", "field", "table", "yard")
 SOLIDS = ("cube", "cube", "sphere", "cylinder", "cone", "torus", "monkey")
-THIN = ("fence", "lattice", "wheel", "cables", "ladder")
+THIN = ("fence", "lattice", "wheel", "cables", "wires", "ladder")
 MOVES = ("orbit", "pan", "truck", "dolly", "crane", "tilt", "rest")
 CLEAN = ("checker", "checker", "checker", "plain", "brick", "stripes")
 """Textures of the scenes that are all hard edges: flat surfaces, no bumps, nothing that glows."""
@@ -150,6 +150,8 @@ def _furnish(scene: Scene) -> None:
         plants //= 3
         _poles(scene)
     leaves = [scene.paint("leaves") for _ in range(2)]
+    _grass(scene)
+    _wires(scene)
     for shape in [rng.choice(SOLIDS) for _ in range(solids)]:
         size = [unit * rng.uniform(0.5, 2.2) for _ in range(3)]
         size = size if shape in ("cube", "cylinder") else [size[0]] * 3
@@ -169,6 +171,33 @@ def _furnish(scene: Scene) -> None:
         tall = unit * rng.uniform(0.8, 3.5)
         if spot := scene.spot(tall / 2, 7 * unit):
             scene.put("bush", (*spot, tall / 2), [tall] * 3, rng.choice(leaves))
+
+
+def _grass(scene: Scene) -> None:
+    """Tufts of blades about a pixel wide; on a field many, else in every third scene."""
+    rng, unit = scene.rng, scene.away / 9
+    paints = [scene.paint("plain", 0) for _ in range(3)]
+    for paint in paints:
+        bright = rng.uniform(0.15, 0.8)
+        green = [bright * rng.uniform(0.2, 0.8), bright, bright * rng.uniform(0.05, 0.4)]
+        scene.materials[paint] |= {"a": green, "b": green}
+    for _ in range(rng.randint(4, 10) if scene.layout == "field" or rng.random() < 0.33 else 0):
+        wide, tall = unit * rng.uniform(1, 4), unit * rng.uniform(0.2, 1)
+        if spot := scene.spot(wide / 3, 5 * unit):
+            scene.put("grass", (*spot, tall / 2), (wide, wide, tall), rng.choice(paints), (0, 0, rng.uniform(0, 6)))
+
+
+def _wires(scene: Scene) -> None:
+    """Wires across the picture, before and behind what stands there, in every second scene."""
+    rng, unit = scene.rng, scene.away / 9
+    for _ in range(rng.choice((0, 0, 1, 2))):
+        angle, far, tall = rng.uniform(0, 2 * math.pi), rng.uniform(-4, 4) * unit, unit * rng.uniform(0.5, 3)
+        at = (
+            scene.centre[0] + far * math.cos(angle),
+            scene.centre[1] + far * math.sin(angle),
+            unit * rng.uniform(0.3, 3) + tall / 2,
+        )
+        scene.put("wires", at, (12 * unit, unit, tall), scene.paint("plain", 0.3), (0, 0, angle + math.pi / 2))
 
 
 def _poles(scene: Scene) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 Point = tuple[float, float, float]
@@ -59,7 +59,7 @@ def mesh(kind: str, seed: int) -> Mesh:
     """Make one.
 
     Args:
-        kind: "fence", "lattice", "wheel", "cables", "ladder", "card" or "bush".
+        kind: "fence", "lattice", "wheel", "cables", "wires", "ladder", "card", "bush" or "grass".
         seed: for what is random in it.
     """
     rng = random.Random(f"shape {kind} {seed}")
@@ -71,10 +71,22 @@ def mesh(kind: str, seed: int) -> Mesh:
             angle = rng.uniform(0, math.pi)
             c, s, o = 0.5 * math.cos(angle), 0.5 * math.sin(angle), rng.uniform(-0.1, 0.1)
             made.quad([(-c + o, -s, -0.5), (c + o, s, -0.5), (c + o, s, 0.5), (-c + o, -s, 0.5)])
+    elif kind == "grass":
+        for _ in range(rng.randint(60, 200)):
+            made.quad(_blade(rng))
     else:
-        for bar in {"fence": _fence, "lattice": _lattice, "wheel": _wheel, "cables": _cables, "ladder": _ladder}[kind](rng):
+        for bar in BARS[kind](rng):
             made.bar(bar)
     return made
+
+
+def _blade(rng: random.Random) -> list[Point]:
+    """A blade of grass: a thin triangle, bent over; a square whose upper corners meet."""
+    x, y, angle = rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5), rng.uniform(0, 2 * math.pi)
+    half, lean, tall = rng.uniform(0.002, 0.008), rng.gauss(0, 0.04), rng.uniform(0.1, 1.0)
+    c, s = math.cos(angle), math.sin(angle)
+    tip = (x - lean * s, y + lean * c, tall - 0.5)
+    return [(x - half * c, y - half * s, -0.5), (x + half * c, y + half * s, -0.5), tip, tip]
 
 
 def _fence(rng: random.Random) -> list[Bar]:
@@ -112,7 +124,21 @@ def _cables(rng: random.Random) -> list[Bar]:
     return bars
 
 
+def _wires(rng: random.Random) -> list[Bar]:
+    """Taut wires, one above the other, from a twentieth of a pixel to a pixel thick."""
+    n, thick = rng.randint(2, 7), math.exp(rng.uniform(math.log(0.0008), math.log(0.006)))
+    return [
+        ((-0.5, 0.0, z), (0.5, rng.uniform(-0.1, 0.1), z + rng.gauss(0, 0.02)), thick) for z in (i / n - 0.4 for i in range(n))
+    ]
+
+
 def _ladder(rng: random.Random) -> list[Bar]:
     n, thick = rng.randint(6, 14), rng.uniform(0.015, 0.035)
     bars: list[Bar] = [((x, 0.0, -0.5), (x, 0.0, 0.5), thick) for x in (-0.2, 0.2)]
     return bars + [((-0.2, 0.0, (i + 0.5) / n - 0.5), (0.2, 0.0, (i + 0.5) / n - 0.5), 0.7 * thick) for i in range(n)]
+
+
+BARS: dict[str, Callable[[random.Random], list[Bar]]] = {
+    "fence": _fence, "lattice": _lattice, "wheel": _wheel, "cables": _cables, "wires": _wires, "ladder": _ladder,
+}  # fmt: skip
+"""What is made of bars."""

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: MIT
+"""Whether a sequence's frames are aliased or antialiased: the frames say so themselves, and weights are chosen by it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stss.color import transfer
+from stss.errors import InputError
+from stss.frames.buffers import Buffers
+from stss.sequence.reader import Sequence
+from stss_ref.arrays import Array
+
+LOOKED_AT = 3
+"""Frames, from the first rendered one to the last."""
+NOT_UNIT = 0.01
+"""A normal is a mixture when its length is so far from 1: half precision and interpolation stay below."""
+MIXED_NORMALS = 0.02
+"""Share of mixed normals. Aliased frames, bump maps and leaves among them: up to 0.009; antialiased ones: 0.066 and more."""
+MIXED_COLORS = 0.47
+"""Share of edges with a colour in between. Aliased frames, for their textures: up to 0.34; antialiased ones: 0.59 and more."""
+ENOUGH = 50
+"""So many edges must be there to be judged by."""
+SAME, STEP = 0.05, 0.3
+"""Normals of one surface differ by less, those of two by more, in each component."""
+CONTRAST = 0.15
+"""Edges of less contrast, display-referred, tell nothing."""
+BETWEEN = 0.15, 0.85
+"""A colour in between: its share of the way from one side's to the other's."""
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How the pixels were sampled, and what says so.
+
+    Attributes:
+        antialiased: colour, or colour and G-buffer, are means over the pixel.
+        reason: for the user.
+    """
+
+    antialiased: bool
+    reason: str
+
+
+def judge_sampling(sequence: Sequence) -> Sampling:
+    """Look at a few rendered frames; a frame that cannot be read is for others to complain of.
+
+    An antialiased G-buffer has normals that are not of unit length along every silhouette. A G-buffer that is not leaves the
+    colour: where the surface's normal jumps from one pixel to the next, an aliased colour jumps as well, an antialiased one has a
+    pixel in between. Where nothing tells, frames count as aliased: it is what engines give.
+    """
+    rendered = sorted(sequence.rendered)
+    chosen = sorted({rendered[i * (len(rendered) - 1) // (LOOKED_AT - 1)] for i in range(LOOKED_AT)}) if rendered else []
+    linear = sequence.profile.color_domain == "linear"
+    hit = mixed = edges = between = 0
+    for number in chosen:
+        try:
+            buffers = sequence.load(number)
+        except InputError:
+            continue
+        seen = np.isfinite(buffers.depth) & np.isfinite(buffers.normal).all(axis=-1)
+        length = np.linalg.norm(buffers.normal[seen].astype(np.float64), axis=-1)
+        hit, mixed = hit + length.size, mixed + int((np.abs(length - 1) > NOT_UNIT).sum())
+        found, of = _colors_between(buffers, linear=linear)
+        edges, between = edges + of, between + found
+    if mixed > MIXED_NORMALS * hit:
+        return Sampling(True, f"{mixed / hit:.1%} of the normals are mixtures, not of unit length")
+    if edges < ENOUGH:
+        return Sampling(False, f"normals are of unit length, and only {edges} edges show whether colours are")
+    share = f"{between / edges:.0%} of the surfaces' edges have a colour in between"
+    return Sampling(between > MIXED_COLORS * edges, share)
+
+
+def _colors_between(buffers: Buffers, *, linear: bool) -> tuple[int, int]:
+    """How many edges of the surface have a colour in between, of how many with contrast; along rows and columns."""
+    assert buffers.color is not None
+    color = transfer("srgb" if linear else "none").encode(np.nan_to_num(buffers.color)).astype(np.float64)
+    normal = np.nan_to_num(buffers.normal)
+    rows, columns = _between(color, normal), _between(color.swapaxes(0, 1), normal.swapaxes(0, 1))
+    return rows[0] + columns[0], rows[1] + columns[1]
+
+
+def _between(color: Array, normal: Array) -> tuple[int, int]:
+    """The same along rows: four pixels, the first two of one surface, the last two of another."""
+    jump = np.abs(np.diff(normal, axis=1)).max(axis=-1)
+    first, second, third = jump[:, :-2], jump[:, 1:-1], jump[:, 2:]
+    way = color[:, 3:] - color[:, :-3]
+    square = (way * way).sum(axis=-1)
+    edge = (first < SAME) & (second > STEP) & (third < SAME) & (square > CONTRAST**2)
+    shares = [((part - color[:, :-3]) * way).sum(axis=-1)[edge] / square[edge] for part in (color[:, 1:-2], color[:, 2:-1])]
+    low, high = BETWEEN
+    found = np.any([(share > low) & (share < high) for share in shares], axis=0)
+    return int(found.sum()), int(edge.sum())

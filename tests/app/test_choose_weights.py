@@ -1,0 +1,134 @@
+"""The weights that suit a sequence are chosen from its frames, once, and are said everywhere."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from conformance.scenes import DEMO, render
+from stss.check.report import check
+from stss.demo import demo_path, frame_channels
+from stss.errors import InputError
+from stss.images.read_write import read_header, write_channels
+from stss.sequence.antialiasing import judge_sampling
+from stss.sequence.choose_weights import AUTO, choose_weights
+from stss.sequence.reader import open_sequence
+from stss.weights.file import load
+
+SIZE = (72, 128)
+
+
+def mean_normals(number):
+    """As a path tracer writes them: means over the pixel."""
+    fine = render(DEMO, number, 3 * SIZE[0], 3 * SIZE[1]).normal
+    return fine.reshape(SIZE[0], 3, SIZE[1], 3, 3).mean(axis=(1, 3))
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory):
+    """Sequences of one frame with a colour and one without: aliased, an antialiased colour, an antialiased G-buffer as well."""
+    root = tmp_path_factory.mktemp("sampling")
+    for kind, samples in (("aliased", 1), ("color", 9), ("all", 9)):
+        (root / kind).mkdir()
+        for number in range(2):
+            frame = render(DEMO, number, *SIZE, samples=samples)
+            if kind == "all":
+                frame = replace(frame, normal=mean_normals(number))
+            write_channels(demo_path(root / kind, number), frame_channels(frame, rendered=number == 0))
+    return root
+
+
+@pytest.mark.parametrize(
+    ("kind", "antialiased", "reason"),
+    [
+        ("aliased", False, "edges have a colour in between"),
+        ("color", True, "edges have a colour in between"),
+        ("all", True, "mixtures"),
+    ],
+)
+def test_frames_say_how_they_were_sampled(rendered, kind, antialiased, reason):
+    found = judge_sampling(open_sequence(rendered / kind, "stss"))
+    assert found.antialiased == antialiased
+    assert reason in found.reason
+
+
+def test_the_choice_is_told_with_its_reason(rendered):
+    for kind, name in (("aliased", "realtime"), ("all", "antialiased")):
+        said = []
+        loaded = choose_weights(AUTO, open_sequence(rendered / kind, "stss"), said.append)
+        assert loaded.source == name
+        assert loaded.label == f"{name} {load(name).identity}"
+        assert said[0].startswith(f"weights: {name} (")
+
+
+def test_a_name_overrides_the_frames_and_nothing_is_said(rendered):
+    said = []
+    loaded = choose_weights("antialiased", open_sequence(rendered / "aliased", "stss"), said.append)
+    assert (loaded.source, said) == ("antialiased", [])
+
+
+def test_a_method_without_a_network_needs_no_choice(rendered):
+    said = []
+    sequence = open_sequence(rendered / "aliased", "stss")
+    assert choose_weights(AUTO, sequence, said.append, needed=False).source == "bilinear"
+    assert said == []
+    with pytest.raises(InputError):  # a wrong name is wrong all the same
+        choose_weights("bicubic", sequence, said.append, needed=False)
+
+
+def test_check_says_which_weights_a_run_takes_and_why(rendered):
+    report = check(rendered / "all", "stss")
+    assert any("mixtures, not of unit length); stss run takes the weights antialiased" in f.text for f in report.findings)
+    assert json.loads(report.to_json())["sampling"]["antialiased"] is True
+    report = check(rendered / "aliased", "stss")
+    assert any("stss run takes the weights realtime" in finding.text for finding in report.findings)
+
+
+def test_a_part_of_a_sequence_gets_the_weights_of_the_whole(rendered, tmp_path):
+    """Frames in which nothing tells, at the start, change nothing: the last rendered frame is looked at as well."""
+    for number in range(4):
+        channels = frame_channels(render(DEMO, number, *SIZE, samples=9), rendered=number % 2 == 0)
+        if number == 0:
+            channels |= {name: np.zeros(SIZE, np.float32) for name in "RGB"}
+        write_channels(demo_path(tmp_path, number), channels)
+    assert judge_sampling(open_sequence(tmp_path, "stss")).antialiased
+
+
+def test_where_nothing_tells_frames_count_as_an_engine_gives_them(write_frames):
+    found = judge_sampling(open_sequence(write_frames([1, 2, 3]), "stss"))
+    assert not found.antialiased
+    assert "only 0 edges" in found.reason
+
+
+def test_a_frame_that_cannot_be_read_is_left_to_the_run(write_frames):
+    folder = write_frames([1, 2, 3])
+    (folder / "seq.0003.exr").write_bytes((folder / "seq.0003.exr").read_bytes()[:2000])
+    try:
+        sequence = open_sequence(folder, "stss")
+    except InputError:
+        pytest.skip("the sequence itself is refused")
+    assert not judge_sampling(sequence).antialiased
+
+
+def test_every_file_names_the_weights(rendered, tmp_path):
+    from click.testing import CliRunner
+
+    from stss.cli.main import stss
+
+    done = CliRunner().invoke(
+        stss, ["run", str(rendered / "all"), "-o", str(tmp_path), "--backend", "ref"], catch_exceptions=False
+    )
+    assert done.exit_code == 0
+    assert "weights: antialiased (" in done.output
+    for number in range(2):
+        made = read_header(tmp_path / f"frame.{number:04d}.exr").attributes["stss:weights"]
+        assert made == f"antialiased {load('antialiased').identity}"
+
+
+def test_default_is_chosen_where_there_are_frames_and_realtime_where_there_are_none(rendered):
+    said = []
+    for kind in ("aliased", "all"):
+        sequence = open_sequence(rendered / kind, "stss")
+        assert choose_weights("default", sequence, said.append).identity == choose_weights(AUTO, sequence, said.append).identity
+    assert load("default").source == "realtime"

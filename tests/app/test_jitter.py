@@ -1,0 +1,92 @@
+"""A camera that is jittered by parts of a pixel is found out, whether motion has the jitter or not."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from conformance.scenes import DEMO, render
+from stss.check.jitter import judge_jitter
+from stss.check.report import check
+from stss.frames.buffers import Buffers
+
+SIZE = (60, 96)
+JITTER = ((0.0, 0.0), (0.25, -0.375), (-0.25, 0.125), (0.375, 0.25))
+"""Pixels by which the camera of each frame is shifted."""
+PIXEL = 0.0061
+"""About an angle of one pixel, as a shift of the target at a distance of 1."""
+
+
+def buffers(number, frame):
+    planes = {name: getattr(frame, name) for name in frame.__dataclass_fields__}
+    planes["position"] = np.where(np.isinf(frame.depth)[..., None], 1e6, frame.position)
+    return Buffers(number=number, **planes)
+
+
+def frames(*, jittered, moving):
+    """Frames of the demo's scene; the camera stands or travels, its target shakes by the jitter. Motion is the camera's own."""
+    made = []
+    for number in range(len(JITTER)):
+        scene = DEMO if moving else replace(DEMO, camera=still(DEMO.camera))
+        shaken = replace(scene, camera=shaken_by(scene.camera)) if jittered else scene
+        made.append(buffers(number, render(shaken, number, *SIZE)))
+    return list(pairwise(made))
+
+
+def still(camera):
+    return replace(camera, position=lambda frame: camera.position(0), target=lambda frame: camera.target(0))
+
+
+def shaken_by(camera):
+    """Within a frame's own time the jitter is constant; motion compares with the frame before, whose jitter is another."""
+
+    def target(frame):
+        x, y, z = camera.target(frame)
+        dx, dy = JITTER[round(frame) % len(JITTER)]
+        far = np.linalg.norm(np.subtract(camera.target(frame), camera.position(frame)))
+        return x + PIXEL * far * dx, y, z + PIXEL * far * dy
+
+    return replace(camera, target=target)
+
+
+def without_motion(pairs):
+    return [(before, replace(now, motion=np.zeros_like(now.motion))) for before, now in pairs]
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_a_sound_camera_is_not_accused(moving):
+    assert judge_jitter(frames(jittered=False, moving=moving)).lines == []
+
+
+def test_a_jitter_that_motion_lacks_is_found():
+    found = judge_jitter(without_motion(frames(jittered=True, moving=False)))
+    assert len(found.against_motion) == 3
+    assert any("shifted against the motion" in line for line in found.lines)
+
+
+def test_a_jitter_that_motion_has_is_found_where_the_camera_stands():
+    """As an offset of the projection is: the same for every pixel."""
+    offsets = np.diff(JITTER, axis=0).astype(np.float32)
+    pairs = [
+        (before, replace(now, motion=now.motion - offset))
+        for (before, now), offset in zip(frames(jittered=False, moving=False), offsets, strict=True)
+    ]
+    found = judge_jitter(pairs)
+    assert np.abs(np.array(found.in_motion) + offsets).max() < 1e-3
+    assert any("all that stands moves alike" in line for line in found.lines)
+
+
+def test_check_warns_of_it(write_frames):
+    def jitter(number, channels):
+        dx, dy = JITTER[number % len(JITTER)]
+        y, x = np.mgrid[:48, :64].astype(np.float64)
+        zero = 0 * x
+        return channels | {
+            "position.X": x + dx, "position.Y": y + dy, "motion.X": zero, "motion.Y": zero, "stencil.X": zero,
+        }  # fmt: skip
+
+    report = check(write_frames([1, 2, 3, 4, 5], change=jitter), "stss")
+    assert [f.level for f in report.findings if "jitter: positions are shifted" in f.text] == ["warning"]
+    assert report.status == 1
+    assert report.tables["jitter"]["against_motion"]
