@@ -5,7 +5,7 @@
 //  color    in   (H8, W8, 4)     see decoder.clh, as weight and bias
 //  image    out  (2H, 2W, 3)     what lies beyond 2H, 2W is not written
 //
-// The buffers may hold a strip of the frame: their row 0 is the frame's row `top`; rows from `from` on are written.
+// The buffers may hold a strip of the frame: their row 0 is the frame's row `top`; rows from `first_row` on are written.
 //
 // Build -D STRIP (pixels of one work-item, a multiple of 4) -D GROUP (work-group along x), optionally -D HALF.  Launch (ceil(W / STRIP), rows to write).
 // winograd.cl -D IMAGE does the same at the end of up3.
@@ -22,8 +22,8 @@
 
 kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void image(global const stored *restrict feature, global const float4 *restrict color, global const float8 *restrict weight,
-           global const float8 *restrict bias, global float *restrict out, const int width, const int rows, const int columns,
-           const int feature_columns, const int from, const int top
+           global const float8 *restrict bias, global float *restrict image, const int width, const int rows, const int columns,
+           const int feature_columns, const int first_row, const int top
 #ifdef SKIP
            , global const uchar *restrict feature_changes, global const uchar *restrict color_changes
 #elif defined(WANTED)
@@ -31,7 +31,7 @@ void image(global const stored *restrict feature, global const float4 *restrict 
 #endif
            )
 {
-    const int y = from + get_global_id(1), first = get_global_id(0) * STRIP, last = min(first + STRIP, width);
+    const int y = first_row + get_global_id(1), first = get_global_id(0) * STRIP, last = min(first + STRIP, width);
     for (int x = first; x < last; x += 4) {
 #ifdef SKIP
         const int high = rows / 4, wide = columns / 4;
@@ -41,13 +41,13 @@ void image(global const stored *restrict feature, global const float4 *restrict 
 #ifdef WANTED
         if (!wanted[y / 4 * (columns / 4) + x / 4]) {
             for (int i = 0; i < 8; ++i) sums[i] = 0.0f;
-            write_pixels(sums, color, out, y, x, last, width, rows, columns, top);
+            write_pixels(sums, color, image, y, x, last, width, rows, columns, top);
             continue;
         }
 #endif
         // Beyond the row lie zeros or the next one: computed, not written.
         for (int c = 0; c < 12; ++c) f[c] = LOAD8(feature, ((y + 1) * feature_columns + x + 1) * 3 + c);
         residual((const float *)f, weight, bias, sums);
-        write_pixels(sums, color, out, y, x, last, width, rows, columns, top);
+        write_pixels(sums, color, image, y, x, last, width, rows, columns, top);
     }
 }

@@ -10,9 +10,9 @@
 //                                           near the frame's edge all are
 // Launch (columns / 4, rows / 4), or more.
 //
-// departure: what leaving the plain tiles out would change, from an image that all of the network made.
+// departure: what leaving the flat tiles out would change, from an image that all of the network made.
 //  image    in   (2H, 2W, 3)
-//  apart    out  (rows / 4, columns / 4)     the largest difference from the upsampled frame in a plain tile; 0 in the others
+//  apart    out  (rows / 4, columns / 4)     the largest difference from the upsampled frame in a flat tile; 0 in the others
 // Launch (columns / 4, rows / 4), or more.
 //
 // coarser: the map for a decoder's layers at half the size, of which those of `fine` read.  Launch the size of `out`, or more; `rows`, `columns` are those of `fine`.

@@ -26,11 +26,11 @@
 
 // The map of what is to be computed; elsewhere nothing has moved, and `chained` is 0 already.
 #ifdef SKIP
-#define BUSY_ARGUMENT , global const uchar *restrict busy
-#define IS_BUSY(x, y) busy[tile_of(x, y, (width + 7) / 8 * 8)]
+#define DIRTY_ARGUMENT , global const uchar *restrict dirty
+#define IS_DIRTY(x, y) dirty[tile_of(x, y, (width + 7) / 8 * 8)]
 #else
-#define BUSY_ARGUMENT
-#define IS_BUSY(x, y) true
+#define DIRTY_ARGUMENT
+#define IS_DIRTY(x, y) true
 #endif
 
 // Of at most five frames, newest first; those that no step needs are not read.

@@ -32,10 +32,10 @@ INLINE Pair8 gather_longest8(global const float2 *motion, const int8 corner, con
 // chain_steps for gather_longest, one work-item a row of eight pixels.
 kernel void chain_steps8(MOTIONS, const int newest, const int middle, const int oldest, global float2 *restrict chained,
                          global uint *restrict keys, global uint *restrict first, const int height, const int width
-                         BUSY_ARGUMENT)
+                         DIRTY_ARGUMENT)
 {
     const int x = get_global_id(0) * 8, y = get_global_id(1);
-    if (x >= width || y >= height || !(IS_BUSY(x, y) || IS_BUSY(x + 4, y))) return;
+    if (x >= width || y >= height || !(IS_DIRTY(x, y) || IS_DIRTY(x + 4, y))) return;
     global const float2 *motions[] = {motion0, motion1, motion2, motion3, motion4};
     const int pixel = y * width + x, plane = height * width;
     if (x + 8 > width) {

@@ -11,7 +11,7 @@
 //
 // Build -D STRIDE (1 or 2) -D SIDE (4 or 2: pixels of an output tile's side; 2 at stride 2) -D A -D B -D OUT (multiples of 8) -D USED (the inputs behind are zeros) -D TILES (per
 // work-item) -D ROWS (tiles held at once, divides TILES) -D BLOCK (float8 of outputs held at once, divides OUT / 8), optionally
-// -D GATED -D RELU -D HALF -D PREFETCH -D IMAGE (SIDE 4: the decoder's output in place of `out`, see decoder.clh; rows `from` .. height - 1
+// -D GATED -D RELU -D HALF -D PREFETCH -D IMAGE (SIDE 4: the decoder's output in place of `out`, see decoder.clh; rows `first_row` .. height - 1
 // are written, rows and columns are those of `color`; row 0 is the frame's row `top`).
 // Launch (ceil(ceil(width / SIDE) / TILES), ceil(height / SIDE)), work-groups of 1: a work-item is a strip of tiles whose scratch stays in L2.
 //
@@ -109,7 +109,7 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
 #ifdef IMAGE
               , global const float4 *restrict color, global const float8 *restrict outc_weight,
               global const float8 *restrict outc_bias, global float *restrict image, const int rows, const int columns,
-              const int from, const int top
+              const int first_row, const int top
 #endif
 #ifdef SKIP
               , global const uchar *restrict a_changes, global const uchar *restrict b_changes,
@@ -127,7 +127,7 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
     const int first = get_global_id(0) * TILES, tile_y = get_global_id(1), last = (width + SIDE - 1) / SIDE - 1;
     a += a_first;
 #ifdef IMAGE
-    if (4 * tile_y + 4 <= from) return;
+    if (4 * tile_y + 4 <= first_row) return;
 #endif
 #ifdef REACH
     int tiles[TILES];
@@ -140,7 +140,7 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
             continue;
         }
         const float8 nothing[8] = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
-        for (int y = most(4 * tile_y, from); y < least(4 * tile_y + 4, height); ++y)
+        for (int y = most(4 * tile_y, first_row); y < least(4 * tile_y + 4, height); ++y)
             write_pixels(nothing, color, image, y, 4 * x, width, width, rows, columns, top);
     }
 #elif defined(WANTED)
@@ -278,7 +278,7 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
             }
         }
 #ifdef IMAGE
-        for (int i = most(from - y, 0); i < 4 && y + i < height; ++i) {
+        for (int i = most(first_row - y, 0); i < 4 && y + i < height; ++i) {
             float8 sums[8];
             residual((const float *)(features + 4 * i * OUT8), outc_weight, outc_bias, sums);
             write_pixels(sums, color, image, y + i, x, width, width, rows, columns, top);

@@ -15,7 +15,8 @@ from stss_cl.device.buffers import padded, read, write
 from stss_cl.device.discovery import Device, DeviceError, Properties
 from stss_cl.device.grid import ceil8
 from stss_cl.device.tuning import Direct, Tuning, Winograd, built_in, trial
-from stss_cl.network.launch import Launch, conv
+from stss_cl.network.conv import conv
+from stss_cl.network.launch import Launch
 from stss_cl.network.pack_weights import Packed, pack
 from stss_ref.arrays import Array
 

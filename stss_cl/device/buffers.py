@@ -125,6 +125,41 @@ def inputs_for(device: Device, rows: int, columns: int, dtype: np.dtype[Any], ch
     )
 
 
+FULL_MAPS, LEAST = 16, 1 << 16
+"""Full-sized maps a parent has room for; its least size, bytes."""
+
+
+class ChangeMaps:
+    """Change maps that are cleared all at once: parts of few large buffers.
+
+    Args:
+        device: to make them on.
+        height, width: of the largest.
+    """
+
+    def __init__(self, device: Device, height: int, width: int):
+        self._device = device
+        self._align = max(int(device.handle.mem_base_addr_align) // 8, 1)
+        self._size = max(FULL_MAPS * map_bytes(height, width), LEAST)
+        self._parents: list[cl.Buffer] = []
+        self._used = self._size
+
+    def take(self, height: int, width: int) -> cl.Buffer:
+        """One more, for a buffer of this size."""
+        size = map_bytes(height, width)
+        if self._used + size > self._size:
+            self._parents.append(cl.Buffer(self._device.context, FLAGS.READ_WRITE, self._size))
+            self._used = 0
+        part = self._parents[-1].get_sub_region(self._used, size)
+        self._used += -(-size // self._align) * self._align
+        return part
+
+    def clear(self) -> None:
+        """Enqueue that nothing is marked."""
+        for parent in self._parents:
+            cl.enqueue_fill_buffer(self._device.queue, parent, np.zeros(1, np.uint32), 0, self._size // 4 * 4)
+
+
 def write(device: Device, to: Padded, array: Array, first: int = 0) -> None:
     """Copy (height, width, C) or (images, height, width, C) into channels ``first`` .. of ``to``, the others 0."""
     host = np.zeros((to.images, to.rows, to.columns, to.channels), to.dtype)

@@ -31,12 +31,12 @@ class Prepare:
         height, width: of the frames.
         gather: how the motion chain reads between pixels.
         eights: a work-item computes eight pixels in a row; None: on processors.
-        inputs: what to write to; None: buffers of its own. If they have change maps, only what is ``busy`` is computed.
+        inputs: what to write to; None: buffers of its own. If they have change maps, only what is ``dirty`` is computed.
 
     Attributes:
         inputs: what the network is given, on the device; every frame writes to the same buffers.
         mask: (H, W) uint8, 1 = not a hole of the newest colour frame.
-        busy: a byte for each 4 x 4 pixels of ``inputs.input``: 0: the inputs there are those of the last frame, and no hole is filled.
+        dirty: a byte for each 4 x 4 pixels of ``inputs.input``: 0: the inputs there are those of the last frame, and no hole is filled.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class Prepare:
         self._file, self._gather = "frame8.cl" if eights else "frame.cl", gather
         self._kernels = self._built(looking=bool(self._maps))
         self.mask = self._filled(height * width)
-        self.busy = self._filled(self.rows // 4 * (self.columns // 4), 1)
+        self.dirty = self._filled(self.rows // 4 * (self.columns // 4), 1)
         self._chained = self._filled(3 * height * width * 2 * 4)
         self._finite, self._bad = cl.Kernel(build(device, "finite.cl"), "finite"), self._filled(4 * len(FINITE))
         self._splat = self._filled(height * width * 4), self._filled(height * width * 4)
@@ -67,7 +67,7 @@ class Prepare:
         self._done: cl.Event | None = None
 
     def _built(self, *, looking: bool) -> dict[str, cl.Kernel]:
-        """The kernels by name; ``looking``: those that compute what is busy, and mark what then differs."""
+        """The kernels by name; ``looking``: those that compute what is dirty, and mark what then differs."""
         options: dict[str, object] = {"HALF": self.inputs.input.dtype == np.float16, "SKIP": looking}
         made = kernels(self.device, self._file, {"GATHER": f"gather_{self._gather}", **options, **LIMITS})
         if self._gather != "longest":
@@ -144,7 +144,7 @@ class Prepare:
             tops: see ``begin``.
             tolerance: with change maps: inputs that differ by no more from what they were stay.
             older: False: the two older colour frames are not read, and ``inputs.earlier`` stays as it is.
-            looking: with change maps; False: everything is busy, and nothing is marked.
+            looking: with change maps; False: everything is dirty, and nothing is marked.
         """
         self._read, self._tops, self._planes = sources, tuple(tops), 3 if older else 1
         self._looks = looking and bool(self._maps)
@@ -218,10 +218,10 @@ class Prepare:
             return ()
         for marks in self._maps:
             cl.enqueue_fill_buffer(self.device.queue, marks, np.zeros(1, np.uint8), 0, marks.size)
-        if splats:  # where nothing is busy nobody clears them
+        if splats:  # where nothing is dirty nobody clears them
             for buffer, value in zip(self._splat, (UNWANTED, NOBODY), strict=True):
                 cl.enqueue_fill_buffer(self.device.queue, buffer, np.full(1, value, np.uint32), 0, buffer.size)
-        return (self.busy,)
+        return (self.dirty,)
 
     def _warp(self, top: int) -> None:
         """Warp and judge the colour frames; for the newest, mark the places that holes look up."""
@@ -230,7 +230,7 @@ class Prepare:
         place = (self.height, self.width, self.rows, self.columns, top)
         read = *s.colors, *s.steps, self._chained, s.gbuffer, s.nov, *s.stencils, *s.normals, *s.positions, s.normal_stride
         written = self._splat[0], inputs.earlier.data, inputs.input.data, inputs.base, self.mask
-        skip = (self.busy, *self._maps[:2], self._tolerance) if self._looks else ()
+        skip = (self.dirty, *self._maps[:2], self._tolerance) if self._looks else ()
         self._run("prepare", place[2:4], *read, *written, *place, *skip, planes=self._planes)
 
     def _run(

@@ -4,22 +4,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
 import pyopencl as cl
-from numpy.typing import NDArray
 
-from stss_cl.device.buffers import Padded, constant, map_bytes
 from stss_cl.device.discovery import Device
-from stss_cl.device.grid import ceil_div, span
 from stss_cl.device.program import build
-from stss_cl.device.tuning import tuning_for
-from stss_cl.network.pack_weights import Packed, winograd
 
 FAST_MULTIPLY_ADD = "-cl-mad-enable"
 """The network's kernels may contract ``a * b + c``; fma() itself is a slow call on PoCL 3.0."""
+
+Arguments = Mapping[str, Any]
+"""A kernel's arguments by their names in its source, in order."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +31,7 @@ class Skip:
         flags: further ones.
         size: global size.
         group: work-group size; None = the runtime's choice.
-        arguments: the change maps, behind the launch's own.
+        maps: the change maps, behind the launch's own arguments.
         numbers: behind them.
         bounded: whether a tolerance follows.
     """
@@ -44,8 +41,8 @@ class Skip:
     flags: str
     size: tuple[int, ...]
     group: tuple[int, ...] | None
-    arguments: tuple[Any, ...]
-    numbers: tuple[np.int32, ...] = ()
+    maps: Arguments
+    numbers: Arguments = field(default_factory=dict[str, Any])
     bounded: bool = True
 
 
@@ -59,7 +56,7 @@ class Launch:
         kernel: with its arguments set.
         size: global size.
         group: work-group size; None = the runtime's choice.
-        held: its arguments, in order: OpenCL does not keep buffers alive.
+        arguments: those that it was made with: OpenCL does not keep buffers alive.
         skip: where inputs and outputs have change maps.
     """
 
@@ -67,171 +64,25 @@ class Launch:
     name: str
     kernel: cl.Kernel
     size: tuple[int, ...]
-    group: tuple[int, ...] | None = None
-    held: tuple[Any, ...] = ()
+    group: tuple[int, ...] | None
+    arguments: Arguments
     skip: Skip | None = None
+
+    def set(self, **values: Any) -> None:
+        """Set arguments from now on; buffers among them are the caller's to keep."""
+        places = list(self.arguments)
+        for name, value in values.items():
+            self.kernel.set_arg(places.index(name), value)
 
     def enqueue(self, queue: cl.CommandQueue) -> None:
         """Put it into the queue."""
         cl.enqueue_nd_range_kernel(queue, self.kernel, self.size, self.group)
 
-
-@dataclass(frozen=True)
-class Final:
-    """What the decoder's last layer needs to write the image itself (kernels/decoder.clh).
-
-    ``color`` (rows, columns, 4), ``weight`` (24, 16) and ``bias`` (16) of outc, the frame's own height and width, and the change
-    map of ``color``, if any.
-    """
-
-    color: cl.Buffer
-    weight: cl.Buffer
-    bias: cl.Buffer
-    rows: int
-    columns: int
-    height: int
-    width: int
-    changes: cl.Buffer | None = None
-
-
-ROW_ARGUMENTS = {"image": (9, 10), "winograd": (20, 21)}
-"""Which arguments of either kernel are the first row written and the strip's top."""
-HEIGHT_ARGUMENT = 8
-"""Which argument of winograd is the row after the last one written."""
-IMAGE_ARGUMENT = {"image": 4, "winograd": 17}
-"""Which argument of either kernel is the image."""
-
-
-def half(dtype: np.dtype[Any]) -> bool:
-    """Whether activations of this dtype are stored as half."""
-    return dtype == np.float16
-
-
-def conv(
-    device: Device,
-    stage: str,
-    name: str,
-    packed: Packed,
-    a: Padded,
-    b: Padded | None,
-    out: Padded,
-    *,
-    out_first: int = 0,
-    stride: int = 1,
-    relu: bool = True,
-    side: int = 4,
-    image: int = 0,
-    final: Final | None = None,
-) -> Launch:
-    """A convolution of ``a`` and ``b`` side by side into channels ``out_first`` .. of ``out``.
-
-    Args:
-        device: to run on.
-        stage: for the launch.
-        name: for the launch.
-        packed: the layer's tensors.
-        a: first input; its image ``image`` is read.
-        b: second input, if any.
-        out: the output; its size is the input's over ``stride``.
-        out_first: its first channel written.
-        stride: 1 or 2.
-        relu: whether ReLU follows.
-        side: of the fast variant's tiles at stride 1, 4 or 2, at stride 2 they are 2; 0: the plain variant. Where there is no fast one it
-            is the plain one in any case.
-        image: which of ``a``'s images.
-        final: write the image instead of ``out``; the image's buffer is argument ``IMAGE_ARGUMENT``.
-    """
-    fast = side > 0 and a.channels % 8 == 0 and packed.direct.shape[0] == 3 and tuning_for(device).winograd is not None
-    if fast:
-        shape = _winograd(device, packed, out, side if stride == 1 else 2, stride, final)
-    else:
-        shape = _direct(device, packed, out, stride, final)
-    options = shape.options | {
-        "A": a.channels,
-        "B": b.channels if b else 0,
-        "OUT": packed.direct.shape[-1],
-        "GATED": packed.gate_direct is not None,
-        "RELU": relu,
-        "HALF": half(out.dtype),
-        "IMAGE": final is not None,
-    }
-    kernel = cl.Kernel(build(device, shape.file, options, FAST_MULTIPLY_ADD), shape.file.removesuffix(".cl"))
-    weight = constant(device, shape.weight)
-    gate = weight if shape.gate is None else constant(device, shape.gate)
-    numbers = (image * a.rows * a.columns * a.channels, *shape.dimensions, a.columns, out.columns, out.channels, out_first)
-    arguments: list[Any] = [a.data, b.data if b else a.data, weight, gate, constant(device, packed.bias)]
-    arguments += [np.float32(packed.gate_bias), out.data, *map(np.int32, numbers)]
-    if final:
-        # The caller puts its image in the second bias' place before every run.
-        arguments += [final.color, final.weight, final.bias, final.bias]
-        arguments += [np.int32(n) for n in (final.rows, final.columns, 0, 0)]
-    kernel.set_args(*arguments)
-    skip = None if a.changes is None else _skip(device, shape, options, a, b, final or out, image)
-    return Launch(stage, name, kernel, shape.size, shape.group, tuple(arguments), skip)
-
-
-def _skip(
-    device: Device, shape: _Shape, options: Mapping[str, object], a: Padded, b: Padded | None, out: Padded | Final, image: int
-) -> Skip:
-    a_tile = image * map_bytes(a.height, a.width)
-    arguments = (a.changes, b.changes if b else a.changes, out.changes, np.int32(a_tile))
-    if shape.file == "winograd.cl":
-        return Skip(shape.file, options, FAST_MULTIPLY_ADD, shape.size, shape.group, arguments)
-    pixels, group = int(shape.options["PIXELS"]), shape.group[1]
-    wide, tall = span(device, pixels), 4 if device.is_cpu else 1
-    size = (shape.size[0], ceil_div(ceil_div(out.width, wide), group) * group, ceil_div(out.height, tall))
-    options = {**options, "SPAN": wide, "TALL": tall}
-    return Skip(shape.file, options, FAST_MULTIPLY_ADD, size, shape.group, arguments, (np.int32(out.height),))
-
-
-@dataclass(frozen=True)
-class _Shape:
-    """How one of the two kernels is built and launched."""
-
-    file: str
-    options: dict[str, int]
-    weight: NDArray[np.float32]
-    gate: NDArray[np.float32] | None
-    size: tuple[int, ...]
-    group: tuple[int, ...]
-    dimensions: tuple[int, ...]
-
-
-def _winograd(device: Device, packed: Packed, out: Padded, side: int, stride: int, final: Final | None) -> _Shape:
-    table = tuning_for(device).winograd
-    assert table is not None
-    row = table[packed.direct.shape[-1]]
-    gate = packed.gate_direct
-    return _Shape(
-        file="winograd.cl",
-        options={
-            "STRIDE": stride,
-            "SIDE": side,
-            "USED": packed.used,
-            "TILES": row.tiles,
-            "ROWS": row.rows,
-            "BLOCK": row.block,
-            "PREFETCH": row.prefetch and device.takes_prefetch,
-        },
-        weight=winograd(packed.direct, side, 8 * row.block, stride),
-        gate=None if gate is None else winograd(gate, side, 1, stride),
-        size=(ceil_div(ceil_div(out.width, side), row.tiles), ceil_div(out.height, side)),
-        group=(1, 1),
-        dimensions=(final.height, final.width) if final else (out.height, out.width),
-    )
-
-
-def _direct(device: Device, packed: Packed, out: Padded, stride: int, final: Final | None) -> _Shape:
-    assert final is None
-    kernel, _, _, outputs = packed.direct.shape
-    row = tuning_for(device).direct[outputs]
-    columns = ceil_div(ceil_div(out.width, row.pixels), row.group) * row.group
-    return _Shape(
-        file="conv.cl",
-        options={"KERNEL": kernel, "STRIDE": stride, "PIXELS": row.pixels, "BLOCK": row.block, "GROUP": row.group},
-        weight=packed.direct,
-        gate=packed.gate_direct,
-        size=(outputs // 8 // row.block, columns, out.height),
-        group=(1, row.group, 1),
-        dimensions=(out.width,),
-    )
+    def skipping(self, device: Device, option: Mapping[str, object], arguments: Arguments) -> Launch:
+        """The launch that leaves something out: built with one ``option`` more, ``arguments`` behind its own."""
+        skip = self.skip
+        assert skip is not None
+        kernel = cl.Kernel(build(device, skip.file, {**skip.options, **option}, skip.flags), self.kernel.function_name)
+        together = {**self.arguments, **arguments}
+        kernel.set_args(*together.values())
+        return replace(self, kernel=kernel, size=skip.size, group=skip.group, arguments=together)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import cached_property
 
@@ -14,18 +14,19 @@ from stss_cl.device.buffers import Outgoing, Padded, constant, incoming, inputs_
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil8, ceil_div, span
 from stss_cl.device.tuning import tuning_for
-from stss_cl.network.launch import HEIGHT_ARGUMENT, ROW_ARGUMENTS, Final
-from stss_cl.network.layer_builder import Chain, dtype_of
+from stss_cl.network.conv import Final
+from stss_cl.network.launch import Launch
+from stss_cl.network.layer_builder import LayerBuilder, dtype_of
 from stss_cl.network.pack_inputs import PackInputs
 from stss_cl.network.pack_weights import pack_outc
 from stss_cl.network.strips import OVERLAP, Strip, bytes_for, rows_within, strips
 from stss_ref.arrays import Array
-from stss_ref.weights import Weights
+from stss_ref.weights import Weights, reads_history
 
 GBUFFER, MASK = 9, 1
 
 
-class Layers(Chain):
+class Layers:
     """Every launch of the network at (height, width), in order, with the buffers between them.
 
     A frame whose buffers would exceed the limit goes in strips: for each of ``strips``, ``place``, ``pack`` (or whatever else
@@ -39,7 +40,18 @@ class Layers(Chain):
         precision: see ``stss_cl.network.network.PRECISIONS``.
         memory_limit: bytes that the buffers may take; None = half of the device's memory.
         residual: False: leave out all layers but the last, whose weights are 0.
-        keep: every layer keeps what it wrote, so that ``run_changed`` can be had; without effect where the frame goes in strips.
+        keep: every layer keeps what it wrote, with a change map, so that less than all may be run (``stss_cl.skip.partial_network``),
+            and layers that these weights do not need are left out; without effect where the frame goes in strips.
+
+    Attributes:
+        launches: in order; the last one writes the image.
+        inputs: what the first ones read.
+        features: of the stages, by the names of ``stss_ref``.
+        strips: in which the frame goes.
+        keep: whether everything is kept.
+        reads_history: whether the launches read the history.
+        marked: where all is kept, what each layer writes, with its change map.
+        maps: those change maps.
 
     Raises:
         DeviceError: the limit is too small for any strip.
@@ -62,14 +74,17 @@ class Layers(Chain):
         overlap = OVERLAP[winograd]
         rows = rows_within(full, columns, dtype, limit, overlap)
         keep = keep and bytes_for(full, full, columns, dtype, keep=True) <= limit
-        super().__init__(device, weights, precision, rows, columns, keep)
-        self.size = height, width
+        self.device, self.size, self.keep = device, (height, width), keep
+        self.reads_history = not keep or reads_history(weights)
+        self._weights, self._height, self._width = weights, rows, columns
+        self._fused = winograd
+        self._build = LayerBuilder(device, weights, precision, rows, columns, keep)
+        self.launches, self.marked, self.maps = self._build.launches, self._build.marked, self._build.maps
         self.strips = strips(full, height, rows, overlap)
         self._full, self._top = full, 0
-        # Kernels that must know where a strip lies: which of their arguments, and the divisor of their size.
-        self._placed: list[tuple[cl.Kernel, int, int]] = []
+        self._placed: list[tuple[Launch, int]] = []  # those that must know where a strip lies, with the divisor of their size
         self.inputs = inputs_for(device, rows, columns, dtype, self.keep)
-        self._shared["two", 1, self.inputs.input.channels] = self.inputs.input  # done with after the first layer
+        self._build.share("two", 1, self.inputs.input)  # done with after the first layer
         self.features: dict[str, Padded] = {}
         if residual:
             self._encoder()
@@ -79,10 +94,19 @@ class Layers(Chain):
         else:
             self._image(self.inputs.input)
 
+    def ready(self, image: cl.Buffer) -> list[Launch]:
+        """The launches in order, the last of them to write ``image`` (2H, 2W, 3) float32."""
+        self.launches[-1].set(image=image)
+        return self.launches
+
+    def run(self, image: cl.Buffer) -> None:
+        """Enqueue the network; ``image`` is complete when the queue has run dry."""
+        enqueue(self.device, self.ready(image))
+
     @cached_property
     def _packing(self) -> PackInputs:
         """Built when it is first asked for: stage ``prepare`` fills ``inputs`` itself."""
-        return PackInputs(self._device, self.inputs, *self.size)
+        return PackInputs(self.device, self.inputs, *self.size)
 
     def pack(self, color: cl.Buffer, gbuffer: cl.Buffer, mask: cl.Buffer, history: cl.Buffer) -> None:
         """Bring the four inputs, plain arrays on the device, to where the first layers read them."""
@@ -95,14 +119,12 @@ class Layers(Chain):
     def place(self, strip: Strip) -> None:
         """Make the launches compute this strip."""
         self._top = strip.top
-        for kernel, argument, divisor in self._placed:
-            kernel.set_arg(argument, np.int32(strip.top // divisor))
+        for launch, divisor in self._placed:
+            launch.set(top=np.int32(strip.top // divisor))
         last = self.launches[-1]
-        first, top = ROW_ARGUMENTS[last.kernel.function_name]
-        last.kernel.set_arg(first, np.int32(strip.first))
-        last.kernel.set_arg(top, np.int32(strip.top))
-        if last.kernel.function_name == "winograd":
-            last.kernel.set_arg(HEIGHT_ARGUMENT, np.int32(strip.last))
+        last.set(first_row=np.int32(strip.first), top=np.int32(strip.top))
+        if "height" in last.arguments:
+            last.set(height=np.int32(strip.last))
         else:
             self.launches[-1] = replace(last, size=(last.size[0], strip.last - strip.first))
 
@@ -114,18 +136,18 @@ class Layers(Chain):
         gbuffer = inputs.get("gbuffer", np.zeros((height, width, 9), np.float32))
         mask = inputs.get("mask", np.zeros((height, width), np.float32))
         history = inputs.get("history", np.zeros((3, height, width, 4), np.float32))
-        held = [incoming(self._device, array) for array in (color, gbuffer, mask, history)]
+        held = [incoming(self.device, array) for array in (color, gbuffer, mask, history)]
         self.pack(*held)
         for name in ("x1", "x2", "x3", "x4"):
             if name in inputs:
-                write(self._device, self.features[name], inputs[name])
+                write(self.device, self.features[name], inputs[name])
         if stage == "decoder":
             both = np.concatenate([inputs["reshaded"], inputs["feature"]], axis=-1)
-            write(self._device, self.features["reshaded"], both)
-        image = Outgoing(self._device, (2 * height, 2 * width, 3), on_device=False)
+            write(self.device, self.features["reshaded"], both)
+        image = Outgoing(self.device, (2 * height, 2 * width, 3), on_device=False)
         for launch in self.ready(image.data):
             if launch.stage == stage:
-                launch.enqueue(self._device.queue)
+                launch.enqueue(self.device.queue)
         outputs = {
             "encoder": {"x1": ("x1", 0, 24), "x2": ("x2", 0, 24), "x3": ("x3", 0, 32), "x4": ("x4", 0, 32)},
             "history": {"feature": ("reshaded", 64, 32)},
@@ -134,96 +156,120 @@ class Layers(Chain):
         if stage == "decoder":
             return {"image": image.finish()}
         image.finish()
-        return {name: read(self._device, self.features[key], first, n) for name, (key, first, n) in outputs[stage].items()}
+        return {name: read(self.device, self.features[key], first, n) for name, (key, first, n) in outputs[stage].items()}
 
     def _encoder(self) -> None:
-        x = self._conv("encoder", "conv1", self.inputs.input, self._scratch("one", 1, 24), channels=(21,))
-        x = self.features["x1"] = self._conv("encoder", "conv2", x, self._padded(1, 24))
+        x = self._build.conv("encoder", "conv1", self.inputs.input, self._build.scratch("one", 1, 24), channels=(21,))
+        x = self.features["x1"] = self._build.conv("encoder", "conv2", x, self._build.padded(1, 24))
         for i, (channels, divisor) in enumerate(((24, 2), (32, 4), (32, 8)), start=1):
             name = f"down{i}"
-            x = self._conv("encoder", f"{name}.downsample", x, self._scratch("one", divisor, x.channels), stride=2, relu=False)
-            x = self._conv("encoder", f"{name}.conv1", x, self._scratch("two", divisor, channels))
-            x = self._conv("encoder", f"{name}.conv2", x, self._padded(divisor, channels))
+            x = self._build.conv(
+                "encoder", f"{name}.downsample", x, self._build.scratch("one", divisor, x.channels), stride=2, relu=False
+            )
+            x = self._build.conv("encoder", f"{name}.conv1", x, self._build.scratch("two", divisor, channels))
+            x = self._build.conv("encoder", f"{name}.conv2", x, self._build.padded(divisor, channels))
             self.features[f"x{i + 1}"] = x
 
     def _history(self) -> None:
-        joined = self._padded(8, 96)
-        self.features["reshaded"] = self._padded(8, 96)
+        joined = self._build.padded(8, 96)
+        self.features["reshaded"] = self._build.padded(8, 96)
         for image in range(3) if self.reads_history else ():
             x = self.inputs.earlier
             for name, channels, divisor in (("convHis1", 24, 2), ("convHis2", 32, 4), ("convHis3", 32, 8)):
-                one = self._scratch("one", divisor, channels)
-                x = self._conv("history", f"{name}.0", x, one, stride=2, image=image if divisor == 2 else 0)
-                x = self._conv("history", f"{name}.2", x, self._scratch("two", divisor, channels))
+                one = self._build.scratch("one", divisor, channels)
+                x = self._build.conv("history", f"{name}.0", x, one, stride=2, image=image if divisor == 2 else 0)
+                x = self._build.conv("history", f"{name}.2", x, self._build.scratch("two", divisor, channels))
                 last = divisor == 8
-                out = joined if last else self._scratch("one", divisor, channels)
-                x = self._conv("history", f"{name}.4", x, out, out_first=32 * image if last else 0)
-        self._conv("history", "lowlevelGated", joined, self.features["reshaded"], relu=False, out_first=64)
+                out = joined if last else self._build.scratch("one", divisor, channels)
+                x = self._build.conv("history", f"{name}.4", x, out, out_first=32 * image if last else 0)
+        self._build.conv("history", "lowlevelGated", joined, self.features["reshaded"], relu=False, out_first=64)
 
     def _erm(self) -> None:
-        tile = 4 if self._device.is_cpu else 1
+        tile = 4 if self.device.is_cpu else 1
         options: dict[str, object] = {"KEYS": 32, "VALUES": 64, "MASK": "float", "SPAN": tile}
         out, size = self.features["reshaded"], (self._width // 8, self._height // 8)
         eighth = self.inputs.eighth
-        light = self._conv(
-            "erm", "latentEncoder.0", self.features["x4"], self._scratch("one", 8, 64), b=eighth, channels=(32, GBUFFER)
+        light = self._build.conv(
+            "erm", "latentEncoder.0", self.features["x4"], self._build.scratch("one", 8, 64), b=eighth, channels=(32, GBUFFER)
         )
-        light = self._conv("erm", "latentEncoder.2", light, self._scratch("two", 8, 64))
-        light = self._conv("erm", "latentEncoder.4", light, self._scratch("one", 8, 64), relu=False)
-        key = self._conv("erm", "KEncoder.0", eighth, self._scratch("one", 8, 32), channels=(GBUFFER,))
-        key = self._conv("erm", "KEncoder.2", key, self._scratch("two", 8, 32))
-        key = self._conv("erm", "KEncoder.4", key, self._scratch("one", 8, 32), relu=False)
-        unit = self._scratch("two", 8, 32)
-        self._kernel(
+        light = self._build.conv("erm", "latentEncoder.2", light, self._build.scratch("two", 8, 64))
+        light = self._build.conv("erm", "latentEncoder.4", light, self._build.scratch("one", 8, 64), relu=False)
+        key = self._build.conv("erm", "KEncoder.0", eighth, self._build.scratch("one", 8, 32), channels=(GBUFFER,))
+        key = self._build.conv("erm", "KEncoder.2", key, self._build.scratch("two", 8, 32))
+        key = self._build.conv("erm", "KEncoder.4", key, self._build.scratch("one", 8, 32), relu=False)
+        unit = self._build.scratch("two", 8, 32)
+        self._build.kernel(
             "erm", "normalise", "erm.cl", options, size,
-            key.data, unit.data, key.height, key.width, key.columns, maps=(key.changes, unit.changes),
+            {"key": key.data, "unit": unit.data, "height": key.height, "width": key.width, "columns": key.columns},
+            maps={"key_changes": key.changes, "changes": unit.changes},
         )  # fmt: skip
-        self._kernel(
+        self._build.kernel(
             "erm", "attend", "erm.cl", options, size,
-            unit.data, light.data, eighth.data, out.data, size[1], size[0], light.columns, out.channels,
-            maps=(unit.changes, light.changes, eighth.changes, out.changes),
+            {
+                "unit": unit.data, "value": light.data, "eighth": eighth.data, "reshaded": out.data,
+                "height": size[1], "width": size[0], "columns": light.columns, "out_channels": out.channels,
+            },
+            maps={
+                "unit_changes": unit.changes, "value_changes": light.changes,
+                "eighth_changes": eighth.changes, "changes": out.changes,
+            },
             changed_size=(ceil_div(size[0], tile), ceil_div(size[1], tile)),
         )  # fmt: skip
 
     def _decoder(self) -> None:
         x = self.features["reshaded"]
         for i, (middle, outputs, divisor) in enumerate(((64, 32, 4), (32, 24, 2), (24, 24, 1)), start=1):
-            up = self._scratch("one", divisor, x.channels)
-            tiles = span(self._device, 4) // 4
-            self._kernel(
+            up = self._build.scratch("one", divisor, x.channels)
+            tiles = span(self.device, 4) // 4
+            launch = self._build.kernel(
                 "decoder", "upsample_corners", "resample.cl", {"SPAN": tiles}, (up.width, up.height),
-                x.data, up.data, x.height, x.width, x.columns, up.columns, self._full // (2 * divisor), 0, x.channels // 8,
-                maps=(x.changes, up.changes), changed_size=(ceil_div(ceil_div(up.width, 4), tiles), ceil_div(up.height, 4)),
+                {
+                    "in": x.data, "out": up.data, "height": x.height, "width": x.width, "in_columns": x.columns,
+                    "out_columns": up.columns, "full_height": self._full // (2 * divisor), "top": 0, "eights": x.channels // 8,
+                },
+                maps={"in_changes": x.changes, "changes": up.changes},
+                changed_size=(ceil_div(ceil_div(up.width, 4), tiles), ceil_div(up.height, 4)),
             )  # fmt: skip
-            self._placed.append((self.launches[-1].kernel, 7, 2 * divisor))
+            self._placed.append((launch, 2 * divisor))
             skip = self.features[f"x{4 - i}"]
             name = f"up{i}.conv.double_conv"
-            wide = self._scratch("two", divisor, middle)
-            x = self._conv("decoder", f"{name}.0", skip, wide, b=up)
+            wide = self._build.scratch("two", divisor, middle)
+            x = self._build.conv("decoder", f"{name}.0", skip, wide, b=up)
             if i == 3:
                 self._last(f"{name}.2", x)
                 return
-            x = self._conv(
-                "decoder", f"{name}.2", x, self._scratch("one", divisor, outputs), channels=(28 if i == 2 else middle,)
+            x = self._build.conv(
+                "decoder", f"{name}.2", x, self._build.scratch("one", divisor, outputs), channels=(28 if i == 2 else middle,)
             )
 
     def _last(self, name: str, wide: Padded) -> None:
         """The last convolution and outc: in one launch where Winograd runs, else in two."""
-        if self._winograd and tuning_for(self._device).winograd is not None:
-            self._conv("decoder", name, wide, wide, final=self._final())
+        if self._fused:
+            self._build.conv("decoder", name, wide, wide, final=self._final())
         else:
-            self._image(self._conv("decoder", name, wide, self._scratch("one", 1, 24)))
+            self._image(self._build.conv("decoder", name, wide, self._build.scratch("one", 1, 24)))
 
     def _final(self) -> Final:
-        weight, bias = (constant(self._device, array) for array in pack_outc(self._weights))
+        weight, bias = (constant(self.device, array) for array in pack_outc(self._weights))
         return Final(self.inputs.base, weight, bias, self._height, self._width, *self.size, self.inputs.input.changes)
 
     def _image(self, feature: Padded) -> None:
         """outc, and the upsampled frame; where outc is 0 any finite feature will do."""
-        final, width, strip = self._final(), self.size[1], tuning_for(self._device).strip
+        final, width, strip = self._final(), self.size[1], tuning_for(self.device).strip
         columns = ceil_div(ceil_div(width, strip.pixels), strip.group) * strip.group
-        self._kernel(
+        self._build.kernel(
             "decoder", "image", "decoder.cl", {"STRIP": strip.pixels, "GROUP": strip.group}, (columns, self.size[0]),
-            feature.data, final.color, final.weight, final.bias, final.bias, width, final.rows, final.columns, feature.columns, 0, 0,
-            group=(strip.group, 1), maps=(feature.changes, final.changes), bounded=False,
+            {
+                "feature": feature.data, "color": final.color, "weight": final.weight, "bias": final.bias, "image": final.bias,
+                "width": width, "rows": final.rows, "columns": final.columns, "feature_columns": feature.columns,
+                "first_row": 0, "top": 0,
+            },
+            group=(strip.group, 1), maps={"feature_changes": feature.changes, "color_changes": final.changes}, bounded=False,
         )  # fmt: skip
+
+
+def enqueue(device: Device, launches: Iterable[Launch]) -> None:
+    """Put launches into the queue, and let the device begin."""
+    for launch in launches:
+        launch.enqueue(device.queue)
+    device.queue.flush()

@@ -12,7 +12,8 @@ from stss_cl.device.buffers import FLAGS, Inputs
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import grid
 from stss_cl.device.program import build
-from stss_cl.network.launch import FAST_MULTIPLY_ADD, half
+from stss_cl.network.conv import half
+from stss_cl.network.launch import FAST_MULTIPLY_ADD
 
 
 class PackInputs:

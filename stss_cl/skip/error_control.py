@@ -3,13 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
-
-from stss_cl.network.launch import Launch
 
 FIRST, GROWTH, LONGEST = 2, 2, 48
 """Frames of a kind between two that are computed whole: at first; so many times as many after each that departed little; at most."""
@@ -23,46 +18,6 @@ REST = 48
 SAMPLED, BLOCK, CUT = 4, 8, 0.08
 """Every so many pixels of a colour are looked at, means of blocks of so many of those compared with the last ones: a larger mean
 difference is another shot, of which nothing stays. (Single pixels would take a fast pan over a checker for one.)"""
-
-
-class Level(NamedTuple):
-    """What is left out of a frame.
-
-    Attributes:
-        stays: launches that are left out, as positions among all, so that what they made stays as it is.
-        plain: whether the decoder's plain tiles are (``stss_cl.skip.flat_tiles``).
-        history: whether the history is read.
-    """
-
-    stays: frozenset[int]
-    plain: bool
-    history: bool
-
-
-WHOLE = Level(frozenset(), plain=False, history=True)
-
-
-def levels(launches: Sequence[Launch], reads_history: bool) -> tuple[Level, ...]:
-    """What may be left out, each more than the one before.
-
-    Nothing, but for the history if these weights do not read it; plain tiles; the history; with it the ERM and the encoder's eighth
-    size; with them all of the quarter size.
-    """
-
-    def where(*names: str, stage: str = "") -> frozenset[int]:
-        return frozenset(i for i, launch in enumerate(launches) if launch.stage == stage or launch.name.startswith(names))
-
-    history = where(stage="history")
-    if not history:
-        return (WHOLE,)
-    eighth = history | where("down3.", stage="erm")
-    first = min(where("up1."))
-    quarter = eighth | where("down2.", "up1.") | {first - 1}  # the upsampling before up1
-    stays = [frozenset[int](), history, eighth, quarter][not reads_history :]
-    return tuple(
-        Level(which, plain, history=not which)
-        for which, plain in zip(stays[:1] + stays, (False, *len(stays) * [True]), strict=True)
-    )
 
 
 class Depth:
@@ -93,7 +48,7 @@ class Depth:
             if self._age >= REST:
                 self._deepest, self._trial = self._most, min(1, self._most)
             return 0, False
-        # Whether plain tiles may be left out is found out at once; what stays, when it has some age.
+        # Whether flat tiles may be left out is found out at once; what stays, when it has some age.
         due = self._age >= self._period or self._trial == 1 > self.level
         return self._trial if due else self.level, due
 

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Plain tiles: where colour and surface are flat the decoder has next to nothing to add, and is not run (kernels/flat_tiles.cl)."""
+"""Flat tiles: where colour and surface are flat the decoder has next to nothing to add, and is not run (kernels/flat_tiles.cl)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 import pyopencl as cl
@@ -14,7 +13,7 @@ from stss_cl.device.buffers import Inputs, map_bytes, zeroed
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, grid
 from stss_cl.device.program import build
-from stss_cl.network.launch import IMAGE_ARGUMENT, Launch
+from stss_cl.network.launch import Launch
 
 DIVISORS = (1, 2, 4)
 """The decoder's sizes, as divisors of the frame's."""
@@ -22,7 +21,7 @@ DEPARTURE_IMAGE = 2
 """Which argument of ``departure`` is the image."""
 
 
-class Plain:
+class FlatTiles:
     """The network's launches, the decoder's among them computing only what is wanted.
 
     Args:
@@ -66,12 +65,11 @@ class Plain:
         """Enqueue the search for what is wanted; the launches in order, the last of them to write all of ``image``."""
         for kernel, size in zip((self._detail, *self._coarser), self._tiles, strict=True):
             self._enqueue(kernel, size)
-        last = self._launches[-1].kernel
-        last.set_arg(IMAGE_ARGUMENT[last.function_name], image)
+        self._launches[-1].set(image=image)
         return self._launches
 
     def departure(self, image: cl.Buffer) -> float:
-        """How far ``image``, which the whole network made, lies from what it were with plain tiles left out; waits for it."""
+        """How far ``image``, which the whole network made, lies from what it were with flat tiles left out; waits for it."""
         self._departure.set_arg(DEPARTURE_IMAGE, image)
         self._enqueue(self._detail, self._tiles[0])
         self._enqueue(self._departure, self._tiles[0])
@@ -83,7 +81,7 @@ class Plain:
         cl.enqueue_nd_range_kernel(self._device.queue, kernel, *grid(self._device, *tiles[::-1]))
 
     def wanted(self) -> NDArray[np.bool_]:
-        """Which tiles of the frame were no plain ones, (rows / 4, columns / 4) of the padded frame; waits for the queue."""
+        """Which tiles of the frame were no flat ones, (rows / 4, columns / 4) of the padded frame; waits for the queue."""
         return self.maps()[0]
 
     def maps(self) -> list[NDArray[np.bool_]]:
@@ -105,9 +103,5 @@ class Plain:
 
 
 def _wanted_only(device: Device, launch: Launch, wanted: cl.Buffer, *, reach: int) -> Launch:
-    skip = launch.skip
-    assert skip is not None
-    kernel = cl.Kernel(build(device, skip.file, {**skip.options, "WANTED": reach}, skip.flags), launch.kernel.function_name)
-    arguments = *launch.held, wanted, *skip.numbers
-    kernel.set_args(*arguments)
-    return replace(launch, kernel=kernel, size=skip.size, group=skip.group, held=arguments)
+    assert launch.skip is not None
+    return launch.skipping(device, {"WANTED": reach}, {"wanted": wanted, **launch.skip.numbers})

@@ -16,8 +16,9 @@ from stss_cl.device.discovery import Device
 from stss_cl.image_space.prepare import Prepare
 from stss_cl.image_space.stages import Gather
 from stss_cl.network.layers import Layers
-from stss_cl.skip.error_control import FIRST, GROWTH, Depth, Level, Shot
-from stss_cl.skip.flat_tiles import Plain
+from stss_cl.skip.error_control import FIRST, GROWTH, Depth, Shot
+from stss_cl.skip.flat_tiles import FlatTiles
+from stss_cl.skip.partial_network import Level, PartialNetwork
 
 FLAT = 0.5
 """``bounded``: the largest second difference of a colour that counts as flat, as a share of the largest error."""
@@ -75,22 +76,22 @@ def distance(a: NDArray[np.float32], b: NDArray[np.float32]) -> float:
     return max(float(np.abs(a[y : y + ROWS] - b[y : y + ROWS]).max()) for y in range(0, len(a), ROWS))
 
 
-class Kept:
+class FrameCache:
     """All that is kept of the last frame of a kind. SF and EF differ at every silhouette: each would recompute the other's."""
 
     def __init__(self, device: Device, layers: Layers, gather: Gather, max_error: float):
-        self.layers = layers
+        self.layers, self.network = layers, PartialNetwork(layers)
         self.stale = False
-        self._depth, self._shot = Depth(len(layers.levels) - 1 if max_error else 0, max_error), Shot()
+        self._depth, self._shot = Depth(len(self.network.levels) - 1 if max_error else 0, max_error), Shot()
         self.prepare = Prepare(device, *layers.size, gather, inputs=layers.inputs)
-        self._flat = FLAT * max_error
-        self._plain: Plain | None = None
+        self._max_bend = FLAT * max_error
+        self._flat: FlatTiles | None = None
         self.last: Last | None = None
         self._device = device
         self._unchecked, self._period = 0, FIRST
         self._image: Outgoing | None = None
         self._alone = 0
-        layers.begin()
+        self.network.begin()
 
     def read(self, steps: tuple[int, int, int]) -> tuple[int, ...]:
         """Those of the steps whose colour frames these weights read."""
@@ -124,23 +125,23 @@ class Kept:
         """
         if color is None or self._shot.cut(color):
             self._depth.fresh()
-            return Choice(self.layers.levels[0], due=False)
+            return Choice(self.network.levels[0], due=False)
         level, due = self._depth.next()
-        return Choice(self.layers.levels[level], due)
+        return Choice(self.network.levels[level], due)
 
     def run(self, choice: Choice) -> float | None:
         """Run the network everywhere but for what is left out; the departure that this made, if the frame was due."""
-        level, whole, target = choice.level, self.layers.levels[0], self.target(whole=True)
+        level, whole, target = choice.level, self.network.levels[0], self.target(whole=True)
         self.stale = level != whole and not choice.due
-        if choice.due and level.stays == whole.stays:  # nothing old: what plain tiles lack can be seen in the whole image
-            self.layers.run(target, whole)
-            departure = self._plain_tiles().departure(target)
+        if choice.due and level.stays == whole.stays:  # nothing old: what flat tiles lack can be seen in the whole image
+            self.network.run(target, whole)
+            departure = self._flat_tiles().departure(target)
         else:
-            self.layers.run(target, level, self._plain_tiles() if level.plain else None)
+            self.network.run(target, level, self._flat_tiles() if level.flat else None)
             if not choice.due:
                 return None
             left_out = self.image  # while it is held, the next image is another one
-            self.layers.complete(self.target(whole=True), level)
+            self.network.complete(self.target(whole=True), level)
             departure = distance(self.image, left_out)
         self._depth.judge(departure)
         return departure
@@ -155,16 +156,16 @@ class Kept:
         self._unchecked, self._period = 0, min(GROWTH * self._period, CHECK) if well else FIRST
 
     def activity(self) -> NDArray[np.float32]:
-        """How much of the network ``run`` took, for each tile of the last frame: 1 but for plain tiles, which took no decoder."""
-        return np.where(self._plain_tiles().wanted(), np.float32(1), np.float32(1 - DECODER))
+        """How much of the network ``run`` took, for each tile of the last frame: 1 but for flat tiles, which took no decoder."""
+        return np.where(self._flat_tiles().wanted(), np.float32(1), np.float32(1 - DECODER))
 
-    def _plain_tiles(self) -> Plain:
+    def _flat_tiles(self) -> FlatTiles:
         """Of the last frame prepared; built when it is first asked for."""
-        if self._plain is None:
+        if self._flat is None:
             layers = self.layers
-            self._plain = Plain(self._device, layers.launches, layers.inputs, self.prepare.mask, layers.size, self._flat)
-        self._plain.read(self.prepare.gbuffer)
-        return self._plain
+            self._flat = FlatTiles(self._device, layers.launches, layers.inputs, self.prepare.mask, layers.size, self._max_bend)
+        self._flat.read(self.prepare.gbuffer)
+        return self._flat
 
     def changed(self) -> float:
         """The share of tiles whose inputs differ from the last ones; waits for them."""

@@ -21,8 +21,9 @@ from stss_cl.network.layer_builder import dtype_of
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import Precision
 from stss_cl.network.strips import bytes_for
-from stss_cl.skip.frame_cache import Kept, Last, Report, distance
-from stss_cl.skip.uploaded_frames import Arrivals, DisplayFrame, Held, Tiles, sources
+from stss_cl.skip.display_frame import DisplayFrame
+from stss_cl.skip.frame_cache import FrameCache, Last, Report, distance
+from stss_cl.skip.uploaded_frames import Tiles, UploadedFrame, UploadedFrames, sources
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
 
@@ -32,7 +33,7 @@ SKIPS: tuple[Skip, ...] = ("off", "exact", "bounded")
 little is kept as well."""
 MOST_CHANGED, MOST_CHANGED_BOUNDED = 0.75, 0.4
 """Where a larger share of the network's inputs changed, all of it is computed: to look for the rest would not pay; for ``bounded``, where
-plain tiles and old features save more."""
+flat tiles and old features save more."""
 FIRST, AIM, SLOWER, FASTER = 0.2, 0.5, 0.25, 1.25
 """``bounded``: the first tolerance and the departure aimed at, as shares of the largest error; limits of a step of the tolerance."""
 PATIENCE, AGAIN, REST = 8, 4, 48
@@ -76,10 +77,10 @@ class Stream:
         self._weights, self._memory = weights, self.device.memory // 2 if memory_limit is None else memory_limit
         self._skip, self._max_error = skip, max_error if skip == "bounded" else 0.0
         self.tolerance = FIRST * self._max_error
-        self._arrivals: Arrivals | None = None
-        self._kept: dict[bool, Kept] = {}
-        self._latest: Kept | None = None
-        self._tired = self._rests = 0
+        self._uploaded: UploadedFrames | None = None
+        self._caches: dict[bool, FrameCache] = {}
+        self._latest: FrameCache | None = None
+        self._frames_all_changed = self._frames_unlooked = 0
 
     def __call__(self, window: Sequence[DisplayFrame], steps: Sequence[int]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Compute the last frame of ``window``.
@@ -106,19 +107,19 @@ class Stream:
         if any(window[-1 - step].color is None for step in chosen):
             raise ArrayError(f"window: expected a colour {', '.join(map(str, chosen))} frames back")
         window, size = window[-MOST_STEPS - 1 :], window[-1].nov.shape
-        arrivals, kept = self._arriving(size), self._keep(size, extrapolates=chosen[0] > 0)
-        self._rests = max(0, self._rests - 1)
-        held = arrivals.take(window, compare=kept is not None and not self._rests)
-        self._latest = kept
-        if kept is None:
+        uploaded, cache = self._arriving(size), self._keep(size, extrapolates=chosen[0] > 0)
+        self._frames_unlooked = max(0, self._frames_unlooked - 1)
+        held = uploaded.take(window, compare=cache is not None and not self._frames_unlooked)
+        self._latest = cache
+        if cache is None:
             self.report = Report(1.0, 1.0, "whole")
             return self._whole.compute(sources(held, chosen), size)
-        busy = None if self._rests or kept.stale else self._busy(arrivals, kept, held, kept.read(chosen))
-        if busy is not None and kept.last is not None and not busy.any():
+        dirty = None if self._frames_unlooked or cache.stale else self._dirty(uploaded, cache, held, cache.read(chosen))
+        if dirty is not None and cache.last is not None and not dirty.any():
             self.report = Report(0.0, 0.0, "none")
-            kept.last = _last(held, kept.read(chosen), kept.last.valid)
-            return kept.image, kept.last.valid
-        return self._compute(kept, held, chosen, busy, window[-1 - chosen[0]].color if self._max_error else None)
+            cache.last = _last(held, cache.read(chosen), cache.last.valid)
+            return cache.image, cache.last.valid
+        return self._compute(cache, held, chosen, dirty, window[-1 - chosen[0]].color if self._max_error else None)
 
     def expect(self, size: tuple[int, int]) -> None:
         """Build what the first call for frames of (H, W) would wait for, such as while that frame is being read."""
@@ -130,115 +131,122 @@ class Stream:
         """How much of the network the last frame took, for each 4 x 4 of its pixels: 0 nothing, 1 everything.
 
         Of a frame that was computed where something changed it is the share of the stored activations that came to differ; of one of
-        which something was left out, see ``Kept.activity``.
+        which something was left out, see ``FrameCache.activity``.
         """
-        assert self._arrivals is not None, "no frame was computed yet"
-        rows, columns = (-(-length // 4) for length in self._arrivals.size)
+        assert self._uploaded is not None, "no frame was computed yet"
+        rows, columns = (-(-length // 4) for length in self._uploaded.size)
         network = self.report.network
         if self._latest is None or network in ("none", "whole"):
             return np.full((rows, columns), network != "none", np.float32)
-        shares = self._latest.layers.activity() if network == "changed" else self._latest.activity()
+        shares = self._latest.network.activity() if network == "changed" else self._latest.activity()
         return shares[:rows, :columns]
 
     def _compute(
-        self, kept: Kept, held: list[Held], steps: tuple[int, int, int], busy: Tiles | None, color: NDArray[np.float32] | None
+        self,
+        cache: FrameCache,
+        held: list[UploadedFrame],
+        steps: tuple[int, int, int],
+        dirty: Tiles | None,
+        color: NDArray[np.float32] | None,
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """The frame, where anything is busy; None: everywhere. ``color``: the newest, for ``bounded``, see ``Kept.choose``."""
-        prepare, layers, last = kept.prepare, kept.layers, kept.last
-        kept.last = None  # should this end half-way, nothing of it is the next frame's
-        cl.enqueue_copy(self.device.queue, prepare.busy, _spread(busy, (prepare.rows, prepare.columns)), is_blocking=True)
-        tolerance = 0.0 if busy is None else self.tolerance
-        choice = kept.choose(color) if self._rests else None
+        """The frame, where anything is dirty; None: everywhere. ``color``: the newest, for ``bounded``, see ``FrameCache.choose``."""
+        prepare, layers, last = cache.prepare, cache.layers, cache.last
+        cache.last = None  # should this end half-way, nothing of it is the next frame's
+        cl.enqueue_copy(self.device.queue, prepare.dirty, _spread(dirty, (prepare.rows, prepare.columns)), is_blocking=True)
+        tolerance = 0.0 if dirty is None else self.tolerance
+        choice = cache.choose(color) if self._frames_unlooked else None
         older = layers.reads_history and (choice is None or choice.older)
-        prepare.start(sources(held, steps), tolerance=tolerance, older=older, looking=not self._rests)
+        prepare.start(sources(held, steps), tolerance=tolerance, older=older, looking=not self._frames_unlooked)
         prepare.strip()
-        changed = kept.changed() if last is not None and not self._rests else 1.0
+        changed = cache.changed() if last is not None and not self._frames_unlooked else 1.0
         whole, departure = changed > (MOST_CHANGED_BOUNDED if self._max_error else MOST_CHANGED), None
-        if whole or kept.stale:
+        if whole or cache.stale:
             # What was left out is not what its inputs give: changes alone would not mend it.
-            choice = choice or kept.choose(color if whole else None)
-            departure = kept.run(choice)
-            network = "partly" if kept.stale else "whole"
+            choice = choice or cache.choose(color if whole else None)
+            departure = cache.run(choice)
+            network = "partly" if cache.stale else "whole"
             if last is not None:
-                layers.changed_only()  # built while the device computes, not when the first change waits for it
+                cache.network.expect_changes()  # built while the device computes, not when the first change waits for it
         else:
             network = "changed"
-            layers.run_changed(kept.target(whole=False), tolerance)
+            cache.network.run_changed(cache.target(whole=False), tolerance)
         valid = np.empty(layers.size, np.uint8)
         cl.enqueue_copy(self.device.queue, valid, prepare.mask)
         valid.flags.writeable = False
-        self.report = Report(1.0 if busy is None else float(busy.mean()), float(changed), network, departure)
+        self.report = Report(1.0 if dirty is None else float(dirty.mean()), float(changed), network, departure)
         if tolerance > 0:
-            self._check(kept)
-        kept.last = _last(held, kept.read(steps), valid.view(np.bool_))
-        if not self._rests:
-            self._tired = self._tired + 1 if whole else 0
-            if self._tired >= PATIENCE:
-                self._tired, self._rests = PATIENCE - AGAIN, REST
-        return kept.image, valid.view(np.bool_)
+            self._check(cache)
+        cache.last = _last(held, cache.read(steps), valid.view(np.bool_))
+        if not self._frames_unlooked:
+            self._frames_all_changed = self._frames_all_changed + 1 if whole else 0
+            if self._frames_all_changed >= PATIENCE:
+                self._frames_all_changed, self._frames_unlooked = PATIENCE - AGAIN, REST
+        return cache.image, valid.view(np.bool_)
 
-    def _check(self, kept: Kept) -> None:
+    def _check(self, cache: FrameCache) -> None:
         """Every so often compute the frame once more, whole, and set the tolerance by how far the two are apart."""
-        if not kept.is_due():
+        if not cache.is_due():
             return
-        left_out, prepare = kept.image, kept.prepare  # while the image is held, the next one is another
-        cl.enqueue_copy(self.device.queue, prepare.busy, _spread(None, (prepare.rows, prepare.columns)), is_blocking=True)
+        left_out, prepare = cache.image, cache.prepare  # while the image is held, the next one is another
+        cl.enqueue_copy(self.device.queue, prepare.dirty, _spread(None, (prepare.rows, prepare.columns)), is_blocking=True)
         prepare.again()
         prepare.strip()
-        kept.run(kept.choose(None))
-        departure = distance(kept.image, left_out)
+        cache.run(cache.choose(None))
+        departure = distance(cache.image, left_out)
         self.report = replace(self.report, departure=departure)
-        kept.checked(well=departure <= AIM * self._max_error)
+        cache.checked(well=departure <= AIM * self._max_error)
         if departure > 0:
             self.tolerance *= min(max(AIM * self._max_error / departure, SLOWER), FASTER)
         self.tolerance = min(self.tolerance, self._max_error)
 
-    def _arriving(self, size: tuple[int, int]) -> Arrivals:
-        if self._arrivals is None or self._arrivals.size != size:
-            self._kept.clear()
-            self._arrivals = Arrivals(self.device, *size)
-        return self._arrivals
+    def _arriving(self, size: tuple[int, int]) -> UploadedFrames:
+        if self._uploaded is None or self._uploaded.size != size:
+            self._caches.clear()
+            self._uploaded = UploadedFrames(self.device, *size)
+        return self._uploaded
 
-    def _keep(self, size: tuple[int, int], *, extrapolates: bool) -> Kept | None:
+    def _keep(self, size: tuple[int, int], *, extrapolates: bool) -> FrameCache | None:
         """What is kept of SFs, or of EFs; None: nothing is."""
         if self._skip == "off":
             return None
-        if extrapolates not in self._kept:
+        if extrapolates not in self._caches:
             if not self._can_keep(size):
                 self._skip = "off"
                 return None
             layers = Layers(
                 self.device, self._weights, *size, self.precision, self._memory, self._whole.network.residual, keep=True
             )
-            self._kept[extrapolates] = Kept(self.device, layers, self._gather, self._max_error)
-        return self._kept[extrapolates]
+            self._caches[extrapolates] = FrameCache(self.device, layers, self._gather, self._max_error)
+        return self._caches[extrapolates]
 
     def _can_keep(self, size: tuple[int, int]) -> bool:
         """Whether the limit is enough to keep all of an SF and all of an EF."""
         height, width = map(ceil8, size)
         return 2 * bytes_for(height, height, width, dtype_of(self.precision), keep=True) <= self._memory
 
-    def _busy(self, arrivals: Arrivals, kept: Kept, held: list[Held], steps: tuple[int, ...]) -> Tiles | None:
+    def _dirty(
+        self, uploaded: UploadedFrames, cache: FrameCache, held: list[UploadedFrame], steps: tuple[int, ...]
+    ) -> Tiles | None:
         """Where the network's inputs may differ from those of the last frame of the kind; None: everywhere.
 
         They are the same where, in all frames that either read, nothing moves and the surface is the same, and so are the colours.
         """
-        last = kept.last
+        last = cache.last
         if last is None or _missing(steps) != _missing(last.steps):
             return None
         oldest, newest = min(last.oldest, held[-1 - steps[-1]].number), max(last.number, held[-1].number)
-        moved = arrivals.changed(oldest, newest)
+        moved = uploaded.changed(oldest, newest)
         if moved is None:
             return None
         for step, before in zip(steps, last.colors, strict=True):
-            recolored = arrivals.color_changed(held[-1 - step].number, before)
+            recolored = uploaded.color_changed(held[-1 - step].number, before)
             if recolored is None:
                 return None
             moved = moved | recolored
         return moved
 
 
-def _last(held: list[Held], steps: tuple[int, ...], valid: NDArray[np.bool_]) -> Last:
+def _last(held: list[UploadedFrame], steps: tuple[int, ...], valid: NDArray[np.bool_]) -> Last:
     return Last(held[-1].number, held[-1 - steps[-1]].number, steps, tuple(held[-1 - step].number for step in steps), valid)
 
 
@@ -252,7 +260,7 @@ def _spread(changed: Tiles | None, size: tuple[int, int]) -> NDArray[np.uint8]:
     rows, columns = (length // 4 for length in size)
     if changed is None:
         return np.ones((rows, columns), np.uint8)
-    busy = changed.copy()
-    busy[:, :-1] |= changed[:, 1:]
-    busy[:-1] |= busy[1:].copy()
-    return np.pad(busy, ((0, rows - busy.shape[0]), (0, columns - busy.shape[1])), mode="edge").astype(np.uint8)
+    dirty = changed.copy()
+    dirty[:, :-1] |= changed[:, 1:]
+    dirty[:-1] |= dirty[1:].copy()
+    return np.pad(dirty, ((0, rows - dirty.shape[0]), (0, columns - dirty.shape[1])), mode="edge").astype(np.uint8)

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import takewhile
-from typing import Protocol
 
 import numpy as np
 import pyopencl as cl
@@ -18,7 +17,8 @@ from stss_cl.device.discovery import Device
 from stss_cl.device.program import build
 from stss_cl.image_space.frame_planes import Sources, upload
 from stss_cl.image_space.prepare import SCANNERS
-from stss_ref.arrays import Array, require_finite
+from stss_cl.skip.display_frame import DisplayFrame
+from stss_ref.arrays import require_finite
 
 Tiles = NDArray[np.bool_]
 """(ceil(H / 4), ceil(W / 4)): True where something changed in a tile of 4 x 4 pixels."""
@@ -30,34 +30,8 @@ window's it is remembered where they differ, and nothing else: their arrays are 
 FINITE = ("color", "gbuffer", "nov", "stencil")
 
 
-class DisplayFrame(Protocol):
-    """What an engine gives for a display frame (spec 0), float32. Nothing of it may change while it is in the window of a call.
-
-    Attributes:
-        color: (H, W, 3), or None.
-        motion: (H, W, 2).
-        gbuffer: (H, W, 9).
-        nov: (H, W).
-        stencil: (H, W).
-        position: (H, W, 3).
-    """
-
-    @property
-    def color(self) -> Array | None: ...  # noqa: D102
-    @property
-    def motion(self) -> Array: ...  # noqa: D102
-    @property
-    def gbuffer(self) -> Array: ...  # noqa: D102
-    @property
-    def nov(self) -> Array: ...  # noqa: D102
-    @property
-    def stencil(self) -> Array: ...  # noqa: D102
-    @property
-    def position(self) -> Array: ...  # noqa: D102
-
-
 @dataclass
-class Held:
+class UploadedFrame:
     """A display frame on the device.
 
     Attributes:
@@ -81,7 +55,7 @@ class Held:
         self.frame, self.planes, self.color = None, {}, None
 
 
-class Arrivals:
+class UploadedFrames:
     """The last frames of one size (height, width) that arrived, each the next display frame after the one before it."""
 
     def __init__(self, device: Device, height: int, width: int):
@@ -92,7 +66,7 @@ class Arrivals:
         self._bad = cl.Buffer(
             device.context, cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR, hostbuf=np.zeros(len(FINITE), np.int32)
         )
-        self._chain: deque[Held] = deque(maxlen=HELD)
+        self._chain: deque[UploadedFrame] = deque(maxlen=HELD)
         self._count = 0
 
     @cached_property
@@ -101,7 +75,7 @@ class Arrivals:
         program = build(self._device, "changed_tiles.cl", {"SPAN": SPAN})
         return {name: cl.Kernel(program, name) for name in ("differ", "differ_color")}
 
-    def take(self, window: Sequence[DisplayFrame], *, compare: bool) -> list[Held]:
+    def take(self, window: Sequence[DisplayFrame], *, compare: bool) -> list[UploadedFrame]:
         """The frames of ``window``, consecutive and oldest first, on the device; those of the last window are not looked at again.
 
         Frames are compared when they arrive, with frames of the same window: of all others the arrays may have been written to since.
@@ -146,7 +120,7 @@ class Arrivals:
         known = [tiles for tiles in maps if tiles is not None]
         return np.logical_or.reduce([*known, np.zeros(self._shape, np.bool_)]) if len(known) == count else None
 
-    def _arrive(self, frame: DisplayFrame, window: Sequence[Held], *, compare: bool) -> None:
+    def _arrive(self, frame: DisplayFrame, window: Sequence[UploadedFrame], *, compare: bool) -> None:
         """``window``: the frames before it that its outputs read, too."""
         height, width = self.size
         shapes = {"motion": (2,), "gbuffer": (9,), "nov": (), "stencil": (), "position": (3,)}
@@ -167,10 +141,10 @@ class Arrivals:
         self._require_finite(frame)
         changed = self._read_map() if before is not None and compare else None
         recolored = self._recolored(color, window) if compare else None
-        self._chain.append(Held(frame, self._count, planes, color, changed, recolored))
+        self._chain.append(UploadedFrame(frame, self._count, planes, color, changed, recolored))
         self._count += 1
 
-    def _recolored(self, color: cl.Buffer | None, window: Sequence[Held]) -> Tiles | None:
+    def _recolored(self, color: cl.Buffer | None, window: Sequence[UploadedFrame]) -> Tiles | None:
         if color is None:
             return np.zeros(self._shape, np.bool_)
         before = next((held.color for held in reversed(window) if held.color is not None), None)
@@ -204,7 +178,7 @@ class Arrivals:
             require_finite(name, getattr(frame, name))
 
 
-def sources(held: Sequence[Held], steps: tuple[int, int, int]) -> Sources:
+def sources(held: Sequence[UploadedFrame], steps: tuple[int, int, int]) -> Sources:
     """What stage ``frame`` reads for the last of ``held``, consecutive frames of which the steps lead to those with colour."""
     back = held[::-1]
     now, colors = back[0].planes, [back[step] for step in steps]

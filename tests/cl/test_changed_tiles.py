@@ -16,6 +16,7 @@ from stss_cl.device.tuning import Direct, Strip, Tuning, Winograd, trial
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import PRECISIONS
 from stss_cl.network.strips import OVERLAP, STEP, bytes_for
+from stss_cl.skip.partial_network import PartialNetwork
 from stss_ref.weights import random as random_weights
 from stss_ref.weights import zeros
 
@@ -56,6 +57,7 @@ class Sequence:
         self.options = options
         self.layers = Layers(device, self.weights, *size, precision, keep=True, **options)
         assert self.layers.keep
+        self.network = PartialNetwork(self.layers)
         self.given = self.layers.inputs.input, self.layers.inputs.earlier, self.layers.inputs.eighth
         self.image = self.buffer()
         self.poison()
@@ -101,7 +103,7 @@ class Sequence:
 
     def next(self, inputs, tolerance=0.0):
         self.feed(inputs)
-        self.layers.run_changed(self.image, tolerance)
+        self.network.run_changed(self.image, tolerance)
 
     def fresh(self, inputs):
         """The image from buffers that the layers share and launches that compute everything."""
@@ -192,7 +194,7 @@ def test_where_nothing_is_marked_nothing_is_written(device, precision):
     sequence.next(inputs)
     assert np.isnan(sequence.show()).all()
     sequence.fill(noise(np.random.default_rng(1), sequence.size))  # others, but nobody says so
-    sequence.layers.run_changed(sequence.image)
+    sequence.network.run_changed(sequence.image)
     assert np.isnan(sequence.show()).all()
     for held, old in zip(sequence.layers.features.values(), before, strict=True):
         np.testing.assert_array_equal(contents(device, held), old)
@@ -247,15 +249,15 @@ def test_a_mark_left_out_shows(device, which):
         marks = tiles(old, contents(device, held))
         assert marks.any()
         sequence.mark(held, np.zeros_like(marks) if i == which else marks)
-    sequence.layers.run_changed(sequence.image)
+    sequence.network.run_changed(sequence.image)
     assert (sequence.show() != sequence.fresh(changed)).any()
 
 
 def launches(sequence):
     """All but the last, in pairs: computing everything and only what changed, with the buffer that both write."""
-    places = {"upsample_corners": 1, "normalise": 1, "attend": 3, "conv": 6, "winograd": 6}
-    pairs = zip(sequence.layers.launches, sequence.layers._changed.launches, strict=True)
-    return [(every, some, every.held[places[every.kernel.function_name]]) for every, some in list(pairs)[:-1]]
+    names = {"upsample_corners": "out", "normalise": "unit", "attend": "reshaded", "conv": "out", "winograd": "out"}
+    pairs = zip(sequence.layers.launches, sequence.network._changed_tiles.launches, strict=True)
+    return [(every, some, every.arguments[names[every.kernel.function_name]]) for every, some in list(pairs)[:-1]]
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -272,7 +274,7 @@ def test_the_tiles_that_changed_are_marked_and_no_others(device, precision, size
     for held, old in zip(features, wide, strict=True):
         np.testing.assert_array_equal(raw(device, held.changes), tiles(old, contents(device, held)).ravel())
     for (_, some, out), old in zip(pairs, before, strict=True):
-        maps = [x for x in some.skip.arguments if isinstance(x, cl.Buffer)]
+        maps = [x for x in some.skip.maps.values() if isinstance(x, cl.Buffer)]
         assert raw(device, maps[-1]).any() == (old != raw(device, out)).any(), some.name
 
 

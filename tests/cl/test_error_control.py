@@ -13,8 +13,9 @@ from stss_cl.device.buffers import Outgoing, incoming
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import PRECISIONS
 from stss_cl.skip import stream as streaming
-from stss_cl.skip.error_control import AIM, FIRST, GROWTH, LONGEST, OLD_AIM, REST, WHOLE, Depth, Level, Shot
+from stss_cl.skip.error_control import AIM, FIRST, GROWTH, LONGEST, OLD_AIM, REST, Depth, Shot
 from stss_cl.skip.frame_cache import distance
+from stss_cl.skip.partial_network import WHOLE, Level, PartialNetwork
 from stss_cl.skip.stream import Stream
 from stss_ref.weights import random as random_weights
 from tests.cl.test_stream import UNREAD, WEIGHTS, assert_same, first_frame, next_frame
@@ -32,22 +33,23 @@ def inputs(seed):
 def test_what_stayed_is_made_up_for(device, precision):
     """At every level: less is launched, the image differs, and ``complete`` gives the bits of the whole network."""
     layers = Layers(device, WEIGHTS, *SIZE, precision, keep=True)
+    network = PartialNetwork(layers)
 
     def run(seed, level=None):
         arrays = inputs(seed)  # read in place on a processor: they must stay
         layers.pack(*(incoming(device, array) for array in arrays))
         image = Outgoing(device, (2 * SIZE[0], 2 * SIZE[1], 3), on_device=False)
-        layers.run(image.data, WHOLE if level is None else Level(level.stays, plain=False, history=level.history))
+        network.run(image.data, WHOLE if level is None else Level(level.stays, flat=False, history=level.history))
         stale = image.finish().copy()
         if level is None:
             return stale, stale
-        layers.complete(image.data, level)
+        network.complete(image.data, level)
         return stale, image.finish().copy()
 
     whole = run(1)[1]
     run(2)
-    assert layers.levels[1] == (frozenset(), True, True)
-    for before, level in pairwise(layers.levels[1:]):  # test_plain.py is about plain tiles
+    assert network.levels[1] == (frozenset(), True, True)
+    for before, level in pairwise(network.levels[1:]):  # test_flat_tiles.py is about flat tiles
         assert before.stays < level.stays
         run(2)
         stale, mended = run(1, level)
@@ -58,13 +60,14 @@ def test_what_stayed_is_made_up_for(device, precision):
 
 def test_weights_that_do_not_read_the_history(device):
     layers = Layers(device, UNREAD, *SIZE, "float32", keep=True)
-    assert [level.history for level in layers.levels] == 4 * [False]
-    assert {layers.launches[i].name for i in layers.levels[0].stays} == {"lowlevelGated"}
+    network = PartialNetwork(layers)
+    assert [level.history for level in network.levels] == 4 * [False]
+    assert {layers.launches[i].name for i in network.levels[0].stays} == {"lowlevelGated"}
 
 
 def test_without_a_residual_or_without_keeping_nothing_may_stay(device):
-    assert Layers(device, WEIGHTS, *SIZE, "float32").levels == (WHOLE,)
-    assert Layers(device, WEIGHTS, *SIZE, "float32", residual=False, keep=True).levels == (WHOLE,)
+    assert PartialNetwork(Layers(device, WEIGHTS, *SIZE, "float32")).levels == (WHOLE,)
+    assert PartialNetwork(Layers(device, WEIGHTS, *SIZE, "float32", residual=False, keep=True)).levels == (WHOLE,)
 
 
 @given(departures=st.lists(st.floats(0, 3), min_size=4, max_size=4).map(sorted))
@@ -167,7 +170,7 @@ def early(monkeypatch):
 @pytest.mark.usefixtures("early")
 @pytest.mark.parametrize("max_error", [0.9, 1e-9])
 def test_a_moving_camera(device, max_error):
-    """With a wide bound the deep layers stay most of the time; with a narrow one never: noise has no plain tiles."""
+    """With a wide bound the deep layers stay most of the time; with a narrow one never: noise has no flat tiles."""
     rng, weights = np.random.default_rng(4), {name: w * np.float32(0.5) for name, w in random_weights(3).items()}
     made = first_frame(rng, SIZE, rendered=True)
     frames, color = [made], made.color
@@ -179,7 +182,7 @@ def test_a_moving_camera(device, max_error):
     partly = 0
     for i in range(70):
         window = frames[max(0, i - 5) : i + 1]
-        steps, resting = plan(window).steps, loose._rests > 1
+        steps, resting = plan(window).steps, loose._frames_unlooked > 1
         got, want = loose(window, steps), plain(window, steps)
         partly += loose.report.network == "partly"
         if loose.report.network == "whole" and resting:  # else tolerances kept some of the inputs
@@ -207,9 +210,9 @@ def test_what_was_left_out_does_not_outlive_the_motion(device, weights, looking)
     seen = []
     for i in range(100):
         window = frames[max(0, i - 5) : i + 1]
-        loose._rests *= not looking
+        loose._frames_unlooked *= not looking
         got, want = loose(window, plan(window).steps), plain(window, plan(window).steps)
-        seen.append((loose.report.network, loose._rests))
+        seen.append((loose.report.network, loose._frames_unlooked))
         if i >= 50 and not any(rests for _, rests in seen[-3:]):  # since then one frame of this kind was looked at
             assert_same(got, want)
     assert "partly" in [network for network, _ in seen[30:]]
@@ -230,7 +233,7 @@ def test_old_features_do_not_outlive_the_motion(device):
         frames.append(type(made)(made.number, color if i % 2 == 0 else None, *list(vars(made).values())[2:]))
     loose, seen = Stream(WEIGHTS, device, skip="bounded", max_error=0.99), []
     for i in range(60):
-        loose._rests = 0  # to look at every frame
+        loose._frames_unlooked = 0  # to look at every frame
         loose(frames[max(0, i - 5) : i + 1], plan(frames[max(0, i - 5) : i + 1]).steps)
         seen.append((loose.report.network, loose.report.changed))
     assert "partly" in [network for network, _ in seen[:40]]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Plain tiles: which they are, and what leaving them to the upsampled frame does to the others."""
+"""Flat tiles: which they are, and what leaving them to the upsampled frame does to the others."""
 
 import numpy as np
 import pytest
@@ -11,8 +11,8 @@ from conformance.tolerance import ratio
 from stss_cl.device.buffers import Outgoing, incoming
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import PRECISIONS
-from stss_cl.skip.error_control import WHOLE
-from stss_cl.skip.flat_tiles import Plain
+from stss_cl.skip.flat_tiles import FlatTiles
+from stss_cl.skip.partial_network import WHOLE, PartialNetwork
 from stss_ref.resample import upsample_centres
 from tests.cl.test_stream import WEIGHTS
 
@@ -55,7 +55,7 @@ def bent(values: np.ndarray, limit: float) -> np.ndarray:
 
 
 def expected(color: np.ndarray, gbuffer: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Which tiles are no plain ones, by SciPy."""
+    """Which tiles are no flat ones, by SciPy."""
     hole = np.pad(mask == 0, [(0, p - s) for p, s in zip(PADDED, SIZE, strict=True)])
     found = tiles(ndimage.maximum_filter(bent(color[..., :3], FLAT) | bent(gbuffer, SURFACE) | hole, 3))
     y, x = np.indices(found.shape)
@@ -64,15 +64,15 @@ def expected(color: np.ndarray, gbuffer: np.ndarray, mask: np.ndarray) -> np.nda
 
 
 class Setup:
-    """The network for SIZE, with plain tiles."""
+    """The network for SIZE, with flat tiles."""
 
     def __init__(self, device, precision):
         self.device, self.precision = device, precision
         self.layers = Layers(device, WEIGHTS, *SIZE, precision, keep=True)
         mask = np.zeros(SIZE, np.uint8)
         self.mask = incoming(device, mask), mask  # read in place on a processor
-        self.plain = Plain(device, self.layers.launches, self.layers.inputs, self.mask[0], SIZE, FLAT)
-        self.held = []
+        self.flat = FlatTiles(device, self.layers.launches, self.layers.inputs, self.mask[0], SIZE, FLAT)
+        self.network, self.held = PartialNetwork(self.layers), []
 
     def __call__(self, arrays, level=WHOLE):
         self.held = [incoming(self.device, array) for array in arrays], arrays
@@ -81,9 +81,9 @@ class Setup:
             self.mask = incoming(self.device, self.mask[1]), self.mask[1]
         self.layers.pack(*self.held[0])
         image = Outgoing(self.device, (2 * SIZE[0], 2 * SIZE[1], 3), on_device=False)
-        self.plain.read(self.held[0][1])
-        self.layers.run(image.data, level, self.plain)
-        self.departure = None if level.plain else self.plain.departure(image.data)
+        self.flat.read(self.held[0][1])
+        self.network.run(image.data, level, self.flat)
+        self.departure = None if level.flat else self.flat.departure(image.data)
         return image.finish().copy()
 
 
@@ -93,13 +93,13 @@ def setup(request, device):
 
 
 @given(seed=st.integers(0, 2**16))
-def test_which_tiles_are_plain(setup, seed):
+def test_which_tiles_are_flat(setup, seed):
     arrays = picture(seed, plain=True)
-    setup(arrays, setup.layers.levels[1])
+    setup(arrays, setup.network.levels[1])
     want = expected(*arrays[:3])
-    np.testing.assert_array_equal(setup.plain.wanted(), want)
+    np.testing.assert_array_equal(setup.flat.wanted(), want)
     assert not want.all()
-    for fine, coarse in zip(setup.plain.maps(), setup.plain.maps()[1:], strict=False):
+    for fine, coarse in zip(setup.flat.maps(), setup.flat.maps()[1:], strict=False):
         rows, columns = coarse.shape
         grown = ndimage.maximum_filter(
             np.pad(fine, [(0, 2 * n - m) for n, m in zip((rows, columns), fine.shape, strict=True)]), 3
@@ -108,13 +108,13 @@ def test_which_tiles_are_plain(setup, seed):
 
 
 def test_the_rest_of_the_image_is_that_of_the_whole_network(setup):
-    """What is no plain tile is as by the whole network, whatever the layers held before; the others are the upsampled frame."""
+    """What is no flat tile is as by the whole network, whatever the layers held before; the others are the upsampled frame."""
     arrays = picture(1, plain=True)
     whole = setup(arrays)
     setup(picture(2, plain=False))
-    got = setup(arrays, setup.layers.levels[1])
+    got = setup(arrays, setup.network.levels[1])
     height, width, _ = got.shape
-    wanted = setup.plain.wanted().repeat(8, axis=0).repeat(8, axis=1)[:height, :width]
+    wanted = setup.flat.wanted().repeat(8, axis=0).repeat(8, axis=1)[:height, :width]
     assert 0.1 < wanted.mean() < 0.9
     np.testing.assert_array_equal(got[~wanted], upsample_centres(arrays[0][..., :3])[~wanted])
     assert not np.array_equal(got[~wanted], whole[~wanted])
@@ -126,7 +126,7 @@ def test_the_rest_of_the_image_is_that_of_the_whole_network(setup):
 
 @given(seed=st.integers(0, 2**16))
 def test_the_departure_is_seen_in_the_whole_image(setup, seed):
-    """Without computing it: how far the plain tiles' pixels lie from the upsampled frame, in the image of the whole network."""
+    """Without computing it: how far the flat tiles' pixels lie from the upsampled frame, in the image of the whole network."""
     arrays = picture(seed, plain=True)
     whole = setup(arrays)
     height, width, _ = whole.shape
@@ -134,10 +134,10 @@ def test_the_departure_is_seen_in_the_whole_image(setup, seed):
     assert setup.departure == np.abs(whole - upsample_centres(arrays[0][..., :3]))[plain].max() > 0
 
 
-def test_without_plain_tiles_nothing_is_left_out(setup):
+def test_without_flat_tiles_nothing_is_left_out(setup):
     arrays = picture(3, plain=False)
     whole = setup(arrays)
     assert setup.departure == 0
     setup(picture(2, plain=True))
-    np.testing.assert_array_equal(setup(arrays, setup.layers.levels[1]), whole)
-    assert setup.plain.wanted().all()
+    np.testing.assert_array_equal(setup(arrays, setup.network.levels[1]), whole)
+    assert setup.flat.wanted().all()

@@ -229,11 +229,12 @@ def run_stream(device, precision):
     assert stream.report.network == "changed", stream.report
 
 
-def run_plain(device, precision):
+def run_flat(device, precision):
     """A frame that is flat but for one corner."""
     from stss_cl.device.buffers import Outgoing
     from stss_cl.network.layers import Layers
-    from stss_cl.skip.flat_tiles import Plain
+    from stss_cl.skip.flat_tiles import FlatTiles
+    from stss_cl.skip.partial_network import PartialNetwork
     from stss_ref.weights import random as random_weights
 
     random, size = np.random.default_rng(6), (33, 46)
@@ -246,12 +247,13 @@ def run_plain(device, precision):
     made = [cla.to_device(device.queue, array).base_data for array in (color, gbuffer)]
     layers.pack(*made, *others)
     image = Outgoing(device, (2 * size[0], 2 * size[1], 3), on_device=False)
-    plain = Plain(device, layers.launches, layers.inputs, mask.base_data, size, 0.01)
-    plain.read(made[1])
-    layers.run(image.data, layers.levels[1], plain)
-    show("plain", image.finish())
-    assert 0 < plain.wanted().mean() < 1
-    show("departure", plain.departure(image.data))
+    flat = FlatTiles(device, layers.launches, layers.inputs, mask.base_data, size, 0.01)
+    flat.read(made[1])
+    network = PartialNetwork(layers)
+    network.run(image.data, network.levels[1], flat)
+    show("flat tiles", image.finish())
+    assert 0 < flat.wanted().mean() < 1
+    show("departure", flat.departure(image.data))
 
 
 def run_stages(device, height, width):
@@ -308,7 +310,7 @@ def main(case):
     elif kind == "stream":
         run_stream(device, how)
     elif kind == "plain":
-        run_plain(device, how)
+        run_flat(device, how)
     else:
         for size in SIZES if how in ("", "float32") else (SIZES[0], SIZES[-1]):
             if kind == "network":

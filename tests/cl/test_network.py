@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from conformance.cases.planes import SEEDS, sizes
 from conformance.tolerance import ratio, sum_bound, worst
 from stss_cl.device.buffers import padded, read, write
-from stss_cl.network.launch import conv
+from stss_cl.network.conv import conv
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import PRECISIONS, Network, run_stage
 from stss_cl.network.pack_weights import EVERY_SECOND, POINTS, pack, winograd_matrix

@@ -20,7 +20,7 @@ from stss_cl.device import program
 from stss_cl.network.network import PRECISIONS
 from stss_cl.skip import stream as streaming
 from stss_cl.skip.stream import Stream
-from stss_cl.skip.uploaded_frames import Arrivals
+from stss_cl.skip.uploaded_frames import UploadedFrames
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import random as random_weights
 
@@ -246,9 +246,9 @@ def test_where_all_changes_nothing_is_looked_for_after_a_while(device, monkeypat
     for i in range(1, 30):
         made, color = next_frame(rng, frames[-1], color, "everything", rendered=i % 2 == 0)
         frames.append(made)
-    looks, take = [], Arrivals.take
+    looks, take = [], UploadedFrames.take
     monkeypatch.setattr(
-        Arrivals, "take", lambda self, window, *, compare: (looks.append(compare), take(self, window, compare=compare))[1]
+        UploadedFrames, "take", lambda self, window, *, compare: (looks.append(compare), take(self, window, compare=compare))[1]
     )
     for i in range(30):
         window = frames[max(0, i - 5) : i + 1]
@@ -269,7 +269,7 @@ def test_a_change_that_is_not_seen_would_show(device, monkeypatch):
         window = frames[max(0, i - 5) : i + 1]
         keeping(window, plan(window).steps)
     monkeypatch.setattr(
-        "stss_cl.skip.uploaded_frames.Arrivals.color_changed",
+        "stss_cl.skip.uploaded_frames.UploadedFrames.color_changed",
         lambda self, now, before: np.zeros((-(-16 // 4), -(-24 // 4)), np.bool_),
     )
     with pytest.raises(AssertionError):

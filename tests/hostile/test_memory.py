@@ -145,7 +145,7 @@ def test_nobody_can_write_to_what_is_kept(device, skip):
     assert stream.report.network == "none"
 
 
-@pytest.mark.parametrize("broken", ["stss_cl.network.layer_builder.Chain.run_changed", "stss_cl.skip.frame_cache.Kept.changed"])
+@pytest.mark.parametrize("broken", ["partial_network.PartialNetwork.run_changed", "frame_cache.FrameCache.changed"])
 def test_a_call_that_ends_half_way_leaves_nothing_behind(device, monkeypatch, broken):
     """Such as by Ctrl-C, or by a device that ran out of memory: the same frame again is right."""
 
@@ -158,7 +158,7 @@ def test_a_call_that_ends_half_way_leaves_nothing_behind(device, monkeypatch, br
         window = frames[max(0, i + 1 - WINDOW) : i + 1]
         if i in (8, 9):
             with monkeypatch.context() as patch:
-                patch.setattr(broken, interrupted)
+                patch.setattr(f"stss_cl.skip.{broken}", interrupted)
                 with pytest.raises(KeyboardInterrupt):
                     stream(window, plan(window).steps)
         assert_same(stream(window, plan(window).steps), plain(window, plan(window).steps))
