@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from stss.color import Transfer, transfer
 from stss.errors import InputError
@@ -41,19 +41,23 @@ def plan(window: Sequence[DisplayFrame]) -> Schedule | None:
     return schedule(newest, rendered, reach=newest - window[0].number)
 
 
-def compute(window: Sequence[DisplayFrame], backend: Backend, from_display: Transfer) -> Output | None:
-    """Compute the newest frame of ``window``; None where there is nothing to extrapolate it from.
+def compute(window: Sequence[DisplayFrame], backend: Backend) -> Output | None:
+    """Compute the newest frame of ``window``, display-referred; None where there is nothing to extrapolate it from.
 
     Args:
         window: up to six consecutive display frames of one size, oldest first.
         backend: what computes it.
-        from_display: the transfer whose inverse the image is taken through.
     """
     planned = plan(window)
     if planned is None:
         return None
     image, valid = backend.compute(window, planned.steps)
-    return Output(window[-1].number, planned.kind, from_display.decode(image), valid)
+    return Output(window[-1].number, planned.kind, image, valid)
+
+
+def decoded(output: Output, curve: Transfer) -> Output:
+    """``output`` of `compute`, taken back to the domain that its colours came in."""
+    return replace(output, image=curve.decode(output.image))
 
 
 def supersample(
@@ -80,9 +84,9 @@ def supersample(
         if window and (buffers.number != window[-1].number + 1 or buffers.depth.shape != window[-1].nov.shape):
             window.clear()
         window.append(prepared)
-        output = compute(tuple(window), backend, curve)
+        output = compute(tuple(window), backend)
         if output is not None:
-            yield output
+            yield decoded(output, curve)
 
 
 def choose_rendered(numbers: Iterable[int], has_color: frozenset[int], choice: str | None) -> frozenset[int]:

@@ -16,7 +16,7 @@ from stss.color import Transfer, transfer
 from stss.errors import InputError
 from stss.frames.backends import NETWORK, Backend, Cost
 from stss.frames.display_frame import DisplayFrame
-from stss.frames.supersample import Output, choose_rendered, plan
+from stss.frames.supersample import Output, choose_rendered, compute, decoded
 from stss.images.read_write import encode_mask, encode_rgb, read_header
 from stss.output.apart import require_apart
 from stss.output.folder import OutputFolder
@@ -28,7 +28,7 @@ from stss.sequence.profiles import Profile
 from stss.sequence.reader import Sequence
 from stss.version import VERSION
 from stss_ref import SPEC_VERSION
-from stss_ref.arrays import Array, Image, Mask
+from stss_ref.arrays import Array, Image
 from stss_ref.depth import DepthMode
 from stss_ref.schedule import FrameKind, schedule
 
@@ -168,13 +168,10 @@ class _Read:
 
 @dataclass(frozen=True)
 class _Computed:
-    """What the backend made of it: ``image`` (2H, 2W, 3) display-referred, ``valid`` (H, W)."""
+    """What the backend made of it, display-referred."""
 
-    number: int
     key: str
-    kind: FrameKind
-    image: Image
-    valid: Mask
+    output: Output
     cost: Cost | None
     activity: Array | None
 
@@ -226,22 +223,22 @@ class _Job:
         """Compute it, or say why not; nothing else touches ``backend``."""
         if isinstance(read, FrameReport):
             return read
-        number, planned = read.window[-1].number, plan(read.window)
-        if planned is None:
+        output = compute(read.window, self.backend)
+        if output is None:
+            number = read.window[-1].number
             # At the start of a sequence this is how it must be; later on it is the work of a frame that could not be read.
             reason = f"frame {number}: no rendered frame just before it to extrapolate from"
             return FrameReport(number, FrameKind.EF, "left out", reason, fault=schedule(number, self.rendered) is not None)
-        image, valid = self.backend.compute(read.window, planned.steps)
         activity = self.backend.activity if self.options.show_skipped else None
-        return _Computed(number, read.key, planned.kind, image, valid, self.backend.cost, activity)
+        return _Computed(read.key, output, self.backend.cost, activity)
 
     def write(self, made: _Computed | FrameReport) -> FrameReport:
         """Take it back through the transfer and write its files."""
         if isinstance(made, FrameReport):
             return made
-        output = Output(made.number, made.kind, self.curve.decode(made.image), made.valid)
+        output = decoded(made.output, self.curve)
         if made.activity is not None:
-            self._write_rgb(frame_name(made.number, "png", SKIPPED), picture(made.image, made.activity), {})
+            self._write_rgb(frame_name(output.number, "png", SKIPPED), picture(made.output.image, made.activity), {})
         if output.kind is FrameKind.EF:
             name = frame_name(output.number, "png", HOLES)
             self.folder.write(name, encode_mask(self.folder.path / name, ~output.valid))
@@ -249,7 +246,7 @@ class _Job:
         image = self.curve.display(output.image) if self.options.format == "png" else output.image
         metadata = {"stss:key": made.key, "stss:frame": str(output.number), "stss:kind": output.kind.value}
         self._write_rgb(frame_name(output.number, self.options.format), image, {**self.metadata, **metadata})
-        return FrameReport(made.number, made.kind, "done", cost=made.cost)
+        return FrameReport(output.number, output.kind, "done", cost=made.cost)
 
     def _write_rgb(self, name: str, image: Image, metadata: dict[str, str]) -> None:
         self.folder.write(name, encode_rgb(self.folder.path / name, image, metadata=metadata))
