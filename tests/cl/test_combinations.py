@@ -1,0 +1,81 @@
+"""Every way to gather, to skip and to store, on both classes of device: each cell of the table is run once, on small frames."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from conformance.tolerance import ratio
+from stss.frames.backends import ReferenceBackend
+from stss.frames.supersample import plan
+from stss_cl.device.discovery import Properties, open_device
+from stss_cl.network.network import PRECISIONS
+from stss_cl.skip.stream import SKIPS, Stream
+from stss_ref.motion_chain import GATHERS
+from tests.cl.test_stream import WEIGHTS, assert_same, first_frame, next_frame
+
+SIZE = 19, 45  # rows of eight pixels and the rest of one; whole tiles and cut ones
+CHANGES = (*6 * ["nothing"], "moving", "moving", "pixel", "moving", "nothing", "moving", "rectangle", "moving")
+
+
+@pytest.fixture(scope="module", params=["found", "gpu"])
+def device(request):
+    """The device as it says it is; the same as if it were a graphics processor: its host code, work-groups and row of tunings."""
+    with pytest.MonkeyPatch.context() as patch:
+        if request.param == "gpu":
+            patch.setattr(Properties, "is_cpu", property(lambda _: False))
+        yield open_device()
+        whole.cache_clear()
+
+
+@cache
+def windows():
+    """(window, steps) of each frame of a sequence in which some things move, and others stay."""
+    rng = np.random.default_rng(4)
+    frames = [first_frame(rng, SIZE, rendered=True)]
+    color, made = frames[0].color, []
+    for i, change in enumerate(CHANGES, start=1):
+        frame, color = next_frame(rng, frames[-1], color, change, rendered=i % 2 == 0)
+        frames.append(frame)
+    for i in range(len(frames)):
+        window = frames[max(0, i - 5) : i + 1]
+        made.append((window, plan(window).steps))
+    return made
+
+
+@cache
+def right(gather):
+    """Images and masks of the reference in float32."""
+    reference = ReferenceBackend(WEIGHTS, gather)
+    return [reference.compute(window, steps) for window, steps in windows()]
+
+
+@cache
+def whole(device, precision, gather):
+    """Images and masks of a device that keeps nothing."""
+    stream = Stream(WEIGHTS, device, precision, gather, skip="off")
+    return [stream(window, steps) for window, steps in windows()]
+
+
+@pytest.mark.parametrize("skip", SKIPS)
+@pytest.mark.parametrize("gather", GATHERS)
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_every_combination_gives_the_frames_of_off(device, precision, gather, skip):
+    """Those of `off` are the reference's; `exact` has its bits, and `bounded` has them in every frame that it checks."""
+    off = whole(device, precision, gather)
+    if skip == "off":
+        for (image, valid), (want, want_valid) in zip(off, right(gather), strict=True):
+            np.testing.assert_array_equal(valid, want_valid)
+            assert ratio(f"network.cl.{precision}", image, want.astype(np.float64)) <= 1
+        return
+    stream, in_part, checked = Stream(WEIGHTS, device, precision, gather, skip=skip, max_error=0.9), [0, 0], 0
+    for i, ((window, steps), want) in enumerate(zip(windows(), off, strict=True)):
+        got = stream(window, steps)
+        in_part[i % 2] += stream.report.network == "changed"
+        checked += stream.report.departure is not None
+        if skip == "exact" or stream.report.departure is not None:
+            assert_same(got, want)
+    assert min(in_part) > 0  # of either kind, or nothing was tried
+    assert (checked > 0) == (skip == "bounded")
