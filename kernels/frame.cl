@@ -88,7 +88,7 @@ kernel void fill_holes(global const float *restrict color, global const float2 *
     if (x >= columns || y >= rows) return;
     const int shown_x = x < width ? x : width - 1, shown_y = top + y < height ? top + y : height - 1, pixel = shown_y * width + shown_x;
     if (mask[pixel]) return;
-    const Taps at = taps(follow(motion[pixel], shown_x, shown_y), height, width);
+    const Taps at = taps(follow(motion[pixel], shown_x, shown_y, height, width), height, width);
     const float3 c = not_negative(look_instead(color, splatted(motion, first, at.nw), shown_x, shown_y, height, width));
     const int padded = (y + 1) * (columns + 2) + x + 1;
 #ifdef SKIP

@@ -45,16 +45,14 @@ kernel void chain_steps8(MOTIONS, const int newest, const int middle, const int 
     }
     *(global uint8_anywhere *)(keys + pixel) = (uint8)(UNWANTED);
     *(global uint8_anywhere *)(first + pixel) = (uint8)(NOBODY);
-    const float8 px = (float8)(0, 1, 2, 3, 4, 5, 6, 7) + (float)x, py = (float8)((float)y);
     const float8 left = read8((global const float *)(motion0 + pixel)), right = read8((global const float *)(motion0 + pixel + 4));
     float8 mx = (float8)(left.even, right.even), my = (float8)(left.odd, right.odd);
     for (int j = 1; j <= oldest; ++j) {
         if (j > 1) {
             global const float2 *restrict earlier = motions[j - 1];
-            const float8 ax = px + mx, ay = py + my;
-            const int8 inside = ax >= 0.0f && ax < (float)(width - 1) && ay >= 0.0f && ay < (float)(height - 1);
-            if (all8(inside)) {
-                const Pair8 more = gather_longest8(earlier, trunc8(ay) * width + trunc8(ax), width);
+            const Place8 at = follow8(mx, my, x, y, height, width);
+            if (all_inside8(at, height, width)) {
+                const Pair8 more = gather_longest8(earlier, at.y * width + at.x, width);
                 mx += more.a;
                 my += more.b;
             } else {
@@ -93,11 +91,10 @@ kernel void prepare8(PREPARE_ARGUMENTS)
     const int pixel = (top + y) * width + x;
     if (f.step > 0 && x + 8 <= width && top + y < height) {
         const float16 motion = *(global const float16_anywhere *)(f.chained + pixel);
-        const float8 px = (float8)(0, 1, 2, 3, 4, 5, 6, 7) + (float)x + motion.even, py = (float)(top + y) + motion.odd;
-        const int8 inside = px >= 0.0f && px < (float)(width - 1) && py >= 0.0f && py < (float)(height - 1);
-        if (all8(inside)) {
-            const int8 left = trunc8(px), upper_row = trunc8(py), nw = upper_row * width + left;
-            const float8 fx = px - float8_of(left), fy = py - float8_of(upper_row);
+        const Place8 place = follow8(motion.even, motion.odd, x, top + y, height, width);
+        if (all_inside8(place, height, width)) {
+            const int8 nw = place.y * width + place.x;
+            const float8 fx = place.fx, fy = place.fy;
             const Pair8 upper = read_pairs8(f.stencil_previous, nw), lower = read_pairs8(f.stencil_previous, nw + width);
             const float8 s = BILINEAR(upper.a, upper.b, lower.a, lower.b, fx, fy), stencil = read8(f.stencil + pixel);
             global const float *g = f.gbuffer + pixel * 9 + 3;
@@ -124,10 +121,9 @@ INLINE bool is_wanted8(global const float2 *motion, volatile global const uint *
 {
     if (x + 8 > width) return true;
     const float16 m = *(global const float16_anywhere *)(motion + y * width + x);
-    const float8 px = (float8)(0, 1, 2, 3, 4, 5, 6, 7) + (float)x + m.even, py = (float)y + m.odd;
-    const int8 inside = px >= 0.0f && px < (float)(width - 1) && py >= 0.0f && py < (float)(height - 1);
-    if (!all8(inside)) return true;
-    const int8 at = trunc8(py) * width + trunc8(px);
+    const Place8 to = follow8(m.even, m.odd, x, y, height, width);
+    if (!all_inside8(to, height, width)) return true;
+    const int8 at = to.y * width + to.x;
     uint wanted = 0;
 #define READ(I) wanted |= keys[at.s##I] | keys[at.s##I + 1] | keys[at.s##I + width] | keys[at.s##I + width + 1];
     LANES(READ)

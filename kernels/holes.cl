@@ -91,9 +91,9 @@ kernel void holes(global const float2 *restrict motion, global const float *rest
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;
     const int pixel = y * width + x;
-    const float2 place = follow(motion[pixel], x, y);
+    const Place place = follow(motion[pixel], x, y, height, width);
     const Taps at = taps(place, height, width);
-    valid[pixel] = leads_inside(motion[pixel], place, height, width) &&
+    valid[pixel] = leads_inside(place, height, width) &&
                    same_surface(at, pixel, bilinear1(stencil_previous, at), stencil[pixel], BIAS(nov[pixel], depth[pixel]),
                                 normal_previous, normal, 3, position_previous, position);
 }

@@ -27,12 +27,11 @@ static inline uint depth_key(const float depth)
     return bits & 0x80000000u ? ~bits : bits | 0x80000000u;
 }
 
-// The upper left of the four pixels that a motion lands on; just outside the frame where it lands farther outside.
+// The upper left of the four pixels that a motion lands on; outside the frame where it is not finite.
 static inline int2 landing(const float2 motion, const int x, const int y, const int height, const int width)
 {
-    const float2 to = follow(motion, x, y);
-    const int2 at = (int2)(floor_int(within(to.x, -2.0f, (float)width)), floor_int(within(to.y, -2.0f, (float)height)));
-    return finite2(motion) ? at : (int2)(-2);
+    const Place at = follow(motion, x, y, height, width);
+    return at.finite ? (int2)(at.x, at.y) : (int2)(-2);
 }
 
 static inline bool in_frame(const int x, const int y, const int height, const int width)
@@ -51,7 +50,7 @@ static inline float2 splatted(global const float2 *motion, global const uint *fi
 static inline float3 look_instead(global const float *color, const float2 occlusion_motion, const int x, const int y,
                                   const int height, const int width)
 {
-    return bilinear3(color, taps((float2)(x, y) + occlusion_motion, height, width));
+    return bilinear3(color, taps(follow(occlusion_motion, x, y, height, width), height, width));
 }
 
 kernel void splat_clear(global uint *restrict keys, global uint *restrict first, const int height, const int width)
@@ -120,8 +119,8 @@ kernel void occlusion_warp(global const float *restrict color, global const floa
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;
     const int pixel = y * width + x;
-    const Taps at = taps(follow(motion[pixel], x, y), height, width);
-    const float2 instead = splatted(motion, first, at.nw);  // nw: the floor of the place, clamped into the frame
+    const Taps at = taps(follow(motion[pixel], x, y, height, width), height, width);
+    const float2 instead = splatted(motion, first, at.nw);  // nw: the whole pixel, clamped into the frame
     occlusion_motion[pixel] = instead;
     vstore3(valid[pixel] ? read3(warped, pixel) : look_instead(color, instead, x, y, height, width), pixel, filled);
 }

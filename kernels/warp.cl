@@ -19,9 +19,9 @@ kernel void warp(global const float *restrict color, global const float2 *restri
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;
     const int pixel = y * width + x;
-    const float2 position = follow(motion[pixel], x, y);
-    inside[pixel] = leads_inside(motion[pixel], position, height, width);
-    const Taps at = taps(position, height, width);
+    const Place place = follow(motion[pixel], x, y, height, width);
+    inside[pixel] = leads_inside(place, height, width);
+    const Taps at = taps(place, height, width);
     for (int c = 0; c < CHANNELS; ++c) {
         global const float *restrict nw = color + at.nw * CHANNELS + c, *restrict sw = nw + at.below * CHANNELS;
         const int right = at.right * CHANNELS;

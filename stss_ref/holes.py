@@ -7,7 +7,7 @@ import numpy as np
 
 from stss_ref.arrays import Image, Mask, Plane, require_shape
 from stss_ref.constants import HoleLimits
-from stss_ref.sample import Taps, bilinear, follow, taps
+from stss_ref.sample import Taps, bilinear, follow, leads_inside, taps
 
 
 def holes(
@@ -56,8 +56,8 @@ def holes(
     for name, image in (("position_previous", position_previous), ("position", position)):
         require_shape(name, image, (height, width, 3))
 
-    x, y, inside = follow(motion)
-    at = taps(x, y)
+    place = follow(motion)
+    at = taps(place)
     s = bilinear(stencil_previous[..., None], at)[..., 0]
     n = bilinear(normal_previous, at)
 
@@ -72,7 +72,7 @@ def holes(
     moving = (s != 0) & (cosine < limits.cosine) & surface
 
     mesh = 3 * np.abs(s - stencil) > limits.mesh
-    return inside & ~static & ~moving & ~mesh
+    return leads_inside(place) & ~static & ~moving & ~mesh
 
 
 def _largest_distance(previous: Image, position: Image, at: Taps) -> Plane:

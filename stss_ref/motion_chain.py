@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from stss_ref.arrays import Image, require_shape
-from stss_ref.sample import Index, grid
+from stss_ref.arrays import Image, Plane, require_shape
+from stss_ref.sample import Index, Place, follow
 
 Gather = Literal["longest", "nearest", "bilinear"]
 
@@ -42,18 +42,9 @@ def chain_steps(motions: Image, gather: Gather = "longest") -> Iterator[Image]:
     chained = motions[0]
     yield chained
     for earlier in motions[1:]:
-        chained = chained + GATHERS[gather](earlier, chained)
+        at = follow(chained)
+        chained = chained + np.where(at.finite[..., None], GATHERS[gather](earlier, at), 0)
         yield chained
-
-
-def _position(chained: Image) -> tuple[Image, Image]:
-    """``p + m(p)`` as x, y; anything beyond the frame's neighbourhood, NaN too, is moved to two pixels before its corner."""
-    height, width, _ = chained.shape
-    x, y = grid(height, width, chained.dtype)
-    x, y = x + chained[..., 0], y + chained[..., 1]
-    near = (x > -2) & (x < width + 1) & (y > -2) & (y < height + 1)
-    # An integer has no NaN and no infinity: whatever is far outside reads 0 from one place that is.
-    return np.where(near, x, -2), np.where(near, y, -2)
 
 
 def _read(motion: Image, x: Index, y: Index) -> Image:
@@ -63,13 +54,18 @@ def _read(motion: Image, x: Index, y: Index) -> Image:
     return np.where(inside[..., None], motion[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)], 0)
 
 
-def gather_longest(motion: Image, chained: Image) -> Image:
+def truncated(whole: Index, fraction: Plane) -> Index:
+    """``trunc`` of a place, towards zero: what lies between -1 and 0 is 0. Farther left it is floor, which reads 0 as well."""
+    return np.where((whole == -1) & (fraction > 0), 0, whole)
+
+
+def gather_longest(motion: Image, at: Place) -> Image:
     """The longest of the 2 x 2 motions whose corner is ``trunc(p + m(p))``; 0 when any of the four is 0.
 
     The faster surface wins at a silhouette, a still one over both. Among equally long ones the first in raster order stays; a
     non-finite motion is longer than any other.
     """
-    x, y = (np.trunc(c).astype(np.intp) for c in _position(chained))
+    x, y = truncated(at.x, at.fx), truncated(at.y, at.fy)
     corners = np.stack([_read(motion, x + i, y + j) for j in (0, 1) for i in (0, 1)])
     with np.errstate(over="ignore", invalid="ignore"):
         length = (corners * corners).sum(axis=-1)
@@ -79,24 +75,21 @@ def gather_longest(motion: Image, chained: Image) -> Image:
     return np.where(still[..., None], 0, longest)
 
 
-def gather_nearest(motion: Image, chained: Image) -> Image:
+def gather_nearest(motion: Image, at: Place) -> Image:
     """The motion of the nearest pixel, ``floor(p + m(p) + 1/2)``."""
-    x, y = (np.floor(c + c.dtype.type(0.5)).astype(np.intp) for c in _position(chained))
-    return _read(motion, x, y)
+    return _read(motion, at.x + (at.fx >= 0.5), at.y + (at.fy >= 0.5))
 
 
-def gather_bilinear(motion: Image, chained: Image) -> Image:
+def gather_bilinear(motion: Image, at: Place) -> Image:
     """The motion between the four pixels around ``p + m(p)``, with 0 outside the frame."""
-    x, y = _position(chained)
-    x0, y0 = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
-    fx, fy = (x - np.floor(x))[..., None], (y - np.floor(y))[..., None]
+    x0, y0, fx, fy = at.x, at.y, at.fx[..., None], at.fy[..., None]
     nw, ne, sw, se = (_read(motion, x0 + i, y0 + j) for j in (0, 1) for i in (0, 1))
     with np.errstate(invalid="ignore"):
         top, bottom = nw + (ne - nw) * fx, sw + (se - sw) * fx
         return top + (bottom - top) * fy
 
 
-GATHERS: dict[Gather, Callable[[Image, Image], Image]] = {
+GATHERS: dict[Gather, Callable[[Image, Place], Image]] = {
     "longest": gather_longest,
     "nearest": gather_nearest,
     "bilinear": gather_bilinear,

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from stss_ref.arrays import Array, Image, Mask, Plane, require_finite, require_shape
-from stss_ref.sample import bilinear, follow, grid, taps
+from stss_ref.sample import bilinear, follow, taps
 
 FARTHEST = 10.0
 """The splat's depth buffer starts here, in normalised depth: what lies deeper never splats (spec 5)."""
@@ -42,12 +42,9 @@ def occlusion_warp(color: Image, warped: Image, motion: Image, depth: Plane, val
     require_finite("depth", depth)
     require_shape("valid", valid, (height, width))
 
-    x, y, _ = follow(motion)
-    lookup = taps(np.floor(x), np.floor(y))
+    lookup = taps(follow(motion))
     occlusion_motion = splat(motion, depth)[lookup.y0, lookup.x0]
-
-    x, y = grid(height, width, motion.dtype)
-    instead = bilinear(color, taps(x + occlusion_motion[..., 0], y + occlusion_motion[..., 1]))
+    instead = bilinear(color, taps(follow(occlusion_motion)))
     return occlusion_motion, np.where(valid.astype(bool)[..., None], warped, instead)
 
 
@@ -65,13 +62,12 @@ def splat(motion: Image, depth: Plane) -> Image:
         (H, W, 2) in the earlier frame's grid.
     """
     height, width = depth.shape
-    x, y, _ = follow(motion)
-    writes = np.isfinite(motion).all(axis=-1) & (depth < FARTHEST)
+    at = follow(motion)
+    writes = at.finite & (depth < FARTHEST)
     # Nearest surface first, raster order among equals (the sort is stable); written in reverse, so that the first is written last.
     order = np.argsort(np.where(writes, depth, np.inf), axis=None, kind="stable")[: writes.sum()][::-1]
-    # Far outside is as good as just outside, and fits an integer.
-    x0 = np.clip(np.floor(x), -2, width).astype(np.intp).ravel()[order, None] + (0, 1, 0, 1)
-    y0 = np.clip(np.floor(y), -2, height).astype(np.intp).ravel()[order, None] + (0, 0, 1, 1)
+    x0 = at.x.ravel()[order, None] + (0, 1, 0, 1)
+    y0 = at.y.ravel()[order, None] + (0, 0, 1, 1)
     lands = (x0 >= 0) & (x0 < width) & (y0 >= 0) & (y0 < height)
 
     earlier = np.zeros_like(motion)

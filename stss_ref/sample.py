@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""Positions in a frame and bilinear reading at them: shared by warp, holes and occlusion_warp."""
+"""Where motion leads in a frame, and bilinear reading there: shared by all image-space stages."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,24 @@ from stss_ref.arrays import Image, Mask, Plane
 Index = NDArray[np.intp]
 
 
+class Place(NamedTuple):
+    """Where every pixel's motion leads, never as a sum that is rounded: all (H, W).
+
+    Attributes:
+        x, y: the whole pixel at or before it, not clamped into the frame.
+        fx, fy: what lies between, to the right and down; [0, 1]: 1 only where less than 1 rounds to it.
+        finite: False: the motion was not, and this is the pixel itself.
+    """
+
+    x: Index
+    y: Index
+    fx: Plane
+    fy: Plane
+    finite: Mask
+
+
 class Taps(NamedTuple):
-    """The 2 x 2 pixels around a position, and where between them it lies: all (H, W)."""
+    """The 2 x 2 pixels around a place, and where between them it lies: all (H, W)."""
 
     x0: Index
     y0: Index
@@ -24,45 +40,50 @@ class Taps(NamedTuple):
     fy: Plane
 
 
-def grid(height: int, width: int, dtype: np.dtype[Any]) -> tuple[Plane, Plane]:
-    """Every pixel's own position, ``x`` and ``y``, both (H, W); centres at integers."""
-    y, x = np.indices((height, width)).astype(dtype)
-    return x, y
+def follow(motion: Image) -> Place:
+    """Where every pixel's motion leads: pixels ``p + floor(motion)`` and the fraction ``motion - floor(motion)`` (decision 13).
 
-
-def follow(motion: Image) -> tuple[Plane, Plane, Mask]:
-    """Where every pixel's motion leads: ``x + dx``, ``y + dy``, and whether that lies within the frame.
-
-    A motion with a non-finite component leads to the pixel itself, and is off screen (spec 3).
+    The fraction has all the bits of the motion, wherever in the frame it is. A motion with a non-finite component leads to the
+    pixel itself, and is off screen (spec 3).
 
     Args:
         motion: (H, W, 2) pixels, current -> previous.
-
-    Returns:
-        x, y: (H, W) positions, finite, not clamped.
-        inside: (H, W) True where the position lies in [0, W-1] x [0, H-1] and the motion is finite.
     """
     height, width, _ = motion.shape
     finite = np.isfinite(motion).all(axis=-1)
-    x, y = grid(height, width, motion.dtype)
-    x, y = x + np.where(finite, motion[..., 0], 0), y + np.where(finite, motion[..., 1], 0)
-    inside = finite & (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-    return x, y, inside
+    moved = np.where(finite[..., None], motion, 0)
+    whole = np.floor(moved)
+    fraction = moved - whole
+    # Beyond the frame is beyond it, however far; an integer holds no huge number.
+    steps = np.clip(whole, (-width - 1, -height - 1), (width + 1, height + 1)).astype(np.intp)
+    y, x = np.indices((height, width))
+    return Place(x + steps[..., 0], y + steps[..., 1], fraction[..., 0], fraction[..., 1], finite)
 
 
-def taps(x: Plane, y: Plane) -> Taps:
-    """The four pixels around each position, the position clamped into the frame first."""
-    height, width = x.shape
-    x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
-    x0, y0 = np.floor(x).astype(np.intp), np.floor(y).astype(np.intp)
+def leads_inside(at: Place) -> Mask:
+    """(H, W) True where the motion is finite and leads into [0, W-1] x [0, H-1]."""
+    height, width = at.finite.shape
+    # Not x + fx <= width - 1, a sum that is rounded.
+    across = (at.x >= 0) & (at.x + (at.fx > 0) <= width - 1)
+    down = (at.y >= 0) & (at.y + (at.fy > 0) <= height - 1)
+    return at.finite & across & down
+
+
+def taps(at: Place) -> Taps:
+    """The four pixels around each place, the place clamped into the frame first."""
+    height, width = at.finite.shape
+    x0, y0 = np.clip(at.x, 0, width - 1), np.clip(at.y, 0, height - 1)
     x1, y1 = np.minimum(x0 + 1, width - 1), np.minimum(y0 + 1, height - 1)
-    return Taps(x0, y0, x1, y1, x - np.floor(x), y - np.floor(y))
+    # Clamped, it lies on a pixel; so does what is in the last column, or in the last row.
+    fx = np.where((at.x < 0) | (at.x >= width - 1), 0, at.fx)
+    fy = np.where((at.y < 0) | (at.y >= height - 1), 0, at.fy)
+    return Taps(x0, y0, x1, y1, fx, fy)
 
 
 def bilinear(image: Image, at: Taps) -> Image:
     """``image`` (H, W, C) read between four taps.
 
-    ``a + (b - a) t`` and not ``a (1 - t) + b t``: a flat image then stays flat bit for bit, and a whole-pixel position reads the
+    ``a + (b - a) t`` and not ``a (1 - t) + b t``: a flat image then stays flat bit for bit, and whole-pixel motion reads the
     pixel itself.
     """
     fx, fy = at.fx[..., None], at.fy[..., None]

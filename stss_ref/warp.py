@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from stss_ref.arrays import Image, Mask, require_finite, require_shape
-from stss_ref.sample import bilinear, follow, taps
+from stss_ref.sample import bilinear, follow, leads_inside, taps
 
 
 def warp(color: Image, motion: Image) -> tuple[Image, Mask]:
@@ -29,5 +29,5 @@ def warp(color: Image, motion: Image) -> tuple[Image, Mask]:
     require_finite("color", color)
     require_shape("motion", motion, (height, width, 2))
 
-    x, y, inside = follow(motion)
-    return bilinear(color, taps(x, y)), inside
+    at = follow(motion)
+    return bilinear(color, taps(at)), leads_inside(at)

@@ -8,7 +8,7 @@ import numpy as np
 from stss.images.resample import catmull_rom, enlarged, lanczos_centres
 from stss_ref.arrays import Image, Mask
 from stss_ref.frame import FrameInputs, NetworkInputs
-from stss_ref.sample import follow
+from stss_ref.sample import follow, leads_inside
 
 CURRENT = 0.1
 """Share of the current frame in what is shown."""
@@ -43,9 +43,9 @@ class Taau:
         shown = np.clip(lanczos_centres(prepared.color[..., :3]), low, high)
         # Only the first frame after a gap has no earlier one within reach, and so no step back.
         if max(inputs.steps) > 0 and self._shown is not None:
-            x, y, inside = follow(enlarged(2 * inputs.motions[0]))
-            history = np.clip(catmull_rom(self._shown, x, y), low, high)
-            keep = inside & enlarged(_seen_before(inputs, prepared))
+            at = follow(enlarged(2 * inputs.motions[0]))
+            history = np.clip(catmull_rom(self._shown, at.x + at.fx, at.y + at.fy), low, high)  # a sum in float64
+            keep = leads_inside(at) & enlarged(_seen_before(inputs, prepared))
             share = np.where(keep, np.float32(1 - CURRENT), np.float32(0))[..., None]
             shown += (history - shown) * share.astype(shown.dtype)
         self._shown = shown

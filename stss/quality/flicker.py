@@ -23,7 +23,7 @@ from stss.quality.tables import print_whole
 from stss.sequence.reader import Sequence as Frames
 from stss_ref.arrays import Image, Mask
 from stss_ref.holes import holes
-from stss_ref.sample import follow
+from stss_ref.sample import follow, leads_inside
 from stss_ref.warp import warp
 
 COLUMNS = ("output", "truth", "error")
@@ -124,8 +124,7 @@ def display_motion(before: DisplayFrame, now: DisplayFrame) -> tuple[Image, Mask
         depth=now.gbuffer[..., 3],
     )
     motion = enlarged(2 * now.motion)
-    _, _, inside = follow(motion)
-    return motion, enlarged(valid) & inside
+    return motion, enlarged(valid) & leads_inside(follow(motion))
 
 
 def change_between(before: tuple[Image, Image], now: tuple[Image, Image], motion: Image, followed: Mask) -> tuple[Change, float]:

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,7 +12,7 @@ from stss.stress.table import Cell, Plan, Table, short
 from stss_ref.arrays import Array, Image, Mask
 from stss_ref.depth import normalise_depth
 from stss_ref.holes import HoleLimits, holes
-from stss_ref.sample import Taps, bilinear, follow, taps
+from stss_ref.sample import Taps, follow, taps
 from stss_ref.warp import warp
 
 DISTANCES = (1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8)
@@ -89,7 +87,7 @@ def _trusted(here: Array, there: Array, dtype: str) -> Mask:
 
 
 def motion(plan: Plan) -> Table:
-    """Positions in wide frames: where a motion leads is rounded, and with it the fraction between two pixels."""
+    """Positions in wide frames: as a sum they are rounded, and with them the fraction between two pixels; apart nothing is lost."""
     rows: list[tuple[Cell, ...]] = []
     for width in WIDTHS:
         found = np.array([_motion_errors(seed, width) for seed in range(plan.seeds)])
@@ -111,10 +109,10 @@ def _motion_errors(seed: int, width: int) -> tuple[float, float, float, float]:
     color = random.random((8, width, 1)).astype(np.float32)
     moved = random.uniform(-REACH, REACH, (8, width, 2)).astype(np.float32)
     truth = warp(color.astype(np.float64), moved.astype(np.float64))[0]
-    errors = [float(np.abs(image - truth).max()) for image in (warp(color, moved)[0], bilinear(color, split_taps(moved)))]
+    errors = [float(np.abs(warp(color, m)[0] - truth).max()) for m in (rounded_sum(moved), moved)]
     whole = (np.rint(moved) + random.uniform(-NEAR_WHOLE, NEAR_WHOLE, moved.shape)).astype(np.float32)
-    right = taps(*follow(whole.astype(np.float64))[:2])
-    flips = [100 * float((_first(at) != _first(right)).mean()) for at in (taps(*follow(whole)[:2]), split_taps(whole))]
+    right = taps(follow(whole.astype(np.float64)))
+    flips = [100 * float((_first(taps(follow(m))) != _first(right)).mean()) for m in (rounded_sum(whole), whole)]
     return errors[0], errors[1], flips[0], flips[1]
 
 
@@ -123,24 +121,10 @@ def _first(at: Taps) -> NDArray[np.intp]:
     return at.y0 * at.x0.shape[1] + at.x0
 
 
-def split_taps(motion: Image) -> Taps:
-    """The taps of ``p + motion(p)``, clamped into the frame, from ``p + floor(motion(p))`` in whole numbers and ``motion - floor(motion)``.
-
-    The fraction of a short motion is then exact wherever in the frame it is: see docs/decisions/0013.
-
-    Args:
-        motion: (H, W, 2) pixels, finite, not beyond what an integer holds.
-    """
-    height, width, _ = motion.shape
-    down = np.floor(motion)
-    y, x = np.indices((height, width))
-    places: list[tuple[Any, Any]] = []
-    for at, i, n in ((x, 0, width), (y, 1, height)):
-        whole, outside = at + down[..., i].astype(np.intp), np.zeros((height, width), np.bool_)
-        outside = (whole < 0) | (whole >= n - 1)
-        places.append((np.clip(whole, 0, n - 1), np.where(outside, 0, motion[..., i] - down[..., i]).astype(motion.dtype)))
-    (x0, fx), (y0, fy) = places
-    return Taps(x0, y0, np.minimum(x0 + 1, width - 1), np.minimum(y0 + 1, height - 1), fx, fy)
+def rounded_sum(motion: Image) -> Image:
+    """The motion that is left of ``p + motion(p)`` where that sum is rounded, as it was before specification version 2."""
+    p = np.stack(np.indices(motion.shape[:2])[::-1], axis=-1).astype(motion.dtype)
+    return (p + motion) - p
 
 
 def tone(_: Plan) -> Table:

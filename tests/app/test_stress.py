@@ -15,12 +15,10 @@ from stss.optional import require
 from stss.stress import plot as stress_plot
 from stss.stress import report as stress_report
 from stss.stress.engines import NETWORK, OpenCL, Reference
-from stss.stress.hard_image_cases import split_taps
 from stss.stress.inputs import exact, image_noise, permuted, scaled, stage_inputs, transposed, transposed_arrays
 from stss.stress.measure import MEASUREMENTS, Results, make_plan, stress
 from stss.stress.monte_carlo import StochasticRounding, Trace, Watcher, digits_of, samples, significant_digits, watched
 from stss.stress.table import Plan, Table, relative_error, short
-from stss_ref.sample import follow, taps
 from stss_ref.weights import LAYERS
 from stss_ref.weights import random as random_weights
 
@@ -176,21 +174,13 @@ def test_the_length_of_keys_does_not_matter_down_to_the_clamp(results):
     assert errors["2^70"] > 1e6
 
 
-def test_positions_apart_are_better_and_their_taps_right(results):
+def test_the_loss_of_warping_does_not_grow_with_the_frame(results):
     table = results.table("motion")
-    now, apart = table.column("colour, p + m"), table.column("colour, apart")
-    assert all(b <= a for a, b in zip(now, apart, strict=True))
+    summed, apart = table.column("colour, p + m"), table.column("colour, apart")
+    assert summed[-1] > 4 * summed[0]
+    assert max(apart) < min(summed)
     assert set(table.column("wrong taps in %, apart")) == {0}
-
-
-def test_taps_apart_are_the_references_in_float64():
-    random = np.random.default_rng(5)
-    motion = np.concatenate([random.uniform(-20, 20, (9, 13, 2)), np.rint(random.uniform(-15, 15, (9, 13, 2)))])
-    want, got = taps(*follow(motion)[:2]), split_taps(motion)
-    for name in ("x0", "y0", "x1", "y1"):
-        np.testing.assert_array_equal(getattr(got, name), getattr(want, name))
-    np.testing.assert_array_equal(got.fx.round(12), want.fx.round(12))
-    np.testing.assert_array_equal(got.fy.round(12), want.fy.round(12))
+    assert min(table.column("wrong taps in %, p + m")) > 0
 
 
 def test_the_backend_is_measured_in_each_of_its_precisions():
