@@ -29,8 +29,8 @@ class Bound:
 
 BOUNDS = {
     # what the suite allows a port; docs/conformance.md derives each row
-    "position": Bound(
-        2, 0, "p + m, or by way of pixel centres (p + 1/2) + m - 1/2; scale: |p + m| + 1; exact where both are held"
+    "fraction": Bound(
+        1, 0, "m - floor(m), which rounds for m between -1 and 0 only; scale: the fraction; exact where it is held"
     ),
     "sum": Bound(2, 0, "two motions added, once; exact where the arithmetic holds the sum, so that one rounding is seen as 1/2"),
     "bilinear": Bound(
@@ -46,7 +46,9 @@ BOUNDS = {
     "spread": Bound(8, 0, "times the rms of the reference's answer to random changes of that size, or twice its largest"),
     "image": Bound(16, 0, "upsampled colour: 10; pixel shuffle and its sum; the sigmoids' own; scale: largest output"),
     # agreement of two implementations in one dtype: each may err by the bound, hence twice the roundings of one
-    "warp.warped": Bound(2 * (6 + 4), 0, "3 lerps of 2 roundings; x and y rounded to u |position|, times contrast <= 2 peak"),
+    "warp.warped": Bound(
+        6 + (6 + 4), 0, "3 lerps of 2 roundings each; the oracle's x and y rounded to u |position|, times contrast <= 2 peak"
+    ),
     "resample.upsampled": Bound(2 * 6, 0, "weight rounded once, 2 lerps of (difference, product, sum)"),
     "resample.downsampled": Bound(2 * 4, 0, "two sums, two exact halvings; the oracle multiplies by rounded weights"),
     "erm.attend": Bound(

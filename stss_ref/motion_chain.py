@@ -42,9 +42,14 @@ def chain_steps(motions: Image, gather: Gather = "longest") -> Iterator[Image]:
     chained = motions[0]
     yield chained
     for earlier in motions[1:]:
-        at = follow(chained)
-        chained = chained + np.where(at.finite[..., None], GATHERS[gather](earlier, at), 0)
+        chained = chain_on(chained, earlier, gather)
         yield chained
+
+
+def chain_on(chained: Image, earlier: Image, gather: Gather = "longest") -> Image:
+    """``m_{j+1}`` from ``m_j`` and ``motion_{t-j}``, both (H, W, 2); what is not finite stays so."""
+    at = follow(chained)
+    return chained + np.where(at.finite[..., None], GATHERS[gather](earlier, at), 0)
 
 
 def _read(motion: Image, x: Index, y: Index) -> Image:

@@ -50,7 +50,7 @@ def follow(motion: Image) -> Place:
         motion: (H, W, 2) pixels, current -> previous.
     """
     height, width, _ = motion.shape
-    finite = np.isfinite(motion).all(axis=-1)
+    finite: Mask = np.asarray(np.isfinite(motion).all(axis=-1))
     moved = np.where(finite[..., None], motion, 0)
     whole = np.floor(moved)
     fraction = moved - whole

@@ -85,7 +85,7 @@ def _too_far(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic)
     bias = LIMITS.facing * facing + LIMITS.grazing * (1 - facing) + LIMITS.depth * depth
     size = LIMITS.facing * facing + LIMITS.grazing * np.abs(1 - facing) + LIMITS.depth * np.abs(depth)
     off = BOUNDS["bias"].roundings * unit * (size + LIMITS.grazing * facing)
-    cell, previous, position = taps(at.x, at.y), inputs["position_previous"], inputs["position"]
+    cell, previous, position = taps(at.at), inputs["position_previous"], inputs["position"]
     own = _distance([previous[j, i] for j in (cell.y0, cell.y1) for i in (cell.x0, cell.x1)], position)
     height, width = facing.shape
     around = [

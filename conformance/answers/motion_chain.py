@@ -3,15 +3,17 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
-from conformance.answers.port_arithmetic import Arithmetic, position_error, reach, sum_error
+from conformance.answers.port_arithmetic import Arithmetic, reach, sum_error, ways
 from conformance.tolerance import BOUNDS
-from stss_ref.motion_chain import gather_longest
+from stss_ref.motion_chain import chain_on, truncated
+from stss_ref.sample import Place
 
 MOST_ANSWERS = 32
 """A pixel with more right answers than this is not judged."""
@@ -27,9 +29,9 @@ def expect_motion_chain(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic)
     unsure = np.zeros(chained.shape[:2], bool)
     for earlier in motions[1:]:
         at = reach(chained, arithmetic, off)
-        unsure |= at.finite & (at.unsure | _tied(earlier, chained))
+        unsure |= at.at.finite & (at.unsure | _tied(earlier, at.at))
         with np.errstate(invalid="ignore"):
-            chained = chained + gather_longest(earlier, chained)
+            chained = chain_on(chained, earlier)
             off = np.where(np.isfinite(chained), off + sum_error(chained, off, arithmetic), 0)
     answers = {(int(y), int(x)): _answers(motions, int(y), int(x), arithmetic) for y, x in np.argwhere(unsure)}
     want, others = chained.copy(), [chained.copy() for _ in range(max((len(a) for a in answers.values()), default=1) - 1)]
@@ -41,15 +43,13 @@ def expect_motion_chain(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic)
     return {"motion": Expected(want, off + arithmetic.tiny, tuple(others), vectors=True)}
 
 
-def _tied(earlier: NDArray[Any], chained: NDArray[Any]) -> NDArray[np.bool_]:
+def _tied(earlier: NDArray[Any], at: Place) -> NDArray[np.bool_]:
     """Where two different ones of the four motions are so alike in length that arithmetic may decide, or hardly differ from 0."""
-    height, width, _ = chained.shape
+    height, width, _ = earlier.shape
     padded = np.pad(earlier, ((2, 3), (2, 3), (0, 0)))
-    y, x = np.indices((height, width))
-    with np.errstate(invalid="ignore"):
-        position = np.nan_to_num(chained, nan=-1e9, posinf=1e9, neginf=-1e9) + np.stack([x, y], axis=-1)
-    corner = np.trunc(np.clip(position, -2, [width + 1, height + 1])).astype(int) + 2
-    four = np.stack([padded[corner[..., 1] + j, corner[..., 0] + i] for j in (0, 1) for i in (0, 1)])
+    x = np.clip(truncated(at.x, at.fx), -2, width + 1) + 2
+    y = np.clip(truncated(at.y, at.fy), -2, height + 1) + 2
+    four = np.stack([padded[y + j, x + i] for j in (0, 1) for i in (0, 1)])
     lengths = _lengths(four)
     with np.errstate(invalid="ignore"):
         near = (lengths >= lengths.max(axis=0) * (1 - _margin())) | (lengths == lengths.max(axis=0))
@@ -75,30 +75,35 @@ Answer = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 def _answers(motions: NDArray[Any], y: int, x: int, arithmetic: Arithmetic) -> list[Answer]:
     """All that pixel (y, x) may come to."""
-    ways: list[Answer] = [(motions[0, y, x], np.zeros(2))]
+    ends: list[Answer] = [(motions[0, y, x], np.zeros(2))]
     for earlier in motions[1:]:
         further: dict[bytes, Answer] = {}
-        for chained, off in ways:
+        for chained, off in ends:
             for step in _steps(earlier, (x, y), chained, off, arithmetic):
                 with np.errstate(invalid="ignore"):
                     total = chained + step
                     wrong = np.where(np.isfinite(total), off + sum_error(total, off, arithmetic), 0)
                 further[total.tobytes()] = (total, wrong)
-        ways = list(further.values())[:MOST_ANSWERS]
-    return ways
+        ends = list(further.values())[:MOST_ANSWERS]
+    return ends
 
 
 def _steps(
     earlier: NDArray[Any], pixel: tuple[int, int], chained: NDArray[Any], off: NDArray[Any], arithmetic: Arithmetic
 ) -> list[NDArray[np.float64]]:
     """Which motions one step may read."""
-    height, width, _ = earlier.shape
-    at = np.asarray(pixel, np.float64) + chained
-    if not np.isfinite(chained).all() or (at <= -2).any() or at[0] >= width + 1 or at[1] >= height + 1:
+    if not np.isfinite(chained).all():
         return [np.zeros(2)]
-    wrong = off + position_error(at, off, arithmetic)
-    columns, rows = ({int(np.trunc(c - e)), int(np.trunc(c)), int(np.trunc(c + e))} for c, e in zip(at, wrong, strict=True))
+    wrong = off + np.where(chained == 0, 0, arithmetic.flushed(chained))
+    columns, rows = (
+        {_trunc(*way) for way in ways(p + math.floor(m), m - math.floor(m), e)}
+        for p, m, e in zip(pixel, map(float, chained), map(float, wrong), strict=True)
+    )
     return [step for row in sorted(rows) for column in sorted(columns) for step in _longest(earlier, row, column, arithmetic)]
+
+
+def _trunc(whole: int, fraction: float) -> int:
+    return 0 if whole == -1 and fraction > 0 else whole
 
 
 def _longest(earlier: NDArray[Any], row: int, column: int, arithmetic: Arithmetic) -> list[NDArray[np.float64]]:

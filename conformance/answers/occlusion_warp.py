@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
-from conformance.answers.port_arithmetic import Arithmetic, Reach, reach
+from conformance.answers.port_arithmetic import Arithmetic, Reach, reach, ways
 from conformance.answers.warp import interpolated
 from stss_ref.occlusion_warp import FARTHEST
 
@@ -51,9 +51,12 @@ def expect_occlusion_warp(
     return {"occlusion_motion": expected, "occlusion_warp": warped}
 
 
-def _floors(position: float, off: float, last: int) -> set[int]:
-    """Which whole pixel a position may be in; far outside is as good as just outside."""
-    return {int(np.clip(np.floor(p), -2, last + 2)) for p in (position - off, position, position + off)}
+def _cells(reached: Reach, y: int, x: int) -> tuple[set[int], set[int]]:
+    """Which rows and which columns of pixels the motion of pixel (y, x) may lead to."""
+    at = reached.at
+    columns = ways(int(at.x[y, x]), float(at.fx[y, x]), float(reached.off_x[y, x]))
+    rows = ways(int(at.y[y, x]), float(at.fy[y, x]), float(reached.off_y[y, x]))
+    return {row for row, _ in rows}, {column for column, _ in columns}
 
 
 def _splats(at: Reach, depth: NDArray[Any]) -> tuple[dict[Cell, Key], dict[Cell, list[Key]]]:
@@ -62,10 +65,9 @@ def _splats(at: Reach, depth: NDArray[Any]) -> tuple[dict[Cell, Key], dict[Cell,
     definite: dict[Cell, Key] = defaultdict(lambda: NOBODY)
     maybe: dict[Cell, list[Key]] = defaultdict(list)
     for index, (y, x) in enumerate(np.ndindex(height, width)):
-        if not at.finite[y, x] or not depth[y, x] < FARTHEST:
+        if not at.at.finite[y, x] or not depth[y, x] < FARTHEST:
             continue
-        columns = _floors(float(at.x[y, x]), float(at.off_x[y, x]), width)
-        rows = _floors(float(at.y[y, x]), float(at.off_y[y, x]), height)
+        rows, columns = _cells(at, y, x)
         key = (float(depth[y, x]), index)
         written = [{(r + j, c + i) for j in (0, 1) for i in (0, 1)} for r, c in product(rows, columns)]
         for cell in set[Cell].union(*written):
@@ -90,8 +92,7 @@ def _look_up(
     flat = np.concatenate([motion.reshape(-1, 2), np.zeros((1, 2))])  # the last: nobody wrote
     answers: dict[Cell, list[NDArray[np.float64]]] = {}
     for y, x in np.ndindex(height, width):
-        columns = _floors(float(at.x[y, x]), float(at.off_x[y, x]), width)
-        rows = _floors(float(at.y[y, x]), float(at.off_y[y, x]), height)
+        rows, columns = _cells(at, y, x)
         found: dict[int, None] = {}
         for r, c in product(sorted(rows), sorted(columns)):
             cell = min(max(r, 0), height - 1), min(max(c, 0), width - 1)

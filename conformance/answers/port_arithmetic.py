@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""What a port computes in: its unit roundoff, what it holds exactly, and how far a position may be off."""
+"""What a port computes in: its unit roundoff, what it holds exactly, and how far it may be from where a motion leads."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conformance.tolerance import BOUNDS, UNIT
-from stss_ref.sample import grid
+from stss_ref.arrays import Plane
+from stss_ref.sample import Place, follow
 
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
@@ -64,43 +66,41 @@ class Arithmetic:
 
 @dataclass(frozen=True)
 class Reach:
-    """Where motion leads: position (H, W) in pixels, how far a port may be off, and whether the motion was finite."""
+    """Where motion leads, how far a port's motion may be off, and what it may round of the fraction: all (H, W)."""
 
-    x: Float64
-    y: Float64
+    at: Place
     off_x: Float64
     off_y: Float64
-    finite: Bool
+    rounded_x: Float64
+    rounded_y: Float64
 
     @property
     def unsure(self) -> Bool:
-        """Where another cell of pixels than the position's own may be read."""
-        return _near_whole(self.x, self.off_x) | _near_whole(self.y, self.off_y)
+        """Where another cell of pixels than the place's own may be read: rounding the fraction leads to none."""
+        return _near_whole(self.at.fx, self.off_x) | _near_whole(self.at.fy, self.off_y)
+
+    @property
+    def slip(self) -> Float64:
+        """How far from the place a port may read, both axes together."""
+        return self.off_x + self.off_y + self.rounded_x + self.rounded_y
 
 
 def reach(motion: Float64, arithmetic: Arithmetic, off: Float64 | float = 0.0) -> Reach:
-    """``p + motion(p)`` and its error.
+    """``p + floor(motion)`` and ``motion - floor(motion)``, and their errors.
 
-    A sum that the arithmetic holds exactly has no error, so that whole and half pixels stay strict; any other may be off by the
-    row ``position``.
+    Whole pixels are exact, and so is a fraction that the arithmetic holds; any other, of a motion between -1 and 0, may be off by
+    the row ``fraction``.
 
     Args:
         motion: (H, W, 2) pixels.
         arithmetic: of the port.
         off: (H, W, 2) how far the port's motion itself may be off.
     """
-    height, width, _ = motion.shape
-    finite: Bool = np.asarray(np.isfinite(motion).all(axis=-1))
-    pixel = np.stack(grid(height, width, motion.dtype), axis=-1).astype(np.float64)
-    position: Float64 = pixel + np.where(finite[..., None], motion, 0)
-    wrong = off + position_error(position, off, arithmetic)
-    return Reach(position[..., 0], position[..., 1], wrong[..., 0], wrong[..., 1], finite)
-
-
-def position_error(position: Float64, off: Float64 | float, arithmetic: Arithmetic) -> Float64:
-    """What rounding a position adds, be it ``p + m`` or ``(p + 1/2) + m - 1/2``: nothing where both are exact."""
-    exact = (np.broadcast_to(off, position.shape) == 0) & arithmetic.holds(position) & arithmetic.holds(position + 0.5)
-    return np.where(exact, 0, BOUNDS["position"].roundings * arithmetic.unit * (np.abs(position) + 1))
+    at = follow(motion)
+    fraction = np.stack([at.fx, at.fy], axis=-1).astype(np.float64)
+    rounded = np.where(arithmetic.holds(fraction), 0, BOUNDS["fraction"].roundings * arithmetic.unit * fraction)
+    wrong = off + np.where(motion == 0, 0, arithmetic.flushed(motion))
+    return Reach(at, wrong[..., 0], wrong[..., 1], rounded[..., 0], rounded[..., 1])
 
 
 def sum_error(total: Float64, off: Float64 | float, arithmetic: Arithmetic) -> Float64:
@@ -109,5 +109,13 @@ def sum_error(total: Float64, off: Float64 | float, arithmetic: Arithmetic) -> F
     return np.where(exact, 0, BOUNDS["sum"].roundings * arithmetic.unit * np.abs(total))
 
 
-def _near_whole(x: Float64, off: Float64) -> Bool:
-    return (off > 0) & (np.floor(x - off) != np.floor(x + off))
+def ways(whole: int, fraction: float, off: float) -> list[tuple[int, float]]:
+    """The places, each a whole pixel and a fraction, where a motion may lead along an axis that may be off by so much."""
+    found = [(whole, fraction)]
+    for moved in (fraction - off, fraction + off) if off > 0 else ():
+        found.append((whole + math.floor(moved), moved - math.floor(moved)))
+    return found
+
+
+def _near_whole(fraction: Plane, off: Float64) -> Bool:
+    return (off > 0) & ((fraction - off < 0) | (fraction + off >= 1))

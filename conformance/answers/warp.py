@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from conformance.answers.expected import Expected, mask
 from conformance.answers.port_arithmetic import Arithmetic, Reach, reach
 from conformance.tolerance import BOUNDS
-from stss_ref.sample import bilinear, taps
+from stss_ref.sample import bilinear, leads_inside, taps
 
 Bool = NDArray[np.bool_]
 Float64 = NDArray[np.float64]
@@ -28,35 +28,35 @@ def expect_warp(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic) -> dict
 def interpolated(image: Float64, at: Reach, arithmetic: Arithmetic) -> tuple[Float64, Float64]:
     """``image`` (H, W, C) read bilinearly, and what a port may be off by.
 
-    ``u (10 peak) + off contrast``: the lerps' own roundings, and the position's, which moves the result along a slope of at most
-    the contrast of the pixels around.
+    ``u (10 peak) + slip contrast``: the lerps' own roundings, and the fraction's and the motion's, which move the result along a
+    slope of at most the contrast of the pixels around.
     """
     own, around = peaks(image, at)
     peak = np.where(at.unsure[..., None], around[0], own)
-    off = (at.off_x + at.off_y)[..., None]
     with np.errstate(invalid="ignore", over="ignore"):
         allowed = BOUNDS["bilinear"].roundings * (arithmetic.unit * peak + arithmetic.tiny)
-        return bilinear(image, taps(at.x, at.y)).astype(np.float64), allowed + np.minimum(off, 1) * around[1]
+        return bilinear(image, taps(at.at)).astype(np.float64), allowed + np.minimum(at.slip, 1)[..., None] * around[1]
 
 
 def peaks(image: Float64, at: Reach) -> tuple[Float64, tuple[Float64, Float64]]:
     """Largest |value| of the taps that count; largest |value| and contrast of the 4 x 4 pixels around them: all (H, W, C)."""
     height, width, _ = image.shape
-    cell = taps(at.x, at.y)
-    weights = ((1 - cell.fx) * (1 - cell.fy), cell.fx * (1 - cell.fy), (1 - cell.fx) * cell.fy, cell.fx * cell.fy)
+    cell = taps(at.at)
+    # The left and the upper ones always count: a fraction of 1 is less that was rounded.
+    counts = (cell.fx >= 0, cell.fx > 0, cell.fy > 0, (cell.fx > 0) & (cell.fy > 0))
     places = ((cell.y0, cell.x0), (cell.y0, cell.x1), (cell.y1, cell.x0), (cell.y1, cell.x1))
-    own = np.max([np.where(w[..., None] > 0, np.abs(image[p]), 0) for w, p in zip(weights, places, strict=True)], axis=0)
+    own = np.max([np.where(c[..., None], np.abs(image[p]), 0) for c, p in zip(counts, places, strict=True)], axis=0)
     rows = [np.clip(cell.y0 + i, 0, height - 1) for i in range(-1, 3)]
     columns = [np.clip(cell.x0 + i, 0, width - 1) for i in range(-1, 3)]
     near = np.stack([image[row, column] for row in rows for column in columns])
     return own, (np.abs(near).max(axis=0), near.max(axis=0) - near.min(axis=0))
 
 
-def within_frame(at: Reach) -> tuple[Bool, Bool]:
-    """Whether the position lies in the frame, and where rounding may decide."""
-    height, width = at.x.shape
-    inside, unsure = at.finite.copy(), np.zeros_like(at.finite)
-    for position, off, last in ((at.x, at.off_x, width - 1), (at.y, at.off_y, height - 1)):
-        inside &= (position >= 0) & (position <= last)
-        unsure |= (off > 0) & ((np.abs(position) <= off) | (np.abs(position - last) <= off))
-    return inside, unsure & at.finite
+def within_frame(reached: Reach) -> tuple[Bool, Bool]:
+    """Whether the place lies in the frame, and where what the motion is off by may decide."""
+    at = reached.at
+    height, width = at.finite.shape
+    unsure = np.zeros_like(at.finite)
+    for place, off, last in ((at.x + at.fx, reached.off_x, width - 1), (at.y + at.fy, reached.off_y, height - 1)):
+        unsure |= (off > 0) & ((np.abs(place) <= off) | (np.abs(place - last) <= off))
+    return leads_inside(at), unsure & at.finite

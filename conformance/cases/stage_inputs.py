@@ -56,6 +56,15 @@ def warp_inputs(draw: st.DrawFn, largest: int = 16, color: str = "any", motion: 
 
 
 @st.composite
+def wide_warp_inputs(draw: st.DrawFn) -> Inputs:
+    """Stage warp in frames so wide, or so high, that the sum of a pixel and a motion rounds away most of a fraction."""
+    shape = draw(st.integers(1, 2)), draw(st.integers(1000, 4500))
+    size = shape if draw(st.booleans()) else shape[::-1]
+    rng = np.random.default_rng(draw(SEEDS))
+    return {"color": rng.random((*size, draw(st.integers(1, 3)))), "motion": rng.uniform(-3, 3, (*size, 2))}
+
+
+@st.composite
 def holes_inputs(draw: st.DrawFn, largest: int = 16) -> Inputs:
     """Stage holes: objects and ground, normals of any length, positions near and far, thresholds met."""
     size = draw(sizes(largest))

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from conformance.answers.expected import Expected
 from conformance.answers.warp import expect_warp
 from conformance.cases.planes import Float64, colors, dyadic_motions, sizes
-from conformance.cases.stage_inputs import Inputs, warp_inputs
+from conformance.cases.stage_inputs import Inputs, warp_inputs, wide_warp_inputs
 from conformance.judge import Judge
 from conformance.suite.properties import cases
 
@@ -15,6 +15,12 @@ from conformance.suite.properties import cases
 @cases(warp_inputs())
 def test_agrees_with_the_reference(judge: Judge, inputs: Inputs):
     """The warped colour is that of the float64 reference, also far outside the frame and where motion is not finite."""
+    judge.agrees("warp", inputs)
+
+
+@cases(wide_warp_inputs())
+def test_wide_frames_lose_nothing(judge: Judge, inputs: Inputs):
+    """Thousands of pixels from the corner a fraction has all the bits of its motion: it is not that of a rounded sum."""
     judge.agrees("warp", inputs)
 
 

@@ -123,7 +123,8 @@ def _first(at: Taps) -> NDArray[np.intp]:
 
 def rounded_sum(motion: Image) -> Image:
     """The motion that is left of ``p + motion(p)`` where that sum is rounded, as it was before specification version 2."""
-    p = np.stack(np.indices(motion.shape[:2])[::-1], axis=-1).astype(motion.dtype)
+    y, x = np.indices(motion.shape[:2])
+    p = np.stack([x, y], axis=-1).astype(motion.dtype)
     return (p + motion) - p
 
 

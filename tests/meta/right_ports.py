@@ -163,7 +163,6 @@ def half_attend(*arguments: Array) -> Array:
 
 
 def half_warp(color: Array, motion: Array) -> tuple[Array, Array]:
-    """Positions are as in float32, for half precision has no fractions from 1024 on."""
     warped, inside = warp.warp(color, motion)
     return to_half(warped), inside
 
@@ -211,21 +210,9 @@ _ORDERS: list[Change] = [
 ]
 
 
-def _centred(file: str, dx: str, dy: str) -> Change:
-    """By way of pixel centres: ``(x + 1/2) + dx - 1/2``."""
-    return file, f"x + {dx}, y + {dy}", f"(x + 0.5 + {dx}) - 0.5, (y + 0.5 + {dy}) - 0.5"
-
-
-_CENTRES = [
-    _centred("motion_chain.py", "chained[..., 0]", "chained[..., 1]"),
-    _centred("sample.py", "np.where(finite, motion[..., 0], 0)", "np.where(finite, motion[..., 1], 0)"),
-    _centred("occlusion_warp.py", "occlusion_motion[..., 0]", "occlusion_motion[..., 1]"),
-]
 _DOUBLE: list[Change] = [
-    ("motion_chain.py", "grid(height, width, chained.dtype)", "grid(height, width, np.float64)"),
-    ("sample.py", "grid(height, width, motion.dtype)", "grid(height, width, np.float64)"),
-    ("sample.py", "y1, x - np.floor(x), y - np.floor(y))", "y1, *((c - np.floor(c)).astype(np.float32) for c in (x, y)))"),
-    ("occlusion_warp.py", "grid(height, width, motion.dtype)", "grid(height, width, np.float64)"),
+    ("sample.py", "fraction = moved - whole", "fraction = moved.astype(np.float64) - whole"),
+    ("sample.py", "return top + (bottom - top) * fy", "return (top + (bottom - top) * fy).astype(image.dtype)"),
 ]
 _POINTS_2 = tuple(Fraction(p) for p in (0, 1, -1))
 _POINTS_4 = tuple(Fraction(p) for p in (0, 1, -1, 2, -2))
@@ -259,8 +246,7 @@ PORTS: dict[str, dict[str, Any]] = {
     "pairwise": {"functions": _conv(partial(convolved, add_pairwise))},
     "fma": {"functions": _FMA, "changes": _TANH},
     "orders": {"functions": {**_TURNED, "sample.bilinear": down_first}, "changes": _ORDERS},
-    "centres": {"changes": _CENTRES},
-    "double_position": {"changes": _DOUBLE},
+    "double": {"changes": _DOUBLE},
     "flush": {"entry": flush_to_0},
     "winograd_2": {"functions": _conv(partial(winograd, 2, _POINTS_2)), "winograd": True},
     "winograd_4": {"functions": _conv(partial(winograd, 4, _POINTS_4)), "winograd": True},

@@ -88,21 +88,39 @@ static Image times_mask(Image image, const Image &mask) {
     return image;
 }
 
-// ---- Reading at a position ----
+// ---- Reading where a motion leads ----
 
 static bool is_finite(const float *motion) { return std::isfinite(motion[0]) && std::isfinite(motion[1]); }
 
-struct Place {
-    float x, y;
-    bool inside;
+// Where a motion leads along one axis: a whole pixel, not clamped into the frame, and what lies between it and the next.
+struct Along {
+    int whole;
+    float fraction;
+
+    // Never p + motion, a sum that is rounded. Beyond the frame is beyond it, however far: an integer holds no huge number.
+    Along(int p, float motion, int side) {
+        const float down = std::floor(motion);
+        whole = p + int(std::clamp(down, float(-side - 1), float(side + 1)));
+        fraction = motion - down;
+    }
+    bool inside(int side) const { return whole >= 0 && whole + (fraction > 0.0f) <= side - 1; }
 };
 
-// Where the motion of pixel (x, y) leads: finite, not clamped. A motion that is not finite leads to the pixel itself, off screen.
-static Place follow(const Image &motion, int y, int x) {
-    const float *m = motion.at(y, x);
-    if (!is_finite(m)) return {float(x), float(y), false};
-    const float to_x = float(x) + m[0], to_y = float(y) + m[1];
-    return {to_x, to_y, to_x >= 0 && to_x <= float(motion.width - 1) && to_y >= 0 && to_y <= float(motion.height - 1)};
+struct Place {
+    Along x, y;
+    bool finite;
+};
+
+// Where a motion of pixel (x, y) leads, in a frame of this size. One that is not finite leads to the pixel itself, off screen.
+static Place follow(const float *motion, int y, int x, int height, int width) {
+    const bool finite = is_finite(motion);
+    return {Along(x, finite ? motion[0] : 0.0f, width), Along(y, finite ? motion[1] : 0.0f, height), finite};
+}
+
+static Place follow(const Image &motion, int y, int x) { return follow(motion.at(y, x), y, x, motion.height, motion.width); }
+
+static bool leads_inside(const Place &to, const Image &frame) {
+    return to.finite && to.x.inside(frame.width) && to.y.inside(frame.height);
 }
 
 struct Taps {
@@ -110,12 +128,12 @@ struct Taps {
     float fx, fy;
 };
 
-// The four pixels around a finite position. It is clamped first: converting a huge float to an integer is undefined.
-static Taps taps(float x, float y, int height, int width) {
-    x = std::clamp(x, 0.0f, float(width - 1));
-    y = std::clamp(y, 0.0f, float(height - 1));
-    const int x0 = int(x), y0 = int(y);  // not negative: truncation is floor
-    return {x0, y0, std::min(x0 + 1, width - 1), std::min(y0 + 1, height - 1), x - float(x0), y - float(y0)};
+// The four pixels around a place, the place clamped into the frame first. Clamped, or in the last column or row, it lies on a pixel.
+static Taps taps(const Place &to, int height, int width) {
+    const int x0 = std::clamp(to.x.whole, 0, width - 1), y0 = std::clamp(to.y.whole, 0, height - 1);
+    return {x0, y0, std::min(x0 + 1, width - 1), std::min(y0 + 1, height - 1),
+            to.x.whole >= 0 && to.x.whole < width - 1 ? to.x.fraction : 0.0f,
+            to.y.whole >= 0 && to.y.whole < height - 1 ? to.y.fraction : 0.0f};
 }
 
 static float bilinear(const Image &image, const Taps &at, int channel) {
@@ -126,11 +144,13 @@ static float bilinear(const Image &image, const Taps &at, int channel) {
 
 // ---- Stage motion_chain ----
 
-// The longest of the 2 x 2 motions whose corner is trunc(x, y), but 0 where any of them is 0; outside the frame all are.
-static std::array<float, 2> gather(const Image &motion, float x, float y) {
-    // Asked of the float, before it becomes an integer; NaN fails it too. A position further out reads nothing but 0.
-    if (!(x > -2.0f && x < float(motion.width + 1) && y > -2.0f && y < float(motion.height + 1))) return {0.0f, 0.0f};
-    const int x0 = int(x), y0 = int(y);  // towards zero, not floor: half a pixel left of the frame still reads column 0
+// Towards zero, not floor: half a pixel left of the frame still reads column 0. Farther left floor reads 0 as well.
+static int truncated(const Along &to) { return to.whole == -1 && to.fraction > 0.0f ? 0 : to.whole; }
+
+// The longest of the 2 x 2 motions whose corner is trunc(p + m), but 0 where any of them is 0; outside the frame all are.
+static std::array<float, 2> gather(const Image &motion, const Place &to) {
+    if (!to.finite) return {0.0f, 0.0f};
+    const int x0 = truncated(to.x), y0 = truncated(to.y);
     std::array<float, 2> longest{};
     float length = -1.0f;
     for (int j = 0; j < 2; ++j)
@@ -151,7 +171,7 @@ static Image chain_step(const Image &chained, const Image &earlier) {
     Image next(chained.height, chained.width, 2);
     each_pixel(next, [&](int y, int x) {
         const float *m = chained.at(y, x);
-        const auto further = gather(earlier, float(x) + m[0], float(y) + m[1]);
+        const auto further = gather(earlier, follow(chained, y, x));
         next.at(y, x)[0] = m[0] + further[0];
         next.at(y, x)[1] = m[1] + further[1];
     });
@@ -171,10 +191,10 @@ static std::pair<Image, Mask> warp(const Image &color, const Image &motion) {
     Mask inside(color.height, color.width, 1);
     each_pixel(color, [&](int y, int x) {
         const Place to = follow(motion, y, x);
-        const Taps at = taps(to.x, to.y, color.height, color.width);
+        const Taps at = taps(to, color.height, color.width);
         // Off screen too: nothing is blanked, the nearest border pixel is read.
         for (int c = 0; c < color.channels; ++c) warped.at(y, x)[c] = bilinear(color, at, c);
-        *inside.at(y, x) = to.inside;
+        *inside.at(y, x) = leads_inside(to, motion);
     });
     return {warped, inside};
 }
@@ -204,7 +224,7 @@ static Mask holes(const Image &motion, const Surface &previous, const Surface &c
     Mask valid(motion.height, motion.width, 1);
     each_pixel(valid, [&](int y, int x) {
         const Place to = follow(motion, y, x);
-        const Taps at = taps(to.x, to.y, motion.height, motion.width);
+        const Taps at = taps(to, motion.height, motion.width);
         const float s = bilinear(previous.stencil, at, 0);
         const float n[] = {bilinear(previous.normal, at, 0), bilinear(previous.normal, at, 1), bilinear(previous.normal, at, 2)};
         const float *normal = current.normal.at(y, x);
@@ -221,7 +241,7 @@ static Mask holes(const Image &motion, const Surface &previous, const Surface &c
         const bool moving = s != 0.0f && cosine < COSINE && surface;
 
         const bool mesh = 3.0f * std::fabs(s - *current.stencil.at(y, x)) > MESH;
-        *valid.at(y, x) = to.inside && !is_static && !moving && !mesh;
+        *valid.at(y, x) = leads_inside(to, motion) && !is_static && !moving && !mesh;
     });
     return valid;
 }
@@ -233,11 +253,9 @@ static Image splat(const Image &motion, const Image &depth) {
     Image earlier(motion.height, motion.width, 2);  // 0 where nobody writes
     Image nearest(motion.height, motion.width, 1, 10.0f);
     each_pixel(motion, [&](int y, int x) {
-        if (!is_finite(motion.at(y, x))) return;
         const Place to = follow(motion, y, x);
-        // floor here, trunc in the chain: from -1 the right and lower neighbours still lie in the frame. Clamped to fit an int.
-        const int x0 = int(std::clamp(std::floor(to.x), -2.0f, float(motion.width)));
-        const int y0 = int(std::clamp(std::floor(to.y), -2.0f, float(motion.height)));
+        if (!to.finite) return;
+        const int x0 = to.x.whole, y0 = to.y.whole;  // floor here, trunc in the chain: from -1 the right and lower neighbours still lie in the frame
         for (int j = 0; j < 2; ++j)
             for (int i = 0; i < 2; ++i) {
                 // Strictly nearer: among equal depths the first in raster order stays. Threads get the same result by an atomic
@@ -257,12 +275,12 @@ static std::pair<Image, Image> occlusion_warp(const Image &color, const Image &w
     Image occlusion_motion(color.height, color.width, 2), filled = warped;
     each_pixel(color, [&](int y, int x) {
         const Place to = follow(motion, y, x);
-        const Taps lookup = taps(std::floor(to.x), std::floor(to.y), color.height, color.width);
+        const Taps lookup = taps(to, color.height, color.width);
         const float *m = splatted.at(lookup.y0, lookup.x0);  // one pixel, no interpolation
         std::copy_n(m, 2, occlusion_motion.at(y, x));
         if (*valid.at(y, x)) return;
         // The earlier colour at p plus the new motion, not at the place of the lookup.
-        const Taps at = taps(float(x) + m[0], float(y) + m[1], color.height, color.width);
+        const Taps at = taps(follow(m, y, x, color.height, color.width), color.height, color.width);
         for (int c = 0; c < color.channels; ++c) filled.at(y, x)[c] = bilinear(color, at, c);
     });
     return {occlusion_motion, filled};

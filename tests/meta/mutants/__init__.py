@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache, partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -71,10 +72,11 @@ def _float32(inputs: dict[str, Any]) -> dict[str, Any]:
 
 SIZES: tuple[Size, ...] = ((9, 7), (19, 23), (12, 33), (1, 9), (6, 1), (1, 1))
 KINDS = ("short", "half", "swapped", "whole", "broken", "long")
+CASES = (*product(SIZES, KINDS), ((20, 40), "beside"))
 
 
 def motion(generator: np.random.Generator, size: Size, kind: str) -> NDArray[Any]:
-    """(H, W, 2) of pixels that lead to fractions, halves, equally long ones, whole pixels, nowhere, or far outside."""
+    """(H, W, 2) that leads to fractions, halves, equally long ones, whole pixels, just beside those, nowhere, or far outside."""
     shape = (*size, 2)
     if kind == "half":
         return generator.integers(-5, 6, shape) / 2
@@ -83,6 +85,9 @@ def motion(generator: np.random.Generator, size: Size, kind: str) -> NDArray[Any
         return generator.permuted(pair, axis=0)[0].reshape(shape) * generator.choice([-1, 1], shape)
     if kind == "whole":
         return generator.integers(-2, 3, shape).astype(np.float64)
+    if kind == "beside":
+        # float32 holds the fraction, but no sum with a pixel from 9 on.
+        return generator.integers(-2, 3, shape) + generator.choice([-1, 1], shape) * 2.0**-22
     if kind == "long":
         return generator.uniform(-1.2, 1.2, shape) * max(size)
     moved = generator.uniform(-2, 2, shape) * (generator.random((*size, 1)) < 0.9)
@@ -94,16 +99,16 @@ def motion(generator: np.random.Generator, size: Size, kind: str) -> NDArray[Any
 
 
 def _motion_chain(generator: np.random.Generator) -> Any:
-    for size in SIZES:
-        for kind in KINDS:
-            motions = np.stack([motion(generator, size, kind) for _ in range(3)])
-            yield {"motions": motions}, None
+    for size, kind in CASES:
+        motions = np.stack([motion(generator, size, kind) for _ in range(3)])
+        yield {"motions": motions}, None
 
 
 def _warp(generator: np.random.Generator) -> Any:
-    for size in SIZES:
-        for kind in KINDS:
-            yield {"color": generator.random((*size, 6)), "motion": motion(generator, size, kind)}, None
+    for size, kind in CASES:
+        yield {"color": generator.random((*size, 6)), "motion": motion(generator, size, kind)}, None
+    wide = 1, 4096
+    yield {"color": generator.random((*wide, 6)), "motion": motion(generator, wide, "short")}, None
 
 
 def _surface(generator: np.random.Generator, size: Size) -> tuple[Any, Any, Any]:
@@ -119,26 +124,24 @@ def _surface(generator: np.random.Generator, size: Size) -> tuple[Any, Any, Any]
 
 
 def _holes(generator: np.random.Generator) -> Any:
-    for size in SIZES:
-        for kind in KINDS:
-            before, now = _surface(generator, size), _surface(generator, size)
-            pairs = zip(("stencil", "normal", "position"), before, now, strict=True)
-            inputs = {key: a for name, b, n in pairs for key, a in ((f"{name}_previous", b), (name, n))}
-            inputs["motion"] = motion(generator, size, kind) / 2
-            inputs["nov"], inputs["depth"] = generator.uniform(-1, 1, size), generator.random(size)
-            yield inputs, None
+    for size, kind in CASES:
+        before, now = _surface(generator, size), _surface(generator, size)
+        pairs = zip(("stencil", "normal", "position"), before, now, strict=True)
+        inputs = {key: a for name, b, n in pairs for key, a in ((f"{name}_previous", b), (name, n))}
+        inputs["motion"] = motion(generator, size, kind) / 2
+        inputs["nov"], inputs["depth"] = generator.uniform(-1, 1, size), generator.random(size)
+        yield inputs, None
 
 
 def _occlusion_warp(generator: np.random.Generator) -> Any:
-    for size in SIZES:
-        for kind in KINDS:
-            color, warped = generator.random((2, *size, 3))
-            depth = np.where(generator.random(size) < 0.3, generator.choice([0.0, -0.0, 0.5, 1.0], size), generator.random(size))
-            valid = (generator.random(size) < 0.5).astype(np.uint8)
-            yield (
-                {"color": color, "warped": warped, "motion": motion(generator, size, kind), "depth": depth, "valid": valid},
-                None,
-            )
+    for size, kind in CASES:
+        color, warped = generator.random((2, *size, 3))
+        depth = np.where(generator.random(size) < 0.3, generator.choice([0.0, -0.0, 0.5, 1.0], size), generator.random(size))
+        valid = (generator.random(size) < 0.5).astype(np.uint8)
+        yield (
+            {"color": color, "warped": warped, "motion": motion(generator, size, kind), "depth": depth, "valid": valid},
+            None,
+        )
 
 
 def _rrm(generator: np.random.Generator) -> Any:

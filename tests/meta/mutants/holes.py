@@ -4,8 +4,8 @@
 from tests.meta.variants import fault
 
 FILE = "holes.py"
-_FOLLOW = "x, y, inside = follow(motion)"
-_AT = "at = taps(x, y)"
+_FOLLOW = "place = follow(motion)"
+_AT = "at = taps(place)"
 _STATIC = "static = (s == 0) & ~(_largest_distance(position_previous, position, at) <= bias)"
 _DISTANCE = "return np.sqrt((offsets * offsets).sum(axis=-1)).max(axis=0)"
 _OFFSET = "previous[j, i] - position for j"
@@ -13,7 +13,7 @@ _ROWS = "for j in (at.y0, at.y1) for i in (at.x0, at.x1)"
 _COSINE = "cosine = (normal * n).sum(axis=-1) / (length + length.dtype.type(1e-5))"
 _BIAS = "limits.facing * facing + limits.grazing * (1 - facing) + limits.depth * depth"
 _SURFACE = "surface = (length > 0) | (normal != 0).any(axis=-1)"
-_UNION = "return inside & ~static & ~moving & ~mesh"
+_UNION = "return leads_inside(place) & ~static & ~moving & ~mesh"
 _STENCIL = "s = bilinear(stencil_previous[..., None], at)[..., 0]"
 _LENGTH = "length = np.sqrt((n * n).sum(axis=-1))"
 
@@ -27,13 +27,13 @@ def _limit(name, what, *change):
 
 
 HOLES = (
-    _holes("axes_swapped", "takes dx for dy", _FOLLOW, "x, y, inside = follow(motion[..., ::-1])"),
-    _holes("not_followed", "reads the earlier buffers at p", _AT, "at = taps(*follow(motion * 0)[:2])"),
-    _holes("inverted", "1 in the holes", _UNION, "return ~(inside & ~static & ~moving & ~mesh)"),
+    _holes("axes_swapped", "takes dx for dy", _FOLLOW, "place = follow(motion[..., ::-1])"),
+    _holes("not_followed", "reads the earlier buffers at p", _AT, "at = taps(follow(motion * 0))"),
+    _holes("inverted", "1 in the holes", _UNION, "return ~(leads_inside(place) & ~static & ~moving & ~mesh)"),
     _holes("off_screen_missing", "off screen is no hole", _UNION, "return ~static & ~moving & ~mesh"),
-    _holes("static_missing", "no test of static geometry", _UNION, "return inside & ~moving & ~mesh"),
-    _holes("moving_missing", "no test of moving objects", _UNION, "return inside & ~static & ~mesh"),
-    _holes("mesh_missing", "no test of the object", _UNION, "return inside & ~static & ~moving"),
+    _holes("static_missing", "no test of static geometry", _UNION, "return leads_inside(place) & ~moving & ~mesh"),
+    _holes("moving_missing", "no test of moving objects", _UNION, "return leads_inside(place) & ~static & ~mesh"),
+    _holes("mesh_missing", "no test of the object", _UNION, "return leads_inside(place) & ~static & ~moving"),
     _holes("nov_signed", "NoV for |NoV|", "facing = np.abs(nov)", "facing = nov"),
     _holes("nov_clamped", "max(NoV, 0) for |NoV|", "facing = np.abs(nov)", "facing = np.maximum(nov, 0)"),
     _holes(
@@ -128,14 +128,14 @@ HOLES = (
 FILL = "occlusion_warp.py"
 _ORDER = 'np.argsort(np.where(writes, depth, np.inf), axis=None, kind="stable")[: writes.sum()][::-1]'
 _KEY = "np.where(writes, depth, np.inf), axis=None"
-_LOOKUP = "lookup = taps(np.floor(x), np.floor(y))"
+_LOOKUP = "lookup = taps(follow(motion))"
 _MAP = "splat(motion, depth)[lookup.y0, lookup.x0]"
-_CORNER = "np.clip(np.floor(x), -2, width)"
+_CORNER = "at.x.ravel()"
 _RIGHT, _BELOW = "+ (0, 1, 0, 1)", "+ (0, 0, 1, 1)"
 _LANDS = "lands = (x0 >= 0) & (x0 < width) & (y0 >= 0) & (y0 < height)"
 _WRITE = "motion.reshape(-1, 2)"
 _FILLED = "np.where(valid.astype(bool)[..., None], warped, instead)"
-_AGAIN = "bilinear(color, taps(x + occlusion_motion[..., 0], y + occlusion_motion[..., 1]))"
+_AGAIN = "bilinear(color, taps(follow(occlusion_motion)))"
 
 
 def _fill(name, what, *change, more=()):
@@ -163,11 +163,11 @@ OCCLUSION_WARP = (
         "weighted_pixels",
         "whole-pixel motion writes no right neighbour",
         _RIGHT,
-        f"{_RIGHT} * (x != np.floor(x)).ravel()[order, None]",
+        f"{_RIGHT} * (at.fx > 0).ravel()[order, None]",
     ),
-    _fill("truncated_splat", "trunc for floor in the splat", _CORNER, "np.clip(np.trunc(x), -2, width)"),
-    _fill("rounded_splat", "splats around the nearest pixel", _CORNER, "np.clip(np.rint(x), -2, width)"),
-    _fill("rounded_lookup", "looks up the nearest pixel", _LOOKUP, "lookup = taps(np.rint(x), np.rint(y))"),
+    _fill("truncated_splat", "trunc for floor in the splat", _CORNER, "(at.x + ((at.x < 0) & (at.fx > 0))).ravel()"),
+    _fill("rounded_splat", "splats around the nearest pixel", _CORNER, "(at.x + (at.fx >= 0.5)).ravel()"),
+    _fill("rounded_lookup", "looks up the nearest pixel", _LOOKUP, "lookup = taps(follow(np.rint(motion)))"),
     _fill(
         "corner_must_land",
         "drops all four where the first is outside",
@@ -187,28 +187,29 @@ OCCLUSION_WARP = (
     _fill(
         "interpolated_lookup",
         "interpolates the splatted map",
-        _LOOKUP,
-        "lookup = taps(x, y)",
-        more=[(FILL, _MAP, "bilinear(splat(motion, depth), lookup)")],
+        _MAP,
+        "bilinear(splat(motion, depth), lookup)",
     ),
     _fill(
         "outside_looks_up_0",
         "off screen looks up 0, not the border",
-        "x, y, _ = follow(motion)\n    lookup",
-        "x, y, inside = follow(motion)\n    lookup",
-        more=[(FILL, _MAP, f"{_MAP} * inside[..., None]")],
+        _MAP,
+        f"{_MAP} * leads_inside(follow(motion))[..., None]",
+        more=[(FILL, "bilinear, follow, taps\n", "bilinear, follow, leads_inside, taps\n")],
     ),
     _fill(
         "read_from_lookup",
         "the new motion starts at the place of the lookup",
-        "x, y = grid(height, width, motion.dtype)",
-        "x, y, _ = follow(motion)",
+        _AGAIN,
+        _AGAIN.replace("(occlusion_motion)", "(motion + occlusion_motion)"),
     ),
-    _fill("second_sign", "the new motion with the other sign", _AGAIN, _AGAIN.replace("+", "-")),
+    _fill(
+        "second_sign", "the new motion with the other sign", _AGAIN, _AGAIN.replace("(occlusion_motion)", "(-occlusion_motion)")
+    ),
     _fill(
         "nan_splats",
         "non-finite motion splats as 0",
-        "writes = np.isfinite(motion).all(axis=-1) & ",
+        "writes = at.finite & ",
         "writes = ",
         more=[(FILL, _WRITE, "np.where(np.isfinite(motion).all(axis=-1)[..., None], motion, 0).reshape(-1, 2)")],
     ),
