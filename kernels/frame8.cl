@@ -50,9 +50,9 @@ kernel void chain_steps8(MOTIONS, const int newest, const int middle, const int 
     for (int j = 1; j <= oldest; ++j) {
         if (j > 1) {
             global const float2 *restrict earlier = motions[j - 1];
-            const Place8 at = follow8(mx, my, x, y, height, width);
+            const Place8 at = follow8(mx, my, x, y);
             if (all_inside8(at, height, width)) {
-                const Pair8 more = gather_longest8(earlier, at.y * width + at.x, width);
+                const Pair8 more = gather_longest8(earlier, raster8(at, width), width);
                 mx += more.a;
                 my += more.b;
             } else {
@@ -91,9 +91,9 @@ kernel void prepare8(PREPARE_ARGUMENTS)
     const int pixel = (top + y) * width + x;
     if (f.step > 0 && x + 8 <= width && top + y < height) {
         const float16 motion = *(global const float16_anywhere *)(f.chained + pixel);
-        const Place8 place = follow8(motion.even, motion.odd, x, top + y, height, width);
+        const Place8 place = follow8(motion.even, motion.odd, x, top + y);
         if (all_inside8(place, height, width)) {
-            const int8 nw = place.y * width + place.x;
+            const int8 nw = raster8(place, width);
             const float8 fx = place.fx, fy = place.fy;
             const Pair8 upper = read_pairs8(f.stencil_previous, nw), lower = read_pairs8(f.stencil_previous, nw + width);
             const float8 s = BILINEAR(upper.a, upper.b, lower.a, lower.b, fx, fy), stencil = read8(f.stencil + pixel);
@@ -121,9 +121,9 @@ INLINE bool is_wanted8(global const float2 *motion, volatile global const uint *
 {
     if (x + 8 > width) return true;
     const float16 m = *(global const float16_anywhere *)(motion + y * width + x);
-    const Place8 to = follow8(m.even, m.odd, x, y, height, width);
+    const Place8 to = follow8(m.even, m.odd, x, y);
     if (!all_inside8(to, height, width)) return true;
-    const int8 at = to.y * width + to.x;
+    const int8 at = raster8(to, width);
     uint wanted = 0;
 #define READ(I) wanted |= keys[at.s##I] | keys[at.s##I + 1] | keys[at.s##I + width] | keys[at.s##I + width + 1];
     LANES(READ)

@@ -18,16 +18,16 @@ static inline float2 read_motion(global const float2 *motion, const int x, const
 }
 
 // trunc of a place, towards zero: what lies between -1 and 0 is 0. Farther left it is floor, and reads 0 as well.
-static inline int truncated(const int whole, const float fraction)
+INLINE int truncated(const int whole, const float fraction)
 {
-    return whole == -1 && fraction > 0.0f ? 0 : whole;
+    return whole + ((whole == -1) & (fraction > 0.0f));
 }
 
-static inline float2 gather_longest(global const float2 *motion, const Place at, const int height, const int width)
+INLINE float2 gather_longest(global const float2 *motion, const Place at, const int height, const int width)
 {
     // A pixel outside the frame is 0, and a 0 among the four wins.
     const int x = truncated(at.x, at.fx), y = truncated(at.y, at.fy);
-    if (x < 0 || x >= width - 1 || y < 0 || y >= height - 1) return (float2)(0.0f);
+    if ((uint)x >= (uint)(width - 1) || (uint)y >= (uint)(height - 1)) return (float2)(0.0f);
     global const float2 *restrict corner = motion + y * width + x;
     const float4 top = read4(corner), bottom = read4(corner + width);
     const float4 u = (float4)(top.xz, bottom.xz), v = (float4)(top.yw, bottom.yw);
@@ -41,12 +41,12 @@ static inline float2 gather_longest(global const float2 *motion, const Place at,
     return of.zw > of.xy ? longest.zw : longest.xy;
 }
 
-static inline float2 gather_nearest(global const float2 *motion, const Place at, const int height, const int width)
+INLINE float2 gather_nearest(global const float2 *motion, const Place at, const int height, const int width)
 {
     return read_motion(motion, at.x + (at.fx >= 0.5f), at.y + (at.fy >= 0.5f), height, width);
 }
 
-static inline float2 gather_bilinear(global const float2 *motion, const Place at, const int height, const int width)
+INLINE float2 gather_bilinear(global const float2 *motion, const Place at, const int height, const int width)
 {
     const float2 nw = read_motion(motion, at.x, at.y, height, width), ne = read_motion(motion, at.x + 1, at.y, height, width);
     const float2 sw = read_motion(motion, at.x, at.y + 1, height, width), se = read_motion(motion, at.x + 1, at.y + 1, height, width);
@@ -57,8 +57,10 @@ static inline float2 gather_bilinear(global const float2 *motion, const Place at
 static inline float2 chain_on(const float2 chained, global const float2 *earlier, const int x, const int y,
                               const int height, const int width)
 {
-    const Place at = follow(chained, x, y, height, width);
-    return chained + (at.finite ? GATHER(earlier, at, height, width) : (float2)(0.0f));
+    // What is far outside reads 0, and what is not finite stays so; an integer holds neither.
+    const bool near = chained.x >= (float)(-width - 1) && chained.x <= (float)(width + 1) && chained.y >= (float)(-height - 1) &&
+                      chained.y <= (float)(height + 1);
+    return chained + (near ? GATHER(earlier, lead(chained, x, y), height, width) : (float2)(0.0f));
 }
 
 kernel void motion_chain(global const float2 *restrict motions, global float2 *restrict motion, const int k, const int height,

@@ -25,7 +25,8 @@ FLOAT32_MAX = float(np.finfo(np.float32).max)
 def expect_motion_chain(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic) -> dict[str, Expected]:
     """The chain in float64, and the other answers of pixels that come within rounding of a pixel's edge or of a tie."""
     motions = inputs["motions"]
-    chained, off = motions[0], np.zeros_like(motions[0])
+    chained: NDArray[Any] = motions[0]
+    off: NDArray[Any] = np.zeros_like(chained)
     unsure = np.zeros(chained.shape[:2], bool)
     for earlier in motions[1:]:
         at = reach(chained, arithmetic, off)
