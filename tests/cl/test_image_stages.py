@@ -271,6 +271,34 @@ def test_prepare_where_few_pixels_are_holes(device, eights, seed):
     assert_prepared(device, preparation, inputs, size)
 
 
+@pytest.mark.parametrize("eights", [False, True])
+def test_prepare_in_wide_frames(device, eights):
+    """Fractions that a sum with the column would lose, motion just beside whole pixels, and each kind of far and lost motion."""
+    size = (8, 4099)
+    random = np.random.default_rng(6)
+    motions = random.uniform(-3, 3, (5, *size, 2))
+    beside = np.rint(motions) + random.choice([-1, 1], motions.shape) * 2.0 ** -random.integers(12, 40, motions.shape)
+    motions = np.where(random.random(motions.shape) < 0.3, beside, motions).astype(np.float32)
+    far = np.array([f * 2.0**e for f in (-1.5, -1, 1, 1.5) for e in range(11, 34)] + [np.nan, np.inf, -np.inf, 3e38, -3e38])
+    motions[:, :, ::50][..., 0] = np.resize(far, motions[:, :, ::50][..., 0].shape)
+    motions[:, :, 25::50][..., 1] = np.resize(far, motions[:, :, 25::50][..., 1].shape)
+    stencils = (random.random((4, *size)) < 0.1).astype(np.float32)
+    inputs = FrameInputs(
+        colors=random.random((3, *size, 3)).astype(np.float32),
+        steps=(1, 3, 5),
+        motions=motions,
+        gbuffer=random.random((*size, 9)).astype(np.float32),
+        nov=random.random(size).astype(np.float32),
+        stencils=stencils,
+        normals=np.ones((4, *size, 3), np.float32),
+        positions=(random.random((4, *size, 3)) * 30).astype(np.float32),
+    )
+    preparation = Prepare(device, *size, eights=eights)
+    preparation.begin(*arguments(inputs))
+    preparation.strip()
+    assert_prepared(device, preparation, inputs, size)
+
+
 @pytest.mark.parametrize("gather", GATHERS)
 def test_prepare_takes_buffers_and_gathers(device, gather):
     """What is on the device already need not come from arrays; whole-frame values change with the gather as the reference's."""

@@ -13,6 +13,7 @@ from stss_ref.loss import loss, upsample_mask
 from stss_ref.motion_chain import motion_chain
 from stss_ref.occlusion_warp import occlusion_warp, splat
 from stss_ref.rrm import draw_rectangle, rrm
+from stss_ref.sample import follow, leads_inside, taps
 from stss_ref.warp import warp
 
 
@@ -83,6 +84,59 @@ class TestWarp:
         color[0, 2] = np.nan
         with pytest.raises(ArrayError, match=r"color: 1 non-finite values, first at index \(0, 2, 0\)"):
             warp(color, np.zeros((2, 3, 2)))
+
+
+class TestFollow:
+    """Where a motion leads is a whole pixel and a fraction, never a rounded sum (decision 13)."""
+
+    def test_far_from_the_corner_the_fraction_is_the_motions(self):
+        """Between 0 at column 4000 and 1 at 4001 lies the fraction itself: 0.1f, where 4000 + 0.1f is 4000.10009765625."""
+        color, motion = np.zeros((1, 4003, 1), np.float32), np.zeros((1, 4003, 2), np.float32)
+        color[0, 4001] = 1
+        motion[0, 4000, 0] = 0.1
+        motion[0, 4002, 0] = -1.9  # floor -2, and (2 - 1.9f) is exact
+        warped, _ = warp(color, motion)
+        assert warped.dtype == np.float32
+        assert warped[0, 4000, 0] == np.float32(0.1)
+        assert warped[0, 4002, 0] == np.float32(2) - np.float32(1.9)
+
+    def test_just_left_of_a_pixel_is_the_one_before_it(self):
+        """20 - 2^-40 is 20 in float32; its whole pixel is 19, and its fraction rounds to 1."""
+        motion = np.zeros((1, 40, 2), np.float32)
+        motion[0, 20, 0] = -(2.0**-40)
+        at = follow(motion)
+        assert (at.x[0, 20], at.fx[0, 20], at.x[0, 21], at.fx[0, 21]) == (19, 1, 21, 0)
+        color = np.arange(40, dtype=np.float32).reshape(1, 40, 1)
+        assert warp(color, motion)[0][0, 20, 0] == 20
+        depth = np.full((1, 40), 0.5, np.float32)
+        depth[0, 20] = 0.25
+        assert splat(motion, depth)[0, [19, 20, 21], 0].tolist() == [np.float32(-(2.0**-40)), np.float32(-(2.0**-40)), 0]
+
+    def test_the_border_by_whole_pixel_and_fraction(self):
+        """0 and W - 1 are inside; a hair to the left or to the right of them is not."""
+        hair = np.float32(2.0**-60)
+        motion = np.zeros((1, 4, 2), np.float32)
+        motion[0, :, 0] = -hair, np.nextafter(np.float32(-1), np.float32(-2)), 1, hair
+        np.testing.assert_array_equal(leads_inside(follow(motion)), [[False, False, True, False]])
+        at = taps(follow(motion))
+        np.testing.assert_array_equal((at.x0[0], at.fx[0]), [[0, 0, 3, 3], [0, 0, 0, 0]])
+
+    @pytest.mark.parametrize("far", [3e9, 1e20, 3e38, 1e300])
+    def test_however_far_it_is_beyond_the_frame(self, far):
+        """No integer holds where it leads; the nearest border pixel is read, and nothing written or chained."""
+        color, motion = np.arange(6.0).reshape(2, 3, 1), np.zeros((2, 3, 2))
+        motion[0, 1], motion[1, 1] = (far, -far), (-far, far)
+        warped, inside = warp(color, motion)
+        assert (warped[0, 1, 0], warped[1, 1, 0]) == (2, 3)
+        assert not inside[:, 1].any()
+        assert motion_chain(np.stack([motion, constant((2, 3), 1, 1)]))[:, 1].tolist() == motion[:, 1].tolist()
+        assert np.abs(splat(motion, np.zeros((2, 3)))).max() == 0
+
+    @pytest.mark.parametrize(("left", "reads"), [(-0.5, 5), (-1e-30, 5), (-1, 0), (-1.5, 0), (-2, 0)])
+    def test_trunc_left_of_the_frame(self, left, reads):
+        first, earlier = np.zeros((2, 3, 2), np.float32), np.full((2, 3, 2), 5, np.float32)
+        first[0, 0, 0] = left
+        assert motion_chain(np.stack([first, earlier]))[0, 0, 1] == reads
 
 
 class TestMotionChain:
