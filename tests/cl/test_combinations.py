@@ -9,8 +9,9 @@ import pytest
 
 from conformance.tolerance import ratio
 from stss.frames.backends import ReferenceBackend
+from stss.frames.display_frame import window_at
 from stss.frames.supersample import plan
-from stss_cl.device.discovery import Properties, open_device
+from stss_cl.device.discovery import CLASSES, open_device
 from stss_cl.network.network import PRECISIONS
 from stss_cl.skip.stream import SKIPS, Stream
 from stss_ref.motion_chain import GATHERS
@@ -20,14 +21,11 @@ SIZE = 19, 45  # rows of eight pixels and the rest of one; whole tiles and cut o
 CHANGES = (*6 * ["nothing"], "moving", "moving", "pixel", "moving", "nothing", "moving", "rectangle", "moving")
 
 
-@pytest.fixture(scope="module", params=["found", "gpu"])
+@pytest.fixture(scope="module", params=CLASSES)
 def device(request):
-    """The device as it says it is; the same as if it were a graphics processor: its host code, work-groups and row of tunings."""
-    with pytest.MonkeyPatch.context() as patch:
-        if request.param == "gpu":
-            patch.setattr(Properties, "is_cpu", property(lambda _: False))
-        yield open_device()
-        whole.cache_clear()
+    """The device treated as of either class: its host code, work-groups and row of tunings."""
+    yield open_device(device_class=request.param)
+    whole.cache_clear()
 
 
 @cache
@@ -40,7 +38,7 @@ def windows():
         frame, color = next_frame(rng, frames[-1], color, change, rendered=i % 2 == 0)
         frames.append(frame)
     for i in range(len(frames)):
-        window = frames[max(0, i - 5) : i + 1]
+        window = window_at(frames, i)
         made.append((window, plan(window).steps))
     return made
 
