@@ -315,3 +315,10 @@ def test_choosing_a_tested_device_costs_next_to_nothing(device):
     assert verdict(device.name, handle, command=NEVER).passed
     assert time.perf_counter() - start < 0.02
     assert choose(device.name).name == device.name
+
+
+def test_a_verdict_counts_for_its_class_only(device, monkeypatch):
+    monkeypatch.delenv("STSS_DEVICE_CLASS", raising=False)
+    plain = verdicts._path("P: one", device.handle)
+    monkeypatch.setenv("STSS_DEVICE_CLASS", "gpu")
+    assert verdicts._path("P: one", device.handle) != plain
