@@ -56,11 +56,11 @@ static inline void chain_pixel(global const float2 *const *motions, const int ne
 
 kernel void chain_steps(MOTIONS, const int newest, const int middle, const int oldest, global float2 *restrict chained,
                         global uint *restrict keys, global uint *restrict first, const int height, const int width
-                        BUSY_ARGUMENT)
+                        DIRTY_ARGUMENT)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     global const float2 *motions[] = {motion0, motion1, motion2, motion3, motion4};
-    if (x < width && y < height && IS_BUSY(x, y))
+    if (x < width && y < height && IS_DIRTY(x, y))
         chain_pixel(motions, newest, middle, oldest, chained, keys, first, height, width, x, y);
 }
 
