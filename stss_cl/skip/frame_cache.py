@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 import pyopencl as cl
@@ -13,20 +13,18 @@ from numpy.typing import NDArray
 
 from stss_cl.device.buffers import Outgoing
 from stss_cl.device.discovery import Device
+from stss_cl.image_space.frame_planes import Sources
 from stss_cl.image_space.prepare import Prepare
 from stss_cl.image_space.stages import Gather
 from stss_cl.network.layers import Layers
-from stss_cl.skip.error_control import FIRST, GROWTH, Depth, Shot
+from stss_cl.skip.error_control import RULES, ErrorControl, StreamControl
 from stss_cl.skip.flat_tiles import FlatTiles
-from stss_cl.skip.partial_network import Level, PartialNetwork
+from stss_cl.skip.partial_network import PartialNetwork
+from stss_cl.skip.plan import Choice, InputPlan, Outcome, Plan
+from stss_cl.skip.uploaded_frames import Tiles
 
-FLAT = 0.5
-"""``bounded``: the largest second difference of a colour that counts as flat, as a share of the largest error."""
 DECODER = 0.45
 """The decoder's share of the network's multiply-adds."""
-CHECK = 12
-"""``bounded``: one of so many frames of a kind of which something was left out is computed both ways; at first one of two, then of four."""
-
 ROWS = 32
 """Of an image, compared at a time."""
 
@@ -59,18 +57,6 @@ class Last:
     valid: NDArray[np.bool_]
 
 
-class Choice(NamedTuple):
-    """What is left out of a frame, and whether it is ``due`` to be checked."""
-
-    level: Level
-    due: bool
-
-    @property
-    def older(self) -> bool:
-        """Whether the two older colour frames are read, by weights that read them."""
-        return self.level.history or self.due
-
-
 def distance(a: NDArray[np.float32], b: NDArray[np.float32]) -> float:
     """The largest difference of two images; some rows at a time, so that nothing of an image's size is made for it."""
     return max(float(np.abs(a[y : y + ROWS] - b[y : y + ROWS]).max()) for y in range(0, len(a), ROWS))
@@ -79,16 +65,15 @@ def distance(a: NDArray[np.float32], b: NDArray[np.float32]) -> float:
 class FrameCache:
     """All that is kept of the last frame of a kind. SF and EF differ at every silhouette: each would recompute the other's."""
 
-    def __init__(self, device: Device, layers: Layers, gather: Gather, max_error: float):
+    def __init__(self, device: Device, layers: Layers, gather: Gather, shared: StreamControl):
         self.layers, self.network = layers, PartialNetwork(layers)
-        self.stale = False
-        self._depth, self._shot = Depth(len(self.network.levels) - 1 if max_error else 0, max_error), Shot()
+        self.control = ErrorControl(self.network.levels, shared)
         self.prepare = Prepare(device, *layers.size, gather, inputs=layers.inputs)
-        self._max_bend = FLAT * max_error
+        self._max_bend = RULES.flat * shared.max_error
         self._flat: FlatTiles | None = None
         self.last: Last | None = None
+        self._is_first = True
         self._device = device
-        self._unchecked, self._period = 0, FIRST
         self._image: Outgoing | None = None
         self._alone = 0
         self.network.begin()
@@ -117,43 +102,50 @@ class FrameCache:
         assert self._image is not None
         return self._image.data
 
-    def choose(self, color: NDArray[np.float32] | None) -> Choice:
-        """What of the network a frame takes in which nearly everything changed.
+    def prepare_inputs(self, sources: Sources, plan: InputPlan) -> float:
+        """Fill the network's inputs; the share of tiles of which they then differ, 1 where nobody looked."""
+        self._is_first, self.last = self.last is None, None  # should this end half-way, nothing of it is the next frame's
+        self._mark(plan.dirty)
+        older = self.layers.reads_history and plan.older
+        self.prepare.start(sources, tolerance=plan.tolerance, older=older, looking=plan.looking)
+        self.prepare.strip()
+        return 1.0 if self._is_first or not plan.looking else self._changed()
 
-        Args:
-            color: the newest (H, W, 3), by which another shot is told; None: nothing may be left out.
-        """
-        if color is None or self._shot.cut(color):
-            self._depth.fresh()
-            return Choice(self.network.levels[0], due=False)
-        level, due = self._depth.next()
-        return Choice(self.network.levels[level], due)
-
-    def run(self, choice: Choice) -> float | None:
-        """Run the network everywhere but for what is left out; the departure that this made, if the frame was due."""
-        level, whole, target = choice.level, self.network.levels[0], self.target(whole=True)
-        self.stale = level != whole and not choice.due
-        if choice.due and level.stays == whole.stays:  # nothing old: what flat tiles lack can be seen in the whole image
-            self.network.run(target, whole)
-            departure = self._flat_tiles().departure(target)
+    def execute(self, plan: Plan) -> tuple[Outcome, NDArray[np.bool_]]:
+        """Run the network; what that showed, and ``valid``."""
+        left_out = None
+        if plan.network == "changed":
+            self.network.run_changed(self.target(whole=False), plan.tolerance)
         else:
-            self.network.run(target, level, self._flat_tiles() if level.flat else None)
-            if not choice.due:
-                return None
-            left_out = self.image  # while it is held, the next image is another one
-            self.network.complete(self.target(whole=True), level)
-            departure = distance(self.image, left_out)
-        self._depth.judge(departure)
-        return departure
+            left_out = self._run(plan.choice)
+            if not self._is_first:
+                self.network.expect_changes()  # built while the device computes, not when the first change waits for it
+        valid = np.empty(self.layers.size, np.uint8)
+        cl.enqueue_copy(self._device.queue, valid, self.prepare.mask)
+        valid.flags.writeable = False
+        return Outcome(left_out, self._recheck() if plan.recheck else None), valid.view(np.bool_)
 
-    def is_due(self) -> bool:
-        """Count a frame of which tolerances may have kept something; whether it is to be computed both ways."""
-        self._unchecked += 1
-        return self._unchecked >= self._period
+    def _run(self, choice: Choice) -> float | None:
+        """Run the network everywhere but for what is left out; the departure that this makes, if the frame is checked."""
+        level, whole, target = choice.level, self.network.levels[0], self.target(whole=True)
+        if choice.check == "flat tiles":
+            self.network.run(target, whole)
+            return self._flat_tiles().departure(target)
+        self.network.run(target, level, self._flat_tiles() if level.flat else None)
+        if choice.check is None:
+            return None
+        left_out = self.image  # while it is held, the next image is another one
+        self.network.complete(self.target(whole=True), level)
+        return distance(self.image, left_out)
 
-    def checked(self, *, well: bool) -> None:
-        """It was; the next ones are farther apart if it went well."""
-        self._unchecked, self._period = 0, min(GROWTH * self._period, CHECK) if well else FIRST
+    def _recheck(self) -> float:
+        """Compute the last frame once more, whole; how far the two are apart."""
+        left_out = self.image  # while it is held, the next one is another
+        self._mark(None)
+        self.prepare.again()
+        self.prepare.strip()
+        self.network.run(self.target(whole=True), self.network.levels[0])
+        return distance(self.image, left_out)
 
     def activity(self) -> NDArray[np.float32]:
         """How much of the network ``run`` took, for each tile of the last frame: 1 but for flat tiles, which took no decoder."""
@@ -167,7 +159,12 @@ class FrameCache:
         self._flat.read(self.prepare.gbuffer)
         return self._flat
 
-    def changed(self) -> float:
+    def _mark(self, dirty: Tiles | None) -> None:
+        """Have the inputs computed where they are ``dirty``, and nowhere else; None: everywhere."""
+        tiles = _spread(dirty, (self.prepare.rows, self.prepare.columns))
+        cl.enqueue_copy(self._device.queue, self.prepare.dirty, tiles, is_blocking=True)
+
+    def _changed(self) -> float:
         """The share of tiles whose inputs differ from the last ones; waits for them."""
         most = 0.0
         for buffer in (self.layers.inputs.input, self.layers.inputs.earlier):
@@ -176,3 +173,14 @@ class FrameCache:
             cl.enqueue_copy(self._device.queue, marks, buffer.changes)
             most = max(most, np.count_nonzero(marks.any(axis=0)) / marks.shape[1])
         return most
+
+
+def _spread(changed: Tiles | None, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """The map of what is to be computed for a padded ``size``: a pixel reads its right and lower neighbours, and padding repeats."""
+    rows, columns = (length // 4 for length in size)
+    if changed is None:
+        return np.ones((rows, columns), np.uint8)
+    dirty = changed.copy()
+    dirty[:, :-1] |= changed[:, 1:]
+    dirty[:-1] |= dirty[1:].copy()
+    return np.pad(dirty, ((0, rows - dirty.shape[0]), (0, columns - dirty.shape[1])), mode="edge").astype(np.uint8)

@@ -4,12 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-import pyopencl as cl
 from numpy.typing import NDArray
 
 from stss_cl.device.discovery import Device, open_device
@@ -22,7 +20,8 @@ from stss_cl.network.layers import Layers
 from stss_cl.network.network import Precision
 from stss_cl.network.strips import bytes_for
 from stss_cl.skip.display_frame import DisplayFrame
-from stss_cl.skip.frame_cache import FrameCache, Last, Report, distance
+from stss_cl.skip.error_control import StreamControl
+from stss_cl.skip.frame_cache import FrameCache, Last, Report
 from stss_cl.skip.uploaded_frames import Tiles, UploadedFrame, UploadedFrames, sources
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
@@ -31,14 +30,6 @@ Skip = Literal["off", "exact", "bounded"]
 SKIPS: tuple[Skip, ...] = ("off", "exact", "bounded")
 """``off``: every frame is computed whole. ``exact``: what did not change is kept, with the bits of ``off``. ``bounded``: what changed
 little is kept as well."""
-MOST_CHANGED, MOST_CHANGED_BOUNDED = 0.75, 0.4
-"""Where a larger share of the network's inputs changed, all of it is computed: to look for the rest would not pay; for ``bounded``, where
-flat tiles and old features save more."""
-FIRST, AIM, SLOWER, FASTER = 0.2, 0.5, 0.25, 1.25
-"""``bounded``: the first tolerance and the departure aimed at, as shares of the largest error; limits of a step of the tolerance."""
-PATIENCE, AGAIN, REST = 8, 4, 48
-"""After so many frames in a row of which nothing was left out (after a rest: so many; the first of either kind makes up for what
-was left out meanwhile) so many are computed without looking."""
 
 
 class Stream:
@@ -56,7 +47,6 @@ class Stream:
 
     Attributes:
         report: what the last frame cost.
-        tolerance: of ``bounded``: a value, of the inputs or between two layers, that moved no farther from what was stored stays.
     """
 
     def __init__(
@@ -75,12 +65,16 @@ class Stream:
         self._whole = Frame(weights, self.device, precision, gather, memory_limit)
         self._gather: Gather = gather
         self._weights, self._memory = weights, self.device.memory // 2 if memory_limit is None else memory_limit
-        self._skip, self._max_error = skip, max_error if skip == "bounded" else 0.0
-        self.tolerance = FIRST * self._max_error
+        self._skip: Skip = skip
+        self._control = StreamControl(max_error if skip == "bounded" else 0.0)
         self._uploaded: UploadedFrames | None = None
         self._caches: dict[bool, FrameCache] = {}
         self._latest: FrameCache | None = None
-        self._frames_all_changed = self._frames_unlooked = 0
+
+    @property
+    def tolerance(self) -> float:
+        """Of ``bounded``: a value, of the inputs or between two layers, that moved no farther from what was stored stays."""
+        return self._control.tolerance
 
     def __call__(self, window: Sequence[DisplayFrame], steps: Sequence[int]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Compute the last frame of ``window``.
@@ -108,18 +102,14 @@ class Stream:
             raise ArrayError(f"window: expected a colour {', '.join(map(str, chosen))} frames back")
         window, size = window[-MOST_STEPS - 1 :], window[-1].nov.shape
         uploaded, cache = self._arriving(size), self._keep(size, extrapolates=chosen[0] > 0)
-        self._frames_unlooked = max(0, self._frames_unlooked - 1)
-        held = uploaded.take(window, compare=cache is not None and not self._frames_unlooked)
+        looking = self._control.begin()
+        held = uploaded.take(window, compare=cache is not None and looking)
         self._latest = cache
         if cache is None:
             self.report = Report(1.0, 1.0, "whole")
             return self._whole.compute(sources(held, chosen), size)
-        dirty = None if self._frames_unlooked or cache.stale else self._dirty(uploaded, cache, held, cache.read(chosen))
-        if dirty is not None and cache.last is not None and not dirty.any():
-            self.report = Report(0.0, 0.0, "none")
-            cache.last = _last(held, cache.read(chosen), cache.last.valid)
-            return cache.image, cache.last.valid
-        return self._compute(cache, held, chosen, dirty, window[-1 - chosen[0]].color if self._max_error else None)
+        dirty = self._dirty(uploaded, cache, held, cache.read(chosen)) if cache.control.needs_changes else None
+        return self._compute(cache, held, chosen, dirty, window[-1 - chosen[0]].color)
 
     def expect(self, size: tuple[int, int]) -> None:
         """Build what the first call for frames of (H, W) would wait for, such as while that frame is being read."""
@@ -149,55 +139,21 @@ class Stream:
         dirty: Tiles | None,
         color: NDArray[np.float32] | None,
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """The frame, where anything is dirty; None: everywhere. ``color``: the newest, for ``bounded``, see ``FrameCache.choose``."""
-        prepare, layers, last = cache.prepare, cache.layers, cache.last
-        cache.last = None  # should this end half-way, nothing of it is the next frame's
-        cl.enqueue_copy(self.device.queue, prepare.dirty, _spread(dirty, (prepare.rows, prepare.columns)), is_blocking=True)
-        tolerance = 0.0 if dirty is None else self.tolerance
-        choice = cache.choose(color) if self._frames_unlooked else None
-        older = layers.reads_history and (choice is None or choice.older)
-        prepare.start(sources(held, steps), tolerance=tolerance, older=older, looking=not self._frames_unlooked)
-        prepare.strip()
-        changed = cache.changed() if last is not None and not self._frames_unlooked else 1.0
-        whole, departure = changed > (MOST_CHANGED_BOUNDED if self._max_error else MOST_CHANGED), None
-        if whole or cache.stale:
-            # What was left out is not what its inputs give: changes alone would not mend it.
-            choice = choice or cache.choose(color if whole else None)
-            departure = cache.run(choice)
-            network = "partly" if cache.stale else "whole"
-            if last is not None:
-                cache.network.expect_changes()  # built while the device computes, not when the first change waits for it
-        else:
-            network = "changed"
-            cache.network.run_changed(cache.target(whole=False), tolerance)
-        valid = np.empty(layers.size, np.uint8)
-        cl.enqueue_copy(self.device.queue, valid, prepare.mask)
-        valid.flags.writeable = False
-        self.report = Report(1.0 if dirty is None else float(dirty.mean()), float(changed), network, departure)
-        if tolerance > 0:
-            self._check(cache)
-        cache.last = _last(held, cache.read(steps), valid.view(np.bool_))
-        if not self._frames_unlooked:
-            self._frames_all_changed = self._frames_all_changed + 1 if whole else 0
-            if self._frames_all_changed >= PATIENCE:
-                self._frames_all_changed, self._frames_unlooked = PATIENCE - AGAIN, REST
-        return cache.image, valid.view(np.bool_)
-
-    def _check(self, cache: FrameCache) -> None:
-        """Every so often compute the frame once more, whole, and set the tolerance by how far the two are apart."""
-        if not cache.is_due():
-            return
-        left_out, prepare = cache.image, cache.prepare  # while the image is held, the next one is another
-        cl.enqueue_copy(self.device.queue, prepare.dirty, _spread(None, (prepare.rows, prepare.columns)), is_blocking=True)
-        prepare.again()
-        prepare.strip()
-        cache.run(cache.choose(None))
-        departure = distance(cache.image, left_out)
-        self.report = replace(self.report, departure=departure)
-        cache.checked(well=departure <= AIM * self._max_error)
-        if departure > 0:
-            self.tolerance *= min(max(AIM * self._max_error / departure, SLOWER), FASTER)
-        self.tolerance = min(self.tolerance, self._max_error)
+        """Plan the frame, execute the plan, learn. ``dirty``, ``color``: see ``ErrorControl.plan_inputs``."""
+        control, last = cache.control, cache.last
+        inputs = control.plan_inputs(dirty, color)
+        if last is not None and inputs.nothing:
+            self.report = Report(0.0, 0.0, "none")
+            cache.last = _last(held, cache.read(steps), last.valid)
+            return cache.image, last.valid
+        changed = cache.prepare_inputs(sources(held, steps), inputs)
+        plan = control.plan(inputs, changed, color)
+        outcome, valid = cache.execute(plan)
+        control.learn(plan, outcome)
+        departure = outcome.left_out if outcome.kept is None else outcome.kept
+        self.report = Report(1.0 if dirty is None else float(dirty.mean()), changed, plan.network, departure)
+        cache.last = _last(held, cache.read(steps), valid)
+        return cache.image, valid
 
     def _arriving(self, size: tuple[int, int]) -> UploadedFrames:
         if self._uploaded is None or self._uploaded.size != size:
@@ -216,7 +172,7 @@ class Stream:
             layers = Layers(
                 self.device, self._weights, *size, self.precision, self._memory, self._whole.network.residual, keep=True
             )
-            self._caches[extrapolates] = FrameCache(self.device, layers, self._gather, self._max_error)
+            self._caches[extrapolates] = FrameCache(self.device, layers, self._gather, self._control)
         return self._caches[extrapolates]
 
     def _can_keep(self, size: tuple[int, int]) -> bool:
@@ -253,14 +209,3 @@ def _last(held: list[UploadedFrame], steps: tuple[int, ...], valid: NDArray[np.b
 def _missing(steps: tuple[int, ...]) -> list[bool]:
     """Which older colour frames stand in for missing ones."""
     return [older == newer for newer, older in pairwise(steps)]
-
-
-def _spread(changed: Tiles | None, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """The map of what is to be computed for a padded ``size``: a pixel reads its right and lower neighbours, and padding repeats."""
-    rows, columns = (length // 4 for length in size)
-    if changed is None:
-        return np.ones((rows, columns), np.uint8)
-    dirty = changed.copy()
-    dirty[:, :-1] |= changed[:, 1:]
-    dirty[:-1] |= dirty[1:].copy()
-    return np.pad(dirty, ((0, rows - dirty.shape[0]), (0, columns - dirty.shape[1])), mode="edge").astype(np.uint8)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """How deep the network is computed where everything changes."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,8 +13,7 @@ from stss.frames.supersample import plan
 from stss_cl.device.buffers import Outgoing, incoming
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import PRECISIONS
-from stss_cl.skip import stream as streaming
-from stss_cl.skip.error_control import AIM, FIRST, GROWTH, LONGEST, OLD_AIM, REST, Depth, Shot
+from stss_cl.skip.error_control import RULES, LevelControl, Shot
 from stss_cl.skip.frame_cache import distance
 from stss_cl.skip.partial_network import WHOLE, Level, PartialNetwork
 from stss_cl.skip.stream import Stream
@@ -73,76 +73,76 @@ def test_without_a_residual_or_without_keeping_nothing_may_stay(device):
 @given(departures=st.lists(st.floats(0, 3), min_size=4, max_size=4).map(sorted))
 def test_the_level_goes_as_deep_as_the_departure_allows(departures):
     """A level that departs by the same amount whenever it is checked: the deepest that is within the aim is found and kept."""
-    depth, levels = Depth(3, 1.0), []
+    control, levels = LevelControl(3, 1.0), []
     departures[0] = 0.0
     for _ in range(200):
-        level, due = depth.next()
+        level, due = control.next()
         levels.append(level if not due else None)
         if due:
-            depth.judge(departures[level])
+            control.judge(departures[level])
     shown = [level for level in levels if level is not None]
-    aims = 0.0, AIM, OLD_AIM, OLD_AIM
+    aims = 0.0, RULES.aim, RULES.old_aim, RULES.old_aim
     best = next((level - 1 for level in range(1, 4) if departures[level] > aims[level]), 3)
     assert all(departures[level] <= aims[level] for level in shown)
     assert max(shown) == best
-    assert depth.level == best
+    assert control.level == best
 
 
 def test_checks_become_rare_and_common_again():
-    depth, due = Depth(1, 1.0), []
+    control, due = LevelControl(1, 1.0), []
     for _ in range(200):
-        due.append(depth.next()[1])
+        due.append(control.next()[1])
         if due[-1]:
-            depth.judge(0.1)
+            control.judge(0.1)
     apart = np.diff(np.flatnonzero(due))
-    assert list(apart[:3]) == [FIRST, FIRST * GROWTH, FIRST * GROWTH**2]
-    assert apart[-1] == LONGEST
-    while not depth.next()[1]:
+    assert list(apart[:3]) == [RULES.first_check, RULES.first_check * RULES.growth, RULES.first_check * RULES.growth**2]
+    assert apart[-1] == RULES.rarest_trial
+    while not control.next()[1]:
         pass
-    depth.judge(2.0)
-    assert depth.level == 0
-    assert depth.next() == (0, False)
-    assert any(depth.next()[1] for _ in range(REST + FIRST))
+    control.judge(2.0)
+    assert control.level == 0
+    assert control.next() == (0, False)
+    assert any(control.next()[1] for _ in range(RULES.level_rest + RULES.first_check))
 
 
 def test_what_stays_is_tried_when_a_shot_has_lasted():
-    depth, before = Depth(2, 1.0), 0
-    while depth.level < 2:
+    control, before = LevelControl(2, 1.0), 0
+    while control.level < 2:
         before += 1
-        if depth.next()[1]:
-            depth.judge(0.0)
-    assert before == 1 + FIRST * (1 + GROWTH + GROWTH**2 + GROWTH**3)  # the last of these is LATER
+        if control.next()[1]:
+            control.judge(0.0)
+    assert before == 1 + RULES.first_check * (1 + RULES.growth + RULES.growth**2 + RULES.growth**3)  # the last of these is LATER
 
 
-@pytest.mark.parametrize(("level", "aim"), [(1, AIM), (2, OLD_AIM)])
+@pytest.mark.parametrize(("level", "aim"), [(1, RULES.aim), (2, RULES.old_aim)])
 def test_what_departs_too_much_is_checked_more_often_and_then_left(level, aim):
     def check(departure):
         apart = 1
-        while not depth.next()[1]:
+        while not control.next()[1]:
             apart += 1
-        depth.judge(departure)
+        control.judge(departure)
         return apart
 
-    depth = Depth(level, 1.0)
-    while depth.level < level:
+    control = LevelControl(level, 1.0)
+    while control.level < level:
         check(0.0)
     while check(0.0) < 16:
         pass
-    assert depth.level == level
+    assert control.level == level
     assert [check(1.9 * aim) for _ in range(4)] == [32, 16, 8, 4]
     check(2.1 * aim)
-    assert depth.level == level - 1
+    assert control.level == level - 1
 
 
 def test_a_level_that_was_too_deep_once_is_tried_again():
-    depth, too_deep = Depth(2, 1.0), True
+    control, too_deep = LevelControl(2, 1.0), True
     reached = []
     for step in range(900):
         too_deep = step < 300
-        level, due = depth.next()
-        reached.append(depth.level)
+        level, due = control.next()
+        reached.append(control.level)
         if due:
-            depth.judge(0.0 if level < 2 else 3.0 * too_deep)
+            control.judge(0.0 if level < 2 else 3.0 * too_deep)
     assert max(reached[:300]) == 1
     assert reached[-1] == 2
 
@@ -164,7 +164,7 @@ def test_another_shot_is_told_from_a_moving_camera():
 @pytest.fixture
 def early(monkeypatch):
     """What may stay is tried in a shot's first frames, for shots that are short."""
-    monkeypatch.setattr("stss_cl.skip.error_control.LATER", FIRST)
+    monkeypatch.setattr("stss_cl.skip.error_control.RULES", replace(RULES, later=RULES.first_check))
 
 
 @pytest.mark.usefixtures("early")
@@ -182,7 +182,7 @@ def test_a_moving_camera(device, max_error):
     partly = 0
     for i in range(70):
         window = frames[max(0, i - 5) : i + 1]
-        steps, resting = plan(window).steps, loose._frames_unlooked > 1
+        steps, resting = plan(window).steps, loose._control.frames_unlooked > 1
         got, want = loose(window, steps), plain(window, steps)
         partly += loose.report.network == "partly"
         if loose.report.network == "whole" and resting:  # else tolerances kept some of the inputs
@@ -210,9 +210,9 @@ def test_what_was_left_out_does_not_outlive_the_motion(device, weights, looking)
     seen = []
     for i in range(100):
         window = frames[max(0, i - 5) : i + 1]
-        loose._frames_unlooked *= not looking
+        loose._control.frames_unlooked *= not looking
         got, want = loose(window, plan(window).steps), plain(window, plan(window).steps)
-        seen.append((loose.report.network, loose._frames_unlooked))
+        seen.append((loose.report.network, loose._control.frames_unlooked))
         if i >= 50 and not any(rests for _, rests in seen[-3:]):  # since then one frame of this kind was looked at
             assert_same(got, want)
     assert "partly" in [network for network, _ in seen[30:]]
@@ -233,13 +233,13 @@ def test_old_features_do_not_outlive_the_motion(device):
         frames.append(type(made)(made.number, color if i % 2 == 0 else None, *list(vars(made).values())[2:]))
     loose, seen = Stream(WEIGHTS, device, skip="bounded", max_error=0.99), []
     for i in range(60):
-        loose._frames_unlooked = 0  # to look at every frame
+        loose._control.frames_unlooked = 0  # to look at every frame
         loose(frames[max(0, i - 5) : i + 1], plan(frames[max(0, i - 5) : i + 1]).steps)
         seen.append((loose.report.network, loose.report.changed))
     assert "partly" in [network for network, _ in seen[:40]]
     for kind in (0, 1):
-        rest = [network for network, changed in seen[kind::2] if changed <= streaming.MOST_CHANGED_BOUNDED]
-        before = [network for network, changed in seen[kind::2] if changed > streaming.MOST_CHANGED_BOUNDED]
+        rest = [network for network, changed in seen[kind::2] if changed <= RULES.most_changed_bounded]
+        before = [network for network, changed in seen[kind::2] if changed > RULES.most_changed_bounded]
         assert rest[0] == ("whole" if before[-1] == "partly" else "changed")
         assert set(rest[1:]) <= {"changed", "none"}
 

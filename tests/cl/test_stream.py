@@ -18,7 +18,7 @@ from stss.frames.display_frame import DisplayFrame
 from stss.frames.supersample import plan
 from stss_cl.device import program
 from stss_cl.network.network import PRECISIONS
-from stss_cl.skip import stream as streaming
+from stss_cl.skip.error_control import RULES
 from stss_cl.skip.stream import Stream
 from stss_cl.skip.uploaded_frames import UploadedFrames
 from stss_ref.arrays import ArrayError
@@ -240,7 +240,7 @@ def test_activity_says_where(device):
 
 
 def test_where_all_changes_nothing_is_looked_for_after_a_while(device, monkeypatch):
-    monkeypatch.setattr(streaming, "REST", 3)
+    monkeypatch.setattr("stss_cl.skip.error_control.RULES", replace(RULES, rest=3))
     rng, frames = np.random.default_rng(2), still(1)
     color, keeping, plain = frames[0].color, Stream(WEIGHTS, device), Stream(WEIGHTS, device, skip="off")
     for i in range(1, 30):
