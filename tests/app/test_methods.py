@@ -256,7 +256,7 @@ def test_taau_starts_anew_after_a_gap(write_frames):
 
 
 def frames_of(out):
-    return {str(path.relative_to(out)): path.read_bytes() for path in sorted(out.rglob("*.*"))}
+    return {str(path.relative_to(out)): path.read_bytes() for path in sorted(out.rglob("frame.*"))}
 
 
 @pytest.fixture
