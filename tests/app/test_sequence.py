@@ -347,7 +347,7 @@ def test_world_to_camera(tmp_path, row_vectors):
 
 
 def write_with_matrix(path, planes, matrix):
-    from stss.images.read_write import oiio
+    import OpenImageIO as oiio  # noqa: N813
 
     names = tuple(planes)
     spec = oiio.ImageSpec(6, 4, len(names), "float")

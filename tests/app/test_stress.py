@@ -250,7 +250,10 @@ def test_the_command(tmp_path):
         (["--only", "tones"], "only: expected some of bounds"),
         (["--backend", "ref", "--device", "x"], "expected no device"),
         (["--write", "no.md"], r"no\.md: cannot be read"),
-        (["--backend", "ref", "--only", "tone", "--json", "no/such/folder.json"], "--json no/such/folder.json: expected a file in a folder that is there"),
+        (
+            ["--backend", "ref", "--only", "tone", "--json", "no/such/folder.json"],
+            "--json no/such/folder.json: expected a file in a folder that is there",
+        ),
     ],
 )
 def test_mistakes_are_one_line(options, said, tmp_path, monkeypatch):
