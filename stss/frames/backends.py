@@ -109,7 +109,8 @@ class OpenCLBackend:
         # What bounded keeps depends on all frames before; what exact keeps shows in no bit.
         self.accumulates = options.skip == "bounded"
         bound = f" within {options.max_error:g}" if self.accumulates else ""
-        self.name = f"cl {options.precision}{bound} on {device.name}, {device.driver}"
+        named = "" if device.kind.lower() == device.device_class else f" as {device.device_class}"
+        self.name = f"cl {options.precision}{bound} on {device.name}{named}, {device.driver}"
 
     def expect(self, size: tuple[int, int]) -> None:
         """See ``Backend``."""
