@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test check bench mutants alarms misses fuzz portability clean
+.PHONY: demo test check bench mutants alarms misses fuzz gpu-class portability clean
 
 demo: $(VENV)/.base
 	$(BIN)/stss demo demo --overwrite
@@ -32,6 +32,10 @@ misses: $(VENV)/.test
 MINUTES ?= 4
 fuzz: $(VENV)/.test
 	$(BIN)/python -m tests.fuzz --minutes $(MINUTES) $(if $(SEED),--seed $(SEED))
+
+# The backend's tests with the host code, work-groups and tuning row of GPUs, on whatever device there is.
+gpu-class: $(VENV)/.test
+	STSS_DEVICE_CLASS=gpu $(BIN)/python -m pytest tests/cl -n 2 --dist loadfile --no-loadscope-reorder
 
 # Every OpenCL runtime that can be installed here, each with the tests of the backend.
 portability: $(VENV)/.test
