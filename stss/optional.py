@@ -15,7 +15,10 @@ from stss.version import DISTRIBUTION
 
 def installed(name: str) -> bool:
     """Whether the package ``name`` can be imported."""
-    return importlib.util.find_spec(name) is not None
+    try:
+        return importlib.util.find_spec(name) is not None
+    except ValueError:  # colour-science leaves an empty stand-in for a missing Matplotlib among the modules
+        return False
 
 
 def require(name: str, extra: str = "bench") -> Any:

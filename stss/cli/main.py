@@ -9,7 +9,6 @@ import os
 import sys
 from contextlib import suppress
 from dataclasses import asdict
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -256,7 +255,7 @@ def _report(summary: Summary, out: Path, console: Console) -> None:
 def main() -> None:
     """Run the command; the user's mistakes are one line and status 2."""
     status: Any = 0
-    if find_spec("matplotlib"):
+    if installed("matplotlib"):
         # colour-science imports it, and it keeps things where other programs do. A command that needs no device is not refused.
         with suppress(DeviceError):
             os.environ.setdefault("MPLCONFIGDIR", str(private("matplotlib")))

@@ -7,13 +7,16 @@ import signal
 import subprocess
 import sys
 import time
+import types
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from stss.cli.main import main
 from stss.demo import demo_path, write_demo_sequence
 from stss.images.read_write import read_header, read_rgb
+from stss.optional import installed
 from stss.weights.file import save
 from stss_ref.weights import random as random_weights
 
@@ -251,3 +254,13 @@ def test_an_interrupt_is_not_a_traceback(sequence, tmp_path):
     assert "Traceback" not in errors
     assert not [p for p in (tmp_path / "out").rglob("*") if p.name.startswith(".")]
     assert os.path.lexists(tmp_path / "out" / "frame.0000.exr")
+
+
+def test_an_empty_stand_in_for_a_package_is_no_package(monkeypatch):
+    """colour-science leaves one for Matplotlib where that is not installed."""
+    monkeypatch.setitem(sys.modules, "matplotlib", types.ModuleType("matplotlib"))
+    assert not installed("matplotlib")
+    monkeypatch.setattr(sys, "argv", ["stss", "--version"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 0

@@ -64,6 +64,7 @@ def call(*arguments, seconds=CASE_SECONDS):
     out, err = io.TextIOWrapper(io.BytesIO(), "utf-8"), io.TextIOWrapper(io.BytesIO(), "utf-8")
     with _native_errors() as native, warnings.catch_warnings(), watchdog(seconds), contextlib.ExitStack() as stack:
         warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", module=r"colour\.")  # see stss.color
         stack.callback(setattr, sys, "argv", sys.argv)
         stack.enter_context(contextlib.redirect_stdout(out))
         stack.enter_context(contextlib.redirect_stderr(err))
