@@ -36,7 +36,7 @@ from stss.cli.stress import stress_command
 from stss.errors import InputError
 from stss.frames.backends import NETWORK
 from stss.frames.compute_options import ComputeOptions, Skip
-from stss.optional import require_own_conformance
+from stss.optional import installed, require_own_conformance
 from stss.output.apart import require_places
 from stss.run.choose_backend import first_frames, open_method, with_skipping, within_budget
 from stss.run.job import FrameReport, RunOptions, Summary
