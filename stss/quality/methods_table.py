@@ -21,7 +21,7 @@ from stss.quality.compare import Comparison, compare
 from stss.quality.flicker import Flicker, flicker
 from stss.quality.flip_vmaf import require_packages
 from stss.quality.tables import print_whole
-from stss.run.job import RunOptions, run
+from stss.run.job import RunOptions, require_near, run
 from stss.sequence.reader import Sequence as Frames
 from stss.weights.file import BILINEAR
 
@@ -93,6 +93,7 @@ def run_methods(
         InputError: as ``stss run``, ``stss compare`` and ``stss flicker``.
     """
     require_packages(flip=flip, vmaf=vmaf)
+    require_near(sequence, *(options.frames or (sequence.numbers[0], sequence.numbers[-1])))
     results: list[MethodResult] = []
     make_folder(out)
     with locked(out):

@@ -127,7 +127,7 @@ def run(
         raise InputError("--resume, --overwrite: expected one of them: keep what an earlier run finished, or replace it")
     rendered = choose_rendered(sequence.numbers, sequence.rendered, options.rendered)
     numbers = _numbers(sequence, options.frames)
-    _require_near(sequence, sequence.numbers[0] if backend.accumulates else numbers[0], numbers[-1])
+    require_near(sequence, sequence.numbers[0] if backend.accumulates else numbers[0], numbers[-1])
     if backend.accumulates and options.resume:
         what = "--skip bounded" if backend.method == NETWORK else backend.method
         raise InputError(f"--resume: {what} makes each output of all before it; run it anew, with --overwrite")
@@ -280,7 +280,7 @@ def _numbers(sequence: Sequence, frames: tuple[int, int] | None) -> range:
     return range(frames[0], frames[1] + 1)
 
 
-def _require_near(sequence: Sequence, first: int, last: int) -> None:
+def require_near(sequence: Sequence, first: int, last: int) -> None:
     """Raise InputError where frames lie so far apart that they belong to no one sequence: each between would be reported."""
     for a, b in pairwise(sequence.numbers):
         if b - a - 1 > MAX_GAP and a < last and b > first:
