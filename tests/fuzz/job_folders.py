@@ -115,6 +115,8 @@ def _damage(random, job, outside, stages, damage):
     how = DAMAGE[random.integers(len(DAMAGE))]
     damage.append(f"{how.__name__[1:]} {path.relative_to(job)}")
     try:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise ValueError("a pipe already")  # to read it would wait for ever
         how(random, path, outside)
     except (OSError, ValueError) as error:
         damage[-1] += f" (not done: {error})"
