@@ -29,6 +29,9 @@ FLOORS = {
 }
 """The rooms of a package from top to bottom: a room imports those on the floors below it, and none beside it."""
 
+STILL_TWICE = {"Place", "Strip"}
+"""Class names that mean two things: no name is added here."""
+
 
 def name(path):
     return str(path.relative_to(ROOT))
@@ -88,6 +91,18 @@ def test_sizes(path):
             body = node.body[1:] if ast.get_docstring(node) else node.body
             lines = sum(statement.end_lineno - statement.lineno + 1 for statement in body)
             assert lines <= 40, f"{node.name}: {lines} lines"
+
+
+def test_one_class_name_means_one_thing():
+    """In all packages; a protocol may have the name of the class that it describes."""
+    homes = {}
+    for path in SOURCES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                protocol = any(isinstance(base, ast.Name) and base.id == "Protocol" for base in node.bases)
+                homes.setdefault(node.name, []).append((name(path), protocol))
+    twice = {each: places for each, places in homes.items() if len([1 for _, protocol in places if not protocol]) > 1}
+    assert twice.keys() <= STILL_TWICE, twice
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=name)

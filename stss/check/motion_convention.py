@@ -38,7 +38,7 @@ CHOSEN = next(iter(CHOICES))
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ConventionVerdict:
     """What the warps say.
 
     Attributes:
@@ -61,7 +61,7 @@ class Verdict:
         return best if best is not None and self.ratios[best] < MARGIN else None
 
 
-def judge_motion(pairs: Iterable[tuple[Buffers, Buffers]]) -> Verdict:
+def judge_motion(pairs: Iterable[tuple[Buffers, Buffers]]) -> ConventionVerdict:
     """Compare the eight choices over pairs of neighbouring frames (t - 1, t), one pair in memory at a time."""
     told: list[tuple[str, Image]] = []
     for before, now in pairs:
@@ -71,7 +71,7 @@ def judge_motion(pairs: Iterable[tuple[Buffers, Buffers]]) -> Verdict:
                 told.append((guide, samples))
                 break
     if not told:
-        return Verdict((), 0, {}, {})
+        return ConventionVerdict((), 0, {}, {})
     together = np.concatenate([samples for _, samples in told])
     errors = {name: float(error) for name, error in zip(CHOICES, np.median(together, axis=0), strict=True)}
     ratios: dict[str, float] = {}
@@ -80,7 +80,7 @@ def judge_motion(pairs: Iterable[tuple[Buffers, Buffers]]) -> Verdict:
         if differ.sum() >= ENOUGH:
             medians = np.median(error[differ]), np.median(together[differ, 0])
             ratios[choice] = float(medians[0] / max(medians[1], VISIBLE * VISIBLE))
-    return Verdict(tuple(dict.fromkeys(guide for guide, _ in told)), len(together), errors, ratios)
+    return ConventionVerdict(tuple(dict.fromkeys(guide for guide, _ in told)), len(together), errors, ratios)
 
 
 def _differences(before: Buffers, now: Buffers, guide: str) -> Image:

@@ -36,7 +36,7 @@ LOSSY = ("pxr24", "b44", "b44a", "dwaa", "dwab")
 
 
 @dataclass(frozen=True)
-class Finding:
+class CheckFinding:
     """One line of the report."""
 
     level: Level
@@ -44,7 +44,7 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Report:
+class CheckReport:
     """What was found.
 
     Attributes:
@@ -52,7 +52,7 @@ class Report:
         tables: the same as numbers, ready for JSON.
     """
 
-    findings: tuple[Finding, ...]
+    findings: tuple[CheckFinding, ...]
     tables: Mapping[str, object]
 
     @property
@@ -82,7 +82,7 @@ def check(
     roughness: float | None = None,
     non_finite: NonFinite = "refuse",
     frames: tuple[int, int] | None = None,
-) -> Report:
+) -> CheckReport:
     """Look a sequence over: frames, buffers, conventions, values.
 
     Args:
@@ -98,7 +98,7 @@ def check(
         InputError: the profile itself cannot be read. What is wrong with the sequence is a finding.
     """
     table = profile if isinstance(profile, Profile) else load_profile(profile)
-    findings: list[Finding] = []
+    findings: list[CheckFinding] = []
     tables: dict[str, object] = {"profile": table.name}
     try:
         numbers = sorted(find_frames(Path(sequence_path), {table.file_of(buffer) for buffer in BUFFERS}))
@@ -114,14 +114,16 @@ def check(
         sampling = judge_sampling(sequence)
         tables["sampling"] = dataclasses.asdict(sampling)
         how = "antialiased" if sampling.antialiased else "aliased, one sample a pixel"
-        findings.append(Finding("note", f"sampling: {how} ({sampling.reason}); stss run takes the weights {suited(sampling)}"))
+        findings.append(
+            CheckFinding("note", f"sampling: {how} ({sampling.reason}); stss run takes the weights {suited(sampling)}")
+        )
     except InputError as error:
-        findings.append(Finding("error", str(error)))
+        findings.append(CheckFinding("error", str(error)))
     order: dict[Level, int] = {"error": 0, "warning": 1, "note": 2}
-    return Report(tuple(sorted(findings, key=lambda finding: order[finding.level])), tables)
+    return CheckReport(tuple(sorted(findings, key=lambda finding: order[finding.level])), tables)
 
 
-def missing_frames(numbers: list[int]) -> list[Finding]:
+def missing_frames(numbers: list[int]) -> list[CheckFinding]:
     """Display frames that are not there at all: the likeliest reason that a sequence cannot work."""
     count = numbers[-1] - numbers[0] + 1 - len(numbers)
     if not count:
@@ -133,28 +135,28 @@ def missing_frames(numbers: list[int]) -> list[Finding]:
             f"frames step by {steps.pop()} ({shown}, ...): the display frames between are not there. Only the colour "
             "may come at half rate: render G-buffer and motion of every display frame, motion to the one just before"
         )
-        return [Finding("error", text)]
+        return [CheckFinding("error", text)]
     gone = chain.from_iterable(range(a + 1, b) for a, b in pairwise(numbers))  # never walked: numbers may lie far apart
     text = f"display frames {_listed(islice(gone, LISTED), count)} are not there: G-buffer and motion of each are needed"
-    return [Finding("error", text)]
+    return [CheckFinding("error", text)]
 
 
-def missing_buffers(sequence: Sequence, numbers: list[int]) -> list[Finding]:
+def missing_buffers(sequence: Sequence, numbers: list[int]) -> list[CheckFinding]:
     """Buffers that some frames have and others lack; and which frames have a colour."""
-    findings: list[Finding] = []
+    findings: list[CheckFinding] = []
     for buffer in BUFFERS:
         gone = [n for n in numbers if not sequence.has(n, buffer)]
         if gone and buffer != "color":
             text = f"{buffer}: not there in frames {_listed(gone, len(gone))}; every display frame needs it, rendered or not"
-            findings.append(Finding("error", text))
+            findings.append(CheckFinding("error", text))
     rendered = sorted(sequence.rendered.intersection(numbers))
     if rendered == numbers:
-        findings.append(Finding("note", f"colour: all {len(numbers)} frames; a half-rate run uses every second one"))
+        findings.append(CheckFinding("note", f"colour: all {len(numbers)} frames; a half-rate run uses every second one"))
     elif rendered and rendered == [n for n in numbers if (n - rendered[0]) % 2 == 0 and n >= rendered[0]]:
-        findings.append(Finding("note", f"colour: every second frame from {rendered[0]} on"))
+        findings.append(CheckFinding("note", f"colour: every second frame from {rendered[0]} on"))
     else:
         shown = _listed(rendered, len(rendered)) if rendered else "none"
-        findings.append(Finding("warning", f"colour: expected every frame or every second one; found frames {shown}"))
+        findings.append(CheckFinding("warning", f"colour: expected every frame or every second one; found frames {shown}"))
     return findings
 
 
@@ -175,9 +177,9 @@ def _frame_table(sequence: Sequence, numbers: list[int]) -> dict[str, object]:
     }
 
 
-def _storage(sequence: Sequence, numbers: list[int], tables: dict[str, object]) -> list[Finding]:
+def _storage(sequence: Sequence, numbers: list[int], tables: dict[str, object]) -> list[CheckFinding]:
     """Channels, formats and compression of the first frame that has each buffer."""
-    findings: list[Finding] = []
+    findings: list[CheckFinding] = []
     channels: dict[str, object] = {}
     lossy: dict[str, list[str]] = {}
     for buffer in BUFFERS:
@@ -193,11 +195,11 @@ def _storage(sequence: Sequence, numbers: list[int], tables: dict[str, object]) 
             lossy.setdefault(header.compression, []).append(buffer)
     tables["channels"] = channels
     for compression, buffers in lossy.items():
-        findings.append(Finding("warning", f"{compression} compression changes {', '.join(buffers)}; expected zip, or none"))
+        findings.append(CheckFinding("warning", f"{compression} compression changes {', '.join(buffers)}; expected zip, or none"))
     return findings
 
 
-def _pixels(sequence: Sequence, numbers: list[int], non_finite: NonFinite, tables: dict[str, object]) -> list[Finding]:
+def _pixels(sequence: Sequence, numbers: list[int], non_finite: NonFinite, tables: dict[str, object]) -> list[CheckFinding]:
     """Read a few pairs of neighbouring frames and look at their values."""
     usable = [n for n in numbers if all(buffer == "color" or sequence.has(n, buffer) for buffer in BUFFERS)]
     pairs = [(a, b) for a, b in pairwise(usable) if b == a + 1]
@@ -211,10 +213,10 @@ def _pixels(sequence: Sequence, numbers: list[int], non_finite: NonFinite, table
         values.add(sequence, number)
     tables["values"] = values.table()
     lines = [*motion_lines(verdict, sequence.profile.name), *values.lines(sequence, non_finite)]
-    return [Finding(level, text) for level, text in lines] + [Finding("warning", text) for text in jitter.lines]
+    return [CheckFinding(level, text) for level, text in lines] + [CheckFinding("warning", text) for text in jitter.lines]
 
 
-def print_report(report: Report, console: Console) -> None:
+def print_report(report: CheckReport, console: Console) -> None:
     """The findings, then what is stored where, and how well each choice of motion fits."""
     colours = {"error": "red", "warning": "yellow", "note": "cyan"}
     for finding in report.findings:

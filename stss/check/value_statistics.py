@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from stss.check.motion_convention import CHOSEN, Verdict
+from stss.check.motion_convention import CHOSEN, ConventionVerdict
 from stss.frames.buffers import Buffers
 from stss.images.headers import read_header
 from stss.sequence.profiles import BUFFERS
@@ -24,7 +24,7 @@ HOLE_CM = HoleLimits().facing
 """Smallest distance that the hole test tells apart (spec 4)."""
 
 
-def motion_lines(verdict: Verdict, profile: str) -> list[Line]:
+def motion_lines(verdict: ConventionVerdict, profile: str) -> list[Line]:
     """What the reprojection says of the profile's motion convention."""
     if not verdict.guides:
         return [("note", "motion: cannot tell whether its signs are right; too little moves, or nothing has texture")]

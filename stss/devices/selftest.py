@@ -39,7 +39,7 @@ class MismatchError(Exception):
 
 
 @dataclass(frozen=True)
-class Result:
+class SelfTestResult:
     """What the child says."""
 
     why: str
@@ -148,16 +148,16 @@ def gflops(device: Device) -> float:
     return best
 
 
-def examine(device: Device) -> Result:
+def examine(device: Device) -> SelfTestResult:
     """Run every check; the first fault counts."""
     for check in CHECKS:
         try:
             check(device, np.random.default_rng(0))
         except (MismatchError, DeviceError) as fault:
-            return Result(str(fault))
+            return SelfTestResult(str(fault))
         except cl.Error as error:
-            return Result(f"{check.__name__}: {' '.join(str(error).split())}")
-    return Result("", round(gflops(device), 3))
+            return SelfTestResult(f"{check.__name__}: {' '.join(str(error).split())}")
+    return SelfTestResult("", round(gflops(device), 3))
 
 
 def _upload(device: Device, array: NDArray[Any]) -> cl.Buffer:
@@ -200,7 +200,7 @@ def main() -> None:
     try:
         result = examine(open_device(sys.argv[1]))
     except DeviceError as error:
-        result = Result(str(error))
+        result = SelfTestResult(str(error))
     print(json.dumps(asdict(result)))  # noqa: T201
 
 

@@ -30,7 +30,7 @@ Sizes = Winograd | Direct
 
 
 @dataclass(frozen=True)
-class Shape:
+class LayerShape:
     """Like layers of the network: channels of both inputs, outputs; the output is 1 / divisor of the frame; how many there are."""
 
     a: int
@@ -48,21 +48,21 @@ class Shape:
 
 
 SHAPES = (
-    Shape(24, 0, 24, True, 1, 1, 2.5),
-    Shape(24, 0, 24, False, 1, 2, 10),
-    Shape(24, 24, 24, False, 1, 1, 1),
-    Shape(32, 0, 24, False, 1, 2, 1),
-    Shape(24, 0, 24, True, 2, 2, 1.25),
-    Shape(4, 0, 24, False, 2, 2, 3),
-    Shape(24, 32, 32, False, 1, 2, 1),
-    Shape(32, 0, 32, False, 1, 4, 8),
-    Shape(32, 0, 32, True, 1, 4, 2.5),
-    Shape(64, 0, 32, False, 1, 4, 1),
-    Shape(24, 0, 32, False, 2, 4, 3),
-    Shape(32, 0, 32, True, 2, 8, 1),
-    Shape(32, 0, 32, False, 2, 8, 3),
-    Shape(32, 96, 64, False, 1, 4, 1),
-    Shape(64, 0, 64, False, 1, 8, 3),
+    LayerShape(24, 0, 24, True, 1, 1, 2.5),
+    LayerShape(24, 0, 24, False, 1, 2, 10),
+    LayerShape(24, 24, 24, False, 1, 1, 1),
+    LayerShape(32, 0, 24, False, 1, 2, 1),
+    LayerShape(24, 0, 24, True, 2, 2, 1.25),
+    LayerShape(4, 0, 24, False, 2, 2, 3),
+    LayerShape(24, 32, 32, False, 1, 2, 1),
+    LayerShape(32, 0, 32, False, 1, 4, 8),
+    LayerShape(32, 0, 32, True, 1, 4, 2.5),
+    LayerShape(64, 0, 32, False, 1, 4, 1),
+    LayerShape(24, 0, 32, False, 2, 4, 3),
+    LayerShape(32, 0, 32, True, 2, 8, 1),
+    LayerShape(32, 0, 32, False, 2, 8, 3),
+    LayerShape(32, 96, 64, False, 1, 4, 1),
+    LayerShape(64, 0, 64, False, 1, 8, 3),
 )
 
 
@@ -70,10 +70,10 @@ SHAPES = (
 class Trials:
     """Seconds by shape and candidate; why a candidate was refused."""
 
-    times: dict[Shape, dict[Sizes, float]] = field(default_factory=dict[Shape, dict[Sizes, float]])
+    times: dict[LayerShape, dict[Sizes, float]] = field(default_factory=dict[LayerShape, dict[Sizes, float]])
     refused: dict[tuple[int, Sizes], str] = field(default_factory=dict[tuple[int, Sizes], str])
 
-    def time(self, device: Device, shape: Shape, size: tuple[int, int], candidates: Iterable[Sizes], rounds: int) -> None:
+    def time(self, device: Device, shape: LayerShape, size: tuple[int, int], candidates: Iterable[Sizes], rounds: int) -> None:
         """Note the fastest of interleaved runs of every candidate that computes what the plain kernel does.
 
         Args:
@@ -100,7 +100,7 @@ class Trials:
             for sizes, (launch, repeat) in launches.items():
                 best[sizes] = min(best[sizes], _seconds(device, launch, repeat))
 
-    def total(self, sizes: Sizes | None, shapes: Iterable[Shape]) -> float:
+    def total(self, sizes: Sizes | None, shapes: Iterable[LayerShape]) -> float:
         """Seconds in all layers like ``shapes``; infinite where it was refused or not tried."""
         if sizes is None:
             return np.inf
@@ -131,7 +131,7 @@ def direct_candidates(device: Properties, outputs: int) -> list[Direct]:
 class _Layer:
     """Buffers of one layer, the inputs random, and its launches with any tile sizes."""
 
-    def __init__(self, device: Device, shape: Shape, size: tuple[int, int], packed: Packed):
+    def __init__(self, device: Device, shape: LayerShape, size: tuple[int, int], packed: Packed):
         self._device, self._shape, self._packed = device, shape, packed
         random = np.random.default_rng(1)
         inputs = size[0] * shape.stride, size[1] * shape.stride
@@ -176,7 +176,7 @@ def _seconds(device: Device, launch: Launch, repeat: int) -> float:
     return (time.perf_counter() - start) / repeat
 
 
-def _packed(shape: Shape) -> Packed:
+def _packed(shape: LayerShape) -> Packed:
     """Weights that keep activations of order 1."""
     random, inputs = np.random.default_rng(0), shape.a + shape.b
     branches = {".conv_feature": shape.outputs, ".conv_mask.0": 1} if shape.gated else {"": shape.outputs}

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from stss.devices.selection import choose
-from stss.devices.tile_timing import SHAPES, Shape, Sizes, Trials, direct_candidates, winograd_candidates
+from stss.devices.tile_timing import SHAPES, LayerShape, Sizes, Trials, direct_candidates, winograd_candidates
 from stss_cl.device.discovery import Device, DeviceError, Properties, matching
 from stss_cl.device.tuning import OUTPUTS, Direct, Tuning, Winograd, built_in, keep, kept, kept_path, to_toml
 
@@ -102,7 +102,7 @@ def _better(
     what: str,
     first: Sizes | None,
     candidates: Collection[Sizes],
-    shapes: list[Shape],
+    shapes: list[LayerShape],
 ) -> tuple[Sizes | None, Line]:
     """The fastest candidate, if in a second round it still beats the built-in sizes by the margin."""
     others = [c for c in candidates if c != first and np.isfinite(trials.total(c, shapes))]

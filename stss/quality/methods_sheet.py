@@ -24,7 +24,7 @@ BRIGHTENED = 4
 
 
 @dataclass(frozen=True)
-class Place:
+class Crop:
     """Which part of which frame is shown: y, x, height, width."""
 
     caption: str
@@ -53,18 +53,18 @@ def method_sheet(results: Sequence[MethodResult], truth: Path, frames: tuple[int
     return contact_sheet(rows, columns, zoom=ZOOM)
 
 
-def _places(pairs: dict[int, Pair]) -> list[Place]:
-    places: list[Place] = []
+def _places(pairs: dict[int, Pair]) -> list[Crop]:
+    places: list[Crop] = []
     for kind in ("SF", "EF"):
         numbers = [n for n, pair in pairs.items() if pair.kind == kind]
         if numbers:
             number = max(numbers)
             _, truth = pairs[number].shown()
-            places.append(Place(f"{kind} {number}, edges", number, _densest(edges(to_8bit(truth)))))
+            places.append(Crop(f"{kind} {number}, edges", number, _densest(edges(to_8bit(truth)))))
     holes = {n: upsample_holes(read_rgb(pair.holes)[..., 0] > 0.5) for n, pair in pairs.items() if pair.holes is not None}
     most = max(holes, key=lambda n: int(holes[n].sum()), default=None)
     if most is not None and holes[most].any():
-        places.append(Place(f"EF {most}, holes", most, _densest(holes[most])))
+        places.append(Crop(f"EF {most}, holes", most, _densest(holes[most])))
     return places
 
 
@@ -77,7 +77,7 @@ def _densest(mask: Mask) -> tuple[int, int, int, int]:
     return int(y), int(x), height, width
 
 
-def _cells(pairs: dict[int, Pair], places: Sequence[Place], *, truth: bool = False) -> list[Array]:
+def _cells(pairs: dict[int, Pair], places: Sequence[Crop], *, truth: bool = False) -> list[Array]:
     cells: list[Array] = []
     for place in places:
         output, right = (magnify(image, place.crop, 1) for image in pairs[place.number].shown())

@@ -22,7 +22,7 @@ MAX_BYTES = 64 << 20
 
 
 @dataclass(frozen=True)
-class Camera:
+class CameraPose:
     """One frame's camera, in scene units.
 
     Attributes:
@@ -34,7 +34,7 @@ class Camera:
     to_camera: Array | None = None
 
 
-def read_cameras(path: Path) -> dict[int, Camera]:
+def read_cameras(path: Path) -> dict[int, CameraPose]:
     """A table ``frame,x,y,z``, in scene units.
 
     Raises:
@@ -52,8 +52,8 @@ def read_cameras(path: Path) -> dict[int, Camera]:
         raise InputError(f"{path}: cannot be read: {error}") from error
 
 
-def _table(path: Path, rows: Iterable[list[str]]) -> dict[int, Camera]:
-    cameras: dict[int, Camera] = {}
+def _table(path: Path, rows: Iterable[list[str]]) -> dict[int, CameraPose]:
+    cameras: dict[int, CameraPose] = {}
     for line, row in enumerate(rows, start=2):
         if not row:
             continue
@@ -65,11 +65,11 @@ def _table(path: Path, rows: Iterable[list[str]]) -> dict[int, Camera]:
             raise InputError(f"{path}: line {line}: expected a frame number and three numbers; found {','.join(row)}")
         if number in cameras:
             raise InputError(f"{path}: line {line}: frame {number} is there twice")
-        cameras[number] = Camera(position)
+        cameras[number] = CameraPose(position)
     return cameras
 
 
-def camera_of(header: Header, profile: Profile) -> Camera | None:
+def camera_of(header: Header, profile: Profile) -> CameraPose | None:
     """The camera as a file's metadata have it: ``worldToCamera``, or the profile's attributes; None without either."""
     matrix = header.attributes.get("worldToCamera")
     if isinstance(matrix, tuple) and len(matrix) == 16:
@@ -78,11 +78,11 @@ def camera_of(header: Header, profile: Profile) -> Camera | None:
         if np.array_equal(to_camera[:, 3], (0, 0, 0, 1)):
             to_camera = to_camera.T
         if np.isfinite(to_camera).all() and abs(np.linalg.det(to_camera[:3, :3])) > 0:
-            return Camera(-np.linalg.solve(to_camera[:3, :3], to_camera[:3, 3]), to_camera)
+            return CameraPose(-np.linalg.solve(to_camera[:3, :3], to_camera[:3, 3]), to_camera)
     for names in profile.camera:
         position = _numbers(header.attributes, names)
         if position is not None:
-            return Camera(position)
+            return CameraPose(position)
     return None
 
 

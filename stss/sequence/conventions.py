@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stss.sequence.camera import Camera
+from stss.sequence.camera import CameraPose
 from stss.sequence.profiles import DepthRule, MotionRule, NormalRule
 from stss_ref.arrays import Array, Image, Mask, Plane
 
@@ -35,7 +35,7 @@ def linear_depth(stored: Plane, rule: DepthRule) -> Plane:
     return np.where(hit, d, np.inf).astype(np.float32)
 
 
-def ray_to_planar(depth: Plane, position: Image, camera: Camera | None) -> Plane:
+def ray_to_planar(depth: Plane, position: Image, camera: CameraPose | None) -> Plane:
     """Distances to the camera as depths along its axis; unchanged where its direction is not known.
 
     ``position`` is in scene units. The depth comes from it, not from the ray: ``|z|`` in camera space.

@@ -12,7 +12,7 @@ import numpy as np
 
 from stss.errors import InputError
 from stss.images.read_write import read_channels
-from stss.sequence.camera import Camera
+from stss.sequence.camera import CameraPose
 from stss.sequence.channels import Source
 from stss_ref.arrays import Array
 
@@ -25,7 +25,7 @@ FINITE = ("color", "normal", "stencil", "nov", *UNIT_RANGE)
 
 
 @dataclass(frozen=True)
-class Frame:
+class RawFrame:
     """One display frame before it is read.
 
     Attributes:
@@ -36,10 +36,12 @@ class Frame:
 
     files: tuple[Path, ...]
     sources: Mapping[str, Source]
-    camera: Camera | None
+    camera: CameraPose | None
 
 
-def read_stored(frame: Frame, size: tuple[int, int], constants: Mapping[str, float], *, color: bool = True) -> dict[str, Array]:
+def read_stored(
+    frame: RawFrame, size: tuple[int, int], constants: Mapping[str, float], *, color: bool = True
+) -> dict[str, Array]:
     """Buffer -> (H, W, channels) float32 as stored, or a constant; without colour if so wished."""
     wanted = {buffer: source for buffer, source in frame.sources.items() if color or buffer != "color"}
     planes = {

@@ -12,12 +12,12 @@ import numpy as np
 from stss.errors import InputError
 from stss.frames.buffers import Buffers
 from stss.images.headers import Header, read_header
-from stss.sequence.camera import Camera, camera_of, read_cameras
+from stss.sequence.camera import CameraPose, camera_of, read_cameras
 from stss.sequence.channels import Source, find_buffers, missing_buffer
 from stss.sequence.conventions import linear_depth, motion_in_pixels, normal_dot_view, ray_to_planar, world_normal
 from stss.sequence.find_files import find_frames
 from stss.sequence.profiles import BUFFERS, CONSTANTS, Profile, load_profile
-from stss.sequence.raw_frame import UNIT_RANGE, Frame, NonFinite, read_stored, settle_non_finite
+from stss.sequence.raw_frame import UNIT_RANGE, NonFinite, RawFrame, read_stored, settle_non_finite
 from stss_ref.arrays import Array, Plane
 
 BACKGROUND_POSITION = 1e7
@@ -43,7 +43,7 @@ class Sequence:
         profile: Profile,
         *,
         size: tuple[int, int],
-        frames: Mapping[int, Frame],
+        frames: Mapping[int, RawFrame],
         constants: Mapping[str, float],
         non_finite: NonFinite,
         settings: Mapping[str, object],
@@ -113,7 +113,7 @@ class Sequence:
             metallic=stored["metallic"][..., 0],
         )
 
-    def _convert(self, stored: dict[str, Array], camera: Camera | None) -> Plane:
+    def _convert(self, stored: dict[str, Array], camera: CameraPose | None) -> Plane:
         """Bring the stored buffers to spec section 0, in place; returns depth, infinite where nothing was hit."""
         profile = self.profile
         depth = linear_depth(stored["depth"][..., 0], profile.depth)
@@ -132,7 +132,7 @@ class Sequence:
             stored[buffer] = np.where(missed[..., None], np.float32(background), stored[buffer])
         return np.where(missed, np.float32(np.inf), depth)
 
-    def _frame(self, number: int) -> Frame:
+    def _frame(self, number: int) -> RawFrame:
         if number not in self.frames:
             raise InputError(
                 f"{self.path}: frame {number}: not there; STSS needs the G-buffer and motion of every display frame, "
@@ -177,7 +177,7 @@ def open_sequence(
                 raise InputError(f"{buffer}: expected a number from 0 to 1, found {value}")
     found = find_frames(path, {table.file_of(buffer) for buffer in BUFFERS})
     first: Header | None = None
-    frames: dict[int, Frame] = {}
+    frames: dict[int, RawFrame] = {}
     for number, files in sorted(found.items()):
         headers = {ending: read_header(file) for ending, file in files.items()}
         for header in headers.values():
@@ -210,9 +210,9 @@ def _frame_of(
     number: int,
     headers: Mapping[str, Header],
     profile: Profile,
-    cameras: Mapping[int, Camera] | None,
+    cameras: Mapping[int, CameraPose] | None,
     table: Path | None,
-) -> Frame:
+) -> RawFrame:
     sources: dict[str, Source] = {}
     for ending, header in headers.items():
         sources |= find_buffers(header, profile, [buffer for buffer in BUFFERS if profile.file_of(buffer) == ending])
@@ -223,10 +223,10 @@ def _frame_of(
         where = cameras[number]
     else:
         raise InputError(f"{table}: no line for frame {number}")
-    return Frame(files, {buffer: sources[buffer] for buffer in BUFFERS if buffer in sources}, where)
+    return RawFrame(files, {buffer: sources[buffer] for buffer in BUFFERS if buffer in sources}, where)
 
 
-def _require_buffers(path: Path, profile: Profile, frames: Mapping[int, Frame], constants: Mapping[str, float]) -> None:
+def _require_buffers(path: Path, profile: Profile, frames: Mapping[int, RawFrame], constants: Mapping[str, float]) -> None:
     """Raise InputError if a buffer is in no frame at all: then it is the profile or the render, not a lost file."""
     assert set(constants) <= set(CONSTANTS)
     for buffer in BUFFERS:

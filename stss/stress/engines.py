@@ -20,7 +20,7 @@ LARGEST = np.float32(65504)
 """Of half: what is larger is stored as this."""
 
 
-class Arithmetic(Protocol):
+class Engine(Protocol):
     """One way to compute a stage.
 
     Attributes:
@@ -45,7 +45,7 @@ class Arithmetic(Protocol):
 
 
 def features_of(inputs: Arrays, weights: Weights) -> dict[str, Array]:
-    """What the reference computes on its way to the image, in the dtype of the inputs; see ``Arithmetic.features``."""
+    """What the reference computes on its way to the image, in the dtype of the inputs; see ``Engine.features``."""
     frame = {name: inputs[name] for name in ("color", "gbuffer", "mask")}
     x: dict[str, Any] = reference("encoder", frame, weights)
     x |= reference("history", {"history": inputs["history"]}, weights)
@@ -54,27 +54,27 @@ def features_of(inputs: Arrays, weights: Weights) -> dict[str, Array]:
     return x | reference("decoder", {**taken, "color": inputs["color"]}, weights)
 
 
-class Reference:
+class ReferenceEngine:
     """``stss_ref`` in float32."""
 
     name = "ref"
     dtype = "float32"
 
     def stages(self) -> tuple[str, ...]:
-        """See ``Arithmetic``."""
+        """See ``Engine``."""
         return (*NETWORK, *IMAGE)
 
     def run(self, stage: str, inputs: Arrays, weights: Weights) -> Outputs:
-        """See ``Arithmetic``."""
+        """See ``Engine``."""
         with np.errstate(over="ignore", invalid="ignore"):
             return reference(stage, inputs, weights)
 
     def features(self, inputs: Arrays, weights: Weights) -> dict[str, Array]:
-        """See ``Arithmetic``."""
+        """See ``Engine``."""
         return features_of(inputs, weights)
 
 
-class OpenCL:
+class OpenCLEngine:
     """``stss_cl`` in one precision, on one device; keeps the network of the weights it was last called with."""
 
     def __init__(self, device: Any, precision: str):
@@ -85,11 +85,11 @@ class OpenCL:
         self._network: Any = None
 
     def stages(self) -> tuple[str, ...]:
-        """See ``Arithmetic``."""
+        """See ``Engine``."""
         return (*NETWORK, *IMAGE) if self._precision == "float32" else NETWORK
 
     def run(self, stage: str, inputs: Arrays, weights: Weights) -> Outputs:
-        """See ``Arithmetic``."""
+        """See ``Engine``."""
         from stss_cl.image_space.stages import ImageStages
 
         if stage in IMAGE:
@@ -104,7 +104,7 @@ class OpenCL:
         return network.layers(height, width).run_stage(stage, inputs)
 
     def features(self, inputs: Arrays, weights: Weights) -> dict[str, Array]:
-        """See ``Arithmetic``."""
+        """See ``Engine``."""
         from stss_cl.device.buffers import read
 
         image = self.run("network", inputs, weights)

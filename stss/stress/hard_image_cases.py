@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from stss.color import LARGEST, transfer
 from stss.stress.inputs import REACH
-from stss.stress.table import Cell, Plan, Table, short
+from stss.stress.table import Cell, StressPlan, StressTable, short
 from stss_ref.arrays import Array, Image, Mask
 from stss_ref.depth import normalise_depth
 from stss_ref.holes import HoleLimits, holes
@@ -29,7 +29,7 @@ RELIEF = 2.0**-20
 """Smallest relief, over the depth, that the other formula would take to the full range."""
 
 
-def positions(plan: Plan) -> Table:
+def positions(plan: StressPlan) -> StressTable:
     """The hole test far from the origin: distances within 10 % of the limit for a surface seen head-on."""
     limit = HoleLimits().facing
     rows: list[tuple[Cell, ...]] = []
@@ -55,7 +55,9 @@ def positions(plan: Plan) -> Table:
         "cm from the origin", "step of float32, cm", "float32", "its test in float64", "metres, float32", "origin taken off after reading",
         "origin taken off by the renderer", "half",
     )  # fmt: skip
-    return Table("positions", "Wrong verdicts in per cent, of distances within 10 % of the 7.5 cm limit", columns, tuple(rows))
+    return StressTable(
+        "positions", "Wrong verdicts in per cent, of distances within 10 % of the 7.5 cm limit", columns, tuple(rows)
+    )
 
 
 def _pairs(seed: int, far: float, limit: float) -> tuple[Array, Array, Array]:
@@ -86,7 +88,7 @@ def _trusted(here: Array, there: Array, dtype: str) -> Mask:
     return holes(np.zeros((1, 2 * PIXELS, 2), dtype), zero, zero, normal, normal, there, here, one, zero)[0, ::2]
 
 
-def motion(plan: Plan) -> Table:
+def motion(plan: StressPlan) -> StressTable:
     """Positions in wide frames: as a sum they are rounded, and with them the fraction between two pixels; apart nothing is lost."""
     rows: list[tuple[Cell, ...]] = []
     for width in WIDTHS:
@@ -101,7 +103,7 @@ def motion(plan: Plan) -> Table:
         "wrong taps in %, apart",
     )
     title = f"Warped noise in [0, 1], motion up to {REACH:g} px: largest error; taps where within {short(NEAR_WHOLE)} px of whole pixels"
-    return Table("motion", title, columns, tuple(rows), tuple(map(float, WIDTHS)))
+    return StressTable("motion", title, columns, tuple(rows), tuple(map(float, WIDTHS)))
 
 
 def _motion_errors(seed: int, width: int) -> tuple[float, float, float, float]:
@@ -128,7 +130,7 @@ def rounded_sum(motion: Image) -> Image:
     return (p + motion) - p
 
 
-def tone(_: Plan) -> Table:
+def tone(_: StressPlan) -> StressTable:
     """Transfer ``hdr`` near its pole: what an error of the encoded colour is in scene-linear light."""
     hdr = transfer("hdr")
     rows: list[tuple[Cell, ...]] = []
@@ -143,7 +145,7 @@ def tone(_: Plan) -> Table:
         "light", "1 - encoded", "there and back", "encoded - 1e-6", "encoded - 1e-3", "light of encoded + 1e-3",
         "log curve, encoded - 1e-3",
     )  # fmt: skip
-    return Table("tone", "Relative error of the light", columns, tuple(rows))
+    return StressTable("tone", "Relative error of the light", columns, tuple(rows))
 
 
 def _log_encode(light: float) -> float:
@@ -154,7 +156,7 @@ def _log_decode(encoded: float) -> float:
     return float(DARK * np.expm1(encoded * np.log1p(LARGEST / DARK)))
 
 
-def wall(plan: Plan) -> Table:
+def wall(plan: StressPlan) -> StressTable:
     """Depth by ``scale`` of a flat wall that faces the camera: its relief is what float32 rounds it by."""
     rows: list[tuple[Cell, ...]] = []
     for far in (1.0, 10.0, 100.0, 1e3, 1e4):
@@ -163,7 +165,7 @@ def wall(plan: Plan) -> Table:
         other = max(float(np.ptp(_relief(d))) for d in depths)
         rows.append((short(far), float(np.spacing(np.float32(far))), found, other))
     columns = ("depth", "step of float32", "range of the normalised depth", f"divisor at least {short(RELIEF)} of the depth")
-    return Table("wall", "Normalised depth of a flat wall (exactly: 0 everywhere)", columns, tuple(rows))
+    return StressTable("wall", "Normalised depth of a flat wall (exactly: 0 everywhere)", columns, tuple(rows))
 
 
 def _flat(seed: int, far: float) -> NDArray[np.float32]:

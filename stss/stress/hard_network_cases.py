@@ -10,7 +10,7 @@ import numpy as np
 from conformance.protocol.stages import reference
 from stss.stress.inputs import exact, frame_noise, scaled, scaled_weights, stage_inputs
 from stss.stress.monte_carlo import Trace, watched
-from stss.stress.table import Cell, Plan, Table, in_units, relative_error, short
+from stss.stress.table import Cell, StressPlan, StressTable, in_units, relative_error, short
 from stss_ref.arrays import Array
 from stss_ref.conv import conv_chain
 from stss_ref.erm import WINDOW, attend, normalise
@@ -31,7 +31,7 @@ TILES_OF_X1 = 10
 """The same with whole Winograd tiles of two layers: 5 each."""
 
 
-def attention(plan: Plan) -> Table:
+def attention(plan: StressPlan) -> StressTable:
     """Sums of attention weights near the clamp: keys nearly orthogonal to the query, the centre masked."""
     rows: list[tuple[Cell, ...]] = []
     for target in SUMS:
@@ -42,7 +42,7 @@ def attention(plan: Plan) -> Table:
         "sum aimed at", "sum", "its error, float32", "light, float32", "half storage", "half, but keys float32", f"{divisor}: float32",
         "change by it",
     )  # fmt: skip
-    return Table("attention", "Error of the reshaded light over the largest light", columns, tuple(rows))
+    return StressTable("attention", "Error of the reshaded light over the largest light", columns, tuple(rows))
 
 
 def _attention_errors(seed: int, target: float) -> Iterator[float]:
@@ -90,7 +90,7 @@ def _centres(key: Array, mask: Array, value: Array) -> tuple[Array, Array]:
     return attend(key, key * mask, value)[at].astype(np.float64), sums * (1e-6 / tiny)
 
 
-def keys(plan: Plan) -> Table:
+def keys(plan: StressPlan) -> StressTable:
     """Keys from 2^-60 to 2^70 times as long: their direction is all that counts, until a square leaves the arithmetic's range."""
     found: dict[int, list[list[float]]] = {power: [] for power in KEY_POWERS}
     for seed in range(plan.seeds):
@@ -104,7 +104,7 @@ def keys(plan: Plan) -> Table:
     rows = tuple((f"2^{power}", *(float(x) for x in np.max(runs, axis=0))) for power, runs in found.items())
     columns = ("keys times", "their length", *(a.name for a in plan.engines), "change of the truth")
     title = "Reshaded light: largest error / largest truth, in units of rounding; last: the truth's own relative change"
-    return Table("keys", title, columns, rows)
+    return StressTable("keys", title, columns, rows)
 
 
 def _key_length(gbuffer: Array, weights: Weights) -> float:
@@ -114,7 +114,7 @@ def _key_length(gbuffer: Array, weights: Weights) -> float:
     return float(np.median(np.sqrt((key * key).sum(axis=-1))))
 
 
-def huge(plan: Plan) -> Table:
+def huge(plan: StressPlan) -> StressTable:
     """One huge pixel: what it does to x1 where x1 does not depend on it, within the reach of Winograd's tiles and beyond."""
     rows: list[tuple[Cell, ...]] = []
     for value in HUGE:
@@ -123,10 +123,10 @@ def huge(plan: Plan) -> Table:
             rows.append((short(value), engine.name, *(float(x) for x in np.max(found, axis=0))))
     columns = ("pixel", "", f"{WINDOW_OF_X1 + 1} to {TILES_OF_X1} pixels away", "farther")
     title = "x1 beyond the pixel's own window: largest error / largest truth there, in units of rounding"
-    return Table("huge", title, columns, tuple(rows))
+    return StressTable("huge", title, columns, tuple(rows))
 
 
-def _around_one(plan: Plan, seed: int, value: float, name: str) -> tuple[float, float]:
+def _around_one(plan: StressPlan, seed: int, value: float, name: str) -> tuple[float, float]:
     engine = plan.engine(name)
     inputs = stage_inputs(seed, *plan.size, plan.weights_of(seed))["encoder"]
     y, x = plan.size[0] // 2 + seed % 4, plan.size[1] // 2 + seed // 4 % 4  # another place within its tile for each seed
@@ -140,7 +140,7 @@ def _around_one(plan: Plan, seed: int, value: float, name: str) -> tuple[float, 
     return near, far
 
 
-def overflow(plan: Plan) -> Table:
+def overflow(plan: StressPlan) -> StressTable:
     """Where half ends: inputs of the network so large that activations pass 65504."""
     rows: list[tuple[Cell, ...]] = []
     for by in (1.0, 1e2, 1e3, 1e4, 1e5, 1e6):
@@ -154,4 +154,4 @@ def overflow(plan: Plan) -> Table:
             errors = [max(pair) for pair in zip(errors, found, strict=True)]
         rows.append((short(by), largest, *errors))
     columns = ("inputs times", "largest activation", *(a.name for a in plan.engines))
-    return Table("overflow", "Image of the network: largest error / largest truth", columns, tuple(rows))
+    return StressTable("overflow", "Image of the network: largest error / largest truth", columns, tuple(rows))

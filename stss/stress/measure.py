@@ -15,11 +15,11 @@ from stss.errors import InputError
 from stss.stress import hard_image_cases as cases
 from stss.stress import hard_network_cases as network_cases
 from stss.stress import sweeps
-from stss.stress.engines import Arithmetic, OpenCL, Reference
-from stss.stress.table import Plan, Table
+from stss.stress.engines import Engine, OpenCLEngine, ReferenceEngine
+from stss.stress.table import StressPlan, StressTable
 from stss_ref.weights import Weights
 
-MEASUREMENTS: dict[str, Callable[[Plan], Table]] = {
+MEASUREMENTS: dict[str, Callable[[StressPlan], StressTable]] = {
     "bounds": sweeps.bounds,
     "magnitude": sweeps.magnitude,
     "weights": sweeps.weight_scale,
@@ -50,11 +50,11 @@ class Results:
         tables: in the order of ``MEASUREMENTS``.
     """
 
-    plan: Plan
+    plan: StressPlan
     device: str | None
-    tables: tuple[Table, ...]
+    tables: tuple[StressTable, ...]
 
-    def table(self, key: str) -> Table | None:
+    def table(self, key: str) -> StressTable | None:
         """The table of this name, if it was measured."""
         return next((table for table in self.tables if table.key == key), None)
 
@@ -66,7 +66,7 @@ def check_names(only: Sequence[str]) -> None:
             raise InputError(f"only: expected some of {', '.join(MEASUREMENTS)}, got {name!r}")
 
 
-def make_plan(device: Any, weights: Weights | None, *, full: bool = False) -> Plan:
+def make_plan(device: Any, weights: Weights | None, *, full: bool = False) -> StressPlan:
     """How much is measured: about a minute and a half on two cores, or with ``full`` ten times as much.
 
     Args:
@@ -74,15 +74,17 @@ def make_plan(device: Any, weights: Weights | None, *, full: bool = False) -> Pl
         weights: the 92 tensors; None: random ones, others for each seed.
         full: more seeds, larger frames.
     """
-    engines: list[Arithmetic] = [Reference()]
+    engines: list[Engine] = [ReferenceEngine()]
     if device is not None:
-        engines += [OpenCL(device, precision) for precision in ("float32", "float32-direct", "half")]
+        engines += [OpenCLEngine(device, precision) for precision in ("float32", "float32-direct", "half")]
     if full:
-        return Plan(engines, seeds=10, size=(96, 128), sizes=(8, 16, 32, 64, 128, 256), runs=24, weights=weights)
-    return Plan(engines, weights=weights)
+        return StressPlan(engines, seeds=10, size=(96, 128), sizes=(8, 16, 32, 64, 128, 256), runs=24, weights=weights)
+    return StressPlan(engines, weights=weights)
 
 
-def stress(plan: Plan, only: Sequence[str] = (), on_step: Callable[[str], None] = lambda _: None) -> tuple[Table, ...]:
+def stress(
+    plan: StressPlan, only: Sequence[str] = (), on_step: Callable[[str], None] = lambda _: None
+) -> tuple[StressTable, ...]:
     """Measure.
 
     Args:
@@ -94,7 +96,7 @@ def stress(plan: Plan, only: Sequence[str] = (), on_step: Callable[[str], None] 
         InputError: a name is unknown.
     """
     check_names(only)
-    tables: list[Table] = []
+    tables: list[StressTable] = []
     for name, measure in MEASUREMENTS.items():
         if not only or name in only:
             on_step(name)

@@ -10,7 +10,7 @@ from typing import Any
 from stss.optional import require
 from stss.output.write_whole import make_folder, write_figure
 from stss.stress.measure import Results
-from stss.stress.table import Table
+from stss.stress.table import StressTable
 
 COLORS = {"ref": "black", "cl": "tab:blue", "cl direct": "tab:cyan", "cl half": "tab:orange"}
 """One for each arithmetic."""
@@ -43,7 +43,7 @@ def plot(results: Results, folder: Path) -> tuple[Path, ...]:
     return tuple(drawn)
 
 
-def _table(results: Results, key: str) -> Table:
+def _table(results: Results, key: str) -> StressTable:
     table = results.table(key)
     assert table is not None
     return table

@@ -18,7 +18,7 @@ from stss.errors import InputError
 from stss.machine import cpu_model, versions
 from stss.output.write_whole import write_named
 from stss.stress.measure import Results
-from stss.stress.table import Cell, Table, short
+from stss.stress.table import Cell, StressTable, short
 from stss.version import VERSION
 from stss.weights.file import identity
 
@@ -75,7 +75,7 @@ def to_json(results: Results) -> str:
     return json.dumps(data, indent=1, allow_nan=False)
 
 
-def _table(table: Table) -> dict[str, Any]:
+def _table(table: StressTable) -> dict[str, Any]:
     rows = [[_cell(cell) for cell in row] for row in table.rows]
     return {"key": table.key, "title": table.title, "columns": table.columns, "rows": rows, "axis": table.axis}
 
@@ -127,7 +127,7 @@ def write_page(path: Path, results: Results) -> None:
     write_named(path, renew(read_page(path), results))
 
 
-def markdown(table: Table) -> str:
+def markdown(table: StressTable) -> str:
     """The title as a line, and the table."""
     head = f"| {' | '.join(table.columns)} |\n|{'---|' * len(table.columns)}\n"
     rows = "".join(f"| {' | '.join(map(text_of, row))} |\n" for row in table.rows)

@@ -25,7 +25,7 @@ from stss.stress.inputs import (
     transposed_arrays,
 )
 from stss.stress.monte_carlo import NamesUsed, StochasticRounding, Trace, Where, digits_of, samples, significant_digits, watched
-from stss.stress.table import Cell, Plan, Table, in_units, relative_error, short
+from stss.stress.table import Cell, StressPlan, StressTable, in_units, relative_error, short
 from stss_ref.arrays import Array
 from stss_ref.decoder import decoder
 from stss_ref.encoder import encoder
@@ -41,7 +41,7 @@ Point = tuple[str, Arrays, Weights]
 """A stage, its inputs and weights."""
 
 
-def _errors(plan: Plan, points: Sequence[Point]) -> dict[tuple[str, str], float]:
+def _errors(plan: StressPlan, points: Sequence[Point]) -> dict[tuple[str, str], float]:
     """(stage, engine) -> error in units of rounding."""
     found: dict[tuple[str, str], float] = {}
     for stage, inputs, weights in points:
@@ -53,7 +53,9 @@ def _errors(plan: Plan, points: Sequence[Point]) -> dict[tuple[str, str], float]
     return found
 
 
-def _sweep(plan: Plan, key: str, title: str, axis: Sequence[float], points: Callable[[int, float], Iterator[Point]]) -> Table:
+def _sweep(
+    plan: StressPlan, key: str, title: str, axis: Sequence[float], points: Callable[[int, float], Iterator[Point]]
+) -> StressTable:
     """One column for each number of ``axis``: ``points(seed, number)``, the worst of all seeds."""
     worst: dict[tuple[str, str], list[float]] = defaultdict(lambda: [0.0] * len(axis))
     for seed in range(plan.seeds):
@@ -63,10 +65,10 @@ def _sweep(plan: Plan, key: str, title: str, axis: Sequence[float], points: Call
     headings = tuple(f"{number:g}" if 0.01 <= number < 1e4 else short(number) for number in axis)
     rows = [(*row, *errors) for row, errors in worst.items()]
     rows.sort(key=lambda row: (*NETWORK, *IMAGE).index(row[0]))
-    return Table(key, f"{title}: {IN_UNITS}", ("stage", "", *headings), tuple(rows), tuple(axis))
+    return StressTable(key, f"{title}: {IN_UNITS}", ("stage", "", *headings), tuple(rows), tuple(axis))
 
 
-def magnitude(plan: Plan) -> Table:
+def magnitude(plan: StressPlan) -> StressTable:
     """Inputs 1e-6 to 1e6 times as large as they should be."""
     made = [stage_inputs(s, *plan.size, plan.weights_of(s)) | image_noise(s, *plan.size) for s in range(plan.seeds)]
     weights = [plan.weights_of(s) for s in range(plan.seeds)]
@@ -78,7 +80,7 @@ def magnitude(plan: Plan) -> Table:
     return _sweep(plan, "magnitude", "Inputs times", MAGNITUDES, points)
 
 
-def weight_scale(plan: Plan) -> Table:
+def weight_scale(plan: StressPlan) -> StressTable:
     """All weights and biases larger or smaller."""
 
     def points(seed: int, by: float) -> Iterator[Point]:
@@ -89,7 +91,7 @@ def weight_scale(plan: Plan) -> Table:
     return _sweep(plan, "weights", "Weights times", WEIGHT_SCALES, points)
 
 
-def size(plan: Plan) -> Table:
+def size(plan: StressPlan) -> StressTable:
     """Square frames of several sizes."""
 
     def points(seed: int, side: float) -> Iterator[Point]:
@@ -104,7 +106,7 @@ FEATURES = {"x1": 2, "x2": 5, "x3": 8, "x4": 11, "feature": 10, "reshaded": 14, 
 """What is looked at on the way to the image, and the convolutions on the longest way to it."""
 
 
-def depth(plan: Plan) -> Table:
+def depth(plan: StressPlan) -> StressTable:
     """The error of every feature on the way to the image, with all that was lost before it."""
     worst: dict[str, list[float]] = {name: [0.0] * (len(plan.engines) + 1) for name in FEATURES}
     for seed in range(plan.seeds):
@@ -120,7 +122,7 @@ def depth(plan: Plan) -> Table:
             worst[name][-1] = max(worst[name][-1], spread)
     columns = ("", "layers deep", *(a.name for a in plan.engines), "sigma, Monte Carlo 24 bits")
     rows = tuple((name, FEATURES[name], *errors) for name, errors in worst.items())
-    return Table("depth", f"Features of the network: {IN_UNITS}", columns, rows)
+    return StressTable("depth", f"Features of the network: {IN_UNITS}", columns, rows)
 
 
 def _feature_runs(inputs: Arrays, weights: Weights, count: int) -> dict[str, Array]:
@@ -128,7 +130,7 @@ def _feature_runs(inputs: Arrays, weights: Weights, count: int) -> dict[str, Arr
     return {name: np.stack([run[name] for run in runs]) for name in FEATURES}
 
 
-def layers(plan: Plan) -> Table:
+def layers(plan: StressPlan) -> StressTable:
     """The error of what each convolution reads, reference in float32: its growth from layer to layer."""
     worst: dict[str, float] = defaultdict(float)
     for seed in range(plan.seeds):
@@ -138,7 +140,7 @@ def layers(plan: Plan) -> Table:
             error = float(np.abs(got[name] - truth).max()) / float(np.abs(truth).max())
             worst[name] = max(worst[name], error * 2**24)
     title = f"What each convolution reads, reference in float32: {IN_UNITS}"
-    return Table("layers", title, ("layer", "error of its input"), tuple(worst.items()))
+    return StressTable("layers", title, ("layer", "error of its input"), tuple(worst.items()))
 
 
 def _read(inputs: Arrays, weights: Weights, dtype: str) -> dict[str, Array]:
@@ -155,7 +157,7 @@ def _read(inputs: Arrays, weights: Weights, dtype: str) -> dict[str, Array]:
     return found | {"image": np.asarray(image)}
 
 
-def monte_carlo(plan: Plan) -> Table:
+def monte_carlo(plan: StressPlan) -> StressTable:
     """Digits that survive: what Monte Carlo arithmetic says, and what was measured."""
     found: dict[tuple[str, str], list[list[Array]]] = defaultdict(list)
     kinds: tuple[tuple[str, int, Where], ...] = (
@@ -181,10 +183,10 @@ def monte_carlo(plan: Plan) -> Table:
         digits = np.concatenate([array for part in parts for array in part])
         rows.append((stage, name, *(float(q) for q in np.percentile(digits, (50, 1)))))
     title = "Significant decimal digits of an output's numbers (float32 has 7.2, half 3.3)"
-    return Table("monte_carlo", title, ("stage", "", "median", "worst 1 %"), tuple(rows))
+    return StressTable("monte_carlo", title, ("stage", "", "median", "worst 1 %"), tuple(rows))
 
 
-def _warp_only(seed: int, plan: Plan) -> dict[str, dict[str, Any]]:
+def _warp_only(seed: int, plan: StressPlan) -> dict[str, dict[str, Any]]:
     return {"warp": image_noise(seed, *plan.size)["warp"]}
 
 
@@ -197,7 +199,7 @@ def _where_not_zero(digits: dict[str, Array], truth: Arrays) -> list[Array]:
     return [digits[n][truth[n] != 0] for n in truth if truth[n].dtype.kind == "f"]
 
 
-def order(plan: Plan) -> Table:
+def order(plan: StressPlan) -> StressTable:
     """The same sums in other orders: what of the error is the order's."""
     found: dict[tuple[str, str], list[float]] = defaultdict(lambda: [0.0, 0.0, 0.0])
     for seed in range(plan.seeds):
@@ -219,7 +221,7 @@ def order(plan: Plan) -> Table:
             row[:] = [max(old, in_units(new, plan.engine(name))) for old, new in zip(row, errors, strict=True)]
     columns = ("stage", "", "error", "spread over orders", "error of their mean")
     title = f"{plan.runs} orders of summation: {IN_UNITS}"
-    return Table("order", title, columns, tuple((*row, *errors) for row, errors in found.items()))
+    return StressTable("order", title, columns, tuple((*row, *errors) for row, errors in found.items()))
 
 
 def _order_errors(runs: Sequence[Arrays], truth: Arrays) -> tuple[float, float, float]:
@@ -229,7 +231,7 @@ def _order_errors(runs: Sequence[Arrays], truth: Arrays) -> tuple[float, float, 
     return relative_error(runs[0], truth), relative_error(ranges, truth), relative_error(means, truth)
 
 
-def bounds(plan: Plan) -> Table:
+def bounds(plan: StressPlan) -> StressTable:
     """The network's error at its ordinary size, absolute, beside what is asked of it."""
     rows: list[tuple[Cell, ...]] = []
     for engine in plan.engines:
@@ -241,4 +243,4 @@ def bounds(plan: Plan) -> Table:
         asked = {"ref": "float32", "cl": "cl.float32", "cl direct": "cl.float32-direct", "cl half": "cl.half"}[engine.name]
         rows.append((engine.name, float(np.median(errors)), max(errors), BOUNDS[f"network.{asked}"].floor))
     columns = ("", "median seed", "worst seed", "asked")
-    return Table("bounds", "Image of the network: largest absolute error", columns, tuple(rows))
+    return StressTable("bounds", "Image of the network: largest absolute error", columns, tuple(rows))

@@ -11,7 +11,7 @@ import numpy as np
 
 from conformance.protocol.port import Arrays
 from conformance.tolerance import UNIT
-from stss.stress.engines import Arithmetic
+from stss.stress.engines import Engine
 from stss_ref.arrays import Array
 from stss_ref.weights import Weights
 from stss_ref.weights import random as random_weights
@@ -21,7 +21,7 @@ Cell = str | float
 
 
 @dataclass(frozen=True)
-class Table:
+class StressTable:
     """One table of the report.
 
     Attributes:
@@ -66,7 +66,7 @@ def _number(cell: Cell) -> float:
 
 
 @dataclass(frozen=True)
-class Plan:
+class StressPlan:
     """What is measured, and by how much.
 
     Attributes:
@@ -78,7 +78,7 @@ class Plan:
         weights: the 92 tensors; None: random ones, others for each seed.
     """
 
-    engines: Sequence[Arithmetic] = field(repr=False)
+    engines: Sequence[Engine] = field(repr=False)
     seeds: int = 3
     size: tuple[int, int] = (48, 64)
     sizes: tuple[int, ...] = (8, 16, 32, 64, 128)
@@ -89,7 +89,7 @@ class Plan:
         """The network's tensors for one seed, float32."""
         return random_weights(seed) if self.weights is None else self.weights
 
-    def engine(self, name: str) -> Arithmetic:
+    def engine(self, name: str) -> Engine:
         """The one of this name."""
         return next(engine for engine in self.engines if engine.name == name)
 
@@ -105,6 +105,6 @@ def _ratio(got: Array, truth: Array) -> float:
     return 0.0 if error == 0 else error / largest if largest else float("inf")
 
 
-def in_units(error: float, arithmetic: Arithmetic) -> float:
+def in_units(error: float, arithmetic: Engine) -> float:
     """A relative error in units of the arithmetic's rounding: 2^-24 of float32, 2^-11 of half."""
     return error / UNIT[arithmetic.dtype]

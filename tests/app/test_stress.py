@@ -14,17 +14,17 @@ from stss.errors import InputError
 from stss.optional import require
 from stss.stress import plot as stress_plot
 from stss.stress import report as stress_report
-from stss.stress.engines import NETWORK, OpenCL, Reference
+from stss.stress.engines import NETWORK, OpenCLEngine, ReferenceEngine
 from stss.stress.inputs import exact, image_noise, permuted, scaled, stage_inputs, transposed, transposed_arrays
 from stss.stress.measure import MEASUREMENTS, Results, make_plan, stress
 from stss.stress.monte_carlo import StochasticRounding, Trace, Watcher, digits_of, samples, significant_digits, watched
-from stss.stress.table import Plan, Table, relative_error, short
+from stss.stress.table import StressPlan, StressTable, relative_error, short
 from stss_ref.weights import LAYERS
 from stss_ref.weights import random as random_weights
 
 WEIGHTS = random_weights(1)
 INPUTS = stage_inputs(1, 8, 16, WEIGHTS)
-SMALL = Plan([Reference()], seeds=1, size=(32, 48), sizes=(8, 16), runs=3)
+SMALL = StressPlan([ReferenceEngine()], seeds=1, size=(32, 48), sizes=(8, 16), runs=3)
 
 
 @pytest.fixture(scope="module")
@@ -192,7 +192,7 @@ def test_the_backend_is_measured_in_each_of_its_precisions():
         pytest.skip(str(error))
     plan = make_plan(device, WEIGHTS)
     assert [engine.name for engine in plan.engines] == ["ref", "cl", "cl direct", "cl half"]
-    engine = OpenCL(device, "half")
+    engine = OpenCLEngine(device, "half")
     features = engine.features(INPUTS["network"], WEIGHTS)
     alone = engine.run("encoder", INPUTS["encoder"], WEIGHTS)
     np.testing.assert_array_equal(features["x4"], alone["x4"])
@@ -217,7 +217,7 @@ def test_a_page_is_renewed_between_its_markers(results, tmp_path):
 
 
 def test_json_can_be_read(results):
-    broken = Table("x", "y", ("a", "b"), (("a", float("inf")),))
+    broken = StressTable("x", "y", ("a", "b"), (("a", float("inf")),))
     text = stress_report.to_json(Results(SMALL, None, (*results.tables, broken)))
     data = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
     assert [table["key"] for table in data["tables"]] == [*MEASUREMENTS, "x"]
