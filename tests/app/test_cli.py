@@ -19,14 +19,23 @@ from stss.images.read_write import read_header, read_rgb
 from stss.optional import installed
 from stss.weights.file import save
 from stss_ref.weights import random as random_weights
+from tests.fuzz.harness import call
 
 SIZE = (18, 32)
 FRAMES = 8
 
 
-def stss(*arguments, cwd=None):
-    command = [sys.executable, "-m", "stss", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=cwd, check=False)
+SECONDS = 300
+"""For a call: the first one compiles kernels, and tests the device."""
+
+
+def stss(*arguments):
+    """In this process."""
+    return call(*arguments, seconds=SECONDS)
+
+
+def command(*arguments):
+    return [sys.executable, "-m", "stss", *map(str, arguments)]
 
 
 @pytest.fixture(scope="module")
@@ -43,6 +52,25 @@ def weights(tmp_path_factory):
     return path
 
 
+@pytest.fixture(scope="module")
+def by_random_weights(sequence, weights, tmp_path_factory):
+    """Output of the whole sequence; a process of its own made it. Nothing may be changed in it."""
+    out = tmp_path_factory.mktemp("random") / "out"
+    arguments = command("run", sequence / "frames", "-o", out, "--weights", weights)
+    result = subprocess.run(arguments, capture_output=True, text=True, timeout=SECONDS, check=False)
+    assert result.returncode == 0, result.stderr
+    assert "4 SF, 4 EF written" in result.stderr
+    return out
+
+
+@pytest.fixture(scope="module")
+def by_default(sequence, tmp_path_factory):
+    """Output of the whole sequence by the default weights. Nothing may be changed in it."""
+    out = tmp_path_factory.mktemp("default") / "out"
+    assert stss("run", sequence / "frames", "-o", out).returncode == 0
+    return out
+
+
 def frames_of(out):
     return {path.name: path.read_bytes() for path in sorted(Path(out).rglob("frame.*")) if path.is_file()}
 
@@ -56,12 +84,9 @@ def fails(result, *words):
         assert str(word) in lines[0]
 
 
-def test_run_doubles_size_and_rate(sequence, weights, tmp_path):
-    result = stss("run", sequence / "frames", "-o", tmp_path / "out", "--weights", weights)
-    assert result.returncode == 0, result.stderr
-    assert "4 SF, 4 EF written" in result.stderr
+def test_run_doubles_size_and_rate(by_random_weights):
     for number in range(FRAMES):
-        path = tmp_path / "out" / f"frame.{number:04d}.exr"
+        path = by_random_weights / f"frame.{number:04d}.exr"
         image = read_rgb(path)
         assert image.shape == (2 * SIZE[0], 2 * SIZE[1], 3)
         assert np.isfinite(image).all()
@@ -69,61 +94,56 @@ def test_run_doubles_size_and_rate(sequence, weights, tmp_path):
         assert attributes["stss:kind"] == ("EF" if number % 2 else "SF")
         assert attributes["stss:transfer"] == "srgb"
         assert len(attributes["stss:weights"]) == 64
-        assert (tmp_path / "out" / "holes" / f"frame.{number:04d}.png").exists() == bool(number % 2)
+        assert (by_random_weights / "holes" / f"frame.{number:04d}.png").exists() == bool(number % 2)
 
 
-def test_the_frames_are_what_python_gets(sequence, weights, tmp_path):
+def test_the_frames_are_what_python_gets(sequence, weights, by_random_weights):
     """The generator of the README and the command line give the same images."""
     from stss.frames.backends import open_backend
     from stss.frames.supersample import supersample
     from stss.sequence.reader import open_sequence
     from stss.weights.file import load
 
-    assert stss("run", sequence / "frames", "-o", tmp_path, "--weights", weights).returncode == 0
     frames = open_sequence(sequence / "frames", "stss")
     outputs = list(supersample(map(frames.load, frames.numbers), open_backend("cl", load(weights).weights)))
     assert [output.number for output in outputs] == list(range(FRAMES))
     for output in outputs:
-        written = read_rgb(tmp_path / f"frame.{output.number:04d}.exr")
+        written = read_rgb(by_random_weights / f"frame.{output.number:04d}.exr")
         np.testing.assert_array_equal(written, output.image.astype(np.float16))
 
 
-def test_a_range_has_the_bits_of_the_whole(sequence, weights, tmp_path):
-    stss("run", sequence / "frames", "-o", tmp_path / "all", "--weights", weights)
+def test_a_range_has_the_bits_of_the_whole(sequence, weights, by_random_weights, tmp_path):
     assert stss("run", sequence / "frames", "-o", tmp_path / "some", "--weights", weights, "--frames", "5:6").returncode == 0
-    some, whole = frames_of(tmp_path / "some"), frames_of(tmp_path / "all")
+    some, whole = frames_of(tmp_path / "some"), frames_of(by_random_weights)
     assert sorted(p.name for p in (tmp_path / "some").glob("*.exr")) == ["frame.0005.exr", "frame.0006.exr"]
     assert some.items() <= whole.items()
 
 
-def test_resume_after_a_kill_has_the_bits_of_one_run(sequence, weights, tmp_path):
+def test_resume_after_a_kill_has_the_bits_of_one_run(sequence, weights, by_random_weights, tmp_path):
     arguments = ["run", sequence / "frames", "--weights", weights, "-o"]
-    stss(*arguments, tmp_path / "whole")
     out = tmp_path / "killed"
-    command = [sys.executable, "-m", "stss", *map(str, arguments), str(out)]
-    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as process:
+    with subprocess.Popen(command(*arguments, out), stderr=subprocess.DEVNULL) as process:
         while not (out / "frame.0001.exr").exists() and process.poll() is None:
             time.sleep(0.005)
         process.send_signal(signal.SIGKILL)
     result = stss(*arguments, out, "--resume")
     assert result.returncode == 0, result.stderr
     assert "0 kept" not in result.stderr
-    assert frames_of(out) == frames_of(tmp_path / "whole")
+    assert frames_of(out) == frames_of(by_random_weights)
     assert "8 kept" in stss(*arguments, out, "--resume").stderr
 
 
-def test_resume_makes_anew_what_other_settings_made(sequence, weights, tmp_path):
-    stss("run", sequence / "frames", "-o", tmp_path)
-    result = stss("run", sequence / "frames", "-o", tmp_path, "--weights", weights, "--resume")
+def test_resume_makes_anew_what_other_settings_made(sequence, by_default, tmp_path):
+    shutil.copytree(by_default, tmp_path / "out")
+    result = stss("run", sequence / "frames", "-o", tmp_path / "out", "--weights", "bilinear", "--resume")
     assert "0 kept" in result.stderr
 
 
-def test_png_is_display_referred(sequence, tmp_path):
+def test_png_is_display_referred(sequence, by_default, tmp_path):
     from stss.color import transfer
 
-    stss("run", sequence / "frames", "-o", tmp_path / "exr")
     stss("run", sequence / "frames", "-o", tmp_path / "png", "--format", "png")
-    linear = read_rgb(tmp_path / "exr" / "frame.0004.exr")
+    linear = read_rgb(by_default / "frame.0004.exr")
     shown = read_rgb(tmp_path / "png" / "frame.0004.png")
     # half a step of 8 bits, and what half precision loses of values up to 1: at most 2**-11
     assert np.abs(transfer("srgb").display(linear) - shown).max() <= 0.5 / 255 + 2**-10
@@ -135,8 +155,9 @@ def test_a_bad_frame_stops_or_is_left_out(sequence, tmp_path):
     shutil.copytree(sequence / "frames", frames)
     bad = demo_path(frames, 4)
     bad.write_bytes(bad.read_bytes()[:2000])
-    fails(stss("run", frames, "-o", tmp_path / "stopped"), bad)
-    result = stss("run", frames, "-o", tmp_path / "out", "--keep-going")
+    run = ["run", frames, "--weights", "bilinear", "-o"]
+    fails(stss(*run, tmp_path / "stopped"), bad)
+    result = stss(*run, tmp_path / "out", "--keep-going")
     assert result.returncode == 1
     assert str(bad) in result.stderr
     # 5 has lost the frame it is made of; 6 and 7 start a new history.
@@ -150,12 +171,12 @@ def test_a_missing_frame_is_named(sequence, tmp_path):
     fails(stss("run", frames, "-o", tmp_path / "out"), "frame 3", "every display frame")
 
 
-def test_earlier_frames_are_not_mixed_with(sequence, tmp_path):
-    assert stss("run", sequence / "frames", "-o", tmp_path).returncode == 0
-    fails(stss("run", sequence / "frames", "-o", tmp_path), tmp_path, "--resume", "--overwrite")
-    result = stss("run", sequence / "frames", "-o", tmp_path, "--overwrite", "--frames", "2:3")
+def test_earlier_frames_are_not_mixed_with(sequence, by_default, tmp_path):
+    out = shutil.copytree(by_default, tmp_path / "out")
+    fails(stss("run", sequence / "frames", "-o", out), out, "--resume", "--overwrite")
+    result = stss("run", sequence / "frames", "-o", out, "--overwrite", "--frames", "2:3")
     assert result.returncode == 0
-    assert sorted(p.name for p in tmp_path.glob("*.exr")) == ["frame.0002.exr", "frame.0003.exr"]
+    assert sorted(p.name for p in out.glob("*.exr")) == ["frame.0002.exr", "frame.0003.exr"]
 
 
 @pytest.mark.parametrize(
@@ -180,9 +201,10 @@ def test_earlier_frames_are_not_mixed_with(sequence, tmp_path):
         (["demo", "{demo}"], ["--overwrite"]),
     ],
 )
-def test_bad_input_is_one_line_and_leaves_nothing(arguments, words, sequence, tmp_path):
+def test_bad_input_is_one_line_and_leaves_nothing(arguments, words, sequence, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     filled = [a.format(frames=sequence / "frames", demo=sequence) for a in arguments]
-    fails(stss(*filled, cwd=tmp_path), *words)
+    fails(stss(*filled), *words)
     assert not list(tmp_path.rglob("*.exr"))
     assert not list(tmp_path.rglob("*.safetensors"))
 
@@ -206,12 +228,11 @@ def test_weights_import_is_what_the_checkpoint_holds(reference_data, tmp_path):
         np.testing.assert_array_equal(array, expected[name])
 
 
-def test_check_and_compare_and_json(sequence, tmp_path):
+def test_check_and_compare_and_json(sequence, by_default):
     result = stss("check", sequence / "frames", "--json")
     assert result.returncode in (0, 1), result.stderr
     json.loads(result.stdout)
-    stss("run", sequence / "frames", "-o", tmp_path / "out")
-    comparison = json.loads(stss("compare", tmp_path / "out", sequence / "truth", "--json").stdout)
+    comparison = json.loads(stss("compare", by_default, sequence / "truth", "--json").stdout)
     assert set(comparison["means"]) == {"SF", "EF", "MEAN"}
 
 
@@ -245,8 +266,8 @@ def test_blender_with_the_authors_weights(reference_data, tmp_path):
 
 
 def test_an_interrupt_is_not_a_traceback(sequence, tmp_path):
-    command = [sys.executable, "-m", "stss", "run", str(sequence / "frames"), "-o", str(tmp_path / "out")]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+    arguments = command("run", sequence / "frames", "-o", tmp_path / "out")
+    with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True) as process:
         while not (tmp_path / "out" / "frame.0000.exr").exists() and process.poll() is None:
             time.sleep(0.005)
         process.send_signal(signal.SIGINT)
