@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from conformance.judge import DepartureError, Judge, Record
@@ -122,12 +123,15 @@ def read_known(path: Path) -> dict[str, str]:
 
 @contextlib.contextmanager
 def _undisturbed() -> Generator[None]:
-    """The user's own pytest settings and plugins have no say, and pytest prints nothing."""
+    """The user's own pytest settings and plugins have no say, and pytest prints nothing.
+
+    Hypothesis writes out the case that failed: whole weights would take longer than the stages that compute with them.
+    """
     names = ("PYTEST_ADDOPTS", "PYTEST_PLUGINS", "PYTEST_DISABLE_PLUGIN_AUTOLOAD")
     kept = {name: os.environ.pop(name, None) for name in names}
     os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
     try:
-        with contextlib.redirect_stdout(io.StringIO()):
+        with contextlib.redirect_stdout(io.StringIO()), np.printoptions(threshold=0, edgeitems=1):
             yield
     finally:
         for name, value in kept.items():
