@@ -1,7 +1,9 @@
 """The pages: their width, and that what they name is there."""
 
 import ast
+import io
 import re
+import tokenize
 from functools import cache
 from pathlib import Path
 
@@ -16,6 +18,8 @@ PAGES = sorted(
     ]
 )
 WIDTH = 100
+FOREIGN_OPTIONS = {"--uninitialized", "--target"}
+"""Of Oclgrind and of pip."""
 ELSEWHERE = {"eval.py", "stage.cl", "network.cl", "stss.sha256"}
 """Files of other projects, named without a folder, rows of the table of bounds, and what a run leaves."""
 TITLE = "Low-latency Space-time Supersampling for Real-time Rendering"
@@ -53,6 +57,22 @@ def file_names():
     return {path.name for folder in FOLDERS for path in (ROOT / folder).rglob("*")} | {path.name for path in ROOT.iterdir()}
 
 
+@cache
+def options():
+    """What the command line, scripts and ports take."""
+    files = [path for folder in FOLDERS for kind in ("py", "cpp", "sh") for path in (ROOT / folder).rglob(f"*.{kind}")]
+    return {name for path in files for name in re.findall(r"--[a-z][a-z-]+", text(path))}
+
+
+def comments(path):
+    """Comments and docstrings of a file."""
+    if path.suffix != ".py":
+        return "\n".join(re.findall(r"//.*", text(path)))
+    kinds = (tokenize.COMMENT, tokenize.STRING)
+    tokens = tokenize.generate_tokens(io.StringIO(text(path)).readline)
+    return "\n".join(token.string for token in tokens if token.type in kinds and token.string.startswith(("#", '"""')))
+
+
 def module(dotted):
     """The file of the longest beginning of a dotted name that is a module, and the names that are left."""
     parts = dotted.split(".")
@@ -76,6 +96,15 @@ def test_lines_fit_a_screen(page):
     for line in prose(page).splitlines():
         if not line.startswith("|"):
             assert len(re.sub(r"\]\([^)]*\)", "]", line)) <= WIDTH, line
+
+
+def test_the_changelog_has_its_headings_and_fits_a_screen():
+    lines = prose(ROOT / "CHANGELOG.md").splitlines()
+    assert all(len(re.sub(r"\]\([^)]*\)", "]", line)) <= WIDTH for line in lines if not line.lstrip().startswith("|"))
+    kinds = [line[4:] for line in lines if line.startswith("### ")]
+    assert set(kinds) <= {"Added", "Changed", "Fixed", "Numbers"}
+    released = re.split(r"^## ", prose(ROOT / "CHANGELOG.md"), flags=re.MULTILINE)[1:]
+    assert all(len(set(found)) == len(found) for found in (re.findall(r"^### (.+)$", each, re.MULTILINE) for each in released))
 
 
 @each_page
@@ -102,6 +131,21 @@ def test_modules_that_are_named_exist(page):
     for name in named(page):
         if re.fullmatch(r"(?:stss|stss_cl|stss_ref|conformance|training)(?:\.\w+)+(?::\w+)?", name):
             assert name in ELSEWHERE or is_there(name.replace(":", ".")), f"{name} is not there"
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_modules_that_comments_name_exist(folder):
+    """Comments and docstrings, of Python and of kernels."""
+    for path in [*(ROOT / folder).rglob("*.py"), *(ROOT / folder).rglob("*.cl*")]:
+        for name in re.findall(r"(?<![\w./])(?:stss|stss_cl|stss_ref|conformance)(?:\.[a-z_]\w*)+(?!\.?\w)", comments(path)):
+            assert name in ELSEWHERE or name.endswith(".md") or is_there(name), f"{path}: {name} is not there"
+
+
+@each_page
+def test_options_that_are_named_exist(page):
+    """Of our commands and scripts; few are another program's."""
+    for name in set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", " ".join(named(page)))):
+        assert name in options() | FOREIGN_OPTIONS, f"{name} is not there"
 
 
 @each_page

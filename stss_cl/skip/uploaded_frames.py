@@ -156,7 +156,7 @@ class UploadedFrames:
     def _launch(self, name: str, *arguments: cl.Buffer | None) -> None:
         kernel = self._comparing[name]
         size = -(-self._shape[1] // SPAN), self._shape[0]
-        # A group that does not follow the size, see stss_cl.network.launch.grid; one work-item does much.
+        # A group that does not follow the size, see stss_cl.device.grid.grid; one work-item does much.
         kernel(self._device.queue, size, (1, 1) if self._device.is_cpu else None, *arguments, *map(np.int32, self.size))
 
     def _scan(self, buffer: cl.Buffer, floats: int, which: int) -> None:
