@@ -91,7 +91,7 @@ def two_streams(request, device):
     return [Stream(weights, device, skip=skip, max_error=0.1) for _ in range(2)]
 
 
-@settings(max_examples=15)
+@settings(max_examples=6)
 @example(film=FIRST_COLOR_LAST_READ)
 @given(film=FILMS)
 def test_arrays_may_be_rewritten_once_their_frame_left_the_window(two_streams, film):
