@@ -62,8 +62,19 @@ def test_a_set_holds_all_that_was_asked_for(blender, many):
     assert min(moves[move] for move in (*blender["scenes"].MOVES, "shake")) >= 4
     assert 5 <= sum(bool(scene["cuts"]) for scene in many) <= 30
     assert sum(any(light.get("rate") or light.get("motion") for light in scene["lights"]) for scene in many) >= 20
-    assert sum(any(look["metallic"][0] == 1 for look in scene["materials"]) for scene in many) >= 40
+    metals = [any(look["metallic"][0] == 1 for look in scene["materials"]) for scene in many if not scene["clean"]]
+    assert len(metals) >= 15
+    assert sum(metals) >= 0.9 * len(metals)
     assert {scene["layout"] for scene in many} == set(blender["scenes"].LAYOUTS)
+
+
+def test_the_light_of_a_clean_scene_needs_one_sample(many):
+    clean = [scene for scene in many if scene["clean"]]
+    assert len(clean) >= 20
+    for scene in clean:
+        assert [(light["kind"], light["soft"]) for light in scene["lights"]] == [("sun", 0.0)]
+        assert not scene["sky"]["lights"]
+        assert not any(look["gloss"] or look["metallic"][1] or look["glow"] or look["bump"] for look in scene["materials"])
 
 
 def test_what_moves_has_a_number_of_its_own(many):

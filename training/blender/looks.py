@@ -65,7 +65,7 @@ def sky(rng: random.Random, mood: str) -> dict[str, Any]:
 
 
 def lights(rng: random.Random, mood: str, at: list[float], frames: int) -> list[dict[str, Any]]:
-    """A sun, and lamps that move or stand; a third of all suns move as well.
+    """A sun, and lamps that move or stand; half of all suns move as well.
 
     Args:
         rng: where chance comes from.
@@ -81,7 +81,7 @@ def lights(rng: random.Random, mood: str, at: list[float], frames: int) -> list[
             "power": {"day": 3.0, "dusk": 1.6, "night": 0.15}[mood] * rng.uniform(0.7, 1.2),
             "colour": [1.0, rng.uniform(0.7, 1.0), rng.uniform(0.45, 1.0)] if mood != "night" else [0.6, 0.7, 1.0],
             "soft": rng.choice((0.0, 0.0, 0.01)),
-            "rate": rng.choice((-1, 1)) * rng.uniform(0.005, 0.05) if rng.random() < 0.33 else 0.0,
+            "rate": rng.choice((-1, 1)) * rng.uniform(0.005, 0.05) if rng.random() < 0.5 else 0.0,
         }
     )
     for _ in range({"day": rng.choice((0, 0, 1)), "dusk": rng.randint(1, 2), "night": rng.randint(2, 3)}[mood]):

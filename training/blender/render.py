@@ -27,6 +27,10 @@ POINT = 0.01
 """Filter width in pixels, the smallest there is: every sample lies at the pixel's centre."""
 
 
+EXACT = 2
+"""Samples of a small frame's pixel where the scene is clean: its light has no noise, and every sample the same answer."""
+
+
 def common(scene: Any, threads: int) -> None:
     """What both renderings have: Cycles on the CPU, few bounces, no denoising, no motion blur."""
     scene.render.engine = "CYCLES"
@@ -157,7 +161,8 @@ def main() -> None:
         build(described)
     scene = bpy.context.scene
     common(scene, given.threads)
-    small(scene, given.size, given.samples, aliased=aliased)
+    exact = aliased and described["clean"]
+    small(scene, given.size, min(given.samples, EXACT) if exact else given.samples, aliased=aliased)
     seconds = {"lr": render_frames(given.output / "lr", every)}
     truth(scene, given.size, given.truth_samples)
     seconds["hr"] = render_frames(given.output / "hr", settings["truth_frames"])

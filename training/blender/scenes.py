@@ -13,7 +13,7 @@ from typing import Any
 from looks import CUTOUTS, PICTURES, lights, material, sky
 from paths import add, camera, distance
 
-VERSION = 3
+VERSION = 4
 """Raise it when the same seed no longer gives the same scene."""
 
 SPLITS = ("train", "validation", "test")
@@ -22,7 +22,7 @@ SOLIDS = ("cube", "cube", "sphere", "cylinder", "cone", "torus", "monkey")
 THIN = ("fence", "lattice", "wheel", "cables", "wires", "ladder")
 MOVES = ("orbit", "pan", "truck", "dolly", "crane", "tilt", "rest")
 CLEAN = ("checker", "checker", "checker", "plain", "brick", "stripes")
-"""Textures of the scenes that are all hard edges: flat surfaces, no bumps, nothing that glows."""
+"""Textures of the scenes that are all hard edges: flat surfaces in hard sunlight, no bumps, nothing that glows or mirrors."""
 WIDTH = 160
 """The speeds are drawn in pixels of a frame as wide as this."""
 
@@ -41,6 +41,8 @@ class Scene:
         self.seed, self.split, self.frames = seed, split, frames
         self.layout, self.mood = rng.choice(LAYOUTS), rng.choice(("day", "day", "day", "dusk", "night"))
         self.clean = rng.random() < 0.6
+        if self.clean:
+            self.mood = "day"
         self.fov = rng.uniform(0.7, 1.2)
         self.materials: list[Thing] = []
         self.objects: list[Thing] = []
@@ -79,7 +81,7 @@ class Scene:
         """A new material; its number."""
         made = material(self.rng, texture or (self.rng.choice(CLEAN) if self.clean else None), metal)
         if self.clean:
-            made |= {"bump": 0.0, "glow": 0.0}
+            made |= {"bump": 0.0, "glow": 0.0, "gloss": False, "metallic": [0.0, 0.0]}
         made["scale"] *= 9 / self.away
         self.materials.append(made)
         return len(self.materials) - 1
@@ -259,6 +261,9 @@ def describe(seed: int, split: str, frames: int) -> Thing:
     for step in (_ground, _walls, _furnish, _actors):
         step(scene)
     behind, lamps = sky(scene.rng, scene.mood), lights(scene.rng, scene.mood, scene.centre, frames)
+    if scene.clean:
+        lamps = [lamps[0] | {"soft": 0.0}]
+        behind["lights"] = False
     used = {scene.materials[thing["material"]]["texture"] for thing in scene.objects}
     contents = sorted({thing["shape"] for thing in scene.objects} | used)
     moves = [shot["move"] for shot in scene.shots] + ["shake"] * any(shot["shake"] for shot in scene.shots)
@@ -269,6 +274,7 @@ def describe(seed: int, split: str, frames: int) -> Thing:
         "frames": frames,
         "layout": scene.layout,
         "mood": scene.mood,
+        "clean": scene.clean,
         "camera": moves,
         "cuts": [shot["first"] + 1 for shot in scene.shots[1:]],
         "contents": contents,
