@@ -68,7 +68,7 @@ class Prepare:
 
     def _built(self, *, looking: bool) -> dict[str, cl.Kernel]:
         """The kernels by name; ``looking``: those that compute what is dirty, and mark what then differs."""
-        options: dict[str, object] = {"HALF": self.inputs.input.dtype == np.float16, "SKIP": looking}
+        options: dict[str, object] = {"HALF": self.inputs.input.dtype == np.float16, "MARK": looking}
         made = kernels(self.device, self._file, {"GATHER": f"gather_{self._gather}", **options, **LIMITS})
         if self._gather != "longest":
             made.pop("chain_steps8", None)  # its gather is that one
@@ -204,7 +204,7 @@ class Prepare:
         eighth = inputs.eighth
         shape = eighth.height, eighth.width
         place = (*size, *shape, eighth.columns, top)
-        changes = self._maps[2:] if self._looks else ()
+        changes = self._maps[2:] if self._looks else (eighth.data,)
         read = self._read.gbuffer, self.mask
         self._done = self._run("downsample_8", shape, *read, eighth.data, *place, *changes)
 

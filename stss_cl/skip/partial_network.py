@@ -11,8 +11,9 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from stss_cl.network.launch import Launch
-from stss_cl.network.layers import Layers, enqueue
+from stss_cl.device.launch import enqueue
+from stss_cl.network.layer import Layer
+from stss_cl.network.layers import Layers
 from stss_cl.skip.changed_tiles import ChangedTiles
 from stss_cl.skip.flat_tiles import FlatTiles
 
@@ -34,7 +35,7 @@ class Level(NamedTuple):
 WHOLE = Level(frozenset(), flat=False, history=True)
 
 
-def levels(launches: Sequence[Launch], reads_history: bool) -> tuple[Level, ...]:
+def levels(launches: Sequence[Layer], reads_history: bool) -> tuple[Level, ...]:
     """What may be left out, each more than the one before.
 
     Nothing, but for the history if these weights do not read it; flat tiles; the history; with it the ERM and the encoder's eighth

@@ -12,7 +12,7 @@ from conformance.cases.planes import SEEDS, sizes
 from stss_cl.device.buffers import incoming, padded, read
 from stss_cl.device.grid import grid
 from stss_cl.device.program import build
-from stss_cl.device.tuning import Direct, Strip, Tuning, Winograd, trial
+from stss_cl.device.tuning import Direct, Tuning, Winograd, trial
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import PRECISIONS
 from stss_cl.network.strips import OVERLAP, STEP, bytes_for
@@ -166,9 +166,9 @@ def test_the_image_is_that_of_computing_everything(device, precision, size, chan
 @pytest.mark.parametrize(
     "tuning",
     [
-        Tuning({n: Winograd(1, 1, 1) for n in (24, 32, 64)}, {n: Direct(3, 1, 2) for n in (24, 32, 64)}, Strip(4, 3)),
-        Tuning({n: Winograd(9, 3, n // 8) for n in (24, 32, 64)}, {n: Direct(8, 1, 1) for n in (24, 32, 64)}, Strip(8, 1)),
-        Tuning(None, {n: Direct(5, n // 8, 4) for n in (24, 32, 64)}, Strip(32, 2)),
+        Tuning({n: Winograd(1, 1, 1) for n in (24, 32, 64)}, {n: Direct(1, 1, 2) for n in (24, 32, 64)}),
+        Tuning({n: Winograd(9, 3, n // 8) for n in (24, 32, 64)}, {n: Direct(2, 1, 1) for n in (24, 32, 64)}),
+        Tuning(None, {n: Direct(4, n // 8, 4) for n in (24, 32, 64)}),
     ],
 )
 @settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -256,7 +256,7 @@ def test_a_mark_left_out_shows(device, which):
 def launches(sequence):
     """All but the last, in pairs: computing everything and only what changed, with the buffer that both write."""
     names = {"upsample_corners": "out", "normalise": "unit", "attend": "reshaded", "conv": "out", "winograd": "out"}
-    pairs = zip(sequence.layers.launches, sequence.network._changed_tiles.launches, strict=True)
+    pairs = zip(sequence.layers.launches, sequence.network._changed_tiles.layers, strict=True)
     return [(every, some, every.arguments[names[every.kernel.function_name]]) for every, some in list(pairs)[:-1]]
 
 
@@ -274,8 +274,7 @@ def test_the_tiles_that_changed_are_marked_and_no_others(device, precision, size
     for held, old in zip(features, wide, strict=True):
         np.testing.assert_array_equal(raw(device, held.changes), tiles(old, contents(device, held)).ravel())
     for (_, some, out), old in zip(pairs, before, strict=True):
-        maps = [x for x in some.skip.maps.values() if isinstance(x, cl.Buffer)]
-        assert raw(device, maps[-1]).any() == (old != raw(device, out)).any(), some.name
+        assert raw(device, some.changes).any() == (old != raw(device, out)).any(), some.name
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -395,7 +394,7 @@ def test_the_input_at_an_eighth_marks_what_changed(device, size, seed):
     other[random.integers(size[0]) :, random.integers(size[1]) :] += 1
     rows, columns = (-(-n // 8) for n in size)
     held = padded(device, rows, columns, 16, np.dtype(np.float32), changes=True)
-    program = build(device, "erm.cl", {"KEYS": 32, "VALUES": 64, "MASK": "float", "SKIP": True})
+    program = build(device, "erm.cl", {"KEYS": 32, "VALUES": 64, "MASK": "float", "MARK": True})
     kernel = cl.Kernel(program, "downsample_8")
 
     def run(gbuffer):
