@@ -25,7 +25,8 @@ from stss_cl.network.tiles import Maps, Tiling, of_convolution, whole
 class Final:
     """What the decoder's last layer needs to write the image itself (kernels/decoder.clh).
 
-    ``color`` (rows, columns, 4), ``weight`` (24, 16) and ``bias`` (16) of outc, and the frame's own height and width.
+    ``color`` (rows, columns, 4), ``weight`` (24, 16) and ``bias`` (16) of outc, the frame's own height and width, and the change
+    map of ``color``, if any.
     """
 
     color: cl.Buffer
@@ -35,6 +36,7 @@ class Final:
     columns: int
     height: int
     width: int
+    changes: cl.Buffer | None = None
 
     @property
     def arguments(self) -> dict[str, Any]:
@@ -135,17 +137,17 @@ def conv(
         "tolerance": BITS_COUNT,
     }
     made = kernel(build(device, source.file, source.options, source.flags), source.kernel, arguments)
-    reads = _maps(a, b, image)
+    reads = _maps(a, image, b or final)
     return Layer(
         name, made, shape.size, shape.group, arguments, stage, source, shape.tiling, reads, None if final else out.changes
     )
 
 
-def _maps(a: Padded, b: Padded | None, image: int) -> Maps | None:
-    """The change maps of both inputs."""
+def _maps(a: Padded, image: int, other: Padded | Final | None) -> Maps | None:
+    """The change maps of all that is read."""
     if a.changes is None:
         return None
-    buffers = a.changes, *((b.changes,) if b and b.changes else ())
+    buffers = (a.changes,) if other is None or other.changes is None else (a.changes, other.changes)
     return Maps(buffers, ceil_div(a.height, 4), ceil_div(a.width, 4), image * map_bytes(a.height, a.width))
 
 

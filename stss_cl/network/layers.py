@@ -245,7 +245,7 @@ class Layers:
 
     def _final(self) -> Final:
         weight, bias = (constant(self.device, array) for array in pack_outc(self._weights))
-        return Final(self.inputs.base, weight, bias, self._height, self._width, *self.size)
+        return Final(self.inputs.base, weight, bias, self._height, self._width, *self.size, self.inputs.input.changes)
 
     def _image(self, feature: Padded) -> None:
         """outc, and the upsampled frame; where outc is 0 any finite feature will do."""
