@@ -54,7 +54,7 @@ static inline void compute(global const stored *restrict a, global const stored 
                            global const float8 *restrict gate_weight, global const float8 *restrict bias, const float gate_bias,
                            global stored *restrict out, const int width, const int in_columns, const int out_columns,
                            const int out_channels, const int out_first, const int block, const int x0, const int y,
-                           global uchar *restrict changes, const float tolerance)
+                           global uchar *restrict changes)
 {
     // Input pixel under the kernel's corner. Pixels beyond the row are computed too, from whatever lies there, and not stored.
     const int at = (y * STRIDE + 1 - PAD) * in_columns + x0 * STRIDE + 1 - PAD;
@@ -110,7 +110,7 @@ void conv(global const stored *restrict a, global const stored *restrict b, glob
           global const float8 *restrict gate_weight, global const float8 *restrict bias, const float gate_bias,
           global stored *restrict out, const int a_first, const int height, const int width, const int in_columns, const int out_columns,
           const int out_channels, const int out_first, global const uint *restrict tiles, global const int *restrict count,
-          global uchar *restrict changes, const float tolerance)
+          global uchar *restrict changes)
 {
     a += a_first;
     const int2 part = part_of_list(count[0], 1);
@@ -121,7 +121,7 @@ void conv(global const stored *restrict a, global const stored *restrict b, glob
             if (y >= height || x >= width) continue;
             for (int block = get_global_id(1) * BLOCK; block < OUT8; block += get_global_size(1) * BLOCK)
                 compute(a, b, weight, gate_weight, bias, gate_bias, out, width, in_columns, out_columns, out_channels, out_first,
-                        block, x, y, changes, tolerance);
+                        block, x, y, changes);
         }
     }
 }

@@ -43,7 +43,6 @@ kernel void downsample_8(global const float *restrict gbuffer, global const MASK
     mean[9] = (((float)mask[nw] + (float)mask[sw]) * 0.5f + ((float)mask[ne] + (float)mask[se]) * 0.5f) * 0.5f;
     for (int c = 10; c < 16; ++c) mean[c] = 0.0f;
     const int to = ((y + 1) * columns + x + 1) * 2;
-    const float tolerance = -1.0f;  // bits count
     BEGIN_TILE;
     PUT(((const float8 *)mean)[0], to, eighth);
     PUT(((const float8 *)mean)[1], to + 1, eighth);
@@ -52,7 +51,7 @@ kernel void downsample_8(global const float *restrict gbuffer, global const MASK
 
 kernel void normalise(global const stored *restrict key, global stored *restrict unit, const int height, const int width,
                       const int columns, global const uint *restrict tiles, global const int *restrict count,
-                      global uchar *restrict changes, const float tolerance)
+                      global uchar *restrict changes)
 {
     const int2 part = part_of_list(count[0], 1);
     for (int t = part.x; t < part.y; ++t) {
@@ -76,8 +75,7 @@ kernel void normalise(global const stored *restrict key, global stored *restrict
 // sum_d w(d) m V(p + d) / max(sum_d w(d), 1e-6), w(d) = relu(m(p + d) K(p + d) . K(p)): the mask is applied here to keys and values.
 kernel void attend(global const stored *restrict unit, global const stored *restrict value, global const stored *restrict eighth,
                    global stored *restrict reshaded, const int height, const int width, const int columns, const int out_channels,
-                   global const uint *restrict tiles, global const int *restrict count, global uchar *restrict changes,
-                   const float tolerance)
+                   global const uint *restrict tiles, global const int *restrict count, global uchar *restrict changes)
 {
     const int2 part = part_of_list(count[0], 1);
     for (int t = part.x; t < part.y; ++t) {

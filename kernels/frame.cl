@@ -80,7 +80,7 @@ kernel void fill_holes(global const float *restrict color, global const float2 *
                        global const uchar *restrict mask, global stored *restrict x0, global float4 *restrict color3,
                        const int height, const int width, const int rows, const int columns, const int top
 #ifdef MARK
-                       , global uchar *restrict input_changes, const float tolerance
+                       , global uchar *restrict input_changes
 #endif
                        )
 {
@@ -94,8 +94,8 @@ kernel void fill_holes(global const float *restrict color, global const float2 *
 #ifdef MARK
     float8 eight = LOAD8(x0, padded * 3);
     eight.s012 = c;
-    const int changed = any_bit(replace8(eight, padded * 3, x0, tolerance));
-    if (replace_float4((float4)(c, 0.0f), color3 + y * columns + x, tolerance) || changed) input_changes[tile_of(x, y, columns)] = 1;
+    const int changed = any_bit(replace8(eight, padded * 3, x0));
+    if (replace_float4((float4)(c, 0.0f), color3 + y * columns + x) || changed) input_changes[tile_of(x, y, columns)] = 1;
 #else
     global stored *to = x0 + padded * 24;
     STORE(c.x, 0, to);

@@ -32,8 +32,7 @@ static inline Between between(const int o, const int count, const int full, cons
 
 kernel void upsample_corners(global const stored *restrict in, global stored *restrict out, const int height, const int width,
                              const int in_columns, const int out_columns, const int full_height, const int top, const int eights,
-                             global const uint *restrict tiles, global const int *restrict count, global uchar *restrict changes,
-                             const float tolerance)
+                             global const uint *restrict tiles, global const int *restrict count, global uchar *restrict changes)
 {
     const int2 part = part_of_list(count[0], 1);
     for (int t = part.x; t < part.y; ++t) {

@@ -16,7 +16,7 @@ from stss_cl.device.grid import ceil_div, list_size
 from stss_cl.device.launch import kernel
 from stss_cl.device.program import build
 from stss_cl.device.tuning import tuning_for
-from stss_cl.network.layer import BITS_COUNT, FAST_MULTIPLY_ADD, Layer, Source
+from stss_cl.network.layer import FAST_MULTIPLY_ADD, Layer, Source
 from stss_cl.network.pack_weights import Packed, winograd
 from stss_cl.network.tiles import Maps, Tiling, of_convolution, whole
 
@@ -134,7 +134,6 @@ def conv(
         "tiles": tiles.tiles,
         "count": tiles.count,
         "changes": out.changes or out.data,  # read where changes are marked alone
-        "tolerance": BITS_COUNT,
     }
     made = kernel(build(device, source.file, source.options, source.flags), source.kernel, arguments)
     reads = _maps(a, image, b or final)

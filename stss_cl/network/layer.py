@@ -16,8 +16,6 @@ from stss_cl.network.tiles import Maps, TileList, Tiling
 
 FAST_MULTIPLY_ADD = "-cl-mad-enable"
 """The network's kernels may contract ``a * b + c``; fma() itself is a slow call on PoCL 3.0."""
-BITS_COUNT = -1.0
-"""The tolerance at which every bit counts (kernels/change_map.clh)."""
 
 
 class Source(NamedTuple):
@@ -53,8 +51,7 @@ class Layer(Launch):
         Args:
             device: it was made for.
             tiles: what to compute.
-            marking: whether to mark, in ``changes``, the tiles where stored bits came to differ. Steps up to argument ``tolerance`` do
-                not count.
+            marking: whether to mark, in ``changes``, the tiles where stored bits came to differ.
         """
         program = build(device, self.source.file, {**self.source.options, "MARK": marking}, self.source.flags)
         arguments = {**self.arguments, "tiles": tiles.tiles, "count": tiles.count}

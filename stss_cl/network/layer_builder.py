@@ -14,7 +14,7 @@ from stss_cl.device.grid import GROUP, list_size
 from stss_cl.device.launch import Arguments, kernel
 from stss_cl.device.program import build
 from stss_cl.network.conv import Final, conv, half
-from stss_cl.network.layer import BITS_COUNT, FAST_MULTIPLY_ADD, Layer, Source
+from stss_cl.network.layer import FAST_MULTIPLY_ADD, Layer, Source
 from stss_cl.network.pack_weights import pack
 from stss_cl.network.tiles import Maps, Tiling, whole
 from stss_ref.weights import Weights
@@ -125,7 +125,7 @@ class LayerBuilder:
         workers = 1 if self._device.is_cpu else workers
         source = Source(file, name, {**options, "WORKERS": workers, "HALF": half(self.dtype)}, flags)
         tiles = whole(self._device, tiling.rows, tiling.columns)
-        marks = {} if out is None else {"changes": out.changes or out.data, "tolerance": BITS_COUNT}
+        marks = {} if out is None else {"changes": out.changes or out.data}
         together = {**arguments, "tiles": tiles.tiles, "count": tiles.count, **marks}
         made = kernel(build(self._device, file, source.options, flags), name, together)
         group = 1 if self._device.is_cpu else GROUP

@@ -10,7 +10,7 @@ import pyopencl as cl
 from stss_cl.device.buffers import ChangeMaps, Counts, zeroed
 from stss_cl.device.discovery import Device
 from stss_cl.device.launch import enqueue
-from stss_cl.network.layer import BITS_COUNT, Layer
+from stss_cl.network.layer import Layer
 from stss_cl.network.tiles import TileList, find_tiles
 
 
@@ -27,7 +27,7 @@ class ChangedTiles:
     """
 
     def __init__(self, device: Device, layers: Sequence[Layer], maps: ChangeMaps):
-        self._device, self._maps, self._tolerance = device, maps, BITS_COUNT
+        self._device, self._maps = device, maps
         self._counts = Counts(device, len(layers))
         # Lists are needed only until the layer is done, and layers follow each other: one buffer is enough.
         numbers = zeroed(device, 4 * max(layer.tiling.most for layer in layers))
@@ -37,14 +37,8 @@ class ChangedTiles:
         ]
         self.layers = [layer.over(device, to, marking=layer.changes is not None) for layer, to in zip(layers, lists, strict=True)]
 
-    def run(self, image: cl.Buffer, tolerance: float) -> None:
+    def run(self, image: cl.Buffer) -> None:
         """Enqueue them all; see ``stss_cl.skip.partial_network.PartialNetwork.run_changed``."""
-        chosen = tolerance if tolerance > 0 else BITS_COUNT
-        if chosen != self._tolerance:
-            self._tolerance = chosen
-            for layer in self.layers:
-                if layer.changes is not None:
-                    layer.set(tolerance=chosen)
         self.layers[-1].set(image=image)
         self._maps.clear()
         self._counts.clear()
