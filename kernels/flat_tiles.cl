@@ -18,7 +18,7 @@
 // coarser: the map for a decoder's layers at half the size, of which those of `fine` read.  Launch the size of `out`, or more; `rows`, `columns` are those of `fine`.
 //
 // The last layer of a size is computed in the wanted tiles; it reads one pixel around them, of what the layer before makes of two pixels around
-// them: both are in reach of one tile (-D WANTED of winograd.cl, conv.cl, resample.cl). Those two pixels are upsampled from three of half the size.
+// them: both are in reach of one tile (stss_cl/skip/flat_tiles.py). Those two pixels are upsampled from three of half the size.
 #include "common.clh"
 #include "change_map.clh"
 #include "decoder.clh"

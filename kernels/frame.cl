@@ -25,7 +25,7 @@
 #include "prepare.clh"
 
 // The map of what is to be computed; elsewhere nothing has moved, and `chained` is 0 already.
-#ifdef SKIP
+#ifdef MARK
 #define DIRTY_ARGUMENT , global const uchar *restrict dirty
 #define IS_DIRTY(x, y) dirty[tile_of(x, y, (width + 7) / 8 * 8)]
 #else
@@ -69,7 +69,7 @@ kernel void prepare(PREPARE_ARGUMENTS)
     const int x = get_global_id(0), i = get_global_id(1), y = get_global_id(2);
     if (x >= columns || y >= rows) return;
     const Frame f = FRAME(i);  // a step equal to the one before it stands for a missing frame
-#ifdef SKIP
+#ifdef MARK
     if (is_quiet(f, x, y, 1)) return;
 #endif
     prepare_pixel(f, x, y);
@@ -79,8 +79,8 @@ kernel void prepare(PREPARE_ARGUMENTS)
 kernel void fill_holes(global const float *restrict color, global const float2 *restrict motion, global const uint *restrict first,
                        global const uchar *restrict mask, global stored *restrict x0, global float4 *restrict color3,
                        const int height, const int width, const int rows, const int columns, const int top
-#ifdef SKIP
-                       , global uchar *restrict input_changes, const float tolerance
+#ifdef MARK
+                       , global uchar *restrict input_changes
 #endif
                        )
 {
@@ -91,11 +91,11 @@ kernel void fill_holes(global const float *restrict color, global const float2 *
     const Taps at = taps(follow(motion[pixel], shown_x, shown_y, height, width), height, width);
     const float3 c = not_negative(look_instead(color, splatted(motion, first, at.nw), shown_x, shown_y, height, width));
     const int padded = (y + 1) * (columns + 2) + x + 1;
-#ifdef SKIP
+#ifdef MARK
     float8 eight = LOAD8(x0, padded * 3);
     eight.s012 = c;
-    const int changed = any_bit(replace8(eight, padded * 3, x0, tolerance));
-    if (replace_float4((float4)(c, 0.0f), color3 + y * columns + x, tolerance) || changed) input_changes[tile_of(x, y, columns)] = 1;
+    const int changed = any_bit(replace8(eight, padded * 3, x0));
+    if (replace_float4((float4)(c, 0.0f), color3 + y * columns + x) || changed) input_changes[tile_of(x, y, columns)] = 1;
 #else
     global stored *to = x0 + padded * 24;
     STORE(c.x, 0, to);

@@ -85,7 +85,7 @@ kernel void prepare8(PREPARE_ARGUMENTS)
     const int x = get_global_id(0) * 8, i = get_global_id(1), y = get_global_id(2);
     if (x >= columns || y >= rows) return;
     const Frame f = FRAME(i);
-#ifdef SKIP
+#ifdef MARK
     if (is_quiet(f, x, y, 8)) return;
 #endif
     const int pixel = (top + y) * width + x;

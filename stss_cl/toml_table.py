@@ -112,15 +112,13 @@ class Table:
         self.rest.pop(key, None)
         return Table(self.path, f"{self.prefix}{key}.", self.error, value)
 
-    def whole(self, key: str, most: int, *, divides: int | None = None, multiple: int = 1) -> int:
-        """A whole number from 1 to ``most``; a divisor of one number, a multiple of another."""
+    def whole(self, key: str, most: int, *, divides: int | None = None) -> int:
+        """A whole number from 1 to ``most``, a divisor of ``divides``."""
         value = self.rest.pop(key, None)
         if type(value) is not int or not 1 <= value <= most:
             raise self.fail(key, f"a whole number from 1 to {most}", value)
         if divides is not None and divides % value:
             raise self.fail(key, f"a divisor of {divides}", value)
-        if value % multiple:
-            raise self.fail(key, f"a multiple of {multiple}", value)
         return value
 
     def flag(self, key: str) -> bool:

@@ -14,9 +14,9 @@ from conformance.tolerance import ratio
 from stss_cl.device.buffers import padded, read, write
 from stss_cl.device.discovery import Device, DeviceError, Properties
 from stss_cl.device.grid import ceil8
-from stss_cl.device.tuning import Direct, Tuning, Winograd, built_in, trial
+from stss_cl.device.launch import Launch
+from stss_cl.device.tuning import Direct, Tuning, Winograd, trial
 from stss_cl.network.conv import conv
-from stss_cl.network.launch import Launch
 from stss_cl.network.pack_weights import Packed, pack
 from stss_ref.arrays import Array
 
@@ -124,7 +124,7 @@ def direct_candidates(device: Properties, outputs: int) -> list[Direct]:
         groups = [group for group in (16, 32, 64, 128) if group <= device.max_work_group]
         blocks = [block for block in (1, 2, 3, 4) if wide % block == 0]
         return [Direct(pixels, block, group) for pixels in (1, 2, 4) for block in blocks for group in groups]
-    by_block = {2: (4, 6, 8), 3: (2, 3, 4, 6, 8), 4: (2, 3, 4, 6)}
+    by_block = {2: (2, 4), 3: (2, 4), 4: (2, 4)}
     return [Direct(pixels, block, 1) for block, row in by_block.items() if wide % block == 0 for pixels in row]
 
 
@@ -143,9 +143,9 @@ class _Layer:
 
     def launch(self, sizes: Sizes) -> Launch:
         """The layer with these tile sizes."""
-        outputs, strip = self._shape.outputs, built_in(self._device).strip
+        outputs = self._shape.outputs
         fast = isinstance(sizes, Winograd)
-        row = Tuning({outputs: sizes}, {}, strip) if isinstance(sizes, Winograd) else Tuning(None, {outputs: sizes}, strip)
+        row = Tuning({outputs: sizes}, {}) if isinstance(sizes, Winograd) else Tuning(None, {outputs: sizes})
         a, b = (*self._inputs, None)[:2]
         assert a is not None
         with trial(row):

@@ -80,7 +80,7 @@ def _decide(device: Device, size: tuple[int, int], base: Tuning, trials: Trials)
         best, line = _better(device, size, trials, f"direct {outputs}", first, allowed, used)
         lines.append(line)
         direct[outputs] = best if isinstance(best, Direct) else first
-    return Tuning(fast, direct, base.strip), lines
+    return Tuning(fast, direct), lines
 
 
 def _worth_it(base: Tuning, trials: Trials, winograd: dict[int, Winograd]) -> bool:

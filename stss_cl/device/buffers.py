@@ -160,6 +160,28 @@ class ChangeMaps:
             cl.enqueue_fill_buffer(self._device.queue, parent, np.zeros(1, np.uint32), 0, self._size // 4 * 4)
 
 
+class Counts:
+    """Whole numbers on the device that are cleared all at once, each a buffer of its own.
+
+    Args:
+        device: to make them on.
+        most: how many are taken at most.
+    """
+
+    def __init__(self, device: Device, most: int):
+        self._device, self._step = device, max(int(device.handle.mem_base_addr_align) // 8, 4)
+        self._all, self._taken = zeroed(device, most * self._step), 0
+
+    def take(self) -> cl.Buffer:
+        """One more, int32 (1)."""
+        self._taken += 1
+        return self._all.get_sub_region((self._taken - 1) * self._step, 4)
+
+    def clear(self) -> None:
+        """Enqueue that all are 0."""
+        cl.enqueue_fill_buffer(self._device.queue, self._all, np.zeros(1, np.int32), 0, self._all.size)
+
+
 def write(device: Device, to: Padded, array: Array, first: int = 0) -> None:
     """Copy (height, width, C) or (images, height, width, C) into channels ``first`` .. of ``to``, the others 0."""
     host = np.zeros((to.images, to.rows, to.columns, to.channels), to.dtype)

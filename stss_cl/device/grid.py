@@ -3,7 +3,14 @@
 
 from __future__ import annotations
 
+from math import lcm
+
 from stss_cl.device.discovery import Device
+
+PARTS = 128
+"""Of a list of tiles, for each of a processor's cores: few, so that starting them costs nothing, and enough that no core waits long."""
+GROUP = 64
+"""Work-items of a work-group where they share tiles, on a GPU: what runs together, or a multiple of it."""
 
 
 def ceil_div(a: int, b: int) -> int:
@@ -25,9 +32,18 @@ def grid(device: Device, width: int, height: int) -> tuple[tuple[int, int], tupl
     return (ceil_div(width, columns) * columns, ceil_div(height, rows) * rows), (columns, rows)
 
 
-def span(device: Device, pixels: int) -> int:
-    """Pixels of a row that a work-item looks after where only what changed is computed; ``pixels``: what it computes at once.
+def list_size(device: Device, tiles: int, strip: int = 1, workers: int = 1, group: int = 1) -> int:
+    """Work-items for a list of at most so many tiles (kernels/tile_list.clh).
 
-    On a processor they are more: most work-items have nothing to do, and each of them costs something.
+    Args:
+        device: to run on.
+        tiles: in the list.
+        strip: tiles that a work-item computes at once.
+        workers: work-items that share a tile.
+        group: of the launch.
     """
-    return ceil_div(32, pixels) * pixels if device.is_cpu else pixels
+    parts = ceil_div(tiles, strip)
+    if device.is_cpu:
+        parts = min(parts, PARTS * int(device.handle.max_compute_units))
+    whole = lcm(group, workers)
+    return ceil_div(parts * workers, whole) * whole

@@ -21,9 +21,9 @@ from stss_cl.toml_table import Table, read_toml
 BUILT_IN = Path(__file__).with_name("tuning.toml")
 OUTPUTS = (24, 32, 64)
 """Output channels of the network's layers: a row has tile sizes for each."""
-MOST_PIXELS = 8
-"""Of conv.cl: at stride 2 a work-item then reads no further beyond a row than ``stss_cl.device.buffers.SLACK``."""
-MOST_TILES, MOST_HELD, MOST_GROUP, MOST_STRIP = 32, 16, 1024, 4096
+TILE = 4
+"""Pixels of a row that a tile of conv.cl has, which a work-item's divide."""
+MOST_TILES, MOST_HELD, MOST_GROUP = 32, 16, 1024
 
 
 @dataclass(frozen=True)
@@ -46,20 +46,11 @@ class Direct:
 
 
 @dataclass(frozen=True)
-class Strip:
-    """Kernels that go along a row: pixels of one work-item (a multiple of 4), work-group along x."""
-
-    pixels: int
-    group: int
-
-
-@dataclass(frozen=True)
 class Tuning:
     """One row. ``winograd`` is None where the direct convolution is faster; both by output channels, ``OUTPUTS``."""
 
     winograd: dict[int, Winograd] | None
     direct: dict[int, Direct]
-    strip: Strip
 
 
 _trial: ContextVar[Tuning | None] = ContextVar("_trial", default=None)
@@ -125,11 +116,11 @@ def kept_path(device: Properties) -> Path:
 
 def to_toml(tuning: Tuning) -> str:
     """A row as it stands in a file."""
-    lines = [f"strip = {_inline(tuning.strip)}"]
+    lines: list[str] = []
     for key, rows in (("winograd", tuning.winograd), ("direct", tuning.direct)):
         if rows is not None:
             lines += ["", f"[{key}]", *(f"{outputs} = {_inline(row)}" for outputs, row in rows.items())]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines[1:]) + "\n"
 
 
 @contextmanager
@@ -142,7 +133,7 @@ def trial(tuning: Tuning) -> Generator[None]:
         _trial.reset(token)
 
 
-def _inline(row: Winograd | Direct | Strip) -> str:
+def _inline(row: Winograd | Direct) -> str:
     return "{ " + ", ".join(f"{key} = {json.dumps(value)}" for key, value in asdict(row).items()) + " }"
 
 
@@ -183,13 +174,12 @@ def _kernels() -> tuple[str, ...]:
 def _tuning(table: Table) -> Tuning:
     """A whole row; every key of it is checked."""
     winograd = table.table("winograd") if "winograd" in table.rest else None
-    direct, strip = table.table("direct"), table.table("strip")
+    direct = table.table("direct")
     found = Tuning(
         winograd={n: _winograd(winograd.table(str(n)), n) for n in OUTPUTS} if winograd else None,
         direct={n: _direct(direct.table(str(n)), n) for n in OUTPUTS},
-        strip=Strip(strip.whole("pixels", MOST_STRIP, multiple=4), strip.whole("group", MOST_GROUP)),
     )
-    for each in (table, direct, strip, *((winograd,) if winograd else ())):
+    for each in (table, direct, *((winograd,) if winograd else ())):
         each.end()
     return found
 
@@ -203,7 +193,7 @@ def _winograd(table: Table, outputs: int) -> Winograd:
 
 
 def _direct(table: Table, outputs: int) -> Direct:
-    pixels, block = table.whole("pixels", MOST_PIXELS), table.whole("block", outputs // 8, divides=outputs // 8)
+    pixels, block = table.whole("pixels", TILE, divides=TILE), table.whole("block", outputs // 8, divides=outputs // 8)
     found = Direct(pixels, block, table.whole("group", MOST_GROUP))
     table.end()
     return found

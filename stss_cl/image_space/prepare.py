@@ -68,7 +68,7 @@ class Prepare:
 
     def _built(self, *, looking: bool) -> dict[str, cl.Kernel]:
         """The kernels by name; ``looking``: those that compute what is dirty, and mark what then differs."""
-        options: dict[str, object] = {"HALF": self.inputs.input.dtype == np.float16, "SKIP": looking}
+        options: dict[str, object] = {"HALF": self.inputs.input.dtype == np.float16, "MARK": looking}
         made = kernels(self.device, self._file, {"GATHER": f"gather_{self._gather}", **options, **LIMITS})
         if self._gather != "longest":
             made.pop("chain_steps8", None)  # its gather is that one
@@ -132,7 +132,6 @@ class Prepare:
         self,
         sources: Sources,
         tops: Sequence[int] = (0,),
-        tolerance: float = 0.0,
         *,
         older: bool = True,
         looking: bool = True,
@@ -142,13 +141,11 @@ class Prepare:
         Args:
             sources: what to read; kept until the next frame.
             tops: see ``begin``.
-            tolerance: with change maps: inputs that differ by no more from what they were stay.
             older: False: the two older colour frames are not read, and ``inputs.earlier`` stays as it is.
             looking: with change maps; False: everything is dirty, and nothing is marked.
         """
         self._read, self._tops, self._planes = sources, tuple(tops), 3 if older else 1
         self._looks = looking and bool(self._maps)
-        self._tolerance = np.float32(tolerance or -1)  # 0 is that bits count, which kernels call negative
         newest, middle, oldest = sources.steps if older else 3 * sources.steps[:1]
         size, skip = (self.height, self.width), self._clear(newest > 0)
         if oldest > 0:
@@ -165,11 +162,6 @@ class Prepare:
         """That of the frame begun last, (H, W, 9)."""
         assert self._read is not None
         return self._read.gbuffer
-
-    def again(self) -> None:
-        """``start`` once more for the last frame, with no tolerance."""
-        assert self._read is not None
-        self.start(self._read, self._tops, older=self._planes == 3)
 
     def not_finite(self) -> str | None:
         """Name of an array of the frame begun last that had to be finite and was not; waits for the queue."""
@@ -188,7 +180,7 @@ class Prepare:
         size, inputs = (self.height, self.width), self.inputs
         if self._read.steps[0]:
             place = (*size, self.rows, self.columns, top)
-            changes = (self._maps[0], self._tolerance) if self._looks else ()
+            changes = (self._maps[0],) if self._looks else ()
             written = inputs.input.data, inputs.base
             self._run(
                 "fill_holes",
@@ -204,7 +196,7 @@ class Prepare:
         eighth = inputs.eighth
         shape = eighth.height, eighth.width
         place = (*size, *shape, eighth.columns, top)
-        changes = self._maps[2:] if self._looks else ()
+        changes = self._maps[2:] if self._looks else (eighth.data,)
         read = self._read.gbuffer, self.mask
         self._done = self._run("downsample_8", shape, *read, eighth.data, *place, *changes)
 
@@ -230,7 +222,7 @@ class Prepare:
         place = (self.height, self.width, self.rows, self.columns, top)
         read = *s.colors, *s.steps, self._chained, s.gbuffer, s.nov, *s.stencils, *s.normals, *s.positions, s.normal_stride
         written = self._splat[0], inputs.earlier.data, inputs.input.data, inputs.base, self.mask
-        skip = (self.dirty, *self._maps[:2], self._tolerance) if self._looks else ()
+        skip = (self.dirty, *self._maps[:2]) if self._looks else ()
         self._run("prepare", place[2:4], *read, *written, *place, *skip, planes=self._planes)
 
     def _run(

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,11 +12,13 @@ from numpy.typing import NDArray
 
 from stss_cl.device.buffers import Padded, constant, map_bytes
 from stss_cl.device.discovery import Device
-from stss_cl.device.grid import ceil_div, span
+from stss_cl.device.grid import ceil_div, list_size
+from stss_cl.device.launch import kernel
 from stss_cl.device.program import build
 from stss_cl.device.tuning import tuning_for
-from stss_cl.network.launch import FAST_MULTIPLY_ADD, Launch, Skip
+from stss_cl.network.layer import FAST_MULTIPLY_ADD, Layer, Source
 from stss_cl.network.pack_weights import Packed, winograd
+from stss_cl.network.tiles import Maps, Tiling, of_convolution, whole
 
 
 @dataclass(frozen=True)
@@ -45,10 +46,10 @@ class Final:
             "outc_weight": self.weight,
             "outc_bias": self.bias,
             "image": self.bias,
-            "rows": np.int32(self.rows),
-            "columns": np.int32(self.columns),
-            "first_row": np.int32(0),
-            "top": np.int32(0),
+            "rows": self.rows,
+            "columns": self.columns,
+            "first_row": 0,
+            "top": 0,
         }
 
 
@@ -72,7 +73,7 @@ def conv(
     side: int = 4,
     image: int = 0,
     final: Final | None = None,
-) -> Launch:
+) -> Layer:
     """A convolution of ``a`` and ``b`` side by side into channels ``out_first`` .. of ``out``.
 
     Args:
@@ -96,55 +97,57 @@ def conv(
         shape = _winograd(device, packed, out, side if stride == 1 else 2, stride, final)
     else:
         shape = _direct(device, packed, out, stride, final)
-    options = shape.options | {
-        "A": a.channels,
-        "B": b.channels if b else 0,
-        "OUT": packed.direct.shape[-1],
-        "GATED": packed.gate_direct is not None,
-        "RELU": relu,
-        "HALF": half(out.dtype),
-        "IMAGE": final is not None,
-    }
-    kernel = cl.Kernel(build(device, shape.file, options, FAST_MULTIPLY_ADD), shape.file.removesuffix(".cl"))
+    source = Source(
+        shape.file,
+        shape.file.removesuffix(".cl"),
+        shape.options
+        | {
+            "A": a.channels,
+            "B": b.channels if b else 0,
+            "OUT": packed.direct.shape[-1],
+            "GATED": packed.gate_direct is not None,
+            "RELU": relu,
+            "HALF": half(out.dtype),
+            "IMAGE": final is not None,
+        },
+        FAST_MULTIPLY_ADD,
+    )
     weight = constant(device, shape.weight)
     gate = weight if shape.gate is None else constant(device, shape.gate)
-    arguments = {
+    tiles = whole(device, shape.tiling.rows, shape.tiling.columns)
+    arguments: dict[str, Any] = {
         "a": a.data,
         "b": b.data if b else a.data,
         "weight": weight,
         "gate_weight": gate,
         "bias": constant(device, packed.bias),
-        "gate_bias": np.float32(packed.gate_bias),
+        "gate_bias": float(packed.gate_bias),
         "out": out.data,
-        "a_first": np.int32(image * a.rows * a.columns * a.channels),
-        **shape.dimensions,
-        "in_columns": np.int32(a.columns),
-        "out_columns": np.int32(out.columns),
-        "out_channels": np.int32(out.channels),
-        "out_first": np.int32(out_first),
+        "a_first": image * a.rows * a.columns * a.channels,
+        "height": (final or out).height,
+        "width": (final or out).width,
+        "in_columns": a.columns,
+        "out_columns": out.columns,
+        "out_channels": out.channels,
+        "out_first": out_first,
         **(final.arguments if final else {}),
+        "tiles": tiles.tiles,
+        "count": tiles.count,
+        "changes": out.changes or out.data,  # read where changes are marked alone
     }
-    kernel.set_args(*arguments.values())
-    skip = None if a.changes is None else _skip(device, shape, options, a, b, final or out, image)
-    return Launch(stage, name, kernel, shape.size, shape.group, arguments, skip)
+    made = kernel(build(device, source.file, source.options, source.flags), source.kernel, arguments)
+    reads = _maps(a, image, b or final)
+    return Layer(
+        name, made, shape.size, shape.group, arguments, stage, source, shape.tiling, reads, None if final else out.changes
+    )
 
 
-def _skip(
-    device: Device, shape: _Shape, options: Mapping[str, object], a: Padded, b: Padded | None, out: Padded | Final, image: int
-) -> Skip:
-    maps = {
-        "a_changes": a.changes,
-        "b_changes": b.changes if b else a.changes,
-        "color_changes" if isinstance(out, Final) else "changes": out.changes,
-        "a_tile": np.int32(image * map_bytes(a.height, a.width)),
-    }
-    if shape.file == "winograd.cl":
-        return Skip(shape.file, options, FAST_MULTIPLY_ADD, shape.size, shape.group, maps)
-    pixels, group = int(shape.options["PIXELS"]), shape.group[1]
-    wide, tall = span(device, pixels), 4 if device.is_cpu else 1
-    size = (shape.size[0], ceil_div(ceil_div(out.width, wide), group) * group, ceil_div(out.height, tall))
-    options = {**options, "SPAN": wide, "TALL": tall}
-    return Skip(shape.file, options, FAST_MULTIPLY_ADD, size, shape.group, maps, {"height": np.int32(out.height)})
+def _maps(a: Padded, image: int, other: Padded | Final | None) -> Maps | None:
+    """The change maps of all that is read."""
+    if a.changes is None:
+        return None
+    buffers = (a.changes,) if other is None or other.changes is None else (a.changes, other.changes)
+    return Maps(buffers, ceil_div(a.height, 4), ceil_div(a.width, 4), image * map_bytes(a.height, a.width))
 
 
 @dataclass(frozen=True)
@@ -155,16 +158,17 @@ class _Shape:
     options: dict[str, int]
     weight: NDArray[np.float32]
     gate: NDArray[np.float32] | None
+    tiling: Tiling
     size: tuple[int, ...]
     group: tuple[int, ...]
-    dimensions: dict[str, np.int32]
 
 
 def _winograd(device: Device, packed: Packed, out: Padded, side: int, stride: int, final: Final | None) -> _Shape:
     table = tuning_for(device).winograd
     assert table is not None
     row = table[packed.direct.shape[-1]]
-    gate = packed.gate_direct
+    gate, shown = packed.gate_direct, final or out
+    tiling = of_convolution(shown.height, shown.width, stride, 3, side)
     return _Shape(
         file="winograd.cl",
         options={
@@ -178,23 +182,32 @@ def _winograd(device: Device, packed: Packed, out: Padded, side: int, stride: in
         },
         weight=winograd(packed.direct, side, 8 * row.block, stride),
         gate=None if gate is None else winograd(gate, side, 1, stride),
-        size=(ceil_div(ceil_div(out.width, side), row.tiles), ceil_div(out.height, side)),
-        group=(1, 1),
-        dimensions={"height": np.int32((final or out).height), "width": np.int32((final or out).width)},
+        tiling=tiling,
+        size=(list_size(device, tiling.most, row.tiles),),
+        group=(1,),
     )
 
 
 def _direct(device: Device, packed: Packed, out: Padded, stride: int, final: Final | None) -> _Shape:
     assert final is None
-    kernel, _, _, outputs = packed.direct.shape
+    size, _, _, outputs = packed.direct.shape
     row = tuning_for(device).direct[outputs]
-    columns = ceil_div(ceil_div(out.width, row.pixels), row.group) * row.group
+    # A processor's core computes a tile, and all blocks of its outputs, by itself.
+    workers, blocks = (1, 1) if device.is_cpu else (16 // row.pixels, outputs // 8 // row.block)
+    tiling = of_convolution(out.height, out.width, stride, size)
     return _Shape(
         file="conv.cl",
-        options={"KERNEL": kernel, "STRIDE": stride, "PIXELS": row.pixels, "BLOCK": row.block, "GROUP": row.group},
+        options={
+            "KERNEL": size,
+            "STRIDE": stride,
+            "PIXELS": row.pixels,
+            "BLOCK": row.block,
+            "GROUP": row.group,
+            "WORKERS": workers,
+        },
         weight=packed.direct,
         gate=packed.gate_direct,
-        size=(outputs // 8 // row.block, columns, out.height),
-        group=(1, row.group, 1),
-        dimensions={"width": np.int32(out.width)},
+        tiling=tiling,
+        size=(list_size(device, tiling.most, 1, workers, row.group), blocks),
+        group=(row.group, 1),
     )

@@ -7,15 +7,16 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pyopencl as cl
 
 from stss_cl.device.buffers import ChangeMaps, Padded, padded
 from stss_cl.device.discovery import Device
-from stss_cl.device.grid import grid
+from stss_cl.device.grid import GROUP, list_size
+from stss_cl.device.launch import Arguments, kernel
 from stss_cl.device.program import build
 from stss_cl.network.conv import Final, conv, half
-from stss_cl.network.launch import FAST_MULTIPLY_ADD, Arguments, Launch, Skip
+from stss_cl.network.layer import FAST_MULTIPLY_ADD, Layer, Source
 from stss_cl.network.pack_weights import pack
+from stss_cl.network.tiles import Maps, Tiling, whole
 from stss_ref.weights import Weights
 
 
@@ -37,7 +38,7 @@ class LayerBuilder:
     """
 
     def __init__(self, device: Device, weights: Weights, precision: str, height: int, width: int, keep: bool):
-        self.launches: list[Launch] = []
+        self.launches: list[Layer] = []
         self.marked: list[Padded] = []
         self.maps = ChangeMaps(device, height, width)
         self.dtype = dtype_of(precision)
@@ -100,27 +101,40 @@ class LayerBuilder:
         name: str,
         file: str,
         options: dict[str, object],
-        size: tuple[int, int],
         arguments: Arguments,
+        tiling: Tiling,
         *,
-        group: tuple[int, int] | None = None,
-        maps: Arguments,
-        changed_size: tuple[int, int] | None = None,
-        bounded: bool = True,
-    ) -> Launch:
-        """Append any other kernel; whole numbers among the arguments are int32. ``maps``, ``changed_size``: for -D SKIP."""
+        workers: int = 16,
+        reads: tuple[Padded, ...],
+        out: Padded | None,
+    ) -> Layer:
+        """Append any other kernel over tiles, which come behind ``arguments``.
+
+        Args:
+            stage, name: of the layer; the kernel has the same name.
+            file: of the kernel.
+            options: it is built with.
+            arguments: its own.
+            tiling: of its output.
+            workers: work-items that share a tile where there are many.
+            reads: what has change maps of what it reads.
+            out: what it writes, and marks; None: the image.
+        """
         # Interpolation is not contracted: it then has the reference's bits.
         flags = FAST_MULTIPLY_ADD if file == "erm.cl" else ""
-        options = {**options, "HALF": half(self.dtype)}
-        kernel = cl.Kernel(build(self._device, file, options, flags), name)
-        typed = {key: np.int32(value) if isinstance(value, int) else value for key, value in arguments.items()}
-        kernel.set_args(*typed.values())
-        if group is None:
-            size, group = grid(self._device, *size)
-        # Of changes work-items are few and do much: PoCL would take them all for one work-group.
-        changed_group = group if changed_size is None else (1, 1) if self._device.is_cpu else None
-        skip = Skip(file, options, flags, changed_size or size, changed_group, maps, bounded=bounded) if self._keep else None
-        self.launches.append(Launch(stage, name, kernel, size, group, typed, skip))
+        workers = 1 if self._device.is_cpu else workers
+        source = Source(file, name, {**options, "WORKERS": workers, "HALF": half(self.dtype)}, flags)
+        tiles = whole(self._device, tiling.rows, tiling.columns)
+        marks = {} if out is None else {"changes": out.changes or out.data}
+        together = {**arguments, "tiles": tiles.tiles, "count": tiles.count, **marks}
+        made = kernel(build(self._device, file, source.options, flags), name, together)
+        group = 1 if self._device.is_cpu else GROUP
+        size = list_size(self._device, tiling.most, workers=workers, group=group)
+        maps = [held.changes for held in reads if held.changes is not None]
+        first = reads[0]
+        known = Maps(tuple(maps), -(-first.height // 4), -(-first.width // 4)) if maps else None
+        changes = None if out is None else out.changes
+        self.launches.append(Layer(name, made, (size,), (group,), together, stage, source, tiling, known, changes))
         return self.launches[-1]
 
 

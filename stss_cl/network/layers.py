@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
@@ -12,18 +11,22 @@ import pyopencl as cl
 
 from stss_cl.device.buffers import Outgoing, Padded, constant, incoming, inputs_for, read, write
 from stss_cl.device.discovery import Device
-from stss_cl.device.grid import ceil8, ceil_div, span
+from stss_cl.device.grid import ceil8, ceil_div
+from stss_cl.device.launch import enqueue
 from stss_cl.device.tuning import tuning_for
 from stss_cl.network.conv import Final
-from stss_cl.network.launch import Launch
+from stss_cl.network.layer import Layer
 from stss_cl.network.layer_builder import LayerBuilder, dtype_of
 from stss_cl.network.pack_inputs import PackInputs
 from stss_cl.network.pack_weights import pack_outc
 from stss_cl.network.strips import OVERLAP, Strip, bytes_for, rows_within, strips
+from stss_cl.network.tiles import Tiling, of_convolution, whole
 from stss_ref.arrays import Array
 from stss_ref.weights import Weights, reads_history
 
 GBUFFER, MASK = 9, 1
+WINDOW = 5
+"""The attention's, pixels of a side."""
 
 
 class Layers:
@@ -82,7 +85,7 @@ class Layers:
         self.launches, self.marked, self.maps = self._build.launches, self._build.marked, self._build.maps
         self.strips = strips(full, height, rows, overlap)
         self._full, self._top = full, 0
-        self._placed: list[tuple[Launch, int]] = []  # those that must know where a strip lies, with the divisor of their size
+        self._placed: list[tuple[Layer, int]] = []  # those that must know where a strip lies, with the divisor of their size
         self.inputs = inputs_for(device, rows, columns, dtype, self.keep)
         self._build.share("two", 1, self.inputs.input)  # done with after the first layer
         self.features: dict[str, Padded] = {}
@@ -94,7 +97,7 @@ class Layers:
         else:
             self._image(self.inputs.input)
 
-    def ready(self, image: cl.Buffer) -> list[Launch]:
+    def ready(self, image: cl.Buffer) -> list[Layer]:
         """The launches in order, the last of them to write ``image`` (2H, 2W, 3) float32."""
         self.launches[-1].set(image=image)
         return self.launches
@@ -120,13 +123,10 @@ class Layers:
         """Make the launches compute this strip."""
         self._top = strip.top
         for launch, divisor in self._placed:
-            launch.set(top=np.int32(strip.top // divisor))
+            launch.set(top=strip.top // divisor)
         last = self.launches[-1]
-        last.set(first_row=np.int32(strip.first), top=np.int32(strip.top))
-        if "height" in last.arguments:
-            last.set(height=np.int32(strip.last))
-        else:
-            self.launches[-1] = replace(last, size=(last.size[0], strip.last - strip.first))
+        tiles = whole(self.device, ceil_div(strip.last, 4), last.tiling.columns, strip.first // 4)
+        last.set(first_row=strip.first, height=strip.last, top=strip.top, tiles=tiles.tiles, count=tiles.count)
 
     def run_stage(self, stage: str, inputs: Mapping[str, Array]) -> dict[str, Array]:
         """Run one stage alone, on arrays; H, W are multiples of 8 and the frame is one strip."""
@@ -185,10 +185,8 @@ class Layers:
         self._build.conv("history", "lowlevelGated", joined, self.features["reshaded"], relu=False, out_first=64)
 
     def _erm(self) -> None:
-        tile = 4 if self.device.is_cpu else 1
-        options: dict[str, object] = {"KEYS": 32, "VALUES": 64, "MASK": "float", "SPAN": tile}
-        out, size = self.features["reshaded"], (self._width // 8, self._height // 8)
-        eighth = self.inputs.eighth
+        options: dict[str, object] = {"KEYS": 32, "VALUES": 64, "MASK": "float"}
+        out, eighth = self.features["reshaded"], self.inputs.eighth
         light = self._build.conv(
             "erm", "latentEncoder.0", self.features["x4"], self._build.scratch("one", 8, 64), b=eighth, channels=(32, GBUFFER)
         )
@@ -199,36 +197,32 @@ class Layers:
         key = self._build.conv("erm", "KEncoder.4", key, self._build.scratch("one", 8, 32), relu=False)
         unit = self._build.scratch("two", 8, 32)
         self._build.kernel(
-            "erm", "normalise", "erm.cl", options, size,
+            "erm", "normalise", "erm.cl", options,
             {"key": key.data, "unit": unit.data, "height": key.height, "width": key.width, "columns": key.columns},
-            maps={"key_changes": key.changes, "changes": unit.changes},
+            of_convolution(key.height, key.width, 1, 1), reads=(key,), out=unit,
         )  # fmt: skip
         self._build.kernel(
-            "erm", "attend", "erm.cl", options, size,
+            "erm", "attend", "erm.cl", options,
             {
                 "unit": unit.data, "value": light.data, "eighth": eighth.data, "reshaded": out.data,
-                "height": size[1], "width": size[0], "columns": light.columns, "out_channels": out.channels,
+                "height": key.height, "width": key.width, "columns": light.columns, "out_channels": out.channels,
             },
-            maps={
-                "unit_changes": unit.changes, "value_changes": light.changes,
-                "eighth_changes": eighth.changes, "changes": out.changes,
-            },
-            changed_size=(ceil_div(size[0], tile), ceil_div(size[1], tile)),
+            of_convolution(key.height, key.width, 1, WINDOW), reads=(unit, light, eighth), out=out,
         )  # fmt: skip
 
     def _decoder(self) -> None:
         x = self.features["reshaded"]
         for i, (middle, outputs, divisor) in enumerate(((64, 32, 4), (32, 24, 2), (24, 24, 1)), start=1):
             up = self._build.scratch("one", divisor, x.channels)
-            tiles = span(self.device, 4) // 4
+            # Rows 4 t .. 4 t + 3 of the output read the input's rows 2 t - 1 .. 2 t + 2.
+            tiling = Tiling(ceil_div(up.height, 4), ceil_div(up.width, 4), (2, 2), 1, 0)
             launch = self._build.kernel(
-                "decoder", "upsample_corners", "resample.cl", {"SPAN": tiles}, (up.width, up.height),
+                "decoder", "upsample_corners", "resample.cl", {},
                 {
                     "in": x.data, "out": up.data, "height": x.height, "width": x.width, "in_columns": x.columns,
                     "out_columns": up.columns, "full_height": self._full // (2 * divisor), "top": 0, "eights": x.channels // 8,
                 },
-                maps={"in_changes": x.changes, "changes": up.changes},
-                changed_size=(ceil_div(ceil_div(up.width, 4), tiles), ceil_div(up.height, 4)),
+                tiling, reads=(x,), out=up,
             )  # fmt: skip
             self._placed.append((launch, 2 * divisor))
             skip = self.features[f"x{4 - i}"]
@@ -255,21 +249,13 @@ class Layers:
 
     def _image(self, feature: Padded) -> None:
         """outc, and the upsampled frame; where outc is 0 any finite feature will do."""
-        final, width, strip = self._final(), self.size[1], tuning_for(self.device).strip
-        columns = ceil_div(ceil_div(width, strip.pixels), strip.group) * strip.group
+        final = self._final()
         self._build.kernel(
-            "decoder", "image", "decoder.cl", {"STRIP": strip.pixels, "GROUP": strip.group}, (columns, self.size[0]),
+            "decoder", "image", "decoder.cl", {},
             {
                 "feature": feature.data, "color": final.color, "weight": final.weight, "bias": final.bias, "image": final.bias,
-                "width": width, "rows": final.rows, "columns": final.columns, "feature_columns": feature.columns,
-                "first_row": 0, "top": 0,
+                "height": final.height, "width": final.width, "rows": final.rows, "columns": final.columns,
+                "feature_columns": feature.columns, "first_row": 0, "top": 0,
             },
-            group=(strip.group, 1), maps={"feature_changes": feature.changes, "color_changes": final.changes}, bounded=False,
+            of_convolution(final.height, final.width, 1, 3), workers=4, reads=(feature, self.inputs.input), out=None,
         )  # fmt: skip
-
-
-def enqueue(device: Device, launches: Iterable[Launch]) -> None:
-    """Put launches into the queue, and let the device begin."""
-    for launch in launches:
-        launch.enqueue(device.queue)
-    device.queue.flush()

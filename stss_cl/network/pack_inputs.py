@@ -13,7 +13,7 @@ from stss_cl.device.discovery import Device
 from stss_cl.device.grid import grid
 from stss_cl.device.program import build
 from stss_cl.network.conv import half
-from stss_cl.network.launch import FAST_MULTIPLY_ADD
+from stss_cl.network.layer import FAST_MULTIPLY_ADD
 
 
 class PackInputs:
@@ -37,7 +37,7 @@ class PackInputs:
         group = gcd(to.input.width, 64), 1
         self._input(queue, full, group, color, gbuffer, mask, to.input.data, to.base, self._bad, *size, columns, first)
         place = np.int32(to.eighth.height), np.int32(to.eighth.width), np.int32(to.eighth.columns), first
-        self._eighth(queue, *grid(self._device, *eighth), gbuffer, mask, to.eighth.data, *size, *place)
+        self._eighth(queue, *grid(self._device, *eighth), gbuffer, mask, to.eighth.data, *size, *place, to.eighth.data)
         place = np.int32(to.earlier.rows), np.int32(to.earlier.columns), first
         self._history(queue, (*full, 3), (*group, 1), history, to.earlier.data, self._bad, *size, *place)
 

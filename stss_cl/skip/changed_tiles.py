@@ -1,55 +1,46 @@
 # SPDX-License-Identifier: MIT
-"""Launches that compute only the tiles that changes of their inputs reach (kernels/change_map.clh)."""
+"""Layers that compute only the tiles that changes of their inputs reach (kernels/tile_list.cl, change_map.clh)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 
-import numpy as np
 import pyopencl as cl
 
-from stss_cl.device.buffers import ChangeMaps
+from stss_cl.device.buffers import ChangeMaps, Counts, zeroed
 from stss_cl.device.discovery import Device
-from stss_cl.network.launch import Launch
-
-EXACT = np.float32(-1)
-"""The tolerance at which every bit counts."""
+from stss_cl.device.launch import enqueue
+from stss_cl.network.layer import Layer
+from stss_cl.network.tiles import TileList, find_tiles
 
 
 class ChangedTiles:
-    """Launches that compute only what changed, made from those that compute everything, on the same buffers.
+    """Layers that compute only what changed, made from those that compute everything, on the same buffers.
 
     Args:
         device: to run on.
-        launches: all of them with ``skip``; the last one writes the image.
+        layers: all of them with change maps; the last one writes the image.
         maps: the change maps that they write.
+
+    Attributes:
+        layers: those that compute only what changed.
     """
 
-    def __init__(self, device: Device, launches: Iterable[Launch], maps: ChangeMaps):
-        self._device, self._maps, self._tolerance = device, maps, EXACT
-        self.launches = [_changed_tiles(device, launch) for launch in launches]
+    def __init__(self, device: Device, layers: Sequence[Layer], maps: ChangeMaps):
+        self._device, self._maps = device, maps
+        self._counts = Counts(device, len(layers))
+        # Lists are needed only until the layer is done, and layers follow each other: one buffer is enough.
+        numbers = zeroed(device, 4 * max(layer.tiling.most for layer in layers))
+        lists = [TileList(numbers, self._counts.take()) for _ in layers]
+        self._finders = [
+            find_tiles(device, layer.tiling, layer.reads, to) for layer, to in zip(layers, lists, strict=True) if layer.reads
+        ]
+        self.layers = [layer.over(device, to, marking=layer.changes is not None) for layer, to in zip(layers, lists, strict=True)]
 
-    def ready(self, image: cl.Buffer, tolerance: float) -> list[Launch]:
-        """The launches in order, for maps that are clear."""
-        chosen = np.float32(tolerance) if tolerance > 0 else EXACT
-        if chosen != self._tolerance:
-            self._tolerance = chosen
-            for launch in self.launches:
-                if "tolerance" in launch.arguments:
-                    launch.set(tolerance=chosen)
-        self.launches[-1].set(image=image)
-        return self.launches
-
-    def run(self, image: cl.Buffer, tolerance: float) -> None:
+    def run(self, image: cl.Buffer) -> None:
         """Enqueue them all; see ``stss_cl.skip.partial_network.PartialNetwork.run_changed``."""
+        self.layers[-1].set(image=image)
         self._maps.clear()
-        for launch in self.ready(image, tolerance):
-            launch.enqueue(self._device.queue)
-        self._device.queue.flush()
-
-
-def _changed_tiles(device: Device, launch: Launch) -> Launch:
-    skip = launch.skip
-    assert skip is not None
-    tolerance = {"tolerance": EXACT} if skip.bounded else {}
-    return launch.skipping(device, {"SKIP": True}, {**skip.maps, **skip.numbers, **tolerance})
+        self._counts.clear()
+        pairs = zip(self._finders, self.layers, strict=True)
+        enqueue(self._device, (launch for pair in pairs for launch in pair))

@@ -9,24 +9,24 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from stss_cl.device.buffers import Inputs, map_bytes, zeroed
+from stss_cl.device.buffers import Counts, Inputs, map_bytes, zeroed
 from stss_cl.device.discovery import Device
-from stss_cl.device.grid import ceil_div, grid
+from stss_cl.device.grid import GROUP, ceil_div, grid, list_size
+from stss_cl.device.launch import Arguments, Launch, kernel
 from stss_cl.device.program import build
-from stss_cl.network.launch import Launch
+from stss_cl.network.layer import Layer
+from stss_cl.network.tiles import Maps, TileList, find_tiles
 
 DIVISORS = (1, 2, 4)
 """The decoder's sizes, as divisors of the frame's."""
-DEPARTURE_IMAGE = 2
-"""Which argument of ``departure`` is the image."""
 
 
 class FlatTiles:
-    """The network's launches, the decoder's among them computing only what is wanted.
+    """The network's layers, the decoder's among them computing only what is wanted.
 
     Args:
         device: to run on.
-        launches: of the whole network, with ``skip``.
+        layers: of the whole network; the last one writes the image.
         inputs: what they read.
         mask: (height, width) uint8, 1 = not a hole of the newest frame, a buffer.
         size: height and width of the frame.
@@ -36,49 +36,50 @@ class FlatTiles:
     def __init__(
         self,
         device: Device,
-        launches: Sequence[Launch],
+        layers: Sequence[Layer],
         inputs: Inputs,
         mask: cl.Buffer,
         size: tuple[int, int],
         flat: float,
     ):
-        self._device = device
+        self._device, self._size = device, size
         self._tiles = [(ceil_div(inputs.input.height // d, 4), ceil_div(inputs.input.width // d, 4)) for d in DIVISORS]
         self._maps = [zeroed(device, map_bytes(4 * rows, 4 * columns)) for rows, columns in self._tiles]
-        program = build(device, "flat_tiles.cl")
-        self._detail, self._coarser = cl.Kernel(program, "detail"), [cl.Kernel(program, "coarser") for _ in DIVISORS[1:]]
-        self._held = inputs.base, mask
-        for argument, value in enumerate((*self._held, self._maps[0], *map(np.int32, size), np.float32(flat)), 1):
-            self._detail.set_arg(argument, value)  # the first is the G-buffer
-        for kernel, fine, out, (rows, columns) in zip(self._coarser, self._maps, self._maps[1:], self._tiles, strict=False):
-            kernel.set_args(fine, out, np.int32(rows), np.int32(columns))
         self._apart = zeroed(device, 4 * self._tiles[0][0] * self._tiles[0][1])
-        self._departure = cl.Kernel(program, "departure")
-        self._departure.set_args(self._maps[0], inputs.base, inputs.base, self._apart, *map(np.int32, size))
-        self._launches = list(self._replaced(launches))
+        frame = {"height": size[0], "width": size[1]}
+        given = {"gbuffer": inputs.base, "color": inputs.base, "mask": mask, "wanted": self._maps[0]}  # the first until ``read``
+        self._detail = self._launch("detail", self._tiles[0], {**given, **frame, "flat": flat})
+        self._coarser = [
+            self._launch("coarser", size, {"fine": fine, "out": out, "rows": size[0], "columns": size[1]})
+            for fine, out, size in zip(self._maps, self._maps[1:], self._tiles, strict=False)
+        ]
+        given = {"wanted": self._maps[0], "color": inputs.base, "image": inputs.base, "apart": self._apart}
+        self._departure = self._launch("departure", self._tiles[0], {**given, **frame})
+        self._counts, self._finders = Counts(device, len(layers) + 1), list[Launch]()
+        self._layers = list(self._replaced(layers))
+        self._rest = self._upsampled(self._layers[-1])
 
     def read(self, gbuffer: cl.Buffer) -> None:
         """From now on ``gbuffer`` (height, width, 9) is the frame's: to be called before all others."""
-        self._detail.set_arg(0, gbuffer)
+        self._detail.set(gbuffer=gbuffer)
 
     def ready(self, image: cl.Buffer) -> list[Launch]:
-        """Enqueue the search for what is wanted; the launches in order, the last of them to write all of ``image``."""
-        for kernel, size in zip((self._detail, *self._coarser), self._tiles, strict=True):
-            self._enqueue(kernel, size)
-        self._launches[-1].set(image=image)
-        return self._launches
+        """Enqueue the search for what is wanted; the layers in order, and behind them a launch that writes the rest of ``image``."""
+        self._counts.clear()
+        for launch in (self._detail, *self._coarser, *self._finders):
+            launch.enqueue(self._device.queue)
+        self._layers[-1].set(image=image)
+        self._rest.set(image=image)
+        return [*self._layers, self._rest]
 
     def departure(self, image: cl.Buffer) -> float:
         """How far ``image``, which the whole network made, lies from what it were with flat tiles left out; waits for it."""
-        self._departure.set_arg(DEPARTURE_IMAGE, image)
-        self._enqueue(self._detail, self._tiles[0])
-        self._enqueue(self._departure, self._tiles[0])
+        self._departure.set(image=image)
+        for launch in (self._detail, self._departure):
+            launch.enqueue(self._device.queue)
         apart = np.empty(self._tiles[0], np.float32)
         cl.enqueue_copy(self._device.queue, apart, self._apart)
         return float(apart.max())
-
-    def _enqueue(self, kernel: cl.Kernel, tiles: tuple[int, int]) -> None:
-        cl.enqueue_nd_range_kernel(self._device.queue, kernel, *grid(self._device, *tiles[::-1]))
 
     def wanted(self) -> NDArray[np.bool_]:
         """Which tiles of the frame were no flat ones, (rows / 4, columns / 4) of the padded frame; waits for the queue."""
@@ -91,17 +92,33 @@ class FlatTiles:
             cl.enqueue_copy(self._device.queue, array, held)
         return [array.astype(np.bool_) for array in made]
 
-    def _replaced(self, launches: Sequence[Launch]) -> Iterator[Launch]:
-        coarse = len(DIVISORS)
-        for launch in launches:
-            if launch.stage != "decoder":
-                yield launch
+    def _launch(self, name: str, tiles: tuple[int, int], arguments: Arguments) -> Launch:
+        made = kernel(build(self._device, "flat_tiles.cl"), name, arguments)
+        return Launch(name, made, *grid(self._device, *tiles[::-1]), arguments)
+
+    def _found(self, layer: Layer, size: int, reach: int, *, unmarked: bool = False) -> TileList:
+        """The list of a layer's tiles that are wanted, or lie no farther than ``reach`` tiles from one that is; made before each frame."""
+        to = TileList(zeroed(self._device, 4 * layer.tiling.most), self._counts.take())
+        wanted = Maps((self._maps[size],), *self._tiles[size])
+        self._finders.append(find_tiles(self._device, layer.tiling.near(reach), wanted, to, unmarked=unmarked))
+        return to
+
+    def _replaced(self, layers: Sequence[Layer]) -> Iterator[Layer]:
+        size = len(DIVISORS)
+        for layer in layers:
+            if layer.stage != "decoder":
+                yield layer
                 continue
-            coarse -= launch.name == "upsample_corners"
-            before_last = launch.name == "upsample_corners" or launch.name.endswith(".0")
-            yield _wanted_only(self._device, launch, self._maps[coarse], reach=int(before_last))
+            size -= layer.name == "upsample_corners"
+            before_last = layer.name == "upsample_corners" or layer.name.endswith(".0")
+            yield layer.over(self._device, self._found(layer, size, int(before_last)))
 
-
-def _wanted_only(device: Device, launch: Launch, wanted: cl.Buffer, *, reach: int) -> Launch:
-    assert launch.skip is not None
-    return launch.skipping(device, {"WANTED": reach}, {"wanted": wanted, **launch.skip.numbers})
+    def _upsampled(self, last: Layer) -> Launch:
+        """What the flat tiles are: the upsampled frame."""
+        workers, group = (1, 1) if self._device.is_cpu else (4, GROUP)
+        to = self._found(last, 0, 0, unmarked=True)
+        names = "color", "image", "height", "width", "rows", "columns"
+        arguments = {**{name: last.arguments[name] for name in names}, "tiles": to.tiles, "count": to.count}
+        program = build(self._device, "decoder.cl", {"WORKERS": workers, "HALF": last.source.options["HALF"]})
+        size = list_size(self._device, last.tiling.most, workers=workers, group=group)
+        return Launch("upsampled", kernel(program, "upsampled", arguments), (size,), (group,), arguments)

@@ -17,16 +17,14 @@ from stss_cl.image_space.frame_planes import Sources
 from stss_cl.image_space.prepare import Prepare
 from stss_cl.image_space.stages import Gather
 from stss_cl.network.layers import Layers
-from stss_cl.skip.error_control import RULES, ErrorControl, StreamControl
+from stss_cl.skip.error_control import RULES, Attention, ErrorControl
 from stss_cl.skip.flat_tiles import FlatTiles
 from stss_cl.skip.partial_network import PartialNetwork
-from stss_cl.skip.plan import Choice, InputPlan, Outcome, Plan
+from stss_cl.skip.plan import InputPlan, Plan
 from stss_cl.skip.uploaded_frames import Tiles
 
 DECODER = 0.45
 """The decoder's share of the network's multiply-adds."""
-ROWS = 32
-"""Of an image, compared at a time."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +34,8 @@ class Report:
     Attributes:
         prepared: share of the tiles of 4 x 4 pixels whose inputs were computed anew.
         changed: share of those whose inputs then differed; 1 where nobody looked.
-        network: what of the network was run; ``partly``: everywhere, but for what may be left out (``stss_cl.skip.error_control``).
-        departure: for ``bounded``, of a frame that was checked: the largest difference that leaving out made.
+        network: what of the network was run, see ``stss_cl.skip.plan.Plan``; ``none``: the frame is the last one of its kind.
+        departure: for ``bounded``, of a frame that was checked: the largest difference that leaving out would have made.
     """
 
     prepared: float
@@ -57,19 +55,14 @@ class Last:
     valid: NDArray[np.bool_]
 
 
-def distance(a: NDArray[np.float32], b: NDArray[np.float32]) -> float:
-    """The largest difference of two images; some rows at a time, so that nothing of an image's size is made for it."""
-    return max(float(np.abs(a[y : y + ROWS] - b[y : y + ROWS]).max()) for y in range(0, len(a), ROWS))
-
-
 class FrameCache:
     """All that is kept of the last frame of a kind. SF and EF differ at every silhouette: each would recompute the other's."""
 
-    def __init__(self, device: Device, layers: Layers, gather: Gather, shared: StreamControl):
+    def __init__(self, device: Device, layers: Layers, gather: Gather, max_error: float, attention: Attention):
         self.layers, self.network = layers, PartialNetwork(layers)
-        self.control = ErrorControl(self.network.levels, shared)
+        self.control = ErrorControl(max_error, attention)
         self.prepare = Prepare(device, *layers.size, gather, inputs=layers.inputs)
-        self._max_bend = RULES.flat * shared.max_error
+        self._max_bend = RULES.flat * max_error
         self._flat: FlatTiles | None = None
         self.last: Last | None = None
         self._is_first = True
@@ -106,46 +99,26 @@ class FrameCache:
         """Fill the network's inputs; the share of tiles of which they then differ, 1 where nobody looked."""
         self._is_first, self.last = self.last is None, None  # should this end half-way, nothing of it is the next frame's
         self._mark(plan.dirty)
-        older = self.layers.reads_history and plan.older
-        self.prepare.start(sources, tolerance=plan.tolerance, older=older, looking=plan.looking)
+        self.prepare.start(sources, older=self.layers.reads_history, looking=plan.looking)
         self.prepare.strip()
         return 1.0 if self._is_first or not plan.looking else self._changed()
 
-    def execute(self, plan: Plan) -> tuple[Outcome, NDArray[np.bool_]]:
-        """Run the network; what that showed, and ``valid``."""
-        left_out = None
+    def execute(self, plan: Plan) -> tuple[float | None, NDArray[np.bool_]]:
+        """Run the network; the departure of a frame that is checked, and ``valid``."""
+        departure = None
         if plan.network == "changed":
-            self.network.run_changed(self.target(whole=False), plan.tolerance)
+            self.network.run_changed(self.target(whole=False))
         else:
-            left_out = self._run(plan.choice)
+            target = self.target(whole=True)
+            self.network.run(target, self._flat_tiles() if plan.network == "partly" else None)
+            if plan.check:
+                departure = self._flat_tiles().departure(target)
             if not self._is_first:
                 self.network.expect_changes()  # built while the device computes, not when the first change waits for it
         valid = np.empty(self.layers.size, np.uint8)
         cl.enqueue_copy(self._device.queue, valid, self.prepare.mask)
         valid.flags.writeable = False
-        return Outcome(left_out, self._recheck() if plan.recheck else None), valid.view(np.bool_)
-
-    def _run(self, choice: Choice) -> float | None:
-        """Run the network everywhere but for what is left out; the departure that this makes, if the frame is checked."""
-        level, whole, target = choice.level, self.network.levels[0], self.target(whole=True)
-        if choice.check == "flat tiles":
-            self.network.run(target, whole)
-            return self._flat_tiles().departure(target)
-        self.network.run(target, level, self._flat_tiles() if level.flat else None)
-        if choice.check is None:
-            return None
-        left_out = self.image  # while it is held, the next image is another one
-        self.network.complete(self.target(whole=True), level)
-        return distance(self.image, left_out)
-
-    def _recheck(self) -> float:
-        """Compute the last frame once more, whole; how far the two are apart."""
-        left_out = self.image  # while it is held, the next one is another
-        self._mark(None)
-        self.prepare.again()
-        self.prepare.strip()
-        self.network.run(self.target(whole=True), self.network.levels[0])
-        return distance(self.image, left_out)
+        return departure, valid.view(np.bool_)
 
     def activity(self) -> NDArray[np.float32]:
         """How much of the network ``run`` took, for each tile of the last frame: 1 but for flat tiles, which took no decoder."""

@@ -20,7 +20,7 @@ from stss_cl.network.layers import Layers
 from stss_cl.network.network import Precision
 from stss_cl.network.strips import bytes_for
 from stss_cl.skip.display_frame import DisplayFrame
-from stss_cl.skip.error_control import StreamControl
+from stss_cl.skip.error_control import Attention
 from stss_cl.skip.frame_cache import FrameCache, Last, Report
 from stss_cl.skip.uploaded_frames import Tiles, UploadedFrame, UploadedFrames, sources
 from stss_ref.arrays import ArrayError
@@ -28,8 +28,8 @@ from stss_ref.weights import Weights
 
 Skip = Literal["off", "exact", "bounded"]
 SKIPS: tuple[Skip, ...] = ("off", "exact", "bounded")
-"""``off``: every frame is computed whole. ``exact``: what did not change is kept, with the bits of ``off``. ``bounded``: what changed
-little is kept as well."""
+"""``off``: every frame is computed whole. ``exact``: what did not change is kept, with the bits of ``off``. ``bounded``: where a camera
+moves, flat tiles are left out besides."""
 
 
 class Stream:
@@ -43,7 +43,7 @@ class Stream:
         memory_limit: see ``stss_cl.network.network.Network``; where what is kept does not fit, nothing is left out.
         skip: of ``SKIPS``.
         max_error: for ``bounded``: how far the image may be from that of ``off``, in units of the image. Held by checks: every so
-            many frames one is computed both ways, and the tolerance set by what is found (docs/skipping.md says how often it is missed).
+            many frames one is computed whole, which shows what leaving out makes (docs/skipping.md says how often it is missed).
 
     Attributes:
         report: what the last frame cost.
@@ -66,15 +66,10 @@ class Stream:
         self._gather: Gather = gather
         self._weights, self._memory = weights, self.device.memory // 2 if memory_limit is None else memory_limit
         self._skip: Skip = skip
-        self._control = StreamControl(max_error if skip == "bounded" else 0.0)
+        self._max_error, self._attention = max_error if skip == "bounded" else 0.0, Attention()
         self._uploaded: UploadedFrames | None = None
         self._caches: dict[bool, FrameCache] = {}
         self._latest: FrameCache | None = None
-
-    @property
-    def tolerance(self) -> float:
-        """Of ``bounded``: a value, of the inputs or between two layers, that moved no farther from what was stored stays."""
-        return self._control.tolerance
 
     def __call__(self, window: Sequence[DisplayFrame], steps: Sequence[int]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Compute the last frame of ``window``.
@@ -102,7 +97,7 @@ class Stream:
             raise ArrayError(f"window: expected a colour {', '.join(map(str, chosen))} frames back")
         window, size = window[-MOST_STEPS - 1 :], window[-1].nov.shape
         uploaded, cache = self._arriving(size), self._keep(size, extrapolates=chosen[0] > 0)
-        looking = self._control.begin()
+        looking = self._attention.begin()
         held = uploaded.take(window, compare=cache is not None and looking)
         self._latest = cache
         if cache is None:
@@ -139,18 +134,17 @@ class Stream:
         dirty: Tiles | None,
         color: NDArray[np.float32] | None,
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """Plan the frame, execute the plan, learn. ``dirty``, ``color``: see ``ErrorControl.plan_inputs``."""
+        """Plan the frame, execute the plan, learn. ``dirty``, ``color``: see ``ErrorControl``."""
         control, last = cache.control, cache.last
-        inputs = control.plan_inputs(dirty, color)
+        inputs = control.plan_inputs(dirty)
         if last is not None and inputs.nothing:
             self.report = Report(0.0, 0.0, "none")
             cache.last = _last(held, cache.read(steps), last.valid)
             return cache.image, last.valid
         changed = cache.prepare_inputs(sources(held, steps), inputs)
         plan = control.plan(inputs, changed, color)
-        outcome, valid = cache.execute(plan)
-        control.learn(plan, outcome)
-        departure = outcome.left_out if outcome.kept is None else outcome.kept
+        departure, valid = cache.execute(plan)
+        control.learn(plan, departure)
         self.report = Report(1.0 if dirty is None else float(dirty.mean()), changed, plan.network, departure)
         cache.last = _last(held, cache.read(steps), valid)
         return cache.image, valid
@@ -172,7 +166,7 @@ class Stream:
             layers = Layers(
                 self.device, self._weights, *size, self.precision, self._memory, self._whole.network.residual, keep=True
             )
-            self._caches[extrapolates] = FrameCache(self.device, layers, self._gather, self._control)
+            self._caches[extrapolates] = FrameCache(self.device, layers, self._gather, self._max_error, self._attention)
         return self._caches[extrapolates]
 
     def _can_keep(self, size: tuple[int, int]) -> bool:

@@ -250,7 +250,7 @@ def run_flat(device, precision):
     flat = FlatTiles(device, layers.launches, layers.inputs, mask.base_data, size, 0.01)
     flat.read(made[1])
     network = PartialNetwork(layers)
-    network.run(image.data, network.levels[1], flat)
+    network.run(image.data, flat)
     show("flat tiles", image.finish())
     assert 0 < flat.wanted().mean() < 1
     show("departure", flat.departure(image.data))

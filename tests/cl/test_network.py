@@ -148,8 +148,8 @@ def test_rounding_stays_within_a_tile(device, at, gated, seed):
 def test_small_tiles_at_an_eighth(device):
     """Of the whole network's layers; those of the overlap of strips count on it."""
     layers = Layers(device, random_weights(0), 32, 48, "float32", keep=True)
-    fast = [x.skip for x in layers.launches if x.skip and x.skip.options.get("STRIDE") == 1 and "SIDE" in x.skip.options]
-    sides = {(options["SIDE"], rows) for options, rows in ((x.options, x.size[1]) for x in fast)}
+    fast = [x for x in layers.launches if x.source.options.get("STRIDE") == 1 and "SIDE" in x.source.options]
+    sides = {(x.source.options["SIDE"], x.tiling.rows) for x in fast}
     assert not fast or sides == {(4, 32 // 4), (4, 16 // 4), (4, 8 // 4), (2, 4 // 2)}
 
 

@@ -276,29 +276,6 @@ def test_a_change_that_is_not_seen_would_show(device, monkeypatch):
         assert_same(keeping(frames[3:9], (0, 2, 4)), plain(frames[3:9], (0, 2, 4)))
 
 
-@pytest.mark.parametrize("weights", [WEIGHTS, UNREAD], ids=["read", "unread"])
-def test_bounded_leaves_out_and_what_it_checks_is_exact(device, weights):
-    """With a wide bound frames depart from the whole ones; those that are computed both ways have their bits, and say by how much."""
-    rng, frames = np.random.default_rng(5), still(1, (24, 40))
-    color, plain = frames[0].color, Stream(weights, device, skip="off")
-    loose = Stream(weights, device, skip="bounded", max_error=0.9)
-    first, departed, checked = loose.tolerance, 0, 0
-    for i in range(1, 40):
-        made, color = next_frame(rng, frames[-1], color, "rectangle" if i > 7 else "nothing", rendered=i % 2 == 0)
-        frames.append(made)
-    for i in range(40):
-        window = frames[max(0, i - 5) : i + 1]
-        steps = plan(window).steps
-        got, want = loose(window, steps), plain(window, steps)
-        if loose.report.departure is not None:
-            checked += 1
-            assert_same(got, want)
-        departed += not np.array_equal(got[0], want[0])
-    assert departed > 5
-    assert checked > 1
-    assert 0 < loose.tolerance != first
-
-
 def test_mistakes_name_what_is_wrong(device):
     frames, made = still(6), Stream(WEIGHTS, device)
     with pytest.raises(ArrayError, match="window: expected the 5 frames that the steps lead to, got 2"):
@@ -311,26 +288,6 @@ def test_mistakes_name_what_is_wrong(device):
         made([*frames[:4], replace(frames[4], gbuffer=broken)], (0, 2, 4))
     plain = Stream(WEIGHTS, device, skip="off")
     assert_same(made(frames[:5], (0, 2, 4)), plain(frames[:5], (0, 2, 4)))
-
-
-def test_tolerances_are_checked_often_at_first(device):
-    """The second frame of a kind that may have kept something, then the fourth after it, the eighth, and every twelfth."""
-    rng, size = np.random.default_rng(9), (40, 64)
-    made = first_frame(rng, size, rendered=True)
-    frames, color = [made], made.color
-    for i in range(1, 84):
-        made, color = next_frame(rng, made, color, "pixel", rendered=i % 2 == 0)
-        frames.append(made)
-    stream, seen = Stream(WEIGHTS, device, skip="bounded", max_error=1e3), [[], []]
-    for i in range(84):
-        window = frames[max(0, i - 5) : i + 1]
-        stream(window, plan(window).steps)
-        if stream.report.network == "changed":
-            seen[i % 2].append(stream.report.departure is not None)
-    for kind in seen:
-        due = list(np.flatnonzero(kind) + 1)
-        assert due == [2, 6, 14, 26, 38][: len(due)]
-        assert len(due) >= 4
 
 
 def test_work_groups_do_not_follow_the_size(device, monkeypatch):

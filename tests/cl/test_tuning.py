@@ -16,7 +16,6 @@ from stss_cl.device.discovery import DeviceError
 from stss_cl.device.tuning import (
     OUTPUTS,
     Direct,
-    Strip,
     Tuning,
     Winograd,
     built_in,
@@ -27,6 +26,7 @@ from stss_cl.device.tuning import (
     trial,
     tuning_for,
 )
+from stss_cl.network.tiles import whole
 
 
 @pytest.fixture(autouse=True)
@@ -46,8 +46,7 @@ def fake(name="P: one", *, is_cpu=True, driver="1"):
 
 ROW = Tuning(
     winograd={24: Winograd(4, 2, 1, True), 32: Winograd(1, 1, 4), 64: Winograd(6, 3, 8)},
-    direct={24: Direct(1, 3, 8), 32: Direct(8, 1, 1), 64: Direct(2, 2, 64)},
-    strip=Strip(8, 2),
+    direct={24: Direct(1, 3, 8), 32: Direct(4, 1, 1), 64: Direct(2, 2, 64)},
 )
 
 
@@ -59,7 +58,7 @@ def test_the_built_in_rows():
 
 
 def test_a_device_may_have_a_row_of_its_own(tmp_path, monkeypatch):
-    text = tuning.BUILT_IN.read_text() + '\n[device."P: one"]\n' + to_toml(ROW).replace("\n[", '\n[device."P: one".')
+    text = tuning.BUILT_IN.read_text() + '\n[device."P: one"]\n' + ("\n" + to_toml(ROW)).replace("\n[", '\n[device."P: one".')
     path = tmp_path / "tuning.toml"
     path.write_text(text)
     monkeypatch.setattr(tuning, "BUILT_IN", path)
@@ -107,13 +106,13 @@ def test_a_trial_ends():
         ("tiles = 4, rows = 2", "tiles = 4, rows = 3", r"winograd\.24\.rows: expected a divisor of 4, found 3"),
         ("block = 8", "block = 5", r"winograd\.64\.block: expected a divisor of 8, found 5"),
         ("block = 3, group = 8", "block = 2, group = 8", r"direct\.24\.block: expected a divisor of 3, found 2"),
-        ("pixels = 8, block", "pixels = 9, block", r"direct\.32\.pixels: expected a whole number from 1 to 8, found 9"),
-        ("pixels = 8, group", "pixels = 6, group", r"strip\.pixels: expected a multiple of 4, found 6"),
+        ("pixels = 4, block", "pixels = 8, block", r"direct\.32\.pixels: expected a whole number from 1 to 4, found 8"),
+        ("pixels = 4, block", "pixels = 3, block", r"direct\.32\.pixels: expected a divisor of 4, found 3"),
         ("tiles = 4", "tiles = true", r"winograd\.24\.tiles: expected a whole number from 1 to 32, found True"),
         ("prefetch = true", "prefetch = 1", r"winograd\.24\.prefetch: expected true or false, found 1"),
         ("prefetch = true", "prefetch = true, lanes = 8", r"winograd\.24\.lanes: unknown key"),
         ("[winograd]", "[winogard]", r"winogard: unknown key"),
-        ("[direct]", "[strip2]", r"direct: expected a table, found nothing"),
+        ("[direct]", "[strip]", r"direct: expected a table, found nothing"),
         ('"P: one"', '"P: two"', r"device: expected 'P: one', found 'P: two'"),
         ("[direct]", "[direct", "cannot be read as TOML"),
     ],
@@ -157,7 +156,9 @@ def test_what_departs_from_the_plain_kernel_is_refused(device, shape, monkeypatc
             bias[-1] += 0.01
             packed = replace(packed, bias=bias)
         launch = real(device, stage, name, packed, *args, **kwargs)
-        return replace(launch, size=(*launch.size[:2], launch.size[2] - 1)) if sizes == short else launch
+        if sizes == short:
+            launch.set(count=whole(device, launch.tiling.rows - 1, launch.tiling.columns).count)
+        return launch
 
     monkeypatch.setattr(trials, "conv", faulty)
     found = Trials()

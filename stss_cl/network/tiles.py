@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: MIT
+"""Lists of tiles: where a layer computes (kernels/tile_list.clh), and the launch that finds the tiles which marks of its inputs reach."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import pyopencl as cl
+
+from stss_cl.device.buffers import constant
+from stss_cl.device.discovery import Device
+from stss_cl.device.grid import ceil_div, grid
+from stss_cl.device.launch import Launch, kernel
+from stss_cl.device.program import build
+
+SIDE = 4
+"""Pixels of a side of a change map's tile."""
+MOST_TILES = 1 << 16
+"""Rows, and columns, that a list's numbers have room for."""
+
+
+@dataclass(frozen=True)
+class TileList:
+    """Two buffers: a uint32 for each tile, its row << 16 | its column; how many there are, int32 (1)."""
+
+    tiles: cl.Buffer
+    count: cl.Buffer
+
+
+@dataclass(frozen=True)
+class Tiling:
+    """How the tiles of a layer's output lie, and what of its inputs each reads.
+
+    Attributes:
+        rows, columns: of tiles.
+        step: (y, x) pixels of the inputs from a tile to the next.
+        before, beyond: tile t reads, along both axes, the pixels step * t - before .. step * (t + 1) + beyond.
+    """
+
+    rows: int
+    columns: int
+    step: tuple[int, int]
+    before: int
+    beyond: int
+
+    @property
+    def most(self) -> int:
+        """Tiles in all."""
+        return self.rows * self.columns
+
+    def near(self, reach: int) -> Tiling:
+        """The same tiles, read with ``reach`` tiles around them in a map of the output's own tiles."""
+        return Tiling(self.rows, self.columns, (SIDE, SIDE), SIDE * reach, SIDE * reach - 1)
+
+
+def of_convolution(height: int, width: int, stride: int, size: int, side: int = SIDE) -> Tiling:
+    """For a convolution of ``size`` x ``size`` with an output of (height, width), in tiles of ``side`` pixels."""
+    step = stride * side
+    return Tiling(ceil_div(height, side), ceil_div(width, side), (step, step), size // 2, size // 2 - stride)
+
+
+class Maps(NamedTuple):
+    """Change maps of what a layer reads, up to three of one size: ``buffers``; the first begins at element ``first``."""
+
+    buffers: tuple[cl.Buffer, ...]
+    rows: int
+    columns: int
+    first: int = 0
+
+
+_whole: WeakKeyDictionary[cl.Context, dict[tuple[int, int, int], TileList]] = WeakKeyDictionary()
+
+
+def whole(device: Device, rows: int, columns: int, first: int = 0) -> TileList:
+    """The list of all tiles from row ``first`` on; made once for each size."""
+    made = _whole.setdefault(device.context, {})
+    if (rows, columns, first) not in made:
+        y, x = np.mgrid[first:rows, :columns].astype(np.uint32)
+        made[rows, columns, first] = TileList(
+            constant(device, (y << 16 | x).ravel()), constant(device, np.array([y.size], np.int32))
+        )
+    return made[rows, columns, first]
+
+
+def find_tiles(device: Device, tiling: Tiling, maps: Maps, to: TileList, *, unmarked: bool = False) -> Launch:
+    """The launch that makes the list of the tiles that marks reach; ``unmarked``: of those that none does.
+
+    ``to.count`` must be 0 before.
+    """
+    # On a processor most work-items have nothing to do, and each of them costs something.
+    span = 64 if device.is_cpu else 1
+    a, b, c = (*maps.buffers, *2 * maps.buffers[-1:])[:3]
+    arguments = {
+        "a": a, "b": b, "c": c, "a_tile": maps.first, "map_rows": maps.rows, "map_columns": maps.columns,
+        "step_y": tiling.step[0], "step_x": tiling.step[1], "before": tiling.before, "beyond": tiling.beyond,
+        "rows": tiling.rows, "columns": tiling.columns, "unmarked": unmarked, "tiles": to.tiles, "count": to.count,
+    }  # fmt: skip
+    size, group = grid(device, ceil_div(tiling.columns, span), tiling.rows)
+    if device.is_cpu:
+        size, group = (ceil_div(tiling.columns, span), tiling.rows), (1, 1)
+    made = kernel(build(device, "tile_list.cl", {"SPAN": span}), "tile_list", arguments)
+    return Launch("tile_list", made, size, group, arguments)
