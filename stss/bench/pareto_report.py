@@ -6,6 +6,9 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from stss.bench.measure import Timing, bench
-from stss.bench.pareto import CANONICAL, Point, frontier, measure
+from stss.bench.pareto import CANONICAL, JUDGED, WARM, Point, frontier, measure
 from stss.bench.peers import Setup
 from stss.bench.report import PACKAGES
 from stss.errors import InputError
@@ -22,6 +25,7 @@ from stss.frames.compute_options import ComputeOptions
 from stss.machine import cpu_model, versions
 from stss.optional import require
 from stss.output.write_whole import write_figure, write_named
+from stss.sequence.scenes import check_request
 from stss.terminal import Terminal
 from stss.version import VERSION
 from stss.weights.file import identity
@@ -65,17 +69,35 @@ def bench_pareto(
     points: list[Point] = []
     with console.status("") as status:
         others = [result.rows for result in bench(setups, (), peers, repeat, on_step=status.update)] if peers else []
-        device = open_device(setup.device)
-        for point in measure(setup.weights, device, scenes or CANONICAL, settings, size, frames, on_step=status.update):
-            points.append(point)
-            if point.setting == settings[-1]:
-                print_points([p for p in points if p.scene == point.scene], (), Terminal())
+        check_request(scenes or CANONICAL, frames, WARM + JUDGED)
+        for scene in scenes or CANONICAL:
+            status.update(f"{scene}: {len(settings)} settings")
+            points += (found := in_its_own_process(setup, scene, settings, frames))
+            print_points(found, (), Terminal())
     rows = [row for group in others for row in group]
     print_points((), rows, Terminal())
     if json_file is not None:
         write_json(json_file, points, rows, identity(setup.weights), size)
     if picture is not None:
         plot(points, rows, picture)
+
+
+def in_its_own_process(setup: Setup, scene: str, settings: Sequence[ComputeOptions], frames: int) -> list[Point]:
+    """The points of a scene, from a process that has not run anything before: what another scene built would not be missed.
+
+    Raises:
+        InputError: the process died.
+    """
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        try:
+            return pool.submit(_points, setup, scene, settings, frames).result()
+        except BrokenProcessPool:
+            raise InputError(f"{scene}: the process that measured it died") from None
+
+
+def _points(setup: Setup, scene: str, settings: Sequence[ComputeOptions], frames: int) -> list[Point]:
+    size = setup.height, setup.width
+    return list(measure(setup.weights, open_device(setup.device), [scene], settings, size, frames))
 
 
 def print_points(points: Sequence[Point], peers: Sequence[Timing], console: Console) -> None:
@@ -85,13 +107,22 @@ def print_points(points: Sequence[Point], peers: Sequence[Timing], console: Cons
         best = frontier([(point.ratio, point.error) for point in rows])
         table = Table(title=scene, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
         table.add_column("", no_wrap=True)
-        for column in ("", "ms\nmedian", "share of\noff's time", "error to\nfloat64", "departure\nfrom off", "PSNR\ndB"):
+        for column in (
+            "",
+            "ms\nmedian",
+            "ms\nworst",
+            "share of\noff's time",
+            "error to\nfloat64",
+            "departure\nfrom off",
+            "PSNR\ndB",
+        ):
             table.add_column(column, justify="right", no_wrap=True)
         for i, point in enumerate(rows):
             table.add_row(
                 point.setting.name,
                 "*" if i in best else "",
                 f"{point.median * 1e3:.1f}",
+                f"{max(point.times) * 1e3:.1f}",
                 f"{point.ratio:.3f}",
                 f"{point.error:.1e}",
                 "same bits"

@@ -37,6 +37,11 @@ class ChangedTiles:
         ]
         self.layers = [layer.over(device, to, marking=layer.changes is not None) for layer, to in zip(layers, lists, strict=True)]
 
+        # Runtimes load, or compile, a kernel when it is first run: over empty lists now, not when the first change waits for it.
+        self._counts.clear()
+        enqueue(device, self.layers)
+        enqueue(device, self._finders)
+
     def run(self, image: cl.Buffer) -> None:
         """Enqueue them all; see ``stss_cl.skip.partial_network.PartialNetwork.run_changed``."""
         self.layers[-1].set(image=image)

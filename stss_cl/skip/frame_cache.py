@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from typing import Literal
 
@@ -11,7 +10,6 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from stss_cl.device.buffers import Outgoing
 from stss_cl.device.discovery import Device
 from stss_cl.image_space.frame_planes import Sources
 from stss_cl.image_space.prepare import Prepare
@@ -19,6 +17,7 @@ from stss_cl.image_space.stages import Gather
 from stss_cl.network.layers import Layers
 from stss_cl.skip.error_control import RULES, Attention, ErrorControl
 from stss_cl.skip.flat_tiles import FlatTiles
+from stss_cl.skip.last_image import LastImage
 from stss_cl.skip.partial_network import PartialNetwork
 from stss_cl.skip.plan import InputPlan, Plan
 from stss_cl.skip.uploaded_frames import Tiles
@@ -67,33 +66,13 @@ class FrameCache:
         self.last: Last | None = None
         self._is_first = True
         self._device = device
-        self._image: Outgoing | None = None
-        self._alone = 0
+        height, width = layers.size
+        self.image = LastImage(device, (2 * height, 2 * width, 3))
         self.network.begin()
 
     def read(self, steps: tuple[int, int, int]) -> tuple[int, ...]:
         """Those of the steps whose colour frames these weights read."""
         return steps if self.layers.reads_history else steps[:1]
-
-    @property
-    def image(self) -> NDArray[np.float32]:
-        """The last image, not to be written to."""
-        assert self._image is not None
-        shown = self._image.finish().view()
-        shown.flags.writeable = False
-        return shown
-
-    def target(self, *, whole: bool) -> cl.Buffer:
-        """Where to write the image: over the last one; over a copy of it if somebody still has that, or a new one if ``whole``."""
-        last = self._image
-        if last is None or sys.getrefcount(last.array) > self._alone:
-            height, width = self.layers.size
-            self._image = Outgoing(self._device, (2 * height, 2 * width, 3), on_device=False)
-            self._alone = sys.getrefcount(self._image.array)
-            if last is not None and not whole:
-                cl.enqueue_copy(self._device.queue, self._image.data, last.data)
-        assert self._image is not None
-        return self._image.data
 
     def prepare_inputs(self, sources: Sources, plan: InputPlan) -> float:
         """Fill the network's inputs; the share of tiles of which they then differ, 1 where nobody looked."""
@@ -107,14 +86,13 @@ class FrameCache:
         """Run the network; the departure of a frame that is checked, and ``valid``."""
         departure = None
         if plan.network == "changed":
-            self.network.run_changed(self.target(whole=False))
+            self.network.run_changed(self.image.target(whole=False))
         else:
-            target = self.target(whole=True)
+            target = self.image.target(whole=True)
             self.network.run(target, self._flat_tiles() if plan.network == "partly" else None)
             if plan.check:
                 departure = self._flat_tiles().departure(target)
-            if not self._is_first:
-                self.network.expect_changes()  # built while the device computes, not when the first change waits for it
+            self.network.expect_changes()
         valid = np.empty(self.layers.size, np.uint8)
         cl.enqueue_copy(self._device.queue, valid, self.prepare.mask)
         valid.flags.writeable = False

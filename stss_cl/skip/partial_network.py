@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from contextlib import suppress
+from threading import Lock, Thread
 
 import numpy as np
 import pyopencl as cl
@@ -20,6 +21,9 @@ class PartialNetwork:
 
     def __init__(self, layers: Layers):
         self.layers = layers
+        self._changed: ChangedTiles | None = None
+        self._building = Lock()
+        self._builder: Thread | None = None
         # What no frame changes: by weights that do not read the history, what its branch makes.
         constant = layers.keep and not layers.reads_history
         self._constant = frozenset(i for i, layer in enumerate(layers.launches) if constant and layer.stage == "history")
@@ -39,16 +43,30 @@ class PartialNetwork:
         Whoever fills the network's inputs marks the tiles that came to differ since the last run of either kind, and clears the
         marks behind this one. The image has the bits of ``run``'s.
         """
-        self._changed_tiles.run(image)
+        self.changed_tiles().run(image)
 
     def expect_changes(self) -> None:
-        """Build what the first ``run_changed`` would wait for."""
-        _ = self._changed_tiles
+        """Begin to build what the first ``run_changed`` would wait for, while the caller does something else with its image."""
+        if self._changed is None and self._builder is None:
+            self._builder = Thread(target=self._build_behind)
+            self._builder.start()
 
-    @cached_property
-    def _changed_tiles(self) -> ChangedTiles:
-        layers = [layer for i, layer in enumerate(self.layers.launches) if i not in self._constant]
-        return ChangedTiles(self.layers.device, layers, self.layers.maps)
+    def settle(self) -> None:
+        """Wait for it: better at a stream's start than among its frames."""
+        if self._builder is not None:
+            self._builder.join()
+
+    def _build_behind(self) -> None:
+        with suppress(Exception):  # whatever it is, ``run_changed`` meets it, too
+            self.changed_tiles()
+
+    def changed_tiles(self) -> ChangedTiles:
+        """What ``run_changed`` runs, built and loaded once."""
+        with self._building:
+            if self._changed is None:
+                layers = [layer for i, layer in enumerate(self.layers.launches) if i not in self._constant]
+                self._changed = ChangedTiles(self.layers.device, layers, self.layers.maps)
+            return self._changed
 
     def activity(self) -> NDArray[np.float32]:
         """Where the last ``run_changed`` changed anything: the share of the stored activations, for each 4 x 4 pixels of the largest.

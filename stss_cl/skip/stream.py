@@ -84,7 +84,8 @@ class Stream:
             steps: how many frames back the three colour frames lie, newest first; ``window`` holds them.
 
         Returns:
-            image: (2H, 2W, 3) float32, not clipped, and read-only where something is kept: it may be the last frame's.
+            image: (2H, 2W, 3) float32, not clipped, and read-only where something is kept: it may be the last frame's. It never changes
+                while it, or a view of it, is in somebody's hands.
             valid: (H, W) False in the warping holes of the newest colour frame; likewise.
 
         Raises:
@@ -96,6 +97,8 @@ class Stream:
         if any(window[-1 - step].color is None for step in chosen):
             raise ArrayError(f"window: expected a colour {', '.join(map(str, chosen))} frames back")
         window, size = window[-MOST_STEPS - 1 :], window[-1].nov.shape
+        if self._latest is not None:
+            self._latest.network.settle()
         uploaded, cache = self._arriving(size), self._keep(size, extrapolates=chosen[0] > 0)
         looking = self._attention.begin()
         held = uploaded.take(window, compare=cache is not None and looking)
@@ -140,14 +143,14 @@ class Stream:
         if last is not None and inputs.nothing:
             self.report = Report(0.0, 0.0, "none")
             cache.last = _last(held, cache.read(steps), last.valid)
-            return cache.image, last.valid
+            return cache.image.show(), last.valid
         changed = cache.prepare_inputs(sources(held, steps), inputs)
         plan = control.plan(inputs, changed, color)
         departure, valid = cache.execute(plan)
         control.learn(plan, departure)
         self.report = Report(1.0 if dirty is None else float(dirty.mean()), changed, plan.network, departure)
         cache.last = _last(held, cache.read(steps), valid)
-        return cache.image, valid
+        return cache.image.show(), valid
 
     def _arriving(self, size: tuple[int, int]) -> UploadedFrames:
         if self._uploaded is None or self._uploaded.size != size:

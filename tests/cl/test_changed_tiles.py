@@ -256,7 +256,7 @@ def test_a_mark_left_out_shows(device, which):
 def launches(sequence):
     """All but the last, in pairs: computing everything and only what changed, with the buffer that both write."""
     names = {"upsample_corners": "out", "normalise": "unit", "attend": "reshaded", "conv": "out", "winograd": "out"}
-    pairs = zip(sequence.layers.launches, sequence.network._changed_tiles.layers, strict=True)
+    pairs = zip(sequence.layers.launches, sequence.network.changed_tiles().layers, strict=True)
     return [(every, some, every.arguments[names[every.kernel.function_name]]) for every, some in list(pairs)[:-1]]
 
 

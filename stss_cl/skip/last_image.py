@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: MIT
+"""The last image of a kind, which is shown to callers and written over once nobody has it."""
+
+from __future__ import annotations
+
+import weakref
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from stss_cl.device.buffers import Outgoing
+from stss_cl.device.discovery import Device
+
+Image = NDArray[np.float32]
+
+
+class LastImage:
+    """An image in memory that belongs to the stream, lent to whoever looks at it.
+
+    A loan is the array that ``show`` returns, with all views made of it, and ends with the last of them. While it lasts nothing is
+    written there: the next image goes elsewhere, and the memory stays with its borrowers.
+
+    Args:
+        device: to run on.
+        shape: of the image.
+    """
+
+    def __init__(self, device: Device, shape: tuple[int, int, int]):
+        self._device, self._shape = device, shape
+        self._image: Outgoing | None = None
+        self._loan: weakref.ref[Image] | None = None
+
+    def show(self) -> Image:
+        """The image, complete and read-only; waits for the queue."""
+        assert self._image is not None, "no image was made yet"
+        array, lent = self._image.finish(), self._lent()
+        if lent is None:
+            # A view's base is the array that it was made of, unless that is a view of another array: here it is one of a buffer.
+            lent = np.asarray(memoryview(array).toreadonly())
+            self._loan = weakref.ref(lent)
+        return lent.view()
+
+    def target(self, *, whole: bool) -> cl.Buffer:
+        """Where to write the next image: over the last one, or elsewhere if that is lent, and then over a copy unless ``whole``."""
+        last = self._image
+        if last is None or self._lent() is not None:
+            self._image, self._loan = Outgoing(self._device, self._shape, on_device=False), None
+            if last is not None and not whole:
+                cl.enqueue_copy(self._device.queue, self._image.data, last.data)
+        assert self._image is not None
+        return self._image.data
+
+    def _lent(self) -> Image | None:
+        return None if self._loan is None else self._loan()
