@@ -58,7 +58,11 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
               global const float8 *restrict outc_bias, global float *restrict image, const int rows, const int columns,
               const int first_row, const int top
 #endif
-              , global const uint *restrict tiles, global const int *restrict count, global uchar *restrict changes)
+              , global const uint *restrict tiles, global const int *restrict count
+#ifndef IMAGE
+              , global uchar *restrict changes
+#endif
+              )
 {
     float8 V[GROUP_ROWS(0) * PATCH * TILES * IN8], M[PRODUCTS * TILES * OUT8];
 #ifdef GATED

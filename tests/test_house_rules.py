@@ -29,7 +29,7 @@ FLOORS = {
 }
 """The rooms of a package from top to bottom: a room imports those on the floors below it, and none beside it."""
 
-STILL_TWICE = {"Place", "Strip"}
+STILL_TWICE = {"Place"}
 """Class names that mean two things: no name is added here."""
 
 

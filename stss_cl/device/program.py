@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
+from threading import Lock
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -28,6 +29,8 @@ KERNELS = _PACKAGE / "kernels" if (_PACKAGE / "kernels").is_dir() else _PACKAGE.
 MOST_BINARY = 64 << 20
 """Bytes of a compiled program that is kept; ours have some 100 KiB."""
 
+_building = Lock()
+"""One thread builds at a time: two would undo each other's filters of warnings."""
 _programs: WeakKeyDictionary[cl.Context, dict[tuple[str, str], cl.Program]] = WeakKeyDictionary()
 
 
@@ -45,10 +48,11 @@ def build(device: Device, file: str, options: Mapping[str, object] | None = None
     """
     given = [f"-D {k}" if v is True else f"-D {k}={v}" for k, v in (options or {}).items() if v is not None and v is not False]
     key = (file, " ".join(["-cl-std=CL1.2", *given, flags]).strip())
-    built = _programs.setdefault(device.context, {})
-    if key not in built:
-        built[key] = _build(device, file, key[1])
-    return built[key]
+    with _building:
+        built = _programs.setdefault(device.context, {})
+        if key not in built:
+            built[key] = _build(device, file, key[1])
+        return built[key]
 
 
 def source(file: str) -> str:

@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 from stss_cl.device.buffers import Padded, constant, map_bytes
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, list_size
-from stss_cl.device.launch import kernel
-from stss_cl.device.program import build
 from stss_cl.device.tuning import tuning_for
-from stss_cl.network.layer import FAST_MULTIPLY_ADD, Layer, Source
+from stss_cl.network.layer import FAST_MULTIPLY_ADD, KernelSource, LayerLaunch, layer
 from stss_cl.network.pack_weights import Packed, winograd
-from stss_cl.network.tiles import Maps, Tiling, of_convolution, whole
+from stss_cl.network.tiles import Maps, Tiling, of_convolution
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ def conv(
     side: int = 4,
     image: int = 0,
     final: Final | None = None,
-) -> Layer:
+) -> LayerLaunch:
     """A convolution of ``a`` and ``b`` side by side into channels ``out_first`` .. of ``out``.
 
     Args:
@@ -97,31 +95,20 @@ def conv(
         shape = _winograd(device, packed, out, side if stride == 1 else 2, stride, final)
     else:
         shape = _direct(device, packed, out, stride, final)
-    source = Source(
-        shape.file,
-        shape.file.removesuffix(".cl"),
-        shape.options
-        | {
-            "A": a.channels,
-            "B": b.channels if b else 0,
-            "OUT": packed.direct.shape[-1],
-            "GATED": packed.gate_direct is not None,
-            "RELU": relu,
-            "HALF": half(out.dtype),
-            "IMAGE": final is not None,
-        },
-        FAST_MULTIPLY_ADD,
-    )
-    weight = constant(device, shape.weight)
-    gate = weight if shape.gate is None else constant(device, shape.gate)
-    tiles = whole(device, shape.tiling.rows, shape.tiling.columns)
-    arguments: dict[str, Any] = {
+    options = shape.options | {
+        "A": a.channels,
+        "B": b.channels if b else 0,
+        "OUT": packed.direct.shape[-1],
+        "GATED": packed.gate_direct is not None,
+        "RELU": relu,
+        "HALF": half(out.dtype),
+        "IMAGE": final is not None,
+    }
+    source = KernelSource(shape.file, shape.file.removesuffix(".cl"), options, FAST_MULTIPLY_ADD)
+    arguments = {
         "a": a.data,
         "b": b.data if b else a.data,
-        "weight": weight,
-        "gate_weight": gate,
-        "bias": constant(device, packed.bias),
-        "gate_bias": float(packed.gate_bias),
+        **_tensors(device, packed, shape),
         "out": out.data,
         "a_first": image * a.rows * a.columns * a.channels,
         "height": (final or out).height,
@@ -131,15 +118,19 @@ def conv(
         "out_channels": out.channels,
         "out_first": out_first,
         **(final.arguments if final else {}),
-        "tiles": tiles.tiles,
-        "count": tiles.count,
-        "changes": out.changes or out.data,  # read where changes are marked alone
     }
-    made = kernel(build(device, source.file, source.options, source.flags), source.kernel, arguments)
-    reads = _maps(a, image, b or final)
-    return Layer(
-        name, made, shape.size, shape.group, arguments, stage, source, shape.tiling, reads, None if final else out.changes
-    )
+    maps = _maps(a, image, b or final)
+    return layer(device, stage, name, source, arguments, shape.tiling, shape.size, shape.group, maps, None if final else out)
+
+
+def _tensors(device: Device, packed: Packed, shape: _Shape) -> dict[str, Any]:
+    weight = constant(device, shape.weight)
+    return {
+        "weight": weight,
+        "gate_weight": weight if shape.gate is None else constant(device, shape.gate),
+        "bias": constant(device, packed.bias),
+        "gate_bias": float(packed.gate_bias),
+    }
 
 
 def _maps(a: Padded, image: int, other: Padded | Final | None) -> Maps | None:

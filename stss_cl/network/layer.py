@@ -9,16 +9,17 @@ from typing import NamedTuple
 
 import pyopencl as cl
 
+from stss_cl.device.buffers import Padded
 from stss_cl.device.discovery import Device
-from stss_cl.device.launch import Launch, kernel
+from stss_cl.device.launch import Arguments, Launch, kernel
 from stss_cl.device.program import build
-from stss_cl.network.tiles import Maps, TileList, Tiling
+from stss_cl.network.tiles import Maps, TileList, Tiling, whole
 
 FAST_MULTIPLY_ADD = "-cl-mad-enable"
 """The network's kernels may contract ``a * b + c``; fma() itself is a slow call on PoCL 3.0."""
 
 
-class Source(NamedTuple):
+class KernelSource(NamedTuple):
     """What a kernel is built from: file, kernel, -D options, compiler flags."""
 
     file: str
@@ -28,7 +29,7 @@ class Source(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Layer(Launch):
+class LayerLaunch(Launch):
     """A launch that computes the tiles of its output in a list; as it is made, all of them.
 
     Attributes:
@@ -40,12 +41,12 @@ class Layer(Launch):
     """
 
     stage: str
-    source: Source
+    source: KernelSource
     tiling: Tiling
     reads: Maps | None
     changes: cl.Buffer | None
 
-    def over(self, device: Device, tiles: TileList, *, marking: bool = False) -> Layer:
+    def over(self, device: Device, tiles: TileList, *, marking: bool = False) -> LayerLaunch:
         """The same layer over other tiles.
 
         Args:
@@ -53,6 +54,38 @@ class Layer(Launch):
             tiles: what to compute.
             marking: whether to mark, in ``changes``, the tiles where stored bits came to differ.
         """
-        program = build(device, self.source.file, {**self.source.options, "MARK": marking}, self.source.flags)
+        program = self.program(device, marking=marking)
         arguments = {**self.arguments, "tiles": tiles.tiles, "count": tiles.count}
         return replace(self, kernel=kernel(program, self.source.kernel, arguments), arguments=arguments)
+
+    def program(self, device: Device, *, marking: bool) -> cl.Program:
+        """What ``over`` takes its kernel from; built once."""
+        return build(device, self.source.file, {**self.source.options, "MARK": marking}, self.source.flags)
+
+
+def layer(
+    device: Device,
+    stage: str,
+    name: str,
+    source: KernelSource,
+    arguments: Arguments,
+    tiling: Tiling,
+    size: tuple[int, ...],
+    group: tuple[int, ...],
+    reads: Maps | None,
+    out: Padded | None,
+) -> LayerLaunch:
+    """A layer over all tiles of its output.
+
+    Args:
+        device: to run on.
+        stage, name, source, tiling, reads: see ``LayerLaunch``.
+        arguments: those before the list and, where the kernel can mark, the output's map.
+        size, group: of the launch.
+        out: what it writes, and marks; None: the image.
+    """
+    tiles = whole(device, tiling.rows, tiling.columns)
+    marks = {} if out is None else {"changes": out.changes or out.data}  # without -D MARK it is not looked at
+    together = {**arguments, "tiles": tiles.tiles, "count": tiles.count, **marks}
+    made = kernel(build(device, source.file, source.options, source.flags), source.kernel, together)
+    return LayerLaunch(name, made, size, group, together, stage, source, tiling, reads, None if out is None else out.changes)

@@ -11,12 +11,11 @@ import numpy as np
 from stss_cl.device.buffers import ChangeMaps, Padded, padded
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import GROUP, list_size
-from stss_cl.device.launch import Arguments, kernel
-from stss_cl.device.program import build
+from stss_cl.device.launch import Arguments
 from stss_cl.network.conv import Final, conv, half
-from stss_cl.network.layer import FAST_MULTIPLY_ADD, Layer, Source
+from stss_cl.network.layer import FAST_MULTIPLY_ADD, KernelSource, LayerLaunch, layer
 from stss_cl.network.pack_weights import pack
-from stss_cl.network.tiles import Maps, Tiling, whole
+from stss_cl.network.tiles import Maps, Tiling
 from stss_ref.weights import Weights
 
 
@@ -38,7 +37,7 @@ class LayerBuilder:
     """
 
     def __init__(self, device: Device, weights: Weights, precision: str, height: int, width: int, keep: bool):
-        self.launches: list[Layer] = []
+        self.launches: list[LayerLaunch] = []
         self.marked: list[Padded] = []
         self.maps = ChangeMaps(device, height, width)
         self.dtype = dtype_of(precision)
@@ -107,7 +106,7 @@ class LayerBuilder:
         workers: int = 16,
         reads: tuple[Padded, ...],
         out: Padded | None,
-    ) -> Layer:
+    ) -> LayerLaunch:
         """Append any other kernel over tiles, which come behind ``arguments``.
 
         Args:
@@ -123,18 +122,12 @@ class LayerBuilder:
         # Interpolation is not contracted: it then has the reference's bits.
         flags = FAST_MULTIPLY_ADD if file == "erm.cl" else ""
         workers = 1 if self._device.is_cpu else workers
-        source = Source(file, name, {**options, "WORKERS": workers, "HALF": half(self.dtype)}, flags)
-        tiles = whole(self._device, tiling.rows, tiling.columns)
-        marks = {} if out is None else {"changes": out.changes or out.data}
-        together = {**arguments, "tiles": tiles.tiles, "count": tiles.count, **marks}
-        made = kernel(build(self._device, file, source.options, flags), name, together)
+        source = KernelSource(file, name, {**options, "WORKERS": workers, "HALF": half(self.dtype)}, flags)
         group = 1 if self._device.is_cpu else GROUP
         size = list_size(self._device, tiling.most, workers=workers, group=group)
-        maps = [held.changes for held in reads if held.changes is not None]
-        first = reads[0]
-        known = Maps(tuple(maps), -(-first.height // 4), -(-first.width // 4)) if maps else None
-        changes = None if out is None else out.changes
-        self.launches.append(Layer(name, made, (size,), (group,), together, stage, source, tiling, known, changes))
+        maps = tuple(held.changes for held in reads if held.changes is not None)
+        known = Maps(maps, -(-reads[0].height // 4), -(-reads[0].width // 4)) if maps else None
+        self.launches.append(layer(self._device, stage, name, source, arguments, tiling, (size,), (group,), known, out))
         return self.launches[-1]
 
 

@@ -15,7 +15,7 @@ from stss_cl.device.grid import ceil8, ceil_div
 from stss_cl.device.launch import enqueue
 from stss_cl.device.tuning import tuning_for
 from stss_cl.network.conv import Final
-from stss_cl.network.layer import Layer
+from stss_cl.network.layer import LayerLaunch
 from stss_cl.network.layer_builder import LayerBuilder, dtype_of
 from stss_cl.network.pack_inputs import PackInputs
 from stss_cl.network.pack_weights import pack_outc
@@ -85,7 +85,9 @@ class Layers:
         self.launches, self.marked, self.maps = self._build.launches, self._build.marked, self._build.maps
         self.strips = strips(full, height, rows, overlap)
         self._full, self._top = full, 0
-        self._placed: list[tuple[Layer, int]] = []  # those that must know where a strip lies, with the divisor of their size
+        self._placed: list[
+            tuple[LayerLaunch, int]
+        ] = []  # those that must know where a strip lies, with the divisor of their size
         self.inputs = inputs_for(device, rows, columns, dtype, self.keep)
         self._build.share("two", 1, self.inputs.input)  # done with after the first layer
         self.features: dict[str, Padded] = {}
@@ -97,7 +99,7 @@ class Layers:
         else:
             self._image(self.inputs.input)
 
-    def ready(self, image: cl.Buffer) -> list[Layer]:
+    def ready(self, image: cl.Buffer) -> list[LayerLaunch]:
         """The launches in order, the last of them to write ``image`` (2H, 2W, 3) float32."""
         self.launches[-1].set(image=image)
         return self.launches

@@ -10,7 +10,7 @@ import pyopencl as cl
 from stss_cl.device.buffers import ChangeMaps, Counts, zeroed
 from stss_cl.device.discovery import Device
 from stss_cl.device.launch import enqueue
-from stss_cl.network.layer import Layer
+from stss_cl.network.layer import LayerLaunch
 from stss_cl.network.tiles import TileList, find_tiles
 
 
@@ -26,7 +26,7 @@ class ChangedTiles:
         layers: those that compute only what changed.
     """
 
-    def __init__(self, device: Device, layers: Sequence[Layer], maps: ChangeMaps):
+    def __init__(self, device: Device, layers: Sequence[LayerLaunch], maps: ChangeMaps):
         self._device, self._maps = device, maps
         self._counts = Counts(device, len(layers))
         # Lists are needed only until the layer is done, and layers follow each other: one buffer is enough.

@@ -130,7 +130,7 @@ class FlatControl:
 
     def __init__(self, max_error: float):
         self._max_error, self.allowed = max_error, False
-        self._age, self._period = 0, 0  # the first frame is checked
+        self._age, self._period = 0, RULES.first_check
 
     def next(self, *, cut: bool) -> tuple[bool, bool]:
         """Whether the next frame is computed without its flat tiles, and whether it is checked, which is the other way.
@@ -160,10 +160,12 @@ class Shot:
         self._last: NDArray[np.float32] | None = None
 
     def cut(self, color: NDArray[np.float32]) -> bool:
-        """Whether ``color`` (H, W, 3) shows something else than the last one."""
+        """Whether ``color`` (H, W, 3) shows something else than the last one; the first one does not."""
         now, before = _blocks(color[:: RULES.sampled, :: RULES.sampled]), self._last
         self._last = now
-        return before is None or before.shape != now.shape or float(np.abs(now - before).mean()) > RULES.cut
+        if before is None:
+            return False
+        return before.shape != now.shape or float(np.abs(now - before).mean()) > RULES.cut
 
 
 def _blocks(picture: NDArray[np.float32]) -> NDArray[np.float32]:

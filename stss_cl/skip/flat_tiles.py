@@ -14,7 +14,7 @@ from stss_cl.device.discovery import Device
 from stss_cl.device.grid import GROUP, ceil_div, grid, list_size
 from stss_cl.device.launch import Arguments, Launch, kernel
 from stss_cl.device.program import build
-from stss_cl.network.layer import Layer
+from stss_cl.network.layer import LayerLaunch
 from stss_cl.network.tiles import Maps, TileList, find_tiles
 
 DIVISORS = (1, 2, 4)
@@ -36,7 +36,7 @@ class FlatTiles:
     def __init__(
         self,
         device: Device,
-        layers: Sequence[Layer],
+        layers: Sequence[LayerLaunch],
         inputs: Inputs,
         mask: cl.Buffer,
         size: tuple[int, int],
@@ -96,14 +96,14 @@ class FlatTiles:
         made = kernel(build(self._device, "flat_tiles.cl"), name, arguments)
         return Launch(name, made, *grid(self._device, *tiles[::-1]), arguments)
 
-    def _found(self, layer: Layer, size: int, reach: int, *, unmarked: bool = False) -> TileList:
+    def _found(self, layer: LayerLaunch, size: int, reach: int, *, unmarked: bool = False) -> TileList:
         """The list of a layer's tiles that are wanted, or lie no farther than ``reach`` tiles from one that is; made before each frame."""
         to = TileList(zeroed(self._device, 4 * layer.tiling.most), self._counts.take())
         wanted = Maps((self._maps[size],), *self._tiles[size])
         self._finders.append(find_tiles(self._device, layer.tiling.near(reach), wanted, to, unmarked=unmarked))
         return to
 
-    def _replaced(self, layers: Sequence[Layer]) -> Iterator[Layer]:
+    def _replaced(self, layers: Sequence[LayerLaunch]) -> Iterator[LayerLaunch]:
         size = len(DIVISORS)
         for layer in layers:
             if layer.stage != "decoder":
@@ -113,7 +113,7 @@ class FlatTiles:
             before_last = layer.name == "upsample_corners" or layer.name.endswith(".0")
             yield layer.over(self._device, self._found(layer, size, int(before_last)))
 
-    def _upsampled(self, last: Layer) -> Launch:
+    def _upsampled(self, last: LayerLaunch) -> Launch:
         """What the flat tiles are: the upsampled frame."""
         workers, group = (1, 1) if self._device.is_cpu else (4, GROUP)
         to = self._found(last, 0, 0, unmarked=True)

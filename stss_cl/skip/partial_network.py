@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from threading import Lock, Thread
+from threading import Thread
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
 from stss_cl.device.launch import enqueue
+from stss_cl.network.layer import LayerLaunch
 from stss_cl.network.layers import Layers
 from stss_cl.skip.changed_tiles import ChangedTiles
 from stss_cl.skip.flat_tiles import FlatTiles
@@ -22,7 +23,6 @@ class PartialNetwork:
     def __init__(self, layers: Layers):
         self.layers = layers
         self._changed: ChangedTiles | None = None
-        self._building = Lock()
         self._builder: Thread | None = None
         # What no frame changes: by weights that do not read the history, what its branch makes.
         constant = layers.keep and not layers.reads_history
@@ -52,21 +52,26 @@ class PartialNetwork:
             self._builder.start()
 
     def settle(self) -> None:
-        """Wait for it: better at a stream's start than among its frames."""
+        """Wait for it, and load it: better at a stream's start than among its frames."""
         if self._builder is not None:
             self._builder.join()
-
-    def _build_behind(self) -> None:
-        with suppress(Exception):  # whatever it is, ``run_changed`` meets it, too
+            self._builder = None
             self.changed_tiles()
 
     def changed_tiles(self) -> ChangedTiles:
-        """What ``run_changed`` runs, built and loaded once."""
-        with self._building:
-            if self._changed is None:
-                layers = [layer for i, layer in enumerate(self.layers.launches) if i not in self._constant]
-                self._changed = ChangedTiles(self.layers.device, layers, self.layers.maps)
-            return self._changed
+        """What ``run_changed`` runs; made once."""
+        if self._changed is None:
+            self._changed = ChangedTiles(self.layers.device, self._layers(), self.layers.maps)
+        return self._changed
+
+    def _build_behind(self) -> None:
+        # Programs alone: PyOpenCL writes code for each kernel object, and warns where two threads do so at once.
+        with suppress(Exception):  # whatever it is, ``run_changed`` meets it, too
+            for layer in self._layers():
+                layer.program(self.layers.device, marking=layer.changes is not None)
+
+    def _layers(self) -> list[LayerLaunch]:
+        return [layer for i, layer in enumerate(self.layers.launches) if i not in self._constant]
 
     def activity(self) -> NDArray[np.float32]:
         """Where the last ``run_changed`` changed anything: the share of the stored activations, for each 4 x 4 pixels of the largest.

@@ -33,9 +33,10 @@ STEPS = ((1, 3, 5), (0, 2, 4), (1, 1, 1))
 NETWORK = {"pack_input", "pack_history", "downsample_8", "conv", "upsample_corners", "normalise", "attend"}
 FRAME = ("chain_steps", "prepare", "splat_nearest", "splat_first")
 STREAM = {
-    *(NETWORK - {"pack_input", "pack_history"}), "finite", "differ", "differ_color", "fill_holes",
+    *(NETWORK - {"pack_input", "pack_history"}), "finite", "differ", "differ_color", "fill_holes", "tile_list",
     *(f"{name}8" for name in FRAME),
 }  # fmt: skip
+FLAT = {"detail", "coarser", "departure", "tile_list", "upsampled"}
 KERNELS = {
     "network float32": NETWORK | {"winograd"},
     "network float32-direct": NETWORK | {"image"},
@@ -44,9 +45,9 @@ KERNELS = {
     "stream float32": {*STREAM, "winograd"},
     "stream float32-direct": {*STREAM, "image"},
     "stream half": {*STREAM, "winograd"},
-    "plain float32": {*NETWORK, "winograd", "detail", "coarser", "departure"},
-    "plain float32-direct": {*NETWORK, "image", "detail", "coarser", "departure"},
-    "plain half": {*NETWORK, "winograd", "detail", "coarser", "departure"},
+    "plain float32": {*NETWORK, "winograd", *FLAT},
+    "plain float32-direct": {*NETWORK, "image", *FLAT},
+    "plain half": {*NETWORK, "winograd", *FLAT},
     "stages": {"motion_chain", "warp", "holes", "splat_clear", "splat_nearest", "splat_first", "occlusion_warp", "rrm"},
     "selftest": {"arithmetic", "vectors", "reduce_group", "nearest", "speed"},
 }

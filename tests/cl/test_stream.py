@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import threading
 import weakref
 from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
@@ -161,23 +162,53 @@ def test_a_frame_in_which_nothing_changed_costs_a_comparison(device):
         assert i < 7 or (keeping.report.network, keeping.report.prepared) == ("none", 0)
 
 
+@pytest.fixture
+def builds(monkeypatch):
+    """The programs that frames wait for; none is built before the test. What is built behind them is not among them."""
+    asked, made = [], Program.build
+
+    def build(program, *arguments, **options):
+        if threading.current_thread() is threading.main_thread():
+            asked.append(program)
+        return made(program, *arguments, **options)
+
+    monkeypatch.setattr(Program, "build", build)
+    monkeypatch.setattr(program, "_programs", WeakKeyDictionary())
+    return asked
+
+
 @pytest.mark.parametrize("skip", ["off", "exact", "bounded"])
-def test_the_first_frame_builds_only_what_was_not_expected(device, monkeypatch, skip):
-    """And what it has no use for is not built with it: the kernels that compute changes alone."""
+def test_the_first_frame_waits_only_for_what_was_not_expected(device, monkeypatch, builds, skip):
+    """And what it has no use for is not built before it: the kernels that compute changes alone."""
     first = still(1)
     plain, told, untold = (Stream(WEIGHTS, device, skip=s, max_error=0.1) for s in ("off", skip, skip))
-    asked, made = [], Program.build
-    monkeypatch.setattr(Program, "build", lambda program, *a, **k: asked.append(program) or made(program, *a, **k))
-    monkeypatch.setattr(program, "_programs", WeakKeyDictionary())
     told.expect(first[0].nov.shape)
-    expected = len(asked)
+    expected = len(builds)
     got = told(first, (0, 0, 0))
     assert expected > 25
-    assert len(asked) == expected
+    assert len(builds) == expected
+    if told._latest is not None:
+        told._latest.network.settle()
     monkeypatch.setattr(program, "_programs", WeakKeyDictionary())
     assert_same(untold(first, (0, 0, 0)), got)
-    assert len(asked) == 2 * expected
+    assert len(builds) == 2 * expected
     assert_same(plain(first, (0, 0, 0)), got)
+
+
+@pytest.mark.parametrize("behind", [True, False])
+def test_the_first_change_waits_for_nothing(device, monkeypatch, builds, behind):
+    """It comes after a still start; without what is built behind the first frames it would wait."""
+    if not behind:
+        monkeypatch.setattr("stss_cl.skip.partial_network.PartialNetwork.expect_changes", lambda network: None)
+    stream, frames = Stream(WEIGHTS, device), still(8)
+    frames[6].gbuffer[3, 4] += np.float32(0.5)
+    for i in range(8):
+        before = len(builds)
+        window = frames[max(0, i - 5) : i + 1]
+        stream(window, plan(window).steps)
+        if i >= 6:
+            assert stream.report.network == "changed"
+            assert (len(builds) == before) == (behind or i == 7)
 
 
 def test_frames_older_than_the_window_are_let_go(device):
