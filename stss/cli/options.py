@@ -180,7 +180,7 @@ def skip_options(command: Command) -> Command:
         click.option(
             "--skip",
             type=click.Choice(SKIPS),
-            help="off: compute everything; exact: keep what did not change, with the same bits; bounded: what changed little"
+            help="off: compute everything; exact: keep what did not change, with the same bits; bounded: flat tiles get no network"
             "  [default: exact; bounded with --max-error]",
         ),
         click.option(
