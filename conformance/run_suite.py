@@ -7,14 +7,14 @@ import contextlib
 import io
 import os
 from collections.abc import Callable, Generator, Iterable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from conformance.judge import DepartureError, Judge, Record
+from conformance.findings import DepartureError, Record, TestResult
+from conformance.judge import Judge
 from conformance.protocol.stages import STAGES
 from stss_ref.regular_file import read_regular
 
@@ -25,29 +25,6 @@ SEQUENCE = "sequence"
 SUITE = (*STAGES, SEQUENCE)
 JUDGED = "suite.something_is_judged"
 """Id of the result that is added where nothing was: a run that says nothing of a port does not pass it."""
-
-
-@dataclass
-class Result:
-    """Of one test.
-
-    Attributes:
-        id: ``stage.test``, as a file of known failures names it.
-        stage: its stage.
-        property: what it asks, in words.
-        outcome: ``passed``, ``failed``, ``skipped`` (the port lacks the stage), ``known`` (failed, as expected) or ``error``.
-        message: why, unless passed.
-        seconds: it took.
-        record: what it met.
-    """
-
-    id: str
-    stage: str
-    property: str
-    outcome: str
-    message: str = ""
-    seconds: float = 0.0
-    record: Record = field(default_factory=Record)
 
 
 class KnownFailuresError(ValueError):
@@ -61,8 +38,8 @@ def run_suite(
     known: Sequence[str] = (),
     junit: Path | None = None,
     first_only: bool = False,
-    on_result: Callable[[Result], None] | None = None,
-) -> list[Result]:
+    on_result: Callable[[TestResult], None] | None = None,
+) -> list[TestResult]:
     """Run the properties of some stages.
 
     Args:
@@ -143,9 +120,9 @@ def _undisturbed() -> Generator[None]:
 class _Plugin:
     """What pytest is told, and what it tells."""
 
-    def __init__(self, judge: Judge, known: Sequence[str], on_result: Callable[[Result], None] | None):
+    def __init__(self, judge: Judge, known: Sequence[str], on_result: Callable[[TestResult], None] | None):
         self._judge, self._known, self._on_result = judge, set(known), on_result
-        self.results: list[Result] = []
+        self.results: list[TestResult] = []
         self.broken = ""
 
     @pytest.fixture
@@ -171,7 +148,7 @@ class _Plugin:
         skipped = all(result.outcome == "skipped" for result in self.results)
         message = f"nothing was judged: {lacking if skipped else 'rounding decided on every answer'}"
         stage, name = JUDGED.split(".")
-        result = Result(JUDGED, stage, "At least one answer of the port is held against what is right.", "failed", message)
+        result = TestResult(JUDGED, stage, "At least one answer of the port is held against what is right.", "failed", message)
         self.results.append(result)
         report = pytest.TestReport(JUDGED, (stage, None, name), {}, "failed", message, "call")
         session.config.hook.pytest_runtest_logreport(report=report)
@@ -190,13 +167,13 @@ class _Plugin:
     def _take(self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport) -> None:
         stage, name = _stage(item), item.name.removeprefix("test_")
         said = _words(item)
-        result = Result(f"{stage}.{name}", stage, said, report.outcome, seconds=call.duration, record=self._judge.record)
+        result = TestResult(f"{stage}.{name}", stage, said, report.outcome, seconds=call.duration, record=self._judge.record)
         error = call.excinfo.value if call.excinfo is not None else None
         if report.skipped:
             result.message, result.record = str(error), Record()
         elif report.failed:
             if isinstance(error, DepartureError):
-                result.message, result.record.finding = str(error), error.finding
+                result.message = str(error)
             else:
                 result.outcome, result.message = "error", f"{type(error).__name__}: {error}"
             if result.id in self._known:
@@ -208,7 +185,7 @@ class _Plugin:
             self._on_result(result)
 
 
-def _judged(result: Result) -> bool:
+def _judged(result: TestResult) -> bool:
     """Whether it says anything of the port: it failed, or something was held against a bound and found right."""
     return result.outcome in ("failed", "error", "known") or bool(result.record.worst)
 

@@ -28,6 +28,7 @@ class FolderPort:
         name: of the program, without its folder.
         dtype: the program's arithmetic; the files are float32 in any case.
         stderr: the end of what the program's last run wrote there.
+        kept: the job folder of its last run that failed, if any.
     """
 
     def __init__(self, command: Sequence[str], timeout: float, dtype: str = DTYPE):
@@ -41,6 +42,7 @@ class FolderPort:
         self.name = Path(command[0]).name
         self.dtype = dtype
         self.stderr = ""
+        self.kept: Path | None = None
         self._command = list(command)
         self._timeout = timeout
         self._stages: frozenset[str] | None = None
@@ -75,7 +77,7 @@ class FolderPort:
         sizes = [check_inputs(case.stage, case.inputs, DTYPE) for case in cases]
         job = Path(tempfile.mkdtemp(prefix="stss-job-"))
         with open_folder(job) as folder:
-            kept = False
+            failed = False
             try:
                 write_job(job, cases)
                 self._start(folder)
@@ -85,15 +87,15 @@ class FolderPort:
                         results.append(read_outputs(given, case.stage, sizes[number]))
                 return results
             except JobError as error:
-                kept = True
+                failed, self.kept = True, job
                 raise PortError(f"{self.name}: {error}{self._said()}") from error
             except _FailedError as error:
-                kept = True
+                failed, self.kept = True, job
                 where = f"its job is kept: {job}" if folder.in_place() else f"and removed its job {job}"
                 raise PortError(f"{self.name}: {error}; {where}{self._said()}") from error
             finally:
                 # What lies there by now may be somebody else's.
-                if not kept and folder.in_place():
+                if not failed and folder.in_place():
                     shutil.rmtree(job, ignore_errors=True)
 
     def _start(self, job: Folder) -> None:

@@ -4,14 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial, wraps
+from functools import wraps
+from importlib import import_module
 from typing import Any
 
 from hypothesis import strategies as st
 
-from conformance.judge import Judge
-
-Body = Callable[[Judge, Any], None]
+from conformance.judge import Body, Judge
+from conformance.rehearsal import rehearse
 
 
 def cases(strategy: st.SearchStrategy[Any], *, dear: bool = False) -> Callable[[Body], Callable[[Judge], None]]:
@@ -25,10 +25,25 @@ def cases(strategy: st.SearchStrategy[Any], *, dear: bool = False) -> Callable[[
     def decorate(body: Body) -> Callable[[Judge], None]:
         @wraps(body)
         def test(judge: Judge) -> None:
-            judge.for_all(strategy, partial(body, judge), dear=dear)
+            rehearse(judge, strategy, body, dear=dear)
+            judge.for_all(strategy, body, dear=dear)
 
         # pytest looks for fixtures in the signature: the case is none.
         del test.__wrapped__  # pyright: ignore[reportAttributeAccessIssue]
+        test.property = body  # pyright: ignore[reportAttributeAccessIssue]
         return test
 
     return decorate
+
+
+def find_property(test: str) -> Body:
+    """The property of a test by its id, ``stage.test``.
+
+    Raises:
+        LookupError: there is none.
+    """
+    stage, _, name = test.partition(".")
+    try:
+        return getattr(import_module(f"conformance.suite.test_{stage}"), f"test_{name}").property
+    except (ImportError, AttributeError) as error:
+        raise LookupError(f"no such test: {test}") from error

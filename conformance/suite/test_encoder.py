@@ -4,7 +4,6 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judge import Judge
@@ -31,7 +30,7 @@ def test_what_is_masked_is_read_once(judge: Judge, case: tuple[Inputs, Weights])
     for name in ("conv1.conv_feature.weight", "conv1.conv_mask.0.weight"):
         other[name] = given[name].copy()
         other[name][:, 6:12] = 0
-    right = expect("encoder", judge.exactly(closed, "encoder"), judge.given(given), judge.arithmetic, {})
+    right = judge.right("encoder", closed, given)
     first, second = (judge.run("encoder", closed, w) for w in (given, other))
     for name, expected in right.items():
         judge.holds(f"encoder.{name}", second[name], Expected(first[name], 2 * np.asarray(expected.allowed)))
@@ -46,7 +45,7 @@ def test_a_pixel_is_seen_from_nearby_only(judge: Judge, case: tuple[Inputs, Weig
     changed = {**inputs, "color": inputs["color"].copy(), "gbuffer": inputs["gbuffer"].copy()}
     changed["color"][y, x] = 0.75 - changed["color"][y, x] / 2
     changed["gbuffer"][y, x, 4:] = 0.75 - changed["gbuffer"][y, x, 4:] / 2
-    right = expect("encoder", judge.exactly(inputs, "encoder"), judge.given(given), judge.arithmetic, {})
+    right = judge.right("encoder", inputs, given)
     first, second = (judge.run("encoder", i, given) for i in (inputs, changed))
     for name, expected in right.items():
         side = height // first[name].shape[0]

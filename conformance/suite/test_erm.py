@@ -4,7 +4,6 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected
 from conformance.cases.planes import SEEDS
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
@@ -39,7 +38,7 @@ def test_a_masked_value_influences_nobody(judge: Judge, case: tuple[Inputs, Weig
     taps = {n: _centre(t) if n.startswith(("latentEncoder", "KEncoder")) and t.ndim == 4 else t for n, t in given.items()}
     closed = _quarter(inputs)
     changed = {**closed, "x4": np.where(_eighth(closed["mask"])[..., None] == 0, 3 - closed["x4"], closed["x4"])}
-    right = expect("erm", judge.exactly(closed, "erm"), judge.given(taps), judge.arithmetic, {})["reshaded"]
+    right = judge.right("erm", closed, taps)["reshaded"]
     first, second = (judge.run("erm", i, taps)["reshaded"] for i in (closed, changed))
     judge.holds("erm.reshaded", second, Expected(first, 2 * np.asarray(right.allowed)))
 
@@ -52,7 +51,7 @@ def test_equal_light_stays_equal(judge: Judge, case: tuple[Inputs, Weights]):
     if not np.any(given["KEncoder.4.bias"]):
         dark["KEncoder.4.bias"] = given["KEncoder.4.bias"] + np.float32(1)
     open_ = {**inputs, "mask": np.ones_like(inputs["mask"])}
-    right = expect("erm", judge.exactly(open_, "erm"), judge.given(dark), judge.arithmetic, {})["reshaded"]
+    right = judge.right("erm", open_, dark)["reshaded"]
     got = judge.run("erm", open_, dark)["reshaded"]
     light = judge.given(dark)["latentEncoder.4.bias"].astype(np.float64)
     faint = (

@@ -4,7 +4,6 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected
 from conformance.cases.stage_inputs import Inputs, network_inputs, weights
 from conformance.judge import Judge
@@ -27,7 +26,7 @@ def test_the_three_frames_share_their_weights(judge: Judge, case: tuple[tuple[In
     blocks = np.concatenate([np.arange(32) + 32 * i for i in order])
     read = {name: tensor[:, blocks] for name, tensor in given.items() if name.startswith("lowlevelGated") and tensor.ndim == 4}
     whole = judge.run("history", inputs, given)["feature"]
-    right = expect("history", judge.exactly(inputs, "history"), judge.given(given), judge.arithmetic, {})["feature"]
+    right = judge.right("history", inputs, given)["feature"]
     got = judge.run("history", {"history": inputs["history"][order]}, {**given, **read})["feature"]
     judge.holds("history.feature", got, Expected(whole, 2 * np.asarray(right.allowed)))
 
@@ -38,7 +37,7 @@ def test_without_weights_the_bias_is_left(judge: Judge, case: tuple[Inputs, Weig
     inputs, given = case
     still = {name: tensor if name == "lowlevelGated.conv_feature.bias" else tensor * 0 for name, tensor in given.items()}
     bias = judge.given(still)["lowlevelGated.conv_feature.bias"].astype(np.float64)
-    right = expect("history", judge.exactly(inputs, "history"), judge.given(still), judge.arithmetic, {})["feature"]
+    right = judge.right("history", inputs, still)["feature"]
     got = judge.run("history", inputs, still)["feature"]
     judge.holds("history.feature", got, Expected(np.broadcast_to(bias / 2, got.shape), right.allowed))
 

@@ -59,12 +59,12 @@ def conform(
         require(package, "conform")
     from conformance.judge import TIERS, Judge
     from conformance.run_suite import SUITE, KnownFailuresError, read_known, run_suite
-    from stss.conform import failures as conforming
     from stss.conform import report as conform_report
+    from stss.conform.load_port import load_port
 
     require_places({"--json": json_file, "--junit": junit, "--report": report}, [known_failures])
     _require_folder(failures)
-    port = conforming.load_port(spec, program, timeout, dtype, winograd)
+    port = load_port(spec, program, timeout, dtype, winograd)
     if replay is not None:
         sys.exit(_replay(port, replay))
     if unknown := set(stages or ()) - set(SUITE):
@@ -96,8 +96,8 @@ def _keep_failures(results: list[Any], failures: Path, again: str) -> dict[str, 
     from stss.conform.failures import keep_failure
     from stss.conform.report import print_results
 
-    found = {r.id: r.record.finding for r in results if r.outcome == "failed" and r.record.finding is not None}
-    folders = {name: keep_failure(failures, name, finding, again) for name, finding in found.items()}
+    found = {r.id: r.record for r in results if r.outcome == "failed" and r.record.finding is not None}
+    folders = {name: keep_failure(failures, name, record, again) for name, record in found.items()}
     print_results(results, Terminal())
     for name, folder in folders.items():
         echo(f"{name}: {again} --replay {shlex.quote(str(folder))}")
@@ -117,12 +117,13 @@ def _command(spec: str | None, program: str | None, dtype: str | None, winograd:
 
 
 def _replay(port: Any, folder: Path) -> int:
-    from stss.conform import failures as conforming
+    from stss.conform.failures import replay
 
-    worst, output = 0.0, ""
-    for output, ratio in conforming.replay(port, folder):
+    record = replay(port, folder)
+    for output, ratio in record.worst.items():
         echo(f"{output}: {'wrong' if ratio == float('inf') else f'error / bound {ratio:.3g}'}")
-        worst = max(worst, ratio)
-    if not output:
+    if record.finding is not None:
+        echo(record.finding.message)
+    elif not record.worst:
         echo("nothing was judged: rounding decides on the whole answer")
-    return int(worst > 1 or not output)
+    return int(record.finding is not None or not record.worst)

@@ -15,8 +15,9 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from conformance.judge import Judge, tallied
-from conformance.run_suite import JUDGED, Result
+from conformance.findings import TestResult, tallied
+from conformance.judge import Judge
+from conformance.run_suite import JUDGED
 from stss.output.write_whole import write_named
 from stss.version import VERSION
 
@@ -32,7 +33,7 @@ td.n, th.n { text-align: right; font-variant-numeric: tabular-nums }
 """
 
 
-def print_results(results: Sequence[Result], console: Console) -> None:
+def print_results(results: Sequence[TestResult], console: Console) -> None:
     """A line for each stage, then every failure."""
     table = Table(box=box.SIMPLE_HEAD, padding=0)
     for name, justify in (
@@ -59,15 +60,15 @@ def print_results(results: Sequence[Result], console: Console) -> None:
             console.print(f"{result.outcome}: {result.id}: {result.message}", soft_wrap=True, markup=False, highlight=False)
 
 
-def by_stage(results: Sequence[Result]) -> dict[str, list[Result]]:
+def by_stage(results: Sequence[TestResult]) -> dict[str, list[TestResult]]:
     """In the order of the run."""
-    grouped: dict[str, list[Result]] = {}
+    grouped: dict[str, list[TestResult]] = {}
     for result in results:
         grouped.setdefault(result.stage, []).append(result)
     return grouped
 
 
-def worst_of(results: Sequence[Result]) -> dict[str, float]:
+def worst_of(results: Sequence[TestResult]) -> dict[str, float]:
     """Largest error / bound of each output."""
     worst: dict[str, float] = {}
     for result in results:
@@ -76,7 +77,7 @@ def worst_of(results: Sequence[Result]) -> dict[str, float]:
     return worst
 
 
-def to_json(judge: Judge, results: Sequence[Result], folders: dict[str, Path]) -> dict[str, Any]:
+def to_json(judge: Judge, results: Sequence[TestResult], folders: dict[str, Path]) -> dict[str, Any]:
     """Everything, for another program; a wrong mask's ratio, which is infinite, is null."""
     return {
         "format": FORMAT,
@@ -107,7 +108,7 @@ def to_json(judge: Judge, results: Sequence[Result], folders: dict[str, Path]) -
     }
 
 
-def passed(results: Sequence[Result]) -> bool:
+def passed(results: Sequence[TestResult]) -> bool:
     """Whether something was judged, and nothing failed but what is known to."""
     return all(r.outcome in ("passed", "skipped", "known") for r in results)
 
@@ -117,7 +118,7 @@ def write_json(path: Path, found: dict[str, Any]) -> None:
     write_named(path, json.dumps(found, indent=1) + "\n")
 
 
-def write_page(path: Path, judge: Judge, results: Sequence[Result], folders: dict[str, Path]) -> None:
+def write_page(path: Path, judge: Judge, results: Sequence[TestResult], folders: dict[str, Path]) -> None:
     """One HTML file that needs no other."""
     arithmetic = judge.arithmetic.dtype + (", Winograd" if judge.arithmetic.winograd else "")
     counted = tallied([r.record for r in results])
@@ -135,13 +136,13 @@ def write_page(path: Path, judge: Judge, results: Sequence[Result], folders: dic
     write_named(path, text)
 
 
-def _row(r: Result) -> str:
+def _row(r: TestResult) -> str:
     worst = "<br>".join(f"{html.escape(name.split('.')[-1])} {_number(ratio)}" for name, ratio in r.record.worst.items())
     cells = f'<td><code>{html.escape(r.id)}</code><td>{html.escape(r.property)}<td class="{r.outcome}">{r.outcome}'
     return f'<tr>{cells}<td class="n">{r.record.cases or ""}<td class="n">{worst}</tr>'
 
 
-def _failure(r: Result, folder: Path | None) -> str:
+def _failure(r: TestResult, folder: Path | None) -> str:
     picture = folder / "picture.png" if folder else None
     shown = ""
     if picture is not None and picture.exists():

@@ -17,7 +17,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conformance.cases import stage_inputs as drawn
-from conformance.judge import DepartureError, Judge
+from conformance.findings import DepartureError
+from conformance.judge import Judge
 from conformance.protocol import job_folder, own_session
 from conformance.protocol.job_folder import MOST_WEIGHTS_BYTES, write_job
 from conformance.protocol.port import Case, PortError

@@ -13,10 +13,11 @@ import pytest
 from click.testing import CliRunner
 
 from conformance.answers.expected import Expected, largest
-from conformance.judge import DepartureError, Judge, Tier
+from conformance.findings import DepartureError
+from conformance.judge import Judge, Tier
 from conformance.run_suite import run_suite
 from stss.cli.main import stss
-from stss.conform.failures import load_port
+from stss.conform.load_port import load_port
 from stss.conform.own_ports import ReferencePort
 from stss.errors import InputError
 from stss.images.read_write import read_rgb
