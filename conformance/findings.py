@@ -42,6 +42,21 @@ class Finding:
     expected: Expected | None
 
 
+@dataclass(frozen=True)
+class Failure:
+    """A property that does not hold.
+
+    Attributes:
+        finding: the wrong output.
+        drawn: the property's own case, from which it can be run again.
+        before: the cases that were checked before it, oldest first; once the failure is confirmed, those that it needs.
+    """
+
+    finding: Finding
+    drawn: Any
+    before: tuple[Any, ...] = ()
+
+
 @dataclass
 class Record:
     """What one test met.
@@ -51,16 +66,16 @@ class Record:
         undecided: numbers that rounding decided.
         unjudged: answers that were not held against anything, since rounding decides on the whole of them.
         worst: largest error / bound of each output, by ``stage.output``.
-        finding: what failed the test.
-        drawn: the property's own case that failed it, from which it can be run again.
+        failure: what failed the test, as small as it got.
+        first: what failed it first.
     """
 
     cases: int = 0
     undecided: int = 0
     unjudged: int = 0
     worst: dict[str, float] = field(default_factory=dict[str, float])
-    finding: Finding | None = None
-    drawn: Any = None
+    failure: Failure | None = None
+    first: Failure | None = None
 
 
 @dataclass

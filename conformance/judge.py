@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from time import monotonic
 from typing import Any
 
 import hypothesis
@@ -16,7 +18,8 @@ from numpy.typing import NDArray
 from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected, largest
 from conformance.answers.port_arithmetic import Arithmetic
-from conformance.findings import DepartureError, Finding, Record, said
+from conformance.findings import DepartureError, Failure, Finding, Record, said
+from conformance.protocol.drawn_case import fingerprint
 from conformance.protocol.port import Arrays, Case, Outputs, Port, PortError
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs
 from stss_ref.arrays import ArrayError
@@ -24,20 +27,25 @@ from stss_ref.weights import Weights
 
 EVERY_CHECK: list[HealthCheck] = [*HealthCheck]  # pyright: ignore[reportAssignmentType]
 MOST_FLOAT16 = 1.0
+MOST_BEFORE = 63
+"""Cases that are remembered as those before a failure: with it, one start of a program."""
+SHRINK_SECONDS = 60.0
+"""After which a failing case is as small as it gets."""
 MOST_WEIGHTS = 32
 """Sets of weights that are remembered as the port is given them."""
 
 
 @dataclass(frozen=True)
 class Tier:
-    """How much is tried: cases of a cheap property, and of one that runs the network."""
+    """How much is tried: cases of a cheap property, of one that runs the network, and large frames."""
 
     name: str
     cheap: int
     dear: int
+    large: int = 1
 
 
-TIERS = {"quick": Tier("quick", 200, 24), "full": Tier("full", 500, 150)}
+TIERS = {"quick": Tier("quick", 200, 24, 4), "full": Tier("full", 500, 150, 99)}
 Body = Callable[["Judge", Any], None]
 """A property: runs the port on what a case says, and raises DepartureError where it does not hold."""
 
@@ -50,19 +58,26 @@ class Judge:
         tier: how many cases.
         seed: of the cases; the same seed gives the same ones.
         shrink: whether a failing case is made as small as it gets.
+        repeat: how often each case is computed; other bits at any time are a departure.
 
     Attributes:
         record: of the test that runs now; the runner puts a new one in its place before each.
     """
 
-    def __init__(self, port: Port, tier: Tier = TIERS["quick"], seed: int = 0, *, shrink: bool = True):
-        self.port, self.tier, self.seed, self.shrink = port, tier, seed, shrink
+    def __init__(self, port: Port, tier: Tier = TIERS["quick"], seed: int = 0, *, shrink: bool = True, repeat: int = 1):
+        self.port, self.tier, self.seed, self.shrink, self.repeat = port, tier, seed, shrink, repeat
         self.arithmetic = Arithmetic(port.dtype, bool(getattr(port, "winograd", False)))
         self.stages = port.stages()
         self.record = Record()
         self._last: Case | None = None
         self._near: dict[str, float] = {}  # of one case: what Hypothesis is steered by
+        self._before: deque[Any] = deque(maxlen=MOST_BEFORE)
         self._weights: dict[int, tuple[Weights, Weights]] = {}
+
+    def begin(self) -> None:
+        """Another test: what the last one met is forgotten."""
+        self.record = Record()
+        self._before.clear()
 
     def for_all(self, strategy: st.SearchStrategy[Any], body: Body, *, dear: bool = False) -> None:
         """Run ``body`` on cases of ``strategy``, towards larger errors.
@@ -71,9 +86,18 @@ class Judge:
         """
         steered = not hasattr(self.port, "prepare")
         phases = [Phase.explicit, Phase.generate, *([Phase.target] if steered else []), *([Phase.shrink] if self.shrink else [])]
+        failed_at, failing = 0.0, set[bytes]()
 
         def run(case: Any) -> None:
-            self.check(body, case)
+            nonlocal failed_at
+            if failed_at and monotonic() - failed_at > SHRINK_SECONDS and fingerprint(case) not in failing:
+                return
+            try:
+                self.check(body, case)
+            except DepartureError:
+                failed_at = failed_at or monotonic()
+                failing.add(fingerprint(case))
+                raise
             if steered:
                 for output, worst in self._near.items():
                     hypothesis.target(worst, label=output)
@@ -86,8 +110,12 @@ class Judge:
         try:
             body(self, case)
         except DepartureError as error:
-            self.record.finding, self.record.drawn = error.finding, case
+            failure = Failure(error.finding, case, tuple(self._before))
+            self.record.failure = failure
+            self.record.first = self.record.first or failure
             raise
+        finally:
+            self._before.append(case)
 
     def draw(
         self, strategy: st.SearchStrategy[Any], take: Callable[[Any], None], phases: list[Phase], *, dear: bool = False
@@ -123,8 +151,12 @@ class Judge:
         try:
             outputs = self._answer(case)
             check_outputs(stage, outputs, sizes)
+            again = [self._answer(case) for _ in range(self.repeat - 1)]
         except (ArrayError, PortError) as error:
             raise DepartureError(Finding(f"{stage}: {error}", case, "", None, None)) from error
+        for other in again:
+            for name, array in other.items():
+                self.same(f"{stage}.{name}", np.nan_to_num(array), np.nan_to_num(outputs[name]))
         return outputs
 
     def asked(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Case:
@@ -144,7 +176,13 @@ class Judge:
         if hasattr(self.port, "prepare"):
             return self.port.run(case.stage, case.inputs, case.weights)
         weights = None if case.weights is None else {name: tensor.copy() for name, tensor in case.weights.items()}
-        outputs = self.port.run(case.stage, {name: array.copy() for name, array in case.inputs.items()}, weights)
+        try:
+            outputs = self.port.run(case.stage, {name: array.copy() for name, array in case.inputs.items()}, weights)
+        except (PortError, ArrayError):
+            raise
+        except Exception as error:
+            # A port is a stranger: whatever it raises is its failure, on this case.
+            raise PortError(f"{type(error).__name__}: {error}") from error
         return {name: array.copy() for name, array in outputs.items()}
 
     def given(self, arrays: Arrays, stage: str = "") -> dict[str, NDArray[Any]]:

@@ -131,7 +131,7 @@ class _Plugin:
         needs = "frame" if stage == SEQUENCE else stage
         if needs not in self._judge.stages:
             pytest.skip(f"the port has no stage {needs}")
-        self._judge.record = Record()
+        self._judge.begin()
         return self._judge
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:

@@ -3,15 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
 from functools import wraps
 from importlib import import_module
 from typing import Any
 
+import numpy as np
 from hypothesis import strategies as st
+from hypothesis.errors import Flaky
 
+from conformance.confirm import confirm
+from conformance.findings import DepartureError
 from conformance.judge import Body, Judge
-from conformance.rehearsal import rehearse
+from conformance.rehearsal import prepare, rehearse
 
 
 def cases(strategy: st.SearchStrategy[Any], *, dear: bool = False) -> Callable[[Body], Callable[[Judge], None]]:
@@ -26,14 +31,55 @@ def cases(strategy: st.SearchStrategy[Any], *, dear: bool = False) -> Callable[[
         @wraps(body)
         def test(judge: Judge) -> None:
             rehearse(judge, strategy, body, dear=dear)
-            judge.for_all(strategy, body, dear=dear)
+            with _confirmed(judge, body):
+                judge.for_all(strategy, body, dear=dear)
 
-        # pytest looks for fixtures in the signature: the case is none.
-        del test.__wrapped__  # pyright: ignore[reportAttributeAccessIssue]
-        test.property = body  # pyright: ignore[reportAttributeAccessIssue]
-        return test
+        return _as_test(test, body)
 
     return decorate
+
+
+def made_cases(
+    made: Sequence[Callable[[np.random.Generator], Any]], *, large: bool = False
+) -> Callable[[Body], Callable[[Judge], None]]:
+    """Make a test of a property on a few cases that are made and not drawn.
+
+    Args:
+        made: each makes one case from a seeded generator.
+        large: whether they are large frames, the dearest last: the judge's tier says how many of them are tried.
+    """
+
+    def decorate(body: Body) -> Callable[[Judge], None]:
+        @wraps(body)
+        def test(judge: Judge) -> None:
+            some = [make(np.random.default_rng(judge.seed)) for make in made[: judge.tier.large if large else None]]
+            prepare(judge, some, body)
+            with _confirmed(judge, body):
+                for case in some:
+                    judge.check(body, case)
+
+        return _as_test(test, body)
+
+    return decorate
+
+
+@contextmanager
+def _confirmed(judge: Judge, body: Body) -> Generator[None]:
+    """A failure is run again before it is told."""
+    try:
+        yield
+    except (DepartureError, Flaky) as error:
+        if judge.shrink:
+            judge.record.failure = confirm(judge, body)
+        assert judge.record.failure is not None
+        raise DepartureError(judge.record.failure.finding) from error
+
+
+def _as_test(test: Any, body: Body) -> Callable[[Judge], None]:
+    # pytest looks for fixtures in the signature: the case is none.
+    del test.__wrapped__
+    test.property = body
+    return test
 
 
 def find_property(test: str) -> Body:

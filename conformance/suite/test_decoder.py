@@ -4,9 +4,10 @@
 import numpy as np
 from hypothesis import strategies as st
 
+from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, network_inputs, weights
 from conformance.judge import Judge
-from conformance.suite.properties import cases
+from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("decoder"), weights())
@@ -41,3 +42,9 @@ def test_one_colour_stays_one_colour(judge: Judge, case: tuple[Inputs, Weights])
 def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     """The same features give the same bits again."""
     judge.same("decoder.image", *(judge.run("decoder", *case)["image"] for _ in range(2)))
+
+
+@made_cases(large_inputs("decoder"), large=True)
+def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count."""
+    judge.agrees("decoder", *case)

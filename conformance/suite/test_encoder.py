@@ -5,9 +5,10 @@ import numpy as np
 from hypothesis import strategies as st
 
 from conformance.answers.expected import Expected
+from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judge import Judge
-from conformance.suite.properties import cases
+from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("encoder"), weights())
@@ -61,3 +62,9 @@ def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     first, second = (judge.run("encoder", *case) for _ in range(2))
     for name in first:
         judge.same(f"encoder.{name}", second[name], first[name])
+
+
+@made_cases(large_inputs("encoder"), large=True)
+def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count."""
+    judge.agrees("encoder", *case)

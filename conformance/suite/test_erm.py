@@ -5,10 +5,12 @@ import numpy as np
 from hypothesis import strategies as st
 
 from conformance.answers.expected import Expected
+from conformance.cases.constants import constant_cases
+from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import SEEDS
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judge import Judge
-from conformance.suite.properties import cases
+from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("erm", multiples(48)), weights())
@@ -75,6 +77,18 @@ def test_opposite_materials_share_no_light(judge: Judge, case: tuple[tuple[Input
 def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     """The same frame gives the same bits again."""
     judge.same("erm.reshaded", *(judge.run("erm", *case)["reshaded"] for _ in range(2)))
+
+
+@made_cases(constant_cases("erm"))
+def test_constants_are_those_of_the_specification(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same where a constant counts: just beside a limit, where a small number is added or is the least."""
+    judge.agrees("erm", *case)
+
+
+@made_cases(large_inputs("erm"), large=True)
+def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count."""
+    judge.agrees("erm", *case)
 
 
 def _centre(weight: np.ndarray) -> np.ndarray:

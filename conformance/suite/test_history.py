@@ -5,9 +5,10 @@ import numpy as np
 from hypothesis import strategies as st
 
 from conformance.answers.expected import Expected
+from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, network_inputs, weights
 from conformance.judge import Judge
-from conformance.suite.properties import cases
+from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("history"), weights())
@@ -46,3 +47,9 @@ def test_without_weights_the_bias_is_left(judge: Judge, case: tuple[Inputs, Weig
 def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     """The same history gives the same bits again."""
     judge.same("history.feature", *(judge.run("history", *case)["feature"] for _ in range(2)))
+
+
+@made_cases(large_inputs("history"), large=True)
+def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count."""
+    judge.agrees("history", *case)

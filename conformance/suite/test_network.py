@@ -5,10 +5,11 @@ import numpy as np
 from hypothesis import strategies as st
 
 from conformance.answers.expected import Expected
+from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import sizes
 from conformance.cases.stage_inputs import Inputs, network_inputs, weights
 from conformance.judge import Judge
-from conformance.suite.properties import cases
+from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("network", sizes(20)), weights())
@@ -49,6 +50,12 @@ def test_without_a_residual_it_is_bilinear(judge: Judge, case: tuple[Inputs, Wei
 def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     """The same frame gives the same bits again."""
     judge.same("network.image", *(judge.run("network", *case)["image"] for _ in range(2)))
+
+
+@made_cases(large_inputs("network"), large=True)
+def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count."""
+    judge.agrees("network", *case)
 
 
 def _pad(array: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:

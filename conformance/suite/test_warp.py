@@ -5,10 +5,11 @@ import numpy as np
 from hypothesis import strategies as st
 
 from conformance.answers.expected import Expected
+from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import Float64, colors, dyadic_motions, sizes
 from conformance.cases.stage_inputs import Inputs, warp_inputs, wide_warp_inputs
 from conformance.judge import Judge
-from conformance.suite.properties import cases
+from conformance.suite.properties import cases, made_cases
 
 
 @cases(warp_inputs())
@@ -107,3 +108,9 @@ def test_the_same_twice(judge: Judge, inputs: Inputs):
     """The same frame gives the same bits again."""
     first, second = judge.run("warp", inputs), judge.run("warp", inputs)
     judge.same("warp.warped", second["warped"], first["warped"])
+
+
+@made_cases(large_inputs("warp"), large=True)
+def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs):
+    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count, motion across and out of them."""
+    judge.agrees("warp", inputs)

@@ -96,8 +96,8 @@ def _keep_failures(results: list[Any], failures: Path, again: str) -> dict[str, 
     from stss.conform.failures import keep_failure
     from stss.conform.report import print_results
 
-    found = {r.id: r.record for r in results if r.outcome == "failed" and r.record.finding is not None}
-    folders = {name: keep_failure(failures, name, record, again) for name, record in found.items()}
+    found = {r.id: r.record.failure for r in results if r.outcome == "failed" and r.record.failure is not None}
+    folders = {name: keep_failure(failures, name, failure, again) for name, failure in found.items()}
     print_results(results, Terminal())
     for name, folder in folders.items():
         echo(f"{name}: {again} --replay {shlex.quote(str(folder))}")
@@ -122,8 +122,8 @@ def _replay(port: Any, folder: Path) -> int:
     record = replay(port, folder)
     for output, ratio in record.worst.items():
         echo(f"{output}: {'wrong' if ratio == float('inf') else f'error / bound {ratio:.3g}'}")
-    if record.finding is not None:
-        echo(record.finding.message)
+    if record.failure is not None:
+        echo(record.failure.finding.message)
     elif not record.worst:
         echo("nothing was judged: rounding decides on the whole answer")
-    return int(record.finding is not None or not record.worst)
+    return int(record.failure is not None or not record.worst)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
-from conformance.findings import DepartureError, Finding, Record
+from conformance.findings import DepartureError, Failure, Finding, Record
 from conformance.judge import Body, Judge
 from conformance.protocol.drawn_case import read_drawn, write_drawn
 from conformance.protocol.job_folder import (
@@ -43,13 +43,13 @@ PICTURE_SIDE = 240
 """Pixels on the screen that the longer side of a picture's panel takes, about."""
 
 
-def keep_failure(folder: Path, name: str, record: Record, replay: str) -> Path:
+def keep_failure(folder: Path, name: str, failure: Failure, replay: str) -> Path:
     """Leave a failure as ``folder/name``: a job of one case, with what is right, a picture, and how to run it again.
 
     Args:
         folder: for failures; made if need be.
         name: ``stage.test``; what lies there of an earlier run is replaced.
-        record: of the test; it has a finding.
+        failure: what is kept.
         replay: the command that runs it again, without the folder.
     """
     kept = folder / name
@@ -58,11 +58,9 @@ def keep_failure(folder: Path, name: str, record: Record, replay: str) -> Path:
         made = Path(tempfile.mkdtemp(prefix=".", dir=folder))
     try:
         with told(kept):
-            assert record.finding is not None
-            _write_failure(made, record.finding, f"{replay} --replay {shlex.quote(str(kept))}")
-            if record.drawn is not None:
-                with open_folder(made) as opened, opened.made(DRAWN) as drawn:
-                    write_drawn(drawn, name, record.drawn)
+            _write_failure(made, failure.finding, f"{replay} --replay {shlex.quote(str(kept))}")
+            with open_folder(made) as opened, opened.made(DRAWN) as drawn:
+                write_drawn(drawn, name, [*failure.before, failure.drawn])
             made.chmod(0o755)
             if kept.is_symlink():
                 kept.unlink()
@@ -114,7 +112,7 @@ def replay(port: Port, folder: Path) -> Record:
     """Run a kept failure again: its property on its case, or, in a job of one case that has no property, the case on its own.
 
     Returns:
-        What was met: ``finding`` is None if all is right, and ``worst`` has error / bound of each output that is judged.
+        What was met: ``failure`` is None if all is right, and ``worst`` has error / bound of each output that is judged.
 
     Raises:
         InputError: the folder is none, or the port lacks the stage.
@@ -125,10 +123,12 @@ def replay(port: Port, folder: Path) -> Record:
             case = _only_case(kept)
             if case.stage not in judge.stages:
                 raise InputError(f"{port.name} has no stage {case.stage}")
-            body, drawn = _property(kept) or (_agrees, case)
-            prepare(judge, [drawn], body)
-            with suppress(DepartureError):
-                judge.check(body, drawn)
+            body, cases = _property(kept) or (_agrees, [case])
+            prepare(judge, cases, body)
+            for drawn in cases:
+                judge.record = Record()
+                with suppress(DepartureError):
+                    judge.check(body, drawn)
     except (JobError, PortError) as error:
         raise InputError(str(error)) from error
     except (LookupError, ValueError, TypeError, AttributeError) as error:
@@ -149,12 +149,13 @@ def _agrees(judge: Judge, case: Case) -> None:
     judge.agrees(case.stage, case.inputs, case.weights)
 
 
-def _property(kept: Folder) -> tuple[Body, Any] | None:
+def _property(kept: Folder) -> tuple[Body, list[Any]] | None:
+    """The property, the cases before, and the failing one."""
     if kept.kind(DRAWN) is None:
         return None
     with kept.folder(DRAWN) as opened:
-        test, drawn = read_drawn(opened)
-    return find_property(test), drawn
+        test, cases = read_drawn(opened)
+    return find_property(test), [*cases]
 
 
 def _case(folder: Folder) -> Case:

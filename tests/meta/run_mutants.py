@@ -19,11 +19,17 @@ PAGE = Path(__file__).parents[2] / "docs" / "mutants.md"
 MARK = "<!-- written by make mutants -->"
 
 
-def killers(name, seed=0):
-    """The tests of its stage's quick tier that a mutant fails, and the seconds that took; the first one only, unshrunken."""
-    mutant, start = find(name), perf_counter()
+def failed(name, seed=0):
+    """The results of its stage's quick tier that a mutant fails; the first one only, unshrunken."""
+    mutant = find(name)
     results = run_suite(Judge(mutant.port(), TIERS["quick"], seed, shrink=False), [mutant.stage], first_only=True)
-    return [result.id for result in results if result.outcome in ("failed", "error")], perf_counter() - start
+    return [result for result in results if result.outcome in ("failed", "error")]
+
+
+def killers(name, seed=0):
+    """The tests that find a mutant out, and the seconds that took."""
+    start = perf_counter()
+    return [result.id for result in failed(name, seed)], perf_counter() - start
 
 
 def table(found):

@@ -182,7 +182,7 @@ def test_seeds_differ_and_repeat():
 def test_steering_does_not_lose_the_failure():
     """What is reported is a real failure of the port, on the case that is kept."""
     results = run_suite(Judge(find("warp_x_sign").port()), ["warp"])
-    finding = next(result.record.finding for result in results if result.record.finding)
+    finding = next(result.record.failure.finding for result in results if result.record.failure)
     got = find("warp_x_sign").port().run("warp", finding.case.inputs)[finding.output]
     assert largest(finding.expected, got) > 1
 
