@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected, largest
 from conformance.answers.port_arithmetic import Arithmetic
+from conformance.answers.sums import expected_rounding, rounding
 from conformance.findings import DepartureError, Failure, Finding, Record, said
 from conformance.protocol.drawn_case import fingerprint
 from conformance.protocol.port import Arrays, Case, Outputs, Port, PortError
@@ -214,6 +215,26 @@ class Judge:
         for name, right in expected.items():
             self.holds(f"{stage}.{name}", outputs[name], right)
         return outputs
+
+    def agrees_exactly(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights) -> None:
+        """Run a case that needs no rounding: the same bits. Winograd's matrices have thirds, so such a port has its bounds as ever."""
+        if self.arithmetic.winograd:
+            self.agrees(stage, inputs, weights)
+            return
+        outputs = self.run(stage, inputs, weights)
+        for name, right in self.right(stage, inputs, weights).items():
+            self.same(f"{stage}.{name}", outputs[name], right.want)
+
+    def rounds_either_way(
+        self, stage: str, output: str, inputs: Mapping[str, NDArray[Any]], weights: Weights, layer: str
+    ) -> None:
+        """Hold the errors of an output together against what rounding leaves of sums: the products of ``layer``, of one sign."""
+        got = self.run(stage, inputs, weights)[output]
+        want = self.right(stage, inputs, weights)[output].want
+        sums = want != 0
+        terms = int(np.prod(weights[f"{layer}.weight"].shape[1:]))
+        found = rounding(got[sums], want[sums], terms, self.arithmetic)
+        self.holds(f"{stage}.rounding", found, expected_rounding(self.arithmetic))
 
     def _finite(self, stage: str, outputs: Outputs) -> None:
         """Rounding decides on the whole answer; but not on whether it is a number."""

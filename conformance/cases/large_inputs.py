@@ -73,7 +73,8 @@ def _rrm(size: Size, rng: Generator) -> Inputs:
     return {"valid": (rng.random(size) < 0.7).astype(np.uint8), "rectangle": rectangle}
 
 
-def _network(stage: str, size: Size, rng: Generator) -> tuple[Inputs, Weights]:
+def network_case(stage: str, size: Size, rng: Generator) -> tuple[Inputs, Weights]:
+    """Inputs in [0, 1] of a stage of the network, and weights."""
     height, width = size
     shapes = {
         "color": (height, width, 6), "gbuffer": (height, width, 9), "history": (3, height, width, 4),
@@ -115,4 +116,4 @@ def large_inputs(stage: str) -> tuple[Made, ...]:
         return tuple(partial(_IMAGE[stage], size) for size in IMAGE_SIZES)
     if stage == "frame":
         return tuple(partial(frame_case, size) for size in ANY_SIZES)
-    return tuple(partial(_network, stage, size) for size in (ANY_SIZES if stage == "network" else NETWORK_SIZES))
+    return tuple(partial(network_case, stage, size) for size in (ANY_SIZES if stage == "network" else NETWORK_SIZES))

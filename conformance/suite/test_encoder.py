@@ -5,6 +5,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from conformance.answers.expected import Expected
+from conformance.cases.exact_weights import LAST, exact_inputs, rounded_sums
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judge import Judge
@@ -62,6 +63,18 @@ def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     first, second = (judge.run("encoder", *case) for _ in range(2))
     for name in first:
         judge.same(f"encoder.{name}", second[name], first[name])
+
+
+@cases(exact_inputs("encoder", multiples()), dear=True)
+def test_what_needs_no_rounding_is_exact(judge: Judge, case: tuple[Inputs, Weights]):
+    """Eighths and few weights of 1 are added without a rounding in any order: all four features are right bit for bit."""
+    judge.agrees_exactly("encoder", *case)
+
+
+@cases(rounded_sums("encoder"), dear=True)
+def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]):
+    """Thousands of sums of one layer are off by no more than rounding to the nearest leaves on average, and not all to one side."""
+    judge.rounds_either_way("encoder", "x1", *case, LAST["encoder"])
 
 
 @made_cases(large_inputs("encoder"), large=True)

@@ -5,8 +5,9 @@ import numpy as np
 from hypothesis import strategies as st
 
 from conformance.answers.expected import Expected
+from conformance.cases.exact_weights import LAST, exact_inputs, rounded_sums
 from conformance.cases.large_inputs import large_inputs
-from conformance.cases.stage_inputs import Inputs, network_inputs, weights
+from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judge import Judge
 from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
@@ -47,6 +48,18 @@ def test_without_weights_the_bias_is_left(judge: Judge, case: tuple[Inputs, Weig
 def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     """The same history gives the same bits again."""
     judge.same("history.feature", *(judge.run("history", *case)["feature"] for _ in range(2)))
+
+
+@cases(exact_inputs("history", multiples(32)), dear=True)
+def test_what_needs_no_rounding_is_exact(judge: Judge, case: tuple[Inputs, Weights]):
+    """Eighths and few weights of 1 are added without a rounding in any order: the feature is right bit for bit."""
+    judge.agrees_exactly("history", *case)
+
+
+@cases(rounded_sums("history"), dear=True)
+def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]):
+    """Thousands of sums of one layer are off by no more than rounding to the nearest leaves on average, and not all to one side."""
+    judge.rounds_either_way("history", "feature", *case, LAST["history"])
 
 
 @made_cases(large_inputs("history"), large=True)
