@@ -17,6 +17,9 @@ from conformance.protocol.port import Arrays, Case, Outputs, PortError, Unsuppor
 from conformance.protocol.stages import STAGES, check_inputs
 from stss_ref.weights import Weights, zeros
 
+PROBED = ((8, 8), (72, 136))
+"""(H, W) at which a program is asked for its stages."""
+
 
 class FolderPort:
     """Runs a program on job folders, many cases at a start.
@@ -48,17 +51,19 @@ class FolderPort:
         self._stages: frozenset[str] | None = None
 
     def stages(self) -> frozenset[str]:
-        """What the program does not call unsupported: asked once, with the smallest case of each stage."""
+        """What the program does not call unsupported at every size: asked once, with a small and a larger case of each stage."""
         if self._stages is None:
-            results = self.run_many([smallest_case(stage) for stage in STAGES])
-            self._stages = frozenset(s for s, result in zip(STAGES, results, strict=True) if not isinstance(result, Unsupported))
+            cases = [smallest_case(stage, size) for size in PROBED for stage in STAGES]
+            results = zip(cases, self.run_many(cases), strict=True)
+            self._stages = frozenset(case.stage for case, result in results if not isinstance(result, Unsupported))
         return self._stages
 
     def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
         """One case, at a start of its own. Errors as ``run_many``; an unsupported stage is one too."""
         (result,) = self.run_many([Case(stage, inputs, weights)])
         if isinstance(result, Unsupported):
-            raise PortError(f"{self.name}: stage {stage} is unsupported")
+            sizes = ", ".join(f"{name} {array.shape}" for name, array in inputs.items())
+            raise PortError(f"{self.name}: stage {stage} is unsupported with {sizes}, though not with others")
         return result
 
     def run_many(self, cases: Sequence[Case]) -> list[Outputs | Unsupported]:
@@ -133,10 +138,10 @@ def _failed(ending: Ending, timeout: float) -> str:
     return ""
 
 
-def smallest_case(stage: str) -> Case:
+def smallest_case(stage: str, size: tuple[int, int] = PROBED[0]) -> Case:
     """Zeros in the smallest sizes that every stage takes, and weights of zeros."""
     row = STAGES[stage]
     dtypes = {"float": DTYPE, "uint8": "uint8", "int": "int32"}
-    sizes = {"H": 8, "W": 8, "C": 3, "k": 1}
+    sizes = {"H": size[0], "W": size[1], "C": 3, "k": 1}
     inputs = {name: np.zeros(spec.shape(sizes), dtypes[spec.kind]) for name, spec in row.inputs.items()}
     return Case(stage, inputs, zeros() if row.weights else None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import wraps
 from importlib import import_module
 from typing import Any
@@ -14,7 +15,8 @@ from hypothesis import strategies as st
 from hypothesis.errors import Flaky
 
 from conformance.confirm import confirm
-from conformance.findings import DepartureError
+from conformance.diagnosis import diagnose
+from conformance.findings import DepartureError, Failure, Record
 from conformance.judge import Body, Judge
 from conformance.rehearsal import prepare, rehearse
 
@@ -70,9 +72,22 @@ def _confirmed(judge: Judge, body: Body) -> Generator[None]:
         yield
     except (DepartureError, Flaky) as error:
         if judge.shrink:
-            judge.record.failure = confirm(judge, body)
+            first = judge.record.first
+            judge.record.failure = _diagnosed(judge, confirm(judge, body), first)
         assert judge.record.failure is not None
         raise DepartureError(judge.record.failure.finding) from error
+
+
+def _diagnosed(judge: Judge, failure: Failure, first: Failure | None) -> Failure:
+    """With words on what it looks like: the case that failed first, for many mistakes look like the smallest one.
+
+    Asking the port again is no part of the test's record.
+    """
+    met, judge.record = judge.record, Record()
+    words = "" if failure.before else diagnose(judge, (first or failure).finding)
+    judge.record = met
+    message = f"{failure.finding.message}; {words}" if words else failure.finding.message
+    return replace(failure, finding=replace(failure.finding, message=message))
 
 
 def _as_test(test: Any, body: Body) -> Callable[[Judge], None]:

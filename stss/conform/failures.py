@@ -39,6 +39,8 @@ from stss.output.write_whole import make_folder, told, write_whole
 CASE = "0000"
 DRAWN = "property"
 """Folder of the property's own case."""
+DECADES = 3
+"""Of error / bound, either way from 1, that a picture tells apart."""
 PICTURE_SIDE = 240
 """Pixels on the screen that the longer side of a picture's panel takes, about."""
 
@@ -91,7 +93,7 @@ def _write_right(case: Path, output: str, got: NDArray[Any], expected: Expected)
 
 
 def _picture(got: NDArray[Any], expected: Expected) -> tuple[NDArray[Any]] | None:
-    """What the port gave, what is right, and error / bound from black (0) over red (1) to white (8 and more)."""
+    """What the port gave, what is right, and error / bound from black (1/1000) over red (1) to white (1000)."""
     want = np.asarray(expected.want, np.float64)
     if got.shape != want.shape or want.ndim not in (2, 3) or not want.size:
         return None
@@ -102,7 +104,9 @@ def _picture(got: NDArray[Any], expected: Expected) -> tuple[NDArray[Any]] | Non
     chosen = [np.nan_to_num(p if shown is None else np.repeat(p[..., shown : shown + 1], 3, axis=-1)) for p in planes]
     low, high = chosen[1].min(), chosen[1].max()
     scaled = [np.clip((p - low) / (high - low if high > low else 1), 0, 1) for p in chosen]
-    heat = np.stack([np.clip(wrong, 0, 1), np.clip((wrong - 1) / 7, 0, 1), np.clip((wrong - 1) / 7, 0, 1)], axis=-1)
+    with np.errstate(divide="ignore"):
+        decades = np.log10(wrong) / DECADES
+    heat = np.stack([np.clip(1 + decades, 0, 1), np.clip(decades, 0, 1), np.clip(decades, 0, 1)], axis=-1)
     zoom = max(1, PICTURE_SIDE // max(want.shape[:2]))
     sheet = contact_sheet([("", [*scaled, heat])], ("port", "expected", "error / bound"), zoom=zoom)
     return (sheet.astype(np.float32),)

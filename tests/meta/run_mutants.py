@@ -12,8 +12,8 @@ from pathlib import Path
 from time import perf_counter
 
 from conformance.judge import TIERS, Judge
+from conformance.mistakes import MISTAKES, find
 from conformance.run_suite import run_suite
-from tests.meta.mutants import MUTANTS, find
 
 PAGE = Path(__file__).parents[2] / "docs" / "mutants.md"
 MARK = "<!-- written by make mutants -->"
@@ -35,7 +35,7 @@ def killers(name, seed=0):
 def table(found):
     """Markdown: a row for each mutant."""
     rows = ["| stage | fault | found out by |", "|---|---|---|"]
-    for mutant in MUTANTS:
+    for mutant in MISTAKES:
         by, _ = found[mutant.id]
         tests = ", ".join(f"`{test.partition('.')[2]}`" for test in by) or "**nothing**"
         rows.append(f"| `{mutant.stage}` | {mutant.what} | {tests} |")
@@ -44,7 +44,7 @@ def table(found):
 
 def main():
     os.environ["OMP_NUM_THREADS"] = "1"
-    names, seed = [mutant.id for mutant in MUTANTS], int(sys.argv[1]) if sys.argv[1:] else 0
+    names, seed = [mutant.id for mutant in MISTAKES], int(sys.argv[1]) if sys.argv[1:] else 0
     start = perf_counter()
     with ProcessPoolExecutor() as pool:
         found = dict(zip(names, pool.map(killers, names, repeat(seed), chunksize=2), strict=True))

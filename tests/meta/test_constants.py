@@ -9,11 +9,11 @@ import pytest
 
 from conformance.cases.constants import CONSTANTS
 from conformance.judge import Judge
+from conformance.mistakes.variants import load
 from conformance.protocol.stages import STAGES
 from conformance.suite.properties import find_property
 from stss.conform.own_ports import ReferencePort
 from tests.meta import right_ports
-from tests.meta.variants import load
 
 ROOT = Path(__file__).parents[2]
 BOUNDS = 10

@@ -3,13 +3,13 @@
 
 import pytest
 
+from conformance.mistakes import MISTAKES, find
 from stss.conform.failures import keep_failure, replay
 from stss.conform.own_ports import ReferencePort
-from tests.meta.mutants import MUTANTS, find
 from tests.meta.run_mutants import failed
 
 
-@pytest.mark.parametrize("name", [mutant.id for mutant in MUTANTS])
+@pytest.mark.parametrize("name", [mutant.id for mutant in MISTAKES])
 def test_found_out(name, tmp_path):
     """And from the folder that is kept the mutant fails again, while a mended port, the reference, passes."""
     (result,) = failed(name)

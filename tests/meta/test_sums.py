@@ -9,9 +9,9 @@ from conformance.cases.exact_weights import exact_inputs, rounded_sums
 from conformance.cases.stage_inputs import multiples
 from conformance.findings import DepartureError
 from conformance.judge import Judge, Tier
+from conformance.mistakes.variants import load
 from conformance.suite.properties import find_property
 from tests.meta import right_ports as others
-from tests.meta.variants import load
 
 pytestmark = pytest.mark.filterwarnings("ignore::hypothesis.errors.HypothesisWarning")
 FEW = Tier("few", 1, 2)
