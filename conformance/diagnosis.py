@@ -15,14 +15,14 @@ from conformance.findings import DepartureError, Finding
 from conformance.judge import Judge
 from conformance.mistakes import Mistake, of_stage
 from conformance.mistakes.variants import Variant
-from conformance.protocol.port import Outputs
+from conformance.protocol.port import Case, Outputs
 from conformance.rehearsal import prepare
 
 MOST_SECONDS = 20.0
 """Of computing time, for one diagnosis."""
 MOST_NAMED = 3
-CONTAINS = {"network": ("history", "encoder", "erm", "decoder")}
-CONTAINS["frame"] = ("motion_chain", "warp", "holes", "occlusion_warp", "network", *CONTAINS["network"])
+INSIDE = ("history", "encoder", "erm", "decoder")
+CONTAINS = {"network": INSIDE, "frame": ("motion_chain", "warp", "holes", "occlusion_warp", "network", *INSIDE)}
 ALIKE = 0.99
 """Share of the wrong numbers that a mistake has to explain."""
 
@@ -37,7 +37,7 @@ def diagnose(judge: Judge, finding: Finding) -> str:
     if finding.expected is None:
         return ""
     case = finding.case
-    prepare(judge, [case], lambda judge, case: judge.run(case.stage, case.inputs, case.weights))
+    prepare(judge, [case], _asked)
     try:
         got = judge.run(case.stage, case.inputs, case.weights)
     except DepartureError:
@@ -55,6 +55,10 @@ def diagnose(judge: Judge, finding: Finding) -> str:
         if (share := explained(got, made, right, wrong)) >= ALIKE:
             found.append((share, mistake))
     return _named(found, len(known))
+
+
+def _asked(judge: Judge, case: Case) -> None:
+    judge.run(case.stage, case.inputs, case.weights)
 
 
 def _shown_by(stage: str) -> tuple[Mistake, ...]:
