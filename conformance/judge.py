@@ -3,9 +3,10 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from time import monotonic
 from typing import Any
 
 import hypothesis
@@ -17,67 +18,37 @@ from numpy.typing import NDArray
 from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected, largest
 from conformance.answers.port_arithmetic import Arithmetic
-from conformance.protocol.array_specs import Sizes
-from conformance.protocol.port import Arrays, Case, Outputs, Port, PortError, Unsupported
-from conformance.protocol.program_port import FolderPort
+from conformance.answers.sums import expected_rounding, rounding
+from conformance.findings import DepartureError, Failure, Finding, Record, said
+from conformance.protocol.drawn_case import fingerprint
+from conformance.protocol.port import Arrays, Case, Outputs, Port, PortError
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
 
 EVERY_CHECK: list[HealthCheck] = [*HealthCheck]  # pyright: ignore[reportAssignmentType]
 MOST_FLOAT16 = 1.0
-BATCH = 64
-"""Cases of a program's one start."""
-
-
-class DepartureError(AssertionError):
-    """A port's answer is wrong: the message says where and by how much."""
-
-    def __init__(self, finding: Finding):
-        super().__init__(finding.message)
-        self.finding = finding
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One wrong output: enough to show it and to run it again.
-
-    Attributes:
-        message: what departs, where, by how much.
-        case: what the port was given.
-        output: name of the wrong output.
-        got: what the port answered.
-        expected: what is right.
-    """
-
-    message: str
-    case: Case
-    output: str
-    got: NDArray[Any] | None
-    expected: Expected | None
-
-
-@dataclass
-class Record:
-    """What one test met."""
-
-    cases: int = 0
-    undecided: int = 0
-    unjudged: int = 0
-    worst: dict[str, float] = field(default_factory=dict[str, float])
-    finding: Finding | None = None
+MOST_BEFORE = 63
+"""Cases that are remembered as those before a failure: with it, one start of a program."""
+SHRINK_SECONDS = 60.0
+"""After which a failing case is as small as it gets."""
+MOST_WEIGHTS = 32
+"""Sets of weights that are remembered as the port is given them."""
 
 
 @dataclass(frozen=True)
 class Tier:
-    """How much is tried: cases of a cheap property, and of one that runs the network."""
+    """How much is tried: cases of a cheap property, of one that runs the network, and large frames."""
 
     name: str
     cheap: int
     dear: int
+    large: int = 1
 
 
-TIERS = {"quick": Tier("quick", 200, 24), "full": Tier("full", 500, 150)}
+TIERS = {"quick": Tier("quick", 200, 24, 4), "full": Tier("full", 500, 150, 99)}
+Body = Callable[["Judge", Any], None]
+"""A property: runs the port on what a case says, and raises DepartureError where it does not hold."""
 
 
 class Judge:
@@ -88,68 +59,80 @@ class Judge:
         tier: how many cases.
         seed: of the cases; the same seed gives the same ones.
         shrink: whether a failing case is made as small as it gets.
+        repeat: how often each case is computed; other bits at any time are a departure.
 
     Attributes:
         record: of the test that runs now; the runner puts a new one in its place before each.
     """
 
-    def __init__(self, port: Port, tier: Tier = TIERS["quick"], seed: int = 0, *, shrink: bool = True):
-        self.port, self.tier, self.seed, self.shrink = port, tier, seed, shrink
+    def __init__(self, port: Port, tier: Tier = TIERS["quick"], seed: int = 0, *, shrink: bool = True, repeat: int = 1):
+        self.port, self.tier, self.seed, self.shrink, self.repeat = port, tier, seed, shrink, repeat
         self.arithmetic = Arithmetic(port.dtype, bool(getattr(port, "winograd", False)))
         self.stages = port.stages()
         self.record = Record()
-        self._rehearsed: list[Case] | None = None
-        self._answers: dict[bytes, Outputs] = {}
         self._last: Case | None = None
         self._near: dict[str, float] = {}  # of one case: what Hypothesis is steered by
+        self._before: deque[Any] = deque(maxlen=MOST_BEFORE)
+        self._weights: dict[int, tuple[Weights, Weights]] = {}
 
-    def for_all(self, strategy: st.SearchStrategy[Any], body: Callable[[Any], None], *, dear: bool = False) -> None:
-        """Run ``body`` on cases of ``strategy``; a program is started once for many of them.
+    def begin(self) -> None:
+        """Another test: what the last one met is forgotten."""
+        self.record = Record()
+        self._before.clear()
 
-        A program's cases are found by a rehearsal, in which nothing is judged: Hypothesis draws the same ones again afterwards. For
-        that, it must not be steered by what the port answers.
+    def for_all(self, strategy: st.SearchStrategy[Any], body: Body, *, dear: bool = False) -> None:
+        """Run ``body`` on cases of ``strategy``, towards larger errors.
+
+        A port that takes its cases beforehand (``conformance.rehearsal``) is not steered: they must not depend on its answers.
         """
-        count = self.tier.dear if dear else self.tier.cheap
-        program = isinstance(self.port, FolderPort)
-        if program:
-            self._rehearse(strategy, body, count)
-        phases = [Phase.explicit, Phase.generate]
-        if not program:
-            phases.append(Phase.target)
-        if self.shrink:
-            phases.append(Phase.shrink)
-        self._hypothesis(strategy, body, count, phases)
+        steered = not hasattr(self.port, "prepare")
+        phases = [Phase.explicit, Phase.generate, *([Phase.target] if steered else []), *([Phase.shrink] if self.shrink else [])]
+        failed_at, failing = 0.0, set[bytes]()
 
-    def _hypothesis(self, strategy: st.SearchStrategy[Any], body: Callable[[Any], None], count: int, phases: list[Phase]) -> None:
-        @hypothesis.seed(self.seed)
-        @settings(
-            max_examples=count, phases=phases, database=None, deadline=None, report_multiple_bugs=False,
-            suppress_health_check=EVERY_CHECK, print_blob=False,
-        )  # fmt: skip
-        @hypothesis.given(strategy)
         def run(case: Any) -> None:
-            self._near = {}
-            body(case)
-            if Phase.target in phases:
+            nonlocal failed_at
+            if failed_at and monotonic() - failed_at > SHRINK_SECONDS and fingerprint(case) not in failing:
+                return
+            try:
+                self.check(body, case)
+            except DepartureError:
+                failed_at = failed_at or monotonic()
+                failing.add(fingerprint(case))
+                raise
+            if steered:
                 for output, worst in self._near.items():
                     hypothesis.target(worst, label=output)
 
-        run()
+        self.draw(strategy, run, phases, dear=dear)
 
-    def _rehearse(self, strategy: st.SearchStrategy[Any], body: Callable[[Any], None], count: int) -> None:
-        self._rehearsed, self._answers = [], {}
+    def check(self, body: Body, case: Any) -> None:
+        """Run a property on one case of it; what fails is in the record."""
+        self._near = {}
         try:
-            self._hypothesis(strategy, body, count, [Phase.generate])
-            cases = {_key(case): case for case in self._rehearsed}
+            body(self, case)
+        except DepartureError as error:
+            failure = Failure(error.finding, case, tuple(self._before))
+            self.record.failure = failure
+            self.record.first = self.record.first or failure
+            raise
         finally:
-            self._rehearsed = None
-        keys = list(cases)
-        assert isinstance(self.port, FolderPort)
-        for first in range(0, len(keys), BATCH):
-            some = keys[first : first + BATCH]
-            for key, answer in zip(some, self.port.run_many([cases[key] for key in some]), strict=True):
-                if not isinstance(answer, Unsupported):
-                    self._answers[key] = answer
+            self._before.append(case)
+
+    def draw(
+        self, strategy: st.SearchStrategy[Any], take: Callable[[Any], None], phases: list[Phase], *, dear: bool = False
+    ) -> None:
+        """Hand ``take`` the tier's number of cases; the same ones for the same seed, unless it fails."""
+
+        @hypothesis.seed(self.seed)
+        @settings(
+            max_examples=self.tier.dear if dear else self.tier.cheap, phases=phases, database=None, deadline=None,
+            report_multiple_bugs=False, suppress_health_check=EVERY_CHECK, print_blob=False,
+        )  # fmt: skip
+        @hypothesis.given(strategy)
+        def run(case: Any) -> None:
+            take(case)
+
+        run()
 
     def run(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Outputs:
         """What the port answers, of the right shapes and dtypes.
@@ -162,28 +145,45 @@ class Judge:
         Raises:
             DepartureError: the port fails, or an output is missing, misshapen or of another dtype.
         """
-        case = Case(stage, self.given(inputs, stage), None if weights is None else self.given(weights))
+        case = self.asked(stage, inputs, weights)
         self._last = case
         sizes = check_inputs(stage, case.inputs, "float32")
-        if self._rehearsed is not None:
-            self._rehearsed.append(case)
-            return _zeros(stage, sizes)
         self.record.cases += 1
         try:
-            outputs = self._answers.get(_key(case)) if self._answers else None
-            if outputs is None:
-                outputs = self._answer(case)
+            outputs = self._answer(case)
             check_outputs(stage, outputs, sizes)
+            again = [self._answer(case) for _ in range(self.repeat - 1)]
         except (ArrayError, PortError) as error:
             raise DepartureError(Finding(f"{stage}: {error}", case, "", None, None)) from error
+        for other in again:
+            for name, array in other.items():
+                self.same(f"{stage}.{name}", np.nan_to_num(array), np.nan_to_num(outputs[name]))
         return outputs
+
+    def asked(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Case:
+        """What the port is given for these inputs."""
+        return Case(stage, self.given(inputs, stage), None if weights is None else self._given_weights(weights))
+
+    def _given_weights(self, weights: Weights) -> Weights:
+        """The same object for the same weights, so that a job holds them once."""
+        if id(weights) not in self._weights:
+            if len(self._weights) == MOST_WEIGHTS:
+                self._weights.clear()
+            self._weights[id(weights)] = weights, self.given(weights)
+        return self._weights[id(weights)][1]
 
     def _answer(self, case: Case) -> Outputs:
         """What a port in this process writes into its inputs, or later into its outputs, must not change what it is judged by."""
-        if isinstance(self.port, FolderPort):
+        if hasattr(self.port, "prepare"):
             return self.port.run(case.stage, case.inputs, case.weights)
         weights = None if case.weights is None else {name: tensor.copy() for name, tensor in case.weights.items()}
-        outputs = self.port.run(case.stage, {name: array.copy() for name, array in case.inputs.items()}, weights)
+        try:
+            outputs = self.port.run(case.stage, {name: array.copy() for name, array in case.inputs.items()}, weights)
+        except (PortError, ArrayError):
+            raise
+        except Exception as error:
+            # A port is a stranger: whatever it raises is its failure, on this case.
+            raise PortError(f"{type(error).__name__}: {error}") from error
         return {name: array.copy() for name, array in outputs.items()}
 
     def given(self, arrays: Arrays, stage: str = "") -> dict[str, NDArray[Any]]:
@@ -199,18 +199,42 @@ class Judge:
         given = self.given(arrays, stage)
         return {name: array.astype(np.float64) if array.dtype.kind == "f" else array for name, array in given.items()}
 
+    def right(
+        self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None, got: Outputs | None = None
+    ) -> dict[str, Expected]:
+        """What is right for these inputs, by output: see ``conformance.answers.by_stage.expect``."""
+        given = None if weights is None else self._given_weights(weights)
+        return expect(stage, self.exactly(inputs, stage), given, self.arithmetic, got or {})
+
     def agrees(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Outputs:
         """Run, and hold every output against the float64 reference."""
         outputs = self.run(stage, inputs, weights)
-        if self._rehearsed is None:
-            case = self._last
-            assert case is not None
-            expected = expect(stage, self.exactly(inputs, stage), case.weights, self.arithmetic, outputs)
-            if not expected:
-                self._finite(stage, outputs)
-            for name, right in expected.items():
-                self.holds(f"{stage}.{name}", outputs[name], right)
+        expected = self.right(stage, inputs, weights, outputs)
+        if not expected:
+            self._finite(stage, outputs)
+        for name, right in expected.items():
+            self.holds(f"{stage}.{name}", outputs[name], right)
         return outputs
+
+    def agrees_exactly(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights) -> None:
+        """Run a case that needs no rounding: the same bits. Winograd's matrices have thirds, so such a port has its bounds as ever."""
+        if self.arithmetic.winograd:
+            self.agrees(stage, inputs, weights)
+            return
+        outputs = self.run(stage, inputs, weights)
+        for name, right in self.right(stage, inputs, weights).items():
+            self.same(f"{stage}.{name}", outputs[name], right.want)
+
+    def rounds_either_way(
+        self, stage: str, output: str, inputs: Mapping[str, NDArray[Any]], weights: Weights, layer: str
+    ) -> None:
+        """Hold the errors of an output together against what rounding leaves of sums: the products of ``layer``, of one sign."""
+        got = self.run(stage, inputs, weights)[output]
+        want = self.right(stage, inputs, weights)[output].want
+        sums = want != 0
+        terms = int(np.prod(weights[f"{layer}.weight"].shape[1:]))
+        found = rounding(got[sums], want[sums], terms, self.arithmetic)
+        self.holds(f"{stage}.rounding", found, expected_rounding(self.arithmetic))
 
     def _finite(self, stage: str, outputs: Outputs) -> None:
         """Rounding decides on the whole answer; but not on whether it is a number."""
@@ -226,52 +250,11 @@ class Judge:
 
     def holds(self, output: str, got: NDArray[Any], expected: Expected) -> None:
         """Raise DepartureError unless ``got`` is right; ``output`` is ``stage.name``, as in the table of bounds."""
-        if self._rehearsed is not None:
-            return
         worst = largest(expected, got)
         self.record.undecided += expected.undecided
         self.record.worst[output] = max(worst, self.record.worst.get(output, 0.0))
         if worst > 1:
             assert self._last is not None
-            raise DepartureError(
-                Finding(_say(output, got, expected, worst), self._last, output.rsplit(".", maxsplit=1)[-1], got, expected)
-            )
+            message = said(output, got, expected, worst)
+            raise DepartureError(Finding(message, self._last, output.rsplit(".", maxsplit=1)[-1], got, expected))
         self._near[output] = max(worst, self._near.get(output, 0.0))
-
-
-def _say(output: str, got: NDArray[Any], expected: Expected, worst: float) -> str:
-    if got.shape != expected.want.shape:
-        return f"{output}: expected shape {expected.want.shape}, got {got.shape}"
-    ratios = expected.ratios(got)
-    place = tuple(int(i) for i in np.unravel_index(int(ratios.argmax()), ratios.shape))
-    allowed = float(np.broadcast_to(np.asarray(expected.allowed), got.shape)[place])
-    by = "wrong" if allowed == 0 else f"error / bound {worst:.3g}"
-    share = float((ratios > 1).mean())
-    return (
-        f"{output}: {by} at {list(place)}: got {got[place]:.9g}, expected {expected.want[place]:.9g}"
-        f"{f', allowed {allowed:.3g}' if allowed else ''}; {share:.1%} of {got.size} numbers depart"
-    )
-
-
-def _key(case: Case) -> bytes:
-    import hashlib
-
-    digest = hashlib.sha256(case.stage.encode())
-    for name, array in [*case.inputs.items(), *(case.weights or {}).items()]:
-        digest.update(f"{name}{array.shape}{array.dtype}".encode())
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.digest()
-
-
-def _zeros(stage: str, sizes: Sizes) -> Outputs:
-    kinds = {"float": np.float32, "uint8": np.uint8, "int": np.int32}
-    return {name: np.zeros(spec.shape(sizes), kinds[spec.kind]) for name, spec in STAGES[stage].outputs.items()}
-
-
-def tallied(records: Sequence[Record]) -> Counter[str]:
-    """Cases, undecided numbers and unjudged cases of several tests together."""
-    return Counter({
-        "cases": sum(r.cases for r in records),
-        "undecided": sum(r.undecided for r in records),
-        "unjudged": sum(r.unjudged for r in records),
-    })  # fmt: skip

@@ -6,15 +6,16 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import sys
 from collections.abc import Callable, Generator, Iterable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from conformance.judge import DepartureError, Judge, Record
+from conformance.findings import DepartureError, Record, TestResult
+from conformance.judge import Judge
 from conformance.protocol.stages import STAGES
 from stss_ref.regular_file import read_regular
 
@@ -25,29 +26,8 @@ SEQUENCE = "sequence"
 SUITE = (*STAGES, SEQUENCE)
 JUDGED = "suite.something_is_judged"
 """Id of the result that is added where nothing was: a run that says nothing of a port does not pass it."""
-
-
-@dataclass
-class Result:
-    """Of one test.
-
-    Attributes:
-        id: ``stage.test``, as a file of known failures names it.
-        stage: its stage.
-        property: what it asks, in words.
-        outcome: ``passed``, ``failed``, ``skipped`` (the port lacks the stage), ``known`` (failed, as expected) or ``error``.
-        message: why, unless passed.
-        seconds: it took.
-        record: what it met.
-    """
-
-    id: str
-    stage: str
-    property: str
-    outcome: str
-    message: str = ""
-    seconds: float = 0.0
-    record: Record = field(default_factory=Record)
+REQUIRED = "suite.required_stages_are_there"
+"""Id of the result that is added where the port lacks one."""
 
 
 class KnownFailuresError(ValueError):
@@ -60,9 +40,10 @@ def run_suite(
     *,
     known: Sequence[str] = (),
     junit: Path | None = None,
+    required: Iterable[str] = (),
     first_only: bool = False,
-    on_result: Callable[[Result], None] | None = None,
-) -> list[Result]:
+    on_result: Callable[[TestResult, int], None] | None = None,
+) -> list[TestResult]:
     """Run the properties of some stages.
 
     Args:
@@ -70,11 +51,13 @@ def run_suite(
         stages: names of ``SUITE``.
         known: ids of tests that are known to fail.
         junit: a file for pytest's JUnit XML.
+        required: stages that the port must have.
         first_only: stop at the first failure.
-        on_result: called after every test.
+        on_result: called after every test with its result and the number of tests.
 
     Returns:
-        One for each test, in the order of the stages; and a failure, ``JUDGED``, if none of them held anything against a bound.
+        One for each test, in the order of the stages, up to where it was interrupted; and a failure, ``JUDGED``, if none of them held
+        anything against a bound, and ``REQUIRED``, if the port lacks a stage that it must have.
 
     Raises:
         KnownFailuresError: ``known`` names no test, or one that passes.
@@ -83,9 +66,19 @@ def run_suite(
     stages = set(stages)
     if not stages or stages - set(SUITE):
         raise ValueError(f"stages: expected some of {', '.join(SUITE)}, got {', '.join(sorted(stages)) or 'none'}")
-    plugin = _Plugin(judge, known, on_result)
+    plugin = _Plugin(judge, known, required, on_result)
     files = [str(SUITE_FOLDER / f"test_{stage}.py") for stage in SUITE if stage in stages]
-    arguments = [*files, "-c", os.devnull, "--rootdir", str(SUITE_FOLDER), "--import-mode=importlib", "-W", "ignore"]
+    arguments = [
+        *files,
+        "-c",
+        os.devnull,
+        "--rootdir",
+        str(SUITE_FOLDER),
+        "--import-mode=importlib",
+        "--capture=sys",
+        "-W",
+        "ignore",
+    ]
     arguments += [f"-pno:{name}" for name in ("cacheprovider", "terminal", "logging", "faulthandler")]
     if junit is not None:
         arguments += ["--junitxml", str(junit)]
@@ -96,7 +89,7 @@ def run_suite(
     if status not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED) or plugin.broken:
         raise RuntimeError(plugin.broken or f"pytest ended with {status}")
     missing = set(known) - {result.id for result in plugin.results}
-    if missing and not first_only:
+    if missing and not first_only and status != pytest.ExitCode.INTERRUPTED:
         raise KnownFailuresError(f"known failures: no such test: {', '.join(sorted(missing))}")
     return plugin.results
 
@@ -143,9 +136,13 @@ def _undisturbed() -> Generator[None]:
 class _Plugin:
     """What pytest is told, and what it tells."""
 
-    def __init__(self, judge: Judge, known: Sequence[str], on_result: Callable[[Result], None] | None):
-        self._judge, self._known, self._on_result = judge, set(known), on_result
-        self.results: list[Result] = []
+    def __init__(
+        self, judge: Judge, known: Sequence[str], required: Iterable[str], on_result: Callable[[TestResult, int], None] | None
+    ):
+        self._judge, self._known, self._required, self._on_result = judge, set(known), set(required), on_result
+        self._total = 0
+        self._stdout = sys.stdout
+        self.results: list[TestResult] = []
         self.broken = ""
 
     @pytest.fixture
@@ -154,29 +151,43 @@ class _Plugin:
         needs = "frame" if stage == SEQUENCE else stage
         if needs not in self._judge.stages:
             pytest.skip(f"the port has no stage {needs}")
-        self._judge.record = Record()
+        self._judge.begin()
         return self._judge
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
         if report.failed:
             self.broken = str(report.longrepr)
 
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        self._total = len(items)
+
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Before the JUnit file is written: it has this one as well."""
-        if self.broken or any(_judged(result) for result in self.results):
+        """Before the JUnit file is written: it has what is added here as well."""
+        lacking = sorted(self._required - self._judge.stages)
+        if lacking:
+            message = f"the port has no stage {', '.join(lacking)}"
+            self._add(session, REQUIRED, "The port has the stages that it is required to have.", message)
+        if self.broken or len(self.results) < self._total or any(_judged(result) for result in self.results):
             return
-        stages = sorted({result.stage for result in self.results}, key=SUITE.index)
+        stages = sorted({result.stage for result in self.results} & set(SUITE), key=SUITE.index)
+        lacks_all = all(result.outcome == "skipped" for result in self.results if result.id != REQUIRED)
         lacking = f"the port has none of the stages asked for: {', '.join(stages)}"
-        skipped = all(result.outcome == "skipped" for result in self.results)
-        message = f"nothing was judged: {lacking if skipped else 'rounding decided on every answer'}"
-        stage, name = JUDGED.split(".")
-        result = Result(JUDGED, stage, "At least one answer of the port is held against what is right.", "failed", message)
-        self.results.append(result)
-        report = pytest.TestReport(JUDGED, (stage, None, name), {}, "failed", message, "call")
+        message = f"nothing was judged: {lacking if lacks_all else 'rounding decided on every answer'}"
+        self._add(session, JUDGED, "At least one answer of the port is held against what is right.", message)
+
+    def _add(self, session: pytest.Session, name: str, words: str, message: str) -> None:
+        """A failure of the run as a whole."""
+        stage, test = name.split(".")
+        report = pytest.TestReport(name, (stage, None, test), {}, "failed", message, "call")
         session.config.hook.pytest_runtest_logreport(report=report)
+        self._tell(TestResult(name, stage, words, "failed", message))
+
+    def _tell(self, result: TestResult) -> None:
+        self.results.append(result)
         if self._on_result:
-            self._on_result(result)
+            with contextlib.redirect_stdout(self._stdout):
+                self._on_result(result, self._total)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(
@@ -190,27 +201,25 @@ class _Plugin:
     def _take(self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport) -> None:
         stage, name = _stage(item), item.name.removeprefix("test_")
         said = _words(item)
-        result = Result(f"{stage}.{name}", stage, said, report.outcome, seconds=call.duration, record=self._judge.record)
+        result = TestResult(f"{stage}.{name}", stage, said, report.outcome, seconds=call.duration, record=self._judge.record)
         error = call.excinfo.value if call.excinfo is not None else None
         if report.skipped:
             result.message, result.record = str(error), Record()
         elif report.failed:
             if isinstance(error, DepartureError):
-                result.message, result.record.finding = str(error), error.finding
+                result.message = str(error)
             else:
                 result.outcome, result.message = "error", f"{type(error).__name__}: {error}"
             if result.id in self._known:
                 result.outcome = "known"
         elif result.id in self._known:
             result.outcome, result.message = "failed", "it is among the known failures, and passes: take it off the list"
-        self.results.append(result)
-        if self._on_result:
-            self._on_result(result)
+        self._tell(result)
 
 
-def _judged(result: Result) -> bool:
+def _judged(result: TestResult) -> bool:
     """Whether it says anything of the port: it failed, or something was held against a bound and found right."""
-    return result.outcome in ("failed", "error", "known") or bool(result.record.worst)
+    return result.id != REQUIRED and (result.outcome in ("failed", "error", "known") or bool(result.record.worst))
 
 
 def _stage(item: Any) -> str:

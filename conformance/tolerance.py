@@ -44,6 +44,8 @@ BOUNDS = {
     "layer.winograd": Bound(12, 0, "rms amplification of F(4x4,3x3) on 0, +-1, +-2: 10.8 (tests/meta/test_bounds.py)"),
     "gate": Bound(4, 0, "1 / (1 + exp(-x)) or (1 + tanh(x / 2)) / 2: absolutely, times what the gate is to close"),
     "spread": Bound(8, 0, "times the rms of the reference's answer to random changes of that size, or twice its largest"),
+    "sums.square": Bound(2, 0, "mean of at least 1000 squared errors, each over its largest variance, n S^2 u^2 / 3"),
+    "sums.signed": Bound(8, 0, "sum of N such errors over sqrt(N): standard deviations of what is rounded either way as often"),
     "image": Bound(16, 0, "upsampled colour: 10; pixel shuffle and its sum; the sigmoids' own; scale: largest output"),
     # agreement of two implementations in one dtype: each may err by the bound, hence twice the roundings of one
     "warp.warped": Bound(

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from conformance.answers.expected import Expected
 from conformance.answers.port_arithmetic import Arithmetic, Reach, reach, ways
 from conformance.answers.warp import interpolated
-from stss_ref.occlusion_warp import FARTHEST
+from stss_ref.occlusion_warp import FARTHEST, splat
+from stss_ref.sample import taps
 
 Cell = tuple[int, int]
 Key = tuple[float, int]
@@ -36,19 +37,28 @@ def expect_occlusion_warp(
     """
     motion = inputs["motion"]
     at = reach(motion, arithmetic, off)
-    definite, maybe = _splats(at, inputs["depth"])
-    answers = _look_up(at, motion, definite, maybe)
-    most = max(len(found) for found in answers.values())
-    maps = [np.empty_like(motion) for _ in range(most)]
-    for pixel, found in answers.items():
-        for i, each in enumerate(maps):
-            each[pixel] = found[min(i, len(found) - 1)]
+    maps = _maps(at, motion, inputs["depth"])
     expected = Expected(maps[0], 0.0, tuple(maps[1:]), vectors=True)
     by = maps[0] if got is None else got["occlusion_motion"].astype(np.float64)
     valid = inputs["valid"].astype(bool)[..., None]
     instead, allowed = interpolated(inputs["color"], reach(by, arithmetic), arithmetic)
     warped = Expected(np.where(valid, inputs["warped"], instead), np.where(valid, arithmetic.flushed(inputs["warped"]), allowed))
     return {"occlusion_motion": expected, "occlusion_warp": warped}
+
+
+def _maps(at: Reach, motion: NDArray[Any], depth: NDArray[Any]) -> list[NDArray[Any]]:
+    """The splat's map looked up: the truth, and where it is not decided, further right answers."""
+    if not (at.off_x.any() or at.off_y.any()):
+        cell = taps(at.at)
+        return [splat(motion, depth)[cell.y0, cell.x0]]
+    definite, maybe = _splats(at, depth)
+    answers = _look_up(at, motion, definite, maybe)
+    most = max(len(found) for found in answers.values())
+    maps = [np.empty_like(motion) for _ in range(most)]
+    for pixel, found in answers.items():
+        for i, each in enumerate(maps):
+            each[pixel] = found[min(i, len(found) - 1)]
+    return maps
 
 
 def _cells(reached: Reach, y: int, x: int) -> tuple[set[int], set[int]]:

@@ -17,6 +17,9 @@ from conformance.protocol.port import Arrays, Case, Outputs, PortError, Unsuppor
 from conformance.protocol.stages import STAGES, check_inputs
 from stss_ref.weights import Weights, zeros
 
+PROBED = ((8, 8), (72, 136))
+"""(H, W) at which a program is asked for its stages."""
+
 
 class FolderPort:
     """Runs a program on job folders, many cases at a start.
@@ -28,6 +31,7 @@ class FolderPort:
         name: of the program, without its folder.
         dtype: the program's arithmetic; the files are float32 in any case.
         stderr: the end of what the program's last run wrote there.
+        kept: the job folder of its last run that failed, if any.
     """
 
     def __init__(self, command: Sequence[str], timeout: float, dtype: str = DTYPE):
@@ -41,22 +45,25 @@ class FolderPort:
         self.name = Path(command[0]).name
         self.dtype = dtype
         self.stderr = ""
+        self.kept: Path | None = None
         self._command = list(command)
         self._timeout = timeout
         self._stages: frozenset[str] | None = None
 
     def stages(self) -> frozenset[str]:
-        """What the program does not call unsupported: asked once, with the smallest case of each stage."""
+        """What the program does not call unsupported at every size: asked once, with a small and a larger case of each stage."""
         if self._stages is None:
-            results = self.run_many([smallest_case(stage) for stage in STAGES])
-            self._stages = frozenset(s for s, result in zip(STAGES, results, strict=True) if not isinstance(result, Unsupported))
+            cases = [smallest_case(stage, size) for size in PROBED for stage in STAGES]
+            results = zip(cases, self.run_many(cases), strict=True)
+            self._stages = frozenset(case.stage for case, result in results if not isinstance(result, Unsupported))
         return self._stages
 
     def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
         """One case, at a start of its own. Errors as ``run_many``; an unsupported stage is one too."""
         (result,) = self.run_many([Case(stage, inputs, weights)])
         if isinstance(result, Unsupported):
-            raise PortError(f"{self.name}: stage {stage} is unsupported")
+            sizes = ", ".join(f"{name} {array.shape}" for name, array in inputs.items())
+            raise PortError(f"{self.name}: stage {stage} is unsupported with {sizes}, though not with others")
         return result
 
     def run_many(self, cases: Sequence[Case]) -> list[Outputs | Unsupported]:
@@ -75,7 +82,7 @@ class FolderPort:
         sizes = [check_inputs(case.stage, case.inputs, DTYPE) for case in cases]
         job = Path(tempfile.mkdtemp(prefix="stss-job-"))
         with open_folder(job) as folder:
-            kept = False
+            failed = False
             try:
                 write_job(job, cases)
                 self._start(folder)
@@ -85,15 +92,15 @@ class FolderPort:
                         results.append(read_outputs(given, case.stage, sizes[number]))
                 return results
             except JobError as error:
-                kept = True
+                failed, self.kept = True, job
                 raise PortError(f"{self.name}: {error}{self._said()}") from error
             except _FailedError as error:
-                kept = True
+                failed, self.kept = True, job
                 where = f"its job is kept: {job}" if folder.in_place() else f"and removed its job {job}"
                 raise PortError(f"{self.name}: {error}; {where}{self._said()}") from error
             finally:
                 # What lies there by now may be somebody else's.
-                if not kept and folder.in_place():
+                if not failed and folder.in_place():
                     shutil.rmtree(job, ignore_errors=True)
 
     def _start(self, job: Folder) -> None:
@@ -131,10 +138,10 @@ def _failed(ending: Ending, timeout: float) -> str:
     return ""
 
 
-def smallest_case(stage: str) -> Case:
+def smallest_case(stage: str, size: tuple[int, int] = PROBED[0]) -> Case:
     """Zeros in the smallest sizes that every stage takes, and weights of zeros."""
     row = STAGES[stage]
     dtypes = {"float": DTYPE, "uint8": "uint8", "int": "int32"}
-    sizes = {"H": 8, "W": 8, "C": 3, "k": 1}
+    sizes = {"H": size[0], "W": size[1], "C": 3, "k": 1}
     inputs = {name: np.zeros(spec.shape(sizes), dtypes[spec.kind]) for name, spec in row.inputs.items()}
     return Case(stage, inputs, zeros() if row.weights else None)

@@ -4,9 +4,11 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from conformance.cases.stage_inputs import Inputs, network_inputs, weights
+from conformance.cases.exact_weights import LAST, exact_inputs, rounded_sums
+from conformance.cases.large_inputs import large_inputs
+from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judge import Judge
-from conformance.suite.properties import cases
+from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("decoder"), weights())
@@ -41,3 +43,21 @@ def test_one_colour_stays_one_colour(judge: Judge, case: tuple[Inputs, Weights])
 def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     """The same features give the same bits again."""
     judge.same("decoder.image", *(judge.run("decoder", *case)["image"] for _ in range(2)))
+
+
+@cases(exact_inputs("decoder", multiples()), dear=True)
+def test_what_needs_no_rounding_is_exact(judge: Judge, case: tuple[Inputs, Weights]):
+    """Eighths and few weights of 1 over flat features are added without a rounding in any order: the image is right bit for bit."""
+    judge.agrees_exactly("decoder", *case)
+
+
+@cases(rounded_sums("decoder"), dear=True)
+def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]):
+    """Thousands of sums of one layer are off by no more than rounding to the nearest leaves on average, and not all to one side."""
+    judge.rounds_either_way("decoder", "image", *case, LAST["decoder"])
+
+
+@made_cases(large_inputs("decoder"), large=True)
+def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count."""
+    judge.agrees("decoder", *case)

@@ -4,11 +4,12 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected
+from conformance.cases.exact_weights import LAST, exact_inputs, rounded_sums
+from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judge import Judge
-from conformance.suite.properties import cases
+from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("encoder"), weights())
@@ -31,7 +32,7 @@ def test_what_is_masked_is_read_once(judge: Judge, case: tuple[Inputs, Weights])
     for name in ("conv1.conv_feature.weight", "conv1.conv_mask.0.weight"):
         other[name] = given[name].copy()
         other[name][:, 6:12] = 0
-    right = expect("encoder", judge.exactly(closed, "encoder"), judge.given(given), judge.arithmetic, {})
+    right = judge.right("encoder", closed, given)
     first, second = (judge.run("encoder", closed, w) for w in (given, other))
     for name, expected in right.items():
         judge.holds(f"encoder.{name}", second[name], Expected(first[name], 2 * np.asarray(expected.allowed)))
@@ -46,7 +47,7 @@ def test_a_pixel_is_seen_from_nearby_only(judge: Judge, case: tuple[Inputs, Weig
     changed = {**inputs, "color": inputs["color"].copy(), "gbuffer": inputs["gbuffer"].copy()}
     changed["color"][y, x] = 0.75 - changed["color"][y, x] / 2
     changed["gbuffer"][y, x, 4:] = 0.75 - changed["gbuffer"][y, x, 4:] / 2
-    right = expect("encoder", judge.exactly(inputs, "encoder"), judge.given(given), judge.arithmetic, {})
+    right = judge.right("encoder", inputs, given)
     first, second = (judge.run("encoder", i, given) for i in (inputs, changed))
     for name, expected in right.items():
         side = height // first[name].shape[0]
@@ -62,3 +63,21 @@ def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     first, second = (judge.run("encoder", *case) for _ in range(2))
     for name in first:
         judge.same(f"encoder.{name}", second[name], first[name])
+
+
+@cases(exact_inputs("encoder", multiples()), dear=True)
+def test_what_needs_no_rounding_is_exact(judge: Judge, case: tuple[Inputs, Weights]):
+    """Eighths and few weights of 1 are added without a rounding in any order: all four features are right bit for bit."""
+    judge.agrees_exactly("encoder", *case)
+
+
+@cases(rounded_sums("encoder"), dear=True)
+def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]):
+    """Thousands of sums of one layer are off by no more than rounding to the nearest leaves on average, and not all to one side."""
+    judge.rounds_either_way("encoder", "x1", *case, LAST["encoder"])
+
+
+@made_cases(large_inputs("encoder"), large=True)
+def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count."""
+    judge.agrees("encoder", *case)

@@ -4,12 +4,13 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected
+from conformance.cases.constants import constant_cases
+from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import SEEDS
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judge import Judge
-from conformance.suite.properties import cases
+from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("erm", multiples(48)), weights())
@@ -39,7 +40,7 @@ def test_a_masked_value_influences_nobody(judge: Judge, case: tuple[Inputs, Weig
     taps = {n: _centre(t) if n.startswith(("latentEncoder", "KEncoder")) and t.ndim == 4 else t for n, t in given.items()}
     closed = _quarter(inputs)
     changed = {**closed, "x4": np.where(_eighth(closed["mask"])[..., None] == 0, 3 - closed["x4"], closed["x4"])}
-    right = expect("erm", judge.exactly(closed, "erm"), judge.given(taps), judge.arithmetic, {})["reshaded"]
+    right = judge.right("erm", closed, taps)["reshaded"]
     first, second = (judge.run("erm", i, taps)["reshaded"] for i in (closed, changed))
     judge.holds("erm.reshaded", second, Expected(first, 2 * np.asarray(right.allowed)))
 
@@ -52,7 +53,7 @@ def test_equal_light_stays_equal(judge: Judge, case: tuple[Inputs, Weights]):
     if not np.any(given["KEncoder.4.bias"]):
         dark["KEncoder.4.bias"] = given["KEncoder.4.bias"] + np.float32(1)
     open_ = {**inputs, "mask": np.ones_like(inputs["mask"])}
-    right = expect("erm", judge.exactly(open_, "erm"), judge.given(dark), judge.arithmetic, {})["reshaded"]
+    right = judge.right("erm", open_, dark)["reshaded"]
     got = judge.run("erm", open_, dark)["reshaded"]
     light = judge.given(dark)["latentEncoder.4.bias"].astype(np.float64)
     faint = (
@@ -76,6 +77,18 @@ def test_opposite_materials_share_no_light(judge: Judge, case: tuple[tuple[Input
 def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     """The same frame gives the same bits again."""
     judge.same("erm.reshaded", *(judge.run("erm", *case)["reshaded"] for _ in range(2)))
+
+
+@made_cases(constant_cases("erm"))
+def test_constants_are_those_of_the_specification(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same where a constant counts: just beside a limit, where a small number is added or is the least."""
+    judge.agrees("erm", *case)
+
+
+@made_cases(large_inputs("erm"), large=True)
+def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count."""
+    judge.agrees("erm", *case)
 
 
 def _centre(weight: np.ndarray) -> np.ndarray:

@@ -4,9 +4,11 @@
 import numpy as np
 from hypothesis import strategies as st
 
+from conformance.cases.constants import constant_cases
+from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, frame_inputs, scene_inputs, weights
 from conformance.judge import Judge
-from conformance.suite.properties import cases
+from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
 
 CASES = st.tuples(frame_inputs(), weights())
@@ -62,3 +64,15 @@ def test_a_rendered_frame_looks_for_no_other(judge: Judge, case: tuple[Inputs, W
 def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     """The same buffers give the same bits again."""
     judge.same("frame.image", *(judge.run("frame", *case)["image"] for _ in range(2)))
+
+
+@made_cases(constant_cases("frame"))
+def test_constants_are_those_of_the_specification(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same where a constant counts: just beside a limit, where a small number is added or is the least."""
+    judge.agrees("frame", *case)
+
+
+@made_cases(large_inputs("frame"), large=True)
+def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count, motion across and out of them."""
+    judge.agrees("frame", *case)

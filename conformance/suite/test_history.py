@@ -4,11 +4,12 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected
-from conformance.cases.stage_inputs import Inputs, network_inputs, weights
+from conformance.cases.exact_weights import LAST, exact_inputs, rounded_sums
+from conformance.cases.large_inputs import large_inputs
+from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judge import Judge
-from conformance.suite.properties import cases
+from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("history"), weights())
@@ -27,7 +28,7 @@ def test_the_three_frames_share_their_weights(judge: Judge, case: tuple[tuple[In
     blocks = np.concatenate([np.arange(32) + 32 * i for i in order])
     read = {name: tensor[:, blocks] for name, tensor in given.items() if name.startswith("lowlevelGated") and tensor.ndim == 4}
     whole = judge.run("history", inputs, given)["feature"]
-    right = expect("history", judge.exactly(inputs, "history"), judge.given(given), judge.arithmetic, {})["feature"]
+    right = judge.right("history", inputs, given)["feature"]
     got = judge.run("history", {"history": inputs["history"][order]}, {**given, **read})["feature"]
     judge.holds("history.feature", got, Expected(whole, 2 * np.asarray(right.allowed)))
 
@@ -38,7 +39,7 @@ def test_without_weights_the_bias_is_left(judge: Judge, case: tuple[Inputs, Weig
     inputs, given = case
     still = {name: tensor if name == "lowlevelGated.conv_feature.bias" else tensor * 0 for name, tensor in given.items()}
     bias = judge.given(still)["lowlevelGated.conv_feature.bias"].astype(np.float64)
-    right = expect("history", judge.exactly(inputs, "history"), judge.given(still), judge.arithmetic, {})["feature"]
+    right = judge.right("history", inputs, still)["feature"]
     got = judge.run("history", inputs, still)["feature"]
     judge.holds("history.feature", got, Expected(np.broadcast_to(bias / 2, got.shape), right.allowed))
 
@@ -47,3 +48,21 @@ def test_without_weights_the_bias_is_left(judge: Judge, case: tuple[Inputs, Weig
 def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     """The same history gives the same bits again."""
     judge.same("history.feature", *(judge.run("history", *case)["feature"] for _ in range(2)))
+
+
+@cases(exact_inputs("history", multiples(32)), dear=True)
+def test_what_needs_no_rounding_is_exact(judge: Judge, case: tuple[Inputs, Weights]):
+    """Eighths and few weights of 1 are added without a rounding in any order: the feature is right bit for bit."""
+    judge.agrees_exactly("history", *case)
+
+
+@cases(rounded_sums("history"), dear=True)
+def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]):
+    """Thousands of sums of one layer are off by no more than rounding to the nearest leaves on average, and not all to one side."""
+    judge.rounds_either_way("history", "feature", *case, LAST["history"])
+
+
+@made_cases(large_inputs("history"), large=True)
+def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count."""
+    judge.agrees("history", *case)

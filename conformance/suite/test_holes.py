@@ -6,10 +6,12 @@ from hypothesis import strategies as st
 
 from conformance.answers.port_arithmetic import reach
 from conformance.answers.warp import within_frame
+from conformance.cases.constants import constant_cases
+from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import SEEDS, Size, sizes
 from conformance.cases.stage_inputs import Inputs, holes_inputs, thresholds
 from conformance.judge import Judge
-from conformance.suite.properties import cases
+from conformance.suite.properties import cases, made_cases
 
 
 @cases(holes_inputs())
@@ -85,6 +87,18 @@ def test_no_axis_is_special(judge: Judge, case: tuple[Size, int, list[int]]):
 def test_the_same_twice(judge: Judge, inputs: Inputs):
     """The same frame gives the same mask again."""
     judge.same("holes.valid", judge.run("holes", inputs)["valid"], judge.run("holes", inputs)["valid"])
+
+
+@made_cases(constant_cases("holes"))
+def test_constants_are_those_of_the_specification(judge: Judge, inputs: Inputs):
+    """The same where a constant counts: just beside a limit, where a small number is added or is the least."""
+    judge.agrees("holes", inputs)
+
+
+@made_cases(large_inputs("holes"), large=True)
+def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs):
+    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count, motion across and out of them."""
+    judge.agrees("holes", inputs)
 
 
 def _quarters(size: Size, seed: int) -> Inputs:

@@ -4,10 +4,11 @@
 import numpy as np
 from hypothesis import strategies as st
 
+from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import Float64, dyadic_motions, motions, sizes
 from conformance.cases.stage_inputs import Inputs, chain_inputs
 from conformance.judge import Judge
-from conformance.suite.properties import cases
+from conformance.suite.properties import cases, made_cases
 
 
 @cases(chain_inputs())
@@ -46,3 +47,9 @@ def test_one_speed_adds_up(judge: Judge, case: tuple[tuple[int, int], int, int, 
         inside &= (at[0] >= 0) & (at[0] + 1 < width) & (at[1] >= 0) & (at[1] + 1 < height)
     want = np.where(inside[..., None], count * motion[0], got).astype(np.float32)
     judge.same("motion_chain.motion", got, want)
+
+
+@made_cases(large_inputs("motion_chain"), large=True)
+def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs):
+    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count, motion across and out of them."""
+    judge.agrees("motion_chain", inputs)

@@ -4,12 +4,12 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected
+from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import sizes
 from conformance.cases.stage_inputs import Inputs, network_inputs, weights
 from conformance.judge import Judge
-from conformance.suite.properties import cases
+from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("network", sizes(20)), weights())
@@ -31,7 +31,7 @@ def test_padding_repeats_the_last_row_and_column(judge: Judge, case: tuple[Input
         name: array[..., rows[:, None], columns] if array.ndim == 2 else _pad(array, rows, columns)
         for name, array in inputs.items()
     }
-    right = expect("network", judge.exactly(inputs, "network"), judge.given(given), judge.arithmetic, {})["image"]
+    right = judge.right("network", inputs, given)["image"]
     got, whole = judge.run("network", inputs, given)["image"], judge.run("network", padded, given)["image"]
     judge.holds("network.image", got, Expected(whole[: 2 * height, : 2 * width], 2 * np.asarray(right.allowed)))
 
@@ -42,7 +42,7 @@ def test_without_a_residual_it_is_bilinear(judge: Judge, case: tuple[Inputs, Wei
     inputs, given = case
     still = {name: tensor * 0 for name, tensor in given.items()}
     got, color = judge.run("network", inputs, still)["image"], judge.exactly(inputs, "network")["color"][..., :3]
-    right = expect("network", judge.exactly(inputs, "network"), judge.given(still), judge.arithmetic, {})["image"]
+    right = judge.right("network", inputs, still)["image"]
     judge.holds("network.image", got, Expected(np.clip(got, color.min(axis=(0, 1)), color.max(axis=(0, 1))), right.allowed))
 
 
@@ -50,6 +50,12 @@ def test_without_a_residual_it_is_bilinear(judge: Judge, case: tuple[Inputs, Wei
 def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     """The same frame gives the same bits again."""
     judge.same("network.image", *(judge.run("network", *case)["image"] for _ in range(2)))
+
+
+@made_cases(large_inputs("network"), large=True)
+def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count."""
+    judge.agrees("network", *case)
 
 
 def _pad(array: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:

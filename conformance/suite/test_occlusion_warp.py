@@ -4,9 +4,11 @@
 import numpy as np
 from hypothesis import strategies as st
 
+from conformance.cases.constants import constant_cases
+from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, occlusion_inputs
 from conformance.judge import Judge
-from conformance.suite.properties import cases
+from conformance.suite.properties import cases, made_cases
 
 
 @cases(occlusion_inputs())
@@ -75,6 +77,18 @@ def test_the_same_twice(judge: Judge, inputs: Inputs):
     first, second = judge.run("occlusion_warp", inputs), judge.run("occlusion_warp", inputs)
     for name in first:
         judge.same(f"occlusion_warp.{name}", np.nan_to_num(second[name]), np.nan_to_num(first[name]))
+
+
+@made_cases(constant_cases("occlusion_warp"))
+def test_constants_are_those_of_the_specification(judge: Judge, inputs: Inputs):
+    """The same where a constant counts: just beside a limit, where a small number is added or is the least."""
+    judge.agrees("occlusion_warp", inputs)
+
+
+@made_cases(large_inputs("occlusion_warp"), large=True)
+def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs):
+    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count, motion across and out of them."""
+    judge.agrees("occlusion_warp", inputs)
 
 
 def _looped(motion: np.ndarray, depth: np.ndarray) -> np.ndarray:

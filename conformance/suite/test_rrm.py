@@ -3,9 +3,10 @@
 
 import numpy as np
 
+from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, rrm_inputs
 from conformance.judge import Judge
-from conformance.suite.properties import cases
+from conformance.suite.properties import cases, made_cases
 
 
 @cases(rrm_inputs())
@@ -27,3 +28,9 @@ def test_as_many_as_the_rectangle_has(judge: Judge, inputs: Inputs):
     valid = judge.run("rrm", {**inputs, "valid": np.ones_like(inputs["valid"])})["valid"]
     _, _, height, width = inputs["rectangle"]
     judge.same("rrm.valid", np.array(valid.size - int(valid.sum())), np.array(int(height * width)))
+
+
+@made_cases(large_inputs("rrm"), large=True)
+def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs):
+    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count."""
+    judge.agrees("rrm", inputs)

@@ -5,11 +5,11 @@ import numpy as np
 from hypothesis import strategies as st
 
 from conformance.answers.expected import Expected
-from conformance.answers.warp import expect_warp
+from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import Float64, colors, dyadic_motions, sizes
 from conformance.cases.stage_inputs import Inputs, warp_inputs, wide_warp_inputs
 from conformance.judge import Judge
-from conformance.suite.properties import cases
+from conformance.suite.properties import cases, made_cases
 
 
 @cases(warp_inputs())
@@ -53,7 +53,7 @@ def test_whole_pixels_move_exactly(judge: Judge, inputs: Inputs):
 def test_no_colour_is_made_up(judge: Judge, inputs: Inputs):
     """Nothing comes out that is darker or brighter than anything that went in, but for rounding."""
     got, color = judge.run("warp", inputs)["warped"], judge.exactly(inputs, "warp")["color"]
-    allowed = expect_warp(judge.exactly(inputs, "warp"), judge.arithmetic)["warped"].allowed
+    allowed = judge.right("warp", inputs)["warped"].allowed
     judge.holds("warp.warped", got, Expected(np.clip(got, color.min(axis=(0, 1)), color.max(axis=(0, 1))), allowed))
 
 
@@ -108,3 +108,9 @@ def test_the_same_twice(judge: Judge, inputs: Inputs):
     """The same frame gives the same bits again."""
     first, second = judge.run("warp", inputs), judge.run("warp", inputs)
     judge.same("warp.warped", second["warped"], first["warped"])
+
+
+@made_cases(large_inputs("warp"), large=True)
+def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs):
+    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count, motion across and out of them."""
+    judge.agrees("warp", inputs)

@@ -12,10 +12,12 @@ import click
 
 from stss.cli.options import MAX_SECONDS, MAX_SEED, PATH, Names, Number
 from stss.errors import InputError
-from stss.optional import require
+from stss.optional import require as require_package
 from stss.output.apart import require_places
 from stss.output.write_whole import by_name
-from stss.terminal import Terminal, echo
+from stss.terminal import echo
+
+MAX_REPEAT = 1000
 
 
 @click.command()
@@ -29,10 +31,15 @@ from stss.terminal import Terminal, echo
 @click.option(
     "--timeout", type=Number(0, MAX_SECONDS, min_open=True), default=120, show_default=True, help="Seconds for one start."
 )
+@click.option("--require", type=Names(), help="Stages that the port must have.")
+@click.option(
+    "--repeat", type=click.IntRange(1, MAX_REPEAT), default=1, show_default=True, help="How often each case is computed."
+)
+@click.option("--fail-fast", is_flag=True, help="Stop at the first failure.")
 @click.option("--known-failures", type=PATH, help="File: on each line a test and a link or reason.")
 @click.option("--failures", type=PATH, default=Path("conform-failures"), show_default=True, help="Folder for what fails.")
 @click.option("--replay", type=PATH, help="Run one of those folders again, and nothing else.")
-@click.option("--json", "json_file", type=PATH, help="File for every result.")
+@click.option("--json", "json_file", type=PATH, help="File for every result, written as they come.")
 @click.option("--junit", type=PATH, help="File for JUnit XML.")
 @click.option("--report", type=PATH, help="File for an HTML page with pictures.")
 def conform(
@@ -44,6 +51,9 @@ def conform(
     dtype: str | None,
     winograd: bool,
     timeout: float,
+    require: tuple[str, ...] | None,
+    repeat: int,
+    fail_fast: bool,
     known_failures: Path | None,
     failures: Path,
     replay: Path | None,
@@ -53,55 +63,37 @@ def conform(
 ) -> None:
     """Judge a port: which stage departs from the specification, by how much, on the smallest input that shows it.
 
-    Ends with status 0 if nothing does, 1 if something does.
+    Ends with status 0 if nothing does, 1 if something does or nothing was judged.
     """
     for package in ("pytest", "hypothesis"):
-        require(package, "conform")
+        require_package(package, "conform")
     from conformance.judge import TIERS, Judge
     from conformance.run_suite import SUITE, KnownFailuresError, read_known, run_suite
-    from stss.conform import failures as conforming
-    from stss.conform import report as conform_report
+    from stss.conform.load_port import load_port
+    from stss.conform.running_report import RunningReport
 
     require_places({"--json": json_file, "--junit": junit, "--report": report}, [known_failures])
     _require_folder(failures)
-    port = conforming.load_port(spec, program, timeout, dtype, winograd)
+    port = load_port(spec, program, timeout, dtype, winograd)
     if replay is not None:
         sys.exit(_replay(port, replay))
-    if unknown := set(stages or ()) - set(SUITE):
-        raise InputError(f"--stages: expected some of {', '.join(SUITE)}, got {', '.join(sorted(unknown))}")
-    console = Terminal(stderr=True)
-    judge = Judge(port, TIERS[tier], seed)
+    for option, names in (("--stages", stages), ("--require", require)):
+        if unknown := set(names or ()) - set(SUITE):
+            raise InputError(f"{option}: expected some of {', '.join(SUITE)}, got {', '.join(sorted(unknown))}")
+    judge = Judge(port, TIERS[tier], seed, repeat=repeat)
+    running = RunningReport(judge, failures, _command(spec, program, dtype, winograd), json_file)
     try:
-        known = read_known(known_failures) if known_failures is not None else {}
-        with console.status("") as status, by_name(junit) as junit_file:
-
-            def on_result(result: Any) -> None:
-                status.update(f"{result.id}: {result.outcome}")
-
-            results = run_suite(judge, stages or SUITE, known=tuple(known), junit=junit_file, on_result=on_result)
+        known = tuple(read_known(known_failures)) if known_failures is not None else ()
+        with running, by_name(junit) as junit_file:
+            run_suite(
+                judge, stages or SUITE, known=known, required=require or (), junit=junit_file, first_only=fail_fast,
+                on_result=running.take,
+            )  # fmt: skip
     except KnownFailuresError as error:
         raise InputError(str(error)) from error
     except OSError as error:
         raise InputError(f"{error.filename or known_failures}: {error.strerror or error}") from error
-    folders = _keep_failures(results, failures, _command(spec, program, dtype, winograd))
-    if json_file is not None:
-        conform_report.write_json(json_file, conform_report.to_json(judge, results, folders))
-    if report is not None:
-        conform_report.write_page(report, judge, results, folders)
-    sys.exit(0 if conform_report.passed(results) else 1)
-
-
-def _keep_failures(results: list[Any], failures: Path, again: str) -> dict[str, Path]:
-    """Keep what failed below ``failures``; print the results, and how each failure is run again."""
-    from stss.conform.failures import keep_failure
-    from stss.conform.report import print_results
-
-    found = {r.id: r.record.finding for r in results if r.outcome == "failed" and r.record.finding is not None}
-    folders = {name: keep_failure(failures, name, finding, again) for name, finding in found.items()}
-    print_results(results, Terminal())
-    for name, folder in folders.items():
-        echo(f"{name}: {again} --replay {shlex.quote(str(folder))}")
-    return folders
+    sys.exit(0 if running.finish(report) else 1)
 
 
 def _require_folder(failures: Path) -> None:
@@ -117,12 +109,13 @@ def _command(spec: str | None, program: str | None, dtype: str | None, winograd:
 
 
 def _replay(port: Any, folder: Path) -> int:
-    from stss.conform import failures as conforming
+    from stss.conform.failures import replay
 
-    worst, output = 0.0, ""
-    for output, ratio in conforming.replay(port, folder):
+    record = replay(port, folder)
+    for output, ratio in record.worst.items():
         echo(f"{output}: {'wrong' if ratio == float('inf') else f'error / bound {ratio:.3g}'}")
-        worst = max(worst, ratio)
-    if not output:
+    if record.failure is not None:
+        echo(record.failure.finding.message)
+    elif not record.worst:
         echo("nothing was judged: rounding decides on the whole answer")
-    return int(worst > 1 or not output)
+    return int(record.failure is not None or not record.worst)

@@ -15,25 +15,30 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from conformance.judge import Judge, tallied
-from conformance.run_suite import JUDGED, Result
+from conformance.findings import TestResult, tallied
+from conformance.judge import Judge
+from conformance.protocol.stages import STAGES
+from conformance.run_suite import JUDGED, REQUIRED, SEQUENCE
 from stss.output.write_whole import write_named
 from stss.version import VERSION
 
 FORMAT = 1
 """Raised when a field of the JSON changes its meaning."""
+OUTPUT_STAGE = {SEQUENCE: "frame"}
+"""Whose outputs the tests of something else judge."""
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2em auto; max-width: 60em; padding: 0 1em; color: #222; background: #fff }
 table { border-collapse: collapse; width: 100% }
 td, th { text-align: left; padding: .3em .6em; border-bottom: 1px solid #ddd; vertical-align: top }
 td.n, th.n { text-align: right; font-variant-numeric: tabular-nums }
 .failed, .error { color: #b00020; font-weight: 600 } .passed { color: #1b7f3b }
-.skipped, .known { color: #777 } code, pre { font: 13px ui-monospace, monospace } img { max-width: 100%; image-rendering: pixelated }
+.skipped, .known { color: #777 } code, pre { font: 13px ui-monospace, monospace; white-space: pre-wrap; overflow-wrap: anywhere }
+img { max-width: 100%; image-rendering: pixelated }
 """
 
 
-def print_results(results: Sequence[Result], console: Console) -> None:
-    """A line for each stage, then every failure."""
+def print_results(results: Sequence[TestResult], console: Console) -> None:
+    """A line for each stage, then what failed as it was known to."""
     table = Table(box=box.SIMPLE_HEAD, padding=0)
     for name, justify in (
         ("stage", "left"),
@@ -43,31 +48,39 @@ def print_results(results: Sequence[Result], console: Console) -> None:
         ("error / bound", "left"),
     ):
         table.add_column(name, justify=justify, no_wrap=name != "error / bound")  # pyright: ignore[reportArgumentType]
-    for stage, some in by_stage([r for r in results if r.id != JUDGED]).items():
+    for stage, some in by_stage([r for r in results if r.id not in (JUDGED, REQUIRED)]).items():
         if all(r.outcome == "skipped" for r in some):
             table.add_row(stage, str(len(some)), "-", "-", "the port lacks it")
             continue
         bad = sum(r.outcome in ("failed", "error") for r in some)
-        worst = ", ".join(f"{name.split('.')[-1]} {_number(ratio)}" for name, ratio in worst_of(some).items())
+        met = worst_of(some)
+        worst = ", ".join(
+            [*(f"{name.split('.')[-1]} {_number(ratio)}" for name, ratio in met.items()),
+             *(f"{name} not judged" for name in _outputs(stage) if f"{OUTPUT_STAGE.get(stage, stage)}.{name}" not in met)]
+        )  # fmt: skip
         counted = tallied([r.record for r in some])
         note = f"; {counted['undecided']} numbers decided by rounding" if counted["undecided"] else ""
         note += f"; {counted['unjudged']} cases not judged" if counted["unjudged"] else ""
         table.add_row(stage, str(len(some)), str(bad or "-"), str(counted["cases"]), worst + note)
     console.print(table)
     for result in results:
-        if result.outcome in ("failed", "error", "known"):
+        if result.outcome == "known":
             console.print(f"{result.outcome}: {result.id}: {result.message}", soft_wrap=True, markup=False, highlight=False)
 
 
-def by_stage(results: Sequence[Result]) -> dict[str, list[Result]]:
+def _outputs(stage: str) -> list[str]:
+    return list(STAGES[OUTPUT_STAGE.get(stage, stage)].outputs)
+
+
+def by_stage(results: Sequence[TestResult]) -> dict[str, list[TestResult]]:
     """In the order of the run."""
-    grouped: dict[str, list[Result]] = {}
+    grouped: dict[str, list[TestResult]] = {}
     for result in results:
         grouped.setdefault(result.stage, []).append(result)
     return grouped
 
 
-def worst_of(results: Sequence[Result]) -> dict[str, float]:
+def worst_of(results: Sequence[TestResult]) -> dict[str, float]:
     """Largest error / bound of each output."""
     worst: dict[str, float] = {}
     for result in results:
@@ -76,8 +89,18 @@ def worst_of(results: Sequence[Result]) -> dict[str, float]:
     return worst
 
 
-def to_json(judge: Judge, results: Sequence[Result], folders: dict[str, Path]) -> dict[str, Any]:
-    """Everything, for another program; a wrong mask's ratio, which is infinite, is null."""
+def to_json(
+    judge: Judge, results: Sequence[TestResult], folders: dict[str, Path], total: int, complete: bool = True
+) -> dict[str, Any]:
+    """Everything, for another program; a wrong mask's ratio, which is infinite, is null.
+
+    Args:
+        judge: that judged.
+        results: so far.
+        folders: of failures, by the id of the test.
+        total: how many tests there are.
+        complete: whether the run came to its end.
+    """
     return {
         "format": FORMAT,
         "stss": VERSION,
@@ -86,7 +109,9 @@ def to_json(judge: Judge, results: Sequence[Result], folders: dict[str, Path]) -
         "winograd": judge.arithmetic.winograd,
         "tier": judge.tier.name,
         "seed": judge.seed,
-        "passed": passed(results),
+        "complete": complete,
+        "tests_in_all": total,
+        "passed": complete and passed(results),
         "judged": JUDGED not in {r.id for r in results},
         "tests": [
             {
@@ -107,7 +132,7 @@ def to_json(judge: Judge, results: Sequence[Result], folders: dict[str, Path]) -
     }
 
 
-def passed(results: Sequence[Result]) -> bool:
+def passed(results: Sequence[TestResult]) -> bool:
     """Whether something was judged, and nothing failed but what is known to."""
     return all(r.outcome in ("passed", "skipped", "known") for r in results)
 
@@ -117,7 +142,7 @@ def write_json(path: Path, found: dict[str, Any]) -> None:
     write_named(path, json.dumps(found, indent=1) + "\n")
 
 
-def write_page(path: Path, judge: Judge, results: Sequence[Result], folders: dict[str, Path]) -> None:
+def write_page(path: Path, judge: Judge, results: Sequence[TestResult], folders: dict[str, Path]) -> None:
     """One HTML file that needs no other."""
     arithmetic = judge.arithmetic.dtype + (", Winograd" if judge.arithmetic.winograd else "")
     counted = tallied([r.record for r in results])
@@ -135,13 +160,13 @@ def write_page(path: Path, judge: Judge, results: Sequence[Result], folders: dic
     write_named(path, text)
 
 
-def _row(r: Result) -> str:
+def _row(r: TestResult) -> str:
     worst = "<br>".join(f"{html.escape(name.split('.')[-1])} {_number(ratio)}" for name, ratio in r.record.worst.items())
     cells = f'<td><code>{html.escape(r.id)}</code><td>{html.escape(r.property)}<td class="{r.outcome}">{r.outcome}'
     return f'<tr>{cells}<td class="n">{r.record.cases or ""}<td class="n">{worst}</tr>'
 
 
-def _failure(r: Result, folder: Path | None) -> str:
+def _failure(r: TestResult, folder: Path | None) -> str:
     picture = folder / "picture.png" if folder else None
     shown = ""
     if picture is not None and picture.exists():

@@ -17,7 +17,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conformance.cases import stage_inputs as drawn
-from conformance.judge import DepartureError, Judge
+from conformance.findings import DepartureError
+from conformance.judge import Judge
 from conformance.protocol import job_folder, own_session
 from conformance.protocol.job_folder import MOST_WEIGHTS_BYTES, write_job
 from conformance.protocol.port import Case, PortError
@@ -512,17 +513,19 @@ def test_a_port_that_answers_in_one_buffer_is_found_out():
 
 
 def test_a_replay_is_judged_or_says_so(tmp_path):
-    """A failure that was no answer is held against the reference when there is one; a folder that was tampered with is refused."""
+    """A job of one case is held against the reference; a folder that was tampered with is refused."""
     kept = tmp_path / "kept"
     write_job(kept, [Case("warp", {name: array + 0.5 for name, array in smallest_case("warp").inputs.items()})])
-    assert list(replay(ReferencePort(), kept)) == [("warp.warped", 0), ("warp.inside", 0)]
+    assert replay(ReferencePort(), kept).worst == {"warp.warped": 0, "warp.inside": 0}
     wrong = Planted(lambda outputs: outputs["warped"].fill(np.nan))
-    assert dict(replay(wrong, kept))["warp.warped"] == np.inf
-    for name in ("allowed", "expected"):
-        (kept / "0000" / name).mkdir()
-    np.save(kept / "0000" / "allowed" / "warped.npy", np.zeros(3))
-    with pytest.raises(InputError, match="expected the folder of one failure"):
-        replay(wrong, kept)
+    assert "warp.warped: error / bound inf" in replay(wrong, kept).failure.finding.message
+    (kept / "property").mkdir()
+    for text in ("", "[]", "{}", '{"test": 3, "drawn": 1}', '{"test": "warp.agrees_with_the_reference", "drawn": {"array": "../x"}}',
+                 '{"test": "warp.agrees_with_the_reference", "drawn": 7}', '{"test": "os.system", "drawn": {"dict": {"a": 1}}}',
+                 '{"test": "warp.agrees_with_the_reference", "drawn": ' + '{"list": [' * 9999 + "]}" * 9999 + "}"):  # fmt: skip
+        (kept / "property" / "property.json").write_text(text)
+        with pytest.raises(InputError, match=r"damaged|expected the folder of one failure"):
+            replay(wrong, kept)
 
 
 def test_damaged_job_folders_are_answered_or_refused():

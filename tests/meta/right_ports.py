@@ -17,8 +17,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 import stss_ref.conv as plain
+from conformance.mistakes.variants import Change, Variant, load
 from stss_ref import erm, occlusion_warp, resample, rrm, sample, warp
-from tests.meta.variants import Change, Variant, load
 
 Array = NDArray[Any]
 Sum = Callable[[Array, Array, Array], Array]
@@ -253,7 +253,7 @@ PORTS: dict[str, dict[str, Any]] = {
     "winograd_4_near": {"functions": _conv(partial(winograd, 4, _POINTS_4_NEAR)), "winograd": True},
     "half": {"functions": _HALF, "entry": to_half, "dtype": "float16"},
 }
-"""By name, what `tests.meta.variants.load` makes of the reference."""
+"""By name, what `conformance.mistakes.variants.load` makes of the reference."""
 
 
 def ports() -> Iterator[Variant]:

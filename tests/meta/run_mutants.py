@@ -12,24 +12,30 @@ from pathlib import Path
 from time import perf_counter
 
 from conformance.judge import TIERS, Judge
+from conformance.mistakes import MISTAKES, find
 from conformance.run_suite import run_suite
-from tests.meta.mutants import MUTANTS, find
 
 PAGE = Path(__file__).parents[2] / "docs" / "mutants.md"
 MARK = "<!-- written by make mutants -->"
 
 
-def killers(name, seed=0):
-    """The tests of its stage's quick tier that a mutant fails, and the seconds that took; the first one only, unshrunken."""
-    mutant, start = find(name), perf_counter()
+def failed(name, seed=0):
+    """The results of its stage's quick tier that a mutant fails; the first one only, unshrunken."""
+    mutant = find(name)
     results = run_suite(Judge(mutant.port(), TIERS["quick"], seed, shrink=False), [mutant.stage], first_only=True)
-    return [result.id for result in results if result.outcome in ("failed", "error")], perf_counter() - start
+    return [result for result in results if result.outcome in ("failed", "error")]
+
+
+def killers(name, seed=0):
+    """The tests that find a mutant out, and the seconds that took."""
+    start = perf_counter()
+    return [result.id for result in failed(name, seed)], perf_counter() - start
 
 
 def table(found):
     """Markdown: a row for each mutant."""
     rows = ["| stage | fault | found out by |", "|---|---|---|"]
-    for mutant in MUTANTS:
+    for mutant in MISTAKES:
         by, _ = found[mutant.id]
         tests = ", ".join(f"`{test.partition('.')[2]}`" for test in by) or "**nothing**"
         rows.append(f"| `{mutant.stage}` | {mutant.what} | {tests} |")
@@ -38,7 +44,7 @@ def table(found):
 
 def main():
     os.environ["OMP_NUM_THREADS"] = "1"
-    names, seed = [mutant.id for mutant in MUTANTS], int(sys.argv[1]) if sys.argv[1:] else 0
+    names, seed = [mutant.id for mutant in MISTAKES], int(sys.argv[1]) if sys.argv[1:] else 0
     start = perf_counter()
     with ProcessPoolExecutor() as pool:
         found = dict(zip(names, pool.map(killers, names, repeat(seed), chunksize=2), strict=True))

@@ -2,6 +2,7 @@
 """``stss conform`` as a porter types it."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -13,15 +14,16 @@ import pytest
 from click.testing import CliRunner
 
 from conformance.answers.expected import Expected, largest
-from conformance.judge import DepartureError, Judge, Tier
+from conformance.findings import DepartureError
+from conformance.judge import Judge, Tier
+from conformance.mistakes import find
 from conformance.run_suite import run_suite
 from stss.cli.main import stss
-from stss.conform.failures import load_port
+from stss.conform.load_port import load_port
 from stss.conform.own_ports import ReferencePort
 from stss.errors import InputError
 from stss.images.read_write import read_rgb
 from tests.fuzz.harness import call
-from tests.meta.mutants import find
 
 EXAMPLE = Path(__file__).parents[2] / "conformance" / "examples" / "cpp"
 WRONG = """
@@ -94,6 +96,53 @@ def test_a_wrong_port_leaves_what_is_needed(here):
 
     assert run("--port", "wrong_port:Port", "--replay", str(kept)).exit_code == 1
     assert run("--port", "stss.port:ReferencePort", "--replay", str(kept)).exit_code == 0
+
+
+def test_a_failure_is_told_when_it_occurs(here):
+    """With how many tests there are; the rest is not run, and the JSON says that it is not all."""
+    done = run("--port", "wrong_port:Port", "--stages", "warp", "--fail-fast", "--json", "found.json")
+    assert done.exit_code == 1
+    assert re.search(r"^1 of \d+ tests: failed: warp\.agrees_with_the_reference: .* looks like", done.output, re.M)
+    assert "stopped after 1 of" in done.output
+    found = json.loads((here / "found.json").read_text())
+    assert (found["complete"], found["passed"], len(found["tests"])) == (False, False, 1)
+
+
+def test_a_stage_that_is_required_and_lacking_is_a_failure(here):
+    done = run("--port", "wrong_port:Port", "--stages", "rrm", "--require", "rrm,holes", "--junit", "junit.xml")
+    assert done.exit_code == 1
+    assert "failed: suite.required_stages_are_there: the port has no stage holes" in done.output
+    assert "required_stages_are_there" in (here / "junit.xml").read_text()
+
+
+def test_what_an_interrupted_run_found_is_left(here):
+    """As if by Ctrl-C in the second test."""
+    (here / "stopping.py").write_text(
+        "from stss.conform.own_ports import ReferencePort\n"
+        "class Port(ReferencePort):\n"
+        "    calls = 0\n"
+        "    def run(self, *given):\n"
+        "        Port.calls += 1\n"
+        "        if Port.calls > 250: raise KeyboardInterrupt\n"
+        "        return super().run(*given)\n"
+    )
+    done = run("--port", "stopping:Port", "--stages", "rrm", "--json", "found.json")
+    assert done.exit_code == 1
+    assert "stopped after 1 of 4 tests" in done.output
+    found = json.loads((here / "found.json").read_text())
+    assert [test["outcome"] for test in found["tests"]] == ["passed"]
+    assert not found["complete"]
+
+
+def test_an_output_that_nothing_judged_says_so(here):
+    (here / "lost.py").write_text(
+        "from stss.conform.own_ports import ReferencePort\n"
+        "class Port(ReferencePort):\n"
+        "    def stages(self): return frozenset({'warp'})\n"
+        "    def run(self, *given): raise MemoryError('no device')\n"
+    )
+    done = run("--port", "lost:Port", "--stages", "warp", "--fail-fast")
+    assert "warped not judged, inside not judged" in " ".join(done.output.split())
 
 
 def test_the_same_failure_again(here):
@@ -181,7 +230,7 @@ def test_seeds_differ_and_repeat():
 def test_steering_does_not_lose_the_failure():
     """What is reported is a real failure of the port, on the case that is kept."""
     results = run_suite(Judge(find("warp_x_sign").port()), ["warp"])
-    finding = next(result.record.finding for result in results if result.record.finding)
+    finding = next(result.record.failure.finding for result in results if result.record.failure)
     got = find("warp_x_sign").port().run("warp", finding.case.inputs)[finding.output]
     assert largest(finding.expected, got) > 1
 

@@ -8,10 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 
+from conformance import mistakes
+from conformance.mistakes import MISTAKES, find, of_stage
+from conformance.mistakes.variants import PACKAGE, VariantError, departs, load
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs, reference
-from tests.meta import mutants
-from tests.meta.mutants import MUTANTS, find, of_stage, samples
-from tests.meta.variants import PACKAGE, VariantError, departs, load
+from tests.meta.samples import samples
 
 
 def by_id(mutant):
@@ -48,7 +49,7 @@ def is_found_out(port, stage, *, bits):
     return found
 
 
-@pytest.mark.parametrize("mutant", MUTANTS, ids=by_id)
+@pytest.mark.parametrize("mutant", MISTAKES, ids=by_id)
 def test_a_fault_is_one(mutant):
     """It applies, runs, and shows in every stage whose tests ought to catch it."""
     port = mutant.port()
@@ -56,7 +57,7 @@ def test_a_fault_is_one(mutant):
         assert is_found_out(port, stage, bits=mutant.bits), stage
 
 
-@pytest.mark.parametrize("mutant", [mutant for mutant in MUTANTS if mutant.bits], ids=by_id)
+@pytest.mark.parametrize("mutant", [mutant for mutant in MISTAKES if mutant.bits], ids=by_id)
 def test_a_fault_of_bits_is_within_the_bounds(mutant):
     """Otherwise its mark would excuse a suite that misses it."""
     assert not is_found_out(mutant.port(), mutant.stage, bits=False)
@@ -72,23 +73,23 @@ def test_an_unchanged_copy_is_the_reference(stage):
 
 
 def test_there_are_enough():
-    counts = Counter(mutant.stage for mutant in MUTANTS)
+    counts = Counter(mutant.stage for mutant in MISTAKES)
     assert set(counts) == set(STAGES)
     assert min(counts.values()) >= 10
-    assert len({mutant.id for mutant in MUTANTS}) == len(MUTANTS) >= 70
+    assert len({mutant.id for mutant in MISTAKES}) == len(MISTAKES) >= 70
 
 
 def test_no_two_are_the_same():
-    assert len({mutant.changes for mutant in MUTANTS}) == len(MUTANTS)
+    assert len({mutant.changes for mutant in MISTAKES}) == len(MISTAKES)
 
 
 def test_they_are_found_by_stage_and_by_name():
     assert find("warp_x_sign") in of_stage("warp")
     assert find("warp_x_sign") not in of_stage("holes")
     assert find("warp_x_sign") in of_stage("holes", shared=True)
-    assert mutants.warp_x_sign().name == "warp_x_sign"
+    assert mistakes.warp_x_sign().name == "warp_x_sign"
     with pytest.raises(AttributeError):
-        mutants.warp_z_sign  # noqa: B018
+        mistakes.warp_z_sign  # noqa: B018
 
 
 @pytest.mark.parametrize(

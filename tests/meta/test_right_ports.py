@@ -6,11 +6,11 @@ from functools import cache
 import numpy as np
 import pytest
 
+from conformance.mistakes.variants import departs
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs, reference
 from stss_ref.conv import conv
 from tests.meta import right_ports as others
-from tests.meta.mutants import samples, weights_of
-from tests.meta.variants import departs
+from tests.meta.samples import samples, weights_of
 
 ROWS = {"float32": "stage.cl", "float16": "network.cl.half"}
 """What the port is held to: that of the OpenCL backend."""

@@ -3,11 +3,16 @@
 
 import pytest
 
-from tests.meta.mutants import MUTANTS
-from tests.meta.run_mutants import killers
+from conformance.mistakes import MISTAKES, find
+from stss.conform.failures import keep_failure, replay
+from stss.conform.own_ports import ReferencePort
+from tests.meta.run_mutants import failed
 
 
-@pytest.mark.parametrize("name", [mutant.id for mutant in MUTANTS])
-def test_found_out(name):
-    by, _ = killers(name)
-    assert by
+@pytest.mark.parametrize("name", [mutant.id for mutant in MISTAKES])
+def test_found_out(name, tmp_path):
+    """And from the folder that is kept the mutant fails again, while a mended port, the reference, passes."""
+    (result,) = failed(name)
+    kept = keep_failure(tmp_path, result.id, result.record.failure, "stss conform")
+    assert replay(ReferencePort(), kept).failure is None
+    assert replay(find(name).port(), kept).failure is not None

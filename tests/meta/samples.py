@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The table of planted faults, and inputs on which every one of them shows.
-
-``for mutant in of_stage("warp"): port = mutant.port()`` gives ports to be found out. By name, for a command line:
-``tests.meta.mutants:warp_x_sign``.
-"""
+"""Inputs on which every mistake of ``conformance.mistakes`` shows."""
 
 from __future__ import annotations
 
@@ -18,45 +14,9 @@ from numpy.typing import NDArray
 from conformance.protocol.port import Case
 from conformance.protocol.stages import STAGES
 from stss_ref.weights import Weights, random
-from tests.meta.mutants.erm import DECODER, ERM
-from tests.meta.mutants.frame import FRAME, NETWORK
-from tests.meta.mutants.holes import HOLES, OCCLUSION_WARP, RRM
-from tests.meta.mutants.image import MOTION_CHAIN, WARP
-from tests.meta.mutants.network import ENCODER, HISTORY
-from tests.meta.variants import Mutant, Variant
 
 Float = NDArray[np.float32]
 Size = tuple[int, int]
-
-MUTANTS: tuple[Mutant, ...] = (
-    *MOTION_CHAIN,
-    *WARP,
-    *HOLES,
-    *OCCLUSION_WARP,
-    *RRM,
-    *HISTORY,
-    *ENCODER,
-    *ERM,
-    *DECODER,
-    *NETWORK,
-    *FRAME,
-)
-
-
-def of_stage(stage: str, *, shared: bool = False) -> tuple[Mutant, ...]:
-    """Those that the tests of ``stage`` ought to catch; with ``shared``, those of other stages whose code it shares, too."""
-    return tuple(mutant for mutant in MUTANTS if mutant.stage == stage or (shared and stage in mutant.also))
-
-
-def find(name: str) -> Mutant:
-    """The mutant of this `Mutant.id`."""
-    return next(mutant for mutant in MUTANTS if mutant.id == name)
-
-
-def __getattr__(name: str) -> Callable[[], Variant]:
-    if any(mutant.id == name for mutant in MUTANTS):
-        return find(name).port
-    raise AttributeError(name)
 
 
 @cache

@@ -21,12 +21,15 @@ from typing import Any
 
 import numpy as np
 
+import conformance.protocol.stages
+import stss_ref
 from conformance.protocol.port import AnyArray, Arrays, Outputs
 from conformance.protocol.stages import STAGES
 from conformance.tolerance import ratio
 from stss_ref.weights import Weights
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(stss_ref.__file__).parent
+STAGES_FILE = Path(conformance.protocol.stages.__file__)
 PACKAGE = "stss_variant"
 """Name of every copy; only one is being made at a time."""
 
@@ -41,7 +44,7 @@ class VariantError(ValueError):
 
 
 @dataclass(frozen=True)
-class Mutant:
+class Mistake:
     """A mistake that a porter could make.
 
     Attributes:
@@ -70,10 +73,10 @@ class Mutant:
         return load(self.id, self.changes)
 
 
-def fault(stage: str, name: str, what: str, *change: str, more: Sequence[Change] = (), **marks: Any) -> Mutant:
-    """A mutant of the change ``file, old, new``, and ``more`` where that is not enough."""
+def fault(stage: str, name: str, what: str, *change: str, more: Sequence[Change] = (), **marks: Any) -> Mistake:
+    """A mistake by the change ``file, old, new``, and ``more`` where that is not enough."""
     file, old, new = change
-    return Mutant(stage, name, what, ((file, old, new), *more), **marks)
+    return Mistake(stage, name, what, ((file, old, new), *more), **marks)
 
 
 class Variant:
@@ -187,8 +190,8 @@ class _Copy(MetaPathFinder, Loader):
 @cache
 def _sources() -> dict[str, str]:
     # `arrays` stays the original: it computes nothing, and its errors are those that the suite knows.
-    paths = [path for path in (ROOT / "stss_ref").glob("*.py") if path.name != "arrays.py"]
-    return {path.name: path.read_text(encoding="utf-8") for path in [*paths, ROOT / "conformance" / "protocol" / "stages.py"]}
+    paths = [path for path in ROOT.glob("*.py") if path.name != "arrays.py"]
+    return {path.name: path.read_text(encoding="utf-8") for path in [*paths, STAGES_FILE]}
 
 
 def _changed(changes: Sequence[Change]) -> dict[str, str]:

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Planted faults: network and frame."""
 
-from tests.meta.variants import fault
+from collections.abc import Sequence
+
+from conformance.mistakes.variants import Change, Mistake, fault
 
 _NETWORK = "network.py"
 _RESAMPLE = "resample.py"
@@ -14,11 +16,11 @@ _MASK = "pad_to_8(mask[..., None])[..., 0],"
 _NUMPY = (_NETWORK, "from stss_ref.arrays", "import numpy as np\n\nfrom stss_ref.arrays")
 
 
-def _network(name, what, *change, more=()):
+def _network(name: str, what: str, *change: str, more: Sequence[Change] = ()) -> Mistake:
     return fault("network", name, what, _NETWORK, *change, more=more)
 
 
-def _pad(name, what, *change, more=()):
+def _pad(name: str, what: str, *change: str, more: Sequence[Change] = ()) -> Mistake:
     return fault("network", name, what, _RESAMPLE, *change, more=more)
 
 
@@ -76,7 +78,7 @@ _WARPED = "warped.append(w)"
 _ONE = "w, valid = _warp_one(inputs, i, motions.get(step))"
 
 
-def _frame(name, what, *change, more=()):
+def _frame(name: str, what: str, *change: str, more: Sequence[Change] = ()) -> Mistake:
     return fault("frame", name, what, _FRAME, *change, more=more)
 
 

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Planted faults: history, encoder and erm, and what they share with decoder."""
 
-from tests.meta.variants import fault
+from collections.abc import Sequence
+from typing import Any
+
+from conformance.mistakes.variants import Change, Mistake, fault
 
 CONV = "conv.py"
 OTHERS = ("history", "erm", "decoder")
@@ -26,11 +29,11 @@ _FUSE = 'return gated(np.concatenate(embedded, axis=-1), weights, "lowlevelGated
 _CHAIN = "x = conv_chain(x, weights, name, (2, 1, 1))"
 
 
-def _history(name, what, *change, more=()):
+def _history(name: str, what: str, *change: str, more: Sequence[Change] = ()) -> Mistake:
     return fault("history", name, what, _HISTORY, *change, more=more)
 
 
-def _reordered(channels):
+def _reordered(channels: list[int]) -> str:
     return f"for x in history[..., {channels}]:"
 
 
@@ -98,15 +101,15 @@ _DOWN = 'return relu(gated(relu(gated(x, weights, f"{name}.conv1")), weights, f"
 _NAMED = (_ENCODER, "import gated, relu", "import conv_named, gated, relu")
 
 
-def _encoder(name, what, *change, more=()):
+def _encoder(name: str, what: str, *change: str, more: Sequence[Change] = ()) -> Mistake:
     return fault("encoder", name, what, _ENCODER, *change, more=more)
 
 
-def _conv(name, what, *change, also=OTHERS, **marks):
+def _conv(name: str, what: str, *change: str, also: tuple[str, ...] = OTHERS, **marks: Any) -> Mistake:
     return fault("encoder", name, what, CONV, *change, also=also, **marks)
 
 
-def _gbuffer(channels):
+def _gbuffer(channels: list[int]) -> str:
     return _INPUT.replace("gbuffer", f"gbuffer[..., {channels}]")
 
 

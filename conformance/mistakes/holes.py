@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Planted faults: holes, occlusion_warp and rrm."""
 
-from tests.meta.variants import fault
+from collections.abc import Sequence
+
+from conformance.mistakes.variants import Change, Mistake, fault
 
 FILE = "holes.py"
 _FOLLOW = "place = follow(motion)"
@@ -18,11 +20,11 @@ _STENCIL = "s = bilinear(stencil_previous[..., None], at)[..., 0]"
 _LENGTH = "length = np.sqrt((n * n).sum(axis=-1))"
 
 
-def _holes(name, what, *change, more=()):
+def _holes(name: str, what: str, *change: str, more: Sequence[Change] = ()) -> Mistake:
     return fault("holes", name, what, FILE, *change, more=more)
 
 
-def _limit(name, what, *change):
+def _limit(name: str, what: str, *change: str) -> Mistake:
     return fault("holes", name, what, "constants.py", *change)
 
 
@@ -138,7 +140,7 @@ _FILLED = "np.where(valid.astype(bool)[..., None], warped, instead)"
 _AGAIN = "bilinear(color, taps(follow(occlusion_motion)))"
 
 
-def _fill(name, what, *change, more=()):
+def _fill(name: str, what: str, *change: str, more: Sequence[Change] = ()) -> Mistake:
     return fault("occlusion_warp", name, what, FILL, *change, more=more)
 
 
@@ -221,7 +223,7 @@ OCCLUSION_WARP = (
 _MASKED = "masked[y : y + h, x : x + w] = 0"
 
 
-def _rrm(name, what, new, old=_MASKED):
+def _rrm(name: str, what: str, new: str, old: str = _MASKED) -> Mistake:
     return fault("rrm", name, what, "rrm.py", old, new)
 
 

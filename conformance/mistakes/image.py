@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Planted faults: motion_chain and warp, and what warp shares with holes and occlusion_warp."""
 
-from tests.meta.variants import fault
+from collections.abc import Sequence
+from typing import Any
+
+from conformance.mistakes.variants import Change, Mistake, fault
 
 BOTH = ("holes", "occlusion_warp")
 CHAIN = "motion_chain.py"
@@ -16,7 +19,7 @@ _OVER = "for earlier in motions[1:]:"
 _STEP = "chained = chain_on(chained, earlier, gather)"
 
 
-def _chain(name, what, *change, more=()):
+def _chain(name: str, what: str, *change: str, more: Sequence[Change] = ()) -> Mistake:
     return fault("motion_chain", name, what, CHAIN, *change, more=more)
 
 
@@ -86,13 +89,13 @@ _FRACTIONS = "fx, fy = at.fx[..., None], at.fy[..., None]"
 _WRAPPED_TAP = (SAMPLE, "np.minimum(x0 + 1, width - 1), ", "(x0 + 1) % width, ")
 
 
-def _summed(position):
+def _summed(position: str) -> str:
     """Follows a motion by way of a position, a sum of pixel ``p`` and ``moved``."""
     p = "p = np.stack(np.indices(motion.shape[:2])[::-1], axis=-1).astype(motion.dtype)"
     return f"{_FOLLOW}\n    {p}\n    moved = {position} - p"
 
 
-def _warp(name, what, *change, **marks):
+def _warp(name: str, what: str, *change: str, **marks: Any) -> Mistake:
     return fault("warp", name, what, *change, **marks)
 
 

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Planted faults: erm and decoder."""
 
-from tests.meta.variants import fault
+from collections.abc import Sequence
+from typing import Any
+
+from conformance.mistakes.variants import Change, Mistake, fault
 
 _ERM = "erm.py"
 _RESAMPLE = "resample.py"
@@ -21,11 +24,11 @@ _OWN_LEFT_OUT = f"""if u == v == r:
             {_WEIGHT}"""
 
 
-def _erm(name, what, *change, more=(), **marks):
+def _erm(name: str, what: str, *change: str, more: Sequence[Change] = (), **marks: Any) -> Mistake:
     return fault("erm", name, what, _ERM, *change, more=more, **marks)
 
 
-def _down(name, what, rows, columns):
+def _down(name: str, what: str, rows: str, columns: str) -> Mistake:
     return fault("erm", name, what, _RESAMPLE, _ROWS, rows, more=[(_RESAMPLE, _COLUMNS, columns)])
 
 
@@ -109,11 +112,11 @@ _FIRST_RELU_MISSING = """u = conv_named(u, weights, f"{name}.conv.double_conv.0"
         u = np.maximum(conv_named(u, weights, f"{name}.conv.double_conv.2"), 0)"""
 
 
-def _decoder(name, what, *change, more=()):
+def _decoder(name: str, what: str, *change: str, more: Sequence[Change] = ()) -> Mistake:
     return fault("decoder", name, what, _DECODER, *change, more=more)
 
 
-def _resample(name, what, *change, **marks):
+def _resample(name: str, what: str, *change: str, **marks: Any) -> Mistake:
     return fault("decoder", name, what, _RESAMPLE, *change, **marks)
 
 

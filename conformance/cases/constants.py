@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: MIT
+"""Every constant of the specification, and a case in which it shows: without it, or with another, an answer is far beyond its bound.
+
+Drawn cases hardly ever come to where a constant counts: sums of weights about 1e-6, lengths about 1e-5, distances just below a limit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from conformance.cases.large_inputs import frame_case
+from conformance.cases.stage_inputs import Inputs, made_weights
+from stss_ref.constants import HoleLimits
+from stss_ref.weights import Weights
+
+LIMITS = HoleLimits()
+CLOSE = 2.0**-9
+"""How near to a limit a number comes, relatively."""
+
+
+@dataclass(frozen=True)
+class Constant:
+    """One number of the specification.
+
+    Attributes:
+        name: what it is.
+        value: as docs/stages.md has it.
+        stage: where it is seen.
+        make: a case of that stage, from a seeded generator.
+    """
+
+    name: str
+    value: str
+    stage: str
+    make: Callable[[Generator], Any]
+
+
+def _pairs(*numbers: float) -> NDArray[np.float64]:
+    """(1, 2 N): each number in two columns, so that a still pixel in the first of them reads no other."""
+    return np.repeat(np.array(numbers, np.float64), 2)[None]
+
+
+def _still(width: int) -> Inputs:
+    """Stage holes, one row of a still static frame in which all is as it was."""
+    up = np.broadcast_to([0.0, 0.0, 1.0], (1, width, 3))
+    flat, none = np.zeros((1, width)), np.zeros((1, width, 3))
+    return {
+        "motion": np.zeros((1, width, 2)), "stencil_previous": flat, "stencil": flat, "normal_previous": up, "normal": up,
+        "position_previous": none, "position": none, "nov": flat, "depth": flat,
+    }  # fmt: skip
+
+
+def _far(facing: float, depth: float) -> Callable[[Generator], Inputs]:
+    bias = LIMITS.facing * facing + LIMITS.grazing * (1 - facing) + LIMITS.depth * depth
+
+    def make(_: Generator) -> Inputs:
+        apart = _pairs(bias * (1 - CLOSE), bias * (1 + CLOSE))
+        moved = np.stack([apart, np.zeros_like(apart), np.zeros_like(apart)], axis=-1)
+        planes = {"nov": np.full_like(apart, facing), "depth": np.full_like(apart, depth)}
+        return {**_still(apart.size), **planes, "position_previous": moved}
+
+    return make
+
+
+def _object(normal_previous: NDArray[np.float64]) -> Inputs:
+    ones = np.ones(normal_previous.shape[:2])
+    return {**_still(ones.size), "stencil": ones, "stencil_previous": ones, "normal_previous": normal_previous}
+
+
+def _cosine(_: Generator) -> Inputs:
+    cosine = _pairs(*(LIMITS.cosine * (1 + sign * CLOSE) for sign in (-1, 1)))
+    return _object(np.stack([np.sqrt(1 - cosine**2), np.zeros_like(cosine), cosine], axis=-1))
+
+
+def _length(_: Generator) -> Inputs:
+    """Of a normal that points the same way: ``|n| / (|n| + 1e-5)`` is 0.98 at 4.9e-4."""
+    length = _pairs(1e-6, 1e-5, 1e-4, 4.9e-4 * 0.95, 4.9e-4 * 1.05, 2e-3)
+    return _object(np.stack([np.zeros_like(length), np.zeros_like(length), length], axis=-1))
+
+
+def _mesh(_: Generator) -> Inputs:
+    apart = _pairs(*(sign * LIMITS.mesh / 3 * (1 + more * CLOSE) for sign in (-1, 1) for more in (-1, 1)))
+    ones = np.ones_like(apart)
+    return {**_still(apart.size), "stencil": ones, "stencil_previous": ones + apart}
+
+
+def _farthest(rng: Generator) -> Inputs:
+    """A few pixels that splat, on a ground that is too far to."""
+    depth = np.full((1, 20), 20.0)
+    depth[0, ::5] = 10 * (1 - CLOSE), 10, 10 * (1 + CLOSE), 9
+    motion = np.zeros((1, 20, 2))
+    motion[..., 0] = 1.25
+    valid = np.zeros((1, 20), np.uint8)
+    return {"color": rng.random((1, 20, 3)), "warped": rng.random((1, 20, 3)), "motion": motion, "depth": depth, "valid": valid}
+
+
+def _materials(rng: Generator) -> tuple[Inputs, Weights]:
+    """Few places with keys about 1e-12 long among others a million times shorter: sums of weights about 1e-6, lengths about 1e-12."""
+    size = 9, 9
+    keys = 1e-6 * rng.choice([0.1, 0.3, 0.6, 2.0], size)
+    keys[1::4, 1::4] = rng.choice([1.0, 2.0, 5.0], (2, 2))
+    return _lit(rng, keys, np.ones(size))
+
+
+def _window(rng: Generator) -> tuple[Inputs, Weights]:
+    """One place to be trusted: light reaches two places away, and no further."""
+    trusted = np.zeros((9, 9))
+    trusted[4, 4] = 1
+    return _lit(rng, np.full((9, 9), 1e3), trusted)
+
+
+def _lit(rng: Generator, keys: NDArray[np.float64], trusted: NDArray[np.float64]) -> tuple[Inputs, Weights]:
+    """Stage erm where a key is 1e-12 times what ``keys`` has at its place."""
+    height, width = keys.shape
+    given = dict(made_weights("random", 0))
+    for name, tensor in given.items():
+        if name.startswith("KEncoder"):
+            given[name] = np.zeros_like(tensor)
+            if name.endswith("weight"):
+                given[name][0, 0, 1, 1] = 1e-12 if name == "KEncoder.4.weight" else 1
+    gbuffer = np.zeros((8 * height, 8 * width, 9))
+    gbuffer[..., 0] = keys.repeat(8, axis=0).repeat(8, axis=1)
+    inputs: Inputs = {"x4": rng.normal(0, 1, (height, width, 32)), "gbuffer": gbuffer}
+    return {**inputs, "mask": trusted.repeat(8, axis=0).repeat(8, axis=1)}, given
+
+
+def _dark(rng: Generator) -> tuple[Inputs, Weights]:
+    """Colours of either sign."""
+    inputs, given = frame_case((9, 13), rng)
+    return {**inputs, "colors": inputs["colors"] * 2 - 1}, given
+
+
+CONSTANTS = (
+    Constant("distance head-on", "7.5", "holes", _far(1, 0)),
+    Constant("distance edge-on", "45", "holes", _far(0, 0)),
+    Constant("distance by depth", "50", "holes", _far(1, 1)),
+    Constant("cosine", "0.98", "holes", _cosine),
+    Constant("what is added to a normal's length", "1e-5", "holes", _length),
+    Constant("difference of stencils", "1", "holes", _mesh),
+    Constant("stencil's channels", "3", "holes", _mesh),
+    Constant("beginning of the depth buffer", "10", "occlusion_warp", _farthest),
+    Constant("least length of a key", "1e-12", "erm", _materials),
+    Constant("least sum of weights", "1e-6", "erm", _materials),
+    Constant("window", "5", "erm", _window),
+    Constant("least colour", "0", "frame", _dark),
+)
+
+
+def constant_cases(stage: str) -> tuple[Callable[[Generator], Any], ...]:
+    """The cases of a stage's constants."""
+    return tuple(dict.fromkeys(constant.make for constant in CONSTANTS if constant.stage == stage))

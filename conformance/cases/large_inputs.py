@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: MIT
+"""Large frames: wider than a tile or a work-group, more pixels than 16 bits count, motion over hundreds of pixels and out on each side.
+
+Made from a generator, not drawn: nothing of them could be made smaller, so they stand in the order in which they get dearer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from conformance.cases.planes import Size
+from conformance.cases.stage_inputs import Inputs, made_weights
+from stss_ref.weights import Weights
+
+IMAGE_SIZES: tuple[Size, ...] = ((2, 300), (301, 3), (257, 259), (129, 66), (65, 129), (65_601, 1), (1, 65_601))
+"""(H, W) for the image stages. The third has more than 65,536 pixels; the last two more columns or rows than 16 bits count."""
+NETWORK_SIZES: tuple[Size, ...] = ((8, 528), (264, 8), (72, 136), (8, 2080), (528, 64), (264, 256))
+"""(H, W) for stages of the network: at 1/8 66 columns, 33 rows, 260 columns; the last has more than 65,536 pixels."""
+ANY_SIZES: tuple[Size, ...] = ((7, 301), (261, 5), (67, 131), (515, 13), (257, 259))
+"""(H, W) for the whole network, which pads them."""
+Made = Callable[[Generator], Any]
+
+
+def motion(rng: Generator, size: Size) -> NDArray[np.float64]:
+    """(H, W, 2): short, across the frame, out of it on each side; whole pixels and not."""
+    height, width = size
+    reach = np.array([width, height])
+    kind = rng.integers(0, 4, size)[..., None]
+    across = rng.uniform(-0.9, 0.9, (*size, 2)) * reach
+    out = rng.choice([-1, 1], (*size, 2)) * rng.uniform(0.5, 3, (*size, 2)) * reach
+    kinds = [rng.uniform(-3, 3, (*size, 2)), across, np.round(across), out]
+    return np.select([kind == i for i in range(4)], kinds).astype(np.float32).astype(np.float64)
+
+
+def _motion_chain(size: Size, rng: Generator) -> Inputs:
+    return {"motions": np.stack([motion(rng, size) for _ in range(3)])}
+
+
+def _warp(size: Size, rng: Generator) -> Inputs:
+    return {"color": rng.random((*size, 3)), "motion": motion(rng, size)}
+
+
+def _holes(size: Size, rng: Generator) -> Inputs:
+    """Objects on a ground; as far apart, and as much turned, as is just trusted."""
+    normal, position = rng.normal(0, 1, (*size, 3)), rng.normal(0, 15, (*size, 3))
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    stencil = (rng.random(size) < 0.3) * 2.0
+    # Much of what does not move has to be trusted.
+    moved = np.where((rng.random(size) < 0.5)[..., None], 0, motion(rng, size))
+    return {
+        "motion": moved, "stencil": stencil, "stencil_previous": stencil, "normal": normal, "position": position,
+        "normal_previous": normal + rng.normal(0, 0.1, normal.shape), "position_previous": position + rng.normal(0, 8, normal.shape),
+        "nov": rng.uniform(-1, 1, size), "depth": rng.random(size),
+    }  # fmt: skip
+
+
+def _occlusion_warp(size: Size, rng: Generator) -> Inputs:
+    color, warped = rng.random((2, *size, 3))
+    depth = np.where(rng.random(size) < 0.3, 0.5, rng.random(size))
+    valid = (rng.random(size) < 0.5).astype(np.uint8)
+    return {"color": color, "warped": warped, "motion": motion(rng, size), "depth": depth, "valid": valid}
+
+
+def _rrm(size: Size, rng: Generator) -> Inputs:
+    height, width = size
+    rectangle = np.array([height // 4, width // 4, -(-height // 2), -(-width // 2)], np.int32)
+    return {"valid": (rng.random(size) < 0.7).astype(np.uint8), "rectangle": rectangle}
+
+
+def network_case(stage: str, size: Size, rng: Generator) -> tuple[Inputs, Weights]:
+    """Inputs in [0, 1] of a stage of the network, and weights."""
+    height, width = size
+    shapes = {
+        "color": (height, width, 6), "gbuffer": (height, width, 9), "history": (3, height, width, 4),
+        "x1": (height, width, 24), "x2": (height // 2, width // 2, 24), "x3": (height // 4, width // 4, 32),
+        "x4": (height // 8, width // 8, 32), "reshaded": (height // 8, width // 8, 64), "feature": (height // 8, width // 8, 32),
+    }  # fmt: skip
+    taken = {
+        "history": ("history",), "encoder": ("color", "gbuffer"), "erm": ("x4", "gbuffer"),
+        "decoder": ("reshaded", "feature", "x1", "x2", "x3", "color"), "network": ("color", "gbuffer", "history"),
+    }[stage]  # fmt: skip
+    inputs: Inputs = {name: rng.random(shapes[name]) for name in taken}
+    if stage in ("encoder", "erm", "network"):
+        inputs["mask"] = (rng.random(size) < 0.8).astype(np.float64)
+    return inputs, made_weights("random", 0)
+
+
+def frame_case(size: Size, rng: Generator) -> tuple[Inputs, Weights]:
+    """Motion of quarters, and whole pixels far across; surfaces are one or far apart: no rounding decides what is a hole."""
+    far = np.round(rng.uniform(-0.9, 0.9, (5, *size, 2)) * (size[1], size[0]))
+    moved = np.where(rng.random((5, *size, 1)) < 0.3, far, rng.integers(-6, 7, (5, *size, 2)) / 4)
+    positions = np.zeros((4, *size, 3))
+    positions[..., 0] = 256 * (rng.random((4, *size)) < 0.02)
+    inputs: Inputs = {
+        "stencils": np.broadcast_to((rng.random(size) < 0.1) * 2.0, (4, *size)), "positions": positions,
+        "normals": np.broadcast_to([0.0, 0.0, 1.0], (4, *size, 3)), "colors": rng.random((3, *size, 3)),
+        "steps": np.array([1, 3, 5], np.int32), "motions": moved, "gbuffer": rng.random((*size, 9)), "nov": rng.uniform(-1, 1, size),
+    }  # fmt: skip
+    return inputs, made_weights("random", 0)
+
+
+_IMAGE: dict[str, Callable[[Size, Generator], Inputs]] = {
+    "motion_chain": _motion_chain, "warp": _warp, "holes": _holes, "occlusion_warp": _occlusion_warp, "rrm": _rrm,
+}  # fmt: skip
+
+
+def large_inputs(stage: str) -> tuple[Made, ...]:
+    """Of a stage: inputs, and weights if it takes them; the dearest last."""
+    if stage in _IMAGE:
+        return tuple(partial(_IMAGE[stage], size) for size in IMAGE_SIZES)
+    if stage == "frame":
+        return tuple(partial(frame_case, size) for size in ANY_SIZES)
+    return tuple(partial(network_case, stage, size) for size in (ANY_SIZES if stage == "network" else NETWORK_SIZES))

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: MIT
+"""A failure is run again: alone, and after the cases before it. What fails only sometimes says so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from conformance.findings import DepartureError, Failure
+from conformance.judge import Body, Judge
+from conformance.rehearsal import prepare
+
+
+def confirm(judge: Judge, body: Body) -> Failure:
+    """The failure of the test that ran last, with words where it does not fail on its own.
+
+    Args:
+        judge: whose ``record`` has it.
+        body: the property.
+
+    Returns:
+        The smallest case if that fails alone. Otherwise the first one that failed, with as few of the cases before it as it needs.
+    """
+    small, first = judge.record.failure, judge.record.first
+    assert small is not None
+    assert first is not None
+    if (found := fails(judge, body, replace(small, before=()))) is not None:
+        return found
+    few = 1
+    while first.before:
+        before = first.before[-few:]
+        if (found := fails(judge, body, replace(first, before=before))) is not None:
+            return _with_words(
+                found, f"depends on the {f'{len(before)} cases' if len(before) > 1 else 'case'} before: it passes alone"
+            )
+        if len(before) == len(first.before):
+            break
+        few *= 2
+    return _with_words(replace(first, before=()), "differs from run to run: it passed when it was run again")
+
+
+def fails(judge: Judge, body: Body, failure: Failure) -> Failure | None:
+    """The failure as it is now, after the cases before it, at one start of a program; None: it passes."""
+    prepare(judge, [*failure.before, failure.drawn], body)
+    for case in (*failure.before, failure.drawn):
+        judge.record.failure = None
+        try:
+            judge.check(body, case)
+        except DepartureError:
+            continue
+    found = judge.record.failure
+    return None if found is None else replace(found, before=failure.before)
+
+
+def _with_words(failure: Failure, words: str) -> Failure:
+    return replace(failure, finding=replace(failure.finding, message=f"{failure.finding.message}; {words}"))

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: MIT
+"""A wrong answer beside those of known mistakes: which of them, planted in the reference, gives the same numbers on the same input."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from time import process_time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conformance.answers.expected import Expected
+from conformance.findings import DepartureError, Finding
+from conformance.judge import Judge
+from conformance.mistakes import Mistake, of_stage
+from conformance.mistakes.variants import Variant
+from conformance.protocol.port import Case, Outputs
+from conformance.rehearsal import prepare
+
+MOST_SECONDS = 20.0
+"""Of computing time, for one diagnosis."""
+MOST_NAMED = 3
+INSIDE = ("history", "encoder", "erm", "decoder")
+CONTAINS = {"network": INSIDE, "frame": ("motion_chain", "warp", "holes", "occlusion_warp", "network", *INSIDE)}
+ALIKE = 0.99
+"""Share of the wrong numbers that a mistake has to explain."""
+
+
+def diagnose(judge: Judge, finding: Finding) -> str:
+    """Words on what a wrong answer looks like.
+
+    Returns:
+        ``looks like: ...``, the nearest first; or that no known mistake gives these numbers. Empty where there is nothing to compare:
+        the port gave no answer, or one that is right by itself, so that only two of its answers together are wrong.
+    """
+    if finding.expected is None:
+        return ""
+    case = finding.case
+    prepare(judge, [case], _asked)
+    try:
+        got = judge.run(case.stage, case.inputs, case.weights)
+    except DepartureError:
+        return ""
+    right = judge.right(case.stage, case.inputs, case.weights, got)
+    wrong = {name: expected.ratios(got[name]) > 1 for name, expected in right.items()}
+    if not any(w.any() for w in wrong.values()):
+        return ""
+    known, end = _shown_by(case.stage), process_time() + MOST_SECONDS
+    found: list[tuple[float, Mistake]] = []
+    for tried, mistake in enumerate(known):
+        if process_time() > end:
+            return _named(found, tried)
+        made = _port(mistake).run(case.stage, case.inputs, case.weights)
+        if (share := explained(got, made, right, wrong)) >= ALIKE:
+            found.append((share, mistake))
+    return _named(found, len(known))
+
+
+def _asked(judge: Judge, case: Case) -> None:
+    judge.run(case.stage, case.inputs, case.weights)
+
+
+def _shown_by(stage: str) -> tuple[Mistake, ...]:
+    """Those of the stage itself first, then those of stages whose code it shares or contains."""
+    inside = [mistake for part in CONTAINS.get(stage, ()) for mistake in of_stage(part)]
+    return tuple(dict.fromkeys([*of_stage(stage), *of_stage(stage, shared=True), *inside]))
+
+
+@lru_cache(512)
+def _port(mistake: Mistake) -> Variant:
+    return mistake.port()
+
+
+def explained(got: Outputs, made: Outputs, right: dict[str, Expected], wrong: dict[str, NDArray[np.bool_]]) -> float:
+    """Which share of the numbers that are wrong, and of all others, are those of a mistake, within twice their bound; the smaller one."""
+    shares = [1.0]
+    for name, expected in right.items():
+        if made[name].shape != got[name].shape:
+            return 0.0
+        allowed: Any = 2 * np.asarray(expected.allowed)
+        alike = Expected(made[name].astype(np.float64), allowed, vectors=expected.vectors).ratios(got[name]) <= 1
+        for where in (wrong[name], ~wrong[name]):
+            if where.any():
+                shares.append(float(alike[where].mean()))
+    return min(shares)
+
+
+def _named(found: list[tuple[float, Mistake]], tried: int) -> str:
+    if not found:
+        return f"looks like none of the {tried} mistakes that were compared"
+    found.sort(key=lambda each: -each[0])
+    return "looks like: " + "; or ".join(mistake.what for _, mistake in found[:MOST_NAMED])

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: MIT
+"""What the judge found: one departure, what one test met, how one test ended."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conformance.answers.expected import Expected
+from conformance.protocol.port import Case
+
+
+class DepartureError(AssertionError):
+    """A port's answer is wrong: the message says where and by how much."""
+
+    def __init__(self, finding: Finding):
+        super().__init__(finding.message)
+        self.finding = finding
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One wrong output: enough to show it and to run it again.
+
+    Attributes:
+        message: what departs, where, by how much.
+        case: what the port was given.
+        output: name of the wrong output.
+        got: what the port answered.
+        expected: what is right.
+    """
+
+    message: str
+    case: Case
+    output: str
+    got: NDArray[Any] | None
+    expected: Expected | None
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A property that does not hold.
+
+    Attributes:
+        finding: the wrong output.
+        drawn: the property's own case, from which it can be run again.
+        before: the cases that were checked before it, oldest first; once the failure is confirmed, those that it needs.
+    """
+
+    finding: Finding
+    drawn: Any
+    before: tuple[Any, ...] = ()
+
+
+@dataclass
+class Record:
+    """What one test met.
+
+    Attributes:
+        cases: how often the port was asked.
+        undecided: numbers that rounding decided.
+        unjudged: answers that were not held against anything, since rounding decides on the whole of them.
+        worst: largest error / bound of each output, by ``stage.output``.
+        failure: what failed the test, as small as it got.
+        first: what failed it first.
+    """
+
+    cases: int = 0
+    undecided: int = 0
+    unjudged: int = 0
+    worst: dict[str, float] = field(default_factory=dict[str, float])
+    failure: Failure | None = None
+    first: Failure | None = None
+
+
+@dataclass
+class TestResult:
+    """How one test ended.
+
+    Attributes:
+        id: ``stage.test``, as a file of known failures names it.
+        stage: its stage.
+        property: what it asks, in words.
+        outcome: ``passed``, ``failed``, ``skipped`` (the port lacks the stage), ``known`` (failed, as expected) or ``error``.
+        message: why, unless passed.
+        seconds: it took.
+        record: what it met.
+    """
+
+    __test__ = False  # to pytest: none of its classes
+
+    id: str
+    stage: str
+    property: str
+    outcome: str
+    message: str = ""
+    seconds: float = 0.0
+    record: Record = field(default_factory=Record)
+
+
+def tallied(records: Sequence[Record]) -> Counter[str]:
+    """Cases, undecided numbers and unjudged cases of several tests together."""
+    return Counter({
+        "cases": sum(r.cases for r in records),
+        "undecided": sum(r.undecided for r in records),
+        "unjudged": sum(r.unjudged for r in records),
+    })  # fmt: skip
+
+
+def said(output: str, got: NDArray[Any], expected: Expected, worst: float) -> str:
+    """One line: how wrong ``got`` is at its worst number, and how much of it departs.
+
+    Args:
+        output: ``stage.name``.
+        got: what the port answered.
+        expected: what is right.
+        worst: the largest error / bound.
+    """
+    if got.shape != expected.want.shape:
+        return f"{output}: expected shape {expected.want.shape}, got {got.shape}"
+    ratios = expected.ratios(got)
+    place = tuple(int(i) for i in np.unravel_index(int(ratios.argmax()), ratios.shape))
+    allowed = float(np.broadcast_to(np.asarray(expected.allowed), got.shape)[place])
+    by = "wrong" if allowed == 0 else f"error / bound {worst:.3g}"
+    share = float((ratios > 1).mean())
+    return (
+        f"{output}: {by} at {list(place)}: got {got[place]:.9g}, expected {expected.want[place]:.9g}"
+        f"{f', allowed {allowed:.3g}' if allowed else ''}; {share:.1%} of {got.size} numbers depart"
+    )

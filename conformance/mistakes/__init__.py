@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: MIT
+"""Mistakes that people make when they port a stage, as ports: what a wrong answer is compared with, and what tests the judge.
+
+By name, for a command line: ``--port conformance.mistakes:warp_x_sign``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from conformance.mistakes.erm import DECODER, ERM
+from conformance.mistakes.frame import FRAME, NETWORK
+from conformance.mistakes.holes import HOLES, OCCLUSION_WARP, RRM
+from conformance.mistakes.image import MOTION_CHAIN, WARP
+from conformance.mistakes.network import ENCODER, HISTORY
+from conformance.mistakes.variants import Mistake, Variant
+
+MISTAKES: tuple[Mistake, ...] = (
+    *MOTION_CHAIN,
+    *WARP,
+    *HOLES,
+    *OCCLUSION_WARP,
+    *RRM,
+    *HISTORY,
+    *ENCODER,
+    *ERM,
+    *DECODER,
+    *NETWORK,
+    *FRAME,
+)
+
+
+def of_stage(stage: str, *, shared: bool = False) -> tuple[Mistake, ...]:
+    """Those that the tests of ``stage`` ought to catch; with ``shared``, those of other stages whose code it shares, too."""
+    return tuple(mistake for mistake in MISTAKES if mistake.stage == stage or (shared and stage in mistake.also))
+
+
+def find(name: str) -> Mistake:
+    """The mistake of this `Mistake.id`."""
+    return next(mistake for mistake in MISTAKES if mistake.id == name)
+
+
+def __getattr__(name: str) -> Callable[[], Variant]:
+    if any(mistake.id == name for mistake in MISTAKES):
+        return find(name).port
+    raise AttributeError(name)

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: MIT
+"""A property's own case on disk: numbers, words, lists and arrays nested in each other, as Hypothesis drew them.
+
+``property.json`` has the test's id and the structure; arrays lie beside it as ``0000.npy``, ... Nothing that is read is executed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from conformance.protocol.job_folder import read_array
+from conformance.protocol.job_tree import Folder, JobError
+from conformance.protocol.port import AnyArray
+
+PROPERTY = "property.json"
+MOST_BYTES = 1 << 20
+"""Of the structure: the largest, a sequence of six frames with weights of their own, has some 40 KB."""
+
+
+def fingerprint(drawn: Any) -> bytes:
+    """The same for the same case."""
+    digest = hashlib.blake2b()
+
+    def noted(array: AnyArray) -> str:
+        digest.update(np.ascontiguousarray(array).data)
+        return f"{array.shape}{array.dtype}"
+
+    digest.update(json.dumps(_written(drawn, noted)).encode())
+    return digest.digest()
+
+
+def write_drawn(folder: Folder, test: str, drawn: Any) -> None:
+    """Write the case of a test into ``folder``.
+
+    Raises:
+        TypeError: it holds something else than numbers, words, lists, tuples, dictionaries of words and arrays.
+    """
+    arrays: dict[int, tuple[str, AnyArray]] = {}
+
+    def noted(array: AnyArray) -> str:
+        name, _ = arrays.setdefault(id(array), (f"{len(arrays):04d}.npy", array))
+        return name
+
+    text = json.dumps({"test": test, "drawn": _written(drawn, noted)}, indent=1)
+    with folder.written(PROPERTY) as file:
+        file.write(text.encode())
+    for name, array in arrays.values():
+        with folder.written(name) as file:
+            np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False)
+
+
+def _written(value: Any, noted: Callable[[AnyArray], str]) -> Any:
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    if isinstance(value, (float, np.floating, np.integer, np.bool_)):
+        return {"float": repr(float(value))} if isinstance(value, (float, np.floating)) else value.item()
+    if isinstance(value, np.ndarray):
+        return {"array": noted(value)}
+    if isinstance(value, (list, tuple)):
+        return {type(value).__name__: [_written(item, noted) for item in value]}
+    if isinstance(value, dict) and all(isinstance(key, str) for key in value):
+        return {"dict": {key: _written(item, noted) for key, item in value.items()}}
+    raise TypeError(f"expected numbers, words, lists and arrays, got {type(value).__name__}")
+
+
+def read_drawn(folder: Folder) -> tuple[str, Any]:
+    """The test's id and its case.
+
+    Raises:
+        JobError: it is damaged.
+    """
+    path = folder.path / PROPERTY
+    try:
+        found = json.loads(folder.read(PROPERTY, MOST_BYTES))
+        return str(found["test"]), _read(found["drawn"], folder, {})
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        if isinstance(error, JobError):
+            raise
+        raise JobError(f"{path}: damaged ({type(error).__name__})") from error
+
+
+def _read(value: Any, folder: Folder, arrays: dict[str, AnyArray]) -> Any:
+    if not isinstance(value, dict):
+        return value
+    ((kind, held),) = value.items()  # pyright: ignore[reportUnknownVariableType]
+    if kind == "array":
+        name = str(held)
+        if "/" in name or "\\" in name:
+            raise ValueError(name)
+        if name not in arrays:
+            arrays[name] = read_array(folder, name)
+        return arrays[name]
+    if kind == "float":
+        return float(held)
+    if kind == "dict":
+        return {str(key): _read(item, folder, arrays) for key, item in held.items()}
+    items = [_read(item, folder, arrays) for item in held]
+    return {"list": list, "tuple": tuple}[kind](items)

@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: MIT
+"""A program is judged at few starts: a rehearsal says which cases a test will ask for, and one start computes many of them.
+
+The judge knows nothing of it. A rehearsal is a judge that asks and does not judge; the port it asks is the program with a memory.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from hypothesis import Phase
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from conformance.answers.expected import Expected
+from conformance.judge import Body, Judge
+from conformance.protocol.array_specs import Sizes
+from conformance.protocol.port import Arrays, Case, Outputs, PortError, Unsupported
+from conformance.protocol.program_port import FolderPort
+from conformance.protocol.stages import STAGES, check_inputs
+from stss_ref.weights import Weights
+
+BATCH = 64
+"""Cases of a program's one start."""
+BATCH_BYTES = 256 * 2**20
+"""Of its inputs."""
+
+
+class PreparedPort:
+    """A program as a port that answers from memory what was prepared, and starts the program for anything else.
+
+    Attributes:
+        program: that answers.
+        answers: to the cases that were prepared, by their digests; to one that was prepared twice, one after the other.
+    """
+
+    def __init__(self, program: FolderPort):
+        self.program = program
+        self.name, self.dtype = program.name, program.dtype
+        self.answers: dict[bytes, list[Outputs]] = {}
+        self.failed: dict[bytes, _FailedStart] = {}
+
+    def stages(self) -> frozenset[str]:
+        """See ``FolderPort``."""
+        return self.program.stages()
+
+    def forget(self) -> None:
+        """What was prepared."""
+        self.answers, self.failed = {}, {}
+
+    def prepare(self, cases: Sequence[Case]) -> None:
+        """Compute ``cases`` at as few starts as may be; those of a start that fails are left to be asked for one by one."""
+        for some in _batches(cases):
+            try:
+                answers = self.program.run_many(some)
+            except PortError as error:
+                start = _FailedStart(error, len(some), {digest(case) for case in some})
+                self.failed |= dict.fromkeys(start.left, start)
+                continue
+            for case, answer in zip(some, answers, strict=True):
+                if not isinstance(answer, Unsupported):
+                    self.answers.setdefault(digest(case), []).append(answer)
+
+    def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
+        """See ``conformance.protocol.port.Port``."""
+        key = digest(Case(stage, inputs, weights))
+        if key in self.answers:
+            # A property that asks twice gets the second answer at the second time.
+            answers = self.answers[key]
+            answers.append(answers.pop(0))
+            return answers[-1]
+        outputs = self._started(stage, inputs, weights)
+        if key in self.failed:
+            self.failed[key].passed_alone(key)
+        return outputs
+
+    def _started(self, stage: str, inputs: Arrays, weights: Weights | None) -> Outputs:
+        """A start for this case alone; of many that fail while a case is made smaller, the last one's job is kept."""
+        before, self.program.kept = self.program.kept, None
+        try:
+            return self.program.run(stage, inputs, weights)
+        finally:
+            if before is not None and self.program.kept is not None:
+                shutil.rmtree(before, ignore_errors=True)
+            self.program.kept = self.program.kept or before
+
+
+@dataclass
+class _FailedStart:
+    """A job of several cases that failed as a whole.
+
+    Attributes:
+        error: how.
+        count: its cases.
+        left: digests of those that have not been asked for alone.
+    """
+
+    error: PortError
+    count: int
+    left: set[bytes]
+
+    def passed_alone(self, key: bytes) -> None:
+        """Which case it was shows when each runs alone. If none does, the job's own failure counts."""
+        self.left.discard(key)
+        if not self.left:
+            raise PortError(f"depends on the cases before: each passes alone, but not {self.count} in one job: {self.error}")
+
+
+def _batches(cases: Sequence[Case]) -> list[list[Case]]:
+    batches: list[list[Case]] = []
+    room = 0
+    for case in cases:
+        size = sum(array.nbytes for array in case.inputs.values())
+        if not batches or len(batches[-1]) == BATCH or size > room:
+            batches.append([])
+            room = BATCH_BYTES
+        batches[-1].append(case)
+        room -= size
+    return batches
+
+
+def digest(case: Case) -> bytes:
+    """Of all that a port is given; the same for the same case."""
+    digested = hashlib.blake2b(case.stage.encode())
+    for name, array in [*case.inputs.items(), *(case.weights or {}).items()]:
+        digested.update(f"{name}{array.shape}{array.dtype}".encode())
+        digested.update(np.ascontiguousarray(array).data)
+    return digested.digest()
+
+
+class Rehearsal(Judge):
+    """Asks for what a judge will ask for; where the answer is not there yet it goes on with zeros, and finds everything right.
+
+    Attributes:
+        missing: cases without an answer, by their digests and by how often their property asked for them before.
+    """
+
+    def __init__(self, judge: Judge, port: PreparedPort):
+        super().__init__(judge.port, judge.tier, judge.seed, repeat=judge.repeat)
+        self.missing: dict[tuple[int, bytes], Case] = {}
+        self._prepared = port
+        self._asked: Counter[bytes] = Counter()
+
+    def asks_more(self, body: Body, drawn: Any) -> bool:
+        """Go through a property; whether it asked for what is missing."""
+        self._asked.clear()
+        before = len(self.missing)
+        body(self, drawn)
+        return len(self.missing) > before
+
+    def run(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Outputs:
+        """The port's answer, or zeros."""
+        case = self.asked(stage, inputs, weights)
+        sizes = check_inputs(stage, case.inputs, "float32")
+        key = digest(case)
+        answers, asked = self._prepared.answers.get(key, []), self._asked[key]
+        self._asked[key] += self.repeat
+        if key not in self._prepared.failed:
+            self.missing |= {(i, key): case for i in range(max(asked, len(answers)), asked + self.repeat)}
+        return answers[asked] if asked < len(answers) else _zeros(stage, sizes)
+
+    def right(
+        self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None, got: Outputs | None = None
+    ) -> dict[str, Expected]:
+        """Zeros: nothing is held against them."""
+        sizes = check_inputs(stage, self.given(inputs, stage), "float32")
+        return {name: Expected(zeros, 0.0) for name, zeros in _zeros(stage, sizes).items()}
+
+    def rounds_either_way(
+        self, stage: str, output: str, inputs: Mapping[str, NDArray[Any]], weights: Weights, layer: str
+    ) -> None:
+        """Only asks."""
+        self.run(stage, inputs, weights)
+
+    def holds(self, output: str, got: NDArray[Any], expected: Expected) -> None:
+        """Nothing is judged."""
+
+
+def _zeros(stage: str, sizes: Sizes) -> Outputs:
+    kinds = {"float": np.float32, "uint8": np.uint8, "int": np.int32}
+    return {name: np.zeros(spec.shape(sizes), kinds[spec.kind]) for name, spec in STAGES[stage].outputs.items()}
+
+
+def rehearse(judge: Judge, strategy: st.SearchStrategy[Any], body: Body, *, dear: bool = False) -> None:
+    """Have the answers ready that ``judge.for_all`` will ask a program for."""
+    if isinstance(judge.port, PreparedPort):
+        drawn: list[Any] = []
+        judge.draw(strategy, drawn.append, [Phase.generate], dear=dear)
+        prepare(judge, drawn, body)
+
+
+def prepare(judge: Judge, drawn: Sequence[Any], body: Body) -> None:
+    """Have the answers ready that a property asks a program for on these cases.
+
+    A case that asks again depending on what was answered is rehearsed again with the answer, until nothing is missing.
+    """
+    port = judge.port
+    if not isinstance(port, PreparedPort):
+        return
+    port.forget()
+    while drawn:
+        rehearsal = Rehearsal(judge, port)
+        drawn = [case for case in drawn if rehearsal.asks_more(body, case)]
+        # What is asked for twice is computed again after all others, not right behind itself.
+        port.prepare([rehearsal.missing[key] for key in sorted(rehearsal.missing, key=lambda key: key[0])])

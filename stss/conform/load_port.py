@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: MIT
+"""The port that ``stss conform`` is told to judge: a Python object, or a program."""
+
+from __future__ import annotations
+
+import importlib
+import shlex
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from conformance.protocol.port import Port, PortError
+from conformance.protocol.program_port import FolderPort
+from conformance.protocol.stages import STAGES
+from conformance.rehearsal import PreparedPort
+from stss.errors import InputError
+
+
+def load_port(spec: str | None, program: str | None, timeout: float, dtype: str | None, winograd: bool) -> Port:
+    """The port to be judged.
+
+    Args:
+        spec: ``package.module:factory``, a callable without arguments; the current folder is searched first.
+        program: a command line; the job folder is added to it.
+        timeout: seconds for one start of a program.
+        dtype: its arithmetic; None: what it says of itself, float32 for a program.
+        winograd: whether it uses Winograd convolutions, over what it says of itself.
+
+    Raises:
+        InputError: neither or both are given, or there is no such port.
+    """
+    if (spec is None) == (program is None):
+        raise InputError("expected either --port package.module:factory or --exec PROGRAM")
+    try:
+        port: Any = _imported(spec) if spec is not None else PreparedPort(FolderPort(_command(program or ""), timeout))
+        lacking = [name for name in ("name", "dtype", "stages", "run") if not hasattr(port, name)]
+        if lacking:
+            raise InputError(f"{spec}: expected a port, got a {type(port).__name__} without {', '.join(lacking)}")
+        if dtype is not None:
+            port.dtype = dtype
+        if port.dtype not in ("float32", "float16"):
+            raise InputError(f"{spec or program}: dtype: expected float32 or float16, got {port.dtype!r}")
+        if winograd:
+            port.winograd = True
+        unknown = set(port.stages()) - set(STAGES)
+    except PortError as error:
+        raise InputError(str(error)) from error
+    if unknown:
+        raise InputError(f"{spec or program}: stages: not in the table: {', '.join(sorted(unknown))}")
+    return port
+
+
+def _imported(spec: str) -> Any:
+    module, _, name = spec.partition(":")
+    if not module or not name:
+        raise InputError(f"--port: expected package.module:factory, got {spec!r}")
+    if "" not in sys.path:
+        sys.path.insert(0, "")
+    try:
+        factory: Callable[[], Any] = getattr(importlib.import_module(module), name)
+    except ImportError as error:
+        raise InputError(f"--port {spec}: {error}") from error
+    except AttributeError as error:
+        raise InputError(f"--port {spec}: module {module} has no {name}") from error
+    return factory()
+
+
+def _command(program: str) -> list[str]:
+    try:
+        words = shlex.split(program)
+    except ValueError as error:
+        raise InputError(f"--exec: {error}: {program!r}") from error
+    if not words:
+        raise InputError("--exec: expected a command, got nothing")
+    return words

@@ -1,0 +1,148 @@
+"""Mistakes that no small case shows, and those that a case alone does not: sizes, state, chance."""
+
+import numpy as np
+import pytest
+
+from conformance.cases.large_inputs import large_inputs
+from conformance.findings import DepartureError
+from conformance.judge import TIERS, Judge, Tier
+from conformance.protocol.stages import STAGES
+from conformance.rehearsal import PreparedPort
+from conformance.run_suite import run_suite
+from conformance.suite.properties import find_property
+from stss.conform.failures import keep_failure, replay
+from stss.conform.own_ports import ReferencePort
+from tests.meta.test_rehearsal import Program
+
+NETWORKS = ("history", "encoder", "erm", "decoder", "network", "frame")
+
+
+def beside(array, first):
+    """Wrong from a column on."""
+    if array.shape[1] > first:
+        array[:, first:] = np.roll(array[:, first:], 1, axis=0) if array.dtype == np.uint8 else array[:, first:] * 1.001
+
+
+def wrapped(array):
+    """An index of 16 bits."""
+    flat = array.reshape(-1)
+    flat[1 << 16 :] = flat[: max(0, len(flat) - (1 << 16))][: len(flat[1 << 16 :])]
+
+
+def tiled(port, stage, inputs, weights, columns=64):
+    """Tiles that see nothing of each other."""
+    width = next(array for name, array in inputs.items() if name in ("color", "history", "gbuffer")).shape[-2]
+    if width <= columns or width % 8:
+        return port.run(stage, inputs, weights)
+    cut = {name: width // array.shape[1 if name != "history" else 2] for name, array in inputs.items()}
+    parts = []
+    for first in range(0, width, columns):
+        some = {n: a[..., first // cut[n] : (first + columns) // cut[n]] if a.ndim == 2 else
+                a[..., first // cut[n] : (first + columns) // cut[n], :] for n, a in inputs.items()}  # fmt: skip
+        parts.append(port.run(stage, {n: np.ascontiguousarray(a) for n, a in some.items()}, weights))
+    return {name: np.ascontiguousarray(np.concatenate([part[name] for part in parts], axis=1)) for name in parts[0]}
+
+
+class Sized(ReferencePort):
+    """Wrong in large frames."""
+
+    def __init__(self, kind):
+        self.kind = kind
+
+    def run(self, stage, inputs, weights=None):
+        if self.kind == "clamped":
+            inputs = {n: np.clip(a, -32, 32) if n in ("motion", "motions") else a for n, a in inputs.items()}
+        if self.kind == "tiled":
+            return tiled(super(), stage, inputs, weights)
+        outputs = super().run(stage, inputs, weights)
+        for array in outputs.values():
+            if self.kind == "wrapped":
+                wrapped(array)
+            elif self.kind != "clamped":
+                beside(array, self.kind)
+        return outputs
+
+
+SIZED = [
+    *((stage, kind) for stage in STAGES for kind in (64, 256) if (stage, kind) != ("erm", 256)),
+    *((stage, "wrapped") for stage in STAGES if stage not in ("history", "erm", "frame")),
+    *((stage, "clamped") for stage in ("motion_chain", "warp", "holes", "occlusion_warp", "frame")),
+    *((stage, "tiled") for stage in ("history", "encoder", "decoder")),
+]
+
+
+@pytest.mark.parametrize(("stage", "kind"), SIZED, ids=str)
+def test_a_mistake_of_size_is_found_in_the_quick_tier(stage, kind):
+    body, judge = find_property(f"{stage}.large_frames_agree_with_the_reference"), Judge(Sized(kind))
+    cases = [make(np.random.default_rng(0)) for make in large_inputs(stage)[: TIERS["quick"].large]]
+    with pytest.raises(DepartureError):
+        any(judge.check(body, case) for case in cases)
+
+
+class Remembering(ReferencePort):
+    """Now and then the answer before, where it has the right shape."""
+
+    def __init__(self, every):
+        self.every, self.calls, self.last = every, 0, {}
+
+    def stages(self):
+        return frozenset({"warp"})
+
+    def run(self, stage, inputs, weights=None):
+        right = super().run(stage, inputs, weights)
+        before, self.last = self.last, right
+        self.calls += 1
+        if self.calls % self.every == 0 and before and before["warped"].shape[-1] <= right["warped"].shape[-1]:
+            wrong = right["warped"].copy()
+            wrong[0, 0, 0] = before["warped"][0, 0, 0]
+            return {**right, "warped": wrong}
+        return right
+
+
+class Chance(ReferencePort):
+    """One wrong answer in 500."""
+
+    def __init__(self):
+        self.random = np.random.default_rng(3)
+
+    def stages(self):
+        return frozenset({"warp"})
+
+    def run(self, stage, inputs, weights=None):
+        right = super().run(stage, inputs, weights)
+        return {**right, "inside": 1 - right["inside"]} if self.random.random() < 1 / 500 else right
+
+
+def messages(port, tier=TIERS["quick"], stage="warp"):
+    return [result.message for result in run_suite(Judge(port, tier), [stage], first_only=True) if result.outcome == "failed"]
+
+
+def test_the_answer_before_says_that_it_depends_on_the_case_before():
+    assert any("depends on the case before: it passes alone" in message for message in messages(Remembering(1)))
+
+
+def test_one_in_500_says_that_it_differs_from_run_to_run():
+    (message,) = messages(Chance())
+    assert "differs from run to run: it passed when it was run again" in message
+
+
+def test_repeats_find_a_race_in_few_cases():
+    judge = Judge(Chance(), Tier("few", 20, 2), repeat=40, shrink=False)
+    assert any(result.outcome == "failed" for result in run_suite(judge, ["warp"], first_only=True))
+
+
+def test_a_program_that_remembers_is_kept_with_the_case_that_it_needs(tmp_path):
+    """And fails again from its folder, while the reference passes it."""
+
+    def stale(job, number, outputs):
+        if number and outputs["valid"].shape == (8, 8):
+            return outputs
+        return {"valid": np.ones_like(outputs["valid"])} if number and job[number - 1].inputs["valid"].all() else outputs
+
+    port = PreparedPort(Program(stale))
+    judge = Judge(port, Tier("some", 60, 5))
+    failed = next(r for r in run_suite(judge, ["rrm"], first_only=True) if r.outcome == "failed")
+    assert "depends on the" in failed.message
+    kept = keep_failure(tmp_path, failed.id, failed.record.failure, "stss conform")
+    assert replay(port, kept).failure is not None
+    assert replay(ReferencePort(), kept).failure is None

@@ -1,0 +1,76 @@
+"""Sums that round to one side, or lose more than rounding does, though every number is within its bound."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from conformance.cases.exact_weights import exact_inputs, rounded_sums
+from conformance.cases.stage_inputs import multiples
+from conformance.findings import DepartureError
+from conformance.judge import Judge, Tier
+from conformance.mistakes.variants import load
+from conformance.suite.properties import find_property
+from tests.meta import right_ports as others
+
+pytestmark = pytest.mark.filterwarnings("ignore::hypothesis.errors.HypothesisWarning")
+FEW = Tier("few", 1, 2)
+
+
+def one_way(direction, factors, weights, bias):
+    """Each sum after the other, rounded to float32 towards 0 or downwards."""
+    sums = np.broadcast_to(bias, (factors.shape[1], len(bias))).astype(np.float32)
+    for x, w in zip(factors.astype(np.float64), weights.astype(np.float64), strict=True):
+        exact = x[:, None] * w + sums
+        sums = exact.astype(np.float32)
+        over = np.abs(sums) > np.abs(exact) if direction == "zero" else sums > exact
+        sums = np.where(over, np.nextafter(sums, np.float32(0 if direction == "zero" else -np.inf)), sums)
+    return sums
+
+
+def add_in_half(factors, weights, bias):
+    """The last addition is done in half: one rounding that no float32 port has."""
+    return (factors.T @ weights + bias).astype(np.float16).astype(np.float32)
+
+
+def port(add):
+    return load("planted", functions={"conv.conv": partial(others.convolved, add)})
+
+
+def judged(port, stage, name, strategy):
+    judge = Judge(port, FEW, shrink=False)
+    judge.for_all(strategy, find_property(f"{stage}.{name}"), dear=True)
+    return judge.record.worst
+
+
+@pytest.mark.parametrize("direction", ["zero", "down"])
+@pytest.mark.parametrize("stage", ["history", "encoder", "decoder"])
+def test_a_sum_that_rounds_to_one_side_is_found(stage, direction):
+    with pytest.raises(DepartureError, match=f"{stage}.rounding: error / bound"):
+        judged(port(partial(one_way, direction)), stage, "sums_round_either_way", rounded_sums(stage))
+
+
+@pytest.mark.parametrize("stage", ["history", "encoder", "decoder"])
+def test_each_number_of_it_is_within_its_bound(stage):
+    """So that nothing but the sums together tells."""
+    judge = Judge(port(partial(one_way, "zero")), FEW, shrink=False)
+    judge.for_all(rounded_sums(stage), lambda judge, case: judge.agrees(stage, *case), dear=True)
+
+
+@pytest.mark.parametrize("stage", ["history", "encoder", "decoder"])
+def test_one_rounding_is_one_too_many_where_none_is_needed(stage):
+    def off_by_a_bit(factors, weights, bias):
+        return np.nextafter(factors.T @ weights + bias, np.float32(9))
+
+    with pytest.raises(DepartureError):
+        judged(port(off_by_a_bit), stage, "what_needs_no_rounding_is_exact", exact_inputs(stage, multiples()))
+    with pytest.raises(DepartureError):
+        judged(port(add_in_half), stage, "sums_round_either_way", rounded_sums(stage))
+
+
+@pytest.mark.parametrize("name", ["in_order", "pairwise", "winograd_2", "winograd_4_near"])
+def test_right_ports_pass(name):
+    """Those that ``test_run_false_alarms`` leaves out."""
+    for stage in ("history", "encoder", "decoder"):
+        judged(others.port(name), stage, "what_needs_no_rounding_is_exact", exact_inputs(stage, multiples()))
+        assert max(judged(others.port(name), stage, "sums_round_either_way", rounded_sums(stage)).values()) < 1
