@@ -31,7 +31,7 @@ class Port:
         """``warped(p) = bilinear(color, clamp(p + motion(p)))``; a motion that is not finite is off screen and reads ``p``."""
         color, motion = inputs["color"], inputs["motion"]
         height, width, _ = color.shape
-        finite: NDArray[np.bool_] = np.isfinite(motion).all(axis=-1)
+        finite = np.isfinite(motion[..., 0]) & np.isfinite(motion[..., 1])
         motion = np.where(finite[..., None], motion, 0)
         # A whole pixel and a fraction. The sum p + motion would lose digits at the far end of a wide frame (decision 13).
         whole = np.floor(motion).clip(-(2**24), 2**24)

@@ -20,14 +20,13 @@ from stss.baselines.registry import METHODS
 from stss.cli.bench import bench_command, export
 from stss.cli.conform import conform
 from stss.cli.devices import devices, port, tune
-from stss.cli.evaluate import flicker_command, flicker_scenes_command, methods_command
+from stss.cli.evaluate import compare_command, flicker_command, flicker_scenes_command, methods_command
 from stss.cli.options import (
     PATH,
     SIDE,
     FrameRange,
     backend_options,
     frame_options,
-    perceptual_options,
     sequence_options,
     skip_options,
     weights_option,
@@ -152,24 +151,6 @@ def check(sequence: Path, profile: str, as_json: bool, **options: Any) -> None:
 
 
 @stss.command()
-@click.argument("out", type=PATH)
-@click.argument("truth", type=PATH)
-@click.option("--frames", type=FrameRange(), help="First and last frame to compare.")
-@click.option("--pictures", type=PATH, help="Folder for pictures of output, truth and difference.")
-@perceptual_options
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def compare(out: Path, truth: Path, as_json: bool, **chosen: Any) -> None:
-    """Hold the frames in OUT against those in TRUTH: PSNR and SSIM over all pixels, edges and holes."""
-    from stss.quality import compare as comparing
-
-    comparison = comparing.compare(out, truth, **chosen)
-    if as_json:
-        click.echo(comparison.to_json())
-    else:
-        comparing.print_comparison(comparison, Terminal())
-
-
-@stss.command()
 @click.argument("out", type=PATH, default=Path("demo"))
 @weights_option
 @backend_options
@@ -210,7 +191,8 @@ def inspect(file: str, size: tuple[int, int], as_json: bool) -> None:
 
 
 for command in (
-    bench_command, conform, devices, export, flicker_command, flicker_scenes_command, methods_command, port, stress_command, tune,
+    bench_command, compare_command, conform, devices, export, flicker_command, flicker_scenes_command, methods_command,
+    port, stress_command, tune,
 ):  # fmt: skip
     stss.add_command(command)
 
