@@ -22,7 +22,9 @@ from stss.output.write_whole import told
 from stss.quality.compare import Comparison, compare, print_comparison
 from stss.quality.comparison_page import Inputs, Version, write_comparison
 from stss.quality.output_and_truth import find_pairs
-from stss.run.job import RunOptions, frame_name, run
+from stss.run.frame_job import frame_name
+from stss.run.job import run
+from stss.run.options import RunOptions
 from stss.sequence.choose_weights import AUTO, choose_weights
 from stss.sequence.reader import open_sequence
 from stss.weights.file import BILINEAR, load

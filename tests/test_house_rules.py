@@ -22,7 +22,7 @@ MAY_IMPORT = {
 }
 
 FLOORS = {
-    "stss": "__main__ > cli > demo bench > quality > check run > port sequence baselines > conform stress frames"
+    "stss": "__main__ > cli > demo bench > quality cluster > check run > port sequence baselines > conform stress frames"
     " > pages > images weights devices color optional > output > errors terminal version machine",
     "conformance": "run_suite suite > judge > findings > answers cases > protocol scenes tolerance",
     "stss_cl": "skip > frame > network image_space > device > toml_table errors",

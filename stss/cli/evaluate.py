@@ -123,7 +123,7 @@ def methods_command(
     from stss.quality.methods_page import methods_page
     from stss.quality.methods_sheet import method_sheet
     from stss.run.choose_backend import open_method
-    from stss.run.job import RunOptions
+    from stss.run.options import RunOptions
     from stss.sequence.choose_weights import choose_weights
 
     files = open_sequence(sequence, profile, camera=camera, metallic=metallic, roughness=roughness, non_finite=non_finite)

@@ -21,7 +21,8 @@ from stss.quality.compare import Comparison, compare
 from stss.quality.flicker import Flicker, flicker
 from stss.quality.flip_vmaf import require_packages
 from stss.quality.tables import print_whole
-from stss.run.job import RunOptions, require_near, run
+from stss.run.job import require_near, run
+from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence as Frames
 from stss.weights.file import BILINEAR
 
