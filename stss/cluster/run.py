@@ -5,19 +5,18 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Generator, Iterable, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Thread
 from typing import Any
 
 from stss.baselines.registry import ACCUMULATING
 from stss.cluster.chunks import cut
-from stss.cluster.worker import Chunk, File, Introduction, Work, Worker
+from stss.cluster.client import compute_chunk, connected, distributed, forget, introduce, send
+from stss.cluster.worker import Chunk, File, Introduction, Work
 from stss.errors import InputError
 from stss.frames.compute_options import ComputeOptions
-from stss.optional import require
 from stss.output.folder import OutputFolder
 from stss.output.lock import LOCK
 from stss.run.frame_job import FrameReport, describe, kept, keys_of
@@ -27,12 +26,6 @@ from stss.sequence.reader import Sequence as Frames
 from stss.version import VERSION
 from stss.weights.file import LoadedWeights
 
-LOCAL = "local:"
-MAX_LOCAL = 256
-WAIT = 60
-"""Seconds for a scheduler to answer and for its first worker to come."""
-FAREWELL = 5
-"""Seconds for workers to drop the work."""
 PATIENCE = 10.0
 """So many times the slowest chunk so far a chunk may take before another worker is given it as well."""
 SHORTEST = 60.0
@@ -79,7 +72,7 @@ def run_on_cluster(
     planned = plan(sequence, out, options)
     require_unread(planned, sequence, reads)
     with (
-        _client(cluster.address) as client,
+        connected(cluster.address) as client,
         planned.folder.opened(refusal=None if options.resume or options.overwrite else REFUSAL),
     ):
         lock = (planned.folder.path / LOCK).read_bytes()
@@ -87,11 +80,11 @@ def run_on_cluster(
             sequence, planned.rendered, options, method, loaded, backend, compute, planned.folder.path.absolute(), lock
         )  # fmt: skip
         name = f"stss-{os.getpid()}-{time.time_ns()}"
-        _send(client, name, work)
+        send(client, name, work)
         try:
             summary = _Coordinator(client, name, work, planned, cluster, on_frame).run()
         finally:
-            _forget(client, name)
+            forget(client, name)
         planned.folder.finish(remove_others=options.overwrite)
     return summary
 
@@ -137,7 +130,7 @@ class _Coordinator:
 
     def _introduced(self) -> frozenset[str]:
         """Names of the workers' backends."""
-        asked = {a: self._client.submit(_introduce, self._name, workers=[a], pure=False) for a in self._workers()}
+        asked = {a: self._client.submit(introduce, self._name, workers=[a], pure=False) for a in self._workers()}
         found: dict[str, Introduction] = {address: future.result() for address, future in asked.items()}
         for address, who in found.items():
             if who.error:
@@ -173,18 +166,18 @@ class _Coordinator:
 
     def _submit(self, numbers: Sequence[int], without: str | None = None) -> None:
         others = [address for address in self._workers() if address != without] if without else None
-        future = self._client.submit(_compute, self._name, numbers, self._backends, pure=False, workers=others)
+        future = self._client.submit(compute_chunk, self._name, numbers, self._backends, pure=False, workers=others)
         self._pending[future] = numbers, time.monotonic()
 
     def _finished(self) -> Iterable[Any]:
         with suppress(TimeoutError):
-            return _distributed().wait(list(self._pending), timeout=1, return_when="FIRST_COMPLETED").done
+            return distributed().wait(list(self._pending), timeout=1, return_when="FIRST_COMPLETED").done
         return ()
 
     def _result(self, future: Any, numbers: Sequence[int]) -> Chunk:
         try:
             return future.result()
-        except _distributed().KilledWorker as error:
+        except distributed().KilledWorker as error:
             raise InputError(
                 f"frames {numbers[0]} to {numbers[-1]}: every worker that computed them ended, {error.last_worker.address} last"
             ) from error
@@ -241,81 +234,3 @@ def _place(folder: OutputFolder, file: File, *, new: bool) -> None:
     else:
         assert file.data is not None
         folder.write(file.name, file.data)
-
-
-def _introduce(name: str) -> Introduction:
-    return _worker(name).introduce()
-
-
-def _compute(name: str, numbers: Sequence[int], backends: frozenset[str]) -> Chunk:
-    return _worker(name).compute(numbers, backends)
-
-
-def _worker(name: str) -> Worker:
-    return _distributed().get_worker().plugins[name].worker
-
-
-def _send(client: Any, name: str, work: Work) -> None:
-    """Send the work to each worker once, to those that come later too."""
-
-    def setup(self: Any, worker: Any) -> None:
-        del worker
-        self.worker = Worker(work)
-
-    plugin = type("Plugin", (_distributed().WorkerPlugin,), {"name": name, "setup": setup})
-    client.register_plugin(plugin(), name=name)
-
-
-def _forget(client: Any, name: str) -> None:
-    """Have the workers drop the work; one that hangs never answers, and is not waited for."""
-
-    def ask() -> None:
-        with suppress(Exception):  # a scheduler that is gone takes it along
-            client.unregister_worker_plugin(name)
-
-    asking = Thread(target=ask, daemon=True)
-    asking.start()
-    asking.join(FAREWELL)
-
-
-def _distributed() -> Any:
-    return require("distributed", "cluster")
-
-
-@contextmanager
-def _client(address: str) -> Generator[Any, None, None]:
-    """A client of the scheduler at the address, or of processes started here, which end with it."""
-    dask = _distributed()
-    if address.startswith(LOCAL):
-        count = address.removeprefix(LOCAL)
-        if not (count.isascii() and count.isdecimal() and 1 <= int(count[:9]) <= MAX_LOCAL):
-            raise InputError(f"--cluster: expected {LOCAL}N with N from 1 to {MAX_LOCAL}, got {address}")
-        with (
-            dask.LocalCluster(
-                n_workers=int(count), threads_per_worker=1, dashboard_address=None, worker_dashboard_address=None,
-                env=_share_of_threads(int(count)), silence_logs=50, memory_limit=0,
-            ) as processes,
-            dask.Client(processes) as client,
-        ):  # fmt: skip
-            client.wait_for_workers(int(count), timeout=WAIT)
-            yield client
-        return
-    if "://" not in address:
-        raise InputError(f"--cluster: expected {LOCAL}N or a scheduler such as tcp://host:8786, got {address}")
-    try:
-        client = dask.Client(address, timeout=WAIT)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise InputError(f"--cluster {address}: no scheduler answers: {str(error).splitlines()[0]}") from error
-    with client:
-        try:
-            client.wait_for_workers(1, timeout=WAIT)
-        except TimeoutError as error:
-            raise InputError(f"--cluster {address}: no worker within {WAIT} s") from error
-        yield client
-
-
-def _share_of_threads(workers: int) -> dict[str, str]:
-    """For PoCL, which else takes every processor in each process, and pins its threads to the same ones."""
-    if workers == 1:
-        return {}
-    return {"POCL_MAX_PTHREAD_COUNT": str(max(1, (os.cpu_count() or 1) // workers)), "POCL_AFFINITY": "0"}

@@ -156,7 +156,7 @@ def test_a_worker_that_dies_loses_nothing(cluster, frames, tmp_path):
 
 def test_a_worker_that_hangs_loses_nothing(cluster, frames, tmp_path, monkeypatch):
     """A worker is stopped, not ended: another one is given its chunk as well."""
-    monkeypatch.setattr("stss.cluster.run.FAREWELL", 0.5)
+    monkeypatch.setattr("stss.cluster.client.FAREWELL", 0.5)
     stopped = []
 
     def stop(report):
@@ -220,7 +220,7 @@ def test_workers_of_different_kinds_are_refused_unless_asked_for(cluster, frames
 )
 def test_an_address_that_is_none_is_one_line(frames, tmp_path, address, said, monkeypatch):
     pytest.importorskip("distributed", reason="the extra cluster is not installed")
-    monkeypatch.setattr("stss.cluster.run.WAIT", 1)
+    monkeypatch.setattr("stss.cluster.client.WAIT", 1)
     with pytest.raises(InputError, match=said) as caught:
         on_cluster(frames, tmp_path / "out", address)
     assert "\n" not in str(caught.value)
