@@ -25,7 +25,7 @@ class FilmError(RuntimeError):
 def render(scene: Any, folder: Path, on_frame: Callable[[int], None] = lambda number: None) -> list[str]:
     """Write ``folder/lr/frame.NNNN.exr`` for every frame of the scene and ``folder/camera.csv``.
 
-    The first frame and every second one after it have colour, with the scene's own samples; the others have the G-buffer alone. The
+    The first frame and every second one after it have the scene's own samples; the others are there for their G-buffer, and their colour is worth nothing. The
     scene's settings are as before afterwards, but for passes, AOVs and object numbers.
 
     Returns:
@@ -38,15 +38,14 @@ def render(scene: Any, folder: Path, on_frame: Callable[[int], None] = lambda nu
         raise FilmError(f"expected the engine Cycles, found {scene.render.engine}: only Cycles writes the pass Vector")
     if scene.camera is None:
         raise FilmError("the scene has no camera")
-    layer = scene.view_layers[0]
-    told = set_up(scene, layer)
+    told = set_up(scene, scene.view_layers[0])
     (folder / "lr").mkdir(parents=True, exist_ok=True)
     numbers, here = range(scene.frame_start, scene.frame_end + 1), scene.frame_current
     try:
         write_camera(scene, numbers, folder / "camera.csv")
         with changed(*_small(scene)):
             for number in numbers:
-                _frame(scene, layer, number, folder / "lr" / f"frame.{number:04d}.exr", colour=number % 2 == numbers[0] % 2)
+                _frame(scene, number, folder / "lr" / f"frame.{number:04d}.exr", colour=number % 2 == numbers[0] % 2)
                 on_frame(number)
     finally:
         scene.frame_set(here)
@@ -69,12 +68,11 @@ def _small(scene: Any) -> list[tuple[Any, str, Any]]:
     ]
 
 
-def _frame(scene: Any, layer: Any, number: int, path: Path, *, colour: bool) -> None:
+def _frame(scene: Any, number: int, path: Path, *, colour: bool) -> None:
     """One frame's file, whole or not there."""
     part = path.with_name(f".{path.name}.part")
     cycles = scene.cycles
     plain: list[tuple[Any, str, Any]] = [
-        (layer, "use_pass_combined", False),
         (cycles, "samples", GBUFFER_SAMPLES),
         (cycles, "max_bounces", 0),
         (cycles, "use_adaptive_sampling", False),

@@ -61,7 +61,7 @@ def main():
     found = {
         "state": list(state),
         "kept": before == after,
-        "image": [image.source, *image.size],
+        "image": image.source,
         "index": [scene.objects["Plane"].pass_index, monkey.pass_index],
     }
     extension.unregister()
