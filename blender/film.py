@@ -25,8 +25,8 @@ class FilmError(RuntimeError):
 def render(scene: Any, folder: Path, on_frame: Callable[[int], None] = lambda number: None) -> list[str]:
     """Write ``folder/lr/frame.NNNN.exr`` for every frame of the scene and ``folder/camera.csv``.
 
-    The first frame and every second one after it have the scene's own samples; the others are there for their G-buffer, and their colour is worth nothing. The
-    scene's settings are as before afterwards, but for passes, AOVs and object numbers.
+    The first frame and every second one after it have the scene's own samples; the others are there for their G-buffer, and their
+    colour is worth nothing. The scene's settings are as before afterwards, but for passes, AOVs and object numbers.
 
     Returns:
         Lines for the user, see `stss.passes.set_up`.
