@@ -19,8 +19,12 @@ from stss.images.read_write import encode_channels, encode_rgb, read_rgb, write_
 from stss.output.apart import require_apart
 from stss.output.folder import OutputFolder
 from stss.output.write_whole import told
-from stss.quality.compare import compare, print_comparison
-from stss.run.job import RunOptions, frame_name, run
+from stss.quality.compare import Comparison, compare, print_comparison
+from stss.quality.comparison_page import Inputs, Version, write_comparison
+from stss.quality.output_and_truth import find_pairs
+from stss.run.frame_job import frame_name
+from stss.run.job import run
+from stss.run.options import RunOptions
 from stss.sequence.choose_weights import AUTO, choose_weights
 from stss.sequence.reader import open_sequence
 from stss.weights.file import BILINEAR, load
@@ -50,6 +54,10 @@ _CHANNELS: Mapping[str, tuple[str, ...]] = {
 _HALF = ("R", "G", "B", *_CHANNELS["base_color"], *_CHANNELS["roughness"], *_CHANNELS["metallic"])
 _CROPS = {"pole and ball": (0.5, 0.57), "gold sphere": (0.4, 0.0)}  # corner as a share of height and width
 _MAGNIFIED = 4
+_MEANINGS = {
+    "bilinear": "The newest rendered frame, warped to now in an EF, enlarged bilinearly: the method without its network.",
+    "output": "Made by stss.",
+}
 
 
 def demo(
@@ -65,8 +73,8 @@ def demo(
 ) -> None:
     """Render the scene, run the main job on it, compare with the truth, and make a sheet of pictures.
 
-    Writes ``out/frames``, ``out/truth``, ``out/output``, ``out/pictures`` and ``out/sheet.png``; with weights other than ``bilinear`` also
-    ``out/bilinear``, to compare with.
+    Writes ``out/frames``, ``out/truth``, ``out/output``, ``out/pictures``, ``out/sheet.png`` and ``out/page.html``; with weights other than
+    ``bilinear`` also ``out/bilinear``, to compare with.
 
     Args:
         out: the folder; made if need be.
@@ -83,20 +91,25 @@ def demo(
     if weights != AUTO:
         load(weights)  # what is wrong with them is said before anything is rendered
     with told(out):
-        require_apart([*_folder(out).present(), out / "sheet.png"], [Path(weights)])
+        require_apart([*_folder(out).present(), out / "sheet.png", out / "page.html"], [Path(weights)])
     with Progress(console=console, transient=True) as progress:
         task = progress.add_task("rendering", total=frames)
         write_demo_sequence(out, frames, size, overwrite=overwrite, on_frame=lambda _: progress.advance(task))
     sequence = open_sequence(out / "frames", "stss")
     loaded = choose_weights(weights, sequence, lambda line: console.print(line, soft_wrap=True, highlight=False, markup=False))
     methods = {"output": loaded} if weights == BILINEAR else {"bilinear": load(BILINEAR), "output": loaded}
+    found: dict[str, Comparison] = {}
     for name, method in methods.items():
         engine = open_backend(backend, method.weights, compute)
         run(sequence, out / name, engine, method.label, RunOptions(overwrite=overwrite), reads=[Path(weights)])
         console.print(f"{method.source} against the truth:", highlight=False, markup=False)
-        print_comparison(compare(out / name, out / "truth", frames=None, pictures=out / "pictures" / name), console)
+        found[name] = compare(out / name, out / "truth", frames=None, pictures=out / "pictures" / name)
+        print_comparison(found[name], console)
     outputs = {number: out / "output" / frame_name(number, "exr") for number in sequence.numbers}
     write_rgb(out / "sheet.png", demo_sheet(out, outputs))
+    versions = [Version(n, _MEANINGS[n], find_pairs(out / n, out / "truth")[0], compared) for n, compared in found.items()]
+    write_comparison(out / "page.html", "stss demo", versions, Inputs(sequence, versions[-1].pairs))
+    console.print(f"page to look at: {out / 'page.html'}", soft_wrap=True, highlight=False, markup=False)
     console.print(f"pictures to look at: {out / 'sheet.png'}", soft_wrap=True, highlight=False, markup=False)
 
 

@@ -22,8 +22,8 @@ MAY_IMPORT = {
 }
 
 FLOORS = {
-    "stss": "__main__ > cli > demo bench > quality > check run > port sequence baselines > conform stress frames"
-    " > images weights devices color optional > output > errors terminal version machine",
+    "stss": "__main__ > cli > demo bench > quality cluster > check run > port sequence baselines > conform stress frames"
+    " > pages > images weights devices color optional > output > errors terminal version machine",
     "conformance": "run_suite > suite > confirm diagnosis > rehearsal > judge > findings > answers mistakes cases"
     " > protocol scenes tolerance",
     "stss_cl": "skip > frame > network image_space > device > toml_table errors",

@@ -21,12 +21,61 @@ from stss.cli.options import (
     sequence_options,
     weights_option,
 )
+from stss.errors import InputError
 from stss.frames.backends import NETWORK
 from stss.frames.compute_options import ComputeOptions
 from stss.output.apart import require_apart
 from stss.output.write_whole import told
+from stss.pages.viewer import require_page
 from stss.sequence.reader import open_sequence
 from stss.terminal import Terminal, echo
+
+
+@click.command("compare")
+@click.argument("out", type=PATH)
+@click.argument("truth", type=PATH)
+@click.option("--frames", type=FrameRange(), help="First and last frame to compare.")
+@click.option("--pictures", type=PATH, help="Folder for pictures of output, truth and difference.")
+@click.option("--html", type=PATH, help="File for a page to look at: slider, flicker, difference, plots; needs no network.")
+@click.option("--sequence", type=PATH, help="What OUT was made of, to be shown on the page.")
+@sequence_options
+@perceptual_options
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def compare_command(
+    out: Path,
+    truth: Path,
+    frames: tuple[int, int] | None,
+    pictures: Path | None,
+    html: Path | None,
+    sequence: Path | None,
+    flip: bool,
+    vmaf: bool,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Hold the frames in OUT against those in TRUTH: PSNR and SSIM over all pixels, edges and holes."""
+    from stss.quality import compare as comparing
+    from stss.quality import comparison_page as pages
+    from stss.quality.output_and_truth import find_pairs
+
+    if sequence is not None and html is None:
+        raise InputError("--sequence: expected --html as well: it is shown on the page")
+    files = None if sequence is None else open_sequence(sequence, **options)
+    pairs = find_pairs(out, truth, frames)[0]
+    if html is not None:
+        read = [path for pair in pairs.values() for path in (pair.output, pair.truth, pair.holes) if path is not None]
+        require_page(html, [*read, *(files.reads if files is not None else ())])
+    comparison = comparing.compare(out, truth, frames=frames, pictures=pictures, flip=flip, vmaf=vmaf)
+    if as_json:
+        click.echo(comparison.to_json())
+    else:
+        comparing.print_comparison(comparison, Terminal())
+    if html is not None:
+        made = ", ".join(comparison.made_with.get("method", ())) or "another program"
+        version = pages.Version("output", f"Made by {made}: what is compared.", pairs, comparison)
+        inputs = None if files is None else pages.Inputs(files, pairs)
+        pages.write_comparison(html, f"{out.name} against {truth.name}", [version], inputs)
+        echo(f"page to look at: {html}", err=True)
 
 
 @click.command("methods")
@@ -39,6 +88,7 @@ from stss.terminal import Terminal, echo
 @backend_options
 @frame_options
 @click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
+@click.option("--html", type=PATH, help="File for a page to look at: every method, frame by frame; needs no network.")
 @perceptual_options
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def methods_command(
@@ -57,6 +107,7 @@ def methods_command(
     transfer: str | None,
     depth: Any,
     overwrite: bool,
+    html: Path | None,
     flip: bool,
     vmaf: bool,
     as_json: bool,
@@ -69,9 +120,10 @@ def methods_command(
     """
     from stss.images.read_write import write_rgb
     from stss.quality import methods_table as method_table
+    from stss.quality.methods_page import methods_page
     from stss.quality.methods_sheet import method_sheet
     from stss.run.choose_backend import open_method
-    from stss.run.job import RunOptions
+    from stss.run.options import RunOptions
     from stss.sequence.choose_weights import choose_weights
 
     files = open_sequence(sequence, profile, camera=camera, metallic=metallic, roughness=roughness, non_finite=non_finite)
@@ -81,6 +133,8 @@ def methods_command(
     loaded = choose_weights(weights, files, partial(echo, err=True), needed=NETWORK in chosen)
     with told(out):
         require_apart([out / "sheet.png"], [*files.reads, *reads])
+    if html is not None:
+        require_page(html, [*files.reads, *reads])
     console = Terminal(stderr=True)
     with console.status("") as status:
         results = method_table.run_methods(
@@ -96,6 +150,8 @@ def methods_command(
             reads=reads,
         )
     write_rgb(out / "sheet.png", method_sheet(results, truth, frames))
+    if html is not None:
+        methods_page(html, results, truth, files, frames)
     if as_json:
         click.echo(method_table.to_json(results))
     else:

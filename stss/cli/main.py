@@ -14,33 +14,36 @@ from typing import Any
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from stss.baselines.registry import METHODS
 from stss.cli.bench import bench_command, export
 from stss.cli.conform import conform
 from stss.cli.devices import devices, port, tune
-from stss.cli.evaluate import flicker_command, flicker_scenes_command, methods_command
+from stss.cli.evaluate import compare_command, flicker_command, flicker_scenes_command, methods_command
 from stss.cli.options import (
     PATH,
     SIDE,
     FrameRange,
     backend_options,
     frame_options,
-    perceptual_options,
     sequence_options,
     skip_options,
     weights_option,
 )
+from stss.cli.progress import shown_progress
 from stss.cli.stress import stress_command
+from stss.cluster.run import Cluster, require_independent, run_on_cluster
 from stss.errors import InputError
 from stss.frames.backends import NETWORK
 from stss.frames.compute_options import ComputeOptions, Skip
 from stss.optional import installed, require_own_conformance
 from stss.output.apart import require_places
 from stss.run.choose_backend import first_frames, open_method, with_skipping, within_budget
-from stss.run.job import FrameReport, RunOptions, Summary
+from stss.run.frame_job import FrameReport
+from stss.run.job import Summary
 from stss.run.job import run as run_sequence
+from stss.run.options import RunOptions
+from stss.run.preview import Preview, require_preview
 from stss.run.skip_report import told
 from stss.sequence.choose_weights import choose_weights
 from stss.sequence.reader import open_sequence
@@ -85,6 +88,9 @@ def stss() -> None:
 @click.option("--resume", is_flag=True, help="Keep what an earlier run finished, as far as it is still right.")
 @click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
 @click.option("--show-skipped", is_flag=True, help="Pictures of where each frame was computed, in OUT/skipped.")
+@click.option("--preview", type=PATH, help="A .png that shows the newest frame every ten seconds.")
+@click.option("--cluster", help="Compute on local:N processes, or on the workers of a scheduler: tcp://host:8786.")
+@click.option("--mixed-devices", is_flag=True, help="With --cluster: take workers whose devices differ, and so their bits.")
 @click.option("--keep-going", is_flag=True, help="Leave out frames that cannot be read; ends with status 1.")
 def run(
     sequence: Path,
@@ -102,31 +108,35 @@ def run(
     max_error: float | None,
     budget: float | None,
     suffix: str,
+    preview: Path | None,
+    cluster: str | None,
+    mixed_devices: bool,
     **chosen: Any,
 ) -> None:
     """Make SEQUENCE, a folder or a pattern like a.####.exr, twice as large and twice as fast."""
     frames = open_sequence(sequence, profile, camera=camera, metallic=metallic, roughness=roughness, non_finite=non_finite)
     options = RunOptions.of(frames.profile, format=suffix, **chosen)
     console = Terminal(stderr=True)
-    first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
     possible = backend == "cl" and method == NETWORK
+    reads = [Path(weights)]
+    if preview is not None:
+        require_preview(preview, [*frames.reads, *reads])
     loaded = choose_weights(weights, frames, _tell, needed=method == NETWORK)
     compute = with_skipping(compute, skip, max_error, budget, possible=possible)
-    with _progress(console) as progress:
-        task = progress.add_task("building kernels", total=last - first + 1)
-        if budget is None:
-            engine, label = open_method(method, loaded, backend, compute, tell=_tell)
+    if cluster is None and mixed_devices:
+        raise InputError("--mixed-devices: expected --cluster as well")
+    first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
+    with shown_progress(console, last - first + 1, preview and Preview(preview, out, options)) as on_frame:
+        if cluster is not None:
+            require_independent(method, compute, budget)
+            where = Cluster(cluster, mixed_devices)
+            summary = run_on_cluster(frames, out, where, method, loaded, backend, compute, options, on_frame, reads)
         else:
-            engine, label = within_budget(loaded, compute, budget, first_frames(frames, options), tell=_tell)
-        summary = run_sequence(
-            frames,
-            out,
-            engine,
-            label,
-            options,
-            on_frame=lambda _: progress.update(task, advance=1, description=""),
-            reads=[Path(weights)],
-        )
+            if budget is None:
+                engine, label = open_method(method, loaded, backend, compute, tell=_tell)
+            else:
+                engine, label = within_budget(loaded, compute, budget, first_frames(frames, options), tell=_tell)
+            summary = run_sequence(frames, out, engine, label, options, on_frame, reads)
     _report(summary, out, console)
     sys.exit(1 if any(frame.fault for frame in summary.frames) else 0)
 
@@ -149,24 +159,6 @@ def check(sequence: Path, profile: str, as_json: bool, **options: Any) -> None:
     else:
         checking.print_report(report, Terminal())
     sys.exit(report.status)
-
-
-@stss.command()
-@click.argument("out", type=PATH)
-@click.argument("truth", type=PATH)
-@click.option("--frames", type=FrameRange(), help="First and last frame to compare.")
-@click.option("--pictures", type=PATH, help="Folder for pictures of output, truth and difference.")
-@perceptual_options
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def compare(out: Path, truth: Path, as_json: bool, **chosen: Any) -> None:
-    """Hold the frames in OUT against those in TRUTH: PSNR and SSIM over all pixels, edges and holes."""
-    from stss.quality import compare as comparing
-
-    comparison = comparing.compare(out, truth, **chosen)
-    if as_json:
-        click.echo(comparison.to_json())
-    else:
-        comparing.print_comparison(comparison, Terminal())
 
 
 @stss.command()
@@ -210,32 +202,14 @@ def inspect(file: str, size: tuple[int, int], as_json: bool) -> None:
 
 
 for command in (
-    bench_command, conform, devices, export, flicker_command, flicker_scenes_command, methods_command, port, stress_command, tune,
+    bench_command, compare_command, conform, devices, export, flicker_command, flicker_scenes_command, methods_command,
+    port, stress_command, tune,
 ):  # fmt: skip
     stss.add_command(command)
 
 
 def _tell(line: str) -> None:
     echo(line, err=True)
-
-
-def _progress(console: Console) -> Progress:
-    """A bar with what is waited for before the first frame, frame rate and time left."""
-
-    class Rate(TextColumn):
-        def __init__(self) -> None:
-            super().__init__("{task.speed}")
-
-        def render(self, task: Any) -> Any:
-            self.text_format = "" if not task.speed else f"{task.speed:.2f} frames/s"
-            return super().render(task)
-
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(), MofNCompleteColumn(), Rate(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
-        console=console,
-        disable=not console.is_terminal,
-    )  # fmt: skip
 
 
 def _report(summary: Summary, out: Path, console: Console) -> None:

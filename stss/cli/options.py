@@ -79,7 +79,7 @@ def sequence_options(command: Command) -> Command:
 
 
 def frame_options(command: Command) -> Command:
-    """Add the options of what writes frames of a sequence; see ``stss.run.job.RunOptions``."""
+    """Add the options of what writes frames of a sequence; see ``stss.run.options.RunOptions``."""
     options = (
         click.option(
             "--rendered",

@@ -7,7 +7,7 @@ import hashlib
 import os
 import re
 from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -66,7 +66,11 @@ class OutputFolder:
             with told(self.path / SUMS):
                 self._log = (self.path / SUMS).open("ab", buffering=0)
             with self._log:
-                yield
+                try:
+                    yield
+                finally:  # of processes that wrote here for this one, see `adopt`
+                    with suppress(OSError):
+                        self._remove_unfinished()
 
     def write(self, name: str, data: bytes) -> None:
         """Write the file ``name``, its place below the folder.
@@ -74,16 +78,36 @@ class OutputFolder:
         Raises:
             InputError: it can't be written; what was there is as it was.
         """
+        self._list(name, hashlib.sha256(data).hexdigest())
+        write_whole(self.path / name, data)
+        self._written.add(name)
+
+    def adopt(self, name: str, part: Path, digest: str) -> None:
+        """Take a file that another process wrote beside its place, whole, by `stss.output.write_whole.write_part`.
+
+        Args:
+            name: the file's place below the folder.
+            part: what is renamed.
+            digest: its SHA-256.
+
+        Raises:
+            InputError: it can't be put in place.
+        """
+        self._list(name, digest)
+        with told(self.path / name):
+            part.replace(self.path / name)
+        self._written.add(name)
+
+    def _list(self, name: str, digest: str) -> None:
+        """Have the file's line on the disk, and the folder it goes to."""
         assert self._log is not None
-        self._sums[name] = hashlib.sha256(data).hexdigest()
+        self._sums[name] = digest
         with told(self.path / SUMS):
-            line = f"{self._sums[name]}  {name}\n".encode()
+            line = f"{digest}  {name}\n".encode()
             if self._log.write(line) != len(line):
                 raise OSError("no room for a line")
             sync(self._log.fileno())
         make_folder((self.path / name).parent)
-        write_whole(self.path / name, data)
-        self._written.add(name)
 
     def holds(self, name: str) -> bool:
         """Whether the file is there, byte for byte as it was written."""
@@ -121,6 +145,9 @@ class OutputFolder:
                 raise InputError(f"{self.path / name}: expected a file, found a folder")
         if present and refusal is not None:
             raise InputError(f"{self.path}: {refusal}")
+        self._remove_unfinished()
+
+    def _remove_unfinished(self) -> None:
         for path in self._listed():
             if UNFINISHED.fullmatch(path.name):
                 path.unlink(missing_ok=True)

@@ -107,13 +107,38 @@ def told(path: Path) -> Generator[None, None, None]:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
+def write_part(path: Path, data: bytes) -> Path:
+    """Write ``data`` beside ``path`` and wait until it is on the disk; whoever has the folder renames it into place.
+
+    Raises:
+        InputError: it can't be written.
+    """
+    temporary = _beside(path)
+    with told(path):
+        try:
+            _write(temporary, data)
+        except BaseException:
+            with suppress(OSError):
+                temporary.unlink()
+            raise
+    return temporary
+
+
+def _beside(path: Path) -> Path:
+    return path.with_name(f".stss-{secrets.token_hex(6)}.part")
+
+
+def _write(path: Path, data: bytes) -> None:
+    with path.open("xb") as file:
+        file.write(data)
+        file.flush()
+        sync(file.fileno())
+
+
 def _write_beside(path: Path, data: bytes) -> None:
-    temporary = path.with_name(f".stss-{secrets.token_hex(6)}.part")
+    temporary = _beside(path)
     try:
-        with temporary.open("xb") as file:
-            file.write(data)
-            file.flush()
-            sync(file.fileno())
+        _write(temporary, data)
         temporary.replace(path)
     finally:
         with suppress(OSError):

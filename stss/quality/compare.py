@@ -24,7 +24,7 @@ from stss.quality.output_and_truth import FALLBACK, KINDS, MADE_WITH, Pair, find
 from stss.quality.tables import print_whole
 from stss.quality.temporal_psnr import Shown, recurrent_psnr, temporal_psnr
 
-__all__ = ["Comparison", "FrameScores", "Mean", "compare", "listed", "print_comparison"]
+__all__ = ["Comparison", "FrameScores", "Mean", "cells", "compare", "facts", "listed", "print_comparison"]
 
 BRIGHTENED = 4
 """So many times the difference is brightened in the pictures."""
@@ -197,11 +197,17 @@ def print_comparison(comparison: Comparison, console: Console) -> None:
             above = heading if region == regions[0] else "\n"
             table.add_column(f"{above}\n{region}", justify="right", no_wrap=True)
     for row in comparison.rows:
-        table.add_row(str(row.number), row.kind or "", *_cells(row.scores, columns))
+        table.add_row(str(row.number), row.kind or "", *cells(row.scores, columns))
     table.add_section()
     for mean in comparison.means:
-        table.add_row(f"of {mean.frames}", mean.name, *_cells(mean.scores, columns), style="bold")
+        table.add_row(f"of {mean.frames}", mean.name, *cells(mean.scores, columns), style="bold")
     print_whole(table, console)
+    for line in facts(comparison):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def facts(comparison: Comparison) -> list[str]:
+    """What to know about the table: a line each."""
     lines = [
         *comparison.notes,
         _temporal(comparison),
@@ -211,13 +217,12 @@ def print_comparison(comparison: Comparison, console: Console) -> None:
         lines.append(f"not compared, no truth: {listed(comparison.without_truth)}")
     if comparison.without_output:
         lines.append(f"not compared, no output: {listed(comparison.without_output)}")
-    for line in lines:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    return lines
 
 
 def _temporal(comparison: Comparison) -> str:
     """tPSNR, the mean of each kind's steps, and recPSNR."""
-    steps = [f"{mean.name} {cell}" for mean in comparison.means for cell in _cells(mean.scores, BELOW)]
+    steps = [f"{mean.name} {cell}" for mean in comparison.means for cell in cells(mean.scores, BELOW)]
     return f"tPSNR of the steps: {', '.join(steps)}; recPSNR of the last frame: {comparison.recpsnr:.2f}"
 
 
@@ -281,6 +286,7 @@ def _means(rows: Sequence[FrameScores]) -> list[Mean]:
     return means
 
 
-def _cells(scores: Mapping[str, Scores], metrics: Sequence[str]) -> list[str]:
+def cells(scores: Mapping[str, Scores], metrics: Sequence[str]) -> list[str]:
+    """Scores as text, in the order of the table's columns: ``metrics``, and for each its regions."""
     shown = [(getattr(scores[region], name), METRICS[name][1]) for name in metrics for region in METRICS[name][2]]
     return ["-" if value is None else f"{value:.{digits}f}" for value, digits in shown]

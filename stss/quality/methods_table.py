@@ -21,7 +21,8 @@ from stss.quality.compare import Comparison, compare
 from stss.quality.flicker import Flicker, flicker
 from stss.quality.flip_vmaf import require_packages
 from stss.quality.tables import print_whole
-from stss.run.job import RunOptions, require_near, run
+from stss.run.job import require_near, run
+from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence as Frames
 from stss.weights.file import BILINEAR
 
@@ -117,26 +118,36 @@ def to_json(results: Sequence[MethodResult]) -> str:
 def print_results(results: Sequence[MethodResult], console: Console) -> None:
     """Print one row for each method: means over the frames."""
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
-    table.add_column("\n\nmethod")
+    headings, rows = cells(results)
+    table.add_column(f"\n\n{headings[0][1]}")
+    for i, (above, kind) in enumerate(headings[1:], start=1):
+        shown = "\n" if above == headings[i - 1][0] else above
+        table.add_column(f"{shown}\n{kind}", justify="right", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    print_whole(table, console)
+    console.print(meant(results), highlight=False)
+
+
+def cells(results: Sequence[MethodResult]) -> tuple[list[tuple[str, str]], list[list[str]]]:
+    """The table as text: of each column its heading and the kind of frame, of each method its row."""
     metrics = results[0].comparison.metrics
-    shown = {heading: cells for heading, cells in COLUMNS.items() if cells[0][2] in metrics}
-    kinds = {
-        **{heading: [kind for kind, _, _ in cells] for heading, cells in shown.items()},
-        "rec\nPSNR": ("",),
-        "flicker\nerror": FLICKER,
-    }
-    for heading, below in kinds.items():
-        for i, kind in enumerate(below):
-            table.add_column((heading if i == 0 else "\n") + f"\n{kind}", justify="right", no_wrap=True)
+    shown = {heading: below for heading, below in COLUMNS.items() if below[0][2] in metrics}
+    headings = [("", "method"), *((heading, kind) for heading, below in shown.items() for kind, _, _ in below)]
+    headings += [("rec\nPSNR", ""), *(("flicker\nerror", kind) for kind in FLICKER)]
+    rows: list[list[str]] = []
     for result in results:
         means = {mean.name: mean.scores for mean in result.comparison.means}
-        scores = [_score(means, *cell) for cells in shown.values() for cell in cells]
-        scores.append(f"{result.comparison.recpsnr:.2f}")
-        table.add_row(result.method, *scores, *(_flicker(result.flicker, kind) for kind in FLICKER))
-    print_whole(table, console)
+        scores = [_score(means, *cell) for below in shown.values() for cell in below]
+        changes = [_flicker(result.flicker, kind) for kind in FLICKER]
+        rows.append([result.method, *scores, f"{result.comparison.recpsnr:.2f}", *changes])
+    return headings, rows
+
+
+def meant(results: Sequence[MethodResult]) -> str:
+    """What the numbers of the table are means of."""
     counts = {mean.name: mean.frames for mean in results[0].comparison.means}
-    known = f"means of {counts.get('SF', 0)} SF and {counts.get('EF', 0)} EF; PSNR over RGB, flicker in 8-bit levels"
-    console.print(known, highlight=False)
+    return f"means of {counts.get('SF', 0)} SF and {counts.get('EF', 0)} EF; PSNR over RGB, flicker in 8-bit levels"
 
 
 def _score(means: Mapping[str, Mapping[str, object]], kind: str, region: str, name: str) -> str:

@@ -14,7 +14,7 @@ from stss.frames.compute_options import ComputeOptions, Skip
 from stss.frames.display_frame import DisplayFrame, prepare
 from stss.frames.supersample import choose_rendered
 from stss.run import budget as budgeting
-from stss.run.job import RunOptions
+from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence
 from stss.weights.file import LoadedWeights
 

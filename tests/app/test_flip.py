@@ -19,7 +19,7 @@ from stss.quality.compare import compare, print_comparison
 from stss.quality.flip_vmaf import flip_map, vmaf_scores
 from stss.quality.methods_table import run_methods
 from stss.quality.metrics import score, to_8bit
-from stss.run.job import RunOptions
+from stss.run.options import RunOptions
 
 needs_flip = pytest.mark.skipif(not installed("flip_evaluator"), reason="flip-evaluator is not installed: the extra metrics")
 needs_vmaf = pytest.mark.skipif(not installed("imageio_ffmpeg"), reason="imageio-ffmpeg is not installed: the extra metrics")

@@ -23,7 +23,8 @@ from stss.frames.supersample import plan, supersample
 from stss.images.read_write import read_header, read_rgb
 from stss.images.resample import catmull_rom, enlarged, lanczos_centres
 from stss.quality.methods_table import choose_methods
-from stss.run.job import RunOptions, run
+from stss.run.job import run
+from stss.run.options import RunOptions
 from stss.sequence.reader import open_sequence
 from stss.weights.file import BILINEAR, load
 from stss_ref.frame import FrameInputs

@@ -9,7 +9,8 @@ import pytest
 from stss.errors import InputError
 from stss.frames.backends import ReferenceBackend
 from stss.images.read_write import read_rgb
-from stss.run.job import RunOptions, run
+from stss.run.job import run
+from stss.run.options import RunOptions
 from stss.run.pipeline import AHEAD, overlap
 from stss.sequence.reader import Sequence, open_sequence
 from stss.weights.file import BILINEAR, load

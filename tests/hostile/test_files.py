@@ -266,7 +266,8 @@ def test_resume_keeps_only_what_is_as_it_was_written(finished, demo, tmp_path, n
 def kept(demo, out, **more):
     """Resume in this process: how many frames were kept."""
     from stss.run.choose_backend import MethodBackend
-    from stss.run.job import RunOptions, run
+    from stss.run.job import run
+    from stss.run.options import RunOptions
     from stss.sequence.reader import open_sequence
 
     sequence = open_sequence(demo / "frames", "stss")

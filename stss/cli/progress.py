@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: MIT
+"""What is shown while a run goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from stss.run.frame_job import FrameReport
+from stss.run.preview import Preview
+
+
+@contextmanager
+def shown_progress(
+    console: Console, total: int, preview: Preview | None = None
+) -> Generator[Callable[[FrameReport], None], None, None]:
+    """A bar with frames a second, time left and what was skipped; on a terminal only.
+
+    Args:
+        console: where.
+        total: frames.
+        preview: is shown every frame as well.
+
+    Yields:
+        What is to be called after every frame.
+    """
+    tally = Tally()
+    with _bar(console) as progress:
+        task = progress.add_task("building kernels", total=total)
+
+        def on_frame(report: FrameReport) -> None:
+            progress.update(task, advance=1, description=tally.add(report))
+            if preview is not None:
+                preview.show(report)
+
+        yield on_frame
+
+
+class Tally:
+    """What of the network was left out so far."""
+
+    def __init__(self) -> None:
+        self._seen = 0
+        self._computed = 0.0
+
+    def add(self, report: FrameReport) -> str:
+        """Count a frame; what to show of all: the share of the network's inputs that had not changed. Empty where nobody looked."""
+        if report.cost is not None:
+            self._seen += 1
+            self._computed += 0.0 if report.cost.network == "none" else report.cost.changed
+        return "" if not self._seen else f"skipped {1 - self._computed / self._seen:.0%}"
+
+
+def _bar(console: Console) -> Progress:
+    class Rate(TextColumn):
+        def __init__(self) -> None:
+            super().__init__("{task.speed}")
+
+        def render(self, task: Any) -> Any:
+            self.text_format = "" if not task.speed else f"{task.speed:.2f} frames/s"
+            return super().render(task)
+
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(), MofNCompleteColumn(), Rate(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
+        console=console,
+        disable=not console.is_terminal,
+    )  # fmt: skip

@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: MIT
+"""A run on many machines: this process has the folder, its lock and its list; workers have the frames."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from stss.baselines.registry import ACCUMULATING
+from stss.cluster.chunks import cut
+from stss.cluster.client import compute_chunk, connected, distributed, forget, introduce, send
+from stss.cluster.worker import Chunk, File, Introduction, Work
+from stss.errors import InputError
+from stss.frames.compute_options import ComputeOptions
+from stss.output.folder import OutputFolder
+from stss.output.lock import LOCK
+from stss.run.frame_job import FrameReport, describe, kept, keys_of
+from stss.run.job import REFUSAL, Plan, Summary, plan, require_unread
+from stss.run.options import RunOptions
+from stss.sequence.reader import Sequence as Frames
+from stss.version import VERSION
+from stss.weights.file import LoadedWeights
+
+PATIENCE = 10.0
+"""So many times the slowest chunk so far a chunk may take before another worker is given it as well."""
+SHORTEST = 60.0
+"""Seconds that a chunk may take at any rate: the first one builds kernels."""
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """What the user chose.
+
+    Attributes:
+        address: ``local:N`` for N processes here, or a scheduler's, such as ``tcp://host:8786``.
+        mixed: take workers whose backends differ, and so their bits.
+        shortest: see `SHORTEST`.
+    """
+
+    address: str
+    mixed: bool = False
+    shortest: float = SHORTEST
+
+
+def run_on_cluster(
+    sequence: Frames,
+    out: Path,
+    cluster: Cluster,
+    method: str,
+    loaded: LoadedWeights,
+    backend: str,
+    compute: ComputeOptions,
+    options: RunOptions,
+    on_frame: Callable[[FrameReport], None] = lambda report: None,
+    reads: Iterable[Path] = (),
+) -> Summary:
+    """As ``stss.run.job.run``, with the same files and the same bits.
+
+    Args:
+        sequence, out, options, on_frame, reads: as there; ``on_frame`` is called in the order in which chunks come in.
+        cluster: where to compute.
+        method, loaded, backend, compute: see ``stss.run.choose_backend.open_method``.
+
+    Raises:
+        InputError: as there; nobody answers at the address, workers differ, or a chunk ends every worker that has it.
+    """
+    planned = plan(sequence, out, options)
+    require_unread(planned, sequence, reads)
+    with (
+        connected(cluster.address) as client,
+        planned.folder.opened(refusal=None if options.resume or options.overwrite else REFUSAL),
+    ):
+        lock = (planned.folder.path / LOCK).read_bytes()
+        work = Work(
+            sequence, planned.rendered, options, method, loaded, backend, compute, planned.folder.path.absolute(), lock
+        )  # fmt: skip
+        name = f"stss-{os.getpid()}-{time.time_ns()}"
+        send(client, name, work)
+        try:
+            summary = _Coordinator(client, name, work, planned, cluster, on_frame).run()
+        finally:
+            forget(client, name)
+        planned.folder.finish(remove_others=options.overwrite)
+    return summary
+
+
+def require_independent(method: str, compute: ComputeOptions, budget: float | None) -> None:
+    """Raise InputError where an output depends on earlier outputs, or on this machine's time: then it cannot be cut."""
+    if budget is not None:
+        raise InputError("--cluster: expected no --budget: a time is one machine's")
+    if method in ACCUMULATING or compute.skip == "bounded":
+        what = f"--method {method}" if method in ACCUMULATING else "--skip bounded"
+        raise InputError(f"--cluster: {what} makes each output of all before it, so it cannot be cut")
+
+
+class _Coordinator:
+    """Hands out chunks, takes their files into the folder, and has them done again where a worker dies or does not answer."""
+
+    def __init__(
+        self, client: Any, name: str, work: Work, planned: Plan, cluster: Cluster, on_frame: Callable[[FrameReport], None]
+    ):
+        self._client, self._name, self._work, self._planned, self._cluster = client, name, work, planned, cluster
+        self._on_frame = on_frame
+        self._backends = self._introduced()
+        self._reports: dict[int, FrameReport] = {}
+        self._pending: dict[Any, tuple[Sequence[int], float]] = {}
+        self._slowest = 0.0
+        self._errors: dict[int, str] = {}
+        """First frame of a chunk that ended early, to what it said."""
+
+    def run(self) -> Summary:
+        """All chunks; raises the error of the first frame that has one, after all before it are written."""
+        todo = self._keep()
+        for numbers in cut(todo, max(1, len(self._workers()))):
+            self._submit(numbers)
+        while self._pending:
+            for future in self._finished():
+                numbers, since = self._pending.pop(future)
+                self._take(numbers, self._result(future, numbers), time.monotonic() - since)
+            self._drop_later()
+            self._again()
+        if self._errors:
+            raise InputError(self._errors[min(self._errors)])
+        return Summary([self._reports[number] for number in sorted(self._reports)])
+
+    def _introduced(self) -> frozenset[str]:
+        """Names of the workers' backends."""
+        asked = {a: self._client.submit(introduce, self._name, workers=[a], pure=False) for a in self._workers()}
+        found: dict[str, Introduction] = {address: future.result() for address, future in asked.items()}
+        for address, who in found.items():
+            if who.error:
+                raise InputError(f"worker {address}: {who.error}")
+            if who.version != VERSION:
+                raise InputError(f"worker {address}: expected stss {VERSION}, as here, found {who.version}")
+        names = sorted({who.backend for who in found.values()})
+        if len(names) > 1 and not self._cluster.mixed:
+            raise InputError(
+                f"--cluster: workers differ, and so would their bits: {'; '.join(names)}; --mixed-devices takes them"
+            )
+        return frozenset(names)
+
+    def _workers(self) -> list[str]:
+        return list(self._client.scheduler_info(n_workers=-1)["workers"])
+
+    def _keep(self) -> list[int]:
+        """Report what an earlier run finished; the rest is to be done."""
+        work, options = self._work, self._work.options
+        if not options.resume:
+            return list(self._planned.numbers)
+        described = [describe(work.sequence, options, work.method, name, work.loaded.label) for name in self._backends]
+        keys = [keys_of(work.sequence, work.rendered, options, one) for one in described]
+        todo: list[int] = []
+        for number in self._planned.numbers:
+            found = (kept(self._planned.folder, options, number, one.of(number)) for one in keys)
+            kind = next((kind for kind in found if kind is not None), None)
+            if kind is None:
+                todo.append(number)
+            else:
+                self._report(FrameReport(number, kind, "kept"))
+        return todo
+
+    def _submit(self, numbers: Sequence[int], without: str | None = None) -> None:
+        others = [address for address in self._workers() if address != without] if without else None
+        future = self._client.submit(compute_chunk, self._name, numbers, self._backends, pure=False, workers=others)
+        self._pending[future] = numbers, time.monotonic()
+
+    def _finished(self) -> Iterable[Any]:
+        with suppress(TimeoutError):
+            return distributed().wait(list(self._pending), timeout=1, return_when="FIRST_COMPLETED").done
+        return ()
+
+    def _result(self, future: Any, numbers: Sequence[int]) -> Chunk:
+        try:
+            return future.result()
+        except distributed().KilledWorker as error:
+            raise InputError(
+                f"frames {numbers[0]} to {numbers[-1]}: every worker that computed them ended, {error.last_worker.address} last"
+            ) from error
+
+    def _take(self, numbers: Sequence[int], chunk: Chunk, seconds: float) -> None:
+        """Put a chunk's files in place. One that comes a second time is thrown away."""
+        self._slowest = max(self._slowest, seconds / len(numbers))
+        for report, files in chunk.frames:
+            new = report.number not in self._reports
+            for file in files:
+                _place(self._planned.folder, file, new=new)
+            if new:
+                self._report(report)
+        if chunk.error and numbers[0] not in self._reports:
+            self._errors[numbers[0]] = chunk.error
+        elif chunk.error:
+            self._errors[numbers[len(chunk.frames) - 1]] = chunk.error
+
+    def _report(self, report: FrameReport) -> None:
+        self._reports[report.number] = report
+        self._on_frame(report)
+
+    def _drop_later(self) -> None:
+        """What comes after the first error need not be done; what comes before it is."""
+        if self._errors:
+            for future, (numbers, _) in list(self._pending.items()):
+                if numbers[0] > min(self._errors):
+                    future.cancel()
+                    del self._pending[future]
+
+    def _again(self) -> None:
+        """Give a chunk that takes too long to another worker as well; forget a copy whose chunk is done."""
+        where: dict[str, Any] = self._client.processing()
+        for future, (numbers, since) in list(self._pending.items()):
+            if all(number in self._reports for number in numbers):
+                future.cancel()
+                del self._pending[future]
+                continue
+            holder = next((address for address, keys in where.items() if future.key in keys), None)
+            copies = sum(other is numbers for other, _ in self._pending.values())
+            limit = max(self._cluster.shortest, PATIENCE * self._slowest * len(numbers))
+            if holder is None:  # it waits for its turn
+                self._pending[future] = numbers, time.monotonic()
+            elif copies == 1 and len(where) > 1 and time.monotonic() - since > limit:
+                self._submit(numbers, without=holder)
+
+
+def _place(folder: OutputFolder, file: File, *, new: bool) -> None:
+    if not new:
+        if file.part is not None:
+            file.part.unlink(missing_ok=True)
+    elif file.part is not None:
+        folder.adopt(file.name, file.part, file.digest)
+    else:
+        assert file.data is not None
+        folder.write(file.name, file.data)

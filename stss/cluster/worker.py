@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: MIT
+"""What runs on a worker: it opens its backend once for a run, and computes one chunk after the other."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Lock
+from typing import TYPE_CHECKING
+
+from stss.errors import InputError
+from stss.frames.backends import Backend
+from stss.frames.compute_options import ComputeOptions
+from stss.output.lock import LOCK
+from stss.output.write_whole import make_folder, write_part
+from stss.run.choose_backend import open_method
+from stss.run.frame_job import FrameJob, FrameReport, frame_name
+from stss.run.options import RunOptions
+from stss.version import VERSION
+from stss.weights.file import LoadedWeights
+from stss_cl.errors import DeviceError
+from stss_ref.arrays import ArrayError
+from stss_ref.schedule import FrameKind
+
+if TYPE_CHECKING:
+    from stss.sequence.reader import Sequence as Frames
+
+
+@dataclass(frozen=True)
+class Work:
+    """A whole run, as it is sent to each worker once.
+
+    Attributes:
+        sequence: what to read; the worker opens the same paths.
+        rendered: the display frames that count as rendered.
+        options, method, loaded, backend, compute: as for a run in one process.
+        out: the run's folder, where the worker may or may not see it.
+        lock: what stands in the folder's lock: who reads the same there shares the storage.
+    """
+
+    sequence: Frames
+    rendered: frozenset[int]
+    options: RunOptions
+    method: str
+    loaded: LoadedWeights
+    backend: str
+    compute: ComputeOptions
+    out: Path
+    lock: bytes
+
+
+@dataclass(frozen=True)
+class File:
+    """A file of a frame: its place below the folder and its SHA-256, and either its bytes or where they lie beside it."""
+
+    name: str
+    digest: str
+    data: bytes | None
+    part: Path | None
+
+
+@dataclass(frozen=True)
+class Introduction:
+    """What a worker says of itself: its version and its backend's name, or why it cannot work."""
+
+    version: str
+    backend: str
+    error: str = ""
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """What became of some frames: each with its files; and what ended the chunk early."""
+
+    frames: list[tuple[FrameReport, list[File]]]
+    error: str = ""
+
+
+class WorkerSink:
+    """Files on their way to the run's folder: beside their place on shared storage, or home as bytes."""
+
+    def __init__(self, path: Path, *, shared: bool):
+        self._path, self._shared = path, shared
+        self._files: dict[str, list[File]] = {}
+
+    @property
+    def path(self) -> Path:
+        """See ``stss.run.frame_job.Sink``."""
+        return self._path
+
+    def write(self, name: str, data: bytes) -> None:
+        """See ``stss.run.frame_job.Sink``."""
+        digest = hashlib.sha256(data).hexdigest()
+        if self._shared:
+            make_folder((self.path / name).parent)
+            file = File(name, digest, None, write_part(self.path / name, data))
+        else:
+            file = File(name, digest, data, None)
+        self._files.setdefault(Path(name).stem, []).append(file)
+
+    def take(self, number: int) -> list[File]:
+        """The files of a frame, in the order in which they were written."""
+        return self._files.pop(Path(frame_name(number, "exr")).stem, [])
+
+
+class Worker:
+    """One run on one worker. Chunks come one at a time, whatever number of threads the worker has."""
+
+    def __init__(self, work: Work):
+        self._work = work
+        self._lock = Lock()
+        self._backend: Backend | None = None
+
+    def introduce(self) -> Introduction:
+        """Open the backend, and say which it is."""
+        try:
+            with self._lock:
+                self._open()
+                for path in self._work.sequence.files(self._work.sequence.numbers[0]):
+                    if not path.is_file():
+                        raise InputError(f"{path}: not there; workers read the same paths, from shared storage")
+                return Introduction(VERSION, self._open().name)
+        except (InputError, DeviceError, OSError) as error:
+            return Introduction(VERSION, "", str(error))
+
+    def compute(self, numbers: Sequence[int], backends: frozenset[str]) -> Chunk:
+        """Compute some frames.
+
+        Args:
+            numbers: consecutive display frames.
+            backends: names that the run takes: a worker that came later may be of another kind.
+        """
+        with self._lock:
+            backend = self._open()
+            if backend.name not in backends:
+                return Chunk([], f"a worker that came later computes by {backend.name}; expected {', '.join(sorted(backends))}")
+            work, frames = self._work, list[tuple[FrameReport, list[File]]]()
+            sink = WorkerSink(work.out, shared=self._shares())
+            job = FrameJob.of(work.sequence, work.rendered, work.options, backend, self._label, sink, _nothing_kept)
+            try:
+                job.run(numbers, work.sequence.size, lambda report: frames.append((report, sink.take(report.number))))
+            except (InputError, ArrayError, DeviceError) as error:
+                return Chunk(frames, str(error))
+            return Chunk(frames)
+
+    def _open(self) -> Backend:
+        if self._backend is None:
+            work = self._work
+            self._backend, self._label = open_method(work.method, work.loaded, work.backend, work.compute)
+        return self._backend
+
+    def _shares(self) -> bool:
+        try:
+            return (self._work.out / LOCK).read_bytes() == self._work.lock
+        except OSError:
+            return False
+
+
+def _nothing_kept(number: int, key: str) -> FrameKind | None:
+    """Whoever has the folder knows what is kept, and asks only for the rest."""
+    del number, key

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""Pages to look at: one HTML file that works from disk, without a network."""

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: MIT
+"""A page as one file: style and scripts inside, and nothing that leads outside.
+
+What is handed in as text comes from files that strangers made: `table` and `page` escape it. Only a parameter called ``html`` is
+markup already.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Sequence
+from html import escape
+from importlib.resources import files
+from string import Template
+from typing import Any
+
+from stss.terminal import printable
+
+_PAGE = Template("""<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; img-src data: file:; style-src 'unsafe-inline'; $scripts">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<link rel="icon" href="data:,">
+<title>$title</title>
+<style>
+$style</style>
+</head>
+<body>
+$body
+</body>
+</html>
+""")
+
+
+def asset(name: str) -> str:
+    """A file of this room, as text."""
+    return files("stss.pages").joinpath(name).read_text(encoding="utf-8")
+
+
+def page(title: str, html: str, *, styles: Sequence[str] = (), scripts: Sequence[str] = (), data: Any = None) -> str:
+    """A whole page that asks for nothing: its policy forbids every request but for pictures beside it.
+
+    Args:
+        title: text.
+        html: what stands in the body, markup.
+        styles: names of further files of this room, after ``style.css``.
+        scripts: likewise; they run at the end of the body, in this order.
+        data: what scripts find as JSON in the element ``data``; None: no such element.
+    """
+    sources = [asset(name) for name in scripts]
+    hashes = " ".join(f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'" for text in sources)
+    body = [html]
+    if data is not None:
+        # "</script>" within a text would end the element.
+        text = json.dumps(data, allow_nan=False).replace("<", "\\u003c")
+        body.append(f'<script type="application/json" id="data">{text}</script>')
+    body += [f"<script>{text}</script>" for text in sources]
+    return _PAGE.substitute(
+        title=escape(printable(title)),
+        style="".join(asset(name) for name in ("style.css", *styles)),
+        body="\n".join(body),
+        scripts="script-src " + (hashes or "'none'"),
+    )
+
+
+def table(caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]], *, means: int = 0, words: int = 1) -> str:
+    """A table that scrolls by itself where the page is narrower.
+
+    Args:
+        caption: what it holds.
+        headings: of the columns; a line break stays one.
+        rows: cells as text; the first of each heads its row.
+        means: so many of the last rows are means.
+        words: so many of the first columns hold words, the others numbers.
+    """
+    kind = [' class="n"' if i >= words else "" for i in range(len(headings))]
+    head = "".join(
+        f'<th scope="col"{c}>{escape(name).strip().replace(chr(10), "<br>")}</th>' for c, name in zip(kind, headings, strict=True)
+    )
+    body: list[str] = []
+    for i, row in enumerate(rows):
+        first, *others = (escape(printable(cell)) for cell in row)
+        cells = "".join(f"<td{c}>{cell}</td>" for c, cell in zip(kind[1:], others, strict=True))
+        mean = ' class="mean"' if i >= len(rows) - means else ""
+        body.append(f'<tr{mean}><th scope="row"{kind[0]}>{first}</th>{cells}</tr>')
+    label = escape(caption)
+    return (
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{label}"><table><caption>{label}</caption>'
+        f"<thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table></div>"
+    )
+
+
+def definitions(summary: str, terms: Sequence[tuple[str, str]]) -> str:
+    """A list of terms and what they mean, one click away."""
+    listed = "".join(f"<dt>{escape(term)}</dt><dd>{escape(meaning)}</dd>" for term, meaning in terms)
+    return f"<details><summary>{escape(summary)}</summary><dl>{listed}</dl></details>"

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: MIT
+"""A score of each frame as a plot: lines in SVG whose points lead to their frames."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+
+WIDTH, HEIGHT = 640, 240
+LEFT, RIGHT, TOP, BOTTOM = 46, 12, 12, 24
+"""Margins; all in the units of the drawing."""
+COLOURS = 8
+"""Classes ``c0`` to ``c7`` of ``viewer.css``."""
+TICKS = 5
+
+
+@dataclass(frozen=True)
+class Line:
+    """The scores of some frames.
+
+    Attributes:
+        name: for the legend.
+        values: frame to score; infinite ones are drawn at the upper edge.
+        kind: "SF", drawn with circles and a whole line; "EF", squares and a broken line; "" where it is not known, as SF.
+        colour: which of `COLOURS`.
+    """
+
+    name: str
+    values: Mapping[int, float]
+    kind: str
+    colour: int
+
+
+def plot(title: str, lines: Sequence[Line], *, digits: int) -> str:
+    """A figure.
+
+    Args:
+        title: what is drawn, with its unit.
+        lines: at least one, with at least one value.
+        digits: after the point, in what is shown of a point.
+    """
+    numbers = sorted({number for line in lines for number in line.values})
+    found = [value for line in lines for value in line.values.values() if math.isfinite(value)] or [0.0]
+    low, high, step = _scale(min(found), max(found))
+    span = max(numbers[-1] - numbers[0], 1)
+
+    def x(number: int) -> float:
+        return LEFT + (number - numbers[0]) / span * (WIDTH - LEFT - RIGHT)
+
+    def y(value: float) -> float:
+        return HEIGHT - BOTTOM - min((value - low) / (high - low), 1) * (HEIGHT - TOP - BOTTOM)
+
+    shown = max(0, -math.floor(math.log10(step)))
+    ticks = [low + i * step for i in range(round((high - low) / step) + 1)]
+    drawn = [
+        f'<line class="grid" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y(t):.1f}" y2="{y(t):.1f}"/>'
+        f'<text x="{LEFT - 5}" y="{y(t) + 4:.1f}" text-anchor="end">{t:.{shown}f}</text>'
+        for t in ticks
+    ]
+    drawn += [f'<text x="{x(n):.1f}" y="{HEIGHT - 6}" text-anchor="middle">{n}</text>' for n in _some(numbers)]
+    drawn.append(f'<line class="at" x1="{LEFT}" x2="{LEFT}" y1="{TOP}" y2="{HEIGHT - BOTTOM}"/>')
+    for line in lines:
+        places = [(number, value, x(number), y(value)) for number, value in sorted(line.values.items())]
+        path = " ".join(f"{px:.1f},{py:.1f}" for _, _, px, py in places)
+        points = "".join(_point(line, number, f"{value:.{digits}f}", px, py) for number, value, px, py in places)
+        drawn.append(f'<g class="c{line.colour % COLOURS} {line.kind}"><polyline class="line" points="{path}"/>{points}</g>')
+    legend = "".join(f'<li class="c{line.colour % COLOURS}">{_sample(line)} {escape(line.name)}</li>' for line in lines)
+    label = escape(title)
+    return (
+        f'<figure><figcaption>{label}</figcaption><svg viewBox="0 0 {WIDTH} {HEIGHT}" role="group" '
+        f'aria-label="{label}, for each frame">{"".join(drawn)}</svg><ul class="legend">{legend}</ul></figure>'
+    )
+
+
+def _scale(low: float, high: float) -> tuple[float, float, float]:
+    """Ends and steps of the axis: 1, 2 or 5 times a power of ten, about `TICKS` of them."""
+    rough = max(high - low, 1e-3 * max(abs(high), 1)) / TICKS
+    power = 10.0 ** math.floor(math.log10(rough))
+    step = next(m * power for m in (1, 2, 5, 10) if m * power >= rough)
+    first, last = math.floor(low / step), math.ceil(high / step)
+    return first * step, max(last, first + 1) * step, step
+
+
+def _some(numbers: Sequence[int]) -> Sequence[int]:
+    """Some of them, evenly spaced, that fit below the plot."""
+    return numbers[:: max(1, math.ceil(len(numbers) / 12))]
+
+
+def _point(line: Line, number: int, value: str, x: float, y: float) -> str:
+    what = escape(f"frame {number}, {line.name}: {value}")
+    # The keyboard has its own ways to a frame; hundreds of stops for the Tab key would be none.
+    return (
+        f'<a class="point" href="#frame-{number}" tabindex="-1" data-frame="{number}" data-x="{x:.1f}" aria-label="{what}">'
+        f'<title>{what}</title><circle class="hit" cx="{x:.1f}" cy="{y:.1f}" r="9"/>{_mark(line.kind, x, y)}</a>'
+    )
+
+
+def _mark(kind: str, x: float, y: float) -> str:
+    if kind == "EF":
+        return f'<rect x="{x - 3:.1f}" y="{y - 3:.1f}" width="6" height="6"/>'
+    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5"/>'
+
+
+def _sample(line: Line) -> str:
+    return "&#9632;" if line.kind == "EF" else "&#9679;"

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: MIT
+"""What ``stss compare``, ``methods`` and ``demo`` found, as a page: the pictures of every frame beside its scores."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+
+from stss.color import transfer
+from stss.pages.page import definitions, table
+from stss.pages.plot import Line, plot
+from stss.pages.viewer import Frame, View, Viewer, write_viewer
+from stss.quality.compare import BELOW, METRICS, Comparison, cells, facts
+from stss.quality.output_and_truth import FALLBACK, Pair
+from stss.sequence.reader import Sequence as Frames
+from stss.terminal import printable
+from stss_ref.arrays import Image
+from stss_ref.resample import upsample_centres
+
+INPUT, BILINEAR, TRUTH = "input", "bilinear", "truth"
+MEANINGS = {
+    INPUT: "The rendered frame, each pixel as four. Of an extrapolated frame (EF): the last rendered one before it.",
+    BILINEAR: "The input enlarged bilinearly.",
+    TRUTH: "What the frame should be.",
+}
+PLOTTED = {
+    "psnr_rgb": "PSNR over RGB, dB",
+    "ssim": "SSIM of the luma",
+    "flip": "FLIP, mean error",
+    "vmaf": "VMAF",
+    "tpsnr": "tPSNR over RGB, dB",
+}
+"""Field of ``Scores`` to the title of its plot."""
+DEFINITIONS = (
+    ("SF, EF", "Supersampled frame: it was rendered small. Extrapolated frame: it was not rendered at all."),
+    (
+        "PSNR",
+        "10 log10(255² / mean squared error) of 8-bit images, dB. Luma is that of MATLAB's rgb2ycbcr.",
+    ),
+    ("SSIM", "Structural similarity of the luma, Gaussian window of 11 x 11 with sigma 1.5; 1 where two images agree."),
+    ("FLIP", "LDR-FLIP at 67 pixels a degree, the mean of its error map; 0 where two images agree."),
+    ("VMAF", "Model vmaf_v0.6.1 on the frames as a video; about 100 where two videos agree."),
+    ("tPSNR", "PSNR of the change since the frame before, pixel by pixel."),
+    ("recPSNR", "PSNR of the last frame: a recurrent method has gathered all its errors there."),
+    (
+        "flicker error",
+        "Mean of |d - d*| in 8-bit levels, d and d* the change along the motion of output and truth; lower is better.",
+    ),
+    (
+        "all, edges, holes",
+        "Every pixel; Canny edges of the truth; warping holes, where something was hidden in the last rendered frame.",
+    ),
+    ("means", "Over frames, of decibels and not of errors. MEAN is the mean of SF's and EF's."),
+)
+
+
+@dataclass(frozen=True)
+class Version:
+    """The frames of one output: what they are called, what they are, which files they are, and what they scored."""
+
+    name: str
+    meaning: str
+    pairs: Mapping[int, Pair]
+    comparison: Comparison
+
+
+class Inputs:
+    """What outputs were made of, as a screen shows it."""
+
+    def __init__(self, sequence: Frames, pairs: Mapping[int, Pair]):
+        """Take the frames that count as rendered: those of the outputs' SF, and all others with their parity."""
+        self._sequence, self._pairs = sequence, pairs
+        parities = {number % 2 for number, pair in pairs.items() if pair.kind == "SF"} or {0, 1}
+        self._rendered = {number for number in sequence.rendered if number % 2 in parities}
+        self._last: tuple[int, Image] | None = None
+
+    def shown(self, number: int) -> Image | None:
+        """(H, W, 3) the frame itself, or the last rendered one before it; None where there is none."""
+        source = max((n for n in self._rendered if n <= number), default=None)
+        if source is None:
+            return None
+        if self._last is None or self._last[0] != source:
+            color = self._sequence.load(source).color
+            assert color is not None
+            self._last = source, transfer(self._pairs[number].transfer or FALLBACK).display(color)
+        return self._last[1]
+
+
+def write_comparison(
+    path: Path, title: str, versions: Sequence[Version], inputs: Inputs | None, tables: Sequence[str] = ()
+) -> None:
+    """Write the page.
+
+    Args:
+        path: the file.
+        title: of the page.
+        versions: at least one, each with the same frames and truth; the last one matters most.
+        inputs: what they were made of; None: not shown.
+        tables: markup that stands before the table of each frame's scores.
+
+    Raises:
+        InputError: a file can't be read or the page can't be written.
+    """
+    best = versions[-1]
+    names = [version.name for version in versions]
+    views = [View(version.name, version.meaning) for version in versions]
+    if inputs is not None:
+        views = [View(name, MEANINGS[name]) for name in (INPUT, BILINEAR) if name not in names] + views
+    views.append(View(TRUTH, MEANINGS[TRUTH]))
+    known = [view.name for view in views]
+    pair = (BILINEAR if BILINEAR in known else names[0], best.name)
+    several = len(versions) > 1
+    viewer = Viewer(
+        title=title,
+        notes=best.comparison.notes,
+        views=views,
+        pair=pair if pair[0] != pair[1] else (best.name, TRUTH),
+        plots=[
+            plot(PLOTTED[metric], lines, digits=METRICS[metric][1])
+            for metric in PLOTTED
+            if metric in best.comparison.metrics and (lines := _lines(versions, metric))
+        ],
+        tables=[
+            *tables,
+            *(
+                scores_table(version.comparison, f"{version.name}: every frame" if several else "Every frame")
+                for version in versions
+            ),
+            *(f"<p>{escape(printable(fact))}</p>" for fact in facts(best.comparison)[len(best.comparison.notes) :]),
+            definitions("What the columns mean", DEFINITIONS),
+        ],
+    )
+    write_viewer(path, viewer, _frames(versions, inputs))
+
+
+def scores_table(comparison: Comparison, caption: str) -> str:
+    """Every frame's scores and their means, as markup."""
+    metrics = [metric for metric in comparison.metrics if metric not in BELOW]
+    headings = ["frame", "kind", *(f"{METRICS[m][0].strip()}\n{region}" for m in metrics for region in METRICS[m][2])]
+    rows = [[str(row.number), row.kind or "", *cells(row.scores, metrics)] for row in comparison.rows]
+    means = [[f"of {mean.frames}", mean.name, *cells(mean.scores, metrics)] for mean in comparison.means]
+    return table(caption, headings, [*rows, *means], means=len(means), words=2)
+
+
+def _lines(versions: Sequence[Version], metric: str) -> list[Line]:
+    """A line for each version and kind of frame."""
+    lines: list[Line] = []
+    for i, version in enumerate(versions):
+        for j, kind in enumerate(("SF", "EF", None)):
+            rows = [row for row in version.comparison.rows if row.kind == kind]
+            values = {row.number: value for row in rows if (value := getattr(row.scores["all"], metric)) is not None}
+            if values:
+                named = f"{version.name} {kind or ''}".strip() if len(versions) > 1 else kind or version.name
+                lines.append(Line(named, values, kind or "", i if len(versions) > 1 else j % 2))
+    return lines
+
+
+def _frames(versions: Sequence[Version], inputs: Inputs | None) -> Iterator[Frame]:
+    for row in versions[-1].comparison.rows:
+        pictures: dict[str, Image] = {}
+        low = None if inputs is None else inputs.shown(row.number)
+        if low is not None:
+            pictures |= {INPUT: low, BILINEAR: upsample_centres(low)}
+        said: list[str] = []
+        for version in versions:
+            # A version called bilinear takes the place of the enlarged input: it is warped to an EF's time.
+            pictures[version.name], truth = version.pairs[row.number].shown()
+            pictures[TRUTH] = truth
+            scores = next(r.scores["all"] for r in version.comparison.rows if r.number == row.number)
+            named = f"{version.name} " if len(versions) > 1 else ""
+            said.append(f"{named}PSNR {scores.psnr_rgb:.2f} dB, SSIM {_text(scores.ssim)}")
+        pictures[TRUTH] = pictures.pop(TRUTH)
+        yield Frame(row.number, row.kind or "", "; ".join(said), pictures)
+
+
+def _text(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4f}"

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: MIT
+"""Every method on one sequence as a page: their frames, their scores as plots, one table of means."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from stss.pages.page import table
+from stss.quality.comparison_page import Inputs, Version, write_comparison
+from stss.quality.methods_table import MethodResult, cells, meant
+from stss.quality.output_and_truth import find_pairs
+from stss.sequence.reader import Sequence as Frames
+
+
+def methods_page(
+    path: Path, results: Sequence[MethodResult], truth: Path, sequence: Frames, frames: tuple[int, int] | None = None
+) -> None:
+    """Write it.
+
+    Args:
+        path: the file.
+        results: of `stss.quality.methods_table.run_methods`.
+        truth: the folder of it.
+        sequence: what the methods were run on.
+        frames: first and last to show, both included; None: all.
+
+    Raises:
+        InputError: a file can't be read or the page can't be written.
+    """
+    versions = [
+        Version(r.method, f"Method {r.method}: docs/metrics.md.", find_pairs(r.folder, truth, frames)[0], r.comparison)
+        for r in results
+    ]
+    headings, rows = cells(results)
+    means = table(f"Every method: {meant(results)}", [f"{above.strip()}\n{kind}" for above, kind in headings], rows)
+    write_comparison(path, f"Methods on {sequence.path.name}", versions, Inputs(sequence, versions[-1].pairs), [means])

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: MIT
+"""One display frame from its files to its output's files, in steps that three threads share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol
+
+from stss.color import Transfer, transfer
+from stss.errors import InputError
+from stss.frames.backends import Backend, Cost
+from stss.frames.display_frame import DisplayFrame
+from stss.frames.supersample import Output, compute, decoded
+from stss.images.read_write import encode_mask, encode_rgb, read_header
+from stss.output.folder import OutputFolder
+from stss.run.options import RunOptions
+from stss.run.pipeline import overlap
+from stss.run.skip_report import picture
+from stss.run.window import Keys, Window
+from stss.sequence.reader import Sequence
+from stss.version import VERSION
+from stss_ref import SPEC_VERSION
+from stss_ref.arrays import Array, Image
+from stss_ref.schedule import FrameKind, schedule
+
+HOLES, SKIPPED = "holes", "skipped"
+"""Below the run's folder: the warping holes; pictures of what was computed."""
+Outcome = Literal["done", "kept", "left out"]
+
+
+@dataclass(frozen=True)
+class FrameReport:
+    """What became of one display frame; ``reason`` says why it was left out, ``cost`` what computing it took."""
+
+    number: int
+    kind: FrameKind | None
+    outcome: Outcome
+    reason: str = ""
+    fault: bool = False
+    cost: Cost | None = None
+
+
+class Sink(Protocol):
+    """Where files go, such as ``stss.output.folder.OutputFolder``."""
+
+    @property
+    def path(self) -> Path:
+        """The folder, for messages and suffixes."""
+        ...
+
+    def write(self, name: str, data: bytes) -> None:
+        """Take the file ``name``, its place below the folder."""
+        ...
+
+
+@dataclass(frozen=True)
+class _Read:
+    """What one output is made of, and its key."""
+
+    key: str
+    window: list[DisplayFrame]
+
+
+@dataclass(frozen=True)
+class _Computed:
+    """What the backend made of it, display-referred."""
+
+    key: str
+    output: Output
+    cost: Cost | None
+    activity: Array | None
+
+
+@dataclass(frozen=True)
+class FrameJob:
+    """The steps of one frame, in three threads, and what stays the same from frame to frame of one run.
+
+    A step whose frame is settled already, kept or left out, hands on the report.
+    """
+
+    window: Window
+    keys: Keys
+    backend: Backend
+    curve: Transfer
+    sink: Sink
+    options: RunOptions
+    metadata: dict[str, str]
+    rendered: frozenset[int]
+    kept: Callable[[int, str], FrameKind | None]
+    """From a frame and its key to its kind, where an earlier run finished it."""
+
+    @classmethod
+    def of(
+        cls,
+        sequence: Sequence,
+        rendered: frozenset[int],
+        options: RunOptions,
+        backend: Backend,
+        weights: str,
+        sink: Sink,
+        kept: Callable[[int, str], FrameKind | None],
+    ) -> FrameJob:
+        """Make the parts that follow from the others; ``weights`` is their label."""
+        curve = transfer(options.transfer)
+        metadata = describe(sequence, options, backend.method, backend.name, weights)
+        keys = keys_of(sequence, rendered, options, metadata)
+        return cls(
+            Window(sequence, rendered, curve, options.depth), keys, backend, curve, sink, options, metadata, rendered, kept
+        )
+
+    def run(self, numbers: Iterable[int], size: tuple[int, int], done: Callable[[FrameReport], None]) -> None:
+        """Take frames through all steps, and hand over the report of each in turn; ``size`` is (H, W) of the inputs."""
+
+        def meanwhile() -> None:
+            if not self.options.resume:  # then perhaps nothing is left to compute
+                self.backend.expect(size)
+
+        overlap(numbers, self.read, self.compute, self.write, done, meanwhile)
+
+    def read(self, number: int) -> _Read | FrameReport:
+        """Read what display frame ``number`` is made of, unless it is kept; nothing else touches ``window`` and ``keys``."""
+        try:
+            key = self.keys.of(number)
+            if (kind := self.kept(number, key)) is not None:
+                return FrameReport(number, kind, "kept")
+            return _Read(key, self.window.up_to(number, keep_going=self.options.keep_going))
+        except InputError as error:
+            if not self.options.keep_going:
+                raise
+            return FrameReport(number, None, "left out", str(error), fault=True)
+
+    def compute(self, read: _Read | FrameReport) -> _Computed | FrameReport:
+        """Compute it, or say why not; nothing else touches ``backend``."""
+        if isinstance(read, FrameReport):
+            return read
+        output = compute(read.window, self.backend)
+        if output is None:
+            number = read.window[-1].number
+            # At the start of a sequence this is how it must be; later on it is the work of a frame that could not be read.
+            reason = f"frame {number}: no rendered frame just before it to extrapolate from"
+            return FrameReport(number, FrameKind.EF, "left out", reason, fault=schedule(number, self.rendered) is not None)
+        activity = self.backend.activity if self.options.show_skipped else None
+        return _Computed(read.key, output, self.backend.cost, activity)
+
+    def write(self, made: _Computed | FrameReport) -> FrameReport:
+        """Take it back through the transfer and write its files."""
+        if isinstance(made, FrameReport):
+            return made
+        output = decoded(made.output, self.curve)
+        if made.activity is not None:
+            self._write_rgb(frame_name(output.number, "png", SKIPPED), picture(made.output.image, made.activity), {})
+        if output.kind is FrameKind.EF:
+            name = frame_name(output.number, "png", HOLES)
+            self.sink.write(name, encode_mask(self.sink.path / name, ~output.valid))
+        # The image last: it is what says that the frame is done.
+        image = self.curve.display(output.image) if self.options.format == "png" else output.image
+        metadata = {"stss:key": made.key, "stss:frame": str(output.number), "stss:kind": output.kind.value}
+        self._write_rgb(frame_name(output.number, self.options.format), image, {**self.metadata, **metadata})
+        return FrameReport(output.number, output.kind, "done", cost=made.cost)
+
+    def _write_rgb(self, name: str, image: Image, metadata: dict[str, str]) -> None:
+        self.sink.write(name, encode_rgb(self.sink.path / name, image, metadata=metadata))
+
+
+def describe(sequence: Sequence, options: RunOptions, method: str, backend: str, weights: str) -> dict[str, str]:
+    """What every file of a run says of itself."""
+    return {
+        "stss:version": VERSION,
+        "stss:spec": SPEC_VERSION,
+        "stss:method": method,
+        "stss:weights": weights,
+        "stss:backend": backend,
+        "stss:transfer": options.transfer,
+        "stss:depth": options.depth,
+        "stss:profile": sequence.profile.name,
+    }
+
+
+def keys_of(sequence: Sequence, rendered: frozenset[int], options: RunOptions, metadata: dict[str, str]) -> Keys:
+    """The keys of a run whose files have this metadata."""
+    return Keys(sequence, rendered, {**metadata, "format": options.format, "read": sequence.settings})
+
+
+def kept(folder: OutputFolder, options: RunOptions, number: int, key: str) -> FrameKind | None:
+    """The kind of the frame that an earlier run wrote, if all its files are what this run would write, to the last byte.
+
+    None where none did, or where this run does not resume.
+    """
+    name = frame_name(number, options.format)
+    if not options.resume or not folder.holds(name):
+        return None
+    found = read_header(folder.path / name).attributes
+    if found.get("stss:key") != key:
+        return None
+    kind = FrameKind(found["stss:kind"])
+    beside = ([HOLES] if kind is FrameKind.EF else []) + ([SKIPPED] if options.show_skipped else [])
+    return kind if all(folder.holds(frame_name(number, "png", where)) for where in beside) else None
+
+
+def frame_name(number: int, suffix: str, subfolder: str = "") -> str:
+    """Where a frame's file lies below the run's folder."""
+    return f"{subfolder}/frame.{number:04d}.{suffix}".lstrip("/")

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: MIT
+"""What the user chose of a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from stss.sequence.profiles import Profile
+from stss_ref.depth import DepthMode
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What the user chose.
+
+    Attributes:
+        transfer: ``none``, ``srgb``, ``hdr``.
+        depth: ``clip``, ``scale``.
+        rendered: ``even``, ``odd``, ``all``; None = see ``supersample.choose_rendered``.
+        frames: first and last display frame to write, both included; None = all. Frames before the first still serve as history.
+        format: ``exr``, ``png``.
+        keep_going: leave out a frame that cannot be read, rather than stop.
+        resume: keep the files of an earlier run that are what this run would write.
+        overwrite: replace the files of an earlier run one by one; remove the rest of them once all are written.
+        show_skipped: write ``skipped/frame.NNNN.png`` as well: where the frame was computed, and where kept.
+    """
+
+    transfer: str = "srgb"
+    depth: DepthMode = "scale"
+    rendered: str | None = None
+    frames: tuple[int, int] | None = None
+    format: str = "exr"
+    keep_going: bool = False
+    resume: bool = False
+    overwrite: bool = False
+    show_skipped: bool = False
+
+    @classmethod
+    def of(cls, profile: Profile, *, transfer: str | None, depth: DepthMode | None, **chosen: Any) -> RunOptions:
+        """What the user chose, and where nothing was chosen what suits the renderer's files."""
+        usual = "srgb" if profile.color_domain == "linear" else "none"
+        return cls(transfer=transfer or usual, depth=depth or profile.depth_normalisation, **chosen)

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: MIT
+"""A picture now and then while a long run goes on."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from stss.color import transfer
+from stss.errors import InputError
+from stss.images.read_write import encode_rgb, read_rgb
+from stss.output.apart import require_places
+from stss.output.write_whole import write_named
+from stss.run.frame_job import FrameReport, frame_name
+from stss.run.options import RunOptions
+
+EVERY = 10.0
+"""Seconds from one picture to the next: a viewer that reloads by itself then shows the run, and nobody waits for it."""
+
+
+def require_preview(path: Path, reads: Iterable[Path]) -> None:
+    """Say before the run that a preview cannot be written there; raises InputError."""
+    if path.suffix.lower() != ".png":
+        raise InputError(f"--preview {path}: expected a name ending in .png")
+    require_places({"--preview": path}, reads)
+
+
+class Preview:
+    """Writes the newest frame, as a screen shows it, over and over into one file.
+
+    Args:
+        path: the file, a ``.png``.
+        out: the run's folder.
+        options: of the run.
+        clock: seconds, of any beginning.
+    """
+
+    def __init__(self, path: Path, out: Path, options: RunOptions, clock: Callable[[], float] = time.monotonic):
+        self._path, self._out, self._options, self._clock = path, out, options, clock
+        self._next = clock()
+
+    def show(self, report: FrameReport) -> None:
+        """Write the frame if it is time, and if it was made at all."""
+        if report.outcome == "left out" or self._clock() < self._next:
+            return
+        image = read_rgb(self._out / frame_name(report.number, self._options.format))
+        shown = image if self._options.format == "png" else transfer(self._options.transfer).display(image)
+        write_named(self._path, encode_rgb(self._path, shown, metadata={"stss:frame": str(report.number)}))
+        self._next = self._clock() + EVERY

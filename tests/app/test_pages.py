@@ -1,0 +1,315 @@
+"""Pages: what they hold, and what they do in a browser."""
+
+import hashlib
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from stss.cli.main import stss
+from stss.errors import InputError
+from stss.images.read_write import read_rgb, write_mask, write_rgb
+from stss.pages.page import asset, page, table
+from stss.pages.plot import Line, plot
+from stss.pages.viewer import Frame, View, Viewer, require_page, write_viewer
+from tests.app import browser as browsers
+
+HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>&\"'`${1}\u202e\n\x1b"
+SIZE = (24, 40)
+
+
+def pictures(seed, *names):
+    rng = np.random.default_rng(seed)
+    return {name: rng.random((*SIZE, 3), dtype=np.float32) for name in names}
+
+
+def viewer(names=("output", "truth"), title="a page"):
+    lines = [
+        Line("SF", {0: 30.0, 2: 31.0}, "SF", 0),
+        Line("EF", {1: 28.0, 3: float("inf")}, "EF", 1),
+    ]
+    views = [View(name, f"what {name} is") for name in names]
+    return Viewer(
+        title, ["a note"], views, (names[0], names[-1]), [plot("PSNR, dB", lines, digits=2)], [table("T", ["a"], [["1"]])]
+    )
+
+
+def frames(count=4, names=("output", "truth")):
+    return [Frame(n, "EF" if n % 2 else "SF", f"{30 + n} dB", pictures(n, *names)) for n in range(count)]
+
+
+def data_of(path):
+    return json.loads(re.search(r'id="data">(.*?)</script>', path.read_text(), re.DOTALL)[1])
+
+
+def tags(text):
+    found = []
+    parser = HTMLParser()
+    parser.handle_starttag = lambda tag, attributes: found.append((tag, dict(attributes)))
+    parser.feed(text)
+    return found
+
+
+def test_the_slider_is_the_one_that_was_published():
+    found = hashlib.sha256(asset("vendor/image-compare.min.js").encode()).hexdigest()
+    assert f"`{found}`" in asset("vendor/README.md")
+    assert "MIT License" in asset("vendor/image-compare.LICENSE")
+
+
+def test_text_of_strangers_stays_text(tmp_path):
+    named = ("output", HOSTILE)
+    shown = viewer(named, HOSTILE)
+    shown = Viewer(**{**vars(shown), "notes": [HOSTILE], "tables": [table(HOSTILE, [HOSTILE], [[HOSTILE]])]})
+    write_viewer(tmp_path / "p.html", shown, [Frame(1, "", HOSTILE, pictures(1, *named))])
+    plain = tmp_path / "plain.html"
+    write_viewer(plain, viewer(), frames(1))
+    text = (tmp_path / "p.html").read_text()
+    assert not [tag for tag, attributes in tags(text) if "onerror" in attributes]
+    assert [tag for tag, _ in tags(text)].count("script") == [tag for tag, _ in tags(plain.read_text())].count("script") == 3
+    assert data_of(tmp_path / "p.html")["frames"][0]["caption"].endswith(HOSTILE)
+
+
+def test_a_page_leads_nowhere(tmp_path):
+    write_viewer(tmp_path / "p.html", viewer(), frames())
+    for tag, attributes in tags((tmp_path / "p.html").read_text()):
+        for name in ("src", "href"):
+            assert attributes.get(name, "#").startswith(("#", "data:")), (tag, attributes)
+
+
+def test_a_picture_that_comes_again_is_kept_once(tmp_path):
+    same = pictures(1, "output")
+    write_viewer(tmp_path / "p.html", viewer(("output",)), [Frame(n, "SF", "", same) for n in (1, 2, 3)])
+    found = data_of(tmp_path / "p.html")
+    assert len(found["pictures"]) == 1
+    assert [frame["pictures"] for frame in found["frames"]] == [{"output": 0}] * 3
+
+
+def test_pictures_beyond_the_size_lie_beside_and_go_with_their_page(tmp_path):
+    path = tmp_path / "a page & more.html"
+    write_viewer(path, viewer(), frames(), within=5000)
+    places = data_of(path)["pictures"]
+    outside = [place for place in places if not place.startswith("data:")]
+    assert outside
+    assert len(outside) < len(places)
+    folder = tmp_path / "a page & more_files"
+    assert outside[0].startswith("a%20page%20%26%20more_files/")
+    assert sorted(p.name for p in folder.glob("*.png")) == sorted(place.split("/")[1] for place in outside)
+    write_viewer(path, viewer(), frames(), within=1 << 20)
+    assert not list(folder.glob("*.png"))
+
+
+def test_a_page_replaces_nothing_that_is_read(tmp_path):
+    for name in ("p.html", "p_files"):
+        with pytest.raises(InputError, match="expected a file in a folder"):
+            require_page(tmp_path / "no" / name, [])
+    (tmp_path / "p_files").mkdir()
+    write_rgb(tmp_path / "p_files" / "0001-0.png", pictures(1, "x")["x"])
+    with pytest.raises(InputError, match="the same file"):
+        require_page(tmp_path / "p.html", [tmp_path / "p_files" / "0001-0.png"])
+    with pytest.raises(InputError, match="nothing of an earlier run"):
+        write_viewer(tmp_path / "p.html", viewer(), frames(), within=0)
+    assert not (tmp_path / "p.html").exists()
+
+
+def test_a_plot_has_sf_and_ef_apart_and_a_way_to_every_frame():
+    drawn = plot("PSNR, dB", [Line("SF", {0: 30.0, 2: 31.0}, "SF", 0), Line("EF", {1: 28.25}, "EF", 1)], digits=2)
+    links = [attributes for tag, attributes in tags(drawn) if tag == "a"]
+    assert [link["href"] for link in links] == ["#frame-0", "#frame-2", "#frame-1"]
+    assert links[2]["aria-label"] == "frame 1, EF: 28.25"
+    assert [tag for tag, _ in tags(drawn)].count("rect") == 1
+    places = re.findall(r'class="hit" cx="[\d.]+" cy="([\d.]+)"', drawn)
+    heights = {link["aria-label"]: float(y) for link, y in zip(links, places, strict=True)}
+    assert heights["frame 2, SF: 31.00"] < heights["frame 0, SF: 30.00"] < heights["frame 1, EF: 28.25"]
+
+
+@pytest.mark.parametrize("values", [[30.0], [5.0, 5.0], [float("inf")], [0.0, 1e-9], [-3.0, 2000.0]])
+def test_a_plot_of_any_numbers_stays_within_its_frame(values):
+    drawn = plot("x", [Line("SF", dict(enumerate(values)), "SF", 0)], digits=2)
+    assert "nan" not in drawn
+    for y in re.findall(r' cy="([-\d.]+)"', drawn):
+        assert 0 <= float(y) <= 240
+
+
+@pytest.fixture
+def compared(tmp_path):
+    """Two folders of an output and its truth, four frames."""
+    for n in range(4):
+        made = pictures(n, "truth")["truth"]
+        labels = {"stss:kind": "EF" if n % 2 else "SF", "stss:transfer": "none", "stss:method": "network"}
+        for folder, image in (("out", np.clip(made + 0.1, 0, 1)), ("truth", made)):
+            (tmp_path / folder).mkdir(exist_ok=True)
+            write_rgb(tmp_path / folder / f"frame.{n:04d}.png", image, metadata=labels if folder == "out" else None)
+        if n % 2:
+            (tmp_path / "out" / "holes").mkdir(exist_ok=True)
+            write_mask(tmp_path / "out" / "holes" / f"frame.{n:04d}.png", np.ones((SIZE[0] // 2, SIZE[1] // 2), np.bool_))
+    return tmp_path
+
+
+def test_compare_makes_a_page(compared):
+    words = ["compare", str(compared / "out"), str(compared / "truth"), "--html", str(compared / "p.html")]
+    done = CliRunner().invoke(stss, words, catch_exceptions=False)
+    assert done.exit_code == 0
+    found = data_of(compared / "p.html")
+    assert found["views"] == ["output", "truth"]
+    assert [frame["name"] for frame in found["frames"]] == ["frame 0, SF", "frame 1, EF", "frame 2, SF", "frame 3, EF"]
+    text = (compared / "p.html").read_text()
+    for title in ("PSNR over RGB, dB", "SSIM of the luma", "What the columns mean"):
+        assert title in text
+    assert text.count("<svg viewBox") == 3
+
+
+def test_compare_shows_what_the_output_was_made_of(compared, write_frames):
+    folder = write_frames(range(4), rendered={0, 2}, size=(SIZE[0] // 2, SIZE[1] // 2))
+    words = ["compare", str(compared / "out"), str(compared / "truth"), "--sequence", str(folder)]
+    assert CliRunner().invoke(stss, words).exit_code != 0
+    done = CliRunner().invoke(stss, [*words, "--html", str(compared / "p.html")], catch_exceptions=False)
+    assert done.exit_code == 0
+    found = data_of(compared / "p.html")
+    assert found["views"] == ["input", "bilinear", "output", "truth"]
+    inputs = [frame["pictures"]["input"] for frame in found["frames"]]
+    assert inputs[0] == inputs[1] != inputs[2] == inputs[3]
+
+
+def test_a_page_that_cannot_be_written_is_said_before_the_work(compared):
+    for place in (compared / "out", compared / "no" / "p.html", compared / "out" / "frame.0001.png"):
+        words = ["compare", str(compared / "out"), str(compared / "truth"), "--html", str(place)]
+        done = CliRunner().invoke(stss, words)
+        assert isinstance(done.exception, InputError)
+        assert "PSNR" not in done.output
+
+
+def test_a_page_forbids_what_is_not_its_own():
+    text = page("t", "<p>b</p>", scripts=("viewer.js",))
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text)[1]
+    assert policy.startswith("default-src 'none';")
+    assert "'unsafe-inline'" not in policy.split("script-src")[1]
+
+
+# What follows needs a browser: Debian's chromium, or Chrome.
+
+
+@pytest.fixture(scope="module")
+def browser():
+    if browsers.found() is None:
+        pytest.skip(f"no browser: none of {', '.join(browsers.NAMES)} is installed")
+    with browsers.browser() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory):
+    """A page whose last pictures lie beside it."""
+    path = tmp_path_factory.mktemp("page") / "p.html"
+    names = ("input", "bilinear", "output", "truth")
+    write_viewer(path, viewer(names), frames(4, names), within=40_000)
+    assert any(not place.startswith("data:") for place in data_of(path)["pictures"])
+    return path
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_page_opens_from_disk_at_any_width_by_day_and_by_night(browser, shown, width, scheme):
+    browser.open(shown, width=width, scheme=scheme)
+    for number in range(4):
+        for mode in "sfdp":
+            browser.do(f"location.hash = 'frame-{number}'")
+            browser.press(mode)
+            assert browser.do("[...document.images].every(i => i.complete && i.naturalWidth > 0)")
+    assert browser.complaints() == []
+    assert browser.unnamed() == []
+    assert browser.do("document.documentElement.scrollWidth") <= width
+    paper = browser.do("getComputedStyle(document.body).backgroundColor")
+    assert paper == {"light": "rgb(255, 255, 255)", "dark": "rgb(13, 17, 23)"}[scheme]
+
+
+def test_what_is_wrong_on_a_page_is_noticed(browser, tmp_path):
+    """The three checks above can fail."""
+    text = page(
+        "t", '<img src="https://example.org/x.png"><button></button><img src="nowhere.png"><div style="width:2000px">x</div>'
+    )
+    (tmp_path / "p.html").write_text(text)
+    browser.call("Page.navigate", url=(tmp_path / "p.html").as_uri())
+    browser.do("new Promise(done => setTimeout(done, 100))")
+    assert browser.complaints()
+    assert "button" in browser.unnamed()
+    assert browser.do("document.documentElement.scrollWidth") > 1280
+
+
+def test_the_slider_moves_by_mouse_and_by_key(browser, shown):
+    browser.open(shown)
+    exposure = "document.querySelector('image-compare').style.getPropertyValue('--exposure')"
+    x, y, width, height = browser.box("#stage")
+    browser.drag((x + width / 2, y + height / 2), (x + width / 4, y + height / 2))
+    browser.do("new Promise(requestAnimationFrame)")
+    moved = float(browser.do(exposure).rstrip("%"))
+    assert 20 < moved < 30
+    browser.press("ArrowRight")
+    browser.do("new Promise(requestAnimationFrame)")
+    assert float(browser.do(exposure).rstrip("%")) == moved + 1
+    assert browser.do("location.hash") == ""  # the slider's own key is not the page's
+
+
+def test_keys_lead_through_frames_views_and_zoom(browser, shown):
+    browser.open(shown)
+    caption = "document.getElementById('caption').textContent"
+    assert browser.do(caption) == "frame 0, SF: 30 dB"
+    browser.press("ArrowRight")
+    browser.press(".")
+    assert browser.do(caption) == "frame 2, SF: 32 dB"
+    browser.press("ArrowLeft")
+    assert browser.do(caption) == "frame 1, EF: 31 dB"
+    assert browser.do("document.querySelector('.strip [aria-current=true]').hash") == "#frame-1"
+    browser.press("d")
+    assert browser.do("getComputedStyle(document.querySelector('.frame.difference img + img')).mixBlendMode") == "difference"
+    browser.press("g")
+    assert browser.do("getComputedStyle(document.querySelector('.frame.difference')).filter") == "brightness(8)"
+    browser.press("b")
+    assert browser.do("document.querySelector('.tag').textContent") == "input / input"
+    browser.press("p")
+    browser.press("+")
+    browser.press("ArrowRight", shift=True)
+    seen = "i => { const s = getComputedStyle(i); return s.transform + s.transformOrigin }"
+    found = browser.do(f"[...document.querySelectorAll('#stage img')].map({seen})")
+    assert len(found) == 4
+    assert len(set(found)) == 1
+    assert found[0].startswith("matrix(2, 0, 0, 2, 0, 0)")
+    assert browser.do("document.getElementById('zoomed').textContent") == "2x"
+
+
+def test_a_difference_is_that_of_the_pixels(browser, tmp_path):
+    """Levels 100 and 110 at a gain of 4: 40."""
+    grey = {name: np.full((*SIZE, 3), level / 255, np.float32) for name, level in (("output", 100), ("truth", 110))}
+    write_viewer(tmp_path / "p.html", viewer(), [Frame(0, "SF", "", grey)])
+    browser.open(tmp_path / "p.html")
+    browser.press("d")
+    x, y, width, height = browser.box("#stage")
+    browser.screenshot(tmp_path / "shot.png")
+    scroll = browser.do("scrollY")
+    pixel = read_rgb(tmp_path / "shot.png")[int(y + scroll + height / 2), int(x + width / 2)] * 255
+    assert np.abs(pixel - 40).max() < 1.5
+
+
+def test_flicker_turns_with_the_display_and_stops(browser, shown):
+    browser.open(shown)
+    browser.press("f")
+    turns = "Number(document.querySelector('.frame').dataset.turns ?? 0)"
+    frames_on = "new Promise(done => {{ let n = {}; const f = () => n-- ? requestAnimationFrame(f) : done(); f() }})"
+    before = browser.do(turns)
+    browser.do(frames_on.format(20))
+    assert 18 <= browser.do(turns) - before <= 30
+    browser.press("r")
+    stopped = browser.do(turns)
+    browser.do(frames_on.format(5))
+    assert browser.do(turns) == stopped
+
+
+def test_a_point_of_the_plot_leads_to_its_frame(browser, shown):
+    browser.open(shown)
+    x, y, width, height = browser.box('.point[data-frame="3"]')
+    browser.drag((x + width / 2, y + height / 2), (x + width / 2, y + height / 2))
+    assert browser.do("document.getElementById('caption').textContent") == "frame 3, EF: 33 dB"
+    browser.open(shown, hash_="#frame-2")
+    assert browser.do("document.getElementById('caption').textContent") == "frame 2, SF: 32 dB"

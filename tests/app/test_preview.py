@@ -1,0 +1,50 @@
+"""`stss run --preview`, and what the progress line says."""
+
+import numpy as np
+import pytest
+
+from stss.cli.progress import Tally
+from stss.color import transfer
+from stss.errors import InputError
+from stss.frames.backends import Cost
+from stss.images.read_write import read_header, read_rgb, write_rgb
+from stss.run.frame_job import FrameReport
+from stss.run.options import RunOptions
+from stss.run.preview import EVERY, Preview, require_preview
+from stss_ref.schedule import FrameKind
+
+
+def report(number, outcome="done", cost=None):
+    return FrameReport(number, FrameKind.SF, outcome, cost=cost)
+
+
+@pytest.mark.parametrize("suffix", ["exr", "png"])
+def test_a_picture_now_and_then(tmp_path, suffix):
+    now = [0.0]
+    preview = Preview(tmp_path / "p.png", tmp_path, RunOptions(format=suffix), clock=lambda: now[0])
+    shown = []
+    for number in range(5):
+        write_rgb(tmp_path / f"frame.{number:04d}.{suffix}", np.full((4, 6, 3), number / 8, np.float32))
+        preview.show(report(number, "left out" if number == 0 else "done"))
+        if (tmp_path / "p.png").exists():
+            shown.append(int(read_header(tmp_path / "p.png").attributes["stss:frame"]))
+        now[0] += EVERY / 2
+    assert shown == [1, 1, 3, 3]
+    level = read_rgb(tmp_path / f"frame.0003.{suffix}")[0, 0]
+    expected = level if suffix == "png" else transfer("srgb").display(level.reshape(1, 1, 3))[0, 0]
+    assert np.abs(read_rgb(tmp_path / "p.png")[0, 0] - expected).max() < 1 / 255
+
+
+def test_a_place_that_cannot_be_is_said_before_the_run(tmp_path):
+    write_rgb(tmp_path / "read.png", np.zeros((1, 1, 3), np.float32))
+    for path in (tmp_path / "p.exr", tmp_path / "no" / "p.png", tmp_path / "read.png"):
+        with pytest.raises(InputError, match="--preview"):
+            require_preview(path, [tmp_path / "read.png"])
+
+
+def test_the_line_says_what_was_skipped():
+    tally = Tally()
+    assert tally.add(report(0)) == ""
+    assert tally.add(report(1, cost=Cost("whole", 1.0))) == "skipped 0%"
+    assert tally.add(report(2, cost=Cost("none", 1.0))) == "skipped 50%"
+    assert tally.add(report(3, cost=Cost("changed", 0.25))) == "skipped 58%"
