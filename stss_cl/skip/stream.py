@@ -23,7 +23,7 @@ from stss_cl.skip.display_frame import DisplayFrame
 from stss_cl.skip.error_control import Attention
 from stss_cl.skip.frame_cache import FrameCache, Last, Report
 from stss_cl.skip.uploaded_frames import Tiles, UploadedFrame, UploadedFrames, sources
-from stss_ref.arrays import ArrayError
+from stss_ref.arrays import ArrayError, require_dtype, require_shape
 from stss_ref.weights import Weights
 
 Skip = Literal["off", "exact", "bounded"]
@@ -71,7 +71,9 @@ class Stream:
         self._caches: dict[bool, FrameCache] = {}
         self._latest: FrameCache | None = None
 
-    def __call__(self, window: Sequence[DisplayFrame], steps: Sequence[int]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    def __call__(
+        self, window: Sequence[DisplayFrame], steps: Sequence[int], out: NDArray[np.float32] | None = None
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Compute the last frame of ``window``.
 
         Nothing of a call depends on those before it but the time it takes. Frames are known again by being the same objects, from one
@@ -82,15 +84,29 @@ class Stream:
         Args:
             window: consecutive display frames of one size, oldest first.
             steps: how many frames back the three colour frames lie, newest first; ``window`` holds them.
+            out: (2H, 2W, 3) float32, C-contiguous: what the image is copied to; None: the stream lends its own.
 
         Returns:
-            image: (2H, 2W, 3) float32, not clipped, and read-only where something is kept: it may be the last frame's. It never changes
-                while it, or a view of it, is in somebody's hands.
+            image: (2H, 2W, 3) float32, not clipped: ``out``, or an array that is read-only where something is kept, since it may be the
+                last frame's. That never changes while it, or a view of it, is in somebody's hands.
             valid: (H, W) False in the warping holes of the newest colour frame; likewise.
 
         Raises:
-            ArrayError: shapes, dtypes or steps are not a frame's, or an array other than motion and position is not finite.
+            ArrayError: shapes, dtypes or steps are not a frame's, ``out`` is not an image's, or an array other than motion and position
+                is not finite.
         """
+        if out is None:
+            return self._next(window, steps)
+        height, width = window[-1].nov.shape
+        require_shape("out", out, (2 * height, 2 * width, 3))
+        require_dtype("out", out, np.dtype(np.float32))
+        if not (out.flags.c_contiguous and out.flags.writeable):
+            raise ArrayError("out: expected a C-contiguous array that can be written to")
+        image, valid = self._next(window, steps)
+        np.copyto(out, image)
+        return out, valid
+
+    def _next(self, window: Sequence[DisplayFrame], steps: Sequence[int]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         chosen = check_steps(steps)
         if len(window) <= chosen[2]:
             raise ArrayError(f"window: expected the {chosen[2] + 1} frames that the steps lead to, got {len(window)}")

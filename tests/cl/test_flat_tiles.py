@@ -2,13 +2,14 @@
 """Flat tiles: which they are, and what leaving them to the upsampled frame does to the others."""
 
 import numpy as np
+import pyopencl as cl
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
 from conformance.tolerance import ratio
-from stss_cl.device.buffers import Outgoing, incoming
+from stss_cl.device.buffers import Outgoing, incoming, zeroed
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import PRECISIONS
 from stss_cl.skip.flat_tiles import FlatTiles
@@ -69,16 +70,13 @@ class Setup:
     def __init__(self, device, precision):
         self.device, self.precision = device, precision
         self.layers = Layers(device, WEIGHTS, *SIZE, precision, keep=True)
-        mask = np.zeros(SIZE, np.uint8)
-        self.mask = incoming(device, mask), mask  # read in place on a processor
-        self.flat = FlatTiles(device, self.layers.launches, self.layers.inputs, self.mask[0], SIZE, FLAT)
+        self.mask = zeroed(device, SIZE[0] * SIZE[1])
+        self.flat = FlatTiles(device, self.layers.launches, self.layers.inputs, self.mask, SIZE, FLAT)
         self.network, self.held = PartialNetwork(self.layers), []
 
     def __call__(self, arrays, *, leave_out=False):
         self.held = [incoming(self.device, array) for array in arrays], arrays
-        self.mask[1][...] = arrays[2] != 0
-        if not self.device.is_cpu:
-            self.mask = incoming(self.device, self.mask[1]), self.mask[1]
+        cl.enqueue_copy(self.device.queue, self.mask, (arrays[2] != 0).astype(np.uint8))
         self.layers.pack(*self.held[0])
         image = Outgoing(self.device, (2 * SIZE[0], 2 * SIZE[1], 3), on_device=False)
         self.flat.read(self.held[0][1])

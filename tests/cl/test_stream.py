@@ -307,6 +307,22 @@ def test_a_change_that_is_not_seen_would_show(device, monkeypatch):
         assert_same(keeping(frames[3:9], (0, 2, 4)), plain(frames[3:9], (0, 2, 4)))
 
 
+@pytest.mark.parametrize("skip", ["off", "exact"])
+def test_an_image_may_be_copied_to_the_callers_array(device, skip):
+    """Which is then the caller's alone: what is done to it shows in no other frame."""
+    stream, plain, frames = Stream(WEIGHTS, device, skip=skip), Stream(WEIGHTS, device, skip="off"), still(9, change="rectangle")
+    out = np.empty((32, 48, 3), np.float32)
+    for i in range(9):
+        window = frames[max(0, i - 5) : i + 1]
+        made, valid = stream(window, plan(window).steps, out)
+        assert made is out
+        assert_same((made, valid), plain(window, plan(window).steps))
+        out[...] = np.nan
+    for wrong in (out[1:], out.astype(np.float64), np.empty((32, 96, 3), np.float32)[:, ::2]):
+        with pytest.raises(ArrayError, match="out: expected"):
+            stream(frames[:5], (0, 2, 4), wrong)
+
+
 def test_mistakes_name_what_is_wrong(device):
     frames, made = still(6), Stream(WEIGHTS, device)
     with pytest.raises(ArrayError, match="window: expected the 5 frames that the steps lead to, got 2"):
