@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test check bench mutants alarms misses fuzz gpu-class portability clean
+.PHONY: demo test check bench mutants alarms misses fuzz gpu gpu-class offline portability clean
 
 demo: $(VENV)/.base
 	$(BIN)/stss demo demo --overwrite
@@ -37,6 +37,14 @@ fuzz: $(VENV)/.test
 gpu-class: $(VENV)/.test
 	STSS_DEVICE_CLASS=gpu $(BIN)/python -m pytest tests/cl -n 2 --dist loadfile --no-loadscope-reorder
 
+# What there is to know of the first GPU that meets this: one folder, 25 minutes at most, no network once installed.
+gpu: $(VENV)/.test
+	$(BIN)/stss gpu-report --out gpu-report
+
+# Every program of the GPU rows by the compilers of GPUs that are not here; wants clang-22 and libclc-22 of the system.
+offline: $(VENV)/.test $(VENV)/.offline
+	$(BIN)/python -m tests.offline
+
 # Every OpenCL runtime that can be installed here, each with the tests of the backend.
 portability: $(VENV)/.test
 	$(BIN)/python tests/portability.py
@@ -52,7 +60,7 @@ $(VENV)/.base: $(VENV)/.python pyproject.toml
 	$(BIN)/python -m pip install --quiet --editable .
 	@touch $@
 
-$(VENV)/.test $(VENV)/.check $(VENV)/.bench: $(VENV)/.%: $(VENV)/.base
+$(VENV)/.test $(VENV)/.check $(VENV)/.bench $(VENV)/.offline: $(VENV)/.%: $(VENV)/.base
 	$(BIN)/python -m pip install --quiet --editable '.[$*]'
 	@touch $@
 

@@ -117,24 +117,34 @@ class PyTorch(Peer):
     Args:
         setup: what for.
         tuned: see `TorchNetwork`.
-        cuda: on the first CUDA GPU in half precision; else on the CPU in float32.
+        cuda: on the first CUDA GPU; else on the CPU.
+        half: in half precision; else in float32, products of tensor cores in TF32 left out.
         compiled: through ``torch.compile``.
         layout: memory format; ``contiguous_format`` is what the authors' code runs in.
     """
 
-    def __init__(self, setup: Setup, *, tuned: bool, cuda: bool = False, compiled: bool = False, layout: str = "channels_last"):
+    def __init__(
+        self,
+        setup: Setup,
+        *,
+        tuned: bool,
+        cuda: bool = False,
+        half: bool = False,
+        compiled: bool = False,
+        layout: str = "channels_last",
+    ):
         super().__init__(setup)
         self._torch = torch = require("torch")
         if cuda and not torch.cuda.is_available():
             raise InputError("PyTorch finds no CUDA GPU")
         torch.set_num_threads(setup.threads)
-        self._options: dict[str, Any] = {"device": "cuda" if cuda else "cpu", "dtype": torch.float16 if cuda else torch.float32}
+        self._options: dict[str, Any] = {"device": "cuda" if cuda else "cpu", "dtype": torch.float16 if half else torch.float32}
         self._cuda, self._layout = cuda, getattr(torch, layout)
         network = TorchNetwork(setup.weights, tuned=tuned, **self._options)
         self._network: Any = torch.compile(network.__call__, mode="max-autotune") if compiled else network
         self.details = {
             **versions(("torch",)),
-            "precision": "float16" if cuda else "float32",
+            "precision": "float16" if half else "float32",
             "layout": layout,
             "formulation": "gates merged, window as slices" if tuned else "as published",
         }
@@ -157,18 +167,31 @@ class PyTorch(Peer):
 
 
 class OnnxRuntime(Peer):
-    """ONNX Runtime on the CPU; inputs and output stay where they are."""
+    """ONNX Runtime; inputs and output stay where they are.
 
-    def __init__(self, setup: Setup):
+    Args:
+        setup: what for.
+        provider: what runs the graph: ``CPU``, or on the first CUDA GPU ``CUDA`` or ``Tensorrt``.
+    """
+
+    def __init__(self, setup: Setup, *, provider: str = "CPU"):
         super().__init__(setup)
-        runtime = require("onnxruntime")
+        runtime, full = require("onnxruntime"), f"{provider}ExecutionProvider"
+        if full not in runtime.get_available_providers():
+            raise InputError(f"ONNX Runtime has no {full}")
         options = runtime.SessionOptions()
         options.intra_op_num_threads = setup.threads
         # Otherwise its threads spin on after a run, at the expense of the contender that comes next.
         options.add_session_config_entry("session.force_spinning_stop", "1")
-        self._session = runtime.InferenceSession(_model(setup), options, providers=["CPUExecutionProvider"])
-        self._value: Callable[[Array], Any] = runtime.OrtValue.ortvalue_from_numpy
-        self.details = {**versions(("onnxruntime",)), "precision": "float32", "formulation": "gates merged, window as slices"}
+        self._session = runtime.InferenceSession(_model(setup), options, providers=[full])
+        place = () if provider == "CPU" else ("cuda", 0)
+        self._value: Callable[[Array], Any] = lambda array: runtime.OrtValue.ortvalue_from_numpy(array, *place)
+        self.details = {
+            **versions(("onnxruntime", "onnxruntime-gpu", "tensorrt")),
+            "provider": provider,
+            "precision": "float32",
+            "formulation": "gates merged, window as slices",
+        }
 
     def _bind(self, inputs: dict[str, Array]) -> None:
         _, _, height, width = inputs["color"].shape
@@ -231,7 +254,11 @@ PEERS: dict[str, Callable[[Setup], Peer]] = {
     "onnxruntime": OnnxRuntime,
     "openvino": partial(OpenVino, float32=True),
     "openvino-default": partial(OpenVino, float32=False),
-    "pytorch-cuda": partial(PyTorch, tuned=True, cuda=True),
-    "pytorch-cuda-compiled": partial(PyTorch, tuned=True, cuda=True, compiled=True),
+    "pytorch-cuda": partial(PyTorch, tuned=True, cuda=True, half=True),
+    "pytorch-cuda-compiled": partial(PyTorch, tuned=True, cuda=True, half=True, compiled=True),
+    "pytorch-cuda-float32": partial(PyTorch, tuned=True, cuda=True),
+    "pytorch-cuda-float32-compiled": partial(PyTorch, tuned=True, cuda=True, compiled=True),
+    "onnxruntime-cuda": partial(OnnxRuntime, provider="CUDA"),
+    "onnxruntime-tensorrt": partial(OnnxRuntime, provider="Tensorrt"),
 }
 """Every peer, by the name that ``--peers`` takes."""

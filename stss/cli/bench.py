@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 from pathlib import Path
 
 import click
@@ -12,6 +13,7 @@ from stss.cli.options import MAX_COUNT, PATH, Names, Size
 from stss.output.apart import require_places
 from stss.terminal import Terminal, echo
 from stss.weights.file import identity, load
+from stss_cl.network.network import Precision
 
 
 @click.command("bench")
@@ -46,6 +48,9 @@ from stss.weights.file import identity, load
     type=Names(),
     help="With --pareto: those whose names contain one of these, such as float32,2/255  [default: all]",
 )
+@click.option("--model", help="Instead, what a GPU that is not here would take, by a model: h100, rtx4090, ...")
+@click.option("--precision", type=click.Choice(["float32", "float32-direct", "half"]), default="float32", help="With --model.")
+@click.option("--measure", "measured", is_flag=True, help="With --model: time the launches on --device, too.")
 @click.option("--frames", type=click.IntRange(10, MAX_COUNT), default=20, show_default=True, help="With --pareto: of each scene.")
 def bench_command(
     sizes: tuple[tuple[int, int], ...],
@@ -59,6 +64,9 @@ def bench_command(
     pareto: bool,
     scenes: tuple[str, ...] | None,
     settings: tuple[str, ...] | None,
+    model: str | None,
+    precision: Precision,
+    measured: bool,
     frames: int,
 ) -> None:
     """Time the network here and by other engines, and their distance from the float64 reference."""
@@ -71,6 +79,12 @@ def bench_command(
 
     require_places({"--json": json_file, "--plot": plot}, [None if weights is None else Path(weights)])
     tensors = random_weights(0) if weights is None else load(weights).weights
+    if model is not None:
+        from stss.bench.gpu_model_report import bench_model, gpu_named
+
+        gpu = gpu_named(model)
+        bench_model(tensors, sizes[0], gpu, precision, Terminal(), json_file, measured=measured, device=device)
+        return
     threads = available_threads()
     console = Terminal(stderr=True)
     setups = [Setup(tensors, *size, device=device, threads=threads) for size in sizes]
@@ -88,6 +102,26 @@ def bench_command(
     if plot is not None:
         bench_report.plot(results, plot)
     sys.exit(1 if any(row.fault for result in results for row in result.rows) else 0)
+
+
+@click.command("gpu-report")
+@click.option("-o", "--out", type=PATH, required=True, help="A new or an empty folder.")
+@click.option("--device", help="Part of the name of the OpenCL device  [default: the first GPU]")
+@click.option("--model", default="h100", show_default=True, help="The GPU whose model stands beside what is measured.")
+@click.option("--tiny", is_flag=True, help="Small sizes: shows that every step runs, and nothing else.")
+def gpu_report_command(out: Path, device: str | None, model: str, tiny: bool) -> None:
+    """Everything that is to be known of a GPU, in one folder: README.md there says first what is wrong.
+
+    Self-tests, tests, the judge, times beside other engines and beside a model, tile sizes; 25 minutes at most, no network.
+    Ends with status 1 if something is wrong.
+    """
+    from stss.bench.gpu_model_report import gpu_named
+    from stss.bench.gpu_report import gpu_report
+
+    gpu_named(model)
+    good = gpu_report(out, device, model, tiny=tiny, tell=partial(echo, err=True))
+    echo(f"{out / 'README.md'}")
+    sys.exit(0 if good else 1)
 
 
 @click.command()

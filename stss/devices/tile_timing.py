@@ -15,7 +15,7 @@ from stss_cl.device.buffers import padded, read, write
 from stss_cl.device.discovery import Device, DeviceError, Properties
 from stss_cl.device.grid import ceil8
 from stss_cl.device.launch import Launch
-from stss_cl.device.tuning import Direct, Tuning, Winograd, trial
+from stss_cl.device.tuning import Direct, Local, Tuning, Winograd, trial
 from stss_cl.network.conv import conv
 from stss_cl.network.pack_weights import Packed, pack
 from stss_ref.arrays import Array
@@ -26,7 +26,7 @@ CHECKED = (45, 75)
 """Output size at which a candidate is held against the plain kernel: nothing divides it, and it has several strips."""
 PLAIN = Direct(1, 1, 1)
 
-Sizes = Winograd | Direct
+Sizes = Winograd | Direct | Local
 
 
 @dataclass(frozen=True)
@@ -117,6 +117,11 @@ def winograd_candidates(device: Properties, outputs: int) -> list[Winograd]:
     return [*found, replace(found[0], prefetch=False)]
 
 
+def local_candidates(device: Properties) -> list[Local]:
+    """Rows of pixels; a processor's work-items share nothing."""
+    return [] if device.is_cpu else [Local(1), Local(2)]
+
+
 def direct_candidates(device: Properties, outputs: int) -> list[Direct]:
     """Pixels by block, as above; work-groups matter only where they share hardware."""
     wide = outputs // 8
@@ -144,14 +149,16 @@ class _Layer:
     def launch(self, sizes: Sizes) -> Launch:
         """The layer with these tile sizes."""
         outputs = self._shape.outputs
-        fast = isinstance(sizes, Winograd)
-        row = Tuning({outputs: sizes}, {}) if isinstance(sizes, Winograd) else Tuning(None, {outputs: sizes})
+        row = Tuning(
+            {outputs: sizes} if isinstance(sizes, Winograd) else None,
+            {outputs: sizes} if isinstance(sizes, Direct) else {},
+            sizes if isinstance(sizes, Local) else None,
+        )
         a, b = (*self._inputs, None)[:2]
         assert a is not None
         with trial(row):
-            return conv(
-                self._device, "tune", "layer", self._packed, a, b, self._out, stride=self._shape.stride, side=4 if fast else 0
-            )
+            side = 0 if isinstance(sizes, Direct) else 4
+            return conv(self._device, "tune", "layer", self._packed, a, b, self._out, stride=self._shape.stride, side=side)
 
     def run(self, sizes: Sizes) -> Array:
         """Its output; NaN where nothing was written."""

@@ -12,9 +12,9 @@ from rich.console import Console
 from rich.table import Table
 
 from stss.devices.selection import choose
-from stss.devices.tile_timing import SHAPES, LayerShape, Sizes, Trials, direct_candidates, winograd_candidates
+from stss.devices.tile_timing import SHAPES, LayerShape, Sizes, Trials, direct_candidates, local_candidates, winograd_candidates
 from stss_cl.device.discovery import Device, DeviceError, Properties, matching
-from stss_cl.device.tuning import OUTPUTS, Direct, Tuning, Winograd, built_in, keep, kept, kept_path, to_toml
+from stss_cl.device.tuning import OUTPUTS, Direct, Local, Tuning, Winograd, built_in, keep, kept, kept_path, to_toml
 
 MARGIN = 1.02
 """How many times faster than the built-in sizes others must be to replace them."""
@@ -49,7 +49,11 @@ def tune(
     base, trials = built_in(device), Trials()
     for shape in SHAPES:
         tell(f"{shape.a + shape.b} to {shape.outputs} channels{', gated' * shape.gated}, stride {shape.stride}")
-        candidates: list[Sizes] = [base.direct[shape.outputs], *direct_candidates(device, shape.outputs)]
+        candidates: list[Sizes] = [
+            base.direct[shape.outputs],
+            *direct_candidates(device, shape.outputs),
+            *local_candidates(device),
+        ]
         if shape.fast:
             candidates += [base.winograd[shape.outputs]] if base.winograd else []
             candidates += winograd_candidates(device, shape.outputs)
@@ -80,7 +84,26 @@ def _decide(device: Device, size: tuple[int, int], base: Tuning, trials: Trials)
         best, line = _better(device, size, trials, f"direct {outputs}", first, allowed, used)
         lines.append(line)
         direct[outputs] = best if isinstance(best, Direct) else first
-    return Tuning(fast, direct), lines
+    local, line = _local(device, base, trials, direct)
+    return Tuning(fast, direct, local), [*lines, *line]
+
+
+def _local(device: Device, base: Tuning, trials: Trials, direct: dict[int, Direct]) -> tuple[Local | None, list[Line]]:
+    """Rows of conv_local.cl for all layers, or none where the direct convolution is faster; what counts is decided by the margin."""
+    candidates = local_candidates(device)
+    if not candidates:
+        return base.local, []
+    seconds = {candidate: trials.total(candidate, SHAPES) for candidate in candidates}
+    best = min(candidates, key=lambda candidate: seconds[candidate])
+    plain = sum(trials.total(direct[shape.outputs], [shape]) for shape in SHAPES)
+    before = None if base.local is None else Local(base.local.rows)
+    now = plain if before is None else seconds[before]
+    units = base.local is not None and base.local.matrix_units
+    if before is not None and plain * MARGIN < min(now, seconds[best]):
+        return None, [Line("local", before, None, (now, plain), "direct")]
+    wins = seconds[best] * MARGIN < now
+    taken = Local(best.rows, units) if wins else base.local
+    return taken, [Line("local", before, best, (now, seconds[best]), "new" if wins else "built-in")]
 
 
 def _worth_it(base: Tuning, trials: Trials, winograd: dict[int, Winograd]) -> bool:
@@ -92,6 +115,7 @@ def _worth_it(base: Tuning, trials: Trials, winograd: dict[int, Winograd]) -> bo
         these = [s for s in shapes if s.outputs == outputs]
         tried = {sizes for s in these for sizes in trials.times[s] if isinstance(sizes, Direct)}
         plain += min((trials.total(sizes, these) for sizes in tried), default=np.inf)
+    plain = min(plain, *(trials.total(sizes, shapes) for sizes in (Local(1), Local(2))))
     return fast * MARGIN < plain if base.winograd is None else fast < plain * MARGIN
 
 

@@ -45,6 +45,10 @@ CLASSES: tuple[DeviceClass, ...] = get_args(DeviceClass)
 """``cpu``: work-items of a group run one after the other, and memory is the host's. ``gpu``: neither."""
 
 
+MAKERS = {"nvidia": ("nvidia",), "amd": ("advanced micro devices", "amd"), "intel": ("intel",)}
+"""Parts of what devices say of their vendor."""
+
+
 class Properties:
     """What a device says of itself, without opening it.
 
@@ -85,6 +89,14 @@ class Properties:
         return "GPU" if self.is_gpu else "CPU" if self.handle.type & cl.device_type.CPU else "other"
 
     @property
+    def maker(self) -> str:
+        """``nvidia``, ``amd``, ``intel``: whose tile sizes it takes; an empty text where it is no GPU, or not treated as one."""
+        if self.is_cpu or not self.is_gpu:
+            return ""
+        vendor = str(self.handle.vendor).lower()
+        return next((name for name, told in MAKERS.items() if any(part in vendor for part in told)), "")
+
+    @property
     def has_fp16(self) -> bool:
         """Whether kernels may compute in ``half``; loading and storing it needs no leave."""
         return "cl_khr_fp16" in self.handle.extensions.split()
@@ -113,6 +125,11 @@ class Properties:
     def max_work_group(self) -> int:
         """Most work-items in a work-group; a kernel may allow fewer."""
         return int(self.handle.max_work_group_size)
+
+    @property
+    def compute_units(self) -> int:
+        """How many work-groups it computes side by side, at least."""
+        return int(self.handle.max_compute_units)
 
     @property
     def memory(self) -> int:

@@ -55,6 +55,11 @@ def build(device: Device, file: str, options: Mapping[str, object] | None = None
         return built[key]
 
 
+def built(device: Device) -> Mapping[tuple[str, str], cl.Program]:
+    """What was built for this device so far, by file and options, in order."""
+    return dict(_programs.get(device.context, {}))
+
+
 def source(file: str) -> str:
     """The text of ``kernels/file`` with its ``#include "..."`` lines replaced by what they name, once each.
 

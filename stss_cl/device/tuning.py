@@ -14,7 +14,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from stss_cl.device.caches import private
-from stss_cl.device.discovery import DeviceClass, DeviceError, Properties
+from stss_cl.device.discovery import CLASSES, MAKERS, DeviceClass, DeviceError, Properties
 from stss_cl.device.program import source
 from stss_cl.toml_table import Table, read_toml
 
@@ -23,7 +23,7 @@ OUTPUTS = (24, 32, 64)
 """Output channels of the network's layers: a row has tile sizes for each."""
 TILE = 4
 """Pixels of a row that a tile of conv.cl has, which a work-item's divide."""
-MOST_TILES, MOST_HELD, MOST_GROUP = 32, 16, 1024
+MOST_TILES, MOST_HELD, MOST_GROUP, MOST_ROWS = 32, 16, 1024, 2
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,26 @@ class Direct:
 
 
 @dataclass(frozen=True)
+class Local:
+    """conv_local.cl and conv_mma.cl: the most rows of pixels of a work-item, 1 or 2; whether half runs on matrix units."""
+
+    rows: int
+    matrix_units: bool = False
+
+
+@dataclass(frozen=True)
 class Tuning:
-    """One row. ``winograd`` is None where the direct convolution is faster; both by output channels, ``OUTPUTS``."""
+    """One row.
+
+    Attributes:
+        winograd: by output channels, ``OUTPUTS``; None where another convolution is faster.
+        direct: likewise, of the plain convolution.
+        local: None where work-items do not share local memory, or the direct convolution is faster.
+    """
 
     winograd: dict[int, Winograd] | None
     direct: dict[int, Direct]
+    local: Local | None = None
 
 
 _trial: ContextVar[Tuning | None] = ContextVar("_trial", default=None)
@@ -62,22 +77,22 @@ def tuning_for(device: Properties) -> Tuning:
     Raises:
         DeviceError: the kept row is wrong; the message names file and key.
     """
-    return _trial.get() or _in_force(device.name, device.driver, device.device_class)
+    return _trial.get() or kept(device) or built_in(device)
 
 
 def built_in(device: Properties) -> Tuning:
-    """The row of ``tuning.toml`` for this device or its class."""
-    return _built_in(device.name, device.device_class)
+    """The row of ``tuning.toml`` for this device, or its maker's GPUs, or its class."""
+    return _built_in(device.name, device.maker, device.device_class)
 
 
 def built_in_rows(path: Path) -> tuple[dict[str, Tuning], dict[str, Tuning]]:
-    """The rows of a file such as ``tuning.toml``: by class, ``cpu`` and ``gpu``, and by the name of a device.
+    """The rows of a file such as ``tuning.toml``: by class and maker, ``cpu``, ``gpu``, ``nvidia``, .., and by the name of a device.
 
     Raises:
         DeviceError: a row is wrong; the message names file and key.
     """
     table = _read(path)
-    classes = {key: _tuning(table.table(key)) for key in ("cpu", "gpu")}
+    classes = {key: _tuning(table.table(key)) for key in (*CLASSES, *MAKERS)}
     devices = table.table("device", optional=True)
     single = {key: _tuning(devices.table(key)) for key in tuple(devices.rest)}
     table.end()
@@ -105,7 +120,7 @@ def keep(device: Properties, tuning: Tuning | None) -> Path:
         beside = path.with_suffix(f".{os.getpid()}")
         beside.write_text(text + to_toml(tuning), encoding="utf-8")
         beside.replace(path)
-    _in_force.cache_clear()
+    _kept.cache_clear()
     return path
 
 
@@ -116,7 +131,7 @@ def kept_path(device: Properties) -> Path:
 
 def to_toml(tuning: Tuning) -> str:
     """A row as it stands in a file."""
-    lines: list[str] = []
+    lines = [] if tuning.local is None else ["", f"local = {_inline(tuning.local)}"]
     for key, rows in (("winograd", tuning.winograd), ("direct", tuning.direct)):
         if rows is not None:
             lines += ["", f"[{key}]", *(f"{outputs} = {_inline(row)}" for outputs, row in rows.items())]
@@ -133,21 +148,17 @@ def trial(tuning: Tuning) -> Generator[None]:
         _trial.reset(token)
 
 
-def _inline(row: Winograd | Direct) -> str:
+def _inline(row: Winograd | Direct | Local) -> str:
     return "{ " + ", ".join(f"{key} = {json.dumps(value)}" for key, value in asdict(row).items()) + " }"
 
 
 @lru_cache(64)
-def _in_force(name: str, driver: str, device_class: DeviceClass) -> Tuning:
-    return _kept(name, driver, device_class) or _built_in(name, device_class)
+def _built_in(name: str, maker: str, device_class: DeviceClass) -> Tuning:
+    classes, single = built_in_rows(BUILT_IN)
+    return single.get(name, classes[maker or device_class])
 
 
 @lru_cache(64)
-def _built_in(name: str, device_class: DeviceClass) -> Tuning:
-    classes, single = built_in_rows(BUILT_IN)
-    return single.get(name, classes[device_class])
-
-
 def _kept(name: str, driver: str, device_class: DeviceClass) -> Tuning | None:
     path = _path(name, driver, device_class)
     if not path.exists():
@@ -178,6 +189,7 @@ def _tuning(table: Table) -> Tuning:
     found = Tuning(
         winograd={n: _winograd(winograd.table(str(n)), n) for n in OUTPUTS} if winograd else None,
         direct={n: _direct(direct.table(str(n)), n) for n in OUTPUTS},
+        local=_local(table.table("local")) if "local" in table.rest else None,
     )
     for each in (table, direct, *((winograd,) if winograd else ())):
         each.end()
@@ -195,6 +207,12 @@ def _winograd(table: Table, outputs: int) -> Winograd:
 def _direct(table: Table, outputs: int) -> Direct:
     pixels, block = table.whole("pixels", TILE, divides=TILE), table.whole("block", outputs // 8, divides=outputs // 8)
     found = Direct(pixels, block, table.whole("group", MOST_GROUP))
+    table.end()
+    return found
+
+
+def _local(table: Table) -> Local:
+    found = Local(table.whole("rows", MOST_ROWS), table.flag("matrix_units"))
     table.end()
     return found
 

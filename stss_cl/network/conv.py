@@ -8,15 +8,17 @@ from typing import Any
 
 import numpy as np
 import pyopencl as cl
-from numpy.typing import NDArray
 
+from stss_cl.device import matrix_units
 from stss_cl.device.buffers import Padded, constant, map_bytes
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, list_size
 from stss_cl.device.tuning import tuning_for
+from stss_cl.network import conv_gpu
+from stss_cl.network.conv_shape import Shape
 from stss_cl.network.layer import FAST_MULTIPLY_ADD, KernelSource, LayerLaunch, layer
 from stss_cl.network.pack_weights import Packed, winograd
-from stss_cl.network.tiles import Maps, Tiling, of_convolution
+from stss_cl.network.tiles import Maps, of_convolution
 
 
 @dataclass(frozen=True)
@@ -85,26 +87,13 @@ def conv(
         out_first: its first channel written.
         stride: 1 or 2.
         relu: whether ReLU follows.
-        side: of the fast variant's tiles at stride 1, 4 or 2, at stride 2 they are 2; 0: the plain variant. Where there is no fast one it
-            is the plain one in any case.
+        side: of Winograd's tiles at stride 1, 4 or 2, at stride 2 they are 2; 0: the plain kernel. Where there is no faster one it is the
+            plain one in any case.
         image: which of ``a``'s images.
         final: write ``image`` instead of ``out``; the caller sets it before every run.
     """
-    fast = side > 0 and a.channels % 8 == 0 and packed.direct.shape[0] == 3 and tuning_for(device).winograd is not None
-    if fast:
-        shape = _winograd(device, packed, out, side if stride == 1 else 2, stride, final)
-    else:
-        shape = _direct(device, packed, out, stride, final)
-    options = shape.options | {
-        "A": a.channels,
-        "B": b.channels if b else 0,
-        "OUT": packed.direct.shape[-1],
-        "GATED": packed.gate_direct is not None,
-        "RELU": relu,
-        "HALF": half(out.dtype),
-        "IMAGE": final is not None,
-    }
-    source = KernelSource(shape.file, shape.file.removesuffix(".cl"), options, FAST_MULTIPLY_ADD)
+    shape = _shape(device, packed, a, out, side, stride, final)
+    source = _source(shape, packed, a, b, out, relu=relu, image=final is not None)
     arguments = {
         "a": a.data,
         "b": b.data if b else a.data,
@@ -123,7 +112,7 @@ def conv(
     return layer(device, stage, name, source, arguments, shape.tiling, shape.size, shape.group, maps, None if final else out)
 
 
-def _tensors(device: Device, packed: Packed, shape: _Shape) -> dict[str, Any]:
+def _tensors(device: Device, packed: Packed, shape: Shape) -> dict[str, Any]:
     weight = constant(device, shape.weight)
     return {
         "weight": weight,
@@ -131,6 +120,40 @@ def _tensors(device: Device, packed: Packed, shape: _Shape) -> dict[str, Any]:
         "bias": constant(device, packed.bias),
         "gate_bias": float(packed.gate_bias),
     }
+
+
+def _source(shape: Shape, packed: Packed, a: Padded, b: Padded | None, out: Padded, *, relu: bool, image: bool) -> KernelSource:
+    """What the layer's kernel is built from."""
+    options = {
+        "A": a.channels,
+        "B": b.channels if b else 0,
+        "OUT": packed.direct.shape[-1],
+        "GATED": packed.gate_direct is not None,
+        "RELU": relu,
+        "HALF": half(out.dtype),
+        "IMAGE": image,
+    }
+    return KernelSource(shape.file, shape.file.removesuffix(".cl"), {**shape.options, **options}, FAST_MULTIPLY_ADD)
+
+
+def _shape(device: Device, packed: Packed, a: Padded, out: Padded, side: int, stride: int, final: Final | None) -> Shape:
+    """The fastest kernel that the row of tile sizes knows for this layer; ``side`` of 0: the plain one."""
+    tuning, whole_eights = tuning_for(device), a.channels % 8 == 0
+    if side == 0 or packed.direct.shape[0] != 3:
+        return _direct(device, packed, out, stride, final)
+    if tuning.winograd is not None and whole_eights:
+        return _winograd(device, packed, out, side if stride == 1 else 2, stride, final)
+    if (
+        tuning.local is not None
+        and tuning.local.matrix_units
+        and half(out.dtype)
+        and whole_eights
+        and matrix_units.proved(device)
+    ):
+        return conv_gpu.on_matrix_units(device, packed, out, stride, tuning.local.rows)
+    if tuning.local is not None:
+        return conv_gpu.local(device, packed, out, stride, tuning.local.rows)
+    return _direct(device, packed, out, stride, final)
 
 
 def _maps(a: Padded, image: int, other: Padded | Final | None) -> Maps | None:
@@ -141,26 +164,13 @@ def _maps(a: Padded, image: int, other: Padded | Final | None) -> Maps | None:
     return Maps(buffers, ceil_div(a.height, 4), ceil_div(a.width, 4), image * map_bytes(a.height, a.width))
 
 
-@dataclass(frozen=True)
-class _Shape:
-    """How one of the two kernels is built and launched."""
-
-    file: str
-    options: dict[str, int]
-    weight: NDArray[np.float32]
-    gate: NDArray[np.float32] | None
-    tiling: Tiling
-    size: tuple[int, ...]
-    group: tuple[int, ...]
-
-
-def _winograd(device: Device, packed: Packed, out: Padded, side: int, stride: int, final: Final | None) -> _Shape:
+def _winograd(device: Device, packed: Packed, out: Padded, side: int, stride: int, final: Final | None) -> Shape:
     table = tuning_for(device).winograd
     assert table is not None
     row = table[packed.direct.shape[-1]]
     gate, shown = packed.gate_direct, final or out
     tiling = of_convolution(shown.height, shown.width, stride, 3, side)
-    return _Shape(
+    return Shape(
         file="winograd.cl",
         options={
             "STRIDE": stride,
@@ -179,14 +189,14 @@ def _winograd(device: Device, packed: Packed, out: Padded, side: int, stride: in
     )
 
 
-def _direct(device: Device, packed: Packed, out: Padded, stride: int, final: Final | None) -> _Shape:
+def _direct(device: Device, packed: Packed, out: Padded, stride: int, final: Final | None) -> Shape:
     assert final is None
     size, _, _, outputs = packed.direct.shape
     row = tuning_for(device).direct[outputs]
     # A processor's core computes a tile, and all blocks of its outputs, by itself.
     workers, blocks = (1, 1) if device.is_cpu else (16 // row.pixels, outputs // 8 // row.block)
     tiling = of_convolution(out.height, out.width, stride, size)
-    return _Shape(
+    return Shape(
         file="conv.cl",
         options={
             "KERNEL": size,

@@ -38,6 +38,7 @@ class Tiling:
         rows, columns: of tiles.
         step: (y, x) pixels of the inputs from a tile to the next.
         before, beyond: tile t reads, along both axes, the pixels step * t - before .. step * (t + 1) + beyond.
+        size: (y, x) pixels of the output in a tile.
     """
 
     rows: int
@@ -45,6 +46,7 @@ class Tiling:
     step: tuple[int, int]
     before: int
     beyond: int
+    size: tuple[int, int] = (SIDE, SIDE)
 
     @property
     def most(self) -> int:
@@ -52,8 +54,8 @@ class Tiling:
         return self.rows * self.columns
 
     def near(self, reach: int) -> Tiling:
-        """The same tiles, read with ``reach`` tiles around them in a map of the output's own tiles."""
-        return Tiling(self.rows, self.columns, (SIDE, SIDE), SIDE * reach, SIDE * reach - 1)
+        """The same tiles, read with ``reach`` tiles of a change map around them in a map of the output itself."""
+        return Tiling(self.rows, self.columns, self.size, SIDE * reach, SIDE * reach - 1)
 
 
 def of_convolution(height: int, width: int, stride: int, size: int, side: int = SIDE) -> Tiling:

@@ -48,6 +48,8 @@ KERNELS = {
     "plain float32": {*NETWORK, "winograd", *FLAT},
     "plain float32-direct": {*NETWORK, "image", *FLAT},
     "plain half": {*NETWORK, "winograd", *FLAT},
+    "gpu float32": (NETWORK - {"conv"}) | {"conv_local", "image"},
+    "gpu half": (NETWORK - {"conv"}) | {"conv_local", "conv_mma", "matrix", "image"},
     "stages": {"motion_chain", "warp", "holes", "splat_clear", "splat_nearest", "splat_first", "occlusion_warp", "rrm"},
     "selftest": {"arithmetic", "vectors", "reduce_group", "nearest", "speed"},
 }
@@ -184,6 +186,15 @@ def run_network(device, precision, height, width):
     image = network(*(on_device(device, random, shape) for shape in shapes)).get()
     assert np.isfinite(image).all()
     show(f"{height} x {width}", image)
+
+
+def run_as_nvidia(precision, height, width):
+    """The network as an NVIDIA GPU has it, its matrix units emulated."""
+    from stss_cl.device.discovery import open_device
+    from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
+
+    with trial(built_in_rows(BUILT_IN)[0]["nvidia"]):
+        run_network(open_device("Oclgrind", device_class="gpu"), precision, height, width)
 
 
 def run_frame(device, height, width):
@@ -327,6 +338,8 @@ def main(case):
         for size in SIZES if how in ("", "float32") else (SIZES[0], SIZES[-1]):
             if kind == "network":
                 run_network(device, how, *size)
+            elif kind == "gpu":
+                run_as_nvidia(how, *size)
             elif kind == "frame":
                 run_frame(device, *size)
             else:

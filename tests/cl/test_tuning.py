@@ -32,16 +32,16 @@ from stss_cl.network.tiles import whole
 @pytest.fixture(autouse=True)
 def own_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    for cached in (tuning._in_force, tuning._built_in):
+    for cached in (tuning._kept, tuning._built_in):
         cached.cache_clear()
     yield
-    for cached in (tuning._in_force, tuning._built_in):
+    for cached in (tuning._kept, tuning._built_in):
         cached.cache_clear()
 
 
 def fake(name="P: one", *, is_cpu=True, driver="1"):
     device_class = "cpu" if is_cpu else "gpu"
-    return SimpleNamespace(name=name, driver=driver, device_class=device_class, is_cpu=is_cpu, max_work_group=64)
+    return SimpleNamespace(name=name, driver=driver, device_class=device_class, is_cpu=is_cpu, maker="", max_work_group=64)
 
 
 ROW = Tuning(

@@ -1,0 +1,163 @@
+// Building block conv for GPUs, reference stss_ref/conv.py::conv and ::gated: 3 x 3, stride 1 or 2. A work-group brings a tile of the input
+// and its weights into local memory; a work-item holds eight outputs of 4 x ROWS pixels in registers. Buffers and weights are conv.cl's.
+//
+// Build -D A -D B -D OUT (multiples of 8; A may be 4 where not GATED) -D STRIDE -D ROWS (1 or 2: pixels of a work-item, one above the other),
+// optionally -D GATED -D RELU -D HALF -D MARK.  Work-group (8, 4, OUT / 8): 32 x 4 ROWS pixels, a tile of the list (tile_list.clh); launch (8 tiles, 4, OUT / 8).
+//
+// 32 neighbouring work-items lie 8 x 4 and compute the same eight outputs: their weights are a broadcast, their inputs 128 bytes in a
+// row. STEP channels at a time come into the tile, one plane each; at stride 2 even columns lie before odd ones.
+#if !defined(A) || !defined(B) || !defined(OUT) || !defined(STRIDE) || !defined(ROWS)
+#error "conv_local.cl needs -D A, B, OUT, STRIDE, ROWS"
+#endif
+#include "common.clh"
+#include "tile_list.clh"
+
+#define IN (A + B)
+#define SLICES (OUT / 8)
+#define WIDE 32
+#define TALL (4 * ROWS)
+#define STEP (STRIDE == 2 || A == 4 ? 4 : 8)
+#define READ_WIDE (STRIDE * (WIDE - 1) + 3)
+#define READ_TALL (STRIDE * (TALL - 1) + 3)
+#define PITCH (36 * STRIDE)                          // floats of a row of the tile: whole float4s
+#define PLANE ((PITCH * READ_TALL + 7) / 8 * 8 + 4)  // planes 4 apart then lie in other banks than those beside them
+#define ITEMS (32 * SLICES)
+#define PIXELS (4 * ROWS)
+#define TAPS(r) (STRIDE * (r) + 3)
+
+#if STRIDE == 2
+#define COLUMN(x) ((x) % 2 * 36 + (x) / 2)
+#else
+#define COLUMN(x) (x)
+#endif
+
+#ifdef HALF
+#define READ4(buffer, i) vload_half4(i, (global const half *)(buffer))
+#else
+#define READ4(buffer, i) ((global const float4 *)(buffer))[i]
+#endif
+
+// Channels `first` .. first + STEP - 1 of the pixels under the tile, whose corner is the buffers' pixel (top, left). What lies beyond the
+// buffers is needed by pixels only that are not stored.
+static inline void fetch(global const stored *a, global const stored *b, local float *tile, const int item, const int first,
+                         const int top, const int left, const int in_rows, const int in_columns)
+{
+    for (int i = item; i < STEP / 4 * READ_WIDE * READ_TALL; i += ITEMS) {
+        const int quad = i % (STEP / 4), x = i / (STEP / 4) % READ_WIDE, y = i / (STEP / 4) / READ_WIDE;
+        const int place = least(top + y, in_rows - 1) * in_columns + least(left + x, in_columns - 1);
+        const float4 v = B && first >= A ? READ4(b, (place * B + first - A) / 4 + quad) : READ4(a, (place * A + first) / 4 + quad);
+        local float *to = tile + 4 * quad * PLANE + y * PITCH + COLUMN(x);
+        to[0] = v.x;
+        to[PLANE] = v.y;
+        to[2 * PLANE] = v.z;
+        to[3 * PLANE] = v.w;
+    }
+}
+
+// What a work-item reads of one row of a plane: in[x] is the input under its first pixel's left tap, x columns on.
+static inline void read_row(local const float *from, float *in)
+{
+    const float4 v = *(local const float4 *)from;
+#if STRIDE == 2
+    const float4 u = *(local const float4 *)(from + 36);
+    in[0] = v.x, in[2] = v.y, in[4] = v.z, in[6] = v.w, in[8] = from[4];
+    in[1] = u.x, in[3] = u.y, in[5] = u.z, in[7] = u.w;
+#else
+    const float2 u = *(local const float2 *)(from + 4);
+    in[0] = v.x, in[1] = v.y, in[2] = v.z, in[3] = v.w, in[4] = u.x, in[5] = u.y;
+#endif
+}
+
+kernel __attribute__((reqd_work_group_size(8, 4, SLICES)))
+void conv_local(global const stored *restrict a, global const stored *restrict b, global const float *restrict weight,
+                global const float *restrict gate_weight, global const float8 *restrict bias, const float gate_bias,
+                global stored *restrict out, const int a_first, const int height, const int width, const int in_columns,
+                const int out_columns, const int out_channels, const int out_first, global const uint *restrict tiles,
+                global const int *restrict count, global uchar *restrict changes)
+{
+    local float tile[STEP * PLANE] __attribute__((aligned(16)));
+    local float taps[9 * STEP * OUT] __attribute__((aligned(32)));
+    local float gates[9 * STEP];
+    const int lx = get_local_id(0), ly = get_local_id(1), slice = get_local_id(2), item = (slice * 4 + ly) * 8 + lx;
+    const int in_rows = (STRIDE * height + 3) / 4 * 4 + 2;
+    a += a_first;
+
+    for (int t = get_group_id(0); t < count[0]; t += get_num_groups(0)) {
+        const int left = TILE_COLUMN(tiles[t]) * WIDE, top = TILE_ROW(tiles[t]) * TALL;
+        float8 sum[PIXELS];
+        float gate[8];
+#pragma unroll
+        for (int i = 0; i < PIXELS; ++i) sum[i] = bias[slice];
+#pragma unroll
+        for (int i = 0; i < 8; ++i) gate[i] = 0.0f;
+
+        for (int first = 0; first < IN; first += STEP) {
+            barrier(CLK_LOCAL_MEM_FENCE);
+            fetch(a, b, tile, item, first, STRIDE * top, STRIDE * left, in_rows, in_columns);
+            for (int i = item; i < 9 * STEP * OUT / 4; i += ITEMS)
+                ((local float4 *)taps)[i] =
+                    ((global const float4 *)weight)[(i / (STEP * OUT / 4) * IN + first) * (OUT / 4) + i % (STEP * OUT / 4)];
+#ifdef GATED
+            for (int i = item; i < 9 * STEP; i += ITEMS) gates[i] = gate_weight[i / STEP * IN + first + i % STEP];
+#endif
+            barrier(CLK_LOCAL_MEM_FENCE);
+
+#pragma unroll 1
+            for (int c = 0; c < STEP; ++c) {
+                float in[TAPS(ROWS - 1)][TAPS(3)];
+                local const float *from = tile + c * PLANE + STRIDE * ROWS * ly * PITCH + 4 * lx;
+#pragma unroll
+                for (int r = 0; r < TAPS(ROWS - 1); ++r) read_row(from + r * PITCH, in[r]);
+#pragma unroll
+                for (int tap = 0; tap < 9; ++tap) {
+                    const float8 w = *(local const float8 *)(taps + (tap * STEP + c) * OUT + 8 * slice);
+#pragma unroll
+                    for (int i = 0; i < PIXELS; ++i) sum[i] += w * in[STRIDE * (i / 4) + tap / 3][STRIDE * (i % 4) + tap % 3];
+                }
+#ifdef GATED
+                // The gate's channels are dealt out among the slices.
+                if (c % SLICES == slice) {
+#pragma unroll
+                    for (int tap = 0; tap < 9; ++tap) {
+                        const float w = gates[tap * STEP + c];
+#pragma unroll
+                        for (int i = 0; i < PIXELS; ++i) gate[i] += w * in[STRIDE * (i / 4) + tap / 3][STRIDE * (i % 4) + tap % 3];
+                    }
+                }
+#endif
+            }
+        }
+
+#ifdef GATED
+        // The slices' sums, through the tile.
+        local float *parts = tile + PIXELS * (ly * 8 + lx);
+        barrier(CLK_LOCAL_MEM_FENCE);
+#pragma unroll
+        for (int i = 0; i < PIXELS; ++i) parts[slice * WIDE * TALL + i] = gate[i];
+        barrier(CLK_LOCAL_MEM_FENCE);
+#pragma unroll
+        for (int i = 0; i < PIXELS; ++i) {
+            gate[i] = gate_bias;
+#pragma unroll
+            for (int s = 0; s < SLICES; ++s) gate[i] += parts[s * WIDE * TALL + i];
+        }
+        const float8 open = sigmoid8((float8)(gate[0], gate[1], gate[2], gate[3], gate[4], gate[5], gate[6], gate[7]));
+        const float opens[8] = {open.s0, open.s1, open.s2, open.s3, open.s4, open.s5, open.s6, open.s7};
+#endif
+        BEGIN_TILE;
+#pragma unroll
+        for (int i = 0; i < PIXELS; ++i) {
+            const int x = left + 4 * lx + i % 4, y = top + ROWS * ly + i / 4;
+            if (x >= width || y >= height) continue;
+            float8 value = sum[i];
+#ifdef GATED
+            value *= opens[i];
+#endif
+#ifdef RELU
+            value = relu8(value);
+#endif
+            PUT(value, ((y + 1) * out_columns + x + 1) * (out_channels / 8) + out_first / 8 + slice, out);
+        }
+        END_TILE((top + ROWS * ly) / 4 * ((out_columns - 2) / 4) + left / 4 + lx);
+    }
+}

@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: MIT
+"""What the network would take on a GPU that is not here: a model from counts and published rates, and no measurement.
+
+Counts come from the launches that the host's code makes for a GPU; instructions from what compilers make of the kernels
+(``python -m tests.offline``). A launch takes the longest of what it asks of each unit, or one work-group's own time.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from stss_cl.device.buffers import Outgoing
+from stss_cl.device.discovery import Device, open_device
+from stss_cl.device.launch import enqueue
+from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
+from stss_cl.network.layer import LayerLaunch
+from stss_cl.network.layers import Layers
+from stss_cl.network.network import Precision
+from stss_ref.weights import Weights
+
+
+@dataclass(frozen=True)
+class Gpu:
+    """Published peaks of one.
+
+    Attributes:
+        name: to be shown.
+        row: of ``tuning.toml``.
+        units: multiprocessors or compute units.
+        ghz: its boost clock.
+        multiply_adds: of a unit in a clock, in float32.
+        matrix: the same of its matrix units, half with float32 sums; 0: none that we use.
+        l2, memory: GB/s.
+        cache: MB of L2 and what lies behind it.
+    """
+
+    name: str
+    row: str
+    units: int
+    ghz: float
+    multiply_adds: int
+    matrix: int
+    l2: float
+    memory: float
+    cache: float
+
+
+GPUS = {
+    "h100": Gpu("H100 SXM", "nvidia", 132, 1.83, 128, 1240, 5500, 3350, 50),  # mma.sync reaches 0.6 of what wgmma does
+    "a100": Gpu("A100 SXM", "nvidia", 108, 1.41, 64, 1024, 4000, 1555, 40),
+    "rtx4090": Gpu("RTX 4090", "nvidia", 128, 2.52, 128, 256, 5000, 1008, 72),
+    "rtx3090": Gpu("RTX 3090", "nvidia", 82, 1.695, 128, 256, 2300, 936, 6),
+    "rx7900xtx": Gpu("RX 7900 XTX", "amd", 96, 2.5, 128, 0, 3500, 960, 96),
+}
+
+GAP = 1.5e-6
+"""Seconds from the end of a launch to the start of the next that was enqueued already."""
+LOCAL_BYTES = 128
+"""Of local memory, by one unit in a clock."""
+ISSUED = 0.92
+"""Of its issue slots, a unit with enough work fills this share."""
+ALONE = 1.3
+"""Times the instructions of a work-item that its group takes by itself, for want of others to hide loads behind."""
+SHARE = {"conv_local": 0.90, "conv_mma": 0.31, "conv": 0.70}
+"""Of multiply-adds among all instructions, outside the hottest loop included; sm_90."""
+SHORTEST, ROUNDS, MOST_REPEATS = 5e-3, 5, 200
+"""Seconds that a timing takes at least, by repetition; timings of each; repetitions at most."""
+L1_LINES = 4
+"""Cache lines that a unit looks up in a clock: what limits the plain convolution, whose work-items read lines of their own."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One launch: seconds by what limits it, and those of its arithmetic at the peak."""
+
+    stage: str
+    name: str
+    kernel: str
+    seconds: dict[str, float]
+    roof: float
+
+    @property
+    def limit(self) -> str:
+        """What takes longest."""
+        return max(self.seconds, key=lambda key: self.seconds[key])
+
+    @property
+    def total(self) -> float:
+        """Seconds."""
+        return max(self.seconds.values()) + GAP
+
+
+class Modelled(Device):
+    """The device at hand, treated as a GPU with as many units as another: it makes the launches that the other would get."""
+
+    def __init__(self, gpu: Gpu):
+        held = open_device(device_class="gpu")
+        super().__init__(held.handle, held.context, held.queue, held.device_class)
+        self._units = gpu.units
+
+    @property
+    def compute_units(self) -> int:
+        """Those of the other."""
+        return self._units
+
+
+def predict(weights: Weights, height: int, width: int, gpu: Gpu, precision: Precision) -> list[Estimate]:
+    """Every launch of the network for whole frames of one size."""
+    with trial(built_in_rows(BUILT_IN)[0][gpu.row]):
+        return [estimate(layer, gpu) for layer in Layers(Modelled(gpu), weights, height, width, precision).launches]
+
+
+def measure(
+    weights: Weights, height: int, width: int, gpu: Gpu, precision: Precision, name: str | None
+) -> tuple[list[Estimate], list[float], float]:
+    """The same on a device that is here, with its own row of tile sizes, which is also timed.
+
+    Returns:
+        What the model says of every launch; seconds of each; of all, one behind the other.
+    """
+    device = open_device(name)
+    layers = Layers(device, weights, height, width, precision)
+    image = Outgoing(device, (2 * height, 2 * width, 3), on_device=True)
+    ready = layers.ready(image.data)
+    return [estimate(layer, gpu) for layer in ready], [_seconds(device, [layer]) for layer in ready], _seconds(device, ready)
+
+
+def _seconds(device: Device, launches: Sequence[LayerLaunch]) -> float:
+    """Of these launches, the least of a few rounds; a round is so long that starting and ending it hardly count."""
+    best, repeat = math.inf, 1
+    for _ in range(ROUNDS):
+        device.queue.finish()
+        start = time.perf_counter()
+        for _ in range(repeat):
+            enqueue(device, launches)
+        device.queue.finish()
+        took = time.perf_counter() - start
+        best, repeat = min(best, took / repeat), max(1, min(MOST_REPEATS, math.ceil(repeat * SHORTEST / took)))
+    return best
+
+
+def estimate(layer: LayerLaunch, gpu: Gpu) -> Estimate:
+    """One launch."""
+    source = layer.source
+    read = _bytes(layer, ("a", "b", "feature", "color", "key", "unit", "value", "eighth", "in"))
+    written = _bytes(layer, ("out", "image", "reshaded"))
+    rate = gpu.l2 if read + written < gpu.cache * 1e6 else gpu.memory
+    seconds = {"memory" if rate == gpu.memory else "L2": (read + written) / rate / 1e9}
+    if source.kernel not in SHARE:
+        return Estimate(layer.stage, layer.name, source.kernel, seconds, 0.0)
+    options: dict[str, Any] = dict(source.options)
+    shape = {key: int(options.get(key, 0)) for key in ("A", "B", "OUT", "STRIDE", "ROWS", "GATED", "KERNEL", "BLOCK")}
+    height, width = int(layer.arguments["height"]), int(layer.arguments["width"])
+    products = 9 * (shape["A"] + shape["B"])
+    useful = products * (shape["OUT"] + shape["GATED"]) * height * width
+    clock = gpu.units * gpu.ghz * 1e9
+    peak = gpu.matrix if source.kernel == "conv_mma" else gpu.multiply_adds
+    ask = {"conv_local": _local, "conv_mma": _matrix, "conv": _plain}[source.kernel](shape, height, width, gpu)
+    seconds |= {key: cycles / gpu.ghz / 1e9 for key, cycles in ask.items()}
+    return Estimate(layer.stage, layer.name, source.kernel, seconds, useful / peak / clock)
+
+
+def _local(shape: dict[str, int], height: int, width: int, gpu: Gpu) -> dict[str, float]:
+    """Cycles of conv_local.cl: a unit issues 4 instructions of 32 work-items a clock, two of them at most where it has 64 lanes."""
+    slices, rows, inner = shape["OUT"] // 8, shape["ROWS"], shape["A"] + shape["B"]
+    groups = math.ceil(width / 32) * math.ceil(height / (4 * rows))
+    multiply_adds = 9 * inner * 4 * rows * (8 + shape["GATED"] / slices)  # of a work-item
+    instructions = multiply_adds / SHARE["conv_local"]
+    busiest = math.ceil(groups / gpu.units)
+    # Of 32 work-items, for a channel: weights to all of them, 16 bytes at a time, and rows of 128 bytes of the tile.
+    wavefronts = inner * (18 + (shape["STRIDE"] * (rows - 1) + 3) * (6 if shape["STRIDE"] == 1 else 9))
+    return {
+        "arithmetic": busiest * slices * instructions / (gpu.multiply_adds / 32) / ISSUED,
+        "local memory": busiest * slices * wavefronts,
+        "one group": instructions * ALONE,
+    }
+
+
+def _matrix(shape: dict[str, int], height: int, width: int, gpu: Gpu) -> dict[str, float]:
+    """Cycles of conv_mma.cl: 2048 multiply-adds an instruction; fragments from local memory, weights from L1."""
+    rows, inner, block = shape["ROWS"], shape["A"] + shape["B"], shape["BLOCK"]
+    groups = math.ceil(width / 32) * math.ceil(height / (4 * rows)) * (shape["OUT"] // block)
+    matrices, steps = block // 8 + shape["GATED"], math.ceil(9 * inner / 16)
+    products = steps * matrices * 2 * rows  # of 32 work-items
+    busiest = math.ceil(groups / gpu.units)
+    return {
+        "arithmetic": busiest * 4 * products * 2048 / max(gpu.matrix, 1) / ISSUED,
+        "issue": busiest * 4 * products / SHARE["conv_mma"] / 4,
+        "local memory": busiest * 4 * steps * (8 * rows + 2 * matrices),
+        "one group": products / SHARE["conv_mma"] * ALONE * 2,
+    }
+
+
+def _plain(shape: dict[str, int], height: int, width: int, gpu: Gpu) -> dict[str, float]:
+    """Cycles of conv.cl: each input of each pixel is a look-up of its own line, each weight one for all."""
+    inner, blocks = shape["A"] + shape["B"], shape["OUT"] // 8 // max(shape["BLOCK"], 1)
+    products = shape["KERNEL"] ** 2 * inner
+    items = height * width * blocks / 32 / gpu.units
+    multiply_adds = items * products * (8 * shape["BLOCK"] + shape["GATED"] / blocks)
+    return {
+        "arithmetic": multiply_adds / SHARE["conv"] / (gpu.multiply_adds / 32) / ISSUED,
+        "L1": items * products * (32 / L1_LINES + shape["BLOCK"]),
+    }
+
+
+def _bytes(layer: LayerLaunch, names: Iterable[str]) -> int:
+    """Of the buffers with these argument names, each once."""
+    buffers: dict[int, Any] = {id(layer.arguments[name]): layer.arguments[name] for name in names if name in layer.arguments}
+    return sum(int(buffer.size) for buffer in buffers.values())

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: MIT
+"""The page of ``stss gpu-report``: what is wrong first, then the figures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+SLOW = 2.0
+"""Times the model's estimate from which on a launch is listed as slow."""
+CLOSE = 0.05
+"""Share of the network's time that a launch must take to be worth a line."""
+
+
+def page(folder: Path, report: Mapping[str, Any]) -> str:
+    """Markdown; figures of steps that have not run yet are left out.
+
+    Args:
+        folder: of the files that the steps wrote.
+        report: ``machine`` and ``steps``, see ``stss.bench.gpu_report``.
+    """
+    machine, steps = report["machine"], report["steps"]
+    bench, launches, half = (_read(folder / name) for name in ("bench.json", "launches.json", "launches-half.json"))
+    wrong = [*_faults(steps), *_slower(bench), *_slow_launches("float32", launches), *_slow_launches("half", half)]
+    parts = [
+        f"# {machine['device']}\n",
+        "## What is wrong\n",
+        "\n".join(f"- {line}" for line in wrong) or "Nothing that was looked for.",
+        "\n## Steps\n",
+        _table(
+            ("step", "outcome", "s", "last line"), ((s["name"], s["outcome"], s["seconds"], _cell(s["last_line"])) for s in steps)
+        ),
+        "\n## Machine\n",
+        _table(("what", "which"), machine.items()),
+    ]
+    if bench:
+        parts += ["\n## Times\n", _times(bench), "\n![times](bench.png)" if (folder / "bench.png").exists() else ""]
+    for precision, data in (("float32", launches), ("half", half)):
+        if data:
+            parts += [f"\n## Launches, {precision}: the model beside what was measured\n", _launches(data)]
+    if (folder / "pareto.png").exists():
+        parts += ["\n## Time against error\n", "![time against error](pareto.png)"]
+    return "\n".join(parts) + "\n"
+
+
+def _read(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+
+
+def _faults(steps: Iterable[Mapping[str, Any]]) -> list[str]:
+    bad = [step for step in steps if step["outcome"] not in ("passed", "skipped")]
+    return [f"**{s['name']}** {s['outcome']}, see `logs/{s['name']}.txt`: {_cell(s['last_line'])}" for s in bad]
+
+
+def _slower(bench: Any) -> list[str]:
+    """Contenders that failed, and peers of the same precision that are faster than the network."""
+    if not bench:
+        return []
+    rows = bench["sizes"][0]["rows"]
+    found = [f"{row['name']}: {_cell(row['fault'])}" for row in rows if row.get("fault") and not row["peer"]]
+    ours = {row["details"].get("precision"): row for row in rows if row["name"] in ("cl", "cl-half") and not row.get("fault")}
+    for row in rows:
+        same = ours.get({"float16": "half"}.get(row["details"].get("precision"), row["details"].get("precision")))
+        if row["peer"] and same and not row.get("fault") and row["minimum_ms"] < same["minimum_ms"]:
+            found.append(f"{row['name']} takes {row['minimum_ms']:.2f} ms, {same['name']} {same['minimum_ms']:.2f} ms")
+    return found
+
+
+def _slow_launches(precision: str, data: Any) -> list[str]:
+    if not data or data["measured_ms"] is None:
+        return []
+    worth = [row for row in data["launches"] if row["measured_us"] > CLOSE * 1e3 * data["measured_ms"]]
+    return [
+        f"{precision}, {row['stage']} {row['name']}: {row['measured_us']:.0f} us, by the model {row['model_us']:.0f} ({row['limit']})"
+        for row in worth
+        if row["measured_us"] > SLOW * row["model_us"]
+    ]
+
+
+def _times(bench: Any) -> str:
+    rows = bench["sizes"][0]["rows"]
+    return _table(
+        ("engine", "precision", "ms", "median", "largest error"),
+        (
+            (
+                row["name"],
+                row["details"].get("precision", ""),
+                f"{row['minimum_ms']:.2f}",
+                f"{row['median_ms']:.2f}",
+                f"{float(row['error']):.1e}",
+            )
+            if not row.get("fault")
+            else (row["name"], "", "-", "-", _cell(row["fault"]))
+            for row in rows
+        ),
+    )
+
+
+def _launches(data: Any) -> str:
+    measured = data["measured_ms"] is not None
+    rows = [
+        (
+            f"{row['stage']} {row['name']}", row["kernel"], row["limit"], f"{row['roof_us']:.1f}", f"{row['model_us']:.1f}",
+            f"{row['measured_us']:.1f}" if measured else "-",
+        )
+        for row in data["launches"]
+    ]  # fmt: skip
+    total = f"{data['measured_ms'] * 1e3:.1f}" if measured else "-"
+    rows.append(("**all**", "", "", f"{data['roof_ms'] * 1e3:.1f}", f"{data['model_ms'] * 1e3:.1f}", total))
+    return f"The model is one of {data['gpu']}.\n\n" + _table(
+        ("launch", "kernel", "limit", "roof us", "model us", "measured us"), rows
+    )
+
+
+def _table(titles: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
+    titles = list(titles)
+    lines = [titles, ["---"] * len(titles), *([str(cell) for cell in row] for row in rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "/")[:200]

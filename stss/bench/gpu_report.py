@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: MIT
+"""``stss gpu-report``: everything that is to be known of a GPU, by one command, into one folder.
+
+Each step is a command of ours in a process of its own with a limit of its own, so that a driver that hangs or ends the process costs
+that step alone. The page is written anew after each.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+from stss.bench.gpu_page import page
+from stss.errors import InputError
+from stss.machine import cpu_model, versions
+from stss.output.write_whole import make_folder, write_named
+from stss.version import VERSION
+from stss_cl.device.discovery import is_gpu, matching
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("numpy", "pyopencl", "torch", "onnxruntime", "onnxruntime-gpu", "tensorrt")
+TESTS = tuple(
+    f"tests/cl/test_{n}.py" for n in ("device", "conv_gpu", "network", "image_stages", "frame", "combinations", "stream")
+)
+"""In the order in which a fault is told soonest; what does not fit the limit is left."""
+
+OURS = "cl,cl-direct,cl-half,cl-host,cl-frame"
+PEERS = (
+    ",".join(f"pytorch-cuda{n}{c}" for n in ("", "-float32") for c in ("", "-compiled"))
+    + ",onnxruntime-cuda,onnxruntime-tensorrt"
+)
+
+Outcome = Literal["passed", "failed", "over its limit", "skipped"]
+
+
+@dataclass(frozen=True)
+class Step:
+    """A command, ``None`` where it cannot run here, for the reason given; seconds it may take."""
+
+    name: str
+    command: tuple[str, ...] | None
+    limit: float
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Done:
+    """What came of a step, its seconds, and the last line it said."""
+
+    name: str
+    outcome: Outcome
+    seconds: float
+    last_line: str
+
+
+def steps(folder: Path, device: str, model: str, *, tiny: bool) -> list[Step]:
+    """All of them, in order: what says whether the rest means anything comes first.
+
+    Args:
+        folder: for the files they write.
+        device: its name in full.
+        model: of ``stss.bench.gpu_model.GPUS``, to be shown beside what is measured.
+        tiny: sizes and counts that show that every step runs, and nothing else.
+    """
+    size, few, tests = ("64x48", "2", TESTS[:1]) if tiny else ("960x544", "20", TESTS)
+    here, to = ("--device", device, "--size", size), folder.absolute()
+    stss, model_of = (sys.executable, "-m", "stss"), ("bench", "--model", model, "--measure")
+    return [
+        Step("devices", (*stss, "devices", "--again"), 120),
+        _driver(),
+        Step(
+            "tests",
+            (sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests) if (ROOT / "tests").is_dir() else None,
+            400,
+            "the tests come with a checkout, not with the wheel",
+        ),
+        Step(
+            "conform",
+            (
+                *(*stss, "conform", "--port", "stss.port:OpenCLPort", *(("--stages", "warp,rrm") if tiny else ())),
+                *("--failures", f"{to / 'conform-failures'}", "--json", f"{to / 'conform.json'}"),
+            ),
+            240,
+        ),
+        Step("launches", (*stss, *model_of, *here, "--json", f"{to / 'launches.json'}"), 90),
+        Step("launches-half", (*stss, *model_of, "--precision", "half", *here, "--json", f"{to / 'launches-half.json'}"), 60),
+        Step(
+            "bench",
+            (
+                *(*stss, "bench", *here, "--repeat", few, "--ours", OURS, "--peers", "" if tiny else PEERS),
+                *("--json", f"{to / 'bench.json'}", "--plot", f"{to / 'bench.png'}"),
+            ),
+            300,
+        ),
+        Step("tune", (*stss, "tune", *here), 120),
+        Step(
+            "pareto",
+            (
+                *(*stss, "bench", "--pareto", *here, "--frames", "10", "--peers", "", "--scenes", "object,pan"),
+                *("--json", f"{to / 'pareto.json'}", "--plot", f"{to / 'pareto.png'}"),
+            ),
+            150,
+        ),
+    ]
+
+
+def _driver() -> Step:
+    """What the driver says of the device: versions, clocks and what holds them down."""
+    asked = {
+        "nvidia-smi": ("--query",),
+        "rocm-smi": ("--showallinfo",),
+        "clinfo": (),
+    }
+    for tool, options in asked.items():
+        if path := shutil.which(tool):
+            return Step("driver", (path, *options), 20)
+    return Step("driver", None, 0, f"none of {', '.join(asked)} is here")
+
+
+def gpu_report(folder: Path, device: str | None, model: str, *, tiny: bool, tell: Callable[[str], None]) -> bool:
+    """Run every step.
+
+    Args:
+        folder: a new or an empty one.
+        device: part of the device's name; None: the first GPU, or else the first device.
+        model: see `steps`.
+        tiny: likewise.
+        tell: is handed a line before each step.
+
+    Returns:
+        Whether nothing is wrong.
+
+    Raises:
+        InputError: the folder is not empty.
+        DeviceError: there is no such device.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder}: expected a new or an empty folder")
+    fitting = matching(device if device is not None else os.environ.get("STSS_DEVICE"))
+    name = next((each for each in fitting if is_gpu(fitting[each])), next(iter(fitting)))
+    machine = {
+        "stss": VERSION,
+        "device": name,
+        "driver": str(fitting[name].driver_version),
+        "cpu": cpu_model(),
+        "system": f"{platform.system()} {platform.machine()}",
+        **versions(PACKAGES),
+    }
+    make_folder(folder)
+    make_folder(folder / "logs")
+    done: list[Done] = []
+    for step in steps(folder, name, model, tiny=tiny):
+        tell(f"{step.name}: up to {step.limit:.0f} s")
+        done.append(_run(step, folder / "logs" / f"{step.name}.txt", name))
+        _write(folder, machine, done)
+    return all(each.outcome in ("passed", "skipped") for each in done)
+
+
+def _run(step: Step, log: Path, device: str) -> Done:
+    if step.command is None:
+        return Done(step.name, "skipped", 0.0, step.reason)
+    start = time.monotonic()
+    with log.open("wb") as out:
+        try:
+            status = subprocess.run(
+                step.command,
+                cwd=ROOT,
+                env={**os.environ, "STSS_DEVICE": device, "COLUMNS": "160"},
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=subprocess.STDOUT,
+                timeout=step.limit,
+                check=False,
+            ).returncode
+            outcome: Outcome = "failed" if status else "passed"
+        except subprocess.TimeoutExpired:
+            outcome = "over its limit"
+    lines = [line.strip() for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
+    return Done(step.name, outcome, round(time.monotonic() - start, 1), lines[-1] if lines else "")
+
+
+def _write(folder: Path, machine: dict[str, str], done: Sequence[Done]) -> None:
+    report = {"format": 1, "machine": machine, "steps": [asdict(each) for each in done]}
+    write_named(folder / "report.json", json.dumps(report, indent=1) + "\n")
+    write_named(folder / "README.md", page(folder, report))

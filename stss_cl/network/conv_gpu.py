@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: MIT
+"""Convolutions where work-items share local memory: conv_local.cl, and conv_mma.cl on matrix units."""
+
+from __future__ import annotations
+
+from stss_cl.device import matrix_units
+from stss_cl.device.buffers import Padded
+from stss_cl.device.discovery import Device
+from stss_cl.device.grid import ceil_div
+from stss_cl.network.conv_shape import Shape
+from stss_cl.network.pack_weights import Packed, fragments
+from stss_cl.network.tiles import Tiling
+
+WIDE, TALL = 32, 4
+"""Pixels of a work-group's tile: along a row, and rows for each that a work-item has."""
+EIGHTS, MOST_OUTPUTS = (4, 3, 2, 7), 32
+"""Of conv_mma.cl: eights of input channels in local memory at once, the first that divides them; outputs whose sums fit the registers."""
+
+
+def local(device: Device, packed: Packed, out: Padded, stride: int, most_rows: int) -> Shape:
+    """As conv_local.cl has it; ``most_rows``: of pixels that a work-item may have."""
+    slices, rows = packed.direct.shape[-1] // 8, _rows(device, out, most_rows)
+    tiling = _tiling(out, rows, stride)
+    return Shape(
+        file="conv_local.cl",
+        options={"STRIDE": stride, "ROWS": rows},
+        weight=packed.direct,
+        gate=packed.gate_direct,
+        tiling=tiling,
+        size=(8 * tiling.most, 4, slices),
+        group=(8, 4, slices),
+    )
+
+
+def on_matrix_units(device: Device, packed: Packed, out: Padded, stride: int, most_rows: int) -> Shape:
+    """As conv_mma.cl has it."""
+    inner, outputs = packed.direct.shape[2] // 8, packed.direct.shape[3]
+    # Tiles of twice the side and eights of all channels would not fit into local memory together.
+    rows = 1 if stride == 2 else _rows(device, out, most_rows)
+    eights = next((n for n in EIGHTS if inner % n == 0), 1)
+    block = min(outputs, MOST_OUTPUTS)
+    tiling = _tiling(out, rows, stride)
+    return Shape(
+        file="conv_mma.cl",
+        options={"STRIDE": stride, "ROWS": rows, "BLOCK": block, "EIGHTS": eights, "EMULATE": matrix_units.are_emulated(device)},
+        weight=fragments(packed, eights, block),
+        gate=None,
+        tiling=tiling,
+        size=(32 * tiling.most, 4 * (outputs // block)),
+        group=(32, 4),
+    )
+
+
+def _rows(device: Device, out: Padded, most: int) -> int:
+    """Layers with few tiles have smaller ones, which keep more of the device busy."""
+    tiles = ceil_div(out.width, WIDE) * ceil_div(out.height, TALL * most)
+    return most if tiles >= 2 * device.compute_units else 1
+
+
+def _tiling(out: Padded, rows: int, stride: int) -> Tiling:
+    tall = TALL * rows
+    across = ceil_div(out.width, WIDE)
+    return Tiling(ceil_div(out.height, tall), across, (stride * tall, stride * WIDE), 1, 1 - stride, (tall, WIDE))

@@ -1,0 +1,120 @@
+"""The model of GPUs that are not here, and the report on one that is: their bookkeeping, never their times."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from stss.bench import gpu_report
+from stss.bench.gpu_model import GPUS, predict
+from stss.bench.gpu_page import page
+from stss.bench.gpu_report import Step
+from stss.cli.main import stss
+from stss_cl.device.discovery import DeviceError, open_device
+from stss_ref.weights import random as random_weights
+
+SIZE = 48, 64
+
+
+@pytest.fixture(autouse=True)
+def _a_device():
+    try:
+        open_device()
+    except DeviceError as error:
+        pytest.skip(str(error))
+
+
+def test_no_launch_beats_the_roof():
+    weights = random_weights(0)
+    for name, precision in (("h100", "float32"), ("rtx3090", "float32"), ("h100", "half")):
+        rows = predict(weights, *SIZE, GPUS[name], precision)
+        assert all(row.total > row.roof >= 0 for row in rows)
+        assert {"conv_local", "attend", "image"} <= {row.kernel for row in rows}
+        assert any(row.kernel == "conv_mma" for row in rows) == (precision == "half")
+
+
+def test_arithmetic_grows_with_the_frame():
+    weights = random_weights(0)
+    small, large = ([row.roof for row in predict(weights, n, n, GPUS["h100"], "float32")] for n in (32, 64))
+    np.testing.assert_array_almost_equal_nulp(4 * np.array(small), np.array(large), 4)
+
+
+def test_the_command_says_that_it_is_a_model(tmp_path):
+    done = CliRunner().invoke(stss, ["bench", "--model", "h100", "--size", "64x48", "--json", str(tmp_path / "m.json")])
+    assert done.exit_code == 0, done.output
+    assert "a model, not measured" in done.output
+    data = json.loads((tmp_path / "m.json").read_text())
+    assert data["measured_ms"] is None
+    assert data["model_ms"] > data["roof_ms"] > 0
+
+
+def test_an_unknown_gpu_is_one_line():
+    done = CliRunner().invoke(stss, ["bench", "--model", "voodoo"])
+    assert done.exit_code != 0
+    assert "--model: expected one of h100" in str(done.exception or done.output)
+
+
+def command(text):
+    return sys.executable, "-c", text
+
+
+STEPS = [
+    Step("good", command("print('all well')"), 60),
+    Step("bad", command("print('first'); print('no | such thing'); raise SystemExit(1)"), 60),
+    Step("endless", command("import threading; threading.Event().wait()"), 1),
+    Step("absent", None, 0, "not here"),
+]
+
+
+def test_every_step_has_its_row_and_what_is_wrong_comes_first(tmp_path, monkeypatch):
+    monkeypatch.setattr(gpu_report, "steps", lambda *_, **__: STEPS)
+    folder, told = tmp_path / "report", []
+    assert not gpu_report.gpu_report(folder, None, "h100", tiny=True, tell=told.append)
+    steps = json.loads((folder / "report.json").read_text())["steps"]
+    assert [step["outcome"] for step in steps] == ["passed", "failed", "over its limit", "skipped"]
+    text = (folder / "README.md").read_text()
+    assert text.index("**bad** failed") < text.index("## Steps")
+    assert "**endless** over its limit" in text
+    assert "no / such thing" in text
+    assert (folder / "logs" / "bad.txt").read_text().splitlines() == ["first", "no | such thing"]
+    assert len(told) == len(STEPS)
+
+
+def test_a_folder_with_something_in_it_is_refused(tmp_path):
+    (tmp_path / "mine").write_text("")
+    done = CliRunner().invoke(stss, ["gpu-report", "-o", str(tmp_path), "--tiny"])
+    assert done.exit_code != 0
+    assert "expected a new or an empty folder" in str(done.exception or done.output)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+
+
+def test_slow_launches_and_faster_peers_are_listed(tmp_path: Path):
+    def launch(name, model, measured):
+        return {
+            "stage": "encoder",
+            "name": name,
+            "kernel": "conv_local",
+            "limit": "L2",
+            "roof_us": 1,
+            "model_us": model,
+            "measured_us": measured,
+        }
+
+    launches = [launch("quick", 10, 15), launch("slow", 10, 50), launch("tiny", 0.1, 1)]
+    data = {"gpu": "H100", "roof_ms": 0.003, "model_ms": 0.02, "measured_ms": 0.066, "launches": launches}
+    (tmp_path / "launches.json").write_text(json.dumps(data))
+
+    def row(name, peer, precision, ms):
+        return {"name": name, "peer": peer, "details": {"precision": precision}, "minimum_ms": ms, "median_ms": ms, "error": 1e-6}
+
+    rows = [row("cl", False, "float32", 2.0), row("quicker", True, "float32", 1.0), row("other", True, "float16", 1.0)]
+    (tmp_path / "bench.json").write_text(json.dumps({"sizes": [{"rows": rows}]}))
+    wrong = page(tmp_path, {"machine": {"device": "a GPU"}, "steps": []}).split("## Steps")[0]
+    assert "encoder slow: 50 us, by the model 10 (L2)" in wrong
+    assert "quicker takes 1.00 ms, cl 2.00 ms" in wrong
+    assert "other" not in wrong
+    assert "encoder quick" not in wrong
+    assert "encoder tiny" not in wrong

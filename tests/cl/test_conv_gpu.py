@@ -1,0 +1,177 @@
+"""The convolutions for GPUs, on any device: against the plain kernel and the reference, over all tiles and over some."""
+
+from dataclasses import replace
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import pyopencl as cl
+import pytest
+
+from conformance.tolerance import sum_bound, worst
+from stss_cl.device import matrix_units
+from stss_cl.device.buffers import constant, padded, read, write
+from stss_cl.device.discovery import open_device
+from stss_cl.device.tuning import Local, built_in, trial
+from stss_cl.errors import DeviceError
+from stss_cl.network.conv import conv
+from stss_cl.network.pack_weights import fragments, pack
+from stss_cl.network.tiles import TileList
+from stss_ref import conv as reference
+from stss_ref.weights import astype
+from tests.cl.test_network import tensors
+
+FLOAT, HALF = np.dtype(np.float32), np.dtype(np.float16)
+LAYERS = [
+    # size, channels of both inputs, outputs, gated, stride
+    ((37, 53), 24, 0, 24, True, 1),
+    ((40, 65), 24, 24, 24, False, 1),
+    ((19, 33), 32, 96, 64, False, 1),
+    ((5, 7), 16, 0, 32, False, 1),
+    ((11, 35), 24, 32, 32, False, 1),
+    ((21, 70), 96, 0, 32, True, 1),
+    ((20, 36), 24, 0, 24, True, 2),
+    ((12, 33), 32, 0, 32, False, 2),
+    ((11, 35), 4, 0, 24, False, 2),
+]
+
+
+@pytest.fixture(scope="module")
+def device():
+    return open_device(device_class="gpu")
+
+
+class Case:
+    """A layer with random inputs and weights that half holds exactly."""
+
+    def __init__(self, device, layer, dtype, seed=0):
+        self.size, self.a, self.b, self.outputs, self.gated, self.stride = layer
+        self.device, random = device, np.random.default_rng(seed)
+        inputs = self.size[0] * self.stride, self.size[1] * self.stride
+        self.x = random.random((*inputs, self.a + self.b)).astype(HALF)
+        drawn = tensors(random, "layer", self.a + self.b, self.outputs, self.gated)
+        self.weights = {name: array.astype(HALF).astype(FLOAT) for name, array in drawn.items()}
+        self.packed = pack(self.weights, "layer", tuple((n, n) for n in (self.a, self.b) if n))
+        self.inputs = [padded(device, *inputs, n, dtype) for n in (self.a, self.b) if n]
+        for buffer, first in zip(self.inputs, (0, self.a), strict=False):
+            write(device, buffer, self.x[..., first : first + buffer.channels])
+        self.out = padded(device, *self.size, self.outputs, dtype)
+        marks = constant(device, np.zeros((-(-self.size[0] // 4), -(-self.size[1] // 4)), np.uint8))
+        self.out = replace(self.out, changes=marks)
+
+    def layer(self, local, side=4):
+        row = replace(built_in(self.device), winograd=None, local=local)
+        with trial(row):
+            return conv(
+                self.device, "test", "layer", self.packed, self.inputs[0], (*self.inputs, None)[1], self.out,
+                stride=self.stride, side=side,
+            )  # fmt: skip
+
+    def run(self, layer):
+        """What the layer leaves of NaN; nothing is written beyond the image."""
+        write(self.device, self.out, np.full((*self.size, self.outputs), np.nan, FLOAT))
+        layer.enqueue(self.device.queue)
+        held = np.empty((self.out.rows, self.out.columns, self.outputs), self.out.dtype)
+        cl.enqueue_copy(self.device.queue, held, self.out.data)
+        held[self.out.inside] = 0
+        assert not held.any()
+        return read(self.device, self.out)
+
+    def bounds(self, dtype):
+        """The reference in float64, and how far a sum in float32 and storing in ``dtype`` may be from it."""
+        wide, x = astype(self.weights, np.float64), self.x.astype(np.float64)
+        absolute = {name: np.abs(array) for name, array in wide.items()}
+        feature = "layer.conv_feature" if self.gated else "layer"
+        terms = 9 * (self.a + self.b) + 2
+        magnitude = reference.conv_named(x, absolute, feature, stride=self.stride)
+        allowed = sum_bound(terms, magnitude, np.float32)
+        if self.gated:
+            want = reference.gated(x, wide, "layer", stride=self.stride)
+            gate = reference.conv_named(x, absolute, "layer.conv_mask.0", stride=self.stride)
+            # A quarter is the sigmoid's steepest slope; 8 roundings are its own.
+            allowed = allowed + magnitude * (sum_bound(terms, gate, np.float32) / 4 + 8 * 2.0**-24)
+        else:
+            want = reference.conv_named(x, wide, "layer", stride=self.stride)
+        want = np.maximum(want, 0)
+        return want, allowed + (0 if dtype == FLOAT else 2.0**-11 * np.abs(want) + 2.0**-24)
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+@pytest.mark.parametrize("dtype", [FLOAT, HALF], ids=str)
+@pytest.mark.parametrize("layer", LAYERS, ids=str)
+def test_local(device, layer, dtype, rows):
+    case = Case(device, layer, dtype)
+    made = case.layer(Local(rows))
+    assert made.source.file == "conv_local.cl"
+    want, allowed = case.bounds(dtype)
+    assert worst(np.abs(case.run(made) - want), allowed) <= 1
+
+
+@pytest.mark.parametrize("layer", [layer for layer in LAYERS if layer[1] % 8 == 0], ids=str)
+def test_matrix_units(device, layer):
+    case = Case(device, layer, HALF)
+    made = case.layer(Local(2, matrix_units=True))
+    assert made.source.file == "conv_mma.cl"
+    want, allowed = case.bounds(HALF)
+    assert worst(np.abs(case.run(made) - want), allowed) <= 1
+
+
+def test_which_kernel(device):
+    """Float32 needs float32's products; four channels are no eight; the plain kernel on request."""
+    matrix = Local(2, matrix_units=True)
+    assert Case(device, LAYERS[0], FLOAT).layer(matrix).source.file == "conv_local.cl"
+    assert Case(device, LAYERS[-1], HALF).layer(matrix).source.file == "conv_local.cl"
+    assert Case(device, LAYERS[0], HALF).layer(matrix, side=0).source.file == "conv.cl"
+    assert Case(device, LAYERS[0], HALF).layer(None).source.file == "conv.cl"
+
+
+def test_matrix_units_are_asked_first(device, monkeypatch):
+    monkeypatch.setattr(matrix_units, "proved", lambda device: False)
+    assert Case(device, LAYERS[0], HALF).layer(Local(2, matrix_units=True)).source.file == "conv_local.cl"
+
+
+def test_what_is_not_proved_is_not_used(device, monkeypatch):
+    def not_built(*_):
+        raise DeviceError("unknown instruction")
+
+    for name, fault in (("constant", lambda device, array: constant(device, array * 2)), ("build", not_built)):
+        with monkeypatch.context() as patch:
+            patch.setattr(matrix_units, "_proved", WeakKeyDictionary())
+            assert matrix_units.proved(device)
+            patch.setattr(matrix_units, "_proved", WeakKeyDictionary())
+            patch.setattr(matrix_units, name, fault)
+            assert not matrix_units.proved(device)
+
+
+@pytest.mark.parametrize("local", [Local(1), Local(2), Local(2, matrix_units=True)], ids=str)
+@pytest.mark.parametrize("layer", [LAYERS[0], LAYERS[6]], ids=str)
+def test_tiles_of_a_list(device, layer, local):
+    """Only the listed tiles are written, whatever the number of work-groups, and those marked whose bits came to differ."""
+    case = Case(device, layer, HALF)
+    made = case.layer(local)
+    whole = case.run(made)
+    (tall, wide), tiling = made.tiling.size, made.tiling
+    tiles = np.array([(y, x) for y in range(tiling.rows) for x in range(tiling.columns)])[1::2]
+    numbers = constant(device, (tiles[:, 0] << 16 | tiles[:, 1]).astype(np.uint32))
+    listed = TileList(numbers, constant(device, np.array([len(tiles)], np.int32)))
+    some = replace(made.over(device, listed, marking=True), size=(made.group[0], *made.size[1:]))
+    inside = np.zeros(case.size, bool)
+    for y, x in tiles:
+        inside[tall * y : tall * (y + 1), wide * x : wide * (x + 1)] = True
+    got = case.run(some)
+    np.testing.assert_array_equal(got[inside], whole[inside])
+    assert np.isnan(got[~inside]).all()
+    marks = np.empty((-(-case.size[0] // 4), -(-case.size[1] // 4)), np.uint8)
+    cl.enqueue_copy(device.queue, marks, case.out.changes)
+    np.testing.assert_array_equal(np.repeat(np.repeat(marks, 4, 0), 4, 1)[: case.size[0], : case.size[1]] > 0, inside)
+
+
+def test_fragments_hold_every_weight_where_mma_wants_it():
+    """Lane 5 of the second step's first matrix: taps 0 and 1 of output 1, channels 2 and 3 of an eight."""
+    weights = tensors(np.random.default_rng(0), "layer", 24, 32, False)
+    packed = pack(weights, "layer", ((24, 24),))
+    made = fragments(packed, 3, 32)
+    assert made.shape == (1, 1, 14, 4, 32, 4)
+    kernel = packed.direct.reshape(9, 24, 32)
+    want = [kernel[0, 18, 1], kernel[0, 19, 1], kernel[1, 2, 1], kernel[1, 3, 1]]
+    np.testing.assert_array_equal(made[0, 0, 1, 0, 5], np.array(want, np.float16))
+    assert not made[0, 0, -1, :, :, 2:].any()  # nine taps of three eights are odd

@@ -1,0 +1,40 @@
+"""What a kernel may take on any target. A compiler's next version may need a little more: ceilings are not the figures of today."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Registers of a work-item, bytes of stack, bytes of local memory of a group; the least share of multiply-adds in the hottest loop."""
+
+    registers: int = 128
+    stack: int = 0
+    local: int = 0
+    share: float = 0.0
+
+
+DEFAULT = Budget()
+BUDGETS = {
+    # 64 sums and what a row of the tile holds; two groups and more on every unit.
+    "conv_local": Budget(registers=240, local=31 << 10, share=0.85),
+    # Sums of 64 pixels x 32 outputs for four times 32 work-items; what lies between products is loads, and indices of the epilogue.
+    "conv_mma": Budget(registers=224, local=40 << 10, share=0.25),
+    # The plain convolution is the oracle: its accumulators may be addressed.
+    "conv": Budget(registers=256, stack=1024),
+}
+
+
+def faults(kernel, compiled, target):
+    """What exceeds the budget, in words."""
+    budget = BUDGETS.get(kernel, DEFAULT)
+    share = budget.share if target.startswith("sm_") or kernel.endswith("_mma") else 0.0
+    checks = (
+        ("registers", compiled.registers, budget.registers),
+        ("bytes of stack", compiled.stack, budget.stack),
+        ("spilled", compiled.spilled, budget.stack),
+        ("bytes of local memory", compiled.local, budget.local),
+    )
+    found = [f"{got} {what}, allowed {most}" for what, got, most in checks if got > most]
+    if compiled.loop.share < share:
+        found.append(f"{compiled.loop.share:.0%} multiply-adds in the hottest loop, at least {share:.0%}")
+    return found

@@ -1,0 +1,174 @@
+"""Compilers for GPUs that run anywhere: clang with libclc; behind it ptxas and nvdisasm for NVIDIA. Drivers have others."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from tests.offline import hottest_loop
+from tests.offline.hottest_loop import Loop
+
+BUILTINS = Path(os.environ.get("LIBCLC", "/usr/lib/clc"))
+OLDEST = 22
+"""Version of clang and libclc: before it, libclc has no work-item functions for AMD."""
+SIGNATURE = {
+    "sm": ("--target=nvptx64-unknown-nvcl", "-march=", "nvptx64--nvidiacl.bc"),
+    "gfx": ("--target=amdgcn-amd-amdhsa", "-mcpu=", "amdgcn-amd-amdhsa.bc"),
+}
+
+SQUARE_ROOT = "float __nv_sqrtf(float x) { return __nvvm_sqrt_rn_f(x); }\n"
+"""What libclc calls of CUDA's own library, which is not here."""
+
+
+class MissingError(Exception):
+    """A compiler is not there; the message says which and how to get it."""
+
+
+class CompileError(Exception):
+    """A kernel does not compile."""
+
+
+@dataclass(frozen=True)
+class Compiled:
+    """One kernel for one target.
+
+    Attributes:
+        registers: of a work-item.
+        stack: bytes of private memory; spilled: bytes or registers that had no room.
+        local: bytes of a work-group.
+        loop: the hottest.
+    """
+
+    registers: int
+    stack: int
+    spilled: int
+    local: int
+    loop: Loop
+
+
+@cache
+def clang() -> str:
+    """The newest clang that is there.
+
+    Raises:
+        MissingError: it, or libclc.
+    """
+    names = [os.environ.get("CLANG", ""), *(f"clang-{version}" for version in range(OLDEST + 8, OLDEST - 1, -1))]
+    found = next((path for name in names if name and (path := shutil.which(name))), None)
+    if found is None:
+        raise MissingError(f"clang-{OLDEST} or newer: apt-get install clang-{OLDEST}, or set CLANG")
+    if not (BUILTINS / SIGNATURE["gfx"][2]).exists():
+        raise MissingError(f"libclc in {BUILTINS}: apt-get install libclc-{OLDEST}, or set LIBCLC")
+    return found
+
+
+@cache
+def nvidia_tool(name: str) -> str:
+    """ptxas or nvdisasm, of NVIDIA's wheels or on the path.
+
+    Raises:
+        MissingError: it is not there.
+    """
+    spec = importlib.util.find_spec("nvidia")
+    for place in spec.submodule_search_locations or () if spec else ():
+        for path in sorted(Path(place).glob(f"*/bin/{name}"), reverse=True):
+            return str(path)
+    if path := shutil.which(name):
+        return path
+    raise MissingError(f"{name}: pip install nvidia-cuda-nvcc nvidia-cuda-nvdisasm")
+
+
+def require(target: str) -> None:
+    """Ask for all that a target needs, ``sm_90`` or ``gfx1100``.
+
+    Raises:
+        MissingError: something is not there.
+    """
+    clang()
+    if target.startswith("sm_"):
+        for name in ("ptxas", "nvdisasm"):
+            nvidia_tool(name)
+
+
+def compiled(source: str, options: Sequence[str], kernels: Sequence[str], target: str, folder: Path) -> dict[str, Compiled]:
+    """Compile one program.
+
+    Args:
+        source: OpenCL C.
+        options: of the build.
+        kernels: whose code is looked at.
+        target: ``sm_90``, ``gfx1100`` or the like.
+        folder: for intermediate files.
+
+    Raises:
+        CompileError: with the compiler's first error.
+    """
+    triple, processor, builtins = SIGNATURE["sm" if target.startswith("sm_") else "gfx"]
+    text, assembly = folder / "k.cl", folder / "k.s"
+    text.write_text((SQUARE_ROOT if target.startswith("sm_") else "") + source, encoding="utf-8")
+    more = ["-finclude-default-header", "-mlink-builtin-bitcode", str(BUILTINS / builtins)]
+    told = _run(
+        [
+            clang(), "-x", "cl", triple, f"{processor}{target}", "-nogpulib", "-O3", *options, "-w",
+            *(part for option in more for part in ("-Xclang", option)),
+            "-Wno-linker-warnings", "-Rpass-analysis=kernel-resource-usage", "-S", str(text), "-o", str(assembly),
+        ]
+    )  # fmt: skip
+    if target.startswith("sm_"):
+        return _nvidia(assembly, kernels, target, folder)
+    lines = assembly.read_text(encoding="utf-8")
+    return {kernel: _amd(told, lines, kernel) for kernel in kernels}
+
+
+def _nvidia(assembly: Path, kernels: Sequence[str], target: str, folder: Path) -> dict[str, Compiled]:
+    binary = folder / "k.cubin"
+    told = _run([nvidia_tool("ptxas"), f"-arch={target}", "-v", str(assembly), "-o", str(binary)])
+    code = _run([nvidia_tool("nvdisasm"), "-c", str(binary)])
+    found: dict[str, Compiled] = {}
+    for kernel in kernels:
+        part = told.split(f"entry function '{kernel}'", 1)[-1].split("Compile time", 1)[0]
+
+        def number(pattern: str, part: str = part) -> int:
+            match = re.search(pattern, part)
+            return int(match[1]) if match else 0
+
+        found[kernel] = Compiled(
+            registers=number(r"Used (\d+) registers"),
+            stack=number(r"(\d+) bytes stack frame"),
+            spilled=number(r"(\d+) bytes spill stores"),
+            local=number(r"(\d+) bytes smem"),
+            loop=hottest_loop.hottest(hottest_loop.nvidia(code, kernel)),
+        )
+    return found
+
+
+def _amd(told: str, code: str, kernel: str) -> Compiled:
+    part = told.split(f"Function Name: {kernel} ", 1)[-1].split("Function Name:", 1)[0]
+
+    def number(name: str) -> int:
+        match = re.search(rf"{name}: (\d+)", part)
+        return int(match[1]) if match else 0
+
+    return Compiled(
+        registers=number("VGPRs"),
+        stack=number(r"ScratchSize \[bytes/lane\]"),
+        spilled=number("VGPRs Spill"),
+        local=number(r"LDS Size \[bytes/block\]"),
+        loop=hottest_loop.hottest(hottest_loop.amd(code, kernel)),
+    )
+
+
+def _run(command: list[str]) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    told = done.stdout + done.stderr
+    if done.returncode:
+        wrong = [line for line in told.splitlines() if "error" in line] or [f"status {done.returncode}"]
+        raise CompileError(f"{Path(command[0]).name}: {wrong[0]}")
+    return told
