@@ -20,7 +20,7 @@ from stss.output.apart import require_apart
 from stss.output.folder import OutputFolder
 from stss.output.write_whole import told
 from stss.quality.compare import Comparison, compare, print_comparison
-from stss.quality.comparison_page import Inputs, Version, write_comparison
+from stss.quality.comparison_page import RenderedInputs, Version, write_comparison
 from stss.quality.output_and_truth import find_pairs
 from stss.run.frame_job import frame_name
 from stss.run.job import run
@@ -108,7 +108,7 @@ def demo(
     outputs = {number: out / "output" / frame_name(number, "exr") for number in sequence.numbers}
     write_rgb(out / "sheet.png", demo_sheet(out, outputs))
     versions = [Version(n, _MEANINGS[n], find_pairs(out / n, out / "truth")[0], compared) for n, compared in found.items()]
-    write_comparison(out / "page.html", "stss demo", versions, Inputs(sequence, versions[-1].pairs))
+    write_comparison(out / "page.html", "stss demo", versions, RenderedInputs(sequence, versions[-1].pairs))
     console.print(f"page to look at: {out / 'page.html'}", soft_wrap=True, highlight=False, markup=False)
     console.print(f"pictures to look at: {out / 'sheet.png'}", soft_wrap=True, highlight=False, markup=False)
 

@@ -18,8 +18,8 @@ PAGES = sorted(
     ]
 )
 WIDTH = 100
-FOREIGN_OPTIONS = {"--uninitialized", "--target"}
-"""Of Oclgrind and of pip."""
+FOREIGN_OPTIONS = {"--nthreads", "--uninitialized", "--target"}
+"""Of Oclgrind, of pip and of dask."""
 ELSEWHERE = {"eval.py", "stage.cl", "network.cl", "stss.sha256"}
 """Files of other projects, named without a folder, rows of the table of bounds, and what a run leaves."""
 TITLE = "Low-latency Space-time Supersampling for Real-time Rendering"

@@ -20,7 +20,7 @@ from stss.frames.compute_options import ComputeOptions
 from stss.output.folder import OutputFolder
 from stss.output.lock import LOCK
 from stss.run.frame_job import FrameReport, describe, kept, keys_of
-from stss.run.job import REFUSAL, Plan, Summary, plan, require_unread
+from stss.run.job import REFUSAL, RunPlan, Summary, plan, require_unread
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence as Frames
 from stss.version import VERSION
@@ -102,7 +102,7 @@ class _Coordinator:
     """Hands out chunks, takes their files into the folder, and has them done again where a worker dies or does not answer."""
 
     def __init__(
-        self, client: Any, name: str, work: Work, planned: Plan, cluster: Cluster, on_frame: Callable[[FrameReport], None]
+        self, client: Any, name: str, work: Work, planned: RunPlan, cluster: Cluster, on_frame: Callable[[FrameReport], None]
     ):
         self._client, self._name, self._work, self._planned, self._cluster = client, name, work, planned, cluster
         self._on_frame = on_frame

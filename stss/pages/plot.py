@@ -17,7 +17,7 @@ TICKS = 5
 
 
 @dataclass(frozen=True)
-class Line:
+class PlotLine:
     """The scores of some frames.
 
     Attributes:
@@ -33,7 +33,7 @@ class Line:
     colour: int
 
 
-def plot(title: str, lines: Sequence[Line], *, digits: int) -> str:
+def plot(title: str, lines: Sequence[PlotLine], *, digits: int) -> str:
     """A figure.
 
     Args:
@@ -88,7 +88,7 @@ def _some(numbers: Sequence[int]) -> Sequence[int]:
     return numbers[:: max(1, math.ceil(len(numbers) / 12))]
 
 
-def _point(line: Line, number: int, value: str, x: float, y: float) -> str:
+def _point(line: PlotLine, number: int, value: str, x: float, y: float) -> str:
     what = escape(f"frame {number}, {line.name}: {value}")
     # The keyboard has its own ways to a frame; hundreds of stops for the Tab key would be none.
     return (
@@ -103,5 +103,5 @@ def _mark(kind: str, x: float, y: float) -> str:
     return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5"/>'
 
 
-def _sample(line: Line) -> str:
+def _sample(line: PlotLine) -> str:
     return "&#9632;" if line.kind == "EF" else "&#9679;"

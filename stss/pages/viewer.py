@@ -31,7 +31,7 @@ THUMBNAIL = 96
 
 
 @dataclass(frozen=True)
-class View:
+class Pane:
     """A version in which frames are shown: its name, and what it is in a sentence."""
 
     name: str
@@ -39,7 +39,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Frame:
+class ShownFrame:
     """One frame.
 
     Attributes:
@@ -70,7 +70,7 @@ class Viewer:
 
     title: str
     notes: Sequence[str]
-    views: Sequence[View]
+    views: Sequence[Pane]
     pair: tuple[str, str]
     plots: Sequence[str]
     tables: Sequence[str]
@@ -84,7 +84,7 @@ def require_page(path: Path, reads: Iterable[Path]) -> None:
     require_apart([path, *_beside(path).present()], reads)
 
 
-def write_viewer(path: Path, viewer: Viewer, frames: Iterable[Frame], *, within: int = WITHIN) -> None:
+def write_viewer(path: Path, viewer: Viewer, frames: Iterable[ShownFrame], *, within: int = WITHIN) -> None:
     """Write the page, and the folder ``NAME_files`` beside it where pictures take more than ``within`` bytes.
 
     Args:
@@ -130,7 +130,7 @@ class _Store:
         self._known: dict[bytes, int] = {}
         self._folder: OutputFolder | None = None
 
-    def keep(self, frame: Frame) -> dict[str, object]:
+    def keep(self, frame: ShownFrame) -> dict[str, object]:
         """A frame as the script takes it."""
         name = f"frame {frame.number}" + (f", {frame.kind}" if frame.kind else "")
         pictures = {view: self._picture(f"{frame.number:04d}-{i}.png", p) for i, (view, p) in enumerate(frame.pictures.items())}

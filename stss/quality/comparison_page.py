@@ -10,8 +10,8 @@ from pathlib import Path
 
 from stss.color import transfer
 from stss.pages.page import definitions, table
-from stss.pages.plot import Line, plot
-from stss.pages.viewer import Frame, View, Viewer, write_viewer
+from stss.pages.plot import PlotLine, plot
+from stss.pages.viewer import Pane, ShownFrame, Viewer, write_viewer
 from stss.quality.compare import BELOW, METRICS, Comparison, cells, facts
 from stss.quality.output_and_truth import FALLBACK, Pair
 from stss.sequence.reader import Sequence as Frames
@@ -66,7 +66,7 @@ class Version:
     comparison: Comparison
 
 
-class Inputs:
+class RenderedInputs:
     """What outputs were made of, as a screen shows it."""
 
     def __init__(self, sequence: Frames, pairs: Mapping[int, Pair]):
@@ -89,7 +89,7 @@ class Inputs:
 
 
 def write_comparison(
-    path: Path, title: str, versions: Sequence[Version], inputs: Inputs | None, tables: Sequence[str] = ()
+    path: Path, title: str, versions: Sequence[Version], inputs: RenderedInputs | None, tables: Sequence[str] = ()
 ) -> None:
     """Write the page.
 
@@ -105,10 +105,10 @@ def write_comparison(
     """
     best = versions[-1]
     names = [version.name for version in versions]
-    views = [View(version.name, version.meaning) for version in versions]
+    views = [Pane(version.name, version.meaning) for version in versions]
     if inputs is not None:
-        views = [View(name, MEANINGS[name]) for name in (INPUT, BILINEAR) if name not in names] + views
-    views.append(View(TRUTH, MEANINGS[TRUTH]))
+        views = [Pane(name, MEANINGS[name]) for name in (INPUT, BILINEAR) if name not in names] + views
+    views.append(Pane(TRUTH, MEANINGS[TRUTH]))
     known = [view.name for view in views]
     pair = (BILINEAR if BILINEAR in known else names[0], best.name)
     several = len(versions) > 1
@@ -144,20 +144,20 @@ def scores_table(comparison: Comparison, caption: str) -> str:
     return table(caption, headings, [*rows, *means], means=len(means), words=2)
 
 
-def _lines(versions: Sequence[Version], metric: str) -> list[Line]:
+def _lines(versions: Sequence[Version], metric: str) -> list[PlotLine]:
     """A line for each version and kind of frame."""
-    lines: list[Line] = []
+    lines: list[PlotLine] = []
     for i, version in enumerate(versions):
         for j, kind in enumerate(("SF", "EF", None)):
             rows = [row for row in version.comparison.rows if row.kind == kind]
             values = {row.number: value for row in rows if (value := getattr(row.scores["all"], metric)) is not None}
             if values:
                 named = f"{version.name} {kind or ''}".strip() if len(versions) > 1 else kind or version.name
-                lines.append(Line(named, values, kind or "", i if len(versions) > 1 else j % 2))
+                lines.append(PlotLine(named, values, kind or "", i if len(versions) > 1 else j % 2))
     return lines
 
 
-def _frames(versions: Sequence[Version], inputs: Inputs | None) -> Iterator[Frame]:
+def _frames(versions: Sequence[Version], inputs: RenderedInputs | None) -> Iterator[ShownFrame]:
     for row in versions[-1].comparison.rows:
         pictures: dict[str, Image] = {}
         low = None if inputs is None else inputs.shown(row.number)
@@ -172,7 +172,7 @@ def _frames(versions: Sequence[Version], inputs: Inputs | None) -> Iterator[Fram
             named = f"{version.name} " if len(versions) > 1 else ""
             said.append(f"{named}PSNR {scores.psnr_rgb:.2f} dB, SSIM {_text(scores.ssim)}")
         pictures[TRUTH] = pictures.pop(TRUTH)
-        yield Frame(row.number, row.kind or "", "; ".join(said), pictures)
+        yield ShownFrame(row.number, row.kind or "", "; ".join(said), pictures)
 
 
 def _text(value: float | None) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from stss.pages.page import table
-from stss.quality.comparison_page import Inputs, Version, write_comparison
+from stss.quality.comparison_page import RenderedInputs, Version, write_comparison
 from stss.quality.methods_table import MethodResult, cells, meant
 from stss.quality.output_and_truth import find_pairs
 from stss.sequence.reader import Sequence as Frames
@@ -34,4 +34,4 @@ def methods_page(
     ]
     headings, rows = cells(results)
     means = table(f"Every method: {meant(results)}", [f"{above.strip()}\n{kind}" for above, kind in headings], rows)
-    write_comparison(path, f"Methods on {sequence.path.name}", versions, Inputs(sequence, versions[-1].pairs), [means])
+    write_comparison(path, f"Methods on {sequence.path.name}", versions, RenderedInputs(sequence, versions[-1].pairs), [means])

@@ -40,7 +40,7 @@ class Summary:
 
 
 @dataclass(frozen=True)
-class Plan:
+class RunPlan:
     """What is to be done, before anything computes.
 
     Attributes:
@@ -105,7 +105,7 @@ def run(
     return summary
 
 
-def plan(sequence: Sequence, out: Path, options: RunOptions, *, accumulates: bool = False) -> Plan:
+def plan(sequence: Sequence, out: Path, options: RunOptions, *, accumulates: bool = False) -> RunPlan:
     """What a run does; nothing is touched.
 
     Args:
@@ -120,10 +120,10 @@ def plan(sequence: Sequence, out: Path, options: RunOptions, *, accumulates: boo
     rendered = choose_rendered(sequence.numbers, sequence.rendered, options.rendered)
     numbers = _numbers(sequence, options.frames)
     require_near(sequence, sequence.numbers[0] if accumulates else numbers[0], numbers[-1])
-    return Plan(rendered, numbers, OutputFolder(out, ("", HOLES, SKIPPED), r"frame\.\d+\.(exr|png)"))
+    return RunPlan(rendered, numbers, OutputFolder(out, ("", HOLES, SKIPPED), r"frame\.\d+\.(exr|png)"))
 
 
-def require_unread(planned: Plan, sequence: Sequence, reads: Iterable[Path]) -> None:
+def require_unread(planned: RunPlan, sequence: Sequence, reads: Iterable[Path]) -> None:
     """Raise InputError where a file that is read would be written to."""
     with told(planned.folder.path):
         require_apart(planned.folder.present(), [*sequence.reads, *reads])

@@ -13,8 +13,8 @@ from stss.cli.main import stss
 from stss.errors import InputError
 from stss.images.read_write import read_rgb, write_mask, write_rgb
 from stss.pages.page import asset, page, table
-from stss.pages.plot import Line, plot
-from stss.pages.viewer import Frame, View, Viewer, require_page, write_viewer
+from stss.pages.plot import PlotLine, plot
+from stss.pages.viewer import Pane, ShownFrame, Viewer, require_page, write_viewer
 from tests.app import browser as browsers
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>&\"'`${1}\u202e\n\x1b"
@@ -28,17 +28,17 @@ def pictures(seed, *names):
 
 def viewer(names=("output", "truth"), title="a page"):
     lines = [
-        Line("SF", {0: 30.0, 2: 31.0}, "SF", 0),
-        Line("EF", {1: 28.0, 3: float("inf")}, "EF", 1),
+        PlotLine("SF", {0: 30.0, 2: 31.0}, "SF", 0),
+        PlotLine("EF", {1: 28.0, 3: float("inf")}, "EF", 1),
     ]
-    views = [View(name, f"what {name} is") for name in names]
+    views = [Pane(name, f"what {name} is") for name in names]
     return Viewer(
         title, ["a note"], views, (names[0], names[-1]), [plot("PSNR, dB", lines, digits=2)], [table("T", ["a"], [["1"]])]
     )
 
 
 def frames(count=4, names=("output", "truth")):
-    return [Frame(n, "EF" if n % 2 else "SF", f"{30 + n} dB", pictures(n, *names)) for n in range(count)]
+    return [ShownFrame(n, "EF" if n % 2 else "SF", f"{30 + n} dB", pictures(n, *names)) for n in range(count)]
 
 
 def data_of(path):
@@ -63,7 +63,7 @@ def test_text_of_strangers_stays_text(tmp_path):
     named = ("output", HOSTILE)
     shown = viewer(named, HOSTILE)
     shown = Viewer(**{**vars(shown), "notes": [HOSTILE], "tables": [table(HOSTILE, [HOSTILE], [[HOSTILE]])]})
-    write_viewer(tmp_path / "p.html", shown, [Frame(1, "", HOSTILE, pictures(1, *named))])
+    write_viewer(tmp_path / "p.html", shown, [ShownFrame(1, "", HOSTILE, pictures(1, *named))])
     plain = tmp_path / "plain.html"
     write_viewer(plain, viewer(), frames(1))
     text = (tmp_path / "p.html").read_text()
@@ -81,7 +81,7 @@ def test_a_page_leads_nowhere(tmp_path):
 
 def test_a_picture_that_comes_again_is_kept_once(tmp_path):
     same = pictures(1, "output")
-    write_viewer(tmp_path / "p.html", viewer(("output",)), [Frame(n, "SF", "", same) for n in (1, 2, 3)])
+    write_viewer(tmp_path / "p.html", viewer(("output",)), [ShownFrame(n, "SF", "", same) for n in (1, 2, 3)])
     found = data_of(tmp_path / "p.html")
     assert len(found["pictures"]) == 1
     assert [frame["pictures"] for frame in found["frames"]] == [{"output": 0}] * 3
@@ -115,7 +115,7 @@ def test_a_page_replaces_nothing_that_is_read(tmp_path):
 
 
 def test_a_plot_has_sf_and_ef_apart_and_a_way_to_every_frame():
-    drawn = plot("PSNR, dB", [Line("SF", {0: 30.0, 2: 31.0}, "SF", 0), Line("EF", {1: 28.25}, "EF", 1)], digits=2)
+    drawn = plot("PSNR, dB", [PlotLine("SF", {0: 30.0, 2: 31.0}, "SF", 0), PlotLine("EF", {1: 28.25}, "EF", 1)], digits=2)
     links = [attributes for tag, attributes in tags(drawn) if tag == "a"]
     assert [link["href"] for link in links] == ["#frame-0", "#frame-2", "#frame-1"]
     assert links[2]["aria-label"] == "frame 1, EF: 28.25"
@@ -127,7 +127,7 @@ def test_a_plot_has_sf_and_ef_apart_and_a_way_to_every_frame():
 
 @pytest.mark.parametrize("values", [[30.0], [5.0, 5.0], [float("inf")], [0.0, 1e-9], [-3.0, 2000.0]])
 def test_a_plot_of_any_numbers_stays_within_its_frame(values):
-    drawn = plot("x", [Line("SF", dict(enumerate(values)), "SF", 0)], digits=2)
+    drawn = plot("x", [PlotLine("SF", dict(enumerate(values)), "SF", 0)], digits=2)
     assert "nan" not in drawn
     for y in re.findall(r' cy="([-\d.]+)"', drawn):
         assert 0 <= float(y) <= 240
@@ -282,7 +282,7 @@ def test_keys_lead_through_frames_views_and_zoom(browser, shown):
 def test_a_difference_is_that_of_the_pixels(browser, tmp_path):
     """Levels 100 and 110 at a gain of 4: 40."""
     grey = {name: np.full((*SIZE, 3), level / 255, np.float32) for name, level in (("output", 100), ("truth", 110))}
-    write_viewer(tmp_path / "p.html", viewer(), [Frame(0, "SF", "", grey)])
+    write_viewer(tmp_path / "p.html", viewer(), [ShownFrame(0, "SF", "", grey)])
     browser.open(tmp_path / "p.html")
     browser.press("d")
     x, y, width, height = browser.box("#stage")
