@@ -108,12 +108,15 @@ class Trials:
 
 
 def winograd_candidates(device: Properties, outputs: int) -> list[Winograd]:
-    """Tiles and rows by block: on a CPU accumulators fill 16 or 32 registers, elsewhere there is little room for scratch."""
+    """Tiles and rows by block: on a CPU accumulators fill 16 or 32 registers of 8 or 16 lanes, elsewhere scratch has little room."""
     wide = outputs // 8
     if not device.is_cpu:
         return [Winograd(tiles, tiles, block) for block in (1, wide) for tiles in (1, 2)]
     by_block = {2: ((6, 6), (12, 6), (8, 4), (8, 8)), 3: ((8, 4), (4, 4), (12, 4), (6, 6), (8, 8)), 4: ((6, 3), (8, 4), (6, 6))}
     found = [Winograd(*pair, block, True) for block, pairs in by_block.items() if wide % block == 0 for pair in pairs]
+    double = -(-wide // 2)
+    by_block = {2: ((8, 8), (6, 6), (12, 12)), 4: ((6, 6), (4, 4))}
+    found += [Winograd(*pair, block, True, 16) for block, pairs in by_block.items() if double % block == 0 for pair in pairs]
     return [*found, replace(found[0], prefetch=False)]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from collections import Counter
 from functools import cached_property
 from typing import Literal, get_args
@@ -140,6 +141,12 @@ class Properties:
     def driver(self) -> str:
         """The driver's version."""
         return _one_line(self.handle.driver_version)
+
+    @property
+    def target(self) -> str:
+        """The processor that kernels are compiled for, in LLVM's words, with which PoCL ends the device's version; empty where untold."""
+        found = re.search(r"-(?:gnu|musl|darwin[\d.]*|msvc)-(\S+)$", _one_line(self.handle.version))
+        return found[1] if found else ""
 
     @property
     def platform_version(self) -> str:

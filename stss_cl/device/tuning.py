@@ -12,9 +12,11 @@ from contextvars import ContextVar
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 from stss_cl.device.caches import private
 from stss_cl.device.discovery import CLASSES, MAKERS, DeviceClass, DeviceError, Properties
+from stss_cl.device.grid import ceil_div
 from stss_cl.device.program import source
 from stss_cl.toml_table import Table, read_toml
 
@@ -23,17 +25,20 @@ OUTPUTS = (24, 32, 64)
 """Output channels of the network's layers: a row has tile sizes for each."""
 TILE = 4
 """Pixels of a row that a tile of conv.cl has, which a work-item's divide."""
+VECTORS = (8, 16)
+"""Lanes that winograd.cl computes with."""
 MOST_TILES, MOST_HELD, MOST_GROUP, MOST_ROWS = 32, 16, 1024, 2
 
 
 @dataclass(frozen=True)
 class Winograd:
-    """winograd.cl: tiles of one work-item, tiles (a divisor) and float8 of outputs held at once."""
+    """winograd.cl: tiles of one work-item, tiles (a divisor) and vectors of outputs held at once, lanes of a vector, of ``VECTORS``."""
 
     tiles: int
     rows: int
     block: int
     prefetch: bool = False
+    vector: int = 8
 
 
 @dataclass(frozen=True)
@@ -81,22 +86,39 @@ def tuning_for(device: Properties) -> Tuning:
 
 
 def built_in(device: Properties) -> Tuning:
-    """The row of ``tuning.toml`` for this device, or its maker's GPUs, or its class."""
-    return _built_in(device.name, device.maker, device.device_class)
+    """The row of ``tuning.toml`` for this device, or its maker's GPUs, or what the processor is compiled for, or its class."""
+    return _built_in(device.name, device.maker, device.device_class, device.target)
 
 
-def built_in_rows(path: Path) -> tuple[dict[str, Tuning], dict[str, Tuning]]:
-    """The rows of a file such as ``tuning.toml``: by class and maker, ``cpu``, ``gpu``, ``nvidia``, .., and by the name of a device.
+class Rows(NamedTuple):
+    """Of a file such as ``tuning.toml``.
+
+    ``classes``: by class and maker, ``cpu``, ``gpu``, ``nvidia``, ..; ``targets``: of processors, by what they are compiled for;
+    ``devices``: by the name of a device.
+    """
+
+    classes: dict[str, Tuning]
+    targets: dict[str, Tuning]
+    devices: dict[str, Tuning]
+
+
+def built_in_rows(path: Path) -> Rows:
+    """The rows of a file.
 
     Raises:
         DeviceError: a row is wrong; the message names file and key.
     """
     table = _read(path)
     classes = {key: _tuning(table.table(key)) for key in (*CLASSES, *MAKERS)}
+    wide = table.table("cpu-wide")
+    names = wide.take("targets", "a list of names", list)
+    if not all(isinstance(name, str) for name in names):
+        raise wide.fail("targets", "a list of names", names)
+    targets = dict.fromkeys(names, _tuning(wide))
     devices = table.table("device", optional=True)
     single = {key: _tuning(devices.table(key)) for key in tuple(devices.rest)}
     table.end()
-    return classes, single
+    return Rows(classes, targets, single)
 
 
 def kept(device: Properties) -> Tuning | None:
@@ -153,9 +175,10 @@ def _inline(row: Winograd | Direct | Local) -> str:
 
 
 @lru_cache(64)
-def _built_in(name: str, maker: str, device_class: DeviceClass) -> Tuning:
-    classes, single = built_in_rows(BUILT_IN)
-    return single.get(name, classes[maker or device_class])
+def _built_in(name: str, maker: str, device_class: DeviceClass, target: str) -> Tuning:
+    rows = built_in_rows(BUILT_IN)
+    general = rows.classes[maker or device_class]
+    return rows.devices.get(name, rows.targets.get(target, general) if device_class == "cpu" else general)
 
 
 @lru_cache(64)
@@ -198,8 +221,13 @@ def _tuning(table: Table) -> Tuning:
 
 def _winograd(table: Table, outputs: int) -> Winograd:
     tiles = table.whole("tiles", MOST_TILES)
-    rows = table.whole("rows", MOST_HELD, divides=tiles)
-    found = Winograd(tiles, rows, table.whole("block", outputs // 8, divides=outputs // 8), table.flag("prefetch"))
+    rows, vector = table.whole("rows", MOST_HELD, divides=tiles), table.rest.pop("vector", None)
+    if type(vector) is not int or vector not in VECTORS:
+        raise table.fail("vector", " or ".join(map(str, VECTORS)), vector)
+    if vector > 8 and tiles % 2:
+        raise table.fail("tiles", f"an even number where vectors have {vector} lanes", tiles)
+    blocks = ceil_div(outputs, vector)
+    found = Winograd(tiles, rows, table.whole("block", blocks, divides=blocks), table.flag("prefetch"), vector)
     table.end()
     return found
 

@@ -17,7 +17,7 @@ from stss_cl.device.tuning import tuning_for
 from stss_cl.network import conv_gpu
 from stss_cl.network.conv_shape import Shape
 from stss_cl.network.layer import FAST_MULTIPLY_ADD, KernelSource, LayerLaunch, layer
-from stss_cl.network.pack_weights import Packed, winograd
+from stss_cl.network.pack_weights import Packed, in_lanes, paired, winograd
 from stss_cl.network.tiles import Maps, of_convolution
 
 
@@ -168,7 +168,11 @@ def _winograd(device: Device, packed: Packed, out: Padded, side: int, stride: in
     table = tuning_for(device).winograd
     assert table is not None
     row = table[packed.direct.shape[-1]]
-    gate, shown = packed.gate_direct, final or out
+    (kernels, gate), shown = in_lanes(packed, row.vector), final or out
+    outputs = packed.direct.shape[-1]
+    weight = winograd(kernels, side, row.vector * row.block, stride)
+    # The lanes behind the outputs: the gate's, or else two inputs at a time leave none.
+    in_pairs = bool(outputs % row.vector) and packed.gate_direct is None and row.block * row.vector == kernels.shape[-1]
     tiling = of_convolution(shown.height, shown.width, stride, 3, side)
     return Shape(
         file="winograd.cl",
@@ -179,9 +183,11 @@ def _winograd(device: Device, packed: Packed, out: Padded, side: int, stride: in
             "TILES": row.tiles,
             "ROWS": row.rows,
             "BLOCK": row.block,
+            "VECTOR": row.vector,
+            "PAIRED": in_pairs,
             "PREFETCH": row.prefetch and device.takes_prefetch,
         },
-        weight=winograd(packed.direct, side, 8 * row.block, stride),
+        weight=paired(weight, outputs) if in_pairs else weight,
         gate=None if gate is None else winograd(gate, side, 1, stride),
         tiling=tiling,
         size=(list_size(device, tiling.most, row.tiles),),

@@ -92,6 +92,25 @@ def _direct(weight: NDArray[Any]) -> NDArray[np.float32]:
     return np.ascontiguousarray(weight.transpose(2, 3, 1, 0), np.float32)
 
 
+def in_lanes(packed: Packed, vector: int) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    """The outputs' kernels, filled up to whole vectors, and the gate's where it is not in the first lane behind the outputs."""
+    outputs = packed.direct.shape[-1]
+    empty = -outputs % vector
+    if not empty:
+        return packed.direct, packed.gate_direct
+    behind = [] if packed.gate_direct is None else [packed.gate_direct]
+    lanes = np.concatenate([packed.direct, *behind], axis=-1)
+    return np.pad(lanes, ((0, 0), (0, 0), (0, 0), (0, outputs + empty - lanes.shape[-1]))), None
+
+
+def paired(transformed: NDArray[np.float32], outputs: int) -> NDArray[np.float32]:
+    """What `winograd` gives, in one block, with the last 8 ``outputs`` of two inputs in the lanes of one vector (``-D PAIRED``)."""
+    whole, last = transformed[..., : outputs - 8], transformed[..., outputs - 8 : outputs]
+    one, two = slice(0, None, 2), slice(1, None, 2)
+    both = np.stack([last[:, :, one], last[:, :, two]], axis=-1).reshape(*last[:, :, one].shape[:-1], 16)
+    return np.concatenate([whole[:, :, one], whole[:, :, two], both], axis=-1)
+
+
 def winograd(kernels: NDArray[np.float32], side: int, block: int, stride: int = 1) -> NDArray[np.float32]:
     """Kernels of 3 x 3 as winograd.cl reads them, transformed in float64.
 

@@ -166,8 +166,11 @@ def test_the_image_is_that_of_computing_everything(device, precision, size, chan
 @pytest.mark.parametrize(
     "tuning",
     [
-        # The smallest and large ones in one row: a row of its own for each would be built for a minute.
-        Tuning({24: Winograd(1, 1, 1), 32: Winograd(9, 3, 4), 64: Winograd(1, 1, 1)}, {n: Direct(1, 1, 2) for n in (24, 32, 64)}),
+        # The smallest and large ones, and both widths of vectors, in one row: a row of its own for each would be built for a minute.
+        Tuning(
+            {24: Winograd(2, 2, 2, vector=16), 32: Winograd(9, 3, 4), 64: Winograd(1, 1, 1)},
+            {n: Direct(1, 1, 2) for n in (24, 32, 64)},
+        ),
         Tuning(None, {n: Direct(4, n // 8, 4) for n in (24, 32, 64)}),
     ],
 )

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from conformance.cases.planes import SEEDS, sizes
 from conformance.tolerance import ratio, sum_bound, worst
 from stss_cl.device.buffers import padded, read, write
+from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
 from stss_cl.network.conv import conv
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import PRECISIONS, Network, run_stage
@@ -22,6 +23,10 @@ from stss_ref.network import network
 from stss_ref.resample import upsample_centres
 from stss_ref.weights import astype, zeros
 from stss_ref.weights import random as random_weights
+
+_rows = built_in_rows(BUILT_IN)
+VECTORS = {8: _rows.classes["cpu"], 16: _rows.targets["rocketlake"]}
+"""Rows of sizes by the lanes of their vectors."""
 
 few = settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
@@ -74,16 +79,19 @@ def winograd_scale(x, weight, side, stride=1):
 
 
 @few
-@example(size=(5, 7), shape=(24, 24, 24), gated=False, relu=True, seed=0)
+@example(size=(5, 7), shape=(24, 24, 24), gated=False, relu=True, vector=8, seed=0)
+@example(size=(5, 43), shape=(24, 24, 24), gated=False, relu=True, vector=16, seed=0)
+@example(size=(5, 43), shape=(24, 0, 24), gated=True, relu=True, vector=16, seed=0)
 @given(
     size=sizes(21),
     shape=st.sampled_from([(24, 0, 24), (32, 0, 32), (24, 24, 24), (96, 0, 32), (32, 16, 64), (32, 96, 64)]),
     gated=st.booleans(),
     relu=st.booleans(),
+    vector=st.sampled_from(list(VECTORS)),
     seed=SEEDS,
 )
-def test_all_convolutions_are_the_references(device, size, shape, gated, relu, seed):
-    """Direct and Winograd with tiles of either size, one and two inputs, gated or not: within the bound of their own arithmetic."""
+def test_all_convolutions_are_the_references(device, size, shape, gated, relu, vector, seed):
+    """Direct and Winograd, tiles and vectors of either size, one and two inputs, gated or not: within the bound of their arithmetic."""
     first, second, outputs = shape
     random = np.random.default_rng(seed)
     x = random.random((*size, first + second), dtype=np.float32)
@@ -103,9 +111,10 @@ def test_all_convolutions_are_the_references(device, size, shape, gated, relu, s
     if second:
         write(device, buffers[1], x[..., first:])
     for side in (0, 2, 4):
-        launch = conv(
-            device, "test", "layer", packed, buffers[0], buffers[1] if second else None, buffers[-1], relu=relu, side=side
-        )
+        with trial(VECTORS[vector]):
+            launch = conv(
+                device, "test", "layer", packed, buffers[0], buffers[1] if second else None, buffers[-1], relu=relu, side=side
+            )
         launch.enqueue(device.queue)
         got = read(device, buffers[-1])
         if side:
@@ -154,8 +163,14 @@ def test_small_tiles_at_an_eighth(device):
 
 
 @few
-@given(size=sizes(13), shape=st.sampled_from([(4, 24), (24, 24), (24, 32), (32, 32)]), gated=st.booleans(), seed=SEEDS)
-def test_every_second_pixel(device, size, shape, gated, seed):
+@given(
+    size=sizes(13),
+    shape=st.sampled_from([(4, 24), (24, 24), (24, 32), (32, 32)]),
+    gated=st.booleans(),
+    vector=st.sampled_from(list(VECTORS)),
+    seed=SEEDS,
+)
+def test_every_second_pixel(device, size, shape, gated, vector, seed):
     """Stride 2, direct and by Winograd, for which four channels are too few."""
     random = np.random.default_rng(seed)
     inputs, outputs = shape
@@ -170,7 +185,8 @@ def test_every_second_pixel(device, size, shape, gated, seed):
     packed = pack(weights, "layer", ((inputs, inputs),))
     conv(device, "test", "layer", packed, source, None, out, stride=2, side=0).enqueue(device.queue)
     assert ratio("conv.stride_2", read(device, out), reference.relu(made), 9 * inputs) <= 1
-    conv(device, "test", "layer", packed, source, None, out, stride=2).enqueue(device.queue)
+    with trial(VECTORS[vector]):
+        conv(device, "test", "layer", packed, source, None, out, stride=2).enqueue(device.queue)
     feature = "layer.conv_feature" if gated else "layer"
     allowed = sum_bound(
         inputs + 28, winograd_scale(x, weights[f"{feature}.weight"], 2, 2) + np.abs(wide[f"{feature}.bias"]), np.float32
@@ -244,6 +260,16 @@ def test_the_image_is_the_references(net, size, seed, share):
     assert image.dtype == np.float32
     want = network(*(x.astype(np.float64) for x in inputs), random_weights(5))
     assert ratio(f"network.cl.{net.precision}", image, want) <= 1
+
+
+@pytest.mark.parametrize("vector", VECTORS)
+def test_the_image_with_vectors_of_either_width(device, vector):
+    """From half storage: the stores and the image's own layer, too, know both."""
+    inputs = network_inputs((29, 43), 3)
+    with trial(VECTORS[vector]):
+        image = Network(random_weights(5), device, "half")(*inputs)
+    want = network(*(x.astype(np.float64) for x in inputs), random_weights(5))
+    assert ratio("network.cl.half", image, want) <= 1
 
 
 @pytest.mark.parametrize("name", ["arena_small", "arena_mid", "lewis_wide"])

@@ -5,6 +5,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pyopencl as cl
 import pytest
 from rich.console import Console
 
@@ -12,7 +13,7 @@ from stss.devices import tile_timing as trials
 from stss.devices import tune
 from stss.devices.tile_timing import SHAPES, Trials, direct_candidates, winograd_candidates
 from stss_cl.device import tuning
-from stss_cl.device.discovery import DeviceError
+from stss_cl.device.discovery import DeviceError, Properties
 from stss_cl.device.tuning import (
     OUTPUTS,
     Direct,
@@ -39,13 +40,15 @@ def own_cache(tmp_path, monkeypatch):
         cached.cache_clear()
 
 
-def fake(name="P: one", *, is_cpu=True, driver="1"):
+def fake(name="P: one", *, is_cpu=True, driver="1", target=""):
     device_class = "cpu" if is_cpu else "gpu"
-    return SimpleNamespace(name=name, driver=driver, device_class=device_class, is_cpu=is_cpu, maker="", max_work_group=64)
+    return SimpleNamespace(
+        name=name, driver=driver, device_class=device_class, is_cpu=is_cpu, maker="", max_work_group=64, target=target
+    )
 
 
 ROW = Tuning(
-    winograd={24: Winograd(4, 2, 1, True), 32: Winograd(1, 1, 4), 64: Winograd(6, 3, 8)},
+    winograd={24: Winograd(4, 2, 1, True), 32: Winograd(1, 1, 4), 64: Winograd(6, 3, 4, vector=16)},
     direct={24: Direct(1, 3, 8), 32: Direct(4, 1, 1), 64: Direct(2, 2, 64)},
 )
 
@@ -55,6 +58,26 @@ def test_the_built_in_rows():
     assert built_in(fake(is_cpu=False)).winograd is None
     for row in (built_in(fake()), built_in(fake(is_cpu=False))):
         assert tuple(row.direct) == OUTPUTS
+
+
+def test_a_processor_with_vectors_of_16_is_known_by_its_target():
+    wide = built_in(fake(target="rocketlake"))
+    assert {row.vector for row in wide.winograd.values()} == {16}
+    for other in (fake(), fake(target="znver3"), fake(is_cpu=False, target="rocketlake")):
+        assert not other.is_cpu or {row.vector for row in built_in(other).winograd.values()} == {8}
+    assert built_in(fake(is_cpu=False, target="rocketlake")) == built_in(fake(is_cpu=False))
+
+
+@pytest.mark.parametrize(
+    ("version", "target"),
+    [
+        ("OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-rocketlake", "rocketlake"),
+        ("OpenCL 3.0 PoCL HSTR: cpu-x86_64-pc-linux-gnu-skylake-avx512", "skylake-avx512"),
+        ("OpenCL 3.0 (Build 0)", ""),
+    ],
+)
+def test_what_is_compiled_for_stands_in_the_version(version, target):
+    assert Properties(SimpleNamespace(version=version, type=cl.device_type.CPU)).target == target
 
 
 def test_a_device_may_have_a_row_of_its_own(tmp_path, monkeypatch):
@@ -104,7 +127,9 @@ def test_a_trial_ends():
     ("old", "new", "message"),
     [
         ("tiles = 4, rows = 2", "tiles = 4, rows = 3", r"winograd\.24\.rows: expected a divisor of 4, found 3"),
-        ("block = 8", "block = 5", r"winograd\.64\.block: expected a divisor of 8, found 5"),
+        ("block = 4, prefetch = false, vector = 16", "block = 8, vector = 16", r"winograd\.64\.block: expected .* 4, found 8"),
+        ("vector = 16", "vector = 12", r"winograd\.64\.vector: expected 8 or 16, found 12"),
+        ("tiles = 6, rows = 3", "tiles = 3, rows = 3", r"winograd\.64\.tiles: expected an even number where .*, found 3"),
         ("block = 3, group = 8", "block = 2, group = 8", r"direct\.24\.block: expected a divisor of 3, found 2"),
         ("pixels = 4, block", "pixels = 8, block", r"direct\.32\.pixels: expected a whole number from 1 to 4, found 8"),
         ("pixels = 4, block", "pixels = 3, block", r"direct\.32\.pixels: expected a divisor of 4, found 3"),
