@@ -92,8 +92,7 @@ def find_tiles(device: Device, tiling: Tiling, maps: Maps, to: TileList, *, unma
 
     ``to.count`` must be 0 before.
     """
-    # On a processor most work-items have nothing to do, and each of them costs something.
-    span = 64 if device.is_cpu else 1
+    span = _span(device)
     a, b, c = (*maps.buffers, *2 * maps.buffers[-1:])[:3]
     arguments = {
         "a": a, "b": b, "c": c, "a_tile": maps.first, "map_rows": maps.rows, "map_columns": maps.columns,
@@ -103,5 +102,15 @@ def find_tiles(device: Device, tiling: Tiling, maps: Maps, to: TileList, *, unma
     size, group = grid(device, ceil_div(tiling.columns, span), tiling.rows)
     if device.is_cpu:
         size, group = (ceil_div(tiling.columns, span), tiling.rows), (1, 1)
-    made = kernel(build(device, "tile_list.cl", {"SPAN": span}), "tile_list", arguments)
+    made = kernel(finder(device), "tile_list", arguments)
     return Launch("tile_list", made, size, group, arguments)
+
+
+def finder(device: Device) -> cl.Program:
+    """What ``find_tiles`` takes its kernel from; built once."""
+    return build(device, "tile_list.cl", {"SPAN": _span(device)})
+
+
+def _span(device: Device) -> int:
+    """Tiles of a work-item. On a processor most work-items have nothing to do, and each of them costs something."""
+    return 64 if device.is_cpu else 1

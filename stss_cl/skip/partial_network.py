@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from stss_cl.device.launch import enqueue
 from stss_cl.network.layer import LayerLaunch
 from stss_cl.network.layers import Layers
+from stss_cl.network.tiles import finder
 from stss_cl.skip.changed_tiles import ChangedTiles
 from stss_cl.skip.flat_tiles import FlatTiles
 
@@ -67,6 +68,7 @@ class PartialNetwork:
     def _build_behind(self) -> None:
         # Programs alone: PyOpenCL writes code for each kernel object, and warns where two threads do so at once.
         with suppress(Exception):  # whatever it is, ``run_changed`` meets it, too
+            finder(self.layers.device)
             for layer in self._layers():
                 layer.program(self.layers.device, marking=layer.changes is not None)
 
