@@ -22,7 +22,7 @@ def told(costs: Sequence[Cost]) -> str:
         [cost for cost in costs if cost.network == network] for network in ("whole", "partly", "changed", "none")
     )
     parts = [f"{len(whole)} whole"] if whole else []
-    parts += [f"{len(partly)} without flat tiles or deep layers"] if partly else []
+    parts += [f"{len(partly)} without flat tiles"] if partly else []
     if part:
         parts.append(f"{len(part)} in part ({np.mean([cost.changed for cost in part]):.0%} of the inputs had changed)")
     parts += [f"{len(none)} not at all"] if none else []
