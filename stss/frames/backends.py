@@ -28,8 +28,8 @@ class Cost:
     """What a frame cost.
 
     Attributes:
-        network: what of the network was run: ``none``, where something had ``changed``, ``partly``: everywhere, but without plain
-            tiles or some of the deep layers, the ``whole``.
+        network: what of the network was run: ``none``, where something had ``changed``, ``partly``: everywhere, but without flat
+            tiles, the ``whole``.
         changed: share of the network's inputs that differed from the frame before of this kind; 1 where nobody looked.
         departure: of a frame that was checked: the largest difference that leaving out made, output units.
     """
