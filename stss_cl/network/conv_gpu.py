@@ -13,8 +13,9 @@ from stss_cl.network.tiles import Tiling
 
 WIDE, TALL = 32, 4
 """Pixels of a work-group's tile: along a row, and rows for each that a work-item has."""
-EIGHTS, MOST_OUTPUTS = (4, 3, 2, 7), 32
-"""Of conv_mma.cl: eights of input channels in local memory at once, the first that divides them; outputs whose sums fit the registers."""
+EIGHTS, MOST_OUTPUTS, EMULATED = (4, 3, 2, 7), 32, 3072
+"""Of conv_mma.cl: eights of input channels in local memory at once, the first that divides them and fits; outputs whose sums fit the
+registers; bytes of local memory that emulated products take."""
 
 
 def local(device: Device, packed: Packed, out: Padded, stride: int, most_rows: int) -> Shape:
@@ -37,7 +38,8 @@ def on_matrix_units(device: Device, packed: Packed, out: Padded, stride: int, mo
     inner, outputs = packed.direct.shape[2] // 8, packed.direct.shape[3]
     # Tiles of twice the side and eights of all channels would not fit into local memory together.
     rows = 1 if stride == 2 else _rows(device, out, most_rows)
-    eights = next((n for n in EIGHTS if inner % n == 0), 1)
+    plane = 16 * (34 * stride * (stride * (TALL * rows - 1) + 3) + 2)  # bytes of an eight in local memory
+    eights = next((n for n in EIGHTS if inner % n == 0 and n * plane + EMULATED <= device.local_memory), 1)
     block = min(outputs, MOST_OUTPUTS)
     tiling = _tiling(out, rows, stride)
     return Shape(

@@ -339,7 +339,7 @@ def main(case):
     elif kind == "plain":
         run_flat(device, how)
     else:
-        for size in SIZES if how in ("", "float32") else (SIZES[0], SIZES[-1]):
+        for size in SIZES[-1:] if kind == "gpu" else SIZES if how in ("", "float32") else (SIZES[0], SIZES[-1]):
             if kind == "network":
                 run_network(device, how, *size)
             elif kind == "gpu":
