@@ -48,8 +48,8 @@ KERNELS = {
     "plain float32": {*NETWORK, "winograd", *FLAT},
     "plain float32-direct": {*NETWORK, "image", *FLAT},
     "plain half": {*NETWORK, "winograd", *FLAT},
-    "gpu float32": (NETWORK - {"conv"}) | {"conv_local", "image"},
-    "gpu half": (NETWORK - {"conv"}) | {"conv_local", "conv_mma", "matrix", "image"},
+    "gpu float32": {"conv_local"},
+    "gpu half": {"conv_mma", "matrix"},
     "stages": {"motion_chain", "warp", "holes", "splat_clear", "splat_nearest", "splat_first", "occlusion_warp", "rrm"},
     "selftest": {"arithmetic", "vectors", "reduce_group", "nearest", "speed"},
 }
@@ -192,13 +192,24 @@ def run_network(device, precision, height, width):
     show(f"{height} x {width}", image)
 
 
-def run_as_nvidia(precision, height, width):
-    """The network as an NVIDIA GPU has it, its matrix units emulated."""
-    from stss_cl.device.discovery import open_device
+def run_layers(device, precision):
+    """One convolution of either stride as GPUs have them, matrix units emulated: the whole network would take half an hour."""
+    from stss_cl.device.buffers import padded, read, write
     from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
+    from stss_cl.network.conv import conv
+    from stss_cl.network.pack_weights import Packed
 
-    with trial(built_in_rows(BUILT_IN)[0]["nvidia"]):
-        run_network(open_device("Oclgrind", device_class="gpu"), precision, height, width)
+    dtype, random = np.dtype(np.float16 if precision == "half" else np.float32), np.random.default_rng(0)
+    for stride, size in ((1, (5, 33)), (2, (3, 7))):
+        direct, gate = (random.normal(size=(3, 3, 16, n)).astype(np.float32) for n in (24, 1))
+        packed = Packed(direct, gate, np.ones(24, np.float32), 0.5, 16)
+        inputs = [padded(device, stride * size[0], stride * size[1], 8, dtype) for _ in range(2)]
+        for buffer in inputs:
+            write(device, buffer, random.random((buffer.height, buffer.width, 8), np.float32))
+        out = padded(device, *size, 24, dtype)
+        with trial(built_in_rows(BUILT_IN)[0]["nvidia"]):
+            conv(device, "test", "layer", packed, *inputs, out, stride=stride).enqueue(device.queue)
+        show(f"stride {stride}", read(device, out))
 
 
 def run_frame(device, height, width):
@@ -334,16 +345,16 @@ def main(case):
         run_fault(device, how)
     elif kind == "selftest":
         run_selftest(device)
+    elif kind == "gpu":
+        run_layers(open_device("Oclgrind", device_class="gpu"), how)
     elif kind == "stream":
         run_stream(device, how)
     elif kind == "plain":
         run_flat(device, how)
     else:
-        for size in SIZES[-1:] if kind == "gpu" else SIZES if how in ("", "float32") else (SIZES[0], SIZES[-1]):
+        for size in SIZES if how in ("", "float32") else (SIZES[0], SIZES[-1]):
             if kind == "network":
                 run_network(device, how, *size)
-            elif kind == "gpu":
-                run_as_nvidia(how, *size)
             elif kind == "frame":
                 run_frame(device, *size)
             else:
