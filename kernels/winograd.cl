@@ -14,7 +14,7 @@
 // -D ROWS (tiles held at once, divides TILES) -D BLOCK (vectors of outputs held at once, divides LANES / VECTOR), optionally
 // -D GATED -D RELU -D HALF -D PREFETCH -D IMAGE (SIDE 4: the decoder's output in place of `out`, see decoder.clh; rows `first_row` .. height - 1
 // are written, rows and columns are those of `color`; row 0 is the frame's row `top`).
-// `tiles`, `count`: the tiles of the output, SIDE x SIDE pixels each, that are TILES, see tile_list.clh.
+// `tiles`, `count`: the tiles of the output, SIDE x SIDE pixels each, that are computed, see tile_list.clh.
 // Launch (any number of work-items), work-groups of 1: a work-item takes a strip of TILES after the other, whose scratch stays in L2.
 //
 // -D PAIRED, in place of zeros behind 24 outputs: the last 8 of them take two inputs at once, each lane one of them. The weight of two inputs is then

@@ -202,7 +202,7 @@ def _path(name: str, driver: str, device_class: DeviceClass) -> Path:
 
 @lru_cache(1)
 def _kernels() -> tuple[str, ...]:
-    return source("conv.cl"), source("winograd.cl")
+    return tuple(source(file) for file in ("conv.cl", "winograd.cl", "conv_local.cl", "conv_mma.cl"))
 
 
 def _tuning(table: Table) -> Tuning:
