@@ -37,7 +37,7 @@ class Shard:
 
 
 @dataclass(frozen=True)
-class Place:
+class StoredSample:
     """A sample: the shard and the position in it."""
 
     shard: Shard
@@ -65,14 +65,14 @@ def load_shards(folder: Path) -> list[Shard]:
     return shards
 
 
-def places(shards: list[Shard], split: str, kind: str) -> list[Place]:
+def places(shards: list[Shard], split: str, kind: str) -> list[StoredSample]:
     """The samples of a split and a kind of frame."""
-    return [Place(s, i) for s in shards if s.split == split for i, k in enumerate(s.kinds) if k == kind]
+    return [StoredSample(s, i) for s in shards if s.split == split for i, k in enumerate(s.kinds) if k == kind]
 
 
-def sets(choice: list[Place]) -> list[list[Place]]:
+def sets(choice: list[StoredSample]) -> list[list[StoredSample]]:
     """The samples by the folder that holds their shard: each folder is drawn from equally often, however much is in it."""
-    found: dict[str, list[Place]] = {}
+    found: dict[str, list[StoredSample]] = {}
     for place in choice:
         found.setdefault(str(PurePath(place.shard.name).parent), []).append(place)
     return list(found.values())
@@ -113,7 +113,7 @@ class Batches:
         inputs, masks, truth = (np.stack(arrays) for arrays in zip(*made, strict=True))
         return collate(inputs, masks, truth)
 
-    def _draw(self, kind: Kind, random: np.random.Generator) -> tuple[Place, tuple[int, int]]:
+    def _draw(self, kind: Kind, random: np.random.Generator) -> tuple[StoredSample, tuple[int, int]]:
         """A sample and the corner of a crop in it."""
         chosen = self._sets[kind][int(random.integers(len(self._sets[kind])))]
         place = chosen[int(random.integers(len(chosen)))]
@@ -123,7 +123,7 @@ class Batches:
             int(random.integers(0, width - self._side, endpoint=True)),
         )
 
-    def _detail(self, place: Place, corner: tuple[int, int]) -> float:
+    def _detail(self, place: StoredSample, corner: tuple[int, int]) -> float:
         key = place.shard.name, place.index
         if key not in self._details:
             self._details[key] = details(place.shard.truth[place.index])
@@ -150,7 +150,7 @@ def details(truth: Array) -> Array:
     return np.pad(found.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
 
 
-def whole(place: Place) -> Batch:
+def whole(place: StoredSample) -> Batch:
     """A whole frame as a batch of one, nothing augmented, its own mask; padded to multiples of 8 as the network is (spec 7)."""
     inputs = place.shard.inputs[place.index].astype(np.float32)
     truth = place.shard.truth[place.index].astype(np.float32)
@@ -159,7 +159,7 @@ def whole(place: Place) -> Batch:
     return collate(inputs[None], inputs[None, ..., MASK], truth[None])
 
 
-def spread(choice: list[Place], most: int) -> list[Place]:
+def spread(choice: list[StoredSample], most: int) -> list[StoredSample]:
     """At most ``most`` of the samples, spread evenly: over as many scenes as may be."""
     if len(choice) <= most:
         return choice

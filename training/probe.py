@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from stss.weights.file import load
 from training.command import command
-from training.data import KINDS, Place, Shard, load_shards, places, spread, whole
+from training.data import KINDS, Shard, StoredSample, load_shards, places, spread, whole
 from training.network import Network, load_weights
 from training.validate import bilinear
 
@@ -36,7 +36,7 @@ class Probe:
         self.networks = [_network(name) for name in (weights, *beside)]
         self.without_erm = _network(weights, "erm")
 
-    def variants(self, place: Place) -> tuple[Tensor, dict[str, Tensor]]:
+    def variants(self, place: StoredSample) -> tuple[Tensor, dict[str, Tensor]]:
         """What bilinear lacks of the truth (N, 12) for N pixels, and the features (N, F) of each variant, the last of them 1."""
         color, gbuffer, mask, history, truth = (torch.from_numpy(array) for array in whole(place))
         (main, *others), batch = self.networks, (color, gbuffer, mask, history)

@@ -18,7 +18,7 @@ from stss.quality.metrics import mean_scores, score, upsample_holes
 from stss.weights.file import load
 from training.augment import Batch
 from training.command import command
-from training.data import KINDS, Place, Shard, load_shards, places, spread, whole
+from training.data import KINDS, Shard, StoredSample, load_shards, places, spread, whole
 from training.network import Network, load_weights
 
 Model = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
@@ -59,7 +59,7 @@ def validate(model: Model, shards: list[Shard], split: str, *, most: int, device
     return means
 
 
-def _score(model: Model, place: Place, device: torch.device):
+def _score(model: Model, place: StoredSample, device: torch.device):
     batch = whole(place)
     with torch.no_grad():
         image = model(*tensors(batch, device)[:4])[0].float().cpu().numpy()

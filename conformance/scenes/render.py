@@ -107,7 +107,7 @@ def place_of(scene: Scene, frame: float, index: Indices, local: Array) -> Array:
     moment, world = Moment.of(scene, frame), np.zeros_like(local)
     for i in np.unique(index[index != SKY]):
         here = index == i
-        world[:, here] = moment.places[i].to_world(local[:, here])
+        world[:, here] = moment.transforms[i].to_world(local[:, here])
     return world
 
 

@@ -18,7 +18,7 @@ from stss_ref.arrays import Array
 
 Vector = tuple[float, float, float]
 Pose = tuple[Vector, float]
-"""Place of the origin, and the turn about z in radians."""
+"""Position of the origin, and the turn about z in radians."""
 
 
 @dataclass(frozen=True)
@@ -36,14 +36,14 @@ class Object:
     path: Callable[[float], Pose] | None = None
     casts: bool = True
 
-    def place(self, frame: float) -> Place:
+    def transform(self, frame: float) -> Transform:
         """Where the object is at ``frame``."""
         position, yaw = self.path(frame) if self.path else (self.at, self.yaw)
-        return Place(np.array(position)[:, None], math.cos(yaw), math.sin(yaw))
+        return Transform(np.array(position)[:, None], math.cos(yaw), math.sin(yaw))
 
 
 @dataclass(frozen=True)
-class Place:
+class Transform:
     """The map between an object's own space and the world: turn about z, then shift."""
 
     position: Array

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conformance.scenes.materials import Color, Surface, noise
-from conformance.scenes.scene import Light, Place, Scene
+from conformance.scenes.scene import Light, Scene, Transform
 from conformance.scenes.shapes import dot
 from stss_ref.arrays import Array
 
@@ -47,20 +47,20 @@ class Moment:
     """A scene with every object in its place at one frame."""
 
     scene: Scene
-    places: tuple[Place, ...]
+    transforms: tuple[Transform, ...]
 
     @classmethod
     def of(cls, scene: Scene, frame: float) -> Moment:
         """``scene`` at ``frame``."""
-        return cls(scene, tuple(item.place(frame) for item in scene.objects))
+        return cls(scene, tuple(item.transform(frame) for item in scene.objects))
 
     def hit(self, origin: Array, direction: Array, among: list[int] | None = None) -> Hits:
         """Follow rays from ``origin`` (3, N) or (3, 1) along ``direction`` (3, N); only objects ``among`` are tried."""
         distance: Array = np.full(direction.shape[1], np.inf)
         index = np.full(direction.shape[1], SKY)
-        for i in range(len(self.places)) if among is None else among:
-            place = self.places[i]
-            found = self.scene.objects[i].shape.distance(place.to_object(origin), place.turn_to_object(direction))
+        for i in range(len(self.transforms)) if among is None else among:
+            transform = self.transforms[i]
+            found = self.scene.objects[i].shape.distance(transform.to_object(origin), transform.turn_to_object(direction))
             closer = found < distance
             distance, index = np.where(closer, found, distance), np.where(closer, i, index)
         point = np.where(index == SKY, 0.0, origin + np.where(index == SKY, 0.0, distance) * direction)
@@ -71,9 +71,9 @@ class Moment:
         roughness, metallic = np.zeros_like(distance), np.zeros_like(distance)
         for i in np.unique(index[index != SKY]):
             (here,) = np.nonzero(index == i)
-            place, item = self.places[i], self.scene.objects[i]
-            local[:, here] = at = place.to_object(np.take(point, here, axis=1))
-            outward = place.turn_to_world(item.shape.normal(at))
+            transform, item = self.transforms[i], self.scene.objects[i]
+            local[:, here] = at = transform.to_object(np.take(point, here, axis=1))
+            outward = transform.turn_to_world(item.shape.normal(at))
             normal[:, here] = np.where(dot(outward, np.take(direction, here, axis=1)) > 0, -outward, outward)
             color[:, here], roughness[here], metallic[here] = item.material.at(at)
         return Hits(distance, index, point, local, normal, Surface(color, roughness, metallic))
@@ -84,8 +84,8 @@ class Moment:
         axis = axis / math.hypot(*axis[:, 0])
         beam = math.acos(min(1.0, float(dot(axis, direction).min())))
         found: list[int] = []
-        for i, (item, place) in enumerate(zip(self.scene.objects, self.places, strict=True)):
-            offset = (place.position - apex)[:, 0]
+        for i, (item, transform) in enumerate(zip(self.scene.objects, self.transforms, strict=True)):
+            offset = (transform.position - apex)[:, 0]
             away, reach = math.hypot(*offset), item.shape.reach
             if away <= reach or _angle(offset, axis[:, 0], away) <= beam + math.asin(reach / away) + 1e-6:
                 found.append(i)
@@ -101,12 +101,12 @@ class Moment:
             return lit
         centre = origin.mean(axis=1, keepdims=True)
         spread = math.sqrt(float(dot(origin - centre, origin - centre).max()))
-        for item, place in zip(self.scene.objects, self.places, strict=True):
-            offset, reach = (place.position - centre)[:, 0], item.shape.reach + spread
+        for item, transform in zip(self.scene.objects, self.transforms, strict=True):
+            offset, reach = (transform.position - centre)[:, 0], item.shape.reach + spread
             along = float(offset @ sun[:, 0])
             aside = math.hypot(*(offset - along * sun[:, 0]))
             if item.casts and along >= -reach and aside <= reach:
-                clear &= np.isinf(item.shape.distance(place.to_object(origin), place.turn_to_object(sun)))
+                clear &= np.isinf(item.shape.distance(transform.to_object(origin), transform.turn_to_object(sun)))
         lit[lit] = clear
         return lit
 

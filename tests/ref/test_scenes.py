@@ -54,8 +54,8 @@ def previous_places(scene, frame, out):
     for number, item in zip(scene.numbers, scene.objects, strict=True):
         here = (out.stencil == number) & np.isfinite(out.depth)
         if number > 0 and here.any():
-            local = item.place(frame).to_object(columns(out.position[here]))
-            places[here] = item.place(frame - 1).to_world(local).T
+            local = item.transform(frame).to_object(columns(out.position[here]))
+            places[here] = item.transform(frame - 1).to_world(local).T
     return places
 
 
