@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Space-time supersampling, the specification in NumPy: one module a stage, in the words of ``docs/stages.md``."""
+"""The specification of space-time supersampling in NumPy: one module for each stage, named as in ``docs/stages.md``."""
 
 SPEC_VERSION = "2"
 """Raised whenever a reference output or a bound changes; reports print it."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Names for kinds of array, and the checks every stage makes of its inputs.
+"""Type names for arrays, and the checks that every stage makes of its inputs.
 
 All arrays are channels last, ``(H, W, C)``, indexed ``[y, x]`` (spec section 0). A stage runs in the dtype it is given: float32, or
 float64, which is the truth.
@@ -23,7 +23,7 @@ Mask = NDArray[np.bool_]
 
 
 class Shaped(Protocol):
-    """What the checks of shape and dtype look at: NumPy's arrays have it, and those of other libraries."""
+    """The two attributes that the checks of shape and dtype read, so that arrays of other libraries can be checked too."""
 
     @property
     def shape(self) -> tuple[int, ...]: ...  # noqa: D102
@@ -53,7 +53,7 @@ def require_dtype(name: str, array: Shaped, dtype: np.dtype[Any]) -> None:
 
 
 def require_finite(name: str, array: Array) -> None:
-    """Raise ArrayError if ``array`` holds NaN or an infinity; says how many and where the first is."""
+    """Raise ArrayError if ``array`` holds NaN or an infinity; the message has their number and the index of the first."""
     bad = ~np.isfinite(array)
     if bad.any():
         first = tuple(int(i) for i in np.argwhere(bad)[0])

@@ -80,7 +80,7 @@ class _Archive:
         try:
             self._zip = zipfile.ZipFile(io.BytesIO(data))
         except Exception as error:
-            # A stranger's bytes: zipfile lets struct.error, ValueError and others through.
+            # The bytes may be anything: zipfile lets struct.error, ValueError and others through.
             raise WeightsError(f"damaged or truncated zip archive ({short(str(error))})") from error
         entries = self._zip.infolist()
         self._entries = {entry.filename: entry for entry in entries}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Convolution, gated convolution and their activations: channels last, zero padding, BLAS on taps."""
+"""Convolution, gated convolution and their activations: channels last, zero padding, a matrix product for each tap."""
 
 from __future__ import annotations
 
@@ -64,7 +64,9 @@ def conv_named(x: Image, weights: Weights, name: str, stride: int = 1) -> Image:
 
 
 def gated(x: Image, weights: Weights, name: str, stride: int = 1) -> Image:
-    """Gated convolution ``G``: ``conv(x) sigmoid(gate(x))``, the gate being a convolution to one channel (spec 7).
+    """Gated convolution ``G``: ``conv(x) sigmoid(gate(x))``, where the gate is a convolution to one channel.
+
+    Source: spec 7.
 
     Args:
         x: (H, W, C).
@@ -80,7 +82,7 @@ def gated(x: Image, weights: Weights, name: str, stride: int = 1) -> Image:
 
 
 def conv_chain(x: Image, weights: Weights, name: str, layers: tuple[int, ...], *, last_relu: bool = True) -> Image:
-    """Convolutions ``name.0``, ``name.2``, ... one after the other, ReLU between them, after the last one if ``last_relu``.
+    """Convolutions ``name.0``, ``name.2``, ... one after the other, with ReLU between them.
 
     Args:
         x: (H, W, C).
@@ -90,7 +92,7 @@ def conv_chain(x: Image, weights: Weights, name: str, layers: tuple[int, ...], *
         last_relu: whether ReLU follows the last one.
 
     Returns:
-        (H', W', O).
+        (H', W', O); each stride divides H and W, rounded up.
     """
     for i, stride in enumerate(layers):
         x = conv_named(x, weights, f"{name}.{2 * i}", stride)

@@ -14,7 +14,7 @@ from stss_ref.weights import Weights
 def decoder(reshaded: Image, feature: Image, x1: Image, x2: Image, x3: Image, color: Image, weights: Weights) -> Image:
     """The expanding half of the U-Net.
 
-    ``u = concat(reshaded, feature)``; ``u = up1(concat(x3, u2))``, ``up2(concat(x2, u2))``, ``up3(concat(x1, u2))``, ``u2`` being ``u``
+    ``u = concat(reshaded, feature)``; ``u = up1(concat(x3, u2))``, ``up2(concat(x2, u2))``, ``up3(concat(x1, u2))``, where ``u2`` is ``u``
     upsampled with corners aligned; ``image = shuffle(outc(u)) + upsampled(color[0:3])``.
 
     Source: spec 7; paper, Fig. 5.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Depth as the network and the hole test see it."""
+"""Depth in the form that the network and the hole test take."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from stss_ref.arrays import Plane, require_shape
 DepthMode = Literal["clip", "scale"]
 
 BACKGROUND = 1e9
-"""Depths from here on mean that nothing was hit (spec 0); so do 0, negative and non-finite ones."""
+"""A depth of this or more means that nothing was hit (spec 0); so does one that is 0, negative or not finite."""
 
 
 def normalise_depth(depth: Plane, mode: DepthMode) -> Plane:
-    """Linear view depth taken to [0, 1].
+    """Take linear view depth to [0, 1].
 
     ``clip``: ``min(max(d, 0), 1)``. ``scale``: ``(d - min) / (max - min + 1e-6)`` over the frame.
 
@@ -27,7 +27,10 @@ def normalise_depth(depth: Plane, mode: DepthMode) -> Plane:
         mode: ``clip`` or ``scale``.
 
     Returns:
-        (H, W) in [0, 1]; where nothing was hit, the largest real depth stands in (1, before it is normalised, in a frame that has none).
+        (H, W) in [0, 1]. Before normalising, the frame's largest real depth (1 if it has none) replaces those where nothing was hit.
+
+    Raises:
+        ArrayError: ``depth`` is not (H, W).
     """
     require_shape("depth", depth, (None, None))
 

@@ -43,6 +43,6 @@ def encoder(color: Image, gbuffer: Image, mask: Plane, weights: Weights) -> tupl
 
 
 def _down(x: Image, weights: Weights, name: str) -> Image:
-    """Half the size by a gated convolution without ReLU, then two with."""
+    """One gated convolution with stride 2 and no ReLU, then two with ReLU."""
     x = gated(x, weights, f"{name}.downsample", stride=2)
     return relu(gated(relu(gated(x, weights, f"{name}.conv1")), weights, f"{name}.conv2"))

@@ -74,7 +74,7 @@ def frame(inputs: FrameInputs, weights: Weights, gather: Gather = "longest") -> 
 
 
 def prepare(inputs: FrameInputs, gather: Gather = "longest") -> NetworkInputs:
-    """Warp the three colour frames to now: everything that comes before the network; arguments and errors as ``frame``."""
+    """Make the network's inputs: warp the three colour frames to the current one. Arguments and errors as in ``frame``."""
     _check(inputs)
     motions = _motion_by_step(inputs.motions, inputs.steps, gather)
 
@@ -96,13 +96,13 @@ def prepare(inputs: FrameInputs, gather: Gather = "longest") -> NetworkInputs:
 
 
 def _motion_by_step(motions: Array, steps: Sequence[int], gather: Gather) -> dict[int, Image]:
-    """Chained motion over each of the steps that is not 0."""
+    """The chained motion (H, W, 2) over each step that is not 0, by step."""
     chained = chain_steps(motions[: max(steps)], gather) if max(steps) > 0 else ()
     return {step: motion for step, motion in enumerate(chained, start=1) if step in steps}
 
 
 def _warp_one(inputs: FrameInputs, i: int, motion: Image | None) -> tuple[Image, Mask]:
-    """Colour frame ``i`` seen from now and where it is to be trusted; the frame itself (no motion) everywhere."""
+    """Colour frame ``i`` warped to the current one, and where to trust it; without motion the frame itself, trusted everywhere."""
     if motion is None:
         return inputs.colors[i], np.ones(inputs.nov.shape, bool)
     warped, _ = warp(inputs.colors[i], motion)

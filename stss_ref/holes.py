@@ -36,7 +36,7 @@ def holes(
         motion: (H, W, 2) pixels, current -> earlier; non-finite is off screen.
         stencil_previous, stencil: (H, W) object number of the earlier frame and of this one; 0 = static.
         normal_previous, normal: (H, W, 3) world space.
-        position_previous, position: (H, W, 3) world position; cm. Non-finite: at no trusted distance from anything.
+        position_previous, position: (H, W, 3) world position; cm. A non-finite one counts as too far from any other.
         nov: (H, W) dot of normal and view vector.
         depth: (H, W) normalised to [0, 1].
         limits: the constants; None = the specification's.
@@ -63,7 +63,7 @@ def holes(
 
     facing = np.abs(nov)
     bias = limits.facing * facing + limits.grazing * (1 - facing) + limits.depth * depth
-    # not (d <= bias), for a distance that is NaN must be a hole too
+    # Not d > bias: a distance that is NaN must be a hole too.
     static = (s == 0) & ~(_largest_distance(position_previous, position, at) <= bias)
 
     length = np.sqrt((n * n).sum(axis=-1))
@@ -76,7 +76,7 @@ def holes(
 
 
 def _largest_distance(previous: Image, position: Image, at: Taps) -> Plane:
-    """(H, W) largest of the distances from ``position`` to the four taps of ``previous``; NaN where any is."""
+    """(H, W) largest distance from ``position`` to the four taps of ``previous``, in their unit; NaN where any of the four is."""
     with np.errstate(invalid="ignore", over="ignore"):
         offsets = np.stack([previous[j, i] - position for j in (at.y0, at.y1) for i in (at.x0, at.x1)])
         return np.sqrt((offsets * offsets).sum(axis=-1)).max(axis=0)

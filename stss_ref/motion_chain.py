@@ -47,7 +47,7 @@ def chain_steps(motions: Image, gather: Gather = "longest") -> Iterator[Image]:
 
 
 def chain_on(chained: Image, earlier: Image, gather: Gather = "longest") -> Image:
-    """``m_{j+1}`` from ``m_j`` and ``motion_{t-j}``, both (H, W, 2); what is not finite stays so."""
+    """``m_{j+1}`` from ``m_j`` and ``motion_{t-j}``, both (H, W, 2); a chain that is not finite stays so."""
     at = follow(chained)
     return chained + np.where(at.finite[..., None], GATHERS[gather](earlier, at), 0)
 
@@ -60,15 +60,15 @@ def _read(motion: Image, x: Index, y: Index) -> Image:
 
 
 def truncated(whole: Index, fraction: Plane) -> Index:
-    """``trunc`` of a place, towards zero: what lies between -1 and 0 is 0. Farther left it is floor, which reads 0 as well."""
+    """``trunc`` of a place, 0 between -1 and 0. Farther left or up this returns the floor: outside the frame both read 0."""
     return np.where((whole == -1) & (fraction > 0), 0, whole)
 
 
 def gather_longest(motion: Image, at: Place) -> Image:
     """The longest of the 2 x 2 motions whose corner is ``trunc(p + m(p))``; 0 when any of the four is 0.
 
-    The faster surface wins at a silhouette, a still one over both. Among equally long ones the first in raster order stays; a
-    non-finite motion is longer than any other.
+    At a silhouette the faster surface wins, and a still one wins over any. Among equally long motions the first in raster order
+    wins. A non-finite motion is longer than any other.
     """
     x, y = truncated(at.x, at.fx), truncated(at.y, at.fy)
     corners = np.stack([_read(motion, x + i, y + j) for j in (0, 1) for i in (0, 1)])

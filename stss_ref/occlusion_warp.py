@@ -9,11 +9,11 @@ from stss_ref.arrays import Array, Image, Mask, Plane, require_finite, require_s
 from stss_ref.sample import bilinear, follow, taps
 
 FARTHEST = 10.0
-"""The splat's depth buffer starts here, in normalised depth: what lies deeper never splats (spec 5)."""
+"""Normalised depth that the splat's depth buffer starts with: a pixel of this depth or more never splats (spec 5)."""
 
 
 def occlusion_warp(color: Image, warped: Image, motion: Image, depth: Plane, valid: Mask | Array) -> tuple[Image, Image]:
-    """Fill warping holes from where the surface that covered them came from.
+    """Fill warping holes with the colour found along the motion of the surface that covered them.
 
     ``occlusion_motion(p) = splat(motion, depth)(clamp(floor(p + motion(p))))``;
     ``occlusion_warp(p) = warped(p)`` where valid, else ``bilinear(color, clamp(p + occlusion_motion(p)))``.
@@ -23,7 +23,7 @@ def occlusion_warp(color: Image, warped: Image, motion: Image, depth: Plane, val
     Args:
         color: (H, W, C) the earlier frame, finite.
         warped: (H, W, C) the same, warped by ``motion`` (stage warp).
-        motion: (H, W, 2) pixels, current -> earlier; non-finite does not splat, and looks up its own pixel.
+        motion: (H, W, 2) pixels, current -> earlier; a non-finite motion does not splat, and looks up its own pixel.
         depth: (H, W) normalised to [0, 1]; smaller is nearer.
         valid: (H, W) True (or 1) = warped colour to be trusted.
 
@@ -49,10 +49,10 @@ def occlusion_warp(color: Image, warped: Image, motion: Image, depth: Plane, val
 
 
 def splat(motion: Image, depth: Plane) -> Image:
-    """Every pixel's motion written to the four earlier pixels around the place it came from; the nearest surface stays.
+    """Write every pixel's motion to the four earlier pixels around the place it came from; the nearest surface wins.
 
-    Among equal depths the first pixel in raster order stays: the winner is the smallest (depth, raster index), which does not depend
-    on the order of the writes. Pixels nobody wrote hold 0.
+    Among equal depths the first pixel in raster order wins. The winner is the smallest (depth, raster index), so the order of the
+    writes does not matter. Pixels that nothing was written to hold 0.
 
     Args:
         motion: (H, W, 2) pixels.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Small files read whole: never a pipe or a device, which would block or never end, and never more than was allowed."""
+"""Read small files whole. Pipes and devices, which may block or never end, are refused, and files above a limit."""
 
 from __future__ import annotations
 
@@ -18,17 +18,20 @@ _KINDS = {
 
 
 def read_regular(path: Path, most: int) -> bytes:
-    """The bytes of a regular file.
+    """Read a regular file whole.
 
     Args:
         path: the file; links are followed.
-        most: bytes that it may have; a multiple of 1024.
+        most: the largest size allowed; bytes, a multiple of 1024.
+
+    Returns:
+        Its bytes.
 
     Raises:
-        OSError: it cannot be read, is no regular file, or is larger; ``strerror`` says which.
+        OSError: it cannot be read, is not a regular file, or is larger; ``strerror`` says which.
     """
     require_regular(path)
-    # Without O_NONBLOCK a pipe that took the file's place since would block.
+    # Without O_NONBLOCK this would block on a pipe that has taken the file's place since the check.
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     with os.fdopen(handle, "rb") as file:
         _require_regular(path, os.fstat(handle).st_mode)

@@ -64,5 +64,5 @@ def draw_rectangle(height: int, width: int, random: np.random.Generator) -> tupl
 
 
 def concat_masked(color: Array, mask: Array) -> NDArray[np.floating]:
-    """``color`` (H, W, C) followed by ``color * mask``: (H, W, 2C), what the network is given of both (spec 6, 7)."""
+    """``color`` (H, W, C) followed by ``color * mask``: (H, W, 2C), the form in which the network takes both (spec 6, 7)."""
     return np.concatenate([color, color * mask[..., None]], axis=-1)

@@ -14,12 +14,12 @@ Index = NDArray[np.intp]
 
 
 class Place(NamedTuple):
-    """Where every pixel's motion leads, never as a sum that is rounded: all (H, W).
+    """Where every pixel's motion leads: whole pixels and a fraction, since their sum would be rounded. All (H, W).
 
     Attributes:
-        x, y: the whole pixel at or before it, not clamped into the frame.
-        fx, fy: what lies between, to the right and down; [0, 1]: 1 only where less than 1 rounds to it.
-        finite: False: the motion was not, and this is the pixel itself.
+        x, y: column and row of the pixel at or before the place; not clamped into the frame.
+        fx, fy: the fraction from there, to the right and down; [0, 1]. It is 1 only where a number below 1 rounds to 1.
+        finite: False where the motion is not finite; the place is then the pixel itself.
     """
 
     x: Index
@@ -30,7 +30,7 @@ class Place(NamedTuple):
 
 
 class Taps(NamedTuple):
-    """The 2 x 2 pixels around a place, and where between them it lies: all (H, W)."""
+    """The 2 x 2 pixels around each place, clamped into the frame, and the fractions between them in [0, 1]. All (H, W)."""
 
     x0: Index
     y0: Index
@@ -54,7 +54,7 @@ def follow(motion: Image) -> Place:
     moved = np.where(finite[..., None], motion, 0)
     whole = np.floor(moved)
     fraction = moved - whole
-    # Beyond the frame is beyond it, however far; an integer holds no huge number.
+    # One pixel beyond the frame is as good as any distance, and an integer cannot hold a huge one.
     steps = np.clip(whole, (-width - 1, -height - 1), (width + 1, height + 1)).astype(np.intp)
     y, x = np.indices((height, width))
     return Place(x + steps[..., 0], y + steps[..., 1], fraction[..., 0], fraction[..., 1], finite)
@@ -63,7 +63,7 @@ def follow(motion: Image) -> Place:
 def leads_inside(at: Place) -> Mask:
     """(H, W) True where the motion is finite and leads into [0, W-1] x [0, H-1]."""
     height, width = at.finite.shape
-    # Not x + fx <= width - 1, a sum that is rounded.
+    # Not x + fx <= width - 1: that sum is rounded.
     across = (at.x >= 0) & (at.x + (at.fx > 0) <= width - 1)
     down = (at.y >= 0) & (at.y + (at.fy > 0) <= height - 1)
     return at.finite & across & down
@@ -74,7 +74,7 @@ def taps(at: Place) -> Taps:
     height, width = at.finite.shape
     x0, y0 = np.clip(at.x, 0, width - 1), np.clip(at.y, 0, height - 1)
     x1, y1 = np.minimum(x0 + 1, width - 1), np.minimum(y0 + 1, height - 1)
-    # Clamped, it lies on a pixel; so does what is in the last column, or in the last row.
+    # A clamped place lies on a pixel, and so does one in the last column or row.
     fx = np.where((at.x < 0) | (at.x >= width - 1), 0, at.fx)
     fy = np.where((at.y < 0) | (at.y >= height - 1), 0, at.fy)
     return Taps(x0, y0, x1, y1, fx, fy)

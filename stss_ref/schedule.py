@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage schedule: which earlier frames a display frame is made of."""
+"""Stage schedule: the earlier frames from which a display frame is made."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class Schedule(NamedTuple):
 
     Attributes:
         kind: SF or EF.
-        steps: how far back each of the three colour frames lies, newest first. A step equal to the one before it stands for a
-            frame that is missing: the oldest one there is is repeated, and its mask is 0 (spec 1).
+        steps: how many display frames back each of the three colour frames lies, newest first. A step equal to the one before it
+            stands for a missing frame: the oldest frame found is repeated, with mask 0 (spec 1).
     """
 
     kind: FrameKind
@@ -42,10 +42,10 @@ def schedule(number: int, rendered: Container[int], *, reach: int = 5) -> Schedu
     Args:
         number: the display frame ``t``.
         rendered: the display frames that have colour.
-        reach: how far back the chain of motion is unbroken; older frames count as missing.
+        reach: display frames back over which the chain of motion is unbroken; older frames count as missing.
 
     Returns:
-        The schedule; None for an extrapolation frame with no rendered frame just before it: there is nothing to make it of.
+        The schedule; None for an EF whose previous display frame was not rendered: nothing can be made.
     """
     kind = FrameKind.SF if number in rendered else FrameKind.EF
     steps: list[int] = []

@@ -3,8 +3,8 @@
 
 A pickle is a program for a small stack machine, and Python's own machine can import and call anything. This one has
 only the instructions that a dictionary of tensors needs; it builds tuples, lists, dictionaries and descriptions, and
-has nothing to import or call with. Its memory grows by a few words an instruction: no number in the pickle makes it
-allocate.
+has nothing to import or call with. An instruction adds a few words of memory at most; no number in the pickle makes it
+allocate more.
 
 Source: spec 10; the instructions, Python's ``pickletools``.
 """
@@ -74,7 +74,7 @@ class Tensor(NamedTuple):
 
 
 def short(text: str) -> str:
-    """Text of a stranger's file, fit for a message of one line."""
+    """Text from a file of unknown origin, cut and escaped for a message of one line."""
     return repr(text[:80])[1:-1]
 
 
@@ -82,7 +82,7 @@ def describe(pickle: bytes) -> dict[object, object]:
     """The dictionary that ``pickle`` describes; its values are for `tensor`.
 
     Raises:
-        WeightsError: it is damaged, no dictionary, or asks for anything but tensors.
+        WeightsError: it is damaged, is not a dictionary, or asks for anything but tensors.
     """
     try:
         result = _Machine().run(pickle)
@@ -97,10 +97,10 @@ def describe(pickle: bytes) -> dict[object, object]:
 
 
 def tensor(name: str, value: object) -> Tensor:
-    """The description of tensor ``name`` in ``value``; within its storage.
+    """Read the description of tensor ``name`` from ``value``, one of the values of `describe`.
 
     Raises:
-        WeightsError: it is no tensor, its description is not of PyTorch's form, or it reaches out of its storage.
+        WeightsError: it is not a tensor, its description is not of PyTorch's form, or it reaches out of its storage.
     """
     match value:
         case _Tensor((_Storage(("storage", _Global(kind), str(key), str(), length)), offset, shape, strides, *_)):
@@ -138,7 +138,7 @@ def _kind(value: object) -> str:
 
 
 class _Machine:
-    """The stack machine of Python's pickles, less all instructions that make objects of classes."""
+    """The stack machine of Python's pickles, without the instructions that make objects of classes."""
 
     def __init__(self) -> None:
         self._stack: list[object] = []

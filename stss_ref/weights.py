@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The network's 92 named arrays: their table, the check of them, and weights to start from.
+"""The network's 92 named arrays: their table, their check, and weights for tests and baselines.
 
 Source: spec 7, 8, 10; paper, Tab. "Cost analysis for each component".
 """
@@ -17,7 +17,7 @@ from numpy.typing import DTypeLike, NDArray
 from stss_ref.arrays import Array
 
 Weights = Mapping[str, Array]
-"""Array of each name of `TENSORS`; a convolution's weight is (out, in, kh, kw), its bias (out,)."""
+"""The array of each name in `TENSORS`: a convolution's weight is (out, in, kh, kw), its bias (out,)."""
 
 Component = Literal["backbone", "history", "erm"]
 
@@ -37,13 +37,13 @@ class Layer:
     Attributes:
         name: module path in the authors' checkpoint, without ``.weight`` and ``.bias``.
         inputs: channels in.
-        outputs: channels out; a gated layer's gate has one more, of its own weights.
-        component: row of the paper's cost table that it belongs to.
-        divisor: its output grid is (H / divisor, W / divisor); the input grid is ``stride`` times finer.
+        outputs: channels out, without the gate's one.
+        component: the layer's row in the paper's cost table.
+        divisor: the output is (H / divisor, W / divisor); the input grid is ``stride`` times finer.
         kernel: side of the window, in pixels of the input grid.
         stride: step of the window, in pixels of the input grid.
-        gated: multiplied by the sigmoid of a second convolution to one channel (spec 7, ``G``).
-        repeats: times it runs for one frame; the history's layers run for each of the three frames.
+        gated: whether the output is multiplied by the sigmoid of a second convolution, to one channel (spec 7, ``G``).
+        repeats: how often it runs for one frame: the history's layers run for each of the three colour frames.
     """
 
     name: str
@@ -138,15 +138,15 @@ TENSORS: dict[str, tuple[int, ...]] = {name: shape for layer in LAYERS for name,
 def multiply_adds(height: int, width: int) -> dict[str, int]:
     """Multiply-adds of each layer for one frame of (height, width) padded to multiples of 8, by the layer's name.
 
-    Convolutions and gates are counted, biases and activations are not, nor is what lies between the layers. The
-    paper's 31.50 G are these at 968 x 544 (its authors pad a width of 960 by 8 more), and 11 for each number that the
-    decoder's three upsamplings give.
+    Convolutions and gates are counted; biases, activations and whatever lies between the layers are not. The paper's
+    31.50 G is this count at 968 x 544 (its authors pad a width of 960 by 8 more) plus 11 for each number that the
+    decoder's three upsamplings produce.
     """
     return {layer.name: layer.multiply_adds(height, width) for layer in LAYERS}
 
 
 def check(tensors: Mapping[str, NDArray[Any]]) -> Weights:
-    """Say that ``tensors`` are weights of this network, in the table's order and safe from change.
+    """Check that ``tensors`` are weights of this network, and copy them.
 
     Args:
         tensors: array by name.
@@ -173,7 +173,7 @@ def require_names(names: Collection[str]) -> None:
 
 
 def require_shape(name: str, shape: tuple[int, ...]) -> None:
-    """Raise WeightsError unless ``shape`` is that of the tensor ``name``."""
+    """Raise WeightsError unless the tensor ``name`` of the network has ``shape``."""
     if shape != TENSORS[name]:
         raise WeightsError(f"{name}: expected shape {TENSORS[name]}, got {shape}")
 
@@ -205,19 +205,19 @@ def zeros() -> Weights:
 
 
 def reads_history(weights: Weights) -> bool:
-    """Whether the image depends on the history at all: not where the kernels of its last layer, feature's and gate's, are 0 (spec 7)."""
+    """Whether the image depends on the history: not if both kernels of the history's last layer, feature and gate, are 0 (spec 7)."""
     return any(np.any(weights[f"lowlevelGated.{name}.weight"]) for name in ("conv_feature", "conv_mask.0"))
 
 
 def has_residual(weights: Weights) -> bool:
-    """Whether the network adds anything: with a last layer of zeros the image is the upsampled frame, whatever the rest computes."""
+    """Whether the network adds anything: if its last layer is all zeros, the image is the upsampled frame, whatever else is computed."""
     return bool(np.any(weights["outc.weight"]) or np.any(weights["outc.bias"]))
 
 
 def random(seed: int) -> Weights:
     """Weights that keep the size of a signal from layer to layer (He et al. 2015), the same for the same ``seed``.
 
-    Biases are drawn as well, with a tenth of a standard deviation, so that a port that forgets one is found out.
+    Biases are drawn as well, with standard deviation 0.1, so that a port that forgets a bias fails.
     """
     generator = np.random.default_rng(seed)
 
