@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether the camera is jittered, as for temporal antialiasing: by parts of a pixel, common to the frame, other in every frame."""
+"""Whether the camera is jittered, as for temporal antialiasing: shifted by part of a pixel, by another part in every frame."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from stss_ref.arrays import Array
 from stss_ref.warp import warp
 
 ENOUGH = 200
-"""So many pixels must tell the shift of a pair of frames."""
+"""Fewest pixels from which the shift of a pair of frames is taken."""
 FLAT = 0.1
 """A surface counts as flat where the position's second difference is below this share of its first."""
 COMMON = 0.05
-"""A shift is common to the frame when half of the pixels lie so near its median; pixels."""
+"""A shift is common to the frame when half of the pixels lie this near the median; pixels."""
 ALIKE = 0.99
-"""Share of the static pixels that move alike under a camera that stands."""
+"""Share of the static pixels that must move alike for the camera to count as standing still."""
 LEAST = 0.05
-"""Shifts that differ by less from frame to frame are none; pixels."""
+"""Shifts that differ by less than this from frame to frame are no jitter; pixels."""
 MOST = 1.5
-"""A jitter moves two frames apart by no more; pixels."""
+"""A jitter shifts two frames against each other by at most this; pixels."""
 
 
 @dataclass(frozen=True)
 class Jitter:
-    """What pairs of neighbouring frames say.
+    """The shifts found in pairs of neighbouring frames.
 
     Attributes:
         against_motion: shift (x, y) of each pair that positions show and motion does not have; pixels.
@@ -40,17 +40,17 @@ class Jitter:
 
     @property
     def lines(self) -> list[str]:
-        """A sentence for each of the two that changes from pair to pair."""
+        """A sentence for each of the two kinds of shift that changes from pair to pair."""
         found: list[str] = []
         if size := _changing(self.against_motion):
             found.append(
-                f"jitter: positions are shifted against the motion by up to {size:.2f} pixels, the whole frame alike, each frame"
-                " otherwise: a jittered camera; switch it off, or take it out (docs/profiles.md, Jitter)"
+                f"jitter: positions are shifted against the motion by up to {size:.2f} pixels, the whole frame alike, and"
+                " differently in each frame: the camera is jittered; switch that off, or take it out (docs/profiles.md, Jitter)"
             )
         if size := _changing(self.in_motion):
             found.append(
-                f"jitter: all that stands moves alike, by up to {size:.2f} pixels, each frame otherwise: a jittered camera, or one that"
-                " shakes; a jitter must be switched off, or be taken out (docs/profiles.md, Jitter)"
+                f"jitter: all static geometry moves alike, by up to {size:.2f} pixels, differently in each frame: the camera is jittered,"
+                " or shakes; a jitter must be switched off, or be taken out (docs/profiles.md, Jitter)"
             )
         return found
 
@@ -58,8 +58,8 @@ class Jitter:
 def judge_jitter(pairs: Iterable[tuple[Buffers, Buffers]]) -> Jitter:
     """Look at pairs of neighbouring frames (t - 1, t).
 
-    The position that a pixel shows must be the one that the frame before shows where motion leads to, as long as nothing moves but
-    the camera. Where a whole frame is off by the same part of a pixel, motion lacks what the camera was shifted by.
+    Where only the camera moves, a pixel's world position must equal the one that the frame before has where motion leads to. If a
+    whole frame is off by the same part of a pixel, motion lacks the shift of the camera.
     """
     against: list[tuple[float, float]] = []
     within: list[tuple[float, float]] = []
@@ -73,7 +73,7 @@ def judge_jitter(pairs: Iterable[tuple[Buffers, Buffers]]) -> Jitter:
 
 
 def _changing(shifts: tuple[tuple[float, float], ...]) -> float:
-    """The largest shift, if the shifts are those of a jitter; else 0."""
+    """The largest shift if the shifts are a jitter's, else 0; pixels."""
     if len(shifts) < 2:
         return 0.0
     array = np.array(shifts)
@@ -82,7 +82,7 @@ def _changing(shifts: tuple[tuple[float, float], ...]) -> float:
 
 
 def _common(shifts: Array, share: float = 0.5) -> tuple[float, float] | None:
-    """The median of shifts (pixels, 2), where it stands for all of them."""
+    """The median of shifts (pixels, 2), or None if fewer than ``share`` of them lie near it."""
     if len(shifts) < ENOUGH:
         return None
     median = np.median(shifts, axis=0)
@@ -91,7 +91,7 @@ def _common(shifts: Array, share: float = 0.5) -> tuple[float, float] | None:
 
 
 def _shifts(before: Buffers, now: Buffers) -> Array:
-    """(pixels, 2) by how much each pixel of flat static geometry is off; least squares along the surface."""
+    """(pixels, 2) shift of each pixel of flat static geometry, by least squares along the surface; pixels."""
     here = now.position.astype(np.float64)
     with np.errstate(over="ignore", invalid="ignore"):
         usable = (now.stencil == 0) & np.isfinite(now.depth) & np.isfinite(here).all(axis=-1)
@@ -109,7 +109,7 @@ def _shifts(before: Buffers, now: Buffers) -> Array:
 
 
 def _slope(position: Array, axis: int) -> tuple[Array, Array]:
-    """Change of the position a pixel, and where it is that of a flat surface; (H, W, 3) and (H, W)."""
+    """Change of the position per pixel along an axis, (H, W, 3), and True where the surface is flat along it, (H, W)."""
     later, earlier = np.roll(position, -1, axis), np.roll(position, 1, axis)
     first, second = (later - earlier) / 2, later - 2 * position + earlier
     flat = (second * second).sum(-1) < FLAT**2 * (first * first).sum(-1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether motion points where it should: the frame before, warped to now, under every choice of signs and order."""
+"""Whether motion follows the profile's convention: the frame before is warped to now under every choice of signs and order."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from stss_ref.arrays import Image, Mask
 from stss_ref.warp import warp
 
 MOVING = 0.25
-"""Pixels; less motion than this tells nothing."""
+"""Least motion of a pixel that counts; pixels."""
 ENOUGH = 200
-"""So many pixels must tell the choices apart."""
+"""Fewest pixels that must tell the choices apart."""
 VISIBLE = 1e-3
 """A pixel tells choices apart when their errors differ by this share of the buffer's largest value."""
 GUIDES = ("base colour and normal", "colour", "position")
-"""No shading disturbs the first; the second needs both frames rendered; the third holds where only the camera moves."""
+"""Buffers to warp. The first is free of shading; the second needs both frames rendered; the third needs a scene that stands still."""
 MARGIN = 0.8
 """Another choice is better when its error is below this share of the profile's."""
 
@@ -39,10 +39,10 @@ CHOSEN = next(iter(CHOICES))
 
 @dataclass(frozen=True)
 class ConventionVerdict:
-    """What the warps say.
+    """The errors of the frame before, warped under each choice.
 
     Attributes:
-        guides: the buffers that were compared; none where nothing tells the choices apart.
+        guides: the buffers that were compared; none where no pixel tells the choices apart.
         pixels: how many pixels told them apart.
         errors: choice -> median absolute difference over those pixels, relative to the buffer's largest value.
         ratios: choice -> its median error divided by the profile's, over the pixels where the two differ; choices that

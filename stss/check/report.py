@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether a sequence is what a profile says, before hours are spent on it."""
+"""Check whether a sequence is what its profile says, before hours are spent on it."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from stss.sequence.reader import Sequence, open_sequence
 from stss.terminal import printable
 
 PAIRS = 3
-"""So many pairs of neighbouring frames are read."""
+"""Number of pairs of neighbouring frames that are read."""
 LISTED = 8
-"""So many frame numbers stand in a line."""
+"""Most frame numbers that a line lists."""
 LOSSY = ("pxr24", "b44", "b44a", "dwaa", "dwab")
 
 
@@ -48,7 +48,7 @@ class CheckReport:
     """What was found.
 
     Attributes:
-        findings: the gravest first; among equals, what most likely keeps a sequence from working.
+        findings: the most serious first; among equals, the likeliest cause first.
         tables: the same as numbers, ready for JSON.
     """
 
@@ -83,19 +83,17 @@ def check(
     non_finite: NonFinite = "refuse",
     frames: tuple[int, int] | None = None,
 ) -> CheckReport:
-    """Look a sequence over: frames, buffers, conventions, values.
+    """Check a sequence's frames, buffers, conventions and values.
 
     Args:
-        sequence_path: as `stss.sequence.reader.open_sequence`, like the options.
+        sequence_path: folder or pattern, see `stss.sequence.reader.open_sequence`.
         profile: name, TOML file or profile.
-        camera: as there.
-        metallic: as there.
-        roughness: as there.
-        non_finite: as there; "refuse" makes values that are not finite an error, "mask" a warning.
+        camera, metallic, roughness: as for `stss.sequence.reader.open_sequence`.
+        non_finite: likewise; "refuse" makes values that are not finite an error, "mask" a warning.
         frames: first and last display frame to look at; None: all there are.
 
     Raises:
-        InputError: the profile itself cannot be read. What is wrong with the sequence is a finding.
+        InputError: the profile cannot be read, or ``frames`` names none of the sequence. Any other fault is a finding.
     """
     table = profile if isinstance(profile, Profile) else load_profile(profile)
     findings: list[CheckFinding] = []
@@ -124,7 +122,7 @@ def check(
 
 
 def missing_frames(numbers: list[int]) -> list[CheckFinding]:
-    """Display frames that are not there at all: the likeliest reason that a sequence cannot work."""
+    """Display frames that have no file at all: the likeliest reason why a sequence cannot be run."""
     count = numbers[-1] - numbers[0] + 1 - len(numbers)
     if not count:
         return []
@@ -136,7 +134,7 @@ def missing_frames(numbers: list[int]) -> list[CheckFinding]:
             "may come at half rate: render G-buffer and motion of every display frame, motion to the one just before"
         )
         return [CheckFinding("error", text)]
-    gone = chain.from_iterable(range(a + 1, b) for a, b in pairwise(numbers))  # never walked: numbers may lie far apart
+    gone = chain.from_iterable(range(a + 1, b) for a, b in pairwise(numbers))  # lazily: numbers may lie far apart
     text = f"display frames {_listed(islice(gone, LISTED), count)} are not there: G-buffer and motion of each are needed"
     return [CheckFinding("error", text)]
 
@@ -161,7 +159,7 @@ def missing_buffers(sequence: Sequence, numbers: list[int]) -> list[CheckFinding
 
 
 def _listed(numbers: Iterable[int], count: int) -> str:
-    """The first of ``count`` numbers."""
+    """The first of ``count`` numbers, as text."""
     more = f", ... ({count} in all)" if count > LISTED else ""
     return ", ".join(str(n) for n in islice(numbers, LISTED)) + more
 

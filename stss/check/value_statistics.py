@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the values of a few frames say: units, ranges, holes in the data."""
+"""Findings about the values of a few frames: units, ranges, missing data."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ Level = Literal["error", "warning", "note"]
 Line = tuple[Level, str]
 
 HOLE_CM = HoleLimits().facing
-"""Smallest distance that the hole test tells apart (spec 4)."""
+"""Smallest distance that the hole test can tell apart (spec 4); cm."""
 
 
 def motion_lines(verdict: ConventionVerdict, profile: str) -> list[Line]:
-    """What the reprojection says of the profile's motion convention."""
+    """Findings about the profile's motion convention, from the warped frames."""
     if not verdict.guides:
         return [("note", "motion: cannot tell whether its signs are right; too little moves, or nothing has texture")]
     compared = f"{', '.join(verdict.guides)} of the frame before, warped, over {verdict.pixels} pixels"
@@ -37,7 +37,7 @@ def motion_lines(verdict: ConventionVerdict, profile: str) -> list[Line]:
 
 
 class Values:
-    """Counts over the frames that were looked at."""
+    """Counts and largest values over the frames that were looked at."""
 
     def __init__(self):
         self._counts: Counter[str] = Counter()
@@ -176,7 +176,9 @@ class Values:
             return []
         level: Level = "warning" if coarse else "note"
         stored = "half" if half else "single"
-        return [(level, f"position: {stored} precision, in steps of {step:.2g} cm; holes are told apart from {HOLE_CM} cm on")]
+        return [
+            (level, f"position: {stored} precision, in steps of {step:.2g} cm; the hole test looks for {HOLE_CM} cm and more")
+        ]
 
     def _color_lines(self, sequence: Sequence) -> list[Line]:
         if "color" not in self._most:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""The command line: options and one function a command; all work is done elsewhere."""
+"""The command line: options, and one function for each command. The work is done in the room of the command's name."""

@@ -24,34 +24,38 @@ from stss_cl.network.network import Precision
     multiple=True,
     default=((540, 960),),
     show_default="960x540",
-    help="Of the inputs; may be repeated.",
+    help="Size of the inputs; may be repeated.",
 )
-@click.option("--repeat", type=click.IntRange(1, MAX_COUNT), default=10, show_default=True, help="Timed runs of each contender.")
-@click.option("--ours", type=Names(), help="Of ref, cl, cl-direct, cl-half, cl-frame  [default: cl, and cl-frame]")
+@click.option("--repeat", type=click.IntRange(1, MAX_COUNT), default=10, show_default=True, help="Timed runs of each engine.")
+@click.option("--ours", type=Names(), help="Our backends: ref, cl, cl-direct, cl-half, cl-frame  [default: cl, and cl-frame]")
 @click.option(
     "--peers",
     type=Names(),
     default="pytorch,pytorch-tuned,onnxruntime,openvino,openvino-default",
     show_default=True,
-    help="The first is what ratios are to.",
+    help="Other engines; ratios are to the first of them.",
 )
 @click.option("--weights", help="A .safetensors file  [default: random weights]")
 @click.option("--device", help="Part of the name of the OpenCL device.")
-@click.option("--json", "json_file", type=PATH, help="File for every single time, versions and machine.")
+@click.option("--json", "json_file", type=PATH, help="File for all times, the versions and the machine.")
 @click.option("--plot", type=PATH, help="File for a picture: .png, .svg or .pdf.")
 @click.option(
-    "--pareto", is_flag=True, help="Time against error instead: every precision and skip mode, on the canonical scenes."
+    "--pareto", is_flag=True, help="Measure time against error instead: every precision and skip mode, on the canonical scenes."
 )
-@click.option("--scenes", type=Names(), help="With --pareto  [default: all]")
+@click.option("--scenes", type=Names(), help="With --pareto: the canonical scenes to run  [default: all]")
 @click.option(
     "--settings",
     type=Names(),
-    help="With --pareto: those whose names contain one of these, such as float32,2/255  [default: all]",
+    help="With --pareto: the settings whose names contain one of these, such as float32,2/255  [default: all]",
 )
-@click.option("--model", help="Instead, what a GPU that is not here would take, by a model: h100, rtx4090, ...")
-@click.option("--precision", type=click.Choice(["float32", "float32-direct", "half"]), default="float32", help="With --model.")
+@click.option("--model", help="Print instead the times that a model predicts for a GPU: h100, ...")
+@click.option(
+    "--precision", type=click.Choice(["float32", "float32-direct", "half"]), default="float32", help="Precision for --model."
+)
 @click.option("--measure", "measured", is_flag=True, help="With --model: time the launches on --device, too.")
-@click.option("--frames", type=click.IntRange(10, MAX_COUNT), default=20, show_default=True, help="With --pareto: of each scene.")
+@click.option(
+    "--frames", type=click.IntRange(10, MAX_COUNT), default=20, show_default=True, help="With --pareto: frames a scene."
+)
 def bench_command(
     sizes: tuple[tuple[int, int], ...],
     repeat: int,
@@ -69,7 +73,7 @@ def bench_command(
     measured: bool,
     frames: int,
 ) -> None:
-    """Time the network here and by other engines, and their distance from the float64 reference."""
+    """Time the network on our backends and on other engines, and measure the errors of all against the float64 reference."""
     from stss.bench import report as bench_report
     from stss.bench.measure import bench as run_bench
     from stss.bench.ours import default_ours
@@ -107,13 +111,13 @@ def bench_command(
 @click.command("gpu-report")
 @click.option("-o", "--out", type=PATH, required=True, help="A new or an empty folder.")
 @click.option("--device", help="Part of the name of the OpenCL device  [default: the first GPU]")
-@click.option("--model", default="h100", show_default=True, help="The GPU whose model stands beside what is measured.")
-@click.option("--tiny", is_flag=True, help="Small sizes: shows that every step runs, and nothing else.")
+@click.option("--model", default="h100", show_default=True, help="The GPU whose predicted times stand beside the measured ones.")
+@click.option("--tiny", is_flag=True, help="Small sizes: show that every step runs, and nothing else.")
 def gpu_report_command(out: Path, device: str | None, model: str, tiny: bool) -> None:
-    """Everything that is to be known of a GPU, in one folder: README.md there says first what is wrong.
+    """Test, judge and time a GPU; the report is a folder whose README.md begins with what is wrong.
 
-    Self-tests, tests, the judge, times beside other engines and beside a model, tile sizes; 25 minutes at most, no network.
-    Ends with status 1 if something is wrong.
+    Runs self-tests, tests and the judge, compares times with other engines and with a model, and finds tile sizes. Takes 25 minutes at
+    most and needs no network. Ends with status 1 if something is wrong.
     """
     from stss.bench.gpu_model_report import gpu_named
     from stss.bench.gpu_report import gpu_report
@@ -127,7 +131,7 @@ def gpu_report_command(out: Path, device: str | None, model: str, tiny: bool) ->
 @click.command()
 @click.argument("weights")
 @click.option("-o", "--out", type=PATH, required=True, help="The .onnx file to write.")
-@click.option("--size", type=Size(), default=(544, 960), show_default="960x544", help="Of the inputs: multiples of 8.")
+@click.option("--size", type=Size(), default=(544, 960), show_default="960x544", help="Size of the inputs: multiples of 8.")
 def export(weights: str, out: Path, size: tuple[int, int]) -> None:
     """Write the network with WEIGHTS, for inputs of one size, as an ONNX model for other engines."""
     from stss.bench import onnx_export

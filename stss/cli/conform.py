@@ -23,11 +23,13 @@ MAX_REPEAT = 1000
 @click.command()
 @click.option("--port", "spec", metavar="MODULE:FACTORY", help="A Python object: package.module:factory.")
 @click.option("--exec", "program", metavar="PROGRAM", help='A program that is called with a job folder: "./port --gpu 1".')
-@click.option("--stages", type=Names(), help="Some only  [default: all that the port has]")
+@click.option("--stages", type=Names(), help="Stages to judge  [default: all that the port has]")
 @click.option("--tier", type=click.Choice(["quick", "full"]), default="quick", show_default=True, help="How many cases.")
-@click.option("--seed", type=click.IntRange(0, MAX_SEED), default=0, show_default=True, help="Other cases.")
-@click.option("--dtype", type=click.Choice(["float32", "float16"]), help="What it computes in  [default: as it says; float32]")
-@click.option("--winograd", is_flag=True, help="It computes convolutions in Winograd's way: wider bounds for them.")
+@click.option("--seed", type=click.IntRange(0, MAX_SEED), default=0, show_default=True, help="Another seed draws other cases.")
+@click.option(
+    "--dtype", type=click.Choice(["float32", "float16"]), help="The port's arithmetic  [default: what the port says; float32]"
+)
+@click.option("--winograd", is_flag=True, help="The port computes convolutions by Winograd's method: wider bounds for them.")
 @click.option(
     "--timeout", type=Number(0, MAX_SECONDS, min_open=True), default=120, show_default=True, help="Seconds for one start."
 )
@@ -37,9 +39,11 @@ MAX_REPEAT = 1000
 )
 @click.option("--fail-fast", is_flag=True, help="Stop at the first failure.")
 @click.option("--known-failures", type=PATH, help="File: on each line a test and a link or reason.")
-@click.option("--failures", type=PATH, default=Path("conform-failures"), show_default=True, help="Folder for what fails.")
-@click.option("--replay", type=PATH, help="Run one of those folders again, and nothing else.")
-@click.option("--json", "json_file", type=PATH, help="File for every result, written as they come.")
+@click.option(
+    "--failures", type=PATH, default=Path("conform-failures"), show_default=True, help="Folder for the cases that fail."
+)
+@click.option("--replay", type=PATH, help="Run only the case of one such folder again.")
+@click.option("--json", "json_file", type=PATH, help="File for every result, written as it comes.")
 @click.option("--junit", type=PATH, help="File for JUnit XML.")
 @click.option("--report", type=PATH, help="File for an HTML page with pictures.")
 def conform(
@@ -61,9 +65,9 @@ def conform(
     junit: Path | None,
     report: Path | None,
 ) -> None:
-    """Judge a port: which stage departs from the specification, by how much, on the smallest input that shows it.
+    """Judge a port: say which stage departs from the specification, by how much, and on which smallest input.
 
-    Ends with status 0 if nothing does, 1 if something does or nothing was judged.
+    Ends with status 0 if no stage departs, 1 if one does or nothing was judged.
     """
     for package in ("pytest", "hypothesis"):
         require_package(package, "conform")
@@ -97,7 +101,7 @@ def conform(
 
 
 def _require_folder(failures: Path) -> None:
-    """Say of a place that is no folder before minutes of work, not after."""
+    """Raise InputError if ``failures`` cannot be a folder: before minutes of work, not after."""
     if failures.exists() and not failures.is_dir():
         raise InputError(f"{failures}: expected a folder, found a file")
 

@@ -13,7 +13,7 @@ from stss.terminal import Terminal, echo
 
 
 @click.command()
-@click.option("--again", is_flag=True, help="Test anew, whatever verdict is kept.")
+@click.option("--again", is_flag=True, help="Test again, even where a verdict is stored.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def devices(again: bool, as_json: bool) -> None:
     """List the OpenCL devices and whether they agree with the reference."""
@@ -38,10 +38,10 @@ def port(job: Path, backend: str) -> None:
 
 @click.command()
 @click.option("--device", help="Part of the name of the OpenCL device.")
-@click.option("--size", type=Size(), default=(540, 960), show_default="960x540", help="Of the inputs.")
-@click.option("--show", is_flag=True, help="Print the row in force; time nothing.")
+@click.option("--size", type=Size(), default=(540, 960), show_default="960x540", help="Size of the inputs.")
+@click.option("--show", is_flag=True, help="Print the tile sizes in use; time nothing.")
 def tune(device: str | None, size: tuple[int, int], show: bool) -> None:
-    """Find the fastest tile sizes for a device and keep them."""
+    """Find the fastest tile sizes for a device and store them."""
     from stss.devices import tune as tuning
 
     tuning.run(device, size, show=show, console=Terminal(), tell=partial(echo, err=True))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Subcommands that say what a result is worth: every method side by side, and flicker."""
+"""Subcommands that measure quality: ``compare``, ``methods``, ``flicker`` and ``flicker-scenes``."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from stss.terminal import Terminal, echo
 @click.option("--frames", type=FrameRange(), help="First and last frame to compare.")
 @click.option("--pictures", type=PATH, help="Folder for pictures of output, truth and difference.")
 @click.option("--html", type=PATH, help="File for a page to look at: slider, flicker, difference, plots; needs no network.")
-@click.option("--sequence", type=PATH, help="What OUT was made of, to be shown on the page.")
+@click.option("--sequence", type=PATH, help="The input of OUT, to show it on the page.")
 @sequence_options
 @perceptual_options
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
@@ -53,7 +53,7 @@ def compare_command(
     as_json: bool,
     **options: Any,
 ) -> None:
-    """Hold the frames in OUT against those in TRUTH: PSNR and SSIM over all pixels, edges and holes."""
+    """Compare the frames in OUT with those in TRUTH: PSNR and SSIM over all pixels, edges and holes."""
     from stss.quality import compare as comparing
     from stss.quality import comparison_page as pages
     from stss.quality.output_and_truth import find_pairs
@@ -81,7 +81,7 @@ def compare_command(
 @click.command("methods")
 @click.argument("sequence", type=PATH)
 @click.argument("truth", type=PATH)
-@click.option("-o", "--out", type=PATH, required=True, help="Folder for a folder of each method, and for sheet.png.")
+@click.option("-o", "--out", type=PATH, required=True, help="Folder for sheet.png and one folder for each method.")
 @sequence_options
 @weights_option
 @click.option("--methods", type=Names(), default=(), help="Which, such as bilinear,taau,network  [default: all]")
@@ -114,7 +114,7 @@ def methods_command(
     backend: str,
     compute: ComputeOptions,
 ) -> None:
-    """Run SEQUENCE by the network and without it, and hold all of it against TRUTH: one table, one picture.
+    """Run SEQUENCE with the network and with methods that have none, and compare all with TRUTH: one table, one picture.
 
     Columns are means over the frames of a kind; --json has every frame.
     """
@@ -162,14 +162,14 @@ def methods_command(
 @click.command("flicker")
 @click.argument("out", type=PATH)
 @click.argument("truth", type=PATH)
-@click.option("--sequence", type=PATH, required=True, help="What OUT was made of: its motion and G-buffer are followed.")
+@click.option("--sequence", type=PATH, required=True, help="The input of OUT: surfaces are followed by its motion and G-buffer.")
 @sequence_options
 @click.option("--frames", type=FrameRange(), help="First and last frame to look at.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def flicker_command(
     out: Path, truth: Path, sequence: Path, profile: str, frames: tuple[int, int] | None, as_json: bool, **options: Any
 ) -> None:
-    """Measure how the frames in OUT change along the motion, against those in TRUTH: in 8-bit levels."""
+    """Measure how the frames in OUT change along the motion, compared with those in TRUTH: in 8-bit levels."""
     from stss.quality.flicker import flicker, print_flicker
 
     found = flicker(out, truth, open_sequence(sequence, profile, **options), frames=frames)
@@ -180,10 +180,10 @@ def flicker_command(
 
 
 @click.command("flicker-scenes")
-@click.option("--scenes", type=Names(), default=(), help="Of the canonical ones  [default: static,slow-pan]")
+@click.option("--scenes", type=Names(), default=(), help="Canonical scenes  [default: static,slow-pan]")
 @click.option("--methods", type=Names(), default=(), help="Which, such as bilinear,taau,network  [default: all]")
-@click.option("--size", type=Size(), default="320x180", show_default=True, help="Of the inputs.")
-@click.option("--frames", type=click.IntRange(1, MAX_COUNT), default=20, show_default=True, help="Display frames of a scene.")
+@click.option("--size", type=Size(), default="320x180", show_default=True, help="Size of the inputs.")
+@click.option("--frames", type=click.IntRange(1, MAX_COUNT), default=20, show_default=True, help="Display frames of each scene.")
 @weights_option
 @backend_options
 def flicker_scenes_command(

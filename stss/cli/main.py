@@ -59,7 +59,7 @@ from stss_ref.schedule import FrameKind
 from stss_ref.weights import WeightsError
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-"""What a write to a file without a name, standard output, fails with where nothing more goes in."""
+"""Errors of a write to standard output where no more data fits."""
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120})
@@ -79,18 +79,20 @@ def stss() -> None:
     type=click.Choice([NETWORK, *METHODS]),
     default=NETWORK,
     show_default=True,
-    help="The network, or one without weights and device, to compare with.",
+    help="The network, or a method without weights and device to compare with.",
 )
 @backend_options
 @skip_options
 @frame_options
 @click.option("--format", "suffix", type=click.Choice(["exr", "png"]), default="exr", show_default=True)
-@click.option("--resume", is_flag=True, help="Keep what an earlier run finished, as far as it is still right.")
+@click.option("--resume", is_flag=True, help="Keep the frames of an earlier run that are still right.")
 @click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
 @click.option("--show-skipped", is_flag=True, help="Pictures of where each frame was computed, in OUT/skipped.")
 @click.option("--preview", type=PATH, help="A .png that shows the newest frame every ten seconds.")
 @click.option("--cluster", help="Compute on local:N processes, or on the workers of a scheduler: tcp://host:8786.")
-@click.option("--mixed-devices", is_flag=True, help="With --cluster: take workers whose devices differ, and so their bits.")
+@click.option(
+    "--mixed-devices", is_flag=True, help="With --cluster: accept workers whose devices differ, and so the bits of their frames."
+)
 @click.option("--keep-going", is_flag=True, help="Leave out frames that cannot be read; ends with status 1.")
 def run(
     sequence: Path,
@@ -175,7 +177,7 @@ def demo(out: Path, weights: str, overwrite: bool, **chosen: Any) -> None:
 
 @stss.group()
 def weights() -> None:
-    """Import and look at the network's weights."""
+    """Import and inspect the network's weights."""
 
 
 @weights.command("import")
@@ -190,7 +192,7 @@ def import_weights(checkpoint: Path, out: Path) -> None:
 
 @weights.command()
 @click.argument("file")
-@click.option("--size", type=(SIDE, SIDE), default=(544, 960), show_default=True, help="H W that multiply-adds are for.")
+@click.option("--size", type=(SIDE, SIDE), default=(544, 960), show_default=True, help="H W for the multiply-adds.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def inspect(file: str, size: tuple[int, int], as_json: bool) -> None:
     """Print the layers of the weights in FILE: shapes, parameters, multiply-adds."""
@@ -227,10 +229,11 @@ def _report(summary: Summary, out: Path, console: Console) -> None:
 
 
 def main() -> None:
-    """Run the command; the user's mistakes are one line and status 2."""
+    """Run the command; a mistake of the user is one line on standard error and status 2."""
     status: Any = 0
     if installed("matplotlib"):
-        # colour-science imports it, and it keeps things where other programs do. A command that needs no device is not refused.
+        # For Matplotlib, which colour-science imports and which else stores files beside other programs'. A failure here must not
+        # stop a command that needs no device.
         with suppress(DeviceError):
             os.environ.setdefault("MPLCONFIGDIR", str(private("matplotlib")))
     accept_any_text()

@@ -25,10 +25,10 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 MAX_SEED = 2**32 - 1
 MAX_SECONDS = 7 * 24 * 3600
 MAX_MIB = 1 << 24
-"""Of ``--memory-limit``: 16 TiB."""
+"""Largest ``--memory-limit``, in MiB: 16 TiB."""
 SIDE = click.IntRange(1, MAX_SIDE)
 MAX_COUNT = 10**6
-"""Of frames and repetitions that an option asks for."""
+"""Most frames or repetitions that an option may ask for."""
 
 
 class Number(click.FloatRange):
@@ -59,7 +59,7 @@ class FrameRange(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
 
 
 def sequence_options(command: Command) -> Command:
-    """Add the options of everything that reads a sequence."""
+    """Add the options of commands that read a sequence."""
     options = (
         click.option("--profile", default="stss", show_default=True, help="The renderer's conventions: a name or a TOML file."),
         click.option("--camera", type=PATH, help="CSV of frame,x,y,z in the sequence's unit of length, for NoV."),
@@ -79,7 +79,7 @@ def sequence_options(command: Command) -> Command:
 
 
 def frame_options(command: Command) -> Command:
-    """Add the options of what writes frames of a sequence; see ``stss.run.options.RunOptions``."""
+    """Add the options of commands that write frames of a sequence; see ``stss.run.options.RunOptions``."""
     options = (
         click.option(
             "--rendered",
@@ -101,7 +101,7 @@ def frame_options(command: Command) -> Command:
 
 
 def backend_options(command: Command) -> Command:
-    """Add the options of everything that computes frames; the command gets ``backend`` and ``compute``, a ``ComputeOptions``."""
+    """Add the options of commands that compute frames; the command gets ``backend`` and ``compute``, a ``ComputeOptions``."""
 
     @wraps(command)
     def collected(*, device: str | None, precision: Precision, memory_limit: int | None, **others: Any) -> Any:
@@ -122,7 +122,7 @@ def backend_options(command: Command) -> Command:
             "--memory-limit",
             type=click.IntRange(1, MAX_MIB),
             metavar="MIB",
-            help="For the network's buffers; larger frames go in strips  [default: half of the device's memory]",
+            help="Memory for the network's buffers; larger frames go in strips  [default: half of the device's memory]",
         ),
     )
     decorated: Any = collected
@@ -175,19 +175,19 @@ class Milliseconds(click.ParamType):  # pyright: ignore[reportMissingTypeArgumen
 
 
 def skip_options(command: Command) -> Command:
-    """Add the options of what computes frames one after the other, and may leave out what does not change."""
+    """Add the options of commands that compute frames in sequence and may skip what does not change."""
     options = (
         click.option(
             "--skip",
             type=click.Choice(SKIPS),
-            help="off: compute everything; exact: keep what did not change, with the same bits; bounded: flat tiles get no network"
+            help="off: compute everything; exact: reuse what did not change, with the same bits; bounded: flat tiles get no network"
             "  [default: exact; bounded with --max-error]",
         ),
         click.option(
             "--max-error", type=Deviation(), help="For bounded: how far the image may be from the full one, such as 2/255."
         ),
         click.option(
-            "--budget", type=Milliseconds(), help="A frame's time, such as 40ms: the most accurate setting that keeps it."
+            "--budget", type=Milliseconds(), help="Time for a frame, such as 40ms: take the most accurate setting within it."
         ),
     )
     for option in reversed(options):
@@ -196,7 +196,7 @@ def skip_options(command: Command) -> Command:
 
 
 def perceptual_options(command: Command) -> Command:
-    """Add the options of what compares images, for metrics that need further packages."""
+    """Add the options of commands that compare images, for metrics that need further packages."""
     options = (
         click.option("--flip", is_flag=True, help="FLIP too  [needs the extra metrics]"),
         click.option("--vmaf", is_flag=True, help="VMAF too  [needs the extra metrics]"),
@@ -222,7 +222,7 @@ class Size(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
 
 
 def _is_whole(word: str, digits: int) -> bool:
-    """Whether it is a whole number of so many ASCII digits at most; ``int`` of more than 4300 raises."""
+    """Whether ``word`` is a whole number of at most ``digits`` ASCII digits; ``int`` raises for more than 4300."""
     return word.isascii() and word.isdecimal() and len(word.lstrip("0")) <= digits
 
 

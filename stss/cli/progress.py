@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What is shown while a run goes on."""
+"""The progress bar of a run."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from stss.run.preview import Preview
 def shown_progress(
     console: Console, total: int, preview: Preview | None = None
 ) -> Generator[Callable[[FrameReport], None], None, None]:
-    """A bar with frames a second, time left and what was skipped; on a terminal only.
+    """Show a bar with frames a second, time left and the share that was skipped; on a terminal only.
 
     Args:
-        console: where.
-        total: frames.
-        preview: is shown every frame as well.
+        console: where to show it.
+        total: number of frames.
+        preview: gets every frame as well; None: no preview.
 
     Yields:
-        What is to be called after every frame.
+        The function to call with the report of every frame.
     """
     tally = Tally()
     with _bar(console) as progress:
@@ -41,14 +41,14 @@ def shown_progress(
 
 
 class Tally:
-    """What of the network was left out so far."""
+    """Counts how much of the network was left out so far."""
 
     def __init__(self) -> None:
         self._seen = 0
         self._computed = 0.0
 
     def add(self, report: FrameReport) -> str:
-        """Count a frame; what to show of all: the share of the network's inputs that had not changed. Empty where nobody looked."""
+        """Count a frame; returns the share of all frames' network inputs that had not changed, as text; "" if none was looked at."""
         if report.cost is not None:
             self._seen += 1
             self._computed += 0.0 if report.cost.network == "none" else report.cost.changed

@@ -22,11 +22,11 @@ from stss.weights.file import load
 @click.command("stress")
 @click.option("--backend", type=click.Choice(BACKENDS), default="cl", show_default=True, help="ref: the reference alone.")
 @click.option("--device", help="Part of an OpenCL device's name (stss devices)  [default: $STSS_DEVICE, or the fastest]")
-@click.option("--weights", help="A .safetensors file  [default: random weights, others for each seed]")
+@click.option("--weights", help="A .safetensors file  [default: random weights, different for each seed]")
 @click.option("--only", type=Names(), default="", help="Names of tables: magnitude,positions,...  [default: all]")
 @click.option("--full", is_flag=True, help="More seeds and larger frames: a quarter of an hour.")
-@click.option("--json", "json_file", type=PATH, help="File for every number, versions and machine.")
-@click.option("--write", "page", type=PATH, help="Page to renew between its markers; pictures go beside it, into pictures/.")
+@click.option("--json", "json_file", type=PATH, help="File for every number, the versions and the machine.")
+@click.option("--write", "page", type=PATH, help="Page to update between its markers; pictures go beside it, into pictures/.")
 def stress_command(
     backend: str,
     device: str | None,

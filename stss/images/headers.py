@@ -140,7 +140,7 @@ def locate(path: Path, image: oiio.ImageInput) -> tuple[Header, dict[str, tuple[
         for index, name in enumerate(_names(path, spec)):
             full = f"{spec.get_string_attribute('oiio:subimagename')}.{name}" if name in places else name
             if full in places:
-                raise InputError(f"{path}: channel {full} is there twice")
+                raise InputError(f"{path}: channel {full} appears twice")
             places[full] = part, index
             formats[full] = _FORMATS.get(kind := str(spec.channelformat(index)), kind)
         attributes = _attributes(spec) | attributes

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""No file that is read is written to, whatever link leads there."""
+"""Refuse to write to a file that is read, whatever link leads there."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def require_apart(writes: Iterable[Path], reads: Iterable[Path | None]) -> None:
 
     Args:
         writes: files that will be written, replaced or removed.
-        reads: files that are read. None, and what is not there, is left out.
+        reads: files that are read; None and files that do not exist are ignored.
 
     Raises:
         InputError: a file of ``writes`` is one of ``reads``.
@@ -30,7 +30,7 @@ def require_apart(writes: Iterable[Path], reads: Iterable[Path | None]) -> None:
 
 
 def require_places(writes: Mapping[str, Path | None], reads: Iterable[Path | None] = ()) -> None:
-    """Say before the work, not after it, that a file which the user named cannot be written.
+    """Check before the work, not after it, that the files which the user named can be written.
 
     Args:
         writes: option -> the file; None: not asked for.
@@ -45,9 +45,9 @@ def require_places(writes: Mapping[str, Path | None], reads: Iterable[Path | Non
             continue
         with told(path):
             if path.is_dir() or not path.absolute().parent.is_dir():
-                raise InputError(f"{option} {path}: expected a file in a folder that is there")
+                raise InputError(f"{option} {path}: expected a file in a folder that exists")
             if path.exists() and not path.is_file():
-                continue  # a pipe or a device keeps nothing that could be lost
+                continue  # a pipe or a device holds nothing that could be lost
         _require_free(f"{option} {path}", path, taken)
         taken |= dict.fromkeys(_keys(path), f"{option} {path}")
 
@@ -63,7 +63,7 @@ def _require_free(what: str, path: Path, taken: Mapping[object, str]) -> None:
 
 
 def _keys(path: Path) -> list[object]:
-    """What is the same for two paths of one file."""
+    """Values of which two paths of one file share at least one."""
     try:
         real = os.path.normcase(os.path.realpath(path))
         found = path.stat()

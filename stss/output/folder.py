@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A folder of numbered files that knows what was written into it (docs/decisions/0025)."""
+"""A folder of numbered files with a list of what was written into it (docs/decisions/0025)."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from stss.output.lock import locked
 from stss.output.write_whole import UNFINISHED, make_folder, sync, told, write_whole
 
 SUMS = "stss.sha256"
-"""Below the folder: the SHA-256 of every file written into it, in the form of ``sha256sum``."""
+"""Name of the list in the folder: the SHA-256 of every file written into it, in the form of ``sha256sum``."""
 _LINE = re.compile(r"([0-9a-f]{64})  (.+)")
 
 
 class OutputFolder:
-    """Files of which a later process can tell that they are its own, and whole.
+    """A folder whose files a later process can recognise as written by stss, and as complete.
 
-    A file's checksum is on the disk before the file is renamed into place. So whatever ends the process, a file that is there and
-    that no line tells of was written by somebody else.
+    A file's checksum is on the disk before the file is renamed into place. So a file that the list does not name was written by
+    somebody else, however the process ended.
 
     Attributes:
         path: the folder.
     """
 
     def __init__(self, path: Path, subfolders: Sequence[str], name: str):
-        """Look at nothing yet.
+        """Describe the folder; the disk is not looked at yet.
 
         Args:
             path: the folder.
-            subfolders: where below it files lie; "" is the folder itself.
-            name: what all their names match.
+            subfolders: where its files lie, below it; "" is the folder itself.
+            name: a pattern that the names of all its files match.
         """
         self.path, self._subfolders, self._name = path, tuple(subfolders), re.compile(name)
         self._sums: dict[str, str] = {}
@@ -44,19 +44,19 @@ class OutputFolder:
         self._log: BinaryIO | None = None
 
     def present(self) -> list[Path]:
-        """What is there with a name that this folder's files have, and the list of their checksums."""
+        """The files that are there under names of this folder's files, and the list of checksums."""
         found = [path for path in self._listed() if self._name.fullmatch(path.name)]
         return [path for path in (*found, self.path / SUMS) if os.path.lexists(path)]
 
     @contextmanager
     def opened(self, *, refusal: str | None) -> Generator[None, None, None]:
-        """Have the folder to write to; made if need be. Nothing that is finished is removed.
+        """Hold the folder's lock and make the folder if need be. No finished file is removed.
 
         Args:
-            refusal: what to say where an earlier process finished files; None: take the folder as it is.
+            refusal: the message where an earlier process finished files; None: take the folder as it is.
 
         Raises:
-            InputError: another process has it, it can't be written to, it holds files of others, or of an earlier process.
+            InputError: another process has the lock, the folder can't be written to, or it holds files that it may not.
         """
         make_folder(self.path)
         with locked(self.path):
@@ -99,7 +99,7 @@ class OutputFolder:
         self._written.add(name)
 
     def _list(self, name: str, digest: str) -> None:
-        """Have the file's line on the disk, and the folder it goes to."""
+        """Put the file's line on the disk, and make the folder it goes to."""
         assert self._log is not None
         self._sums[name] = digest
         with told(self.path / SUMS):
@@ -118,10 +118,10 @@ class OutputFolder:
             return False
 
     def finish(self, *, remove_others: bool) -> None:
-        """End well: the list in order, each file once.
+        """Rewrite the list in order, with each file once.
 
         Args:
-            remove_others: remove what an earlier process wrote and this one did not.
+            remove_others: remove the files that an earlier process wrote and this one did not.
 
         Raises:
             InputError: a file can't be removed or written.
@@ -140,7 +140,7 @@ class OutputFolder:
         present = [path.relative_to(self.path).as_posix() for path in self.present() if path.name != SUMS]
         for name in present:
             if name not in self._sums:
-                raise InputError(f"{self.path / name}: not in {SUMS}, so nothing of an earlier run; expected another folder")
+                raise InputError(f"{self.path / name}: not in {SUMS}, so not from an earlier run; expected another folder")
             if (self.path / name).is_dir():
                 raise InputError(f"{self.path / name}: expected a file, found a folder")
         if present and refusal is not None:
@@ -153,7 +153,7 @@ class OutputFolder:
                 path.unlink(missing_ok=True)
 
     def _read(self) -> dict[str, str]:
-        """The list; a line that was cut off, or names what lies elsewhere, counts as not there."""
+        """The list: name -> SHA-256. A line that was cut off, or that names a file elsewhere, is ignored."""
         path = self.path / SUMS
         if path.is_dir():
             raise InputError(f"{path}: expected a file, found a folder")

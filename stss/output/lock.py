@@ -20,21 +20,21 @@ except ImportError:  # not on Windows
     fcntl = None
 
 LOCK = ".stss-lock"
-"""In the folder while somebody writes there: which process, where, since when."""
+"""Name of the lock file, in the folder while a process writes there: it says which process, on which machine, since when."""
 _NO_LOCKS = {errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK, errno.EINVAL}
-"""What a file system answers that has no locks."""
+"""Errors of a file system that has no locks."""
 _WITHOUT_LINKS = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0)
 
 
 @contextmanager
 def locked(folder: Path) -> Generator[None, None, None]:
-    """Have ``folder`` for oneself.
+    """Lock ``folder`` against other processes that write to it.
 
-    The system releases the lock when the process ends, however it ends. Where it has no locks (some network file systems), the
-    file alone is the lock: after a kill it must be removed by hand, and the message says so.
+    The system releases the lock when the process ends, however it ends. A file system without locks (some network file systems) has
+    the file alone as the lock: after a kill it must be removed by hand, and the message says so.
 
     Args:
-        folder: is there.
+        folder: exists.
 
     Raises:
         InputError: another process has it, or the folder can't be written to.
@@ -70,11 +70,11 @@ def _take(path: Path) -> int:
             raise
         if _is_at(path, handle):
             return handle
-        os.close(handle)  # who had it has just removed it: what is locked here is no longer what others see
+        os.close(handle)  # its holder has just removed it: other processes no longer see the file that is locked here
 
 
 def _open(path: Path) -> tuple[int, bool]:
-    """The file, open, and whether it was made."""
+    """Open the file; returns its handle, and whether it was made."""
     try:
         return os.open(path, _WITHOUT_LINKS | os.O_CREAT | os.O_EXCL, 0o666), True
     except FileExistsError:
@@ -116,10 +116,10 @@ def _holder(handle: int) -> str:
 
 
 def _release(path: Path, handle: int) -> None:
-    """Remove the file, and unlock it only then: in between, nobody may lock what is about to go."""
+    """Remove the file, and only then unlock it: no process may lock a file that is about to be removed."""
     if fcntl is None:
         os.close(handle)  # no lock is on it, and Windows does not remove an open file
-    with suppress(OSError):  # a file that stays stops nobody who can lock it
+    with suppress(OSError):  # a file that stays behind stops no process that can lock it
         path.unlink()
     if fcntl is not None:
         os.close(handle)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A file is as it was before, or all of what was to be written."""
+"""Write a file so that it is either as before or complete."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from typing import Any
 from stss.errors import InputError
 
 UNFINISHED = re.compile(r"\.stss-[0-9a-f]{12}\.part")
-"""The name of a file while it is written; one that is left was left by a process that was killed."""
+"""The name of a file while it is written; a process that is killed leaves one behind."""
 _NO_SYNC = {errno.EINVAL, errno.ENOSYS, errno.ENOTSUP}
-"""What a file system answers that has nothing to wait for."""
+"""Errors of a file system that cannot wait for a disk."""
 
 
 def write_whole(path: Path, data: bytes) -> None:
     """Write ``data`` beside ``path``, wait until it is on the disk, and rename it into place.
 
-    A link at ``path`` is replaced; what it leads to stays as it is. The mode is that of any new file, by the umask.
+    A link at ``path`` is replaced, and the file it leads to stays as it is. The umask sets the mode, as for any new file.
 
     Raises:
         InputError: it can't be written; ``path`` is as it was, and nothing is left beside it.
@@ -54,7 +54,7 @@ def write_named(path: Path, data: bytes | str) -> None:
 
 
 def write_figure(path: Path, figure: Any, dpi: int) -> None:
-    """Write a figure of Matplotlib's as `write_named` does; the suffix says in which format.
+    """Write a Matplotlib figure as `write_named` does; the suffix decides on the format.
 
     Raises:
         InputError: it can't be written, or Matplotlib has no such format.
@@ -69,10 +69,10 @@ def write_figure(path: Path, figure: Any, dpi: int) -> None:
 
 @contextmanager
 def by_name(path: Path | None) -> Generator[Path | None, None, None]:
-    """A file that a library writes by its name: it gets another name, and what it wrote is then written as by `write_named`.
+    """Give a library a temporary name to write to, and then write the content as `write_named` does.
 
     Args:
-        path: the file that the user named; None: none, and the library gets none.
+        path: the file that the user named; None: none, and the library gets None.
 
     Raises:
         InputError: it can't be written.
@@ -95,12 +95,12 @@ def make_folder(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{path}: cannot be made a folder: {error.strerror}") from error
+        raise InputError(f"{path}: the folder cannot be made: {error.strerror}") from error
 
 
 @contextmanager
 def told(path: Path) -> Generator[None, None, None]:
-    """Turn an error of the system about ``path`` into the user's one line."""
+    """Turn a system error about ``path`` into an InputError."""
     try:
         yield
     except OSError as error:
@@ -108,7 +108,7 @@ def told(path: Path) -> Generator[None, None, None]:
 
 
 def write_part(path: Path, data: bytes) -> Path:
-    """Write ``data`` beside ``path`` and wait until it is on the disk; whoever has the folder renames it into place.
+    """Write ``data`` beside ``path`` and wait until it is on the disk; the process that holds the folder renames it into place.
 
     Raises:
         InputError: it can't be written.
@@ -146,7 +146,7 @@ def _write_beside(path: Path, data: bytes) -> None:
 
 
 def sync(handle: int) -> None:
-    """Wait until what was written is on the disk: only then some file systems say that it is full."""
+    """Wait until the data is on the disk: some file systems report only then that they are full."""
     try:
         os.fsync(handle)
     except OSError as error:

@@ -80,7 +80,7 @@ def require_page(path: Path, reads: Iterable[Path]) -> None:
     """Say before the work that a page cannot be written there; raises InputError."""
     with told(path):
         if path.is_dir() or not path.absolute().parent.is_dir():
-            raise InputError(f"{path}: expected a file in a folder that is there")
+            raise InputError(f"{path}: expected a file in a folder that exists")
     require_apart([path, *_beside(path).present()], reads)
 
 

@@ -103,7 +103,7 @@ def _numbered(folder: Path, frames: tuple[int, int] | None) -> dict[int, Path]:
             continue
         number = frame_number(path, digits[-1])
         if number in found and found[number].stem != path.stem:
-            raise InputError(f"{folder}: frame {number} is there twice: {found[number].name}, {path.name}")
+            raise InputError(f"{folder}: frame {number} appears twice: {found[number].name}, {path.name}")
         if frames is None or frames[0] <= number <= frames[1]:
             found[number] = path  # EXR comes last and stands
     return found

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The most accurate way to compute frames within a given time, by trying the ways on the first frames."""
+"""Find the most accurate setting that computes frames within a given time, by trying settings on the first frames."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from stss.frames.supersample import plan
 FRAMES = 16
 """Display frames that each setting is tried on."""
 WARM = 8
-"""Those before the first timed one."""
+"""Display frames before the first timed one."""
 
 
 SETTINGS = (
@@ -27,19 +27,22 @@ SETTINGS = (
     ComputeOptions(precision="float32", skip="bounded", max_error=4 / 255),
     ComputeOptions(precision="float32", skip="bounded", max_error=8 / 255),
 )
-"""The most accurate first."""
+"""The settings to try, the most accurate first."""
 
 
 def choose(
     frames: Sequence[DisplayFrame], budget: float, make: Callable[[ComputeOptions], Backend], tell: Callable[[str], None]
 ) -> tuple[ComputeOptions, Backend]:
-    """The first of `SETTINGS` whose frames keep within the budget, or else the fastest.
+    """Choose the first of `SETTINGS` whose frames take no longer than the budget, or else the fastest.
 
     Args:
         frames: consecutive display frames, the first of them rendered.
-        budget: seconds a frame, the mean of the timed ones.
-        make: a backend for a setting.
-        tell: is handed lines for the user.
+        budget: seconds a frame, the mean over the timed frames.
+        make: opens the backend of a setting.
+        tell: called with lines for the user.
+
+    Returns:
+        The setting and its backend.
 
     Raises:
         InputError: there are too few frames to try anything on.
@@ -61,7 +64,7 @@ def choose(
 
 
 def measure(frames: Sequence[DisplayFrame], backend: Backend) -> float:
-    """Mean seconds of the frames after the first `WARM`."""
+    """Mean time of the frames after the first `WARM`; seconds."""
     times: list[float] = []
     for number in range(len(frames)):
         window = window_at(frames, number)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""From the user's options to what computes: the method, the backend, and what may be left out."""
+"""Open the backend that the user's options ask for: method, device, and what may be skipped."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from stss.sequence.reader import Sequence
 from stss.weights.file import LoadedWeights
 
 NO_WEIGHTS = "none"
-"""Stands for the weights' label in the files of a method without a network."""
+"""The label of the weights in the files of a method without a network."""
 
 
 def open_method(
@@ -30,12 +30,15 @@ def open_method(
     *,
     tell: Callable[[str], None] = lambda line: None,
 ) -> tuple[Backend, str]:
-    """What computes a method, and the label of its weights.
+    """Open the backend of a method.
 
     Args:
-        method: ``network``, or one of ``METHODS``; the other arguments matter to the network alone.
+        method: ``network``, or one of ``METHODS``, for which the other arguments do not matter.
         loaded: the network's weights.
         backend, options, tell: see ``stss.frames.backends.open_backend``.
+
+    Returns:
+        The backend and the label of its weights.
 
     Raises:
         InputError: there is no such method, or the options do not go together.
@@ -48,14 +51,14 @@ def open_method(
 def with_skipping(
     options: ComputeOptions, skip: Skip | None, max_error: float | None, budget: float | None, *, possible: bool
 ) -> ComputeOptions:
-    """``options`` with what the user said of skipping, where it goes together.
+    """Add the user's choices about skipping to ``options``, and check that they go together.
 
     Args:
-        options: of the other choices.
-        skip: of ``SKIPS``; None: what goes with ``max_error``.
-        max_error: for ``bounded``; None: not said.
-        budget: seconds a frame, which choose the others and the precision; None: not said.
-        possible: whether the backend can leave anything out.
+        options: the other choices.
+        skip: one of ``SKIPS``; None: ``bounded`` with ``max_error``, else ``exact``.
+        max_error: for ``bounded``, in units of the image; None: not given.
+        budget: seconds a frame, by which the others and the precision are chosen; None: not given.
+        possible: whether the backend can skip anything.
 
     Raises:
         InputError: the options do not go together.
@@ -79,14 +82,17 @@ def within_budget(
     *,
     tell: Callable[[str], None] = lambda line: None,
 ) -> tuple[Backend, str]:
-    """The most accurate backend whose frames take no more than ``budget`` seconds, and the label of its weights.
+    """Open the most accurate backend whose frames take no more than ``budget`` seconds.
 
     Args:
         loaded: the network's weights.
-        options: of the device; precision and skipping are chosen.
+        options: names the device; precision and skipping are chosen here.
         budget: seconds a frame.
-        frames: what settings are tried on, see ``first_frames``.
-        tell: is handed lines for the user.
+        frames: frames to try settings on, see ``first_frames``.
+        tell: called with lines for the user.
+
+    Returns:
+        The backend and the label of its weights.
 
     Raises:
         InputError: there are too few frames.
@@ -100,7 +106,7 @@ def within_budget(
 
 
 def first_frames(sequence: Sequence, options: RunOptions) -> list[DisplayFrame]:
-    """The first consecutive frames from a rendered one on, as the run will prepare them: as many as a budget is tried on."""
+    """The first consecutive frames that begin with a rendered one, as the run prepares them: as many as a budget is tried on."""
     rendered, curve = choose_rendered(sequence.numbers, sequence.rendered, options.rendered), transfer(options.transfer)
     frames: list[DisplayFrame] = []
     for number in sequence.numbers:

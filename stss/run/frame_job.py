@@ -26,7 +26,7 @@ from stss_ref.arrays import Array, Image
 from stss_ref.schedule import FrameKind, schedule
 
 HOLES, SKIPPED = "holes", "skipped"
-"""Below the run's folder: the warping holes; pictures of what was computed."""
+"""Subfolders of the run's folder: the warping holes, and pictures of what was computed."""
 Outcome = Literal["done", "kept", "left out"]
 
 
@@ -57,7 +57,7 @@ class Sink(Protocol):
 
 @dataclass(frozen=True)
 class _Read:
-    """What one output is made of, and its key."""
+    """The display frames that one output depends on, and the output's key."""
 
     key: str
     window: list[DisplayFrame]
@@ -65,7 +65,7 @@ class _Read:
 
 @dataclass(frozen=True)
 class _Computed:
-    """What the backend made of it, display-referred."""
+    """One output as the backend computed it, display-referred."""
 
     key: str
     output: Output
@@ -77,7 +77,7 @@ class _Computed:
 class FrameJob:
     """The steps of one frame, in three threads, and what stays the same from frame to frame of one run.
 
-    A step whose frame is settled already, kept or left out, hands on the report.
+    Where a frame is already kept or left out, the later steps pass its report on.
     """
 
     window: Window
@@ -89,7 +89,7 @@ class FrameJob:
     metadata: dict[str, str]
     rendered: frozenset[int]
     kept: Callable[[int, str], FrameKind | None]
-    """From a frame and its key to its kind, where an earlier run finished it."""
+    """Takes a frame's number and key; returns its kind where an earlier run finished it, else None."""
 
     @classmethod
     def of(
@@ -102,7 +102,7 @@ class FrameJob:
         sink: Sink,
         kept: Callable[[int, str], FrameKind | None],
     ) -> FrameJob:
-        """Make the parts that follow from the others; ``weights`` is their label."""
+        """Make the job and the parts that follow from its arguments; ``weights`` is the label of the weights."""
         curve = transfer(options.transfer)
         metadata = describe(sequence, options, backend.method, backend.name, weights)
         keys = keys_of(sequence, rendered, options, metadata)
@@ -111,7 +111,7 @@ class FrameJob:
         )
 
     def run(self, numbers: Iterable[int], size: tuple[int, int], done: Callable[[FrameReport], None]) -> None:
-        """Take frames through all steps, and hand over the report of each in turn; ``size`` is (H, W) of the inputs."""
+        """Take frames through all steps, and call ``done`` with the report of each in turn; ``size`` is (H, W) of the inputs."""
 
         def meanwhile() -> None:
             if not self.options.resume:  # then perhaps nothing is left to compute
@@ -120,7 +120,7 @@ class FrameJob:
         overlap(numbers, self.read, self.compute, self.write, done, meanwhile)
 
     def read(self, number: int) -> _Read | FrameReport:
-        """Read what display frame ``number`` is made of, unless it is kept; nothing else touches ``window`` and ``keys``."""
+        """Read the frames that display frame ``number`` depends on, unless it is kept; only this step uses ``window`` and ``keys``."""
         try:
             key = self.keys.of(number)
             if (kind := self.kept(number, key)) is not None:
@@ -132,13 +132,13 @@ class FrameJob:
             return FrameReport(number, None, "left out", str(error), fault=True)
 
     def compute(self, read: _Read | FrameReport) -> _Computed | FrameReport:
-        """Compute it, or say why not; nothing else touches ``backend``."""
+        """Compute it, or report why not; only this step uses ``backend``."""
         if isinstance(read, FrameReport):
             return read
         output = compute(read.window, self.backend)
         if output is None:
             number = read.window[-1].number
-            # At the start of a sequence this is how it must be; later on it is the work of a frame that could not be read.
+            # At the start of a sequence this is expected; later on it means that an earlier frame could not be read.
             reason = f"frame {number}: no rendered frame just before it to extrapolate from"
             return FrameReport(number, FrameKind.EF, "left out", reason, fault=schedule(number, self.rendered) is not None)
         activity = self.backend.activity if self.options.show_skipped else None
@@ -154,7 +154,7 @@ class FrameJob:
         if output.kind is FrameKind.EF:
             name = frame_name(output.number, "png", HOLES)
             self.sink.write(name, encode_mask(self.sink.path / name, ~output.valid))
-        # The image last: it is what says that the frame is done.
+        # The image last: its presence means that the frame is done.
         image = self.curve.display(output.image) if self.options.format == "png" else output.image
         metadata = {"stss:key": made.key, "stss:frame": str(output.number), "stss:kind": output.kind.value}
         self._write_rgb(frame_name(output.number, self.options.format), image, {**self.metadata, **metadata})
@@ -165,7 +165,7 @@ class FrameJob:
 
 
 def describe(sequence: Sequence, options: RunOptions, method: str, backend: str, weights: str) -> dict[str, str]:
-    """What every file of a run says of itself."""
+    """The metadata that every file of a run carries."""
     return {
         "stss:version": VERSION,
         "stss:spec": SPEC_VERSION,
@@ -184,9 +184,9 @@ def keys_of(sequence: Sequence, rendered: frozenset[int], options: RunOptions, m
 
 
 def kept(folder: OutputFolder, options: RunOptions, number: int, key: str) -> FrameKind | None:
-    """The kind of the frame that an earlier run wrote, if all its files are what this run would write, to the last byte.
+    """The kind of a frame whose files an earlier run wrote, byte for byte as this run would write them.
 
-    None where none did, or where this run does not resume.
+    None where that is not so, or where this run does not resume.
     """
     name = frame_name(number, options.format)
     if not options.resume or not folder.holds(name):
@@ -200,5 +200,5 @@ def kept(folder: OutputFolder, options: RunOptions, number: int, key: str) -> Fr
 
 
 def frame_name(number: int, suffix: str, subfolder: str = "") -> str:
-    """Where a frame's file lies below the run's folder."""
+    """The path of a frame's file below the run's folder."""
     return f"{subfolder}/frame.{number:04d}.{suffix}".lstrip("/")

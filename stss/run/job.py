@@ -30,23 +30,23 @@ REFUSAL = "holds frames of an earlier run; --resume keeps what is still right, -
 
 @dataclass
 class Summary:
-    """What became of all of them, in order."""
+    """The reports of all frames of a run, in order."""
 
     frames: list[FrameReport]
 
     def count(self, outcome: Outcome, kind: FrameKind | None = None) -> int:
-        """How many frames ended so; of one kind if given."""
+        """How many frames had this outcome; of one kind if given."""
         return sum(f.outcome == outcome and kind in (None, f.kind) for f in self.frames)
 
 
 @dataclass(frozen=True)
 class RunPlan:
-    """What is to be done, before anything computes.
+    """The frames and the folder of a run, settled before anything is computed.
 
     Attributes:
         rendered: the display frames that count as rendered.
-        numbers: those to write.
-        folder: where to.
+        numbers: the display frames to write.
+        folder: the folder to write to.
     """
 
     rendered: frozenset[int]
@@ -106,11 +106,11 @@ def run(
 
 
 def plan(sequence: Sequence, out: Path, options: RunOptions, *, accumulates: bool = False) -> RunPlan:
-    """What a run does; nothing is touched.
+    """Plan a run; nothing is read or written.
 
     Args:
         sequence, out, options: as for `run`.
-        accumulates: an output depends on all before it, so that all of them are computed.
+        accumulates: whether an output depends on all earlier ones, so that all of them must be computed.
 
     Raises:
         InputError: the options do not fit each other or the sequence.
@@ -124,7 +124,7 @@ def plan(sequence: Sequence, out: Path, options: RunOptions, *, accumulates: boo
 
 
 def require_unread(planned: RunPlan, sequence: Sequence, reads: Iterable[Path]) -> None:
-    """Raise InputError where a file that is read would be written to."""
+    """Raise InputError where the run would write to a file that it reads."""
     with told(planned.folder.path):
         require_apart(planned.folder.present(), [*sequence.reads, *reads])
 
@@ -141,7 +141,7 @@ def _numbers(sequence: Sequence, frames: tuple[int, int] | None) -> range:
 
 
 def require_near(sequence: Sequence, first: int, last: int) -> None:
-    """Raise InputError where frames lie so far apart that they belong to no one sequence: each between would be reported."""
+    """Raise InputError where neighbouring frames lie more than `MAX_GAP` apart: every number between would be reported."""
     for a, b in pairwise(sequence.numbers):
         if b - a - 1 > MAX_GAP and a < last and b > first:
             raise InputError(f"{sequence.path}: no frame between {a} and {b}; expected gaps of at most {MAX_GAP}")

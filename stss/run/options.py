@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the user chose of a run."""
+"""The user's choices for a run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stss_ref.depth import DepthMode
 
 @dataclass(frozen=True)
 class RunOptions:
-    """What the user chose.
+    """The user's choices for a run.
 
     Attributes:
         transfer: ``none``, ``srgb``, ``hdr``.
@@ -38,6 +38,6 @@ class RunOptions:
 
     @classmethod
     def of(cls, profile: Profile, *, transfer: str | None, depth: DepthMode | None, **chosen: Any) -> RunOptions:
-        """What the user chose, and where nothing was chosen what suits the renderer's files."""
+        """The user's choices; the profile decides on transfer and depth where they are None."""
         usual = "srgb" if profile.color_domain == "linear" else "none"
         return cls(transfer=transfer or usual, depth=depth or profile.depth_normalisation, **chosen)

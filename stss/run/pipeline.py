@@ -10,7 +10,7 @@ from itertools import islice
 from typing import TypeVar
 
 AHEAD = 2
-"""So many items are read ahead of the one that is computed, and so many of those before it may still wait to be written."""
+"""Most items that are read ahead of the one being computed, and most of those before it that may still wait to be written."""
 
 Item = TypeVar("Item")
 Read = TypeVar("Read")
@@ -28,10 +28,10 @@ def overlap(
 ) -> None:
     """Do ``done(write(compute(read(item))))`` for every item; later items are read and earlier ones written meanwhile.
 
-    The first item has the processor to itself until it is computed: somebody waits to see it.
+    The first item has the processor to itself until it is computed: the user waits to see it.
 
-    Each step takes the items in order. An error is raised when its item's turn comes, after the items before it are done: what
-    fails is what would fail one item at a time. No thread is left when this returns or raises.
+    Each step takes the items in order. An error is raised when its item's turn comes, after the items before it are done, just as
+    if items were worked on one at a time. No thread is left when this returns or raises.
 
     Args:
         items: what to work on.
@@ -48,7 +48,7 @@ def overlap(
 
     def finish(most: int) -> None:
         while len(writing) > most or (writing and writing[0].done()):
-            written = writing[0].result()  # where it failed it stays: whoever asks again gets the same error
+            written = writing[0].result()  # a failed one stays in the list, so that asking again raises the same error
             writing.popleft()
             done(written)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A picture now and then while a long run goes on."""
+"""A picture of the newest frame, written again and again during a long run."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from stss.run.frame_job import FrameReport, frame_name
 from stss.run.options import RunOptions
 
 EVERY = 10.0
-"""Seconds from one picture to the next: a viewer that reloads by itself then shows the run, and nobody waits for it."""
+"""Seconds between pictures: often enough for a viewer that reloads, seldom enough not to slow the run down."""
 
 
 def require_preview(path: Path, reads: Iterable[Path]) -> None:
-    """Say before the run that a preview cannot be written there; raises InputError."""
+    """Raise InputError if a preview cannot be written there: before the run, not during it."""
     if path.suffix.lower() != ".png":
         raise InputError(f"--preview {path}: expected a name ending in .png")
     require_places({"--preview": path}, reads)
@@ -33,7 +33,7 @@ class Preview:
         path: the file, a ``.png``.
         out: the run's folder.
         options: of the run.
-        clock: seconds, of any beginning.
+        clock: the time in seconds, from any origin.
     """
 
     def __init__(self, path: Path, out: Path, options: RunOptions, clock: Callable[[], float] = time.monotonic):
@@ -41,7 +41,7 @@ class Preview:
         self._next = clock()
 
     def show(self, report: FrameReport) -> None:
-        """Write the frame if it is time, and if it was made at all."""
+        """Write the frame if it was made and `EVERY` seconds have passed since the last one."""
         if report.outcome == "left out" or self._clock() < self._next:
             return
         image = read_rgb(self._out / frame_name(report.number, self._options.format))

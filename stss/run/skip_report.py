@@ -11,13 +11,13 @@ from stss.frames.backends import Cost
 from stss_ref.arrays import Array, Image
 
 BUSY = (1.0, 0.35, 0.05)
-"""The colour of what was computed, in `picture`."""
+"""RGB of what was computed, in `picture`."""
 DIM = 0.5
-"""The rest is shown in grey, so much of its brightness."""
+"""Brightness of the rest, which is grey, as a share of the frame's."""
 
 
 def told(costs: Sequence[Cost]) -> str:
-    """One line about the frames of a run."""
+    """One line that says how much of the network a run computed; ``costs`` are those of its frames."""
     whole, partly, part, none = (
         [cost for cost in costs if cost.network == network] for network in ("whole", "partly", "changed", "none")
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What an output is made of: the display frames it depends on, and their files as a key (docs/decisions/0005)."""
+"""The display frames that an output depends on, and a key of their files (docs/decisions/0005)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stss_ref.depth import DepthMode
 
 
 class Window:
-    """The display frames an output depends on, read once and kept while they are needed."""
+    """The display frames that an output depends on, each read once and kept while needed."""
 
     def __init__(self, sequence: Sequence, rendered: frozenset[int], curve: Transfer, depth: DepthMode):
         self._sequence, self._rendered, self._curve = sequence, rendered, curve
@@ -52,7 +52,7 @@ class Window:
 
 
 class Keys:
-    """What an output file was made of and how, as one digest: equal keys mean equal files."""
+    """A digest of all that an output file depends on, files and settings: equal keys mean equal files."""
 
     def __init__(self, sequence: Sequence, rendered: frozenset[int], settings: dict[str, object]):
         self._sequence, self._rendered = sequence, rendered
@@ -60,7 +60,7 @@ class Keys:
         self._digests: dict[Path, str] = {}
 
     def of(self, number: int) -> str:
-        """The key of display frame ``number``: the settings, and content and role of every file its window may read."""
+        """The key of display frame ``number``: a digest of the settings and of content and role of every file that its window may read."""
         key = hashlib.sha256(f"{self._settings} {number}".encode())
         for n in range(number - WINDOW + 1, number + 1):
             if n in self._sequence.frames:
@@ -76,6 +76,6 @@ class Keys:
                     while block := file.read(1 << 20):
                         digest.update(block)
             except OSError:
-                digest.update(b"unreadable")  # whoever needs its pixels will say so
+                digest.update(b"unreadable")  # the step that needs its pixels reports it
             self._digests[path] = digest.hexdigest()
         return self._digests[path]

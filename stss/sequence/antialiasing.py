@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether a sequence's frames are aliased or antialiased: the frames say so themselves, and weights are chosen by it."""
+"""Whether a sequence's frames are aliased or antialiased, judged by their pixels: the default weights are chosen by it."""
 
 from __future__ import annotations
 
@@ -14,21 +14,23 @@ from stss.sequence.reader import Sequence
 from stss_ref.arrays import Array
 
 LOOKED_AT = 3
-"""Frames, from the first rendered one to the last."""
+"""Number of frames looked at, spread from the first rendered one to the last."""
 NOT_UNIT = 0.01
-"""A normal is a mixture when its length is so far from 1: half precision and interpolation stay below."""
+"""A normal is a mixture when its length differs from 1 by more than this; half precision and interpolation stay below."""
 MIXED_NORMALS = 0.02
-"""Share of mixed normals. Aliased frames, bump maps and leaves among them: up to 0.009; antialiased ones: 0.066 and more."""
+"""Share of mixed normals from which frames count as antialiased. Found: up to 0.009 in aliased frames, also with bump maps and leaves;
+0.066 and more in antialiased ones."""
 MIXED_COLORS = 0.47
-"""Share of edges with a colour in between. Aliased frames, for their textures: up to 0.34; antialiased ones: 0.59 and more."""
+"""Share of edges with a colour in between from which frames count as antialiased. Found: up to 0.34 in aliased frames, by their
+textures; 0.59 and more in antialiased ones."""
 ENOUGH = 50
-"""So many edges must be there to be judged by."""
+"""Fewest edges that allow a judgement."""
 SAME, STEP = 0.05, 0.3
-"""Normals of one surface differ by less, those of two by more, in each component."""
+"""Normals of one surface differ by less than `SAME` in each component, those of two surfaces by more than `STEP` in one."""
 CONTRAST = 0.15
-"""Edges of less contrast, display-referred, tell nothing."""
+"""Edges of less contrast, display-referred, do not count."""
 BETWEEN = 0.15, 0.85
-"""A colour in between: its share of the way from one side's to the other's."""
+"""A colour is in between when its share of the way from one side's colour to the other's lies in this range."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +47,11 @@ class Sampling:
 
 
 def judge_sampling(sequence: Sequence) -> Sampling:
-    """Look at a few rendered frames; a frame that cannot be read is for others to complain of.
+    """Look at a few rendered frames. A frame that cannot be read does not count here: the step that needs it reports it.
 
-    An antialiased G-buffer has normals that are not of unit length along every silhouette. A G-buffer that is not leaves the
-    colour: where the surface's normal jumps from one pixel to the next, an aliased colour jumps as well, an antialiased one has a
-    pixel in between. Where nothing tells, frames count as aliased: it is what engines give.
+    An antialiased G-buffer has normals that are not of unit length along every silhouette. If the G-buffer is aliased, the colour
+    decides: where the surface's normal jumps from one pixel to the next, an aliased colour jumps as well, and an antialiased one
+    has a pixel in between. Where neither tells, frames count as aliased, since engines give such frames.
     """
     rendered = sorted(sequence.rendered)
     chosen = sorted({rendered[i * (len(rendered) - 1) // (LOOKED_AT - 1)] for i in range(LOOKED_AT)}) if rendered else []
@@ -74,7 +76,7 @@ def judge_sampling(sequence: Sequence) -> Sampling:
 
 
 def _colors_between(buffers: Buffers, *, linear: bool) -> tuple[int, int]:
-    """How many edges of the surface have a colour in between, of how many with contrast; along rows and columns."""
+    """The number of edges with a colour in between, and of all edges with contrast; along rows and columns."""
     assert buffers.color is not None
     color = transfer("srgb" if linear else "none").encode(np.nan_to_num(buffers.color)).astype(np.float64)
     normal = np.nan_to_num(buffers.normal)
@@ -83,7 +85,7 @@ def _colors_between(buffers: Buffers, *, linear: bool) -> tuple[int, int]:
 
 
 def _between(color: Array, normal: Array) -> tuple[int, int]:
-    """The same along rows: four pixels, the first two of one surface, the last two of another."""
+    """The same along rows. An edge is four pixels in a row, the first two of one surface and the last two of another."""
     jump = np.abs(np.diff(normal, axis=1)).max(axis=-1)
     first, second, third = jump[:, :-2], jump[:, 1:-1], jump[:, 2:]
     way = color[:, 3:] - color[:, :-3]

@@ -18,7 +18,7 @@ from stss_ref.arrays import Array
 from stss_ref.regular_file import read_regular
 
 MAX_BYTES = 64 << 20
-"""Of a table; a line takes about 40."""
+"""Largest size of a table; a line takes about 40 bytes."""
 
 
 @dataclass(frozen=True)
@@ -35,10 +35,10 @@ class CameraPose:
 
 
 def read_cameras(path: Path) -> dict[int, CameraPose]:
-    """A table ``frame,x,y,z``, in scene units.
+    """Read a table ``frame,x,y,z``, in scene units: frame number -> camera.
 
     Raises:
-        InputError: not such a table, not a regular file of at most `MAX_BYTES`; or a frame is in it twice.
+        InputError: it is not such a table or not a regular file of at most `MAX_BYTES`, or a frame appears twice.
     """
     try:
         rows = csv.reader(io.StringIO(read_regular(path, MAX_BYTES).decode("utf-8-sig"), newline=""))
@@ -64,13 +64,13 @@ def _table(path: Path, rows: Iterable[list[str]]) -> dict[int, CameraPose]:
         if len(row) != 4 or position.shape != (3,) or not np.isfinite(position).all():
             raise InputError(f"{path}: line {line}: expected a frame number and three numbers; found {','.join(row)}")
         if number in cameras:
-            raise InputError(f"{path}: line {line}: frame {number} is there twice")
+            raise InputError(f"{path}: line {line}: frame {number} appears twice")
         cameras[number] = CameraPose(position)
     return cameras
 
 
 def camera_of(header: Header, profile: Profile) -> CameraPose | None:
-    """The camera as a file's metadata have it: ``worldToCamera``, or the profile's attributes; None without either."""
+    """The camera by a file's metadata: ``worldToCamera`` or the attributes that the profile names; None without either."""
     matrix = header.attributes.get("worldToCamera")
     if isinstance(matrix, tuple) and len(matrix) == 16:
         to_camera = np.array(matrix, dtype=np.float64).reshape(4, 4)

@@ -12,24 +12,24 @@ from stss.images.headers import Header
 from stss.sequence.profiles import Channels, Profile
 
 LAYERS = ("ViewLayer", "View Layer", "RenderLayer")
-"""Blender's names for the one layer of a new scene, in the versions there were."""
+"""Blender's names for the only layer of a new scene; they differ between its versions."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """Where a buffer is: full names of its channels in a file."""
+    """Where a buffer is: a file, and the full names of the buffer's channels in it."""
 
     path: Path
     names: Channels
 
 
 def find_buffers(header: Header, profile: Profile, buffers: Collection[str]) -> dict[str, Source]:
-    """The buffers that a file has; the first alternative whose channels are all there wins.
+    """Find the buffers that a file has; of a buffer's alternatives, the first whose channels are all in the file wins.
 
     Args:
-        header: of the file.
-        profile: what the channels are called.
-        buffers: those that may be in this file.
+        header: the file's.
+        profile: has the channels' names.
+        buffers: the buffers that may be in this file.
 
     Raises:
         InputError: several layers have the same buffers, so that ``{layer}`` could mean any of them.
@@ -63,7 +63,7 @@ def _in_layer(header: Header, profile: Profile, buffers: Collection[str], layer:
 
 
 def missing_buffer(profile: Profile, buffer: str, where: object, there: Collection[str]) -> InputError:
-    """The error of a buffer that is nowhere: what it would be called, what there is, what to do."""
+    """The error for a buffer that no file has: the names expected, the channels found (``there``), what to do."""
     wanted = " or ".join(", ".join(names) for names in profile.channels[buffer]) or "a constant"
     ending = profile.file_of(buffer)
     file = f" in a file NAME{ending}.NNNN.exr" if ending else ""

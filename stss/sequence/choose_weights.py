@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which of the weights that come with the program suit a sequence: chosen once for all of its frames."""
+"""Choose which of the weights that come with the program suit a sequence, once for all of its frames."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from stss.sequence.reader import Sequence
 from stss.weights.file import ANTIALIASED, BILINEAR, DEFAULT, REALTIME, LoadedWeights, load
 
 AUTO = "auto"
-"""In place of a name of weights: those that suit the frames."""
+"""Given in place of a name of weights: choose those that suit the frames."""
 
 
 def suited(sampling: Sampling) -> str:
-    """The name of the weights for frames that are sampled so."""
+    """The name of the weights for frames with this sampling."""
     return ANTIALIASED if sampling.antialiased else REALTIME
 
 
 def choose_weights(source: str, sequence: Sequence, tell: Callable[[str], None], *, needed: bool = True) -> LoadedWeights:
-    """The weights named, or with `AUTO` those that suit the sequence; the same for every part of it.
+    """Load the weights named, or with `AUTO` those that suit the sequence; every part of it gets the same.
 
     Args:
         source: `AUTO` or `DEFAULT`, which mean the same here, or see `stss.weights.file.load`.
         sequence: a few of its frames are looked at, see `stss.sequence.antialiasing.judge_sampling`.
-        tell: is handed the choice and its reason.
-        needed: whether a network runs at all; where none does, `AUTO` chooses and tells nothing.
+        tell: called with the choice and its reason.
+        needed: whether a network runs at all; if not, `AUTO` neither looks at frames nor calls ``tell``.
 
     Raises:
         InputError: the file can't be read or is of another format.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a renderer stored, in the conventions of spec section 0."""
+"""Convert what a renderer stored to the conventions of spec section 0."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stss_ref.arrays import Array, Image, Mask, Plane
 
 
 def motion_in_pixels(stored: Image, rule: MotionRule) -> Image:
-    """(H, W, 2) float32 pixels, current -> previous, x right, y down; non-finite values stay so."""
+    """Stored motion as (H, W, 2) float32; pixels, current -> previous, x right, y down. Non-finite values stay so."""
     height, width = stored.shape[:2]
     unit = {"pixels": (1.0, 1.0), "uv": (width, height), "ndc": (width / 2, height / 2)}[rule.unit]
     sign = 1.0 if rule.direction == "to_previous" else -1.0
@@ -21,7 +21,7 @@ def motion_in_pixels(stored: Image, rule: MotionRule) -> Image:
 
 
 def linear_depth(stored: Plane, rule: DepthRule) -> Plane:
-    """(H, W) float32 as the renderer measures it, infinite where nothing was hit; a ray's length is still that."""
+    """Stored depth as linear depth (H, W) float32, infinite where nothing was hit; a ray's length stays one, see `ray_to_planar`."""
     d = stored.astype(np.float64)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         if rule.kind == "device":
@@ -36,7 +36,7 @@ def linear_depth(stored: Plane, rule: DepthRule) -> Plane:
 
 
 def ray_to_planar(depth: Plane, position: Image, camera: CameraPose | None) -> Plane:
-    """Distances to the camera as depths along its axis; unchanged where its direction is not known.
+    """Turn distances to the camera (H, W) into depths along its axis; unchanged where the axis is not known.
 
     ``position`` is in scene units. The depth comes from it, not from the ray: ``|z|`` in camera space.
     """
@@ -48,7 +48,7 @@ def ray_to_planar(depth: Plane, position: Image, camera: CameraPose | None) -> P
 
 
 def world_normal(stored: Image, rule: NormalRule) -> tuple[Image, Mask]:
-    """The normal (H, W, 3) float32, and where its value says that nothing was hit (H, W)."""
+    """The stored normal as (H, W, 3) float32, and (H, W) True where its value means that nothing was hit."""
     missed = np.zeros(stored.shape[:2], dtype=np.bool_)
     if rule.background is not None:
         missed = (stored == np.array(rule.background, dtype=np.float32)).all(axis=-1)
@@ -57,7 +57,7 @@ def world_normal(stored: Image, rule: NormalRule) -> tuple[Image, Mask]:
 
 
 def normal_dot_view(normal: Image, position: Image, camera: Array) -> Plane:
-    """NoV: ``dot(normalize(normal), normalize(camera - position))``, 0 where either has no length or is not finite."""
+    """NoV (H, W): ``dot(normalize(normal), normalize(camera - position))``, 0 where either has no length or is not finite."""
     n = normal.astype(np.float64)
     view = camera - position.astype(np.float64)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which files make up a sequence: names, frame numbers, one file a frame or one a buffer."""
+"""Find the files of a sequence by their names and frame numbers: one file for each frame, or one for each buffer of it."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _STEM = re.compile(r"(.*?)(\d+)(\D*)", re.DOTALL)
 """The frame number is the last group of digits of the name without its suffix."""
 
 MAX_DIGITS = 9
-"""Of a frame number, leading zeros apart; more are a date or a hash, not a frame."""
+"""Most digits of a frame number, not counting leading zeros; a longer number is a date or a hash."""
 
 Frames = dict[int, dict[str, Path]]
-"""Frame number -> what the name ends with ("" for the file that buffers share) -> file."""
+"""Frame number -> ending of the name before the number ("" for the file that buffers share) -> file."""
 
 
 def find_frames(path: Path, endings: Collection[str]) -> Frames:
-    """The EXR files of a sequence.
+    """Find the EXR files of a sequence.
 
     Args:
         path: a folder that holds one sequence; or a pattern like ``folder/name.####.exr``, with any number of # and
@@ -59,7 +59,7 @@ def find_frames(path: Path, endings: Collection[str]) -> Frames:
 
 
 def _files(path: Path, folder: Path) -> list[Path]:
-    """What is in the folder, sorted."""
+    """The files in the folder, sorted; InputError where it is not a folder or cannot be read."""
     try:
         return sorted(folder.iterdir())
     except FileNotFoundError:

@@ -62,7 +62,7 @@ class DepthRule:
 
     Attributes:
         kind: "planar": along the view axis; "ray": distance to the camera; "device": what a depth buffer holds.
-        background: values from here on mean that nothing was hit; so do 0, negative and non-finite ones.
+        background: a value of this or more means that nothing was hit; so does one that is 0, negative or not finite.
         near: "device" only: distance of the near plane.
         far: "device" only: distance of the far plane; infinite allowed.
         reversed: "device" only: 1 is the near plane, 0 the far one.
@@ -82,7 +82,7 @@ class NormalRule:
     Attributes:
         bias: subtracted first.
         scale: factor after that.
-        background: stored value that means that nothing was hit, where the renderer has one.
+        background: stored value that means that nothing was hit; None where the renderer has none.
     """
 
     bias: float
@@ -95,8 +95,8 @@ class Profile:
     """A renderer's names and conventions.
 
     Attributes:
-        name: what the command line calls it.
-        title: one line for people.
+        name: its name on the command line.
+        title: its description in one line.
         path: its TOML file.
         channels: buffer -> alternatives in order of preference, each the full names of the buffer's channels.
             ``{layer}`` stands for the text before the last two dots.
@@ -138,7 +138,7 @@ def profile_names() -> tuple[str, ...]:
 
 
 def load_profile(name_or_path: str | Path) -> Profile:
-    """A built-in profile by name, or a TOML file by path.
+    """Load a built-in profile by name, or a TOML file by path.
 
     Raises:
         InputError: there is no such profile; or a key of it is unknown, missing or wrong.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The buffers of a frame as they are stored, and what becomes of values that are not finite."""
+"""Read the buffers of a frame as they are stored, and refuse or mask values that are not finite."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NonFinite = Literal["refuse", "mask"]
 UNIT_RANGE = ("base_color", "roughness", "metallic")
 """Buffers that are clipped to [0, 1]."""
 FINITE = ("color", "normal", "stencil", "nov", *UNIT_RANGE)
-"""Must be finite. Motion, depth and position say something by it: off screen, nothing hit, a hole."""
+"""Buffers that must be finite. In motion, depth and position a non-finite value has a meaning: off screen, nothing hit, a hole."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class RawFrame:
 def read_stored(
     frame: RawFrame, size: tuple[int, int], constants: Mapping[str, float], *, color: bool = True
 ) -> dict[str, Array]:
-    """Buffer -> (H, W, channels) float32 as stored, or a constant; without colour if so wished."""
+    """Read buffer -> (H, W, channels) float32, as stored or filled with a constant; ``color`` False leaves the colour out."""
     wanted = {buffer: source for buffer, source in frame.sources.items() if color or buffer != "color"}
     planes = {
         path: read_channels(path, sorted({name for s in wanted.values() if s.path == path for name in s.names}))
@@ -56,9 +56,9 @@ def read_stored(
 
 
 def settle_non_finite(stored: dict[str, Array], sources: Mapping[str, Source], policy: NonFinite) -> None:
-    """Refuse values that are not finite where they must be, or put 0 there; in place.
+    """Refuse values that are not finite where they must be, or replace them by 0, in place.
 
-    A pixel whose colour was masked loses its position too, so that later frames see a hole there.
+    A pixel whose colour is masked gets a position of NaN, so that later frames see a hole there.
 
     Raises:
         InputError: the policy is "refuse", and there is such a value.

@@ -21,7 +21,7 @@ from stss.sequence.raw_frame import UNIT_RANGE, NonFinite, RawFrame, read_stored
 from stss_ref.arrays import Array, Plane
 
 BACKGROUND_POSITION = 1e7
-"""Where nothing was hit; cm, each coordinate: one place, so that sky stays sky, and far from every surface, so that a surface does not."""
+"""Each coordinate of the position where nothing was hit; cm. One place, so that sky matches sky; far away, so that no surface does."""
 
 
 class Sequence:
@@ -64,7 +64,7 @@ class Sequence:
         return frozenset(number for number, frame in self.frames.items() if "color" in frame.sources)
 
     def has(self, number: int, buffer: str) -> bool:
-        """Whether a buffer of a frame is in its files, is a constant, or can be computed."""
+        """Whether a buffer of a frame is in the frame's files, is a constant, or can be computed."""
         frame = self._frame(number)
         computed = buffer == "nov" and frame.camera is not None
         return buffer in frame.sources or buffer in self.constants or computed
@@ -75,15 +75,18 @@ class Sequence:
 
     @property
     def reads(self) -> tuple[Path, ...]:
-        """Every file that is read."""
+        """Every file that the sequence reads."""
         return (*self.tables, *(path for frame in self.frames.values() for path in frame.files))
 
     def load(self, number: int, *, color: bool = True) -> Buffers:
         """Read one display frame.
 
         Args:
-            number: which.
+            number: the display frame.
             color: False: leave the colour out, as if the frame had not been rendered.
+
+        Returns:
+            The frame in the conventions of spec section 0.
 
         Raises:
             InputError: the frame or a buffer of it is not there, a file cannot be read, or a value is not finite where
@@ -158,14 +161,14 @@ def open_sequence(
     Args:
         path: a folder with one sequence of EXR files, or a pattern like ``folder/name.####.exr``.
         profile: a built-in profile's name, a TOML file, or a profile.
-        camera: CSV ``frame,x,y,z``, in the profile's unit of length; stands before what the files say of the camera.
-        metallic: number that stands in where the files have no metallic.
+        camera: CSV ``frame,x,y,z``, in the profile's unit of length; takes precedence over the camera in the files.
+        metallic: constant for files that have no metallic, in [0, 1].
         roughness: the same for roughness.
         non_finite: what to do with non-finite colours, normals, base colours, roughness, metallic, NoV and stencils.
             "refuse": InputError; "mask": 0, and no later frame trusts such a colour.
 
     Raises:
-        InputError: there is no sequence, frames differ in size, or a buffer is in no frame.
+        InputError: there is no sequence, frames differ in size, a constant is out of range, or no frame has some buffer.
     """
     path, table = Path(path), profile if isinstance(profile, Profile) else load_profile(profile)
     cameras = None if camera is None else read_cameras(camera)
@@ -227,7 +230,7 @@ def _frame_of(
 
 
 def _require_buffers(path: Path, profile: Profile, frames: Mapping[int, RawFrame], constants: Mapping[str, float]) -> None:
-    """Raise InputError if a buffer is in no frame at all: then it is the profile or the render, not a lost file."""
+    """Raise InputError if no frame at all has some buffer: then the profile or the render is wrong, and no file is missing."""
     assert set(constants) <= set(CONSTANTS)
     for buffer in BUFFERS:
         if buffer in constants or any(buffer in frame.sources for frame in frames.values()):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Display frames of the canonical scenes (``conformance.scenes``) as an engine hands them over, and their truth."""
+"""Display frames of the canonical scenes (``conformance.scenes``), as an engine would deliver them, and their truth."""
 
 from __future__ import annotations
 

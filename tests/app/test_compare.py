@@ -226,7 +226,7 @@ def test_folders_that_do_not_fit(out, truth, tmp_path):
     with pytest.raises(InputError, match=r"one of frame 3; found frame 4$"):
         compare(out, truth)
     write_rgb(truth / "other.0004.png", flat(1))
-    with pytest.raises(InputError, match=r"frame 4 is there twice: other\.0004\.png, shot\.0004\.png"):
+    with pytest.raises(InputError, match=r"frame 4 appears twice: other\.0004\.png, shot\.0004\.png"):
         compare(out, truth)
 
 

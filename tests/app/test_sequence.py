@@ -237,7 +237,7 @@ def test_nov_from_the_camera(write_frames, tmp_path):
         ("frame;x;y;z\n", "expected the first line to be frame,x,y,z; found frame;x;y;z"),
         ("frame,x,y,z\n1,0,0\n", "line 2: expected a frame number and three numbers; found 1,0,0"),
         ("frame,x,y,z\n\n1,0,0,nan\n", "line 3: expected a frame number and three numbers"),
-        ("frame,x,y,z\n1,0,0,0\n1,0,0,0\n", "line 3: frame 1 is there twice"),
+        ("frame,x,y,z\n1,0,0,0\n1,0,0,0\n", "line 3: frame 1 appears twice"),
         ("frame,x,y,z\n2,0,0,0\n", "no line for frame 1"),
         (None, "cannot be read"),
     ],

@@ -252,7 +252,7 @@ def test_the_command(tmp_path):
         (["--write", "no.md"], r"no\.md: cannot be read"),
         (
             ["--backend", "ref", "--only", "tone", "--json", "no/such/folder.json"],
-            "--json no/such/folder.json: expected a file in a folder that is there",
+            "--json no/such/folder.json: expected a file in a folder that exists",
         ),
     ],
 )

@@ -143,7 +143,7 @@ def test_no_input_is_an_output_even_of_an_earlier_run(finished, demo, tmp_path):
 @pytest.mark.parametrize("option", ["--overwrite", "--resume"])
 def test_frames_of_others_are_not_replaced(inputs, demo, tmp_path, option):
     before = contents(inputs)
-    refused(stss("run", demo / "frames", "-o", inputs, option, *PLAIN), "frame.0000.exr", "nothing of an earlier run")
+    refused(stss("run", demo / "frames", "-o", inputs, option, *PLAIN), "frame.0000.exr", "not from an earlier run")
     assert contents(inputs) == before
 
 

@@ -364,7 +364,7 @@ def test_a_size_has_a_limit_that_is_named(sequence, monkeypatch, place):
         ("frame,x,y,z\n1,nan,0,0\n", "line 2: expected a frame number and three numbers; found 1,nan,0,0"),
         ("frame,x,y,z\n1,1e999,0,0\n", "line 2"),
         ("frame,x,y,z\n1" + ",0" * 100000 + "\n", "line 2"),
-        ("frame,x,y,z\n1,0,0,0\n1,0,0,0\n", "line 3: frame 1 is there twice"),
+        ("frame,x,y,z\n1,0,0,0\n1,0,0,0\n", "line 3: frame 1 appears twice"),
         ("frame,x,y,z\n1,\x1b[2J,0,0\n", "found 1,\\x1b[2J,0,0"),
         ('frame,x,y,z\n1,"\n\n",0,0\n', "found 1,\\n\\n,0,0"),
         ("frame,x,y,z\n1,\0,0,0\n", "line 2"),

@@ -185,7 +185,7 @@ def test_known_failures(here):
         (["--port", "wrong_port:Port", "--known-failures", "nowhere"], "nowhere: No such file"),
         (
             ["--port", "wrong_port:Port", "--json", "nowhere/found.json"],
-            "nowhere/found.json: expected a file in a folder that is there",
+            "nowhere/found.json: expected a file in a folder that exists",
         ),
         (["--port", "wrong_port:Port", "--report", "."], ".: expected a file"),
         (["--port", "wrong_port:Port", "--junit", "nowhere/junit.xml"], "nowhere/junit.xml: expected a file"),
