@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Transfers: from what the renderer gave to the display-referred values of the network, and back (spec section 9).
+"""Transfers: from the renderer's colours to the display-referred values of the network, and back (spec section 9).
 
 The sRGB curve is colour-science's. It is evaluated in float64, so that rounding to float32 is the only loss, and in
 blocks that fit the processor's cache, which halves its time.
@@ -20,16 +20,16 @@ from stss.errors import InputError
 from stss_ref.arrays import Array, require_finite, require_shape
 
 TRANSFERS = ("none", "srgb", "hdr")
-"""The names ``transfer`` takes."""
+"""The names that ``transfer`` takes."""
 
 LARGEST = 65504.0
-"""Largest number of half-precision EXR; scene-linear values above it are taken as this."""
+"""Largest number of half-precision EXR; larger scene-linear values are clipped to it."""
 
 BLOCK = 1 << 15
 """Pixels converted at a time."""
 
-# colour-science warns about optional packages as it is imported. For good: ``catch_warnings`` is for one thread at a time, and kernels may
-# be built in another.
+# colour-science warns about optional packages as it is imported. The filter stays: ``catch_warnings`` works for one thread at a time, and
+# kernels may be built in another.
 warnings.filterwarnings("ignore", module=r"colour\.")
 
 Float32 = NDArray[np.float32]
@@ -89,7 +89,7 @@ class Transfer:
         return _by_blocks("image", self._decode, image)
 
     def display(self, color: Array) -> Float32:
-        """What a screen shows of a frame in the renderer's domain, for PNG and metrics.
+        """Convert a frame in the renderer's domain to what a screen shows, for PNG and metrics.
 
         ``none``: clip to [0, 1]. ``srgb`` and ``hdr``: clip to [0, 1], then the sRGB curve: HDR is not tone mapped.
 
@@ -124,7 +124,7 @@ def _by_blocks(what: str, curve: Curve, image: Array) -> Float32:
 
 @cache
 def _srgb() -> Any:
-    # It takes a second: only who needs it pays.
+    # The import takes a second: only commands that need it pay.
     from colour.models.rgb.transfer_functions import srgb
 
     return srgb
@@ -135,7 +135,7 @@ def _clip(c: Pixels, largest: float = 1.0) -> Pixels:
 
 
 def _largest(c: Pixels) -> Pixels:
-    # (N, 1). Ten times as fast as c.max(axis=1), which runs along the three.
+    # (N, 1). Ten times as fast as c.max(axis=1), which loops over the three values of each pixel.
     return np.maximum(np.maximum(c[:, :1], c[:, 1:2]), c[:, 2:])
 
 

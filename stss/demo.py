@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A small sequence from nothing: an analytic scene at low resolution and half rate, its truth, a sheet to look at."""
+"""`stss demo`: an analytic scene rendered at low resolution and half rate, supersampled, and compared with its truth."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ FRAMES = 16
 SIZE = (90, 160)
 """H, W of the frames; the truth has twice that."""
 INPUT_SAMPLES = 9
-"""Rays for each pixel of a rendered frame: an engine with antialiasing. What one without it gets: docs/model-card.md."""
+"""Rays for each pixel of a rendered frame, as in an engine with antialiasing; docs/model-card.md has scores without it."""
 SAMPLES = 16
 """Rays for each pixel of the truth."""
 BACKGROUND = 1e10
-"""Depth written where nothing was hit: the profile ``stss`` takes 1e9 and more as that."""
+"""Depth written where nothing was hit: the profile ``stss`` reads 1e9 and more as background."""
 
 _CHANNELS: Mapping[str, tuple[str, ...]] = {
     "motion": ("motion.X", "motion.Y"),
@@ -79,7 +79,7 @@ def demo(
     Args:
         out: the folder; made if need be.
         weights: see `stss.sequence.choose_weights.choose_weights`.
-        backend, compute: what computes; see ``stss.frames.backends.open_backend``.
+        backend, compute: see ``stss.frames.backends.open_backend``.
         overwrite: replace an earlier demo.
         frames: how many display frames.
         size: H, W of the frames.
@@ -161,7 +161,7 @@ def frame_channels(frame: Rendered, *, rendered: bool) -> dict[str, Plane]:
 
 
 def demo_sheet(out: Path, outputs: Mapping[int, Path]) -> Array:
-    """Rendered frames, what was made of them and the truth, side by side: one EF and one SF, whole and magnified.
+    """Lay out rendered frames, outputs and truth side by side: one EF and one SF, whole and magnified.
 
     Args:
         out: the folder of `write_demo_sequence`.
@@ -186,7 +186,7 @@ def demo_sheet(out: Path, outputs: Mapping[int, Path]) -> Array:
 
 
 def demo_path(folder: Path, number: int) -> Path:
-    """Where a frame of the demo lies."""
+    """The path of a frame of the demo."""
     return folder / f"demo.{number:04d}.exr"
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What this machine is and which versions are installed, as reports say it."""
+"""This machine and the versions installed on it, as reports state them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def cpu_model() -> str:
-    """What the CPU calls itself."""
+    """The CPU's name, as the system reports it."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         return next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
@@ -24,7 +24,7 @@ def available_threads() -> int:
 
 
 def versions(names: tuple[str, ...]) -> dict[str, str]:
-    """Version of each of the distributions that is installed."""
+    """The version of each distribution in ``names`` that is installed."""
     found: dict[str, str] = {}
     for name in names:
         try:

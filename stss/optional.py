@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Packages that only some commands need: imported when they are, and missed in one line."""
+"""Import packages that only some commands need, and report a missing one in one line."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from stss.errors import InputError
-from stss.version import DISTRIBUTION
 
 
 def installed(name: str) -> bool:
@@ -22,23 +21,23 @@ def installed(name: str) -> bool:
 
 
 def require(name: str, extra: str = "bench") -> Any:
-    """The module ``name``; without types, since these packages have none or need not be there.
+    """Import the module ``name``; untyped, since these packages have no types or need not be installed.
 
     Args:
-        name: of the module.
-        extra: which of the distribution's extras has its package.
+        name: the module's dotted name.
+        extra: the distribution's extra that has its package.
 
     Raises:
         InputError: its package is not installed.
     """
     package = name.partition(".")[0]
-    # colour-science leaves an empty stand-in for a missing Matplotlib among the modules: what has no file is not there.
+    # colour-science leaves an empty stand-in for a missing Matplotlib among the modules: a module without a file is missing.
     if package in sys.modules and getattr(sys.modules[package], "__file__", None) is None:
-        raise InputError(f"{package} is not installed: pip install '{DISTRIBUTION}[{extra}]'")
+        raise InputError(f"{package} is not installed: in a checkout of stss, pip install '.[{extra}]'")
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
-        raise InputError(f"{package} is not installed: pip install '{DISTRIBUTION}[{extra}]'") from error
+        raise InputError(f"{package} is not installed: in a checkout of stss, pip install '.[{extra}]'") from error
 
 
 def require_own_conformance() -> None:

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.text import Text
 
 MOST = 2000
-"""Characters of a message; what a file says of itself may be longer."""
+"""Most characters of a message; text from a file may be longer and is cut."""
 
 
 def printable(text: str) -> str:
@@ -41,7 +41,7 @@ class Terminal(Console):
 
 
 def accept_any_text() -> None:
-    """From here on standard output and standard error escape what their encoding lacks, rather than raise."""
+    """Let standard output and standard error escape characters that their encoding lacks, rather than raise."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

@@ -3,4 +3,4 @@
 
 VERSION = "0.1.0"
 DISTRIBUTION = "spacetime-supersampling"
-"""What ``pip`` calls it: on the package index ``stss`` is another project."""
+"""The name that ``pip`` lists: on the package index ``stss`` is another project. This one is on no index yet."""

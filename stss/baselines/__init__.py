@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""What one would use without a network: FXAA, temporal upsampling, plain enlarging."""
+"""Methods without a network: FXAA, temporal upsampling, plain enlarging."""

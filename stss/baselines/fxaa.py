@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""FXAA: edges of one image made smooth, from nothing but its luma."""
+"""FXAA: smooth the edges of one image by its luma alone."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ Index = NDArray[np.intp]
 
 LUMA = (0.299, 0.587, 0.114)
 CONTRAST, DARKEST = 0.125, 0.0312
-"""An edge's contrast is at least this share of the brightest luma around it, and at least this much."""
+"""Least contrast of an edge: as a share of the brightest luma around it, and absolute."""
 ENDS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 14, 18, 26)
-"""Pixels along the edge at which its end is looked for."""
+"""Distances along the edge, in pixels, at which its end is looked for."""
 SOFTNESS = 0.75
-"""How much of a single pixel's contrast is taken away; 0 to 1."""
+"""Share of a single pixel's contrast that is removed; 0 to 1."""
 
 
 def fxaa(image: Image) -> Image:
@@ -33,7 +33,7 @@ def fxaa(image: Image) -> Image:
         image: (H, W, 3) display-referred, in [0, 1].
 
     Returns:
-        (H, W, 3) as ``image``; where there is no edge, the very same values.
+        (H, W, 3) as ``image``; unchanged where there is no edge.
 
     Raises:
         ArrayError: ``image`` is not (H, W, 3).
@@ -58,7 +58,7 @@ def fxaa(image: Image) -> Image:
 
 
 def _neighbours(luma: Plane) -> dict[tuple[int, int], Plane]:
-    """Offset (y, x) to the plane of the neighbours there; past the frame's edge, its nearest pixel."""
+    """Offset (y, x) -> plane (H, W) of the neighbours there; past the frame's edge, the nearest pixel in it."""
     height, width = luma.shape
     wide = np.pad(luma, 1, mode="edge")
     return {(j, i): wide[1 + j : 1 + j + height, 1 + i : 1 + i + width] for j in (-1, 0, 1) for i in (-1, 0, 1)}
@@ -90,7 +90,7 @@ def _share_by_slope(luma: Plane, y: Index, x: Index, across: Index) -> Array:
     mean, limit = (here + there) / 2, np.abs(here - there) / 4
 
     def end(direction: int) -> tuple[Array, Array]:
-        """Distance to the edge's end that way, and how much the edge's luma there is off its mean here."""
+        """Distance to the edge's end in this direction, and how much the edge's luma there differs from its mean here."""
         distance, off = np.full(len(y), ENDS[-1]), np.zeros_like(here)
         searching = np.ones(len(y), np.bool_)
         for step in ENDS:
@@ -103,13 +103,13 @@ def _share_by_slope(luma: Plane, y: Index, x: Index, across: Index) -> Array:
 
     (a, off_a), (b, off_b) = end(-1), end(1)
     off = np.where(a < b, off_a, off_b)
-    # Where the edge ends by taking this pixel's side it's the other side's pixels that it crosses.
+    # An edge that ends towards this pixel's side crosses the pixels of the other side.
     crosses = (off < 0) != (here - mean < 0)
     return np.where(crosses, 0.5 - np.minimum(a, b) / (a + b), 0)
 
 
 def _share_by_contrast(around: dict[tuple[int, int], Plane], luma: Plane, contrast: Plane) -> Plane:
-    """(H, W) share that a pixel unlike its eight neighbours loses; 0 on a straight edge's inside."""
+    """(H, W) share that a pixel loses if it differs from its eight neighbours; 0 inside a straight edge."""
     sides = sum(around[at] for at in ((-1, 0), (1, 0), (0, -1), (0, 1)))
     corners = sum(around[at] for at in ((-1, -1), (-1, 1), (1, -1), (1, 1)))
     unlike = np.abs((2 * sides + corners) / 12 - luma) / np.maximum(contrast, DARKEST)

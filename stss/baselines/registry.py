@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Ways to a display frame without a network, plainly in NumPy: what weights are worth is measured against these.
+"""Methods without a network, in plain NumPy, to compare weights with.
 
-Each takes what stage ``frame`` takes, with the stages of ``stss_ref``, and follows the same schedule. docs/metrics.md says which is which.
+Each has the inputs of stage ``frame``, uses the stages of ``stss_ref`` and follows the same schedule. docs/metrics.md defines them.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ def smooth_edges(inputs: FrameInputs, prepared: NetworkInputs) -> Image:
 
 
 def repeat(inputs: FrameInputs, _: NetworkInputs) -> Image:
-    """An EF shows the SF before it once more; an SF is `bilinear`."""
+    """An EF repeats the SF before it; an SF is `bilinear`."""
     return upsample_centres(inputs.colors[0])
 
 
 def extrapolate(_: FrameInputs, prepared: NetworkInputs) -> Image:
-    """As `bilinear`, but holes show what motion leads to, clamped into the frame: no occlusion warp."""
+    """As `bilinear`, but without the occlusion warp: holes show the pixel that motion leads to, clamped into the frame."""
     return upsample_centres(prepared.color[..., 3:])
 
 
@@ -56,14 +56,14 @@ METHODS: Mapping[str, Callable[[], Method]] = {
     "fxaa": lambda: smooth_edges,
     "taau": Taau,
 }
-"""Name to what makes the method, afresh for each sequence."""
+"""Name -> function that makes the method, to be called anew for each sequence."""
 
 ACCUMULATING = frozenset({"taau"})
-"""Those made of earlier outputs too, and not only of the six frames of the window."""
+"""Methods whose outputs depend on earlier outputs, and not only on the six frames of the window."""
 
 
 class MethodBackend(OnArrays):
-    """One of ``METHODS`` in place of a network's backend."""
+    """One of ``METHODS`` as a backend."""
 
     name = "numpy"
 

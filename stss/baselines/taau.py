@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Temporal antialiasing with upsampling: what was shown before, moved along and corrected by what is seen now."""
+"""Temporal antialiasing with upsampling: the image shown before, moved along and corrected by the current frame."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from stss_ref.frame import FrameInputs, NetworkInputs
 from stss_ref.sample import follow, leads_inside
 
 CURRENT = 0.1
-"""Share of the current frame in what is shown."""
+"""Share of the current frame in the image shown."""
 
 
 class Taau:
-    """Accumulates at display resolution; frames must come in order, each after the one that was shown before it.
+    """Accumulates at display resolution; frames must come in display order.
 
     ``shown_t(p) = h + 0.1 (current(p) - h)``, ``h = clamp(shown_{t-1}(p + motion(p)), box(p))``. ``current`` is the newest rendered frame,
     in an EF warped to now as the network gets it, upsampled by Lanczos's kernel and clamped to ``box``: the smallest and the
@@ -30,11 +30,11 @@ class Taau:
         self._shown: Image | None = None
 
     def __call__(self, inputs: FrameInputs, prepared: NetworkInputs) -> Image:
-        """The display frame after the last one asked for.
+        """Compute the display frame that follows the last one computed.
 
         Args:
             inputs: of stage ``frame``; with all steps 0 there is no earlier frame.
-            prepared: what the network gets, made of ``inputs``.
+            prepared: the network's inputs, made from ``inputs``.
 
         Returns:
             (2H, 2W, 3) display-referred.
@@ -59,7 +59,7 @@ def _seen_before(inputs: FrameInputs, prepared: NetworkInputs) -> Mask:
 
 
 def _box(image: Image) -> tuple[Image, Image]:
-    """(2H, 2W, C) smallest and largest of the 3 x 3 pixels of (H, W, C) around each, as far as they lie in the frame."""
+    """(2H, 2W, C) smallest and largest value of the 3 x 3 pixels of (H, W, C) around each pixel, as far as they lie in the frame."""
     height, width, _ = image.shape
     wide = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="edge")
     around = np.stack([wide[j : j + height, i : i + width] for j in range(3) for i in range(3)])

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The ways to the workers: an address to a client, and what is sent to them."""
+"""Connect to the workers of an address, and send them work.
+
+Dask's own protocol carries pickled Python objects, so whoever can reach a scheduler can run code on it (docs/farm.md).
+"""
 
 from __future__ import annotations
 
@@ -22,12 +25,12 @@ FAREWELL = 5
 
 
 def introduce(name: str) -> Introduction:
-    """What runs on a worker: see `Worker.introduce`."""
+    """Runs on a worker: see `Worker.introduce`."""
     return _worker(name).introduce()
 
 
 def compute_chunk(name: str, numbers: Sequence[int], backends: frozenset[str]) -> Chunk:
-    """What runs on a worker: see `Worker.compute`."""
+    """Runs on a worker: see `Worker.compute`."""
     return _worker(name).compute(numbers, backends)
 
 
@@ -36,7 +39,7 @@ def _worker(name: str) -> Worker:
 
 
 def send(client: Any, name: str, work: Work) -> None:
-    """Send the work to each worker once, to those that come later too."""
+    """Send the work to each worker once, including those that come later."""
 
     def setup(self: Any, worker: Any) -> None:
         del worker
@@ -47,7 +50,7 @@ def send(client: Any, name: str, work: Work) -> None:
 
 
 def forget(client: Any, name: str) -> None:
-    """Have the workers drop the work; one that hangs never answers, and is not waited for."""
+    """Tell the workers to drop the work; a worker that hangs never answers and is not waited for."""
 
     def ask() -> None:
         with suppress(Exception):  # a scheduler that is gone takes it along
@@ -59,16 +62,16 @@ def forget(client: Any, name: str) -> None:
 
 
 def distributed() -> Any:
-    """The package; raises InputError where the extra is not installed."""
+    """The package ``distributed``; raises InputError where the extra ``cluster`` is not installed."""
     return require("distributed", "cluster")
 
 
 @contextmanager
 def connected(address: str) -> Generator[Any, None, None]:
-    """A client of the scheduler at the address, or of processes started here, which end with it.
+    """Connect to the scheduler at the address, or to processes started here, which end with the connection.
 
     Raises:
-        InputError: it is no such address, or nobody answers there.
+        InputError: the address has another form, or no scheduler or worker answers there.
     """
     dask = distributed()
     if address.startswith(LOCAL):
@@ -100,7 +103,7 @@ def connected(address: str) -> Generator[Any, None, None]:
 
 
 def _share_of_threads(workers: int) -> dict[str, str]:
-    """For PoCL, which else takes every processor in each process, and pins its threads to the same ones."""
+    """Environment for PoCL, which else uses every processor in each process and pins its threads to the same ones."""
     if workers == 1:
         return {}
     return {"POCL_MAX_PTHREAD_COUNT": str(max(1, (os.cpu_count() or 1) // workers)), "POCL_AFFINITY": "0"}

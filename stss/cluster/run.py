@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A run on many machines: this process has the folder, its lock and its list; workers have the frames."""
+"""A run on many machines: this process holds the folder, its lock and its list; workers compute the frames."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from stss.version import VERSION
 from stss.weights.file import LoadedWeights
 
 PATIENCE = 10.0
-"""So many times the slowest chunk so far a chunk may take before another worker is given it as well."""
+"""How many times as long as the slowest chunk so far a chunk may take before another worker gets it as well."""
 SHORTEST = 60.0
-"""Seconds that a chunk may take at any rate: the first one builds kernels."""
+"""Seconds that a chunk may always take: the first one builds kernels."""
 
 
 @dataclass(frozen=True)
 class Cluster:
-    """What the user chose.
+    """The user's choices about the cluster.
 
     Attributes:
         address: ``local:N`` for N processes here, or a scheduler's, such as ``tcp://host:8786``.
-        mixed: take workers whose backends differ, and so their bits.
+        mixed: accept workers whose backends differ, and so the bits of their frames.
         shortest: see `SHORTEST`.
     """
 
@@ -62,12 +62,12 @@ def run_on_cluster(
     """As ``stss.run.job.run``, with the same files and the same bits.
 
     Args:
-        sequence, out, options, on_frame, reads: as there; ``on_frame`` is called in the order in which chunks come in.
+        sequence, out, options, on_frame, reads: as there; ``on_frame`` is called in the order in which chunks arrive.
         cluster: where to compute.
         method, loaded, backend, compute: see ``stss.run.choose_backend.open_method``.
 
     Raises:
-        InputError: as there; nobody answers at the address, workers differ, or a chunk ends every worker that has it.
+        InputError: as there; nothing answers at the address, workers differ, or every worker that computes a chunk dies.
     """
     planned = plan(sequence, out, options)
     require_unread(planned, sequence, reads)
@@ -90,16 +90,16 @@ def run_on_cluster(
 
 
 def require_independent(method: str, compute: ComputeOptions, budget: float | None) -> None:
-    """Raise InputError where an output depends on earlier outputs, or on this machine's time: then it cannot be cut."""
+    """Raise InputError where an output depends on earlier outputs, or on this machine's speed: then a run cannot be cut."""
     if budget is not None:
         raise InputError("--cluster: expected no --budget: a time is one machine's")
     if method in ACCUMULATING or compute.skip == "bounded":
         what = f"--method {method}" if method in ACCUMULATING else "--skip bounded"
-        raise InputError(f"--cluster: {what} makes each output of all before it, so it cannot be cut")
+        raise InputError(f"--cluster: {what} makes each output from all before it, so a run cannot be cut")
 
 
 class _Coordinator:
-    """Hands out chunks, takes their files into the folder, and has them done again where a worker dies or does not answer."""
+    """Hands out chunks, takes their files into the folder, and hands them out again where a worker dies or does not answer."""
 
     def __init__(
         self, client: Any, name: str, work: Work, planned: RunPlan, cluster: Cluster, on_frame: Callable[[FrameReport], None]
@@ -111,7 +111,7 @@ class _Coordinator:
         self._pending: dict[Any, tuple[Sequence[int], float]] = {}
         self._slowest = 0.0
         self._errors: dict[int, str] = {}
-        """First frame of a chunk that ended early, to what it said."""
+        """First frame of a chunk that ended early -> its error."""
 
     def run(self) -> Summary:
         """All chunks; raises the error of the first frame that has one, after all before it are written."""
@@ -148,7 +148,7 @@ class _Coordinator:
         return list(self._client.scheduler_info(n_workers=-1)["workers"])
 
     def _keep(self) -> list[int]:
-        """Report what an earlier run finished; the rest is to be done."""
+        """Report the frames that an earlier run finished; returns the others, which are still to be done."""
         work, options = self._work, self._work.options
         if not options.resume:
             return list(self._planned.numbers)
@@ -183,7 +183,7 @@ class _Coordinator:
             ) from error
 
     def _take(self, numbers: Sequence[int], chunk: Chunk, seconds: float) -> None:
-        """Put a chunk's files in place. One that comes a second time is thrown away."""
+        """Put a chunk's files in place; a chunk that arrives a second time is dropped."""
         self._slowest = max(self._slowest, seconds / len(numbers))
         for report, files in chunk.frames:
             new = report.number not in self._reports
@@ -201,7 +201,7 @@ class _Coordinator:
         self._on_frame(report)
 
     def _drop_later(self) -> None:
-        """What comes after the first error need not be done; what comes before it is."""
+        """Drop the chunks after the first error; those before it are still computed."""
         if self._errors:
             for future, (numbers, _) in list(self._pending.items()):
                 if numbers[0] > min(self._errors):
@@ -209,7 +209,7 @@ class _Coordinator:
                     del self._pending[future]
 
     def _again(self) -> None:
-        """Give a chunk that takes too long to another worker as well; forget a copy whose chunk is done."""
+        """Give a chunk that takes too long to another worker as well; drop the other copy of a chunk that is done."""
         where: dict[str, Any] = self._client.processing()
         for future, (numbers, since) in list(self._pending.items()):
             if all(number in self._reports for number in numbers):

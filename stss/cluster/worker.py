@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What runs on a worker: it opens its backend once for a run, and computes one chunk after the other."""
+"""The code that runs on a worker: it opens its backend once for a run, and computes one chunk after the other."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ class Work:
     """A whole run, as it is sent to each worker once.
 
     Attributes:
-        sequence: what to read; the worker opens the same paths.
+        sequence: the sequence to read; the worker opens the same paths.
         rendered: the display frames that count as rendered.
         options, method, loaded, backend, compute: as for a run in one process.
-        out: the run's folder, where the worker may or may not see it.
-        lock: what stands in the folder's lock: who reads the same there shares the storage.
+        out: the run's folder, which the worker may or may not see.
+        lock: the content of the folder's lock: a worker that reads the same shares the storage.
     """
 
     sequence: Frames
@@ -53,7 +53,7 @@ class Work:
 
 @dataclass(frozen=True)
 class File:
-    """A file of a frame: its place below the folder and its SHA-256, and either its bytes or where they lie beside it."""
+    """A file of a frame: its place below the folder, its SHA-256, and either its bytes or the file beside its place that has them."""
 
     name: str
     digest: str
@@ -63,7 +63,7 @@ class File:
 
 @dataclass(frozen=True)
 class Introduction:
-    """What a worker says of itself: its version and its backend's name, or why it cannot work."""
+    """A worker's version and its backend's name, or the reason why it cannot work."""
 
     version: str
     backend: str
@@ -72,14 +72,14 @@ class Introduction:
 
 @dataclass(frozen=True)
 class Chunk:
-    """What became of some frames: each with its files; and what ended the chunk early."""
+    """The reports of a chunk's frames, each with its files, and the error that ended the chunk early, or ""."""
 
     frames: list[tuple[FrameReport, list[File]]]
     error: str = ""
 
 
 class WorkerSink:
-    """Files on their way to the run's folder: beside their place on shared storage, or home as bytes."""
+    """Takes a worker's files to the run's folder: beside their place on shared storage, or as bytes to the process that was started."""
 
     def __init__(self, path: Path, *, shared: bool):
         self._path, self._shared = path, shared
@@ -114,7 +114,7 @@ class Worker:
         self._backend: Backend | None = None
 
     def introduce(self) -> Introduction:
-        """Open the backend, and say which it is."""
+        """Open the backend; returns its name, or why it cannot be opened."""
         try:
             with self._lock:
                 self._open()
@@ -130,7 +130,7 @@ class Worker:
 
         Args:
             numbers: consecutive display frames.
-            backends: names that the run takes: a worker that came later may be of another kind.
+            backends: names of the backends that the run accepts: a worker that came later may have another.
         """
         with self._lock:
             backend = self._open()
@@ -159,5 +159,5 @@ class Worker:
 
 
 def _nothing_kept(number: int, key: str) -> FrameKind | None:
-    """Whoever has the folder knows what is kept, and asks only for the rest."""
+    """A worker keeps no frame: the process that holds the folder knows what is kept, and asks only for the rest."""
     del number, key

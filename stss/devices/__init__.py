@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Which device computes: ``stss devices``, its self-test, ``stss tune``."""
+"""Choose and test the device that computes: ``stss devices``, the self-test, ``stss tune``."""
 
 from stss.devices.selection import choose, rows
 

@@ -33,11 +33,11 @@ def choose(name: str | None = None, tell: Tell = lambda line: None) -> Device:
     """Open the fastest device that passed its self-test, GPUs before all others.
 
     Args:
-        name: what its name must hold; None: ``$STSS_DEVICE``, or else nothing.
-        tell: is handed a line for every self-test that has to be run now, and for every GPU that did not pass.
+        name: part of the device's name; None: ``$STSS_DEVICE``, or any device without it.
+        tell: called with a line for every self-test that must be run now, and for every GPU that did not pass.
 
     Raises:
-        DeviceError: there is no such device, or none that passed; ``STSS_TRUST_DEVICE=1`` does without self-tests.
+        DeviceError: there is no such device, or none that passed; ``STSS_TRUST_DEVICE=1`` skips self-tests.
     """
     devices = matching(os.environ.get("STSS_DEVICE") if name is None else name)
     gpus = {n: h for n, h in devices.items() if is_gpu(h)}
@@ -63,8 +63,8 @@ def rows(*, again: bool = False, tell: Tell = lambda line: None) -> list[Row]:
     """Every device with its verdict, in the order in which ``choose`` tries them.
 
     Args:
-        again: test, whatever verdict is kept.
-        tell: is handed a line for every self-test that is run now.
+        again: test even where a verdict is stored.
+        tell: called with a line for every self-test that is run now.
 
     Raises:
         DeviceError: there is no device.
@@ -81,7 +81,7 @@ def to_json(found: list[Row]) -> str:
 
 
 def print_rows(found: list[Row], console: Console) -> None:
-    """A table; names are never cut off, for they are what ``--device`` takes."""
+    """Print a table; names are never cut off, since ``--device`` takes them."""
     table = Table(box=None, pad_edge=False)
     table.add_column("device", overflow="fold")
     for title in ("kind", "driver", "memory", "fp16", "self-test"):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Hold one device against the reference; run by ``stss.devices.verdicts`` as a process of its own, for a driver may hang or crash.
+"""Compare one device with the reference; ``stss.devices.verdicts`` runs this in a separate process, since a driver may hang or crash.
 
-``python -m stss.devices.selftest NAME`` prints one line of JSON: ``why`` it failed, or an empty text, and its speed in ``gflops``.
+``python -m stss.devices.selftest NAME`` prints one line of JSON: ``why``, the reason of a failure or "", and the speed in ``gflops``.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ ULP = {"divide": 2.5, "exp": 3.0, "sqrt": 3.0}
 
 
 class MismatchError(Exception):
-    """What came out wrong, in a few words."""
+    """A result is wrong; the message says which, in a few words."""
 
 
 @dataclass(frozen=True)
 class SelfTestResult:
-    """What the child says."""
+    """The result that the child process prints."""
 
     why: str
     gflops: float = 0.0
@@ -83,7 +83,7 @@ def groups(device: Device, generator: np.random.Generator) -> None:
 
 
 def nearest(device: Device, generator: np.random.Generator) -> None:
-    """Of all that fall on one place, the smallest stays."""
+    """Of all keys written to one place, the smallest stays."""
     place = generator.integers(0, 50, 5000).astype(np.int32)
     key = generator.integers(-(2**31), 2**31 - 1, 5000).astype(np.int32)
     got, want = np.full(50, 2**31 - 1, np.int32), np.full(50, 2**31 - 1, np.int32)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Layers like the network's with any tile sizes: whether they compute what the plain kernel does, and how long they take."""
+"""Time layers like the network's with any tile sizes, after comparing their results with the plain kernel's."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from stss_cl.network.pack_weights import Packed, pack
 from stss_ref.arrays import Array
 
 SHORTEST = 2e-3
-"""Seconds one timing takes at least, by repetition."""
+"""Least duration of one timing, reached by repetition; seconds."""
 CHECKED = (45, 75)
-"""Output size at which a candidate is held against the plain kernel: nothing divides it, and it has several strips."""
+"""Output size (H, W) at which a candidate is compared with the plain kernel: no tile size divides it, and it has several strips."""
 PLAIN = Direct(1, 1, 1)
 
 Sizes = Winograd | Direct | Local
@@ -31,7 +31,10 @@ Sizes = Winograd | Direct | Local
 
 @dataclass(frozen=True)
 class LayerShape:
-    """Like layers of the network: channels of both inputs, outputs; the output is 1 / divisor of the frame; how many there are."""
+    """The shape of some layers of the network: channels of both inputs and of the output; the output is 1 / ``divisor`` of the frame.
+
+    ``count`` is the number of such layers.
+    """
 
     a: int
     b: int
@@ -68,19 +71,19 @@ SHAPES = (
 
 @dataclass
 class Trials:
-    """Seconds by shape and candidate; why a candidate was refused."""
+    """Timings: seconds by shape and candidate, and the reason why a candidate was refused."""
 
     times: dict[LayerShape, dict[Sizes, float]] = field(default_factory=dict[LayerShape, dict[Sizes, float]])
     refused: dict[tuple[int, Sizes], str] = field(default_factory=dict[tuple[int, Sizes], str])
 
     def time(self, device: Device, shape: LayerShape, size: tuple[int, int], candidates: Iterable[Sizes], rounds: int) -> None:
-        """Note the fastest of interleaved runs of every candidate that computes what the plain kernel does.
+        """Record the fastest of interleaved runs of every candidate whose results are the plain kernel's, within the bound.
 
         Args:
             device: to run on.
-            shape: of the layer.
+            shape: the layer's shape.
             size: (height, width) of the frame.
-            candidates: tried once each.
+            candidates: tile sizes, timed in turns.
             rounds: timings of each.
         """
         packed = _packed(shape)
@@ -101,7 +104,7 @@ class Trials:
                 best[sizes] = min(best[sizes], _seconds(device, launch, repeat))
 
     def total(self, sizes: Sizes | None, shapes: Iterable[LayerShape]) -> float:
-        """Seconds in all layers like ``shapes``; infinite where it was refused or not tried."""
+        """Seconds in all layers with these shapes; infinite if the sizes were refused or not timed."""
         if sizes is None:
             return np.inf
         return sum(shape.count * self.times[shape].get(sizes, np.inf) for shape in shapes)
@@ -170,7 +173,7 @@ class _Layer:
         return read(self._device, self._out)
 
     def fault(self, sizes: Sizes, want: Array) -> str:
-        """Why these sizes may not be used, in a few words; empty if they may."""
+        """The reason why these sizes must not be used, in a few words; "" if they may."""
         try:
             error = ratio("stage.cl", self.run(sizes), want)
         except (DeviceError, cl.Error) as fault:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Find the tile sizes that are fastest on a device, and keep them for it: ``stss tune``."""
+"""``stss tune``: find the tile sizes that are fastest on a device, and store them for it."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from stss_cl.device.discovery import Device, DeviceError, Properties, matching
 from stss_cl.device.tuning import OUTPUTS, Direct, Local, Tuning, Winograd, built_in, keep, kept, kept_path, to_toml
 
 MARGIN = 1.02
-"""How many times faster than the built-in sizes others must be to replace them."""
+"""Factor by which other sizes must be faster than the built-in ones to replace them."""
 ROUNDS, DUEL = 5, 12
-"""Interleaved timings of each candidate; of the best one against the built-in: the best of many is partly the luckiest."""
+"""Interleaved timings of each candidate, and then of the best one and the built-in sizes: the best of many is partly luck."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """One class of layers: the built-in sizes, the fastest others or none, seconds of both, what was decided."""
+    """One class of layers: the built-in sizes, the fastest others or None, the seconds of both, and the decision."""
 
     what: str
     built_in: Sizes | None
@@ -41,10 +41,10 @@ def tune(
     Args:
         device: to tune for.
         size: (height, width) of the frames.
-        tell: is handed what is being timed.
+        tell: called with the shape that is being timed.
 
     Returns:
-        The built-in row with what beats it, every timing, and one line for each class of layers.
+        The built-in row with the sizes that beat it, every timing, and one line for each class of layers.
     """
     base, trials = built_in(device), Trials()
     for shape in SHAPES:
@@ -107,7 +107,7 @@ def _local(device: Device, base: Tuning, trials: Trials, direct: dict[int, Direc
 
 
 def _worth_it(base: Tuning, trials: Trials, winograd: dict[int, Winograd]) -> bool:
-    """Whether Winograd beats the direct convolution, or stays because that does not beat it."""
+    """Whether to use Winograd: it beats the direct convolution, or it is built in and the direct one does not beat it."""
     shapes = [s for s in SHAPES if s.fast]
     fast = sum(trials.total(winograd[s.outputs], [s]) for s in shapes)
     plain = 0.0
@@ -128,7 +128,7 @@ def _better(
     candidates: Collection[Sizes],
     shapes: list[LayerShape],
 ) -> tuple[Sizes | None, Line]:
-    """The fastest candidate, if in a second round it still beats the built-in sizes by the margin."""
+    """The fastest candidate if it still beats the built-in sizes by the margin in a second round, else the built-in sizes."""
     others = [c for c in candidates if c != first and np.isfinite(trials.total(c, shapes))]
     if not shapes or not others:
         return first, Line(what, first, None, (trials.total(first, shapes), np.inf), "not used" if not shapes else "built-in")
@@ -144,17 +144,17 @@ def _better(
 
 
 def run(name: str | None, size: tuple[int, int], *, show: bool, console: Console, tell: Callable[[str], None]) -> None:
-    """The command.
+    """Run the command.
 
     Args:
-        name: part of the device's name; None: as everywhere.
+        name: part of the device's name; None: as for `stss.devices.selection.choose`.
         size: (height, width) of the frames.
-        show: print the row in force, time nothing.
+        show: print the row in use and time nothing.
         console: for the results.
-        tell: is handed a line for every step.
+        tell: called with a line for every step.
 
     Raises:
-        DeviceError: there is no such device, or with ``show`` its kept row is wrong.
+        DeviceError: there is no such device, or with ``show`` its stored row is wrong.
     """
     if not show:
         _drop_wrong_rows(name, tell)
@@ -198,7 +198,7 @@ def _shown(sizes: Sizes | None) -> str:
 
 
 def _drop_wrong_rows(name: str | None, tell: Callable[[str], None]) -> None:
-    """A row that cannot be read would fail the self-test of the device that is about to get a new one."""
+    """Remove stored rows that cannot be read: they would fail the self-test of the device that is about to get a new row."""
     for handle in matching(os.environ.get("STSS_DEVICE") if name is None else name).values():
         device = Properties(handle)
         try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether a device may be trusted: its self-test, run in a child process with a time limit, and kept until something changes."""
+"""Decide whether a device may be trusted, by a self-test in a child process. The verdict is stored until something changes."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ except ImportError:  # Windows
     fcntl = None
 
 TIME_LIMIT = 60.0
-"""Seconds of processor time a self-test may take, most of which goes into compiling; ``$STSS_SELFTEST_SECONDS`` sets another limit.
+"""Most processor time of a self-test, the greater part of it for compiling; seconds. ``$STSS_SELFTEST_SECONDS`` sets another limit.
 
-Not of the clock: a busy machine gives a process little of it.
+Processor time and not time of the clock, since a busy machine gives a process little of it.
 """
 MOST_TIME = 86400.0
 CLOCK = 20
-"""How many times as long it may take on the clock: no machine that is of use is so busy."""
+"""Factor by which it may take longer on the clock: no usable machine is that busy."""
 IDLE = 60.0
-"""Seconds of the clock, at most those of the limit, in which it must use a hundredth of a processor: who waits for ever uses none."""
+"""Seconds on the clock, or fewer if the limit is lower, in which it must use a hundredth of a processor: a hung process uses none."""
 POLL = 0.25
-"""Seconds from one look at the child to the next."""
+"""Seconds between two checks of the child."""
 
 FAULTS = ("SIGSEGV", "SIGBUS", "SIGILL", "SIGFPE", "SIGABRT", "SIGTRAP", "SIGSYS")
-"""Signals by which a driver's fault ends a process; others come from outside: a user, or a system short of memory."""
+"""Signals by which a driver's fault ends a process. Others come from outside: from a user, or from a system short of memory."""
 
 COMMAND = (sys.executable, "-m", "stss.devices.selftest")
 
@@ -60,15 +60,15 @@ _MOST_BYTES = 1 << 16
 
 @dataclass(frozen=True)
 class Verdict:
-    """What came of a self-test.
+    """The result of a self-test.
 
     Attributes:
-        outcome: ``failed``: it disagrees, or there is no result; ``hung``: no answer within the time limit; ``crashed``: the process
-            ended by a signal.
-        why: a few words, unless it passed.
+        outcome: ``failed``: it disagrees, or there is no result; ``hung``: no answer within the time limit; ``crashed``: a signal ended
+            the process.
+        why: the reason in a few words; "" if it passed.
         gflops: speed, if it passed; 10**9 float32 operations a second.
-        seconds: what the self-test took.
-        lasting: whether the device is to blame, so that another test would end likewise; what does not last is not kept.
+        seconds: duration of the self-test.
+        lasting: whether the device is to blame, so that another test would end the same way; only such verdicts are stored.
     """
 
     outcome: Literal["passed", "failed", "hung", "crashed"]
@@ -89,14 +89,14 @@ class Verdict:
 def verdict(
     name: str, handle: cl.Device, *, again: bool = False, command: Sequence[str] = COMMAND, tell: Tell = lambda line: None
 ) -> Verdict:
-    """The kept verdict on a device, or that of a self-test now: one process tests, others that ask meanwhile wait for it.
+    """The stored verdict on a device, or the verdict of a self-test now; one process tests, and others that ask meanwhile wait for it.
 
     Args:
-        name: of ``stss_cl.device.discovery.named``.
+        name: the device's name by ``stss_cl.device.discovery.named``.
         handle: the device of this name.
-        again: test, whatever is kept.
-        command: what tests the device whose name is appended.
-        tell: is handed a line if there is something to wait for.
+        again: test even where a verdict is stored.
+        command: the command that tests the device whose name is appended.
+        tell: called with a line if there is something to wait for.
     """
     if not again and (kept := known(name, handle)):
         return kept
@@ -108,9 +108,7 @@ def verdict(
             f"self-test of {name}" if again else f"first start: building kernels for {name} and testing it, half a minute or more"
         )
         if is_temporary():
-            tell(
-                "no cache home that can be written to: what is built serves until the process ends; XDG_CACHE_HOME names another"
-            )
+            tell("no writable cache folder: kernels are built for this process only; XDG_CACHE_HOME names another folder")
         found = run_selftest(name, command, limit)
         if found.lasting:
             stored = {"device": name, **asdict(found)}
@@ -120,7 +118,7 @@ def verdict(
 
 
 def known(name: str, handle: cl.Device) -> Verdict | None:
-    """The verdict kept for this device, its driver, this version of ours and these kernels; None: there is none."""
+    """The verdict stored for this device, its driver, this version of stss and these kernels; None if there is none."""
     try:
         kept: Any = json.loads(read(_path(name, handle), _MOST_BYTES) or b"")
         if kept.pop("device") != name or kept["outcome"] not in _OUTCOMES or not isinstance(kept["why"], str):
@@ -134,13 +132,16 @@ def known(name: str, handle: cl.Device) -> Verdict | None:
 
 
 def run_selftest(name: str, command: Sequence[str] = COMMAND, limit: float | None = None) -> Verdict:
-    """Test a device in a child process, which is killed with all that it started after ``limit`` seconds; None: as set."""
+    """Test a device in a child process, which is killed with all that it started after ``limit`` seconds; None: `TIME_LIMIT`."""
     limit, start = _limit() if limit is None else limit, time.monotonic()
-    # Beside our packages, since -m takes modules from the working directory first, and that is the user's.
+    # In the folder of our packages: -m takes modules from the working directory first, and the user's may hold anything.
     child = subprocess.Popen(
         [*command, name],
         cwd=_PACKAGE.parent,
-        env={**os.environ, "XDG_CACHE_HOME": str(home())},  # what it compiles serves us, in a temporary folder too
+        env={
+            **os.environ,
+            "XDG_CACHE_HOME": str(home()),
+        },  # its compiled kernels serve this process, also from a temporary folder
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -156,7 +157,7 @@ def run_selftest(name: str, command: Sequence[str] = COMMAND, limit: float | Non
                 break
             except subprocess.TimeoutExpired:
                 if child.poll() is not None:
-                    _kill(child)  # something that it left behind holds its output open
+                    _kill(child)  # a process that it left behind holds its output open
                 elif why := watch.over():
                     return Verdict("hung", why, seconds=round(time.monotonic() - start, 3), lasting=False)
     finally:
@@ -167,7 +168,7 @@ def run_selftest(name: str, command: Sequence[str] = COMMAND, limit: float | Non
 
 
 class _Watch:
-    """Whether a session of processes has had its time."""
+    """Watches whether a session of processes has used up its time."""
 
     def __init__(self, session: int, limit: float):
         self._session, self._limit, self._idle = session, limit, min(IDLE, limit)
@@ -175,7 +176,7 @@ class _Watch:
         self._used = 0.0
 
     def over(self) -> str:
-        """Why it must end; empty: it may go on."""
+        """The reason why it must end; "" if it may go on."""
         now = time.monotonic()
         if now - self._start > CLOCK * self._limit:
             return f"no answer within {CLOCK * self._limit:g} s"
@@ -190,7 +191,7 @@ class _Watch:
 
 
 def _processor_seconds(session: int) -> float | None:
-    """What the processes of a session and those that they waited for have used; None: this system does not say."""
+    """Processor time of a session's processes and of those that they waited for; seconds. None where the system does not say."""
     ticks, seen = 0, False
     for path in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):  # it has ended
@@ -202,7 +203,7 @@ def _processor_seconds(session: int) -> float | None:
 
 @contextmanager
 def _alone(path: Path, wait: Callable[[], None]) -> Generator[None]:
-    """Hold the lock of this file, which ends with its process, however that ends; ``wait`` is called if another has it."""
+    """Hold the lock of this file, which the system releases when its process ends; ``wait`` is called if another process has it."""
     with ExitStack() as held:
         # Windows has no flock, some file systems have no locks, a full one no room: every process then tests for itself.
         with suppress(OSError):
@@ -243,7 +244,7 @@ def _read(status: int, out: str, log: str, seconds: float) -> Verdict:
 
 
 def _printable(text: str) -> str:
-    """A driver's words, without what would steer a terminal."""
+    """A driver's text without characters that steer a terminal."""
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
@@ -254,7 +255,7 @@ def _kill(child: subprocess.Popen[str]) -> None:
             os.killpg(child.pid, signal.SIGKILL)
     elif child.poll() is None:
         child.kill()
-    with suppress(subprocess.TimeoutExpired):  # one that the driver holds inside the kernel cannot be ended
+    with suppress(subprocess.TimeoutExpired):  # a process that the driver holds inside the kernel cannot be ended
         child.wait(timeout=5)
 
 
@@ -277,7 +278,7 @@ def _path(name: str, handle: cl.Device) -> Path:
 
 @lru_cache(1)
 def _sources() -> str:
-    """Digest of what runs on a device, of what starts it, and of what it is held against."""
+    """Digest of the kernels, of the host code that launches them, and of the reference that they are compared with."""
     digest = hashlib.sha256()
     for path in _judged():
         text = path.read_bytes()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Display frames as arrays: what a backend is given, and the backends."""
+"""Display frames as arrays, the input of a backend, and the backends."""
 
 from stss.frames.backends import open_backend
 from stss.frames.buffers import Buffers

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What computes a frame: the reference, or an OpenCL device."""
+"""The backends that compute frames: the reference, and OpenCL devices."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from stss_ref.weights import Weights, has_residual
 NETWORK = "network"
 """The method that uses the network; `stss.baselines` has the others."""
 BACKENDS = ("cl", "ref")
-"""The names ``open_backend`` takes."""
+"""The names that ``open_backend`` takes."""
 DEFAULTS = ComputeOptions()
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What a frame cost.
+    """How much of the network a frame needed.
 
     Attributes:
-        network: what of the network was run: ``none``, where something had ``changed``, ``partly``: everywhere, but without flat
-            tiles, the ``whole``.
-        changed: share of the network's inputs that differed from the frame before of this kind; 1 where nobody looked.
-        departure: of a frame that was checked: the largest difference that leaving out made, output units.
+        network: where the network ran: ``none``, nowhere; ``changed``, where its inputs had changed; ``partly``, everywhere but in
+            flat tiles; ``whole``, everywhere.
+        changed: share of the network's inputs that differed from the frame before of this kind; 1 where they were not compared.
+        departure: largest error that skipping made, in units of the image, if the frame was checked; None: not checked.
     """
 
     network: Literal["none", "changed", "partly", "whole"]
@@ -45,7 +45,7 @@ class Backend(Protocol):
     Attributes:
         name: goes into the metadata of every output file, and into what ``--resume`` compares.
         method: likewise: ``network``, or one of ``stss.baselines.registry.METHODS``.
-        accumulates: True: an output depends on all outputs before it, and ``frame`` must be called for each in turn.
+        accumulates: True: an output depends on all outputs before it, and ``compute`` must be called for each in turn.
     """
 
     name: str
@@ -54,23 +54,23 @@ class Backend(Protocol):
 
     @property
     def cost(self) -> Cost | None:
-        """What the last frame cost; None: what every frame does."""
+        """The cost of the last frame; None where every frame costs the same."""
         ...
 
     @property
     def activity(self) -> Array | None:
-        """Where it was computed, see ``stss.run.skip_report.picture``; None: everywhere."""
+        """Where the last frame was computed, see ``stss.run.skip_report.picture``; None: everywhere."""
         ...
 
     def expect(self, size: tuple[int, int]) -> None:
-        """Make ready for frames of (H, W), which ``compute`` would do for the first of them."""
+        """Prepare for frames of (H, W) in advance; else ``compute`` does so at the first of them."""
         ...
 
     def compute(self, window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
         """``(image (2H, 2W, 3), valid (H, W))`` as ``stss_ref.frame.frame``, for the last frame of ``window``.
 
         Args:
-            window: consecutive display frames, oldest first; what was handed in once is not changed afterwards.
+            window: consecutive display frames, oldest first; the caller must not change a frame that it has passed before.
             steps: how many frames back the three colour frames lie, newest first.
         """
         ...
@@ -95,18 +95,18 @@ class ReferenceBackend(OnArrays):
 
 
 class OpenCLBackend:
-    """``stss_cl`` on one device; the name holds precision, device and driver, for their bits may differ."""
+    """``stss_cl`` on one device; its name has precision, device and driver, since their bits may differ."""
 
     method = NETWORK
 
     def __init__(self, weights: Weights, options: ComputeOptions, gather: Gather, tell: Callable[[str], None]):
-        # Imported here: the OpenCL library is opened only by those who use it.
+        # Imported here, so that the OpenCL library is opened only by commands that use it.
         from stss.devices.selection import choose
         from stss_cl.skip.stream import Stream
 
         device = choose(options.device, tell)
         self._stream = Stream(weights, device, options.precision, gather, options.memory_limit, options.skip, options.max_error)
-        # What bounded keeps depends on all frames before; what exact keeps shows in no bit.
+        # Under bounded the reused values depend on all earlier frames; under exact reuse changes no bit.
         self.accumulates = options.skip == "bounded"
         bound = f" within {options.max_error:g}" if self.accumulates else ""
         named = "" if device.kind.lower() == device.device_class else f" as {device.device_class}"
@@ -140,14 +140,14 @@ def open_backend(
     gather: Gather = "longest",
     tell: Callable[[str], None] = lambda line: None,
 ) -> Backend:
-    """Make the backend of this name ready to compute.
+    """Open a backend by its name.
 
     Args:
         name: one of ``BACKENDS``.
         weights: the 92 tensors.
-        options: how it computes.
+        options: device, precision, memory limit and skipping.
         gather: how the motion chain reads between pixels.
-        tell: is handed lines for the user, such as that a self-test is being run.
+        tell: called with lines for the user, such as that a self-test is being run.
 
     Raises:
         InputError: there is no such backend, or it does not take these options.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How frames are computed: what the user may trade for time and memory."""
+"""Options of computing frames, by which the user trades accuracy, time and memory."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SKIPS: tuple[Skip, ...] = get_args(Skip)
 
 @dataclass(frozen=True)
 class ComputeOptions:
-    """What ``stss.frames.open_backend`` takes beside the weights.
+    """The options that ``stss.frames.open_backend`` takes besides the weights.
 
     Attributes:
         device: part of an OpenCL device's name; None: ``$STSS_DEVICE``, or the fastest that passed its self-test.
@@ -38,19 +38,19 @@ class ComputeOptions:
     max_error: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what no backend knows."""
+        """Refuse a precision or a way to skip that no backend has."""
         for name, value, known in (("precision", self.precision, PRECISIONS), ("skip", self.skip, SKIPS)):
             if value not in known:
                 raise InputError(f"{name}: expected one of {', '.join(known)}, got {value!r}")
 
     @property
     def name(self) -> str:
-        """Precision and skipping, as in tables."""
+        """Precision and skipping as tables show them."""
         bound = f" {self.max_error * 255:g}/255" if self.skip == "bounded" else ""
         return f"{self.precision} {self.skip}{bound}"
 
     @property
     def typed(self) -> str:
-        """The same as the user would type it."""
+        """The same as options of the command line."""
         bound = f" --max-error {self.max_error * 255:g}/255" if self.max_error else ""
         return f"--precision {self.precision} --skip {self.skip}{bound}"

@@ -37,7 +37,7 @@ class DisplayFrame:
 
 
 def prepare(buffers: Buffers, to_display: Transfer, depth: DepthMode) -> DisplayFrame:
-    """Take one frame's colour through the transfer, normalise its depth and stack its G-buffer."""
+    """Make a display frame: colour through the transfer, depth normalised to [0, 1], G-buffer stacked."""
     planes = [
         buffers.normal,
         normalise_depth(buffers.depth, depth)[..., None],
@@ -57,12 +57,12 @@ def prepare(buffers: Buffers, to_display: Transfer, depth: DepthMode) -> Display
 
 
 def window_at(frames: Sequence[DisplayFrame], position: int) -> Sequence[DisplayFrame]:
-    """What the output of ``frames[position]`` depends on: that frame and up to five before it, of consecutive ``frames``."""
+    """The frames that the output of ``frames[position]`` depends on: that frame and up to five before it; ``frames`` are consecutive."""
     return frames[max(0, position - WINDOW + 1) : position + 1]
 
 
 def frame_inputs(window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> FrameInputs:
-    """Stack what stage ``frame`` takes for the newest frame of ``window``.
+    """Stack the inputs of stage ``frame`` for the newest frame of ``window``.
 
     Args:
         window: consecutive display frames, oldest first, at least ``max(steps) + 1`` of them.
@@ -91,12 +91,12 @@ def frame_inputs(window: Sequence[DisplayFrame], steps: tuple[int, int, int]) ->
 
 
 class OnArrays(ABC):
-    """A backend (``stss.frames.backends.Backend``) that computes every frame from nothing."""
+    """A backend (``stss.frames.backends.Backend``) that computes every frame anew, from stacked arrays."""
 
     cost, activity = None, None
 
     def expect(self, size: tuple[int, int]) -> None:
-        """See ``Backend``: there is nothing to make ready for (H, W)."""
+        """See ``Backend``: nothing needs to be prepared."""
         del size
 
     def compute(self, window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> tuple[Image, Mask]:

@@ -19,10 +19,10 @@ from stss_ref.schedule import FrameKind, Schedule, schedule
 
 @dataclass(frozen=True)
 class Output:
-    """One display frame, done.
+    """The output of one display frame.
 
     Attributes:
-        number: of the display frame.
+        number: the display frame's number.
         kind: SF (rendered) or EF (extrapolated).
         image: (2H, 2W, 3) float32 in the domain the colours came in: scene-linear for ``srgb`` and ``hdr``; finite, >= 0.
         valid: (H, W) False in the warping holes of the newest colour frame; all True for an SF.
@@ -35,18 +35,18 @@ class Output:
 
 
 def plan(window: Sequence[DisplayFrame]) -> Schedule | None:
-    """The schedule of the newest frame of ``window``; None where there is nothing to extrapolate it from."""
+    """The schedule of the newest frame of ``window``; None for an EF with no rendered frame just before it."""
     newest = window[-1].number
     rendered = {prepared.number for prepared in window if prepared.color is not None}
     return schedule(newest, rendered, reach=newest - window[0].number)
 
 
 def compute(window: Sequence[DisplayFrame], backend: Backend) -> Output | None:
-    """Compute the newest frame of ``window``, display-referred; None where there is nothing to extrapolate it from.
+    """Compute the newest frame of ``window``, display-referred; None for an EF with no rendered frame just before it.
 
     Args:
         window: up to six consecutive display frames of one size, oldest first.
-        backend: what computes it.
+        backend: the backend to compute it with.
     """
     planned = plan(window)
     if planned is None:
@@ -56,26 +56,29 @@ def compute(window: Sequence[DisplayFrame], backend: Backend) -> Output | None:
 
 
 def decoded(output: Output, curve: Transfer) -> Output:
-    """``output`` of `compute`, taken back to the domain that its colours came in."""
+    """Take an output of `compute` back to the domain that its colours came in."""
     return replace(output, image=curve.decode(output.image))
 
 
 def supersample(
     frames: Iterable[Buffers], backend: Backend, *, transfer_name: str = "srgb", depth: DepthMode = "scale"
 ) -> Iterator[Output]:
-    """Twice the size of every frame, and an image for every frame that was not rendered.
+    """Compute every display frame at twice its size, those that were not rendered too.
 
-    Waits for no future frame: each output comes before the next input is asked for.
+    No output waits for a later frame: each comes before the next input is asked for.
 
     Args:
         frames: display frames in order; ``color`` is None where a frame was not rendered. A number that does not follow the one
             before it, or another size, starts a new history.
-        backend: what computes, from ``stss.frames.backends.open_backend``.
+        backend: from ``stss.frames.backends.open_backend``.
         transfer_name: ``none``, ``srgb`` or ``hdr`` (spec 9).
         depth: ``clip`` or ``scale`` (spec 0).
 
     Yields:
-        An ``Output`` for every frame but those extrapolation frames that have no rendered frame just before them.
+        An ``Output`` for every frame, except for an EF with no rendered frame just before it.
+
+    Raises:
+        InputError: there is no such transfer.
     """
     curve = transfer(transfer_name)
     window: deque[DisplayFrame] = deque(maxlen=WINDOW)
@@ -90,16 +93,16 @@ def supersample(
 
 
 def choose_rendered(numbers: Iterable[int], has_color: frozenset[int], choice: str | None) -> frozenset[int]:
-    """Which display frames count as rendered.
+    """Choose the display frames that count as rendered.
 
     Args:
-        numbers: the display frames there are.
+        numbers: the display frames of a sequence.
         has_color: those that have colour.
         choice: ``even``, ``odd`` or ``all`` frame numbers; None = every frame that has colour, but only the even ones where two
-            in a row have it, for then the sequence holds the truth of its extrapolation frames too.
+            in a row have it: such a sequence holds the truth of its EF too.
 
     Raises:
-        InputError: a frame that is to count as rendered has no colour, or none has.
+        InputError: a frame chosen as rendered has no colour, or no frame has.
     """
     if not has_color:
         raise InputError("no frame has colour: there is nothing to supersample")

@@ -31,15 +31,15 @@ def contact_sheet(
     Args:
         rows: a caption and the images of each row, (H, W, 3), display-referred, clipped to 0..1; all of one size.
         columns: a caption for each column.
-        crop: y, x, height, width of what is shown of every image; None shows all.
-        zoom: how many pixels of the sheet a pixel takes in each direction.
+        crop: y, x, height, width of the part of every image to show; None shows all.
+        zoom: pixels of the sheet in each direction for one pixel of an image.
 
     Returns:
         (H', W', 3) display-referred, in 0..1, dark grey around the images.
 
     Raises:
-        ArrayError: an image has another size than the first.
-        ValueError: there is no image, a row has another length than ``columns``, or the crop lies outside the images.
+        ArrayError: an image differs in size from the first.
+        ValueError: there is no image, a row does not have as many images as ``columns``, or the crop lies outside the images.
     """
     for caption, images in rows:
         if not images or len(images) != len(columns):
@@ -74,9 +74,9 @@ def comparison(low: Array, output: Array, truth: Array) -> list[Array]:
     """The images of one row under the columns `COMPARISON`.
 
     Args:
-        low: (H, W, 3) what was rendered, display-referred.
-        output: (2H, 2W, 3) what was made of it.
-        truth: (2H, 2W, 3) what it should be.
+        low: (H, W, 3) the rendered frame, display-referred.
+        output: (2H, 2W, 3) the output made from it.
+        truth: (2H, 2W, 3) the frame that the output should equal.
     """
     height, width, _ = low.shape
     for name, image in (("output", output), ("truth", truth)):

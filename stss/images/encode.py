@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""EXR and PNG as bytes: OpenImageIO says that all went well when a file was cut short, so what it made is looked at."""
+"""EXR and PNG as bytes. OpenImageIO reports success even where it cut a file short, so its result is checked."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ Pixels = Array | np.ndarray[Any, Any]
 
 
 def encode_exr(path: Path, names: tuple[str, ...], pixels: Array, half: Collection[str], metadata: Mapping[str, str]) -> bytes:
-    """An EXR (zip).
+    """Encode an EXR (zip).
 
     Args:
         path: where it will lie, for messages.
-        names: of the channels.
+        names: the channels' names.
         pixels: (H, W, C) float32.
         half: channels that are stored as half unless a value exceeds half's range; the others are float.
         metadata: name -> text.
 
     Raises:
-        InputError: there is no room for it.
+        InputError: memory or the limit on the size of files does not suffice.
         ValueError: a value is not finite.
     """
     require_finite(path, names, pixels)
-    # Largest and least: np.abs would copy all of it, and a maximum along two axes is ten times as slow.
+    # By largest and smallest value: np.abs would copy the channel, and a maximum along two axes is ten times as slow.
     fits = [max(pixels[..., i].max(), -pixels[..., i].min()) <= HALF_MAX for i in range(len(names))]
     formats = ["half" if name in half and small else "float" for name, small in zip(names, fits, strict=True)]
     spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], len(names), formats[0])
@@ -49,7 +49,7 @@ def encode_exr(path: Path, names: tuple[str, ...], pixels: Array, half: Collecti
     if len({*formats}) > 1:  # OpenImageIO ignores formats that are all the same
         spec.channelformats = tuple(oiio.TypeDesc(name) for name in formats)
     spec.attribute("compression", "zip")
-    spec.attribute("DateTime", "")  # else the time of writing: the same picture would have other bytes
+    spec.attribute("DateTime", "")  # else it is the time of writing, and equal pictures would differ in bytes
     data = _encoded(path, ".exr", spec, pixels, metadata)
     if not _whole_exr(data, pixels.shape[0]):
         raise _cut_short(path)
@@ -57,7 +57,7 @@ def encode_exr(path: Path, names: tuple[str, ...], pixels: Array, half: Collecti
 
 
 def encode_png(path: Path, pixels: np.ndarray[Any, np.dtype[np.uint8]], metadata: Mapping[str, str]) -> bytes:
-    """A PNG of 8 bits.
+    """Encode a PNG of 8 bits.
 
     Args:
         path: where it will lie, for messages.
@@ -65,7 +65,7 @@ def encode_png(path: Path, pixels: np.ndarray[Any, np.dtype[np.uint8]], metadata
         metadata: name -> text.
 
     Raises:
-        InputError: there is no room for it.
+        InputError: memory or the limit on the size of files does not suffice.
     """
     spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], "uint8")
     spec.attribute("oiio:ColorSpace", "srgb_rec709_scene")
@@ -102,7 +102,7 @@ def _encoded(path: Path, suffix: str, spec: oiio.ImageSpec, pixels: Pixels, meta
 
 @contextmanager
 def _memory(suffix: str) -> Generator[str, None, None]:
-    """The name of a file in memory; where the system has none, of one in the folder for temporary files."""
+    """The name of a file in memory, or of a temporary file where the system has no files in memory."""
     try:
         handle = os.memfd_create("stss")
     except (AttributeError, OSError):
@@ -120,7 +120,7 @@ def _memory(suffix: str) -> Generator[str, None, None]:
 
 
 def _whole_exr(data: bytes, height: int) -> bool:
-    """Whether the table of chunks leads from one to the next up to the very last byte."""
+    """Whether the table of chunks leads from chunk to chunk up to the last byte of the file."""
     try:
         at = 8  # behind magic number and version
         while data[at]:  # an attribute: name, type, size, value

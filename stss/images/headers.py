@@ -2,8 +2,8 @@
 """Headers of EXR and PNG files, checked before memory is taken.
 
 A file is refused, with one line, when it is larger than `MAX_SIDE`, `MAX_CHANNELS` or `MAX_BYTES` allow, when its data
-window is not its display window (a cropped render has nothing where it was not rendered) and when it is
-deep. OpenImageIO is told the same limits, so that its own header code keeps to them too.
+window is not its display window (a cropped render has no pixels outside its crop), or when it is deep. OpenImageIO gets
+the same limits, so that its own header code keeps to them too.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ MAX_PARTS = 256
 
 _BLOCK = 1 << 20
 _FORMATS = {"uint": "uint32"}
-"""OpenImageIO name -> the usual one."""
+"""OpenImageIO's name of a format -> the usual one."""
 _MAGIC = {".exr": b"\x76\x2f\x31\x01", ".png": b"\x89PNG\r\n\x1a\n"}
 
 oiio.attribute("limits:channels", MAX_CHANNELS)
@@ -41,7 +41,7 @@ Value = str | int | float | tuple[int | float, ...]
 
 @dataclass(frozen=True)
 class Header:
-    """What a file says of itself.
+    """The header of an image file.
 
     Attributes:
         path: the file.
@@ -49,10 +49,10 @@ class Header:
         height: pixels.
         channels: full names. Where parts of a multipart file repeat a name, the later one is ``PART.NAME``.
         formats: name -> "half", "float", "uint32", "uint8", "uint16".
-        compression: "zip", "dwaa", ...; "" where the format has none to choose.
+        compression: "zip", "dwaa", ...; "" where the format has no choice of it.
         data_window: x, y, width, height of the stored pixels.
         display_window: x, y, width, height of the picture; always equal to ``data_window``.
-        attributes: metadata of all parts; the first part's value stands.
+        attributes: metadata of all parts; where parts differ, the first part's value.
     """
 
     path: Path
@@ -83,7 +83,7 @@ def read_header(path: Path) -> Header:
 
 @contextmanager
 def opened(path: Path) -> Generator[oiio.ImageInput, None, None]:
-    """A file open for reading, its kind checked; what it leaves to say is taken, for it would be printed."""
+    """Open a file for reading and check its kind; errors that are left pending are fetched, or they would be printed."""
     magic = _MAGIC.get(path.suffix.lower())
     if magic is None:
         raise InputError(f"{path}: expected an .exr or .png file")
@@ -113,7 +113,7 @@ def opened(path: Path) -> Generator[oiio.ImageInput, None, None]:
 
 
 def whole_png(file: BinaryIO) -> bool:
-    """Whether each chunk up to the last is there with its checksum; libpng itself would complain on standard error."""
+    """Whether every chunk up to the last is there with its checksum; libpng would report a fault on standard error only."""
     while len(head := file.read(8)) == 8:
         length, kind = int.from_bytes(head[:4], "big"), head[4:]
         checksum = zlib.crc32(kind)

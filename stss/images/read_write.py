@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""EXR and PNG pixels through OpenImageIO: read whole or not at all, written whole or not at all."""
+"""Read and write the pixels of EXR and PNG files through OpenImageIO, whole or not at all."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from stss_ref.arrays import Image, Mask, Plane
 __all__ = ["Header", "read_channels", "read_header", "read_rgb", "write_channels", "write_mask", "write_rgb"]
 
 _GAP = 4
-"""So many unwanted channels are read along, rather than decompressing the file once more."""
+"""Most unwanted channels to read along between wanted ones: a second read would decompress the file once more."""
 
 
 def read_channels(path: Path, names: Sequence[str]) -> dict[str, Plane]:
@@ -47,7 +47,7 @@ def read_channels(path: Path, names: Sequence[str]) -> dict[str, Plane]:
 
 
 def _quiet(plane: Plane) -> Plane:
-    """Without signalling NaN, in place: NumPy warns where one is cast."""
+    """Turn signalling NaN into quiet ones, in place: NumPy warns when it casts a signalling one."""
     nan = np.isnan(plane)
     if nan.any():
         plane[nan] = np.nan
@@ -58,8 +58,8 @@ def read_rgb(path: Path) -> Image:
     """Read a colour image.
 
     Returns:
-        (H, W, 3) float32; an EXR's values as stored, a PNG's display values in 0..1. Of an EXR without R, G, B the
-        layer ``Combined``, or else the only one that has R, G, B.
+        (H, W, 3) float32; an EXR's values as stored, a PNG's display values in 0..1. An EXR without R, G, B is read from its
+        layer ``Combined``, or else from the only layer that has R, G, B.
 
     Raises:
         InputError: as `read_channels`; or there is no such layer, or more than one.
@@ -115,7 +115,7 @@ def encode_channels(
     half: Collection[str] = (),
     metadata: Mapping[str, str] | None = None,
 ) -> bytes:
-    """An EXR (zip) as bytes; channels are float, those in ``half`` are half unless a value exceeds half's range.
+    """Encode an EXR (zip); channels are float, those in ``half`` are half unless a value exceeds half's range.
 
     Raises:
         ValueError: a value is not finite, or a channel does not have the size of the others.
@@ -125,15 +125,15 @@ def encode_channels(
 
 
 def encode_rgb(path: Path, image: Image, *, metadata: Mapping[str, str] | None = None) -> bytes:
-    """A colour image as bytes, by the suffix of the name it will have.
+    """Encode a colour image in the format of its file's suffix.
 
     Args:
-        path: .exr: scene-linear, half, zip. .png: 8 bits, rounded to nearest, clipped to 0..1.
+        path: where it will lie. .exr: scene-linear, half, zip. .png: 8 bits, rounded to nearest, clipped to 0..1.
         image: (H, W, 3); scene-linear for EXR, display-referred for PNG.
         metadata: name -> text; `read_header` finds it again.
 
     Raises:
-        InputError: another suffix.
+        InputError: the suffix is neither of these.
         ValueError: a value is not finite.
     """
     if path.suffix.lower() == ".exr":
@@ -146,12 +146,12 @@ def encode_rgb(path: Path, image: Image, *, metadata: Mapping[str, str] | None =
 
 
 def encode_mask(path: Path, mask: Mask) -> bytes:
-    """A mask as an 8-bit grey PNG: 255 = True."""
+    """Encode a mask (H, W) as an 8-bit grey PNG: 255 = True."""
     return encode_png(path, np.where(mask, 255, 0).astype(np.uint8)[..., None], {})
 
 
 def _runs(wanted: set[tuple[int, int, bool]]) -> list[tuple[int, int, int, bool]]:
-    """Join channels (part, index, integer) to stretches (part, first, stop, integer) that are read in one go."""
+    """Join channels (part, index, integer) into runs (part, first, stop, integer) that are read at once."""
     runs: list[tuple[int, int, int, bool]] = []
     for part, index, integer in sorted(wanted, key=lambda x: (x[0], x[2], x[1])):
         if runs and runs[-1][0] == part and runs[-1][3] == integer and index - runs[-1][2] <= _GAP:

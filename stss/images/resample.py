@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Images read between their pixels, other than bilinearly."""
+"""Read images between their pixels by other kernels than the bilinear one."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from stss_ref.arrays import Array, Image
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 REACH = 3
-"""Of Lanczos's kernel: lobes each way."""
+"""Lobes of Lanczos's kernel to each side; pixels."""
 
 
 def lanczos_centres(x: Image) -> Image:
@@ -43,12 +43,12 @@ def _lanczos_weights(n: int) -> Array:
 
 
 def enlarged(x: NDArray[Scalar]) -> NDArray[Scalar]:
-    """Each pixel of an (H, W, ...) array as four, (2H, 2W, ...)."""
+    """Repeat each pixel of an (H, W, ...) array two times each way: (2H, 2W, ...)."""
     return x.repeat(2, axis=0).repeat(2, axis=1)
 
 
 def catmull_rom(image: Image, x: Array, y: Array) -> Image:
-    """Read an image by Catmull-Rom splines: bilinear reading would blur once more in every frame.
+    """Read an image by Catmull-Rom splines; bilinear reading would blur it further with every frame.
 
     Source: Keys, Cubic Convolution Interpolation for Digital Image Processing, 1981, with a = -1/2.
 
@@ -57,7 +57,7 @@ def catmull_rom(image: Image, x: Array, y: Array) -> Image:
         x, y: (H', W') where to read; finite, clamped into the image.
 
     Returns:
-        (H', W', C); at whole pixels their very values.
+        (H', W', C); exact at whole pixels.
     """
     height, width, _ = image.shape
     x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)

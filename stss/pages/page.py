@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """A page as one file: style and scripts inside, and nothing that leads outside.
 
-What is handed in as text comes from files that strangers made: `table` and `page` escape it. Only a parameter called ``html`` is
-markup already.
+Text that is passed in comes from files of unknown origin: `table` and `page` escape it. Only a parameter called ``html`` is markup
+already.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ def asset(name: str) -> str:
 
 
 def page(title: str, html: str, *, styles: Sequence[str] = (), scripts: Sequence[str] = (), data: Any = None) -> str:
-    """A whole page that asks for nothing: its policy forbids every request but for pictures beside it.
+    """Make a whole page that loads nothing: its policy forbids every request except for pictures beside it.
 
     Args:
         title: text.
-        html: what stands in the body, markup.
+        html: the body, markup.
         styles: names of further files of this room, after ``style.css``.
         scripts: likewise; they run at the end of the body, in this order.
         data: what scripts find as JSON in the element ``data``; None: no such element.
@@ -68,14 +68,14 @@ def page(title: str, html: str, *, styles: Sequence[str] = (), scripts: Sequence
 
 
 def table(caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]], *, means: int = 0, words: int = 1) -> str:
-    """A table that scrolls by itself where the page is narrower.
+    """Make a table that scrolls by itself where the page is narrower.
 
     Args:
-        caption: what it holds.
-        headings: of the columns; a line break stays one.
-        rows: cells as text; the first of each heads its row.
-        means: so many of the last rows are means.
-        words: so many of the first columns hold words, the others numbers.
+        caption: text above the table.
+        headings: the columns' headings; a line break stays one.
+        rows: cells as text; the first cell of each heads its row.
+        means: number of last rows that are means.
+        words: number of first columns that hold words; the others hold numbers.
     """
     kind = [' class="n"' if i >= words else "" for i in range(len(headings))]
     head = "".join(
@@ -95,6 +95,6 @@ def table(caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]], 
 
 
 def definitions(summary: str, terms: Sequence[tuple[str, str]]) -> str:
-    """A list of terms and what they mean, one click away."""
+    """Make a list of terms and their meanings, which opens at a click."""
     listed = "".join(f"<dt>{escape(term)}</dt><dd>{escape(meaning)}</dd>" for term, meaning in terms)
     return f"<details><summary>{escape(summary)}</summary><dl>{listed}</dl></details>"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A score of each frame as a plot: lines in SVG whose points lead to their frames."""
+"""Plot a score of each frame: lines in SVG whose points link to their frames."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from html import escape
 
 WIDTH, HEIGHT = 640, 240
 LEFT, RIGHT, TOP, BOTTOM = 46, 12, 12, 24
-"""Margins; all in the units of the drawing."""
+"""Margins, in units of the drawing."""
 COLOURS = 8
 """Classes ``c0`` to ``c7`` of ``viewer.css``."""
 TICKS = 5
@@ -34,12 +34,12 @@ class PlotLine:
 
 
 def plot(title: str, lines: Sequence[PlotLine], *, digits: int) -> str:
-    """A figure.
+    """Draw a figure as markup.
 
     Args:
-        title: what is drawn, with its unit.
+        title: the score's name and unit.
         lines: at least one, with at least one value.
-        digits: after the point, in what is shown of a point.
+        digits: digits after the decimal point of a point's value.
     """
     numbers = sorted({number for line in lines for number in line.values})
     found = [value for line in lines for value in line.values.values() if math.isfinite(value)] or [0.0]
@@ -84,13 +84,13 @@ def _scale(low: float, high: float) -> tuple[float, float, float]:
 
 
 def _some(numbers: Sequence[int]) -> Sequence[int]:
-    """Some of them, evenly spaced, that fit below the plot."""
+    """As many of the numbers, evenly spaced, as fit below the plot."""
     return numbers[:: max(1, math.ceil(len(numbers) / 12))]
 
 
 def _point(line: PlotLine, number: int, value: str, x: float, y: float) -> str:
     what = escape(f"frame {number}, {line.name}: {value}")
-    # The keyboard has its own ways to a frame; hundreds of stops for the Tab key would be none.
+    # No stops for the Tab key: there would be hundreds, and the keyboard has other ways to a frame.
     return (
         f'<a class="point" href="#frame-{number}" tabindex="-1" data-frame="{number}" data-x="{x:.1f}" aria-label="{what}">'
         f'<title>{what}</title><circle class="hit" cx="{x:.1f}" cy="{y:.1f}" r="9"/>{_mark(line.kind, x, y)}</a>'

@@ -25,14 +25,14 @@ from stss.terminal import printable
 from stss_ref.arrays import Array, Image
 
 WITHIN = 64 << 20
-"""Bytes of PNG that a page holds itself; the pictures that come after lie in a folder beside it."""
+"""Most bytes of PNG that a page holds itself; further pictures lie in a folder beside it."""
 THUMBNAIL = 96
 """Width of a frame's picture in the strip, pixels."""
 
 
 @dataclass(frozen=True)
 class Pane:
-    """A version in which frames are shown: its name, and what it is in a sentence."""
+    """A version in which frames are shown: its name, and a sentence that explains it."""
 
     name: str
     meaning: str
@@ -57,12 +57,12 @@ class ShownFrame:
 
 @dataclass(frozen=True)
 class Viewer:
-    """What stands on the page besides the frames.
+    """The contents of the page besides the frames.
 
     Attributes:
-        title: of the page.
-        notes: lines below it.
-        views: in the order in which they are offered.
+        title: the page's title.
+        notes: lines below the title.
+        views: the versions, in the order in which they are offered.
         pair: the two that are shown first, left and right.
         plots: figures, markup of `stss.pages.plot`.
         tables: markup of `stss.pages.page`.
@@ -77,7 +77,7 @@ class Viewer:
 
 
 def require_page(path: Path, reads: Iterable[Path]) -> None:
-    """Say before the work that a page cannot be written there; raises InputError."""
+    """Raise InputError if a page cannot be written there: before the work, not after it."""
     with told(path):
         if path.is_dir() or not path.absolute().parent.is_dir():
             raise InputError(f"{path}: expected a file in a folder that exists")
@@ -89,7 +89,7 @@ def write_viewer(path: Path, viewer: Viewer, frames: Iterable[ShownFrame], *, wi
 
     Args:
         path: the file.
-        viewer: what stands on it.
+        viewer: its contents.
         frames: at least one; made one after the other.
         within: see `WITHIN`.
 
@@ -121,7 +121,7 @@ def write_viewer(path: Path, viewer: Viewer, frames: Iterable[ShownFrame], *, wi
 
 
 class _Store:
-    """Pictures as what the page loads: data inside it, or files beside it. A picture that comes again is kept once."""
+    """Stores pictures where the page loads them from: inside it, or in files beside it. Equal pictures are stored once."""
 
     def __init__(self, path: Path, within: int, open_folder: Callable[[OutputFolder], None]):
         self.places: list[str] = []
@@ -131,7 +131,7 @@ class _Store:
         self._folder: OutputFolder | None = None
 
     def keep(self, frame: ShownFrame) -> dict[str, object]:
-        """A frame as the script takes it."""
+        """Store a frame's pictures; returns the frame as the script reads it."""
         name = f"frame {frame.number}" + (f", {frame.kind}" if frame.kind else "")
         pictures = {view: self._picture(f"{frame.number:04d}-{i}.png", p) for i, (view, p) in enumerate(frame.pictures.items())}
         last = list(frame.pictures.values())[-1]
@@ -146,7 +146,7 @@ class _Store:
         return {"number": frame.number, "name": name, "caption": caption, "size": [width, height], "pictures": pictures}
 
     def finish(self) -> None:
-        """The folder beside the page holds what this page shows, and nothing of an earlier one."""
+        """Remove pictures of an earlier page from the folder beside this one."""
         if self._folder is None and _beside(self._path).present():
             self._enter()
         if self._folder is not None:

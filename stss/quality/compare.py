@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a run wrote against the truth: per-frame scores, means by kind of frame, pictures of the difference."""
+"""Compare a run's output with the truth: scores of each frame, means by kind of frame, pictures of the difference."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from stss.quality.temporal_psnr import Shown, recurrent_psnr, temporal_psnr
 __all__ = ["Comparison", "FrameScores", "Mean", "cells", "compare", "facts", "listed", "print_comparison"]
 
 BRIGHTENED = 4
-"""So many times the difference is brightened in the pictures."""
+"""Factor by which the pictures brighten the difference."""
 METRICS = {
     "psnr_luma": ("PSNR\nluma", 2, REGIONS),
     "ssim": ("SSIM\nluma", 4, REGIONS),
@@ -36,11 +36,11 @@ METRICS = {
     "vmaf": ("VMAF\n", 2, REGIONS[:1]),
     "tpsnr": ("tPSNR\nRGB", 2, REGIONS[:1]),
 }
-"""Field of ``Scores`` to heading, digits printed, and the regions it is taken over."""
+"""Field of ``Scores`` -> heading, digits printed, and the regions it is taken over."""
 ASKED_FOR = ("flip", "vmaf")
-"""Those that are only taken when asked for."""
+"""Metrics that are only taken on request."""
 BELOW = ("tpsnr",)
-"""Those that have no column of a frame's: their means stand below the table."""
+"""Metrics without a column: their means stand below the table."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,11 @@ class FrameScores:
     """The scores of one frame.
 
     Attributes:
-        number: of the frame.
+        number: the frame's number.
         kind: "SF" or "EF"; None where the output does not say.
-        output: the file judged.
-        truth: the file it was judged by.
-        scores: region to scores.
+        output: the file that was scored.
+        truth: the file that it was compared with.
+        scores: region -> scores.
     """
 
     number: int
@@ -68,8 +68,8 @@ class Mean:
 
     Attributes:
         name: "SF", "EF", "MEAN" (the mean of these two, as the authors), or "all" where kinds are not known.
-        frames: how many frames it is of.
-        scores: region to scores.
+        frames: number of frames.
+        scores: region -> scores.
     """
 
     name: str
@@ -86,10 +86,10 @@ class Comparison:
         means: by kind.
         without_truth: frames of the output that the truth lacks.
         without_output: frames of the truth that the output lacks.
-        notes: what the reader of the numbers must know; one line each.
-        made_with: method, weights, backend and transfer, those that the output's files name; more than one value each if they differ.
-        metrics: those taken, of ``METRICS``.
-        recpsnr: of the last frame, dB; see `stss.quality.temporal_psnr`.
+        notes: caveats about the numbers; one line each.
+        made_with: method, weights, backend and transfer, as far as the output's files name them; several values if they differ.
+        metrics: the metrics taken, of ``METRICS``.
+        recpsnr: recPSNR of the last frame, dB; see `stss.quality.temporal_psnr`.
     """
 
     rows: Sequence[FrameScores]
@@ -141,17 +141,17 @@ def compare(
     flip: bool = False,
     vmaf: bool = False,
 ) -> Comparison:
-    """Judge the frames of a folder by those of another with the same numbers.
+    """Compare the frames of a folder with those of the same numbers in another.
 
-    EXR holds the renderer's domain, PNG what a screen shows. Both are brought to what a screen shows, by the transfer
+    EXR holds the renderer's domain, PNG what a screen shows. Both are converted to what a screen shows, by the transfer
     that the output's file names (``srgb`` where it names none), and then to 8 bits.
 
     Source: spec 9.
 
     Args:
         out: written by `stss run`, or by anything that numbers its files.
-        truth: images of the size of the output's.
-        frames: first and last to judge, both included; None: all.
+        truth: images of the same size.
+        frames: first and last to compare, both included; None: all.
         pictures: folder for pictures output | truth | 4 x difference, made if need be; None: none.
         flip, vmaf: take these too.
 
@@ -186,7 +186,7 @@ def compare(
 
 
 def print_comparison(comparison: Comparison, console: Console) -> None:
-    """Print a table of frames and means, then what to know about them."""
+    """Print a table of frames and means, then the facts about it."""
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
     table.add_column("\n\nframe", justify="right")
     table.add_column("\n\nkind")
@@ -207,7 +207,7 @@ def print_comparison(comparison: Comparison, console: Console) -> None:
 
 
 def facts(comparison: Comparison) -> list[str]:
-    """What to know about the table: a line each."""
+    """Facts about the table, a line each: how the output was made, tPSNR, frames not compared, notes."""
     lines = [
         *comparison.notes,
         _temporal(comparison),
@@ -227,7 +227,7 @@ def _temporal(comparison: Comparison) -> str:
 
 
 def _rows(pairs: Mapping[int, Pair], pictures: Path | None, *, flip: bool) -> tuple[list[FrameScores], float]:
-    """The frames' rows, each with the tPSNR of its step from the frame before where that is there; and the last one's recPSNR."""
+    """The frames' rows, with the tPSNR of the step from the frame before where there is one; and the last frame's recPSNR."""
     rows: list[FrameScores] = []
     before: Shown | None = None
     for number, pair in pairs.items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What ``stss compare``, ``methods`` and ``demo`` found, as a page: the pictures of every frame beside its scores."""
+"""The page of ``stss compare``, ``methods`` and ``demo``: the pictures of every frame beside its scores."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ PLOTTED = {
     "vmaf": "VMAF",
     "tpsnr": "tPSNR over RGB, dB",
 }
-"""Field of ``Scores`` to the title of its plot."""
+"""Field of ``Scores`` -> title of its plot."""
 DEFINITIONS = (
     ("SF, EF", "Supersampled frame: it was rendered small. Extrapolated frame: it was not rendered at all."),
     (
@@ -58,7 +58,7 @@ DEFINITIONS = (
 
 @dataclass(frozen=True)
 class Version:
-    """The frames of one output: what they are called, what they are, which files they are, and what they scored."""
+    """One output: its name, a sentence that explains it, its files and their scores."""
 
     name: str
     meaning: str
@@ -67,10 +67,10 @@ class Version:
 
 
 class RenderedInputs:
-    """What outputs were made of, as a screen shows it."""
+    """The rendered frames from which outputs were made, as a screen shows them."""
 
     def __init__(self, sequence: Frames, pairs: Mapping[int, Pair]):
-        """Take the frames that count as rendered: those of the outputs' SF, and all others with their parity."""
+        """Take the frames that count as rendered: those of the outputs' SF, and all others of the same parity."""
         self._sequence, self._pairs = sequence, pairs
         parities = {number % 2 for number, pair in pairs.items() if pair.kind == "SF"} or {0, 1}
         self._rendered = {number for number in sequence.rendered if number % 2 in parities}
@@ -95,10 +95,10 @@ def write_comparison(
 
     Args:
         path: the file.
-        title: of the page.
-        versions: at least one, each with the same frames and truth; the last one matters most.
-        inputs: what they were made of; None: not shown.
-        tables: markup that stands before the table of each frame's scores.
+        title: the page's title.
+        versions: at least one, each with the same frames and truth; the last one is shown first.
+        inputs: the frames that they were made from; None: not shown.
+        tables: markup to put before the table of each frame's scores.
 
     Raises:
         InputError: a file can't be read or the page can't be written.

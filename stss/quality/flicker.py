@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether a sequence flickers: what changes from frame to frame on surfaces that are followed, against the truth."""
+"""Measure flicker: how the colour of followed surfaces changes from frame to frame, compared with the truth."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class Change:
 
     Attributes:
         output: how much the output changes, ``mean |d|``.
-        truth: how much the truth does, which is as much as is right: ``mean |d*|``.
-        error: how much the change differs from what is right: ``mean |d - d*|``. It sees flicker that blur makes up for in ``output``.
+        truth: how much the truth changes: ``mean |d*|``.
+        error: how much the two changes differ: ``mean |d - d*|``. It also shows flicker that blur hides in ``output``.
     """
 
     output: float | None
@@ -56,7 +56,7 @@ class FrameFlicker:
 
 @dataclass(frozen=True)
 class Flicker:
-    """What ``flicker`` found: rows in order; means by kind, and over all frames as ``all``."""
+    """The result of ``flicker``: frames in order; means by kind, and over all frames as ``all``."""
 
     rows: Sequence[FrameFlicker]
     means: Mapping[str, Change]
@@ -71,18 +71,18 @@ class Flicker:
 def flicker(out: Path, truth: Path, sequence: Frames, *, frames: tuple[int, int] | None = None) -> Flicker:
     """Follow each surface by the sequence's motion, and measure how its colour changes.
 
-    ``d(p) = out_t(p) - out_{t-1}(p + motion_t(p))``, ``d*`` likewise of the truth, over the pixels whose motion leads into the frame
-    and to the surface seen now (spec 4); of what a screen shows, times 255. Motion and holes are those of the low-resolution
-    G-buffer, each pixel of it taken for four.
+    ``d(p) = out_t(p) - out_{t-1}(p + motion_t(p))``, and ``d*`` is the same of the truth. Means run over the pixels whose motion leads
+    into the frame and to the surface seen now (spec 4). Images are taken as a screen shows them, times 255. Motion and holes come from
+    the low-resolution G-buffer, whose pixels stand for four each.
 
     Args:
         out: frames, numbered as the sequence's.
-        truth: what they should be.
+        truth: the frames that they should equal.
         sequence: has motion and G-buffer of every frame.
-        frames: first and last to look at, both included; None: all. The first has no frame before it.
+        frames: first and last to measure, both included; None: all. The first has no frame before it.
 
     Raises:
-        InputError: a folder is not there, a file cannot be read, sizes do not fit, or no two frames in a row are there.
+        InputError: a folder does not exist, a file cannot be read, sizes do not fit, or no two frames follow each other.
     """
     pairs, _, _ = find_pairs(out, truth, frames)
     numbers = [n for n in pairs if n - 1 in pairs and n in sequence.frames and n - 1 in sequence.frames]
@@ -102,7 +102,7 @@ def flicker(out: Path, truth: Path, sequence: Frames, *, frames: tuple[int, int]
 
 
 def display_motion(before: DisplayFrame, now: DisplayFrame) -> tuple[Image, Mask]:
-    """The motion between two frames at display resolution, and where it can be followed.
+    """Bring the motion between two frames to display resolution, and find where it can be followed.
 
     Args:
         before: the earlier frame, (H, W).
@@ -128,10 +128,10 @@ def display_motion(before: DisplayFrame, now: DisplayFrame) -> tuple[Image, Mask
 
 
 def change_between(before: tuple[Image, Image], now: tuple[Image, Image], motion: Image, followed: Mask) -> tuple[Change, float]:
-    """The change of one frame since another, each an output and its truth; and the largest ``|d - d*|`` of all pixels, 8-bit levels.
+    """Measure the change of one frame since another, and the largest ``|d - d*|`` of all pixels, in 8-bit levels.
 
     Args:
-        before: two (H, W, 3), display-referred, in [0, 1].
+        before: output and truth, each (H, W, 3), display-referred, in [0, 1].
         now: likewise.
         motion: (H, W, 2) pixels, now -> before.
         followed: (H, W) True where pixels count.

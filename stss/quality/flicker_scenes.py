@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Flicker of every method on the canonical scenes whose cameras stand or turn slowly: nothing but the method can be the cause."""
+"""Flicker of every method on canonical scenes whose cameras stand or turn slowly: only the method can cause it."""
 
 from __future__ import annotations
 
@@ -21,14 +21,16 @@ from stss_ref.arrays import Image
 
 STILL = ("static", "slow-pan")
 WARM = 7
-"""Display frames before the first that is looked at: histories are full."""
+"""Display frames before the first one measured, so that histories are full."""
 
 
 @dataclass(frozen=True)
 class Steadiness:
-    """What a method does on a scene: the mean change of its frames, and how far two frames of a still picture are apart at most.
+    """The flicker of a method on a scene.
 
-    ``largest``: the largest ``|d - d*|`` of any pixel that can be followed, 8-bit levels.
+    Attributes:
+        change: mean over the frames.
+        largest: largest ``|d - d*|`` of any pixel that can be followed, in 8-bit levels.
     """
 
     scene: str
@@ -45,15 +47,15 @@ def measure(
     count: int,
     on_step: Callable[[str], None] = lambda _: None,
 ) -> list[Steadiness]:
-    """Every method on every scene, against the scene's truth.
+    """Measure every method on every scene, compared with the scene's truth.
 
     Args:
         scenes: names in ``SCENES``.
         methods: names, for ``make``.
-        make: a method's backend.
+        make: opens a method's backend.
         size: (H, W) of the inputs.
         count: display frames, more than `WARM` + 1.
-        on_step: told what is being done.
+        on_step: called with the name of each step.
 
     Raises:
         InputError: there is no such scene, or there are too few frames.

@@ -19,20 +19,20 @@ from stss_ref.arrays import Image, Plane, require_shape
 
 EXTRA = "metrics"
 MODEL = "version=vmaf_v0.6.1"
-"""Made for 1920 x 1080 at three screen heights; named, for the filter's default may change."""
+"""VMAF's model, made for 1920 x 1080 at three screen heights; it is named because the filter's default may change."""
 
 Bytes = NDArray[np.uint8]
 
 
 def require_packages(*, flip: bool, vmaf: bool) -> None:
-    """Raise InputError unless the packages of what is asked for are installed: before the work, not after it."""
+    """Raise InputError unless the packages of the metrics asked for are installed: before the work, not after it."""
     for name, wanted in (("flip_evaluator", flip), ("imageio_ffmpeg", vmaf)):
         if wanted:
             require(name, EXTRA)
 
 
 def flip_map(image: Image, truth: Image) -> Plane:
-    """How different two images look where they are shown in turn on a screen, at 67 pixels a degree.
+    """Map how different two images look when a screen shows them in turn, at 67 pixels a degree.
 
     Source: Andersson et al., FLIP: A Difference Evaluator for Alternating Images, 2020; their package ``flip-evaluator``.
 
@@ -56,23 +56,22 @@ def flip_map(image: Image, truth: Image) -> Plane:
 
 
 def vmaf_scores(frames: Iterable[Iterable[Bytes]]) -> list[float]:
-    """VMAF of each frame of a sequence: motion in the truth hides errors.
+    """Compute VMAF of each frame of a sequence; the whole sequence counts, since motion in the truth hides errors.
 
-    Source: Netflix, VMAF, model ``vmaf_v0.6.1``, as FFmpeg's filter ``libvmaf`` computes it, of the luma; FFmpeg is that of the
-    package ``imageio-ffmpeg``.
+    Source: Netflix, VMAF, model ``vmaf_v0.6.1``, of the luma, by the filter ``libvmaf`` of the FFmpeg in ``imageio-ffmpeg``.
 
     Args:
         frames: in order, (image, truth) of each: (H, W, 3) 8-bit RGB, all of one size.
 
     Returns:
-        The score of each frame, 0 to 100, 100 where all is well; not quite 100 for equal frames.
+        The score of each frame, 0 to 100, higher is better; a little less than 100 for equal frames.
 
     Raises:
-        InputError: the package is not installed, frames differ in size, or FFmpeg fails; its last line is told.
+        InputError: the package is not installed, frames differ in size, or FFmpeg fails; the message has its last line.
     """
     try:
         ffmpeg = require("imageio_ffmpeg", EXTRA).get_ffmpeg_exe()
-    except RuntimeError as error:  # a platform that its wheels bring no FFmpeg to
+    except RuntimeError as error:  # a platform for which its wheels have no FFmpeg
         raise InputError(f"VMAF: {str(error).splitlines()[0]}") from None
     with tempfile.TemporaryDirectory(prefix="stss-vmaf-") as name:
         folder = Path(name)

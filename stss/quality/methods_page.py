@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Every method on one sequence as a page: their frames, their scores as plots, one table of means."""
+"""The page of ``stss methods``: the frames of every method, their scores as plots, and a table of means."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from stss.sequence.reader import Sequence as Frames
 def methods_page(
     path: Path, results: Sequence[MethodResult], truth: Path, sequence: Frames, frames: tuple[int, int] | None = None
 ) -> None:
-    """Write it.
+    """Write the page.
 
     Args:
         path: the file.
-        results: of `stss.quality.methods_table.run_methods`.
-        truth: the folder of it.
-        sequence: what the methods were run on.
+        results: from `stss.quality.methods_table.run_methods`.
+        truth: the folder of the truth.
+        sequence: the input of the methods.
         frames: first and last to show, both included; None: all.
 
     Raises:

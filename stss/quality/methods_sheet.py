@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Methods to look at: the same small places of their frames, one below the other, the truth last."""
+"""A picture of all methods: the same small parts of their frames, one below the other, the truth last."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from stss.quality.output_and_truth import Pair, find_pairs
 from stss_ref.arrays import Array, Mask
 
 CROP = (48, 72)
-"""H, W of each place, pixels of the output."""
+"""H, W of each part shown; pixels of the output."""
 ZOOM = 4
 BRIGHTENED = 4
-"""So many times the difference is brightened."""
+"""Factor by which the difference is brightened."""
 
 
 @dataclass(frozen=True)
 class Crop:
-    """Which part of which frame is shown: y, x, height, width."""
+    """A part of a frame: ``crop`` is y, x, height, width in pixels of the output."""
 
     caption: str
     number: int
@@ -33,13 +33,13 @@ class Crop:
 
 
 def method_sheet(results: Sequence[MethodResult], truth: Path, frames: tuple[int, int] | None = None) -> Array:
-    """Lay out the place with most edges of the last SF and of the last EF, and the place with most holes of all EF.
+    """Lay out the parts with most edges in the last SF and in the last EF, and the part with most holes of all EF.
 
-    A row for each method and one for the truth; two columns for each place, the frame and its difference from the truth.
+    There is a row for each method and one for the truth, and two columns for each part: the frame, and its difference from the truth.
 
     Args:
-        results: of `stss.quality.methods_table.run_methods`.
-        truth: the folder of it.
+        results: from `stss.quality.methods_table.run_methods`.
+        truth: the folder of the truth.
         frames: first and last to choose from, both included; None: all.
 
     Returns:
@@ -69,7 +69,7 @@ def _places(pairs: dict[int, Pair]) -> list[Crop]:
 
 
 def _densest(mask: Mask) -> tuple[int, int, int, int]:
-    """Where a crop holds most of what is True; the first such in raster order."""
+    """The crop (y, x, height, width) with most pixels that are True; the first in raster order."""
     height, width = min(CROP[0], mask.shape[0]), min(CROP[1], mask.shape[1])
     total = np.pad(mask.astype(np.float64).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
     within = total[height:, width:] - total[:-height, width:] - total[height:, :-width] + total[:-height, :-width]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Every method on one sequence: what the weights are worth, in one table and one picture."""
+"""`stss methods`: run every method on one sequence and compare them with the network, in one table."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ COLUMNS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
     "VMAF\n": (("SF", "all", "vmaf"), ("EF", "all", "vmaf")),
     "tPSNR\n": (("SF", "all", "tpsnr"), ("EF", "all", "tpsnr")),
 }
-"""Heading to kind, region and field of what stands below it."""
+"""Heading -> kind of frame, region and field of ``Scores`` of the column."""
 FLICKER = ("SF", "EF")
-"""Flicker's error stands last, after the recPSNR."""
+"""Kinds of the last columns, flicker's error."""
 DIGITS = {"psnr_rgb": 2, "ssim": 4, "flip": 4, "vmaf": 1, "tpsnr": 2}
 
 
@@ -52,7 +52,7 @@ class MethodResult:
 
 
 def choose_methods(names: Sequence[str], weights: str) -> tuple[str, ...]:
-    """The methods of these names; without names all methods, and the network if ``weights`` are more than bilinear.
+    """Choose the methods of these names; without names all methods, and the network unless ``weights`` is ``bilinear``.
 
     Raises:
         InputError: there is no such method, or one is named twice.
@@ -77,17 +77,17 @@ def run_methods(
     on_step: Callable[[str], None] = lambda step: None,
     reads: Sequence[Path] = (),
 ) -> list[MethodResult]:
-    """Run each method into ``out/METHOD`` and hold it against the truth.
+    """Run each method into ``out/METHOD`` and compare its frames with the truth.
 
     Args:
-        sequence: what to run on.
-        truth: folder of what the frames should be.
+        sequence: the input.
+        truth: folder of the frames that outputs should equal.
         out: folder; made if need be.
         methods: see `choose_methods`.
-        engine: a method's name to what computes it and the label of its weights.
+        engine: returns a method's backend and the label of its weights.
         options: as for ``stss run``.
-        flip, vmaf: take these too.
-        on_step: is told what is being done.
+        flip, vmaf: take these metrics too.
+        on_step: called with the name of each step.
         reads: files that must not be written to, besides those of the sequence.
 
     Raises:
@@ -110,7 +110,7 @@ def run_methods(
 
 
 def to_json(results: Sequence[MethodResult]) -> str:
-    """As JSON: method to what `Comparison.to_json` and `Flicker.to_json` say."""
+    """As JSON: method -> the objects of `Comparison.to_json` and `Flicker.to_json`."""
     found = {r.method: {**json.loads(r.comparison.to_json()), "flicker": json.loads(r.flicker.to_json())} for r in results}
     return json.dumps(found, indent=2, allow_nan=False)
 
@@ -130,7 +130,7 @@ def print_results(results: Sequence[MethodResult], console: Console) -> None:
 
 
 def cells(results: Sequence[MethodResult]) -> tuple[list[tuple[str, str]], list[list[str]]]:
-    """The table as text: of each column its heading and the kind of frame, of each method its row."""
+    """The table as text: (heading, kind of frame) of each column, and a row of cells for each method."""
     metrics = results[0].comparison.metrics
     shown = {heading: below for heading, below in COLUMNS.items() if below[0][2] in metrics}
     headings = [("", "method"), *((heading, kind) for heading, below in shown.items() for kind, _, _ in below)]
@@ -145,7 +145,7 @@ def cells(results: Sequence[MethodResult]) -> tuple[list[tuple[str, str]], list[
 
 
 def meant(results: Sequence[MethodResult]) -> str:
-    """What the numbers of the table are means of."""
+    """A line that says over which frames the table's numbers are means."""
     counts = {mean.name: mean.frames for mean in results[0].comparison.means}
     return f"means of {counts.get('SF', 0)} SF and {counts.get('EF', 0)} EF; PSNR over RGB, flicker in 8-bit levels"
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""PSNR and SSIM as the authors take them (spec section 9; their `utils/matlab_metric.py`, commit 0eca738).
+"""PSNR and SSIM as the authors compute them (spec section 9; their `utils/matlab_metric.py`, commit 0eca738).
 
-All of it is of 8-bit images. Luma is MATLAB's `rgb2ycbcr`: Y' of BT.601 in studio range, 16 to 235, not rounded.
+Both are taken of 8-bit images. Luma is MATLAB's `rgb2ycbcr`: Y' of BT.601 in studio range, 16 to 235, not rounded.
 Differences are nevertheless measured against 255, so a PSNR over luma is 1.3 dB above one over full-range luma.
-`docs/metrics.md` has the definitions, and where the authors' code takes something else than its name says.
+`docs/metrics.md` has the definitions, and says where the authors' code computes something else than its names say.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from stss.quality.flip_vmaf import flip_map
 from stss_ref.arrays import Image, Mask, Plane, require_shape
 
 REGIONS = ("all", "edges", "holes")
-"""Where the scores are taken: all pixels, the Canny edges of the truth, the warping holes."""
+"""The regions over which scores are taken: all pixels, the Canny edges of the truth, the warping holes."""
 
 PEAK = 255.0
 LUMA = (65.481, 128.553, 24.966)
@@ -41,9 +41,9 @@ class Scores:
         psnr_luma: dB, infinite where the two agree; None where the region is empty.
         ssim: of the luma, at most 1; None where the region is empty, or lies within 5 pixels of the frame's edge.
         psnr_rgb: dB, over R, G and B together; as ``psnr_luma``.
-        flip: mean of FLIP's error map, 0 to 1, 0 where the two agree; None where the region is empty, or it was not taken.
-        vmaf: 0 to 100, of a whole frame within its sequence; None elsewhere, or where it was not taken.
-        tpsnr: dB, of the whole frame's change since the one before (`stss.quality.temporal_psnr`); None elsewhere, or without one before.
+        flip: mean of FLIP's error map, 0 to 1, 0 where the two agree; None where the region is empty or FLIP was not taken.
+        vmaf: 0 to 100, of a whole frame within its sequence; None in other regions or where VMAF was not taken.
+        tpsnr: dB, of the whole frame's change since the frame before (`stss.quality.temporal_psnr`); None in other regions or without one.
     """
 
     psnr_luma: float | None
@@ -55,9 +55,9 @@ class Scores:
 
 
 def to_8bit(image: Image) -> Bytes:
-    """Clip to [0, 1], times 255, fraction cut off: as the authors, who do not round.
+    """Clip to [0, 1], multiply by 255 and cut the fraction off: like the authors, who do not round.
 
-    Computed in float32, where the 256 levels of an 8-bit file come back as they were.
+    Computed in float32, in which the 256 levels of an 8-bit file come back unchanged.
 
     Args:
         image: (H, W, C) display-referred; not NaN.
@@ -69,7 +69,7 @@ def to_8bit(image: Image) -> Bytes:
 
 
 def luma(image: Bytes) -> Plane:
-    """``Y = (65.481 R + 128.553 G + 24.966 B) / 255 + 16``.
+    """MATLAB's luma: ``Y = (65.481 R + 128.553 G + 24.966 B) / 255 + 16``.
 
     Args:
         image: (H, W, 3) uint8.
@@ -81,7 +81,7 @@ def luma(image: Bytes) -> Plane:
 
 
 def psnr(image: Image | Bytes, truth: Image | Bytes, region: Mask | None = None) -> float | None:
-    """``10 log10(255^2 / mean (image - truth)^2)``, the mean over the region's pixels and all channels.
+    """PSNR: ``10 log10(255^2 / mean (image - truth)^2)``, the mean over the region's pixels and all channels.
 
     Args:
         image: (H, W) or (H, W, C), in 0..255.
@@ -107,7 +107,7 @@ def psnr(image: Image | Bytes, truth: Image | Bytes, region: Mask | None = None)
 
 
 def ssim_map(image: Plane, truth: Plane) -> Plane:
-    """Structural similarity of each place where the whole window lies in the frame.
+    """Map the structural similarity at each pixel around which the whole window lies in the frame.
 
     ``(2 m_a m_b + C1) (2 s_ab + C2) / ((m_a^2 + m_b^2 + C1) (s_aa + s_bb + C2))``, with means ``m`` and covariances
     ``s`` weighted by an 11 x 11 Gaussian of sigma 1.5, ``C1 = (0.01 * 255)^2``, ``C2 = (0.03 * 255)^2``.
@@ -165,21 +165,21 @@ def upsample_holes(hole: Mask) -> Mask:
     """
     height, width = hole.shape
     valid = np.where(hole, np.float32(0), np.float32(1))
-    # INTER_LINEAR has pixel centres at (o + 0.5) / 2 - 0.5, as spec section 7's grid that is not aligned.
+    # INTER_LINEAR has pixel centres at (o + 0.5) / 2 - 0.5: the grid of spec section 7 without aligned corners.
     return cv2.resize(valid, (2 * width, 2 * height), interpolation=cv2.INTER_LINEAR) == 0
 
 
 def score(image: Image, truth: Image, hole: Mask | None = None, *, flip: bool = False) -> Mapping[str, Scores]:
-    """All scores of one frame.
+    """Compute all scores of one frame.
 
     Args:
         image: (H, W, 3) display-referred.
         truth: as ``image``.
         hole: (H, W) True in a warping hole, at the images' size; None: there are none.
-        flip: take FLIP too; of the images as they are, not of 8 bits.
+        flip: take FLIP too, of the images before they are cut to 8 bits.
 
     Returns:
-        Region name, in the order of ``REGIONS``, to its scores.
+        Region, in the order of ``REGIONS``, -> scores.
 
     Raises:
         ArrayError: the shapes differ, or are not (H, W, 3).
@@ -207,7 +207,7 @@ def mean_scores(frames: Sequence[Mapping[str, Scores]], *, complete: bool = Fals
     """Mean over frames of each score; a PSNR's mean is over decibels.
 
     Args:
-        frames: what ``score`` gave, one per frame, or means of it.
+        frames: results of ``score``, one per frame, or means of them.
         complete: True: None unless every frame has a value; False: frames without one do not count.
 
     Returns:
@@ -226,13 +226,13 @@ def mean_scores(frames: Sequence[Mapping[str, Scores]], *, complete: bool = Fals
 
 
 def mean_over(plane: Plane, region: Mask | None) -> float | None:
-    """Mean of (H, W) over a region (H, W), None: everywhere; None where that is empty."""
+    """Mean of (H, W) over a region (H, W), or everywhere if that is None. Returns None where the region is empty."""
     values = plane if region is None else plane[region]
     return float(values.mean(dtype=np.float64)) if values.size else None
 
 
 def _mean(plane: Plane) -> Plane:
-    """Gaussian mean around each place where the window fits."""
+    """Gaussian mean around each pixel where the window fits."""
     weights = cv2.getGaussianKernel(WINDOW, SIGMA)
     return np.asarray(cv2.sepFilter2D(plane, -1, weights, weights)[MARGIN:-MARGIN, MARGIN:-MARGIN], np.float64)
 

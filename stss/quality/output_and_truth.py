@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Frames of two folders that belong together, and what their files say of themselves."""
+"""Pair the frames of an output and a truth, and read the metadata of the output's files."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ FALLBACK = "srgb"
 
 @dataclass(frozen=True)
 class Pair:
-    """An output, its truth, and what the output's file says of itself.
+    """An output, its truth, and the metadata of the output's file.
 
     Attributes:
-        output: the file to judge.
-        truth: the file to judge it by.
+        output: the file to score.
+        truth: the file to compare it with.
         kind: "SF" or "EF"; None where the file does not say.
-        transfer: how its renderer's domain is displayed; None where the file does not say.
-        holes: the file of its warping holes; None where there is none.
+        transfer: the transfer by which its colours are shown; None where the file does not say.
+        holes: the file of its warping holes; None without one.
         made_with: method, weights, backend and transfer, as far as the file names them.
     """
 
@@ -53,12 +53,12 @@ class Pair:
 
 
 def find_pairs(out: Path, truth: Path, frames: tuple[int, int] | None = None) -> tuple[dict[int, Pair], list[int], list[int]]:
-    """Frames that two folders have in common, by number, and those that only the first and only the second has.
+    """Find the frames that two folders have in common, by number, and those that only the first or only the second has.
 
     Args:
         out: written by `stss run`, or by anything that numbers its files.
         truth: likewise.
-        frames: first and last to look at, both included; None: all.
+        frames: first and last to include; None: all.
 
     Raises:
         InputError: a folder is not there, the two have no frame in common, or a file cannot be read.
@@ -72,7 +72,7 @@ def find_pairs(out: Path, truth: Path, frames: tuple[int, int] | None = None) ->
 
 
 def require_size(path: Path, image: Image, other: Path, size: tuple[int, ...]) -> None:
-    """Raise InputError unless the image of ``path`` has ``size`` (H, W), which goes with that of ``other``."""
+    """Raise InputError unless the image of ``path`` has ``size`` (H, W, ...), the size that goes with ``other``."""
     if image.shape[:2] != size:
         expected, found = (f"{width} x {height}" for height, width in (size, image.shape[:2]))
         raise InputError(f"{path}: expected {expected} pixels to go with {other}, found {found}")
@@ -105,7 +105,7 @@ def _numbered(folder: Path, frames: tuple[int, int] | None) -> dict[int, Path]:
         if number in found and found[number].stem != path.stem:
             raise InputError(f"{folder}: frame {number} appears twice: {found[number].name}, {path.name}")
         if frames is None or frames[0] <= number <= frames[1]:
-            found[number] = path  # EXR comes last and stands
+            found[number] = path  # an EXR comes after a PNG of its name and replaces it
     return found
 
 

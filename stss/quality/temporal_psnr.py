@@ -22,7 +22,7 @@ def temporal_psnr(frame: Shown, before: Shown) -> float:
 
 
 def recurrent_psnr(last: Shown) -> float:
-    """PSNR of a sequence's last frame, which has all the errors that a recurrent method gathered; dB."""
+    """PSNR of a sequence's last frame, in which a recurrent method has gathered all its errors; dB."""
     return _psnr(*(image.astype(np.float64) for image in last))
 
 

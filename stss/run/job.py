@@ -84,7 +84,7 @@ def run(
     planned = plan(sequence, out, options, accumulates=backend.accumulates)
     if backend.accumulates and options.resume:
         what = "--skip bounded" if backend.method == NETWORK else backend.method
-        raise InputError(f"--resume: {what} makes each output of all before it; run it anew, with --overwrite")
+        raise InputError(f"--resume: {what} makes each output from all before it; run again with --overwrite")
     folder = planned.folder
     job = FrameJob.of(sequence, planned.rendered, options, backend, weights, folder, partial(kept, folder, options))
     if options.show_skipped and backend.cost is None:

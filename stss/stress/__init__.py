@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""``stss stress``: what each stage loses against float64."""
+"""``stss stress``: the digits that each stage loses, compared with float64."""

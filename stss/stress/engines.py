@@ -15,37 +15,37 @@ from stss_ref.weights import Weights
 NETWORK = ("history", "encoder", "erm", "decoder", "network")
 """The stages with weights, in the order of the tables."""
 IMAGE = ("warp", "motion_chain", "occlusion_warp", "holes")
-"""Those of the image space."""
+"""The image-space stages."""
 LARGEST = np.float32(65504)
-"""Of half: what is larger is stored as this."""
+"""Half's largest number; larger values are stored as this."""
 
 
 class Engine(Protocol):
     """One way to compute a stage.
 
     Attributes:
-        name: in the tables.
-        dtype: ``float32`` or ``float16``: what its numbers are rounded to, which gives the unit of its errors.
+        name: its name in the tables.
+        dtype: ``float32`` or ``float16``: the type that its numbers are rounded to, which gives the unit of its errors.
     """
 
     name: str
     dtype: str
 
     def stages(self) -> tuple[str, ...]:
-        """What it computes; the image space has no precisions."""
+        """The stages that it computes; image-space stages have no precisions."""
         ...
 
     def run(self, stage: str, inputs: Arrays, weights: Weights) -> Outputs:
-        """Outputs of a stage for float32 inputs, by the names of the stage table."""
+        """Compute a stage for float32 inputs; outputs have the names of the stage table."""
         ...
 
     def features(self, inputs: Arrays, weights: Weights) -> dict[str, Array]:
-        """Of stage ``network``: ``x1``, ``x2``, ``x3``, ``x4``, ``feature``, ``reshaded``, ``image``, each with all errors before it."""
+        """``x1``, ``x2``, ``x3``, ``x4``, ``feature``, ``reshaded`` and ``image`` of stage ``network``, each with all errors before it."""
         ...
 
 
 def features_of(inputs: Arrays, weights: Weights) -> dict[str, Array]:
-    """What the reference computes on its way to the image, in the dtype of the inputs; see ``Engine.features``."""
+    """The reference's features on the way to the image, in the dtype of the inputs; see ``Engine.features``."""
     frame = {name: inputs[name] for name in ("color", "gbuffer", "mask")}
     x: dict[str, Any] = reference("encoder", frame, weights)
     x |= reference("history", {"history": inputs["history"]}, weights)
@@ -75,7 +75,7 @@ class ReferenceEngine:
 
 
 class OpenCLEngine:
-    """``stss_cl`` in one precision, on one device; keeps the network of the weights it was last called with."""
+    """``stss_cl`` in one precision, on one device; keeps the network of the last weights."""
 
     def __init__(self, device: Any, precision: str):
         self.name = {"float32": "cl", "float32-direct": "cl direct", "half": "cl half"}[precision]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Inputs that are made to lose digits, on the reference's own functions: what is lost, and what another formula would lose."""
+"""Inputs made to lose digits in the image-space stages, on the reference's own functions and on other formulas."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from stss_ref.sample import Taps, follow, taps
 from stss_ref.warp import warp
 
 DISTANCES = (1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8)
-"""Of the scene from the origin; cm."""
+"""Distances of the scene from the origin; cm."""
 SCENE = 1000.0
-"""Extent of that scene; cm."""
+"""Extent of the scene; cm."""
 PIXELS = 20000
 WIDTHS = (240, 480, 960, 1920, 3840, 7680)
 NEAR_WHOLE = 1e-4
-"""How far motions are from whole pixels where they are nearly that; pixels."""
+"""Distance from whole pixels of the motions that are nearly whole; pixels."""
 DARK = 0.01
 """Light below which the logarithmic curve is linear."""
 RELIEF = 2.0**-20
-"""Smallest relief, over the depth, that the other formula would take to the full range."""
+"""Smallest relief, as a share of the depth, that the other formula would stretch to the full range."""
 
 
 def positions(plan: StressPlan) -> StressTable:
@@ -74,14 +74,14 @@ def _pairs(seed: int, far: float, limit: float) -> tuple[Array, Array, Array]:
 
 
 def _stored(here: Array, there: Array, dtype: str) -> tuple[Array, Array]:
-    """Both as a file of this dtype holds them; what is too large for half is NaN."""
+    """Both as a file of this dtype stores them; a number too large for half becomes NaN."""
     with np.errstate(over="ignore"):
         held = [p.astype(dtype).astype(np.float64) for p in (here, there)]
     return np.where(np.isfinite(held[0]), held[0], np.nan), np.where(np.isfinite(held[1]), held[1], np.nan)
 
 
 def _trusted(here: Array, there: Array, dtype: str) -> Mask:
-    """What stage ``holes`` says of each pair, seen head-on at normalised depth 0 and without motion."""
+    """The verdict of stage ``holes`` on each pair, seen head-on at normalised depth 0 and without motion."""
     # Each pair is two pixels wide: all four taps of its first pixel are then the same.
     here, there = (np.repeat(p.astype(dtype), 2, axis=0)[None] for p in (here, there))
     zero, one, normal = np.zeros((1, 2 * PIXELS), dtype), np.ones((1, 2 * PIXELS), dtype), np.ones_like(here)
@@ -89,7 +89,7 @@ def _trusted(here: Array, there: Array, dtype: str) -> Mask:
 
 
 def motion(plan: StressPlan) -> StressTable:
-    """Positions in wide frames: as a sum they are rounded, and with them the fraction between two pixels; apart nothing is lost."""
+    """Positions in wide frames: a sum ``p + m`` loses digits of the fraction between two pixels; kept apart, nothing is lost."""
     rows: list[tuple[Cell, ...]] = []
     for width in WIDTHS:
         found = np.array([_motion_errors(seed, width) for seed in range(plan.seeds)])
@@ -119,19 +119,19 @@ def _motion_errors(seed: int, width: int) -> tuple[float, float, float, float]:
 
 
 def _first(at: Taps) -> NDArray[np.intp]:
-    """One number for the upper left of the four taps."""
+    """The raster index of the upper left of the four taps."""
     return at.y0 * at.x0.shape[1] + at.x0
 
 
 def rounded_sum(motion: Image) -> Image:
-    """The motion that is left of ``p + motion(p)`` where that sum is rounded, as it was before specification version 2."""
+    """The motion that remains where the sum ``p + motion(p)`` is rounded, as it was before specification version 2."""
     y, x = np.indices(motion.shape[:2])
     p = np.stack([x, y], axis=-1).astype(motion.dtype)
     return (p + motion) - p
 
 
 def tone(_: StressPlan) -> StressTable:
-    """Transfer ``hdr`` near its pole: what an error of the encoded colour is in scene-linear light."""
+    """Transfer ``hdr`` near its pole: how an error of the encoded colour grows in scene-linear light."""
     hdr = transfer("hdr")
     rows: list[tuple[Cell, ...]] = []
     for value in (0.01, 0.1, 1.0, 10.0, 100.0, 1e3, 1e4):
@@ -157,7 +157,7 @@ def _log_decode(encoded: float) -> float:
 
 
 def wall(plan: StressPlan) -> StressTable:
-    """Depth by ``scale`` of a flat wall that faces the camera: its relief is what float32 rounds it by."""
+    """Depth by ``scale`` of a flat wall that faces the camera: its only relief is float32's rounding."""
     rows: list[tuple[Cell, ...]] = []
     for far in (1.0, 10.0, 100.0, 1e3, 1e4):
         depths = [_flat(seed, far) for seed in range(plan.seeds)]
@@ -169,7 +169,7 @@ def wall(plan: StressPlan) -> StressTable:
 
 
 def _flat(seed: int, far: float) -> NDArray[np.float32]:
-    """(H, W): depth of points of a plane, as a renderer takes it: their product with the view axis, in float32."""
+    """(H, W) depth of points on a plane as a renderer computes it: their product with the view axis, in float32."""
     random = np.random.default_rng(seed)
     axis, one, other = np.linalg.qr(random.standard_normal((3, 3)))[0]
     u, v = random.uniform(-0.5, 0.5, (2, 32, 32, 1)) * far

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Inputs that are made to lose digits in the network: attention near its clamp, tiny and huge keys, one huge pixel, half's end."""
+"""Inputs made to lose digits in the network: attention near its clamp, tiny and huge keys, one huge pixel, the end of half's range."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from stss_ref.resample import downsample_8
 from stss_ref.weights import Weights, astype
 
 TILES = 16
-"""Windows of the attention each way."""
+"""Number of attention windows in each direction."""
 SUMS = (1.0, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 DIVISOR = 1e-3
-"""Smallest divisor of the attention's other formula."""
+"""Smallest divisor in the other formula of the attention."""
 KEY_POWERS = (-60, -40, -30, -20, -10, 0, 10, 20, 40, 62, 70)
 HUGE = (1.0, 1e2, 1e4, 1e6)
-"""Of one pixel among others of up to 1."""
+"""Values of one pixel among others of up to 1."""
 WINDOW_OF_X1 = 2
 """Pixels from an output of x1 to the farthest input it depends on."""
 TILES_OF_X1 = 10
@@ -63,7 +63,7 @@ def _attention_errors(seed: int, target: float) -> Iterator[float]:
 
 
 def _windows(seed: int, target: float) -> tuple[Array, Array, Array]:
-    """Of windows side by side, float32: keys before they are normalised, light, and the mask."""
+    """Keys before they are normalised, light, and the mask, all float32, of windows side by side."""
     random = np.random.default_rng(seed)
     side, middle = TILES * WINDOW, WINDOW // 2
     key = random.standard_normal((TILES, WINDOW, TILES, WINDOW, 32))
@@ -81,17 +81,17 @@ def _windows(seed: int, target: float) -> tuple[Array, Array, Array]:
 
 
 def _centres(key: Array, mask: Array, value: Array) -> tuple[Array, Array]:
-    """At each window's centre the reshaded light, and the sum of weights; both float64."""
+    """The reshaded light and the sum of weights at each window's centre; both float64."""
     mask = mask.astype(key.dtype)
     at = np.s_[WINDOW // 2 :: WINDOW, WINDOW // 2 :: WINDOW]
-    # With a query so short every sum falls below the clamp, and is divided by nothing else.
+    # With such a short query every sum falls below the clamp, so that only the clamp divides it.
     tiny = 2.0**-30
     sums = attend(key * key.dtype.type(tiny), key * mask, np.ones_like(mask))[at].astype(np.float64)
     return attend(key, key * mask, value)[at].astype(np.float64), sums * (1e-6 / tiny)
 
 
 def keys(plan: StressPlan) -> StressTable:
-    """Keys from 2^-60 to 2^70 times as long: their direction is all that counts, until a square leaves the arithmetic's range."""
+    """Keys 2^-60 to 2^70 times as long: only their direction counts, until a square leaves the arithmetic's range."""
     found: dict[int, list[list[float]]] = {power: [] for power in KEY_POWERS}
     for seed in range(plan.seeds):
         inputs = stage_inputs(seed, *plan.size, plan.weights_of(seed))["erm"]
@@ -115,7 +115,7 @@ def _key_length(gbuffer: Array, weights: Weights) -> float:
 
 
 def huge(plan: StressPlan) -> StressTable:
-    """One huge pixel: what it does to x1 where x1 does not depend on it, within the reach of Winograd's tiles and beyond."""
+    """One huge pixel: the errors of x1 where x1 does not depend on it, within the reach of Winograd's tiles and beyond."""
     rows: list[tuple[Cell, ...]] = []
     for value in HUGE:
         for engine in plan.engines:
@@ -129,7 +129,7 @@ def huge(plan: StressPlan) -> StressTable:
 def _around_one(plan: StressPlan, seed: int, value: float, name: str) -> tuple[float, float]:
     engine = plan.engine(name)
     inputs = stage_inputs(seed, *plan.size, plan.weights_of(seed))["encoder"]
-    y, x = plan.size[0] // 2 + seed % 4, plan.size[1] // 2 + seed // 4 % 4  # another place within its tile for each seed
+    y, x = plan.size[0] // 2 + seed % 4, plan.size[1] // 2 + seed // 4 % 4  # a different place within its tile for each seed
     inputs["color"][y, x] = value
     truth = reference("encoder", exact(inputs), plan.weights_of(seed))["x1"]
     got = engine.run("encoder", inputs, plan.weights_of(seed))["x1"]
@@ -141,7 +141,7 @@ def _around_one(plan: StressPlan, seed: int, value: float, name: str) -> tuple[f
 
 
 def overflow(plan: StressPlan) -> StressTable:
-    """Where half ends: inputs of the network so large that activations pass 65504."""
+    """The end of half's range: inputs so large that activations exceed 65504."""
     rows: list[tuple[Cell, ...]] = []
     for by in (1.0, 1e2, 1e3, 1e4, 1e5, 1e6):
         largest, errors = 0.0, [0.0] * len(plan.engines)

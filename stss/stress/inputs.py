@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""What `stss stress` gives the stages, and the same sums in another order.
+"""The inputs of `stss stress`, and weights that make the same sums in another order.
 
-Inputs are noise: nothing is flat or still. A later stage is given what the stages before it computed in float64, rounded to float32, so
-that its inputs are of the size they have in a frame.
+Inputs are noise: nothing is flat or still. The inputs of a later stage are the outputs of earlier ones in float64, rounded to float32, so
+that they have the magnitude that they have in a frame.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ MASKED = 0.2
 REACH = 3.0
 """Longest motion in each direction; pixels."""
 KEPT = ("mask", "valid", "depth", "nov", "stencil", "stencil_previous", "normal", "normal_previous")
-"""Inputs that are not scaled: they are of one size by definition."""
+"""Inputs that are not scaled, since their range is fixed by definition."""
 
 Given = dict[str, NDArray[Any]]
 
@@ -43,7 +43,7 @@ def frame_noise(seed: int, height: int, width: int) -> Given:
 
 
 def image_noise(seed: int, height: int, width: int) -> dict[str, Given]:
-    """Inputs of the image-space stages but ``holes``: noise that moves by up to ``REACH``."""
+    """Inputs of the image-space stages except ``holes``: noise that moves by up to ``REACH``."""
     random = np.random.default_rng(seed + 1000)
     motions = random.uniform(-REACH, REACH, (3, height, width, 2)).astype(np.float32)
     color, warped = random.random((2, height, width, 3)).astype(np.float32)
@@ -57,7 +57,7 @@ def image_noise(seed: int, height: int, width: int) -> dict[str, Given]:
 
 
 def stage_inputs(seed: int, height: int, width: int, weights: Weights) -> dict[str, Given]:
-    """Of each stage with weights, its inputs, float32."""
+    """Stage -> inputs, float32, of each stage with weights."""
     frame = frame_noise(seed, height, width)
     made = {name: array.astype(np.float32) for name, array in features_of(exact(frame), weights).items()}
     return {
@@ -75,7 +75,7 @@ def exact(inputs: Arrays) -> Given:
 
 
 def scaled(stage: str, inputs: Arrays, by: float) -> Given:
-    """Inputs ``by`` times as large, rounded to float32; masks are not. The motion is scaled only where it is all there is."""
+    """Inputs ``by`` times as large, rounded to float32, except those in `KEPT`. Motion is scaled only where it is the only input."""
     kept = (*KEPT, "motion") if stage != "motion_chain" else KEPT
     result = {n: a if n in kept or a.dtype.kind != "f" else (a * float(by)).astype(np.float32) for n, a in inputs.items()}
     if stage in ("history", "network"):
@@ -89,7 +89,7 @@ def scaled_weights(weights: Weights, by: float, prefix: str = "") -> Weights:
 
 
 def _inner_edges() -> list[tuple[str, tuple[str, ...], int]]:
-    """``(layer, the layers that read it, first channel it has there)``, where a stage holds both."""
+    """``(layer, the layers that read it, its first channel there)``, where both belong to one stage."""
     edges: list[tuple[str, tuple[str, ...], int]] = [("conv1", ("conv2",), 0)]
     for name in ("down1", "down2", "down3"):
         edges += [(f"{name}.downsample", (f"{name}.conv1",), 0), (f"{name}.conv1", (f"{name}.conv2",), 0)]
@@ -105,9 +105,9 @@ def _inner_edges() -> list[tuple[str, tuple[str, ...], int]]:
 
 
 def permuted(weights: Weights, seed: int) -> Weights:
-    """A network that computes the same function, its inner channels in another order: so are the sums over them.
+    """A network that computes the same function with its inner channels, and so the sums over them, in another order.
 
-    Channels that cross from one stage to another stay where they are, so that every stage's outputs can be compared.
+    Channels that cross from one stage to another keep their place, so that the outputs of every stage can be compared.
     """
     random = np.random.default_rng(seed)
     result = {name: np.array(tensor) for name, tensor in weights.items()}
@@ -119,7 +119,9 @@ def permuted(weights: Weights, seed: int) -> Weights:
             result[f"{made}.{part}"] = result[f"{made}.{part}"][order]
         for name in [n for reader in readers for n in result if n.startswith(f"{reader}.") and n.endswith("weight")]:
             result[name][:, first : first + len(order)] = result[name][:, first + order]
-    last = np.tile(np.arange(32), 3).reshape(3, 32) + 32 * np.arange(3)[:, None]  # convHis3.4 is read three times over
+    last = (
+        np.tile(np.arange(32), 3).reshape(3, 32) + 32 * np.arange(3)[:, None]
+    )  # convHis3.4 is read three times, once for each frame
     order = random.permutation(32)
     for part in ("weight", "bias"):
         result[f"convHis3.4.{part}"] = result[f"convHis3.4.{part}"][order]

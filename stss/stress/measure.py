@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Where digits are lost, stage by stage, and how fast: `stss stress`. It measures and does not judge.
+"""`stss stress`: where digits are lost, stage by stage, and how fast. It measures and does not judge.
 
-The truth is the reference in float64 on the same float32 inputs, so the rounding of the inputs is not counted, but where a table says so.
+The truth is the reference in float64 on the same float32 inputs, so the rounding of the inputs does not count unless a table says so.
 An error is the largest difference over the largest number of the truth; a table's number is the worst of several seeds.
 """
 
@@ -37,15 +37,15 @@ MEASUREMENTS: dict[str, Callable[[StressPlan], StressTable]] = {
     "overflow": network_cases.overflow,
     "wall": cases.wall,
 }
-"""Each table by its name, in the order of the report."""
+"""Name of a table -> function that measures it, in the order of the report."""
 
 
 @dataclass(frozen=True)
 class Results:
-    """What was measured, and on what.
+    """The tables that were measured, and the conditions.
 
     Attributes:
-        plan: how much of it.
+        plan: how much was measured.
         device: name and driver of the OpenCL device; None without one.
         tables: in the order of ``MEASUREMENTS``.
     """
@@ -67,11 +67,11 @@ def check_names(only: Sequence[str]) -> None:
 
 
 def make_plan(device: Any, weights: Weights | None, *, full: bool = False) -> StressPlan:
-    """How much is measured: about a minute and a half on two cores, or with ``full`` ten times as much.
+    """Plan how much to measure: about a minute and a half on two cores, or with ``full`` ten times as much.
 
     Args:
         device: an open ``stss_cl.device.discovery.Device``; None: the reference alone.
-        weights: the 92 tensors; None: random ones, others for each seed.
+        weights: the 92 tensors; None: random ones, different for each seed.
         full: more seeds, larger frames.
     """
     engines: list[Engine] = [ReferenceEngine()]
@@ -85,12 +85,12 @@ def make_plan(device: Any, weights: Weights | None, *, full: bool = False) -> St
 def stress(
     plan: StressPlan, only: Sequence[str] = (), on_step: Callable[[str], None] = lambda _: None
 ) -> tuple[StressTable, ...]:
-    """Measure.
+    """Measure the tables.
 
     Args:
-        plan: how much.
+        plan: how much to measure.
         only: names of ``MEASUREMENTS``; empty: all.
-        on_step: told the name of what is about to be measured.
+        on_step: called with the name of each table before it is measured.
 
     Raises:
         InputError: a name is unknown.

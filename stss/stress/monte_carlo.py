@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""Monte Carlo arithmetic on the reference, which does not know of it.
+"""Monte Carlo arithmetic on the reference, without a change to its code.
 
 The reference is NumPy from its inputs to its image, and NumPy hands every operation on a subclass of its array to that subclass. So a
-`Watched` array, given to a stage in place of an array, sees every operation the stage computes: it lets NumPy do it in float64 and shows
-the result to its watcher. `StochasticRounding` rounds it up or down at random to 24 or 11 bits; `Trace` only notes it.
+`Watched` array, passed to a stage as an input, sees every operation of the stage: it lets NumPy compute in float64 and shows the result to
+its watcher. `StochasticRounding` rounds the result up or down at random to 24 or 11 bits; `Trace` only records it.
 
-A matrix product counts as one operation. What is exact in so many bits (a comparison, a maximum, a difference of neighbours) stays exact,
-as in a machine. Exponents have no limits: overflow and subnormal numbers are `stss.stress.hard_image_cases`'.
+A matrix product counts as one operation. A result that is exact in that many bits (a comparison, a maximum, a difference of neighbours)
+stays exact, as in a machine. Exponents have no limits: `stss.stress.hard_image_cases` covers overflow and subnormal numbers.
 
 Source: D. Stott Parker, Monte Carlo Arithmetic, 1997; stochastic rounding: N. Higham and T. Mary, 2019.
 """
@@ -25,30 +25,30 @@ from stss_ref.arrays import Array
 from stss_ref.weights import Weights
 
 Where = Literal["operations", "layers"]
-"""What is rounded: every operation; or what a convolution or the attention is about to read, which is what a backend stores."""
+"""What to round: every operation, or the inputs of convolutions and attention, which are the numbers that a backend stores."""
 
 
 FLOATS = (np.dtype(np.float64), np.dtype(np.float32))
-"""What is watched; indices and comparisons are not."""
+"""Types that are watched; indices and comparisons are not."""
 
 
 class Watcher:
-    """Is shown what a stage computes, and may change it in place."""
+    """Sees the results that a stage computes, and may change them in place."""
 
     def result(self, array: Array) -> None:
-        """Of one operation."""
+        """Called with the result of one operation."""
 
     def padded(self, array: Array) -> None:
-        """What is about to be surrounded by zeros: the input of a convolution, the keys and values of the attention."""
+        """Called with an array that is about to be padded with zeros: a convolution's input, the attention's keys and values."""
 
 
 class StochasticRounding(Watcher):
     """Rounds float64 to a number of bits, up or down at random, so that the expected result is the exact one.
 
     Args:
-        bits: of the significand; 24 as float32, 11 as half.
-        seed: of the dice.
-        where: what is rounded.
+        bits: bits of the significand; 24 as in float32, 11 as in half.
+        seed: seed of the random numbers.
+        where: what to round.
     """
 
     def __init__(self, bits: int, seed: int, where: Where = "operations"):
@@ -67,7 +67,7 @@ class StochasticRounding(Watcher):
             self._round(array)
 
     def _round(self, array: Array) -> None:
-        # In the bits: adding a random part of what is lost carries as often as that part is large; then it is cut off.
+        # On the bits: adding a random number below one unit carries with the probability of the part to be lost, which is then cut off.
         bits = array.view(np.int64)
         dice = self._random.integers(0, 1 << self._lost, array.shape)
         bits += np.where(np.isfinite(array), dice, 0)
@@ -75,10 +75,10 @@ class StochasticRounding(Watcher):
 
 
 class Trace(Watcher):
-    """Notes what each convolution reads.
+    """Records what each convolution reads.
 
     Attributes:
-        read: in the order of computation.
+        read: the arrays read, in the order of computation.
     """
 
     def __init__(self) -> None:
@@ -90,7 +90,7 @@ class Trace(Watcher):
 
 
 class Watched(np.ndarray[Any, np.dtype[Any]]):
-    """An array whose every result is shown to a watcher; results are watched too, where they are floats."""
+    """An array that shows every result computed from it to a watcher; results that are floats are watched too."""
 
     watcher: Watcher | None = None
 
@@ -137,38 +137,38 @@ def _watch(array: Array, watcher: Watcher | None) -> Watched:
 
 
 def watched(inputs: Arrays, watcher: Watcher, dtype: str = "float64") -> dict[str, Any]:
-    """The inputs of a stage in ``dtype`` (integers and masks as they are), shown to ``watcher`` from now on."""
+    """The inputs of a stage in ``dtype`` (integers and masks unchanged), as arrays watched by ``watcher``."""
     return {n: _watch(a.astype(dtype), watcher) if a.dtype.kind == "f" else a for n, a in inputs.items()}
 
 
 def samples(stage: str, inputs: Arrays, weights: Weights, make: Callable[[int], Watcher], count: int) -> dict[str, Array]:
-    """A stage computed ``count`` times, each time rounded by other dice.
+    """Compute a stage ``count`` times, each time with other random roundings.
 
     Args:
-        stage: of ``conformance.protocol.stages.STAGES``.
-        inputs: what it takes, of any float dtype.
+        stage: one of ``conformance.protocol.stages.STAGES``.
+        inputs: its inputs, of any float dtype.
         weights: the 92 tensors.
-        make: the watcher of the i-th time.
-        count: how often.
+        make: makes the watcher of the i-th run.
+        count: number of runs.
 
     Returns:
-        Of each output (count, ...) float64.
+        Output -> (count, ...) float64.
     """
     runs = [reference(stage, watched(inputs, make(i)), weights) for i in range(count)]
     return {name: np.stack([run[name] for run in runs]) for name in runs[0]}
 
 
 def significant_digits(runs: Array, bits: int) -> Array:
-    """Decimal digits that the runs agree in: ``s = -log10(sigma / |mu|)``, from 0 to the ``bits log10 2`` that there are.
+    """Decimal digits in which the runs agree: ``s = -log10(sigma / |mu|)``, clipped to 0 and the ``bits log10 2`` of the arithmetic.
 
     Source: Stott Parker 1997, section 4.
 
     Args:
         runs: (N, ...) float64.
-        bits: of the arithmetic.
+        bits: bits of the arithmetic's significand.
 
     Returns:
-        (...).
+        (...) digits.
     """
     return digits_of(runs.std(axis=0, ddof=1), runs.mean(axis=0), bits)
 
@@ -182,10 +182,10 @@ def digits_of(error: Array, value: Array, bits: int) -> Array:
 
 
 class NamesUsed(Mapping[str, NDArray[Any]]):
-    """Weights that note the names they are asked for.
+    """Weights that record the names that are read.
 
     Attributes:
-        asked: in the order of asking.
+        asked: the names, in the order of reading.
     """
 
     def __init__(self, weights: Weights) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Pictures of what `stss stress` measured."""
+"""Pictures of the tables of `stss stress`."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from stss.stress.measure import Results
 from stss.stress.table import StressTable
 
 COLORS = {"ref": "black", "cl": "tab:blue", "cl direct": "tab:cyan", "cl half": "tab:orange"}
-"""One for each arithmetic."""
+"""The colour of each engine."""
 LEGEND = {"cl half": "cl half (units of 2^-11)"}
-"""Where a name does not say all."""
+"""Names in the legend that differ from the engine's."""
 UNITS = "error, units of rounding"
 Panel = Callable[[Results, Any], None]
 
 
 def plot(results: Results, folder: Path) -> tuple[Path, ...]:
-    """Draw ``stability_growth.png`` and ``stability_cases.png``, those whose tables were all measured.
+    """Draw ``stability_growth.png`` and ``stability_cases.png``, each if all its tables were measured.
 
     Raises:
         InputError: matplotlib is not installed, or a file can't be written.
@@ -50,7 +50,7 @@ def _table(results: Results, key: str) -> StressTable:
 
 
 def _sweep(key: str, title: str, label: str, base: int = 10) -> Panel:
-    """Stage ``network`` over the axis of a sweep, a line for each arithmetic."""
+    """Stage ``network`` over the axis of a sweep, a line for each engine."""
 
     def draw(results: Results, ax: Any) -> None:
         table = _table(results, key)

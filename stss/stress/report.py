@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What `stss stress` measured: on the terminal, as JSON, and in a page between its markers."""
+"""Report the tables of `stss stress` on the terminal, as JSON, and in a page between its markers."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ MARKER = re.compile(r"(<!-- stress: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def text_of(cell: Cell) -> str:
-    """As a table shows it."""
+    """A cell as a table shows it."""
     return cell if isinstance(cell, str) else short(cell)
 
 
@@ -46,7 +46,7 @@ def print_results(results: Results, console: Console) -> None:
 
 
 def measured_on(results: Results) -> str:
-    """One sentence: what, by what, on what."""
+    """One sentence that names the versions, the seeds, the weights, the CPU and the device."""
     plan = results.plan
     packages = ", ".join(f"{name} {version}" for name, version in versions(PACKAGES).items())
     device = "the reference alone" if results.device is None else results.device
@@ -56,7 +56,7 @@ def measured_on(results: Results) -> str:
 
 
 def to_json(results: Results) -> str:
-    """Every number, and what it was measured on; no names of hosts, users or folders."""
+    """Every number and the conditions, as JSON; without names of hosts, users or folders."""
     plan = results.plan
     data = {
         "format": FORMAT,
@@ -96,7 +96,7 @@ def write_json(path: Path, results: Results) -> None:
 
 
 def read_page(path: Path) -> str:
-    """The page that `write_page` is to renew.
+    """Read the page that `write_page` updates.
 
     Raises:
         InputError: it can't be read, or has no marker ``<!-- stress: NAME -->`` ... ``<!-- end -->``.
@@ -111,7 +111,7 @@ def read_page(path: Path) -> str:
 
 
 def renew(page: str, results: Results) -> str:
-    """``page`` with the tables that were measured between their markers; the rest of it, and other tables, as they were."""
+    """``page`` with the measured tables between their markers; all other text and tables stay as they are."""
 
     def between(match: re.Match[str]) -> str:
         if match[2] == "measured":
@@ -123,7 +123,7 @@ def renew(page: str, results: Results) -> str:
 
 
 def write_page(path: Path, results: Results) -> None:
-    """Renew the tables of the page ``path``; errors as `read_page`, or it can't be written."""
+    """Update the tables of the page ``path``; raises InputError as `read_page` does, or if the page can't be written."""
     write_named(path, renew(read_page(path), results))
 
 

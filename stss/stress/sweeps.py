@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How a stage's error grows: with the size of its inputs, of its weights, of the frame, and with depth; and what its parts are."""
+"""How a stage's error grows with the magnitude of its inputs and weights, the size of the frame and depth; and what it consists of."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _errors(plan: StressPlan, points: Sequence[Point]) -> dict[tuple[str, str], 
 def _sweep(
     plan: StressPlan, key: str, title: str, axis: Sequence[float], points: Callable[[int, float], Iterator[Point]]
 ) -> StressTable:
-    """One column for each number of ``axis``: ``points(seed, number)``, the worst of all seeds."""
+    """A table with a column for each number of ``axis``: the worst error of ``points(seed, number)`` over all seeds."""
     worst: dict[tuple[str, str], list[float]] = defaultdict(lambda: [0.0] * len(axis))
     for seed in range(plan.seeds):
         for i, number in enumerate(axis):
@@ -81,7 +81,7 @@ def magnitude(plan: StressPlan) -> StressTable:
 
 
 def weight_scale(plan: StressPlan) -> StressTable:
-    """All weights and biases larger or smaller."""
+    """All weights and biases, scaled up or down."""
 
     def points(seed: int, by: float) -> Iterator[Point]:
         weights = scaled_weights(plan.weights_of(seed), by)
@@ -103,11 +103,11 @@ def size(plan: StressPlan) -> StressTable:
 
 
 FEATURES = {"x1": 2, "x2": 5, "x3": 8, "x4": 11, "feature": 10, "reshaded": 14, "image": 21}
-"""What is looked at on the way to the image, and the convolutions on the longest way to it."""
+"""Features on the way to the image -> convolutions on the longest way to them."""
 
 
 def depth(plan: StressPlan) -> StressTable:
-    """The error of every feature on the way to the image, with all that was lost before it."""
+    """The error of every feature on the way to the image, including the errors before it."""
     worst: dict[str, list[float]] = {name: [0.0] * (len(plan.engines) + 1) for name in FEATURES}
     for seed in range(plan.seeds):
         inputs, weights = frame_noise(seed, *plan.size), plan.weights_of(seed)
@@ -131,7 +131,7 @@ def _feature_runs(inputs: Arrays, weights: Weights, count: int) -> dict[str, Arr
 
 
 def layers(plan: StressPlan) -> StressTable:
-    """The error of what each convolution reads, reference in float32: its growth from layer to layer."""
+    """The error of each convolution's input, reference in float32: how it grows from layer to layer."""
     worst: dict[str, float] = defaultdict(float)
     for seed in range(plan.seeds):
         inputs = frame_noise(seed, *plan.size)
@@ -144,12 +144,12 @@ def layers(plan: StressPlan) -> StressTable:
 
 
 def _read(inputs: Arrays, weights: Weights, dtype: str) -> dict[str, Array]:
-    """Layer -> what it reads, of the last of its runs, and the image; computed in ``dtype``."""
+    """Layer -> its input in the last of its runs, and the image; computed in ``dtype``."""
     trace, names = Trace(), NamesUsed(astype(weights, dtype))
     x: dict[str, Any] = watched(inputs, trace, dtype)
     x1, x2, x3, x4 = encoder(x["color"], x["gbuffer"], x["mask"], names)
     reshaded = erm(x4, x["gbuffer"], x["mask"], names)
-    of_erm = len(trace.read) - 2  # the attention pads its keys and values: no convolution
+    of_erm = len(trace.read) - 2  # the last two are the attention's keys and values, not inputs of a convolution
     del trace.read[of_erm:]
     image = decoder(reshaded, history_embedding(x["history"], names), x1, x2, x3, x["color"], names)
     readers = [name.removesuffix(".weight") for name in names.asked if name.endswith(".weight")]
@@ -158,7 +158,7 @@ def _read(inputs: Arrays, weights: Weights, dtype: str) -> dict[str, Array]:
 
 
 def monte_carlo(plan: StressPlan) -> StressTable:
-    """Digits that survive: what Monte Carlo arithmetic says, and what was measured."""
+    """The digits that survive, by Monte Carlo arithmetic and as measured."""
     found: dict[tuple[str, str], list[list[Array]]] = defaultdict(list)
     kinds: tuple[tuple[str, int, Where], ...] = (
         ("Monte Carlo, 24 bits", 24, "operations"),
@@ -200,14 +200,14 @@ def _where_not_zero(digits: dict[str, Array], truth: Arrays) -> list[Array]:
 
 
 def order(plan: StressPlan) -> StressTable:
-    """The same sums in other orders: what of the error is the order's."""
+    """The same sums in other orders: the part of the error that is due to the order."""
     found: dict[tuple[str, str], list[float]] = defaultdict(lambda: [0.0, 0.0, 0.0])
     for seed in range(plan.seeds):
         weights = plan.weights_of(seed)
         made = stage_inputs(seed, *plan.size, weights)
         runs: dict[tuple[str, str], list[Arrays]] = defaultdict(list)
         for i in range(plan.runs):
-            # Orders outside, stages inside: a backend makes itself ready once for each set of weights.
+            # Orders in the outer loop, stages in the inner one: a backend prepares once for each set of weights.
             turned, other = i % 2 == 1, weights if i == 0 else permuted(weights, i)
             other = transposed(other) if turned else other
             for stage, inputs in made.items():
@@ -232,7 +232,7 @@ def _order_errors(runs: Sequence[Arrays], truth: Arrays) -> tuple[float, float, 
 
 
 def bounds(plan: StressPlan) -> StressTable:
-    """The network's error at its ordinary size, absolute, beside what is asked of it."""
+    """The network's absolute error at its ordinary size, beside the bound that it must meet."""
     rows: list[tuple[Cell, ...]] = []
     for engine in plan.engines:
         errors: list[float] = []

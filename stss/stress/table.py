@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What `stss stress` measures with: its plan, its tables, its way to take an error."""
+"""The plan, the tables and the measure of errors of `stss stress`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from stss_ref.weights import Weights
 from stss_ref.weights import random as random_weights
 
 Cell = str | float
-"""Of a table: text or a number."""
+"""A cell of a table: text or a number."""
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,10 @@ class StressTable:
 
     Attributes:
         key: its name in the page's markers, in the JSON and for ``--only``.
-        title: what it shows, with the unit of its numbers.
-        columns: their headings.
-        rows: as many cells each.
-        axis: numbers that the last ``len(axis)`` columns stand for; empty where they are none.
+        title: its contents, with the unit of its numbers.
+        columns: the headings.
+        rows: a cell for each column.
+        axis: numbers that the last ``len(axis)`` columns stand for; empty if they stand for none.
     """
 
     key: str
@@ -67,15 +67,15 @@ def _number(cell: Cell) -> float:
 
 @dataclass(frozen=True)
 class StressPlan:
-    """What is measured, and by how much.
+    """What is measured, and how much.
 
     Attributes:
-        engines: those that are held against the truth; the first is the reference in float32.
+        engines: compared with the truth; the first is the reference in float32.
         seeds: how many draws of inputs, and of weights unless they are given; a number in a table is the worst of them.
         size: (H, W) of the frames where the size is not what varies; multiples of 8.
         sizes: sides of the square frames of the sweep over sizes.
-        runs: of the Monte Carlo arithmetic, and orders of summation.
-        weights: the 92 tensors; None: random ones, others for each seed.
+        runs: number of runs of the Monte Carlo arithmetic, and of orders of summation.
+        weights: the 92 tensors; None: random ones, different for each seed.
     """
 
     engines: Sequence[Engine] = field(repr=False)
@@ -90,7 +90,7 @@ class StressPlan:
         return random_weights(seed) if self.weights is None else self.weights
 
     def engine(self, name: str) -> Engine:
-        """The one of this name."""
+        """The engine of this name."""
         return next(engine for engine in self.engines if engine.name == name)
 
 

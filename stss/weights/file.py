@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Weights as files: the project's own format, and what identifies weights.
+"""Read and write weights as files in the project's own format, and identify weights.
 
 The format is safetensors with the authors' 92 names (spec 10) and the metadata entry ``stss_weights_version``.
 """
@@ -28,7 +28,7 @@ REALTIME, ANTIALIASED = "realtime", "antialiased"
 SHIPPED = {name: Path(__file__).with_name(f"{name}.safetensors") for name in (REALTIME, ANTIALIASED)}
 """Name -> file."""
 DEFAULT = "default"
-"""Where nothing is known of the frames: `REALTIME`, for engines give such frames; else see ``stss.sequence.choose_weights``."""
+"""Weights for frames of which nothing is known: `REALTIME`, since engines give such frames. See also ``stss.sequence.choose_weights``."""
 VERSION_KEY = "stss_weights_version"
 VERSION = "1"
 MAX_BYTES = 64 * 2**20
@@ -52,12 +52,12 @@ class LoadedWeights:
 
     @property
     def label(self) -> str:
-        """What outputs are marked with: the identity, after the name of weights that have one."""
+        """The label in the metadata of outputs: the identity, and before it the name of weights that have one."""
         return f"{self.source} {self.identity}" if self.source in (*SHIPPED, BILINEAR) else self.identity
 
 
 def identity(weights: Weights) -> str:
-    """SHA-256 of the names, shapes and numbers: the same for equal weights, whatever file they came in."""
+    """SHA-256 of the names, shapes and numbers: equal for equal weights, whatever file they come from."""
     digest = hashlib.sha256()
     for name in sorted(weights):
         digest.update(f"{name} {weights[name].shape}\n".encode())
@@ -66,7 +66,7 @@ def identity(weights: Weights) -> str:
 
 
 def load(source: str | Path) -> LoadedWeights:
-    """Weights of a ``.safetensors`` file, or of the names ``realtime`` (also ``default``), ``antialiased`` and ``bilinear``.
+    """Load weights from a ``.safetensors`` file, or by the names ``realtime`` (also ``default``), ``antialiased`` and ``bilinear``.
 
     Raises:
         InputError: the file can't be read or is of another format.
@@ -92,7 +92,7 @@ def _require_file(path: Path) -> None:
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
     if size > MAX_BYTES:
-        raise InputError(f"{path}: larger than {MAX_BYTES >> 20} MiB, no weights of this network")
+        raise InputError(f"{path}: larger than {MAX_BYTES >> 20} MiB, so not weights of this network")
 
 
 def _read(path: Path) -> tuple[Weights, dict[str, str]]:
@@ -124,7 +124,7 @@ def _tensors(file: Any) -> dict[str, np.ndarray[Any, Any]]:
 
 
 def save(path: str | Path, weights: Weights, metadata: Mapping[str, str]) -> None:
-    """Write ``weights`` so that ``path`` is either as before or whole; equal arguments give equal bytes.
+    """Write ``weights`` so that ``path`` is either as before or complete; equal arguments give equal bytes.
 
     Args:
         path: the file, ``.safetensors``.
@@ -139,7 +139,7 @@ def save(path: str | Path, weights: Weights, metadata: Mapping[str, str]) -> Non
 
 
 def _serialised(weights: Weights, metadata: Mapping[str, str]) -> bytes:
-    # Not safetensors.numpy.save: it writes the metadata in another order each time.
+    # Not safetensors.numpy.save: it writes the metadata in a different order each time.
     header: dict[str, Any] = {"__metadata__": dict(sorted(metadata.items()))}
     numbers = [weights[name].astype("<f4").tobytes() for name in weights]
     end = 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What weights hold, and what the network costs: `stss weights inspect`."""
+"""`stss weights inspect`: the layers of weights, and the cost of the network."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ComponentRow:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What weights hold and what the network costs for frames of (height, width), once padded to multiples of 8."""
+    """The layers of weights, and the network's cost for frames of (height, width), padded to multiples of 8."""
 
     height: int
     width: int
@@ -44,7 +44,7 @@ class Inspection:
 
 
 def inspect(weights: Weights, height: int, width: int) -> Inspection:
-    """What ``weights`` hold and what the network costs for frames of (height, width)."""
+    """Inspect ``weights`` and count the network's cost for frames of (height, width); InputError below 1 x 1."""
     if height < 1 or width < 1:
         raise InputError(f"size {width}x{height}: expected at least 1x1")
     rows = tuple(
@@ -62,8 +62,8 @@ def component_costs(height: int, width: int) -> tuple[ComponentRow, ...]:
     """The paper's cost table (Tab. "Cost analysis for each component"), for frames of (height, width).
 
     A row is what its component adds: the history and the ERM also widen the input of ``up1``, by 32 channels each.
-    Beside the convolutions, 11 operations are counted for each number that the decoder's three upsamplings give. The
-    paper's own numbers are those of 968 x 544: its authors pad a width of 960 by 8 more.
+    Besides the convolutions, 11 operations are counted for each number that the decoder's three upsamplings produce. The
+    paper's own numbers are for 968 x 544: its authors pad a width of 960 by 8 more.
     """
     rows: list[ComponentRow] = []
     parameters = multiply_adds = 0

@@ -278,7 +278,7 @@ def test_a_range_has_the_bits_of_the_whole(sequence, tmp_path, method):
 def test_resume_keeps_what_is_right_or_is_refused(sequence, tmp_path, method):
     run(sequence, tmp_path, MethodBackend(method), "none", RunOptions(frames=(0, 4)))
     if method in ACCUMULATING:
-        with pytest.raises(InputError, match="--resume: taau makes each output of all before it"):
+        with pytest.raises(InputError, match="--resume: taau makes each output from all before it"):
             run(sequence, tmp_path, MethodBackend(method), "none", RunOptions(resume=True))
     else:
         summary = run(sequence, tmp_path, MethodBackend(method), "none", RunOptions(resume=True))
