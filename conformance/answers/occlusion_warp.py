@@ -32,14 +32,14 @@ def expect_occlusion_warp(
     Args:
         inputs: of the stage, float64.
         arithmetic: of the port.
-        got: the port's outputs; None: the truth's motion is read by.
+        got: the port's outputs; none: the truth's motion is read by.
         off: (H, W, 2) how far its motion may be off.
     """
     motion = inputs["motion"]
     at = reach(motion, arithmetic, off)
     maps = _maps(at, motion, inputs["depth"])
     expected = Expected(maps[0], 0.0, tuple(maps[1:]), vectors=True)
-    by = maps[0] if got is None else got["occlusion_motion"].astype(np.float64)
+    by = (got["occlusion_motion"] if got else maps[0]).astype(np.float64)
     valid = inputs["valid"].astype(bool)[..., None]
     instead, allowed = interpolated(inputs["color"], reach(by, arithmetic), arithmetic)
     warped = Expected(np.where(valid, inputs["warped"], instead), np.where(valid, arithmetic.flushed(inputs["warped"]), allowed))

@@ -41,15 +41,20 @@ MOST_WEIGHTS_BYTES = 64 * 2**20
 """Of a weights file: this network's has 1.7 MiB."""
 
 
-def write_job(job: Path, cases: Sequence[Case]) -> None:
+def write_job(job: Path, cases: Sequence[Case], first: int = 0) -> None:
     """Write ``cases`` into the folder ``job``, which is made if need be.
+
+    Args:
+        job: the folder.
+        cases: what a port is asked.
+        first: number of the first of them.
 
     Raises:
         ArrayError: inputs are not what a stage takes.
         WeightsError: weights are not of this network, or not float32.
     """
     written: dict[int, Path] = {}
-    for number, case in enumerate(cases):
+    for number, case in enumerate(cases, first):
         folder = job / f"{number:04d}"
         check_inputs(case.stage, case.inputs, DTYPE)
         (folder / "in").mkdir(parents=True)
@@ -63,7 +68,7 @@ def write_job(job: Path, cases: Sequence[Case]) -> None:
             raise ArrayError(f"weights: missing; stage {case.stage} takes them")
         path = folder / "in" / WEIGHTS
         if id(case.weights) in written:
-            _link(written[id(case.weights)], path)
+            link(written[id(case.weights)], path)
         else:
             path.write_bytes(_serialised(case.weights))
             written[id(case.weights)] = path
@@ -73,7 +78,7 @@ def _serialised(weights: Weights) -> bytes:
     return save({name: np.ascontiguousarray(tensor) for name, tensor in check(weights).items()}, WEIGHTS_METADATA)
 
 
-def _link(source: Path, path: Path) -> None:
+def link(source: Path, path: Path) -> None:
     """The same 1.7 MB under a second name; copied where the file system has no links."""
     try:
         os.link(source, path)

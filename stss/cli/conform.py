@@ -43,6 +43,7 @@ MAX_REPEAT = 1000
     "--failures", type=PATH, default=Path("conform-failures"), show_default=True, help="Folder for the cases that fail."
 )
 @click.option("--replay", type=PATH, help="Run only the case of one such folder again.")
+@click.option("--write-cases", type=PATH, help="Write cases with right answers and bounds into a new folder, and judge nothing.")
 @click.option("--json", "json_file", type=PATH, help="File for every result, written as it comes.")
 @click.option("--junit", type=PATH, help="File for JUnit XML.")
 @click.option("--report", type=PATH, help="File for an HTML page with pictures.")
@@ -61,6 +62,7 @@ def conform(
     known_failures: Path | None,
     failures: Path,
     replay: Path | None,
+    write_cases: Path | None,
     json_file: Path | None,
     junit: Path | None,
     report: Path | None,
@@ -78,12 +80,18 @@ def conform(
 
     require_places({"--json": json_file, "--junit": junit, "--report": report}, [known_failures])
     _require_folder(failures)
-    port = load_port(spec, program, timeout, dtype, winograd)
-    if replay is not None:
-        sys.exit(_replay(port, replay))
     for option, names in (("--stages", stages), ("--require", require)):
         if unknown := set(names or ()) - set(SUITE):
             raise InputError(f"{option}: expected some of {', '.join(SUITE)}, got {', '.join(sorted(unknown))}")
+    if write_cases is not None:
+        if spec is not None or program is not None:
+            raise InputError("--write-cases: expected neither --port nor --exec: what is right depends on no port")
+        asked = [stage for stage in SUITE if stages is None or stage in stages]
+        _write_cases(write_cases, asked, dtype or "float32", winograd, tier, seed)
+        return
+    port = load_port(spec, program, timeout, dtype, winograd)
+    if replay is not None:
+        sys.exit(_replay(port, replay))
     judge = Judge(port, TIERS[tier], seed, repeat=repeat)
     running = RunningReport(judge, failures, _command(spec, program, dtype, winograd), json_file)
     try:
@@ -98,6 +106,15 @@ def conform(
     except OSError as error:
         raise InputError(f"{error.filename or known_failures}: {error.strerror or error}") from error
     sys.exit(0 if running.finish(report) else 1)
+
+
+def _write_cases(folder: Path, stages: list[str], dtype: str, winograd: bool, tier: str, seed: int) -> None:
+    from conformance.answers.port_arithmetic import Arithmetic
+    from conformance.judge import TIERS
+    from stss.conform.case_archive import write_cases
+
+    index = write_cases(folder, stages, Arithmetic(dtype, winograd), TIERS[tier], seed, echo)
+    echo(f"{folder}: {len(index['cases'])} cases, inputs {index['inputs_sha256'][:16]}")
 
 
 def _require_folder(failures: Path) -> None:

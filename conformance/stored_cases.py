@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: MIT
+"""Cases with their right answers, for those who test without the judge: of every property that a stored answer can hold a port to."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
+from hypothesis import Phase
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from conformance.answers.expected import Expected
+from conformance.answers.port_arithmetic import Arithmetic
+from conformance.judge import Body, Judge, Tier
+from conformance.protocol.port import Arrays, Case, Outputs
+from conformance.protocol.stages import STAGES
+from conformance.rehearsal import digest
+from stss_ref.weights import Weights
+
+
+@dataclass(frozen=True)
+class StoredCase:
+    """One case and what may be answered to it, by output."""
+
+    case: Case
+    expected: Mapping[str, Expected]
+
+
+@dataclass(frozen=True)
+class StoredTest:
+    """What of a test can be stored.
+
+    Attributes:
+        id: ``stage.test``.
+        property: what it asks, in words.
+        cases: of it; those that an earlier test has are not there again. None: it holds answers of a port against each other.
+        undecided: how many cases are left out, for rounding decides what is right of a whole answer, or of one by another.
+    """
+
+    id: str
+    property: str
+    cases: list[StoredCase] | None
+    undecided: int
+
+
+def stored_tests(stages: Iterable[str], arithmetic: Arithmetic, tier: Tier, seed: int) -> Generator[StoredTest, None, None]:
+    """The tests of some stages, in the order of the suite.
+
+    Args:
+        stages: names of the files of ``conformance/suite``.
+        arithmetic: of the ports that are to be tested.
+        tier: how many cases.
+        seed: of the cases; the same seed gives the same ones, and those that a program is judged on.
+    """
+    collector = _Collector(arithmetic, tier, seed)
+    for stage in stages:
+        for name, test in _tests(import_module(f"conformance.suite.test_{stage}")):
+            yield collector.collect(f"{stage}.{name}", test)
+
+
+def _tests(module: ModuleType) -> list[tuple[str, Any]]:
+    return [(name.removeprefix("test_"), test) for name, test in vars(module).items() if hasattr(test, "property")]
+
+
+class _PropertyError(Exception):
+    """A test asks for an answer to hold another one against it."""
+
+
+class _NoPort:
+    """In the place of a port: nobody is asked. Cases do not depend on answers, as a program's do not."""
+
+    name = "none"
+
+    def __init__(self, arithmetic: Arithmetic):
+        self.dtype, self.winograd = arithmetic.dtype, arithmetic.winograd
+
+    def stages(self) -> frozenset[str]:
+        return frozenset(STAGES)
+
+    def prepare(self, cases: Iterable[Case]) -> None:
+        """It marks a port that is not steered by."""
+
+    def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
+        raise _PropertyError
+
+
+class _Collector(Judge):
+    """Takes down what ports are asked, and what is right of it, where a judge would ask."""
+
+    def __init__(self, arithmetic: Arithmetic, tier: Tier, seed: int):
+        super().__init__(_NoPort(arithmetic), tier, seed, shrink=False)
+        self._seen: set[bytes] = set()
+        self._found: list[StoredCase] = []
+        self._undecided = 0
+
+    def collect(self, name: str, test: Any) -> StoredTest:
+        """The cases of one test."""
+        self.begin()
+        self._found, self._undecided = [], 0
+        words = " ".join((test.__doc__ or "").split())
+        try:
+            test(self)
+        except _PropertyError:
+            return StoredTest(name, words, None, 0)
+        return StoredTest(name, words, self._found, self._undecided)
+
+    def for_all(self, strategy: st.SearchStrategy[Any], body: Body, *, dear: bool = False) -> None:
+        """Drawn first, so that the first case that no answer can be stored of ends the test."""
+        drawn: list[Any] = []
+        self.draw(strategy, drawn.append, [Phase.generate], dear=dear)
+        for case in drawn:
+            self.check(body, case)
+
+    def agrees(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Outputs:
+        """Right is what the reference computes in float64, within the bound."""
+        return self._take(stage, inputs, weights, exactly=False)
+
+    def agrees_exactly(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights) -> None:
+        """Right are the same bits, but with Winograd."""
+        self._take(stage, inputs, weights, exactly=not self.arithmetic.winograd)
+
+    def rounds_either_way(
+        self, stage: str, output: str, inputs: Mapping[str, NDArray[Any]], weights: Weights, layer: str
+    ) -> None:
+        """The errors of thousands of numbers together: no bound of each says that."""
+        raise _PropertyError
+
+    def _take(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None, *, exactly: bool) -> Outputs:
+        case = self.asked(stage, inputs, weights)
+        key = digest(case)
+        expected = self.right(stage, inputs, weights)
+        if key not in self._seen:
+            self._seen.add(key)
+            # What is read by a motion of the port's own choice has a right answer for each choice.
+            if not expected or (stage == "occlusion_warp" and expected["occlusion_motion"].undecided):
+                self._undecided += 1
+            else:
+                flushed = self.arithmetic.flushed
+                exact = {name: Expected(right.want, flushed(right.want)) for name, right in expected.items()}
+                self._found.append(StoredCase(case, exact if exactly else expected))
+        return {name: right.want for name, right in expected.items()}

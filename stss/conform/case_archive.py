@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: MIT
+"""``stss conform --write-cases``: cases with their right answers and bounds, in files that any language reads."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from conformance.answers.expected import Expected
+from conformance.answers.port_arithmetic import Arithmetic
+from conformance.judge import Tier
+from conformance.protocol.job_folder import WEIGHTS, link, write_job
+from conformance.stored_cases import StoredCase, StoredTest, stored_tests
+from stss.conform.versions import versions_of_cases
+from stss.errors import InputError
+from stss.output.write_whole import told
+
+FORMAT = 1
+"""Raised when a field of the index, or a file, changes its meaning."""
+INDEX, SUMS = "index.json", "SHA256SUMS"
+
+
+def write_cases(
+    folder: Path, stages: Sequence[str], arithmetic: Arithmetic, tier: Tier, seed: int, tell: Callable[[str], None]
+) -> dict[str, Any]:
+    """Write an archive: whole, or not there.
+
+    Args:
+        folder: of the archive; it is made.
+        stages: whose tests.
+        arithmetic: of the ports that it is for.
+        tier: how many cases.
+        seed: of the cases.
+        tell: called with a line for each test.
+
+    Returns:
+        The index.
+
+    Raises:
+        InputError: the folder is there already, or cannot be written.
+    """
+    if folder.exists() or folder.is_symlink():
+        raise InputError(f"--write-cases {folder}: expected a folder that is not there yet")
+    if not folder.absolute().parent.is_dir():
+        raise InputError(f"--write-cases {folder}: expected a folder in a folder that is there")
+    with told(folder):
+        made = Path(tempfile.mkdtemp(prefix=".stss-", dir=folder.absolute().parent))
+    try:
+        with told(folder):
+            archive = _Archive(made)
+            for test in stored_tests(stages, arithmetic, tier, seed):
+                archive.add(test)
+                tell(f"{test.id}: {f'{len(test.cases)} cases' if test.cases is not None else 'a property: no stored answer shows it'}")
+            asked = {"stages": [*stages], "tier": tier.name, "seed": seed, "dtype": arithmetic.dtype, "winograd": arithmetic.winograd}
+            index = archive.finish(asked)
+            made.chmod(0o755)
+            made.rename(folder)
+    except BaseException:
+        shutil.rmtree(made, ignore_errors=True)
+        raise
+    return index
+
+
+class _Archive:
+    """A folder that is filled test by test: a job that a program can be called with, and beside each ``in`` what is right."""
+
+    def __init__(self, folder: Path):
+        self._folder = folder
+        self._tests: list[dict[str, Any]] = []
+        self._cases: list[dict[str, Any]] = []
+        self._sums: list[str] = []  # lines of SHA256SUMS
+        self._asked = hashlib.sha256()
+        self._weights: dict[str, Path] = {}
+
+    def add(self, test: StoredTest) -> None:
+        """One more test."""
+        before = len(self._cases)
+        for stored in test.cases or ():
+            self._add(test.id, stored)
+        self._tests.append({
+            "id": test.id, "property": test.property, "stored": test.cases is not None, "cases": len(self._cases) - before,
+            "undecided": test.undecided,
+        })  # fmt: skip
+
+    def finish(self, asked: dict[str, Any]) -> dict[str, Any]:
+        """Write the index and the checksums."""
+        index = {
+            "format": FORMAT, "versions": versions_of_cases(), **asked, "inputs_sha256": self._asked.hexdigest(),
+            "tests": self._tests, "cases": self._cases,
+        }  # fmt: skip
+        (self._folder / INDEX).write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
+        self._note(self._folder / INDEX)
+        (self._folder / SUMS).write_text("".join(self._sums), encoding="utf-8")
+        return index
+
+    def _add(self, test: str, stored: StoredCase) -> None:
+        name, case = f"{len(self._cases):04d}", stored.case
+        write_job(self._folder, [case], len(self._cases))
+        given = self._folder / name / "in"
+        for file in (self._folder / name / "stage", *(given / f"{input_}.npy" for input_ in case.inputs)):
+            self._asked.update(self._note(file).encode())
+        if case.weights is not None:
+            line = self._note(given / WEIGHTS)
+            self._asked.update(line.encode())
+            self._keep_once(given / WEIGHTS, line[:64])
+        self._cases.append({
+            "case": name, "test": test, "stage": case.stage,
+            "inputs": {input_: f"{name}/in/{input_}.npy" for input_ in case.inputs},
+            "weights": None if case.weights is None else f"{name}/in/{WEIGHTS}",
+            "outputs": {output: self._write_right(name, output, right) for output, right in stored.expected.items()},
+        })  # fmt: skip
+
+    def _write_right(self, name: str, output: str, right: Expected) -> dict[str, Any]:
+        want = np.asarray(right.want, np.float64)
+        files = {f"{name}/expected/{output}.{i}.npy": each for i, each in enumerate((want, *right.others))}
+        allowed = {f"{name}/allowed/{output}.npy": np.broadcast_to(np.asarray(right.allowed, np.float64), want.shape)}
+        for file, numbers in {**files, **allowed}.items():
+            path = self._folder / file
+            path.parent.mkdir(exist_ok=True)
+            np.save(path, np.ascontiguousarray(numbers, "<f8"))
+            self._note(path)
+        return {"expected": [*files], "allowed": next(iter(allowed)), "vectors": right.vectors}
+
+    def _keep_once(self, weights: Path, digest: str) -> None:
+        """The same weights are one file under many names."""
+        if digest in self._weights:
+            weights.unlink()
+            link(self._weights[digest], weights)
+        else:
+            self._weights[digest] = weights
+
+    def _note(self, path: Path) -> str:
+        line = f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.relative_to(self._folder).as_posix()}\n"
+        self._sums.append(line)
+        return line
