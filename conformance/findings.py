@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -68,6 +68,8 @@ class Record:
         worst: largest error / bound of each output, by ``stage.output``.
         failure: what failed the test, as small as it got.
         first: what failed it first.
+        largest: the largest height and width that the port was asked for.
+        drawn: digest of the test's cases, where the judge takes it.
     """
 
     cases: int = 0
@@ -76,6 +78,13 @@ class Record:
     worst: dict[str, float] = field(default_factory=dict[str, float])
     failure: Failure | None = None
     first: Failure | None = None
+    largest: tuple[int, int] = (0, 0)
+    drawn: bytes = b""
+
+    def met(self, sizes: Mapping[str, int]) -> None:
+        """The port was asked once more, for these sizes."""
+        self.cases += 1
+        self.largest = max(self.largest[0], sizes["H"]), max(self.largest[1], sizes["W"])
 
 
 @dataclass

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from hashlib import sha256
 from time import monotonic
 from typing import Any
 
@@ -60,13 +61,23 @@ class Judge:
         seed: of the cases; the same seed gives the same ones.
         shrink: whether a failing case is made as small as it gets.
         repeat: how often each case is computed; other bits at any time are a departure.
+        certified: whether anybody has to be able to draw the same cases: they do not depend on answers, and are digested.
 
     Attributes:
         record: of the test that runs now; the runner puts a new one in its place before each.
     """
 
-    def __init__(self, port: Port, tier: Tier = TIERS["quick"], seed: int = 0, *, shrink: bool = True, repeat: int = 1):
-        self.port, self.tier, self.seed, self.shrink, self.repeat = port, tier, seed, shrink, repeat
+    def __init__(
+        self,
+        port: Port,
+        tier: Tier = TIERS["quick"],
+        seed: int = 0,
+        *,
+        shrink: bool = True,
+        repeat: int = 1,
+        certified: bool = False,
+    ):
+        self.port, self.tier, self.seed, self.shrink, self.repeat, self.certified = port, tier, seed, shrink, repeat, certified
         self.arithmetic = Arithmetic(port.dtype, bool(getattr(port, "winograd", False)))
         self.stages = port.stages()
         self.record = Record()
@@ -85,7 +96,7 @@ class Judge:
 
         A port that takes its cases beforehand (``conformance.rehearsal``) is not steered: they must not depend on its answers.
         """
-        steered = not hasattr(self.port, "prepare")
+        steered = not hasattr(self.port, "prepare") and not self.certified
         phases = [Phase.explicit, Phase.generate, *([Phase.target] if steered else []), *([Phase.shrink] if self.shrink else [])]
         failed_at, failing = 0.0, set[bytes]()
 
@@ -108,6 +119,8 @@ class Judge:
     def check(self, body: Body, case: Any) -> None:
         """Run a property on one case of it; what fails is in the record."""
         self._near = {}
+        if self.certified:
+            self.record.drawn = sha256(self.record.drawn + fingerprint(case)).digest()
         try:
             body(self, case)
         except DepartureError as error:
@@ -148,7 +161,7 @@ class Judge:
         case = self.asked(stage, inputs, weights)
         self._last = case
         sizes = check_inputs(stage, case.inputs, "float32")
-        self.record.cases += 1
+        self.record.met(sizes)
         try:
             outputs = self._answer(case)
             check_outputs(stage, outputs, sizes)

@@ -16,11 +16,11 @@ import pytest
 
 from conformance.findings import DepartureError, Record, TestResult
 from conformance.judge import Judge
+from conformance.known_failures import KnownFailure, KnownFailuresError
 from conformance.protocol.stages import STAGES
-from stss_ref.regular_file import read_regular
+from conformance.suite.properties import find_property
 
 SUITE_FOLDER = Path(__file__).with_name("suite")
-MAX_KNOWN_BYTES = 1 << 20
 SEQUENCE = "sequence"
 """The tests of whole sequences, which need stage ``frame``."""
 SUITE = (*STAGES, SEQUENCE)
@@ -30,15 +30,11 @@ REQUIRED = "suite.required_stages_are_there"
 """Id of the result that is added where the port lacks one."""
 
 
-class KnownFailuresError(ValueError):
-    """A file of known failures is malformed, or names a test that there is not."""
-
-
 def run_suite(
     judge: Judge,
     stages: Iterable[str] = SUITE,
     *,
-    known: Sequence[str] = (),
+    known: Sequence[KnownFailure] = (),
     junit: Path | None = None,
     required: Iterable[str] = (),
     first_only: bool = False,
@@ -49,7 +45,7 @@ def run_suite(
     Args:
         judge: has the port.
         stages: names of ``SUITE``.
-        known: ids of tests that are known to fail.
+        known: tests that are known to fail; those of other stages have no say.
         junit: a file for pytest's JUnit XML.
         required: stages that the port must have.
         first_only: stop at the first failure.
@@ -60,12 +56,17 @@ def run_suite(
         anything against a bound, and ``REQUIRED``, if the port lacks a stage that it must have.
 
     Raises:
-        KnownFailuresError: ``known`` names no test, or one that passes.
+        KnownFailuresError: ``known`` names no test.
         ValueError: no stages, or an unknown one.
     """
     stages = set(stages)
     if not stages or stages - set(SUITE):
         raise ValueError(f"stages: expected some of {', '.join(SUITE)}, got {', '.join(sorted(stages)) or 'none'}")
+    for each in known:
+        try:
+            find_property(each.test)
+        except LookupError as error:
+            raise KnownFailuresError(f"known failures: {error}") from error
     plugin = _Plugin(judge, known, required, on_result)
     files = [str(SUITE_FOLDER / f"test_{stage}.py") for stage in SUITE if stage in stages]
     arguments = [
@@ -88,30 +89,7 @@ def run_suite(
         status = pytest.main(arguments, plugins=[plugin])
     if status not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED) or plugin.broken:
         raise RuntimeError(plugin.broken or f"pytest ended with {status}")
-    missing = set(known) - {result.id for result in plugin.results}
-    if missing and not first_only and status != pytest.ExitCode.INTERRUPTED:
-        raise KnownFailuresError(f"known failures: no such test: {', '.join(sorted(missing))}")
     return plugin.results
-
-
-def read_known(path: Path) -> dict[str, str]:
-    """Ids and reasons of a file of known failures: one id and one link or reason per line; ``#`` begins a comment."""
-    known: dict[str, str] = {}
-    try:
-        lines = read_regular(path, MAX_KNOWN_BYTES).decode("utf-8").splitlines()
-    except OSError as error:
-        raise KnownFailuresError(f"{path}: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise KnownFailuresError(f"{path}: expected text in UTF-8") from error
-    for number, line in enumerate(lines, 1):
-        text = line.split("#", 1)[0].strip() if line.lstrip().startswith("#") else line.strip()
-        if not text:
-            continue
-        name, _, reason = text.partition(" ")
-        if not reason.strip():
-            raise KnownFailuresError(f"{path}:{number}: expected a test and a link or reason, got {text[:80]!r}")
-        known[name] = reason.strip()
-    return known
 
 
 @contextlib.contextmanager
@@ -137,9 +115,14 @@ class _Plugin:
     """What pytest is told, and what it tells."""
 
     def __init__(
-        self, judge: Judge, known: Sequence[str], required: Iterable[str], on_result: Callable[[TestResult, int], None] | None
+        self,
+        judge: Judge,
+        known: Sequence[KnownFailure],
+        required: Iterable[str],
+        on_result: Callable[[TestResult, int], None] | None,
     ):
-        self._judge, self._known, self._required, self._on_result = judge, set(known), set(required), on_result
+        self._judge, self._required, self._on_result = judge, set(required), on_result
+        self._known = {each.test: each for each in known}
         self._total = 0
         self._stdout = sys.stdout
         self.results: list[TestResult] = []
@@ -211,7 +194,7 @@ class _Plugin:
             else:
                 result.outcome, result.message = "error", f"{type(error).__name__}: {error}"
             if result.id in self._known:
-                result.outcome = "known"
+                self._known[result.id].excuse(result)
         elif result.id in self._known:
             result.outcome, result.message = "failed", "it is among the known failures, and passes: take it off the list"
         self._tell(result)

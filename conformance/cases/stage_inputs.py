@@ -165,7 +165,7 @@ def rrm_inputs(draw: st.DrawFn, largest: int = 20) -> Inputs:
 @st.composite
 def network_inputs(draw: st.DrawFn, stage: str, size: st.SearchStrategy[Size] | None = None, color: str = "any") -> Inputs:
     """Stages history, encoder, erm, decoder and network: those of these inputs that the stage takes."""
-    height, width = draw(size or multiples())
+    height, width = draw(multiples() if size is None else size)
     rng = np.random.default_rng(draw(SEEDS))
     full, eighth = (height, width), (-(-height // 8), -(-width // 8))
     mask = draw(masks(full)).astype(np.float64)
@@ -194,7 +194,7 @@ def frame_inputs(
     draw: st.DrawFn, size: st.SearchStrategy[Size] | None = None, steps: tuple[int, int, int] | None = None
 ) -> Inputs:
     """Stage frame: SF, EF, missing frames; motion of halves and quarters, so that no rounding decides what is a hole."""
-    full = draw(size or sizes(16))
+    full = draw(sizes(16) if size is None else size)
     rng = np.random.default_rng(draw(SEEDS))
     back = steps or draw(
         st.sampled_from([(0, 2, 4), (1, 3, 5), (0, 0, 0), (1, 1, 1), (0, 2, 2), (1, 3, 3), (0, 1, 2), (2, 3, 5)])

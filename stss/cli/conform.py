@@ -38,12 +38,13 @@ MAX_REPEAT = 1000
     "--repeat", type=click.IntRange(1, MAX_REPEAT), default=1, show_default=True, help="How often each case is computed."
 )
 @click.option("--fail-fast", is_flag=True, help="Stop at the first failure.")
-@click.option("--known-failures", type=PATH, help="File: on each line a test and a link or reason.")
+@click.option("--known-failures", type=PATH, help="JSON file: tests that may fail, each until a day and for a reason.")
 @click.option(
     "--failures", type=PATH, default=Path("conform-failures"), show_default=True, help="Folder for the cases that fail."
 )
 @click.option("--replay", type=PATH, help="Run only the case of one such folder again.")
 @click.option("--write-cases", type=PATH, help="Write cases with right answers and bounds into a new folder, and judge nothing.")
+@click.option("--certificate", type=PATH, help="File that says on what the port was judged; written only if it conforms.")
 @click.option("--json", "json_file", type=PATH, help="File for every result, written as it comes.")
 @click.option("--junit", type=PATH, help="File for JUnit XML.")
 @click.option("--report", type=PATH, help="File for an HTML page with pictures.")
@@ -63,6 +64,7 @@ def conform(
     failures: Path,
     replay: Path | None,
     write_cases: Path | None,
+    certificate: Path | None,
     json_file: Path | None,
     junit: Path | None,
     report: Path | None,
@@ -74,11 +76,13 @@ def conform(
     for package in ("pytest", "hypothesis"):
         require_package(package, "conform")
     from conformance.judge import TIERS, Judge
-    from conformance.run_suite import SUITE, KnownFailuresError, read_known, run_suite
+    from conformance.known_failures import KnownFailuresError, read_known
+    from conformance.run_suite import SUITE, run_suite
     from stss.conform.load_port import load_port
     from stss.conform.running_report import RunningReport
 
-    require_places({"--json": json_file, "--junit": junit, "--report": report}, [known_failures])
+    places = {"--certificate": certificate, "--json": json_file, "--junit": junit, "--report": report}
+    require_places(places, [known_failures])
     _require_folder(failures)
     for option, names in (("--stages", stages), ("--require", require)):
         if unknown := set(names or ()) - set(SUITE):
@@ -92,10 +96,10 @@ def conform(
     port = load_port(spec, program, timeout, dtype, winograd)
     if replay is not None:
         sys.exit(_replay(port, replay))
-    judge = Judge(port, TIERS[tier], seed, repeat=repeat)
+    judge = Judge(port, TIERS[tier], seed, repeat=repeat, certified=certificate is not None)
     running = RunningReport(judge, failures, _command(spec, program, dtype, winograd), json_file)
     try:
-        known = tuple(read_known(known_failures)) if known_failures is not None else ()
+        known = read_known(known_failures) if known_failures is not None else ()
         with running, by_name(junit) as junit_file:
             run_suite(
                 judge, stages or SUITE, known=known, required=require or (), junit=junit_file, first_only=fail_fast,
@@ -105,7 +109,22 @@ def conform(
         raise InputError(str(error)) from error
     except OSError as error:
         raise InputError(f"{error.filename or known_failures}: {error.strerror or error}") from error
-    sys.exit(0 if running.finish(report) else 1)
+    passed = running.finish(report)
+    if certificate is not None:
+        passed &= running.certify(certificate)
+    sys.exit(0 if passed else 1)
+
+
+@click.command()
+@click.argument("certificate", type=PATH)
+@click.option("-o", "--out", type=PATH, required=True, help="The .svg, or the .json that shields.io draws a badge from.")
+def badge(certificate: Path, out: Path) -> None:
+    """Make a badge of the CERTIFICATE that stss conform has written for a port."""
+    require_package("pytest", "conform")
+    from stss.conform.badge import write_badge
+
+    require_places({"--out": out}, [certificate])
+    echo(f"{out}: {write_badge(certificate, out)}")
 
 
 def _write_cases(folder: Path, stages: list[str], dtype: str, winograd: bool, tier: str, seed: int) -> None:

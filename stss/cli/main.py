@@ -17,7 +17,7 @@ from rich.console import Console
 
 from stss.baselines.registry import METHODS
 from stss.cli.bench import bench_command, export, gpu_report_command
-from stss.cli.conform import conform
+from stss.cli.conform import badge, conform
 from stss.cli.devices import devices, port, tune
 from stss.cli.evaluate import compare_command, flicker_command, flicker_scenes_command, methods_command
 from stss.cli.options import (
@@ -204,7 +204,7 @@ def inspect(file: str, size: tuple[int, int], as_json: bool) -> None:
 
 
 for command in (
-    bench_command, compare_command, conform, devices, export, flicker_command, flicker_scenes_command, gpu_report_command,
+    badge, bench_command, compare_command, conform, devices, export, flicker_command, flicker_scenes_command, gpu_report_command,
     methods_command, port, stress_command, tune,
 ):  # fmt: skip
     stss.add_command(command)

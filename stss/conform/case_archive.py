@@ -57,8 +57,14 @@ def write_cases(
             archive = _Archive(made)
             for test in stored_tests(stages, arithmetic, tier, seed):
                 archive.add(test)
-                tell(f"{test.id}: {f'{len(test.cases)} cases' if test.cases is not None else 'a property: no stored answer shows it'}")
-            asked = {"stages": [*stages], "tier": tier.name, "seed": seed, "dtype": arithmetic.dtype, "winograd": arithmetic.winograd}
+                tell(f"{test.id}: {f'{len(test.cases)} cases' if test.cases is not None else 'a property, not stored'}")
+            asked = {
+                "stages": [*stages],
+                "tier": tier.name,
+                "seed": seed,
+                "dtype": arithmetic.dtype,
+                "winograd": arithmetic.winograd,
+            }
             index = archive.finish(asked)
             made.chmod(0o755)
             made.rename(folder)
@@ -120,11 +126,11 @@ class _Archive:
     def _write_right(self, name: str, output: str, right: Expected) -> dict[str, Any]:
         want = np.asarray(right.want, np.float64)
         files = {f"{name}/expected/{output}.{i}.npy": each for i, each in enumerate((want, *right.others))}
-        allowed = {f"{name}/allowed/{output}.npy": np.broadcast_to(np.asarray(right.allowed, np.float64), want.shape)}
+        allowed = {f"{name}/allowed/{output}.npy": np.asarray(right.allowed)}
         for file, numbers in {**files, **allowed}.items():
             path = self._folder / file
             path.parent.mkdir(exist_ok=True)
-            np.save(path, np.ascontiguousarray(numbers, "<f8"))
+            np.save(path, numbers.astype("<f8", order="C"))
             self._note(path)
         return {"expected": [*files], "allowed": next(iter(allowed)), "vectors": right.vectors}
 

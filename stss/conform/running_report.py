@@ -8,6 +8,7 @@ from pathlib import Path
 
 from conformance.findings import TestResult
 from conformance.judge import Judge
+from stss.conform.certificate import refused, write_certificate
 from stss.conform.failures import keep_failure
 from stss.conform.report import passed, print_results, to_json, write_json, write_page
 from stss.terminal import Terminal, echo
@@ -57,7 +58,7 @@ class RunningReport:
 
     def finish(self, page: Path | None) -> bool:
         """All there is to tell, if the run came to its end or not; whether the port passes."""
-        complete = len(self.results) >= self._total > 0
+        complete = self._complete()
         self.write(complete=complete)
         print_results(self.results, Terminal())
         if page is not None:
@@ -65,6 +66,17 @@ class RunningReport:
         if not complete:
             echo(f"stopped after {len(self.results)} of {self._total} tests")
         return complete and passed(self.results)
+
+    def certify(self, path: Path) -> bool:
+        """Write the certificate, or say why there is none."""
+        if why := refused(self.results, complete=self._complete()):
+            echo(f"no certificate: {why}")
+            return False
+        echo(f"{path}: cases {write_certificate(path, self._judge, self.results)[:16]}")
+        return True
+
+    def _complete(self) -> bool:
+        return len(self.results) >= self._total > 0
 
     def write(self, *, complete: bool = False) -> None:
         """The JSON of what there is."""

@@ -380,10 +380,15 @@ def test_a_hostile_camera_table_is_one_line(sequence, text, words):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"\xff\xfe", "expected text in UTF-8"),
-        (b"warp.\x1b[2J\n", "expected a test and a link or reason, got 'warp.\\x1b[2J'"),
-        (b"x" * 100000, "expected a test and a link or reason"),
-        (b"no.such why\n", "no such test: no.such"),
+        (b"\xff\xfe\xfd", "expected JSON"),
+        (b"[" * 100000, "expected JSON"),
+        (b"[]", "expected format 1 and failures"),
+        (b'{"format": 1, "failures": {}}', "expected a list"),
+        (b'{"format": 1, "failures": [7]}', "failures[0]: expected test, until and reason"),
+        (b'{"format": 1, "failures": [{"test": "warp.\x1b[2J"}]}', "expected JSON"),
+        (b'{"format": 1, "failures": [{"test": "warp.\\u001b[2J", "until": 1}]}', "until: expected words, got '1'"),
+        (b'{"format": 1, "failures": [{"test": "no.such", "until": "2999-01-01", "reason": "x"}]}', "no such test: no.such"),
+        (b'{"format": 1, "failures": [{"test": "\\u0000.\\u001b", "until": "2999-01-01", "reason": "x"}]}', "no such test: "),
     ],
 )
 def test_a_hostile_list_of_known_failures_is_one_line(tmp_path, monkeypatch, content, words):

@@ -155,13 +155,25 @@ def test_the_same_failure_again(here):
     assert len(texts) == 1
 
 
+def known(here, names, until="2999-01-01"):
+    entries = [{"test": name, "until": until, "reason": "https://example.org/1"} for name in names]
+    (here / "known").write_text(json.dumps({"format": 1, "failures": entries}))
+
+
 def test_known_failures(here):
     run("--port", "wrong_port:Port", "--stages", "warp,rrm", "--json", "found.json")
     failed = [test["id"] for test in json.loads((here / "found.json").read_text())["tests"] if test["outcome"] == "failed"]
-    (here / "known").write_text("# our list\n" + "".join(f"{name} https://example.org/1\n" for name in failed))
+    known(here, [*failed, "holes.agrees_with_the_reference"])  # the last is not asked for, and has no say
     done = run("--port", "wrong_port:Port", "--stages", "warp,rrm", "--known-failures", "known")
     assert done.exit_code == 0, done.output
+    assert "known until 2999-01-01: https://example.org/1" in done.output
+    # Past the day they are failures again.
+    known(here, failed, "2020-02-29")
+    done = run("--port", "wrong_port:Port", "--stages", "warp,rrm", "--known-failures", "known")
+    assert done.exit_code == 1
+    assert "known until 2020-02-29, which is past: https://example.org/1" in done.output
     # On a right port the list is wrong, and that is said.
+    known(here, failed)
     done = run("--port", "stss.port:ReferencePort", "--stages", "warp,rrm", "--known-failures", "known")
     assert done.exit_code == 1
     assert "take it off the list" in done.output
@@ -200,10 +212,19 @@ def test_mistakes_are_one_line(here, arguments, words):
 
 
 @pytest.mark.parametrize(
-    ("text", "words"), [("warp.no_such_test x\n", "no such test: warp.no_such_test"), ("warp\n", "known:1: expected")]
+    ("entry", "words"),
+    [
+        ({"test": "warp.no_such_test"}, "known failures: no such test: warp.no_such_test"),
+        ({"reason": " "}, "known: failures[0]: reason: expected words, got ' '"),
+        ({"until": "soon"}, "until: expected a day like 2026-12-31, got 'soon'"),
+        ({"until": "20261231"}, "until: expected a day like 2026-12-31, got '20261231'"),
+        ({"until": None}, "until: expected words, got 'None'"),
+        ({"link": "x"}, "expected test, until, reason, got 'link' as well"),
+    ],
 )
-def test_a_wrong_list_of_known_failures(here, text, words):
-    (here / "known").write_text(text)
+def test_a_wrong_list_of_known_failures(here, entry, words):
+    whole = {"test": "warp.agrees_with_the_reference", "until": "2999-01-01", "reason": "why"}
+    (here / "known").write_text(json.dumps({"format": 1, "failures": [{**whole, **entry}]}))
     with pytest.raises(InputError) as caught:
         CliRunner().invoke(
             stss, ["conform", "--port", "wrong_port:Port", "--stages", "rrm", "--known-failures", "known"], catch_exceptions=False

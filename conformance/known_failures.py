@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: MIT
+"""Failures that a port's authors know of: each with a reason, and with the day until which it is excused."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from conformance.findings import TestResult
+from stss_ref.regular_file import read_regular
+
+MOST_BYTES = 1 << 20
+FORMAT = 1
+KEYS = ("test", "until", "reason")
+
+
+class KnownFailuresError(ValueError):
+    """A file of known failures is malformed, or names a test that there is not."""
+
+
+@dataclass(frozen=True)
+class KnownFailure:
+    """One test that is known to fail.
+
+    Attributes:
+        test: its id, ``stage.test``.
+        until: the last day on which that is no failure.
+        reason: why, or a link.
+    """
+
+    test: str
+    until: date
+    reason: str
+
+    def excuse(self, result: TestResult) -> None:
+        """Say of a result that failed that it is known; past the day it stays a failure, and says so."""
+        if date.today() <= self.until:
+            result.outcome = "known"
+            result.message += f"; known until {self.until}: {self.reason}"
+        else:
+            result.message += f"; known until {self.until}, which is past: {self.reason}"
+
+
+def read_known(path: Path) -> list[KnownFailure]:
+    """The entries of a JSON file: ``{"format": 1, "failures": [{"test": ..., "until": "2026-12-31", "reason": ...}]}``.
+
+    Raises:
+        KnownFailuresError: it cannot be read, or an entry lacks something; the message names it.
+    """
+    try:
+        found = json.loads(read_regular(path, MOST_BYTES))
+    except OSError as error:
+        raise KnownFailuresError(f"{path}: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise KnownFailuresError(f"{path}: expected JSON: {' '.join(str(error).split())[:200]}") from error
+    if not isinstance(found, dict) or set(found) != {"format", "failures"} or found["format"] != FORMAT:
+        raise KnownFailuresError(f"{path}: expected format {FORMAT} and failures, and nothing else")
+    entries = found["failures"]
+    if not isinstance(entries, list):
+        raise KnownFailuresError(f"{path}: failures: expected a list")
+    known = [_entry(f"{path}: failures[{i}]", entry) for i, entry in enumerate(entries)]
+    names = [each.test for each in known]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise KnownFailuresError(f"{path}: more than once: {', '.join(twice)[:200]}")
+    return known
+
+
+def _entry(where: str, entry: Any) -> KnownFailure:
+    if not isinstance(entry, Mapping):
+        raise KnownFailuresError(f"{where}: expected test, until and reason")
+    for key in KEYS:
+        if not isinstance(entry.get(key), str) or not entry[key].strip():
+            raise KnownFailuresError(f"{where}: {key}: expected words, got {str(entry.get(key, 'nothing'))[:80]!r}")
+    if unknown := sorted(set(entry) - set(KEYS)):
+        raise KnownFailuresError(f"{where}: expected {', '.join(KEYS)}, got {str(unknown[0])[:80]!r} as well")
+    try:
+        until = date.fromisoformat(entry["until"])
+        if until.isoformat() != entry["until"]:
+            raise ValueError(entry["until"])
+    except ValueError as error:
+        raise KnownFailuresError(f"{where}: until: expected a day like 2026-12-31, got {entry['until'][:80]!r}") from error
+    return KnownFailure(entry["test"], until, entry["reason"])

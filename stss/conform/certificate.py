@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: MIT
+"""A certificate: what a port was judged on, and how well it did, for others to read and to run again."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from conformance.findings import TestResult, tallied
+from conformance.judge import Judge
+from conformance.run_suite import SUITE
+from stss.conform.report import by_stage, worst_of
+from stss.conform.versions import versions_of_cases
+from stss.errors import InputError
+from stss.output.write_whole import write_named
+from stss_ref.regular_file import read_regular
+
+FORMAT = 1
+"""Raised when a field changes its meaning."""
+MOST_BYTES = 1 << 20
+
+
+def refused(results: Sequence[TestResult], *, complete: bool) -> str:
+    """Why there is no certificate; empty if there is one."""
+    if not complete:
+        return "the run was stopped"
+    if known := sum(r.outcome == "known" for r in results):
+        return f"{known} known failure{'s' if known > 1 else ''}"
+    if failed := sum(r.outcome in ("failed", "error") for r in results):
+        return f"{failed} test{'s' if failed > 1 else ''} failed"
+    return ""
+
+
+def certificate(judge: Judge, results: Sequence[TestResult]) -> dict[str, Any]:
+    """Of a port that conforms. It holds neither time nor place, so the same run again gives the same bytes but for the errors.
+
+    Args:
+        judge: that judged, ``certified``.
+        results: of all its tests; none failed.
+    """
+    judged = {
+        stage: some
+        for stage, each in by_stage(results).items()
+        if stage in SUITE and (some := [r for r in each if r.outcome == "passed"])
+    }
+    stages = {stage: _stage(some) for stage, some in judged.items()}
+    return {
+        "format": FORMAT,
+        "port": judge.port.name,
+        "versions": versions_of_cases(),
+        "dtype": judge.arithmetic.dtype,
+        "winograd": judge.arithmetic.winograd,
+        "tier": judge.tier.name,
+        "seed": judge.seed,
+        "repeat": judge.repeat,
+        "cases": sum(stage["cases"] for stage in stages.values()),
+        "cases_sha256": _digest([f"{name} {stage['cases_sha256']}" for name, stage in stages.items()]),
+        "stages": stages,
+        "not_judged": [stage for stage in SUITE if stage not in stages],
+    }
+
+
+def _stage(results: Sequence[TestResult]) -> dict[str, Any]:
+    counted = tallied([r.record for r in results])
+    sizes = [r.record.largest for r in results]
+    return {
+        "tests": len(results),
+        "cases": counted["cases"],
+        "cases_sha256": _digest([f"{r.id} {r.record.drawn.hex()}" for r in results]),
+        "largest_height": max(height for height, _ in sizes),
+        "largest_width": max(width for _, width in sizes),
+        "undecided_numbers": counted["undecided"],
+        "unjudged_cases": counted["unjudged"],
+        "error_over_bound": {name: float(f"{ratio:.3g}") for name, ratio in worst_of(results).items()},
+    }
+
+
+def _digest(lines: Sequence[str]) -> str:
+    return hashlib.sha256("".join(f"{line}\n" for line in lines).encode()).hexdigest()
+
+
+def write_certificate(path: Path, judge: Judge, results: Sequence[TestResult]) -> str:
+    """Write it; the digest of its cases."""
+    made = certificate(judge, results)
+    write_named(path, json.dumps(made, indent=1) + "\n")
+    return made["cases_sha256"]
+
+
+def read_certificate(path: Path) -> dict[str, Any]:
+    """A certificate that somebody made.
+
+    Raises:
+        InputError: it cannot be read, or is none.
+    """
+    try:
+        found = json.loads(read_regular(path, MOST_BYTES))
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: expected JSON: {' '.join(str(error).split())[:200]}") from error
+    try:
+        well_formed = (
+            found["format"] == FORMAT
+            and isinstance(found["stages"], dict)
+            and bool(found["stages"])
+            and set(found["stages"]) <= set(SUITE)
+            and found["dtype"] in ("float32", "float16")
+            and found["tier"] in ("quick", "full")
+            and re.fullmatch(r"[0-9.]{1,8}", found["versions"]["specification"]) is not None
+        )
+    except (LookupError, TypeError):
+        well_formed = False
+    if not well_formed:
+        raise InputError(f"{path}: expected a certificate of stss conform, format {FORMAT}")
+    return found
