@@ -1,0 +1,140 @@
+"""The schemas say of the files what the code writes and reads, no more and no less."""
+
+import copy
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+import stss.conform
+import stss_ref
+from conformance.answers.port_arithmetic import Arithmetic
+from conformance.judge import Judge, Tier
+from conformance.known_failures import KnownFailuresError, read_known
+from conformance.mistakes import find
+from conformance.protocol.stages import STAGES
+from conformance.run_suite import SUITE, run_suite
+from stss.cli.main import stss as command
+from stss.conform.case_archive import write_cases
+from stss.conform.certificate import certificate
+from stss.conform.own_ports import ReferencePort
+from stss.conform.report import to_json
+from tests.meta.json_schema import faults
+
+FOLDER = Path(stss.conform.__file__).parent / "schemas"
+PAGE = Path(__file__).parents[2] / "docs" / "ports.md"
+FEW = Tier("quick", 12, 3, 1)
+DESCR = {"float": "<f4", "uint8": "|u1", "int": "<i4"}
+KNOWN = {"format": 1, "failures": [{"test": "warp.the_same_twice", "until": "2999-01-01", "reason": "why"}]}
+
+
+def schema(name):
+    return json.loads((FOLDER / f"{name}.schema.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def samples(tmp_path_factory):
+    """Of each schema, what the code writes."""
+    folder = tmp_path_factory.mktemp("schemas")
+    judge = Judge(ReferencePort(), FEW, certified=True)
+    results = run_suite(judge, ["warp", "rrm", "erm"])
+    wrong = Judge(find("warp_x_sign").port(), FEW, shrink=False)
+    failed = run_suite(wrong, ["warp", "rrm"])
+    cases = write_cases(folder / "cases", ["rrm", "history"], Arithmetic(), FEW, 0, lambda _: None)
+    return {
+        "results": to_json(judge, results, {}, len(results)),
+        "certificate": certificate(judge, results),
+        "cases": cases,
+        "known-failures": KNOWN,
+        "stages": json.loads((FOLDER / "stages.json").read_text()),
+        "results of a wrong port": to_json(wrong, failed, {failed[0].id: folder}, len(failed), complete=False),
+    }
+
+
+def places(value, at=()):
+    """Paths of all objects in it; of a list, those of its first element."""
+    if isinstance(value, dict):
+        yield at
+        for key in value:
+            yield from places(value[key], (*at, key))
+    if isinstance(value, list) and value:
+        yield from places(value[0], (*at, 0))
+
+
+def at(value, path):
+    for key in path:
+        value = value[key]
+    return value
+
+
+@pytest.mark.parametrize("name", ["results", "certificate", "cases", "known-failures", "stages", "results of a wrong port"])
+def test_what_is_written_fits(samples, name):
+    text = json.loads(json.dumps(samples[name], allow_nan=False))
+    assert not faults(text, schema(name.split(" ")[0]))
+
+
+@pytest.mark.parametrize("name", ["results", "certificate", "cases", "known-failures", "stages"])
+def test_less_or_more_does_not_fit(samples, name):
+    """Each key of each object is needed, unless keys are names of stages, arrays or outputs; and there is no other."""
+    rules, sample = schema(name), samples[name]
+    named = {"stages", "inputs", "outputs", "error_over_bound"}
+    for path in places(sample):
+        if path and path[-1] in named:
+            continue
+        for key in at(sample, path):
+            less = copy.deepcopy(sample)
+            del at(less, path)[key]
+            assert faults(less, rules), (path, key)
+        more = copy.deepcopy(sample)
+        at(more, path)["more"] = 1
+        assert faults(more, rules), path
+
+
+def test_the_table_of_stages_is_that_of_the_judge():
+    def arrays(specs):
+        return {
+            name: {"shape": [str(dim) if dim.letter else dim.times for dim in spec.dims], "descr": DESCR[spec.kind]}
+            for name, spec in specs.items()
+        }
+
+    stages = {s.name: {"weights": s.weights, "inputs": arrays(s.inputs), "outputs": arrays(s.outputs)} for s in STAGES.values()}
+    found = json.loads((FOLDER / "stages.json").read_text())
+    assert found == {"format": 1, "specification": stss_ref.SPEC_VERSION, "stages": stages}
+    assert list(found["stages"]) == list(STAGES)
+
+
+def test_the_schemas_know_all_stages():
+    assert schema("certificate")["properties"]["not_judged"]["items"]["enum"] == [*SUITE]
+    assert schema("results")["properties"]["tests"]["items"]["properties"]["stage"]["enum"] == [*SUITE, "suite"]
+    assert schema("stages")["properties"]["stages"]["propertyNames"]["enum"] == [*STAGES]
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        {}, {"until": "soon"}, {"until": "20291231"}, {"until": 7}, {"reason": ""}, {"reason": " "}, {"test": ""}, {"more": "x"},
+        {"reason": None},
+    ],
+)  # fmt: skip
+def test_known_failures_are_read_as_their_schema_says(tmp_path, entry):
+    text = {"format": 1, "failures": [{**KNOWN["failures"][0], **entry}]}
+    (tmp_path / "known").write_text(json.dumps(text))
+    try:
+        read_known(tmp_path / "known")
+        refused = False
+    except KnownFailuresError:
+        refused = True
+    assert refused == bool(faults(text, schema("known-failures"))) == bool(entry)
+
+
+def test_the_json_of_the_command_fits(tmp_path):
+    out = tmp_path / "found.json"
+    done = CliRunner().invoke(command, ["conform", "--port", "stss.port:ReferencePort", "--stages", "rrm", "--json", str(out)])
+    assert done.exit_code == 0
+    assert not faults(json.loads(out.read_text()), schema("results"))
+
+
+def test_the_page_names_every_schema():
+    for path in FOLDER.iterdir():
+        assert f"stss/conform/schemas/{path.name}" in PAGE.read_text(), path.name
