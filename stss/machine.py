@@ -11,11 +11,21 @@ from pathlib import Path
 
 def cpu_model() -> str:
     """The CPU's name, as the system reports it."""
+    return _cpuinfo("model name") or platform.processor() or "unknown"
+
+
+def cpu_flags() -> frozenset[str]:
+    """What the CPU can do, by Linux's names such as ``avx512f``; empty where the system doesn't say."""
+    return frozenset(_cpuinfo("flags").split())
+
+
+def _cpuinfo(field: str) -> str:
+    """Of the first core; empty where there is none."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        return next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+        return next(line.partition(":")[2].strip() for line in lines if line.startswith(field))
     except (OSError, StopIteration):
-        return platform.processor() or "unknown"
+        return ""
 
 
 def available_threads() -> int:

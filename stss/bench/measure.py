@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from stss.bench.noise import Noise, processor_time
 from stss.bench.ours import FRAMES, OURS, contender, inputs_for, truth
 from stss.bench.peers import PEERS, Setup
 from stss.errors import InputError
@@ -31,6 +32,8 @@ WARM_UP = 2
 """Runs of each contender before the first one timed."""
 STAGE_RUNS = 5
 """Measurements of the stages, after the timed runs."""
+SUMMARY = ("wall_min", "wall_median", "cpu_min", "cpu_median")
+"""What is made of a contender's runs: of wall clock, and of its process's processor time divided by the threads."""
 PAUSE = 0.02
 """Seconds between two runs, for the threads of the one before to fall asleep."""
 
@@ -42,6 +45,8 @@ class Timing:
     Attributes:
         name: as in ``OURS`` or ``PEERS``.
         times: seconds of each run, in order.
+        cpu_times: seconds of processor time that its process used in each run, divided by the threads: what ``times`` would be on a
+            quiet machine if all threads always had work.
         error: largest difference from the float64 reference on the same inputs; None for one that failed.
         peak_memory: bytes its process had in memory at most, Python and libraries included; None where the system doesn't say.
         stages: seconds of each stage, from contenders that measure them.
@@ -56,6 +61,7 @@ class Timing:
     stages: dict[str, float] = field(default_factory=dict[str, float])
     details: dict[str, str] = field(default_factory=dict[str, str])
     fault: str | None = None
+    cpu_times: tuple[float, ...] = ()
 
     @property
     def minimum(self) -> float:
@@ -67,21 +73,29 @@ class Timing:
         """Seconds of the run in the middle."""
         return statistics.median(self.times)
 
+    @property
+    def summary(self) -> dict[str, float]:
+        """Seconds, by the names in ``SUMMARY``."""
+        both = {"wall": self.times, "cpu": self.cpu_times}
+        return {f"{kind}_{f.__name__}": f(times) for kind, times in both.items() for f in (min, statistics.median) if times}
+
 
 @dataclass(frozen=True)
 class SizeResult:
-    """All contenders for inputs (height, width), ours first."""
+    """All contenders for inputs (height, width), ours first; ``noise`` of the timed runs, None where the system doesn't say."""
 
     height: int
     width: int
     rows: tuple[Timing, ...]
+    noise: Noise | None = None
 
-    def ratio(self, row: Timing) -> float | None:
-        """How many times as fast as the first peer ``row`` is, by the minima; None where that is no comparison."""
+    def shares(self, row: Timing) -> dict[str, float]:
+        """What ``row`` takes of the first peer's time, by the names in ``SUMMARY``; empty where that is no comparison."""
         base = next((r for r in self.rows if r.name in PEERS and not r.fault), None)
         if base is None or row.fault or row.name in FRAMES:
-            return None
-        return base.minimum / row.minimum
+            return {}
+        theirs = base.summary
+        return {name: seconds / theirs[name] for name, seconds in row.summary.items() if theirs.get(name)}
 
 
 def bench(
@@ -124,11 +138,15 @@ def _bench_size(setup: Setup, names: Sequence[str], repeat: int, on_step: Callab
             on_step(f"{label}: warming up {worker.name}")
             worker.start(truths[worker.name in FRAMES])
         truths.clear()
+        before, own_before = processor_time(), time.process_time()
         for i in range(repeat):
             on_step(f"{label}: run {i + 1} of {repeat}")
             for worker in workers:
                 worker.time()
-        return SizeResult(*size, tuple(worker.finish() for worker in workers))
+        after, own = processor_time(), time.process_time() - own_before
+        own += sum(worker.processor_seconds for worker in workers)
+        noise = after.noise_since(before, own) if before and after else None
+        return SizeResult(*size, tuple(worker.finish() for worker in workers), noise)
     finally:
         for worker in workers:
             worker.stop()
@@ -141,6 +159,7 @@ class _Worker:
         self.name = name
         self._setup = setup
         self._times: list[float] = []
+        self._cpu_times: list[float] = []
         self._error: float | None = None
         self._details: dict[str, str] = {}
         self._fault: str | None = None
@@ -161,14 +180,21 @@ class _Worker:
         """One timed run."""
         time.sleep(PAUSE)
         if (seconds := self._ask("time")) is not None:
-            self._times.append(seconds)
+            self._times.append(seconds[0])
+            self._cpu_times.append(seconds[1] / self._setup.threads)
+
+    @property
+    def processor_seconds(self) -> float:
+        """Processor time of all its timed runs."""
+        return sum(self._cpu_times) * self._setup.threads
 
     def finish(self) -> Timing:
         """Its row."""
         memory, stages = self._ask("finish") or (None, {})
         if self._fault:
             return Timing(self.name, details=self._details, fault=self._fault)
-        return Timing(self.name, tuple(self._times), self._error, memory, stages, self._details)
+        times = tuple(self._times), self._error, memory, stages, self._details
+        return Timing(self.name, *times, cpu_times=tuple(self._cpu_times))
 
     def stop(self) -> None:
         """End the process, whatever it does."""
@@ -213,9 +239,9 @@ def _serve(pipe: Connection, name: str, setup: Setup) -> None:
             made.run()
         pipe.send((True, (made.details, made.image())))
         while pipe.recv() == "time":
-            start = time.perf_counter()
+            start, used = time.perf_counter(), time.process_time()
             made.run()
-            pipe.send((True, time.perf_counter() - start))
+            pipe.send((True, (time.perf_counter() - start, time.process_time() - used)))
         pipe.send((True, (_peak_memory(), _stages(made))))
     except (KeyboardInterrupt, EOFError):
         return

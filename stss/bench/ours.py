@@ -65,6 +65,8 @@ class OpenCL:
         self._on_device = on_device
         timed = "on the device" if on_device else "with transfers"
         self.details = {**versions(("pyopencl",)), "device": device.name, "precision": precision, "timed": timed}
+        if device.is_cpu:
+            self.details["threads"] = str(device.handle.max_compute_units)
 
     def prepare(self, inputs: NetworkInputs | FrameInputs) -> None:
         """See `Contender`."""

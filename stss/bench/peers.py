@@ -150,6 +150,8 @@ class PyTorch(Peer):
         }
         if cuda:
             self.details["gpu"] = str(torch.cuda.get_device_name())
+        else:
+            self.details["threads"] = str(torch.get_num_threads())
 
     def _bind(self, inputs: dict[str, Array]) -> None:
         arrays = map(self._torch.from_numpy, inputs.values())
@@ -191,6 +193,7 @@ class OnnxRuntime(Peer):
             "provider": provider,
             "precision": "float32",
             "formulation": "gates merged, window as slices",
+            **({"threads": str(setup.threads)} if provider == "CPU" else {}),
         }
 
     def _bind(self, inputs: dict[str, Array]) -> None:
@@ -227,7 +230,12 @@ class OpenVino(Peer):
         compiled = core.compile_model(core.read_model(_model(setup)), "CPU", options)
         self._request = compiled.create_infer_request()
         precision = compiled.get_property("INFERENCE_PRECISION_HINT").get_type_name()
-        self.details = {**versions(("openvino",)), "precision": precision, "formulation": "gates merged, window as slices"}
+        self.details = {
+            **versions(("openvino",)),
+            "precision": precision,
+            "formulation": "gates merged, window as slices",
+            "threads": str(compiled.get_property("INFERENCE_NUM_THREADS")),
+        }
 
     def _bind(self, inputs: dict[str, Array]) -> None:
         self._inputs = inputs  # shared with the engine, which doesn't own them

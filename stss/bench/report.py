@@ -13,47 +13,64 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from stss.bench.measure import PAUSE, WARM_UP, SizeResult, Timing
+from stss.bench.measure import PAUSE, SUMMARY, WARM_UP, SizeResult, Timing
 from stss.bench.peers import PEERS
 from stss.machine import cpu_model, versions
 from stss.optional import require
 from stss.output.write_whole import write_figure, write_named
 from stss.version import VERSION
 
-FORMAT = 1
+FORMAT = 2
 """Raised when a field of the JSON changes its meaning."""
 PACKAGES = ("numpy", "pyopencl", "pocl-binary-distribution", "torch", "onnx", "onnxruntime", "openvino")
 
 
 def print_results(results: Sequence[SizeResult], console: Console) -> None:
-    """One table a size; below a contender its stages, where it measures them."""
+    """One table a size; below a contender its stages, where it measures them; below the table how noisy the run was."""
     for result in results:
         console.print(_table(result))
         for row in result.rows:
             if row.fault:
                 console.print(f"{row.name}: {row.fault}", soft_wrap=True, markup=False, highlight=False)
+        for line in _remarks(result):
+            console.print(line, soft_wrap=True, markup=False, highlight=False)
+
+
+def _remarks(result: SizeResult) -> list[str]:
+    """In what each row computed; how noisy the run was."""
+    known = [(row.name, row.details.get("precision"), row.details.get("threads")) for row in result.rows if not row.fault]
+    computed = [f"{name} {precision}" + (f" x {threads}" if threads else "") for name, precision, threads in known if precision]
+    lines = [f"Precision x threads: {', '.join(computed)}."] if computed else []
+    return lines if result.noise is None else [*lines, f"Meanwhile {result.noise}."]
 
 
 def _table(result: SizeResult) -> Table:
     height, width = result.height, result.width
-    title = f"{width} x {height} to {2 * width} x {2 * height}, {len(_times(result))} runs"
+    title = f"{width} x {height} to {2 * width} x {2 * height}, {len(_times(result))} runs; ms, and of the first peer's"
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
     table.add_column("", no_wrap=True)
-    for column in ("ms\nminimum", "\nmedian", "times as fast\nas first peer", "largest\nerror", "MiB\nat most"):
+    kinds = ("wall\nmin", "\nmedian", "CPU\nmin", "\nmedian")
+    for column in (*kinds, *kinds, "largest\nerror", "MiB\nat most"):
         table.add_column(column, justify="right", no_wrap=True)
     for row in result.rows:
         if row.fault:
-            table.add_row(row.name, "-", "-", "-", "-", "-")
+            table.add_row(row.name, *["-"] * 10)
             continue
-        ratio = result.ratio(row)
+        shares = result.shares(row)
         table.add_row(
-            *(row.name, f"{row.minimum * 1e3:.1f}", f"{row.median * 1e3:.1f}"),
-            *("-" if ratio is None else f"{ratio:.2f}", f"{row.error:.1e}"),
-            "-" if row.peak_memory is None else f"{row.peak_memory / 2**20:.0f}",
+            row.name,
+            *(_number(row.summary.get(name), 1e3, 1) for name in SUMMARY),
+            *(_number(shares.get(name), 1, 2) for name in SUMMARY),
+            f"{row.error:.1e}",
+            _number(row.peak_memory, 2**-20, 0),
         )
         for stage, seconds in row.stages.items():
-            table.add_row(f"  {stage}", f"{seconds * 1e3:.1f}", "", "", "", "")
+            table.add_row(f"  {stage}", f"{seconds * 1e3:.1f}")
     return table
+
+
+def _number(value: float | None, factor: float, digits: int) -> str:
+    return "-" if value is None else f"{value * factor:.{digits}f}"
 
 
 def _times(result: SizeResult) -> tuple[float, ...]:
@@ -78,10 +95,16 @@ def to_json(results: Sequence[SizeResult], weights: str, threads: int) -> str:
             "order": "in turns, one process each",
             "warm_up": WARM_UP,
             "pause_s": PAUSE,
+            "cpu": "processor time of the contender's process, divided by the threads",
             "error": "largest difference from the float64 reference, same inputs",
         },
         "sizes": [
-            {"input": [r.width, r.height], "output": [2 * r.width, 2 * r.height], "rows": [_row(r, row) for row in r.rows]}
+            {
+                "input": [r.width, r.height],
+                "output": [2 * r.width, 2 * r.height],
+                "noise": None if r.noise is None else r.noise._asdict(),
+                "rows": [_row(r, row) for row in r.rows],
+            }
             for r in results
         ],
     }
@@ -105,9 +128,11 @@ def _row(result: SizeResult, row: Timing) -> dict[str, Any]:
         "peer": row.name in PEERS,
         "minimum_ms": row.minimum * 1e3,
         "median_ms": row.median * 1e3,
+        **{f"{name}_ms": row.summary[name] * 1e3 for name in ("cpu_min", "cpu_median") if name in row.summary},
+        "of_first_peer": result.shares(row),
         "times_ms": [seconds * 1e3 for seconds in row.times],
+        "cpu_times_ms": [seconds * 1e3 for seconds in row.cpu_times],
         "stages_ms": {stage: seconds * 1e3 for stage, seconds in row.stages.items()},
-        "ratio_to_first_peer": result.ratio(row),
         "error": "inf" if row.error == float("inf") else row.error,
         "peak_memory_bytes": row.peak_memory,
         "details": row.details,

@@ -11,13 +11,18 @@ import pyopencl as cl
 from rich.console import Console
 from rich.table import Table
 
+from stss.devices.compiled_for import remark
 from stss.devices.verdicts import Tell, Verdict, verdict
 from stss_cl.device.discovery import NO_DEVICE, Device, DeviceError, Properties, is_gpu, matching, named, open_handle
 
 
 @dataclass(frozen=True)
 class Row:
-    """One device as ``stss devices`` shows it; ``memory`` in bytes."""
+    """One device as ``stss devices`` shows it.
+
+    ``memory`` in bytes; ``target``: the processor that kernels are compiled for, empty where untold; ``remark``: a line of advice, or
+    empty.
+    """
 
     name: str
     kind: str
@@ -26,6 +31,8 @@ class Row:
     memory: int
     fp16: bool
     fp64: bool
+    target: str
+    remark: str
     verdict: Verdict
 
 
@@ -81,16 +88,20 @@ def to_json(found: list[Row]) -> str:
 
 
 def print_rows(found: list[Row], console: Console) -> None:
-    """Print a table; names are never cut off, since ``--device`` takes them."""
+    """Print a table, and the remarks; names are never cut off, since ``--device`` takes them."""
     table = Table(box=None, pad_edge=False)
     table.add_column("device", overflow="fold")
-    for title in ("kind", "driver", "memory", "fp16", "self-test"):
+    for title in ("kind", "driver", "compiled for", "memory", "fp16", "self-test"):
         table.add_column(title, overflow="fold", justify="right" if title == "memory" else "left")
     for row in found:
         speed = f" ({row.verdict.gflops:.0f} GFLOP/s)" if row.verdict.passed else ""
         memory = f"{row.memory / 2**30:.1f} GiB"
-        table.add_row(row.name, row.kind, row.driver, memory, "yes" if row.fp16 else "no", f"{row.verdict}{speed}")
+        fp16 = "yes" if row.fp16 else "no"
+        table.add_row(row.name, row.kind, row.driver, row.target or "-", memory, fp16, f"{row.verdict}{speed}")
     console.print(table, markup=False, highlight=False)
+    for row in found:
+        if row.remark:
+            console.print(row.remark, soft_wrap=True, markup=False, highlight=False)
 
 
 def _row(name: str, handle: cl.Device, found: Verdict) -> Row:
@@ -103,5 +114,7 @@ def _row(name: str, handle: cl.Device, found: Verdict) -> Row:
         memory=device.memory,
         fp16=device.has_fp16,
         fp64=device.has_fp64,
+        target=device.target,
+        remark=remark(device, name),
         verdict=found,
     )

@@ -109,12 +109,13 @@ def built_in_rows(path: Path) -> Rows:
         DeviceError: a row is wrong; the message names file and key.
     """
     table = _read(path)
-    classes = {key: _tuning(table.table(key)) for key in (*CLASSES, *MAKERS)}
+    classes = {key: _tuning(table.table(key)) for key in CLASSES}
+    classes |= {key: _tuning(table.table(key, optional=True), classes["gpu"]) for key in MAKERS}
     wide = table.table("cpu-wide")
     names = wide.take("targets", "a list of names", list)
     if not all(isinstance(name, str) for name in names):
         raise wide.fail("targets", "a list of names", names)
-    targets = dict.fromkeys(names, _tuning(wide))
+    targets = dict.fromkeys(names, _tuning(wide, classes["cpu"]))
     devices = table.table("device", optional=True)
     single = {key: _tuning(devices.table(key)) for key in tuple(devices.rest)}
     table.end()
@@ -205,17 +206,21 @@ def _kernels() -> tuple[str, ...]:
     return tuple(source(file) for file in ("conv.cl", "winograd.cl", "conv_local.cl", "conv_mma.cl"))
 
 
-def _tuning(table: Table) -> Tuning:
-    """A whole row; every key of it is checked."""
-    winograd = table.table("winograd") if "winograd" in table.rest else None
-    direct = table.table("direct")
+def _tuning(table: Table, like: Tuning | None = None) -> Tuning:
+    """A row, every key of it checked: a whole one, or what differs from the row ``like``."""
+
+    def sizes(key: str) -> Table | None:
+        return None if key not in table.rest and (like is not None or key == "winograd") else table.table(key)
+
+    winograd, direct = sizes("winograd"), sizes("direct")
     found = Tuning(
-        winograd={n: _winograd(winograd.table(str(n)), n) for n in OUTPUTS} if winograd else None,
-        direct={n: _direct(direct.table(str(n)), n) for n in OUTPUTS},
-        local=_local(table.table("local")) if "local" in table.rest else None,
+        winograd={n: _winograd(winograd.table(str(n)), n) for n in OUTPUTS} if winograd else like and like.winograd,
+        direct={n: _direct(direct.table(str(n)), n) for n in OUTPUTS} if direct else like.direct if like else {},
+        local=_local(table.table("local")) if "local" in table.rest else like and like.local,
     )
-    for each in (table, direct, *((winograd,) if winograd else ())):
-        each.end()
+    for each in (table, direct, winograd):
+        if each is not None:
+            each.end()
     return found
 
 

@@ -3,13 +3,17 @@
 import io
 import json
 import platform
+import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from rich.console import Console
 
+from stss.bench import measure
 from stss.bench import report as bench_report
-from stss.bench.measure import SizeResult, Timing, bench
+from stss.bench.measure import SUMMARY, SizeResult, Timing, bench
+from stss.bench.noise import Noise, processor_time
 from stss.bench.ours import FRAMES, OURS, default_ours, frame_inputs, inputs_for, truth
 from stss.bench.peers import PEERS, Setup
 from stss.errors import InputError
@@ -34,11 +38,15 @@ RESULT = SizeResult(
     540,
     960,
     (
-        Timing("cl", (0.2, 0.25, 0.9), 1e-6, 300 * 2**20, {"erm": 0.01}, {"precision": "float32"}),
+        Timing(
+            *("cl", (0.2, 0.25, 0.9), 1e-6, 300 * 2**20, {"erm": 0.01}, {"precision": "float32", "threads": "2"}),
+            cpu_times=(0.18, 0.21, 0.19),
+        ),
         Timing("cl-frame", (0.3, 0.3, 0.3), 1e-6),
         Timing("openvino", fault="not installed"),
-        Timing("pytorch", (0.6, 0.7, 0.8), float("inf")),
+        Timing("pytorch", (0.6, 0.7, 0.8), float("inf"), cpu_times=(0.6, 0.6, 0.5)),
     ),
+    Noise(0.25, 0.031),
 )
 
 
@@ -100,20 +108,69 @@ def test_the_peers_run_in_turns_with_ours():
         ("pytorch", None, 2),
         ("pytorch-tuned", None, 2),
     ]
-    assert result.ratio(result.rows[1]) == 1
+    assert result.shares(result.rows[1]) == dict.fromkeys(SUMMARY, 1)
 
 
-def test_ratios_are_to_the_first_peer_that_ran_and_not_of_whole_frames():
-    assert [result and round(result, 6) for result in map(RESULT.ratio, RESULT.rows)] == [3, None, None, 1]
+def test_shares_are_of_the_first_peer_that_ran_and_not_of_whole_frames():
+    ours, frame, broken, peer = map(RESULT.shares, RESULT.rows)
+    assert {name: round(share, 6) for name, share in ours.items()} == {
+        "wall_min": 0.333333, "wall_median": 0.357143, "cpu_min": 0.36, "cpu_median": 0.316667,
+    }  # fmt: skip
+    assert frame == broken == {}
+    assert peer == dict.fromkeys(SUMMARY, 1)
 
 
-def test_the_table_shows_stages_and_faults():
+def test_the_table_shows_stages_faults_and_noise():
     text = printed([RESULT])
     assert "960 x 540 to 1920 x 1080, 3 runs" in text
     assert "openvino: not installed" in text
     lines = [line.split() for line in text.splitlines()]
-    assert ["cl", "200.0", "250.0", "3.00", "1.0e-06", "300"] in lines
+    times, shares = ["200.0", "250.0", "180.0", "190.0"], ["0.33", "0.36", "0.36", "0.32"]
+    assert ["cl", *times, *shares, "1.0e-06", "300"] in lines
     assert ["erm", "10.0"] in lines
+    assert "Precision x threads: cl float32 x 2." in text
+    assert "Meanwhile other processes had 25% of this machine, other guests of its host 3%." in text
+
+
+def test_processor_time_is_the_processes_own(monkeypatch):
+    sleeps = SimpleNamespace(details={}, prepare=lambda _: None, run=lambda: time.sleep(0.05), image=lambda: None)
+    sent, orders = [], iter(["time", "finish"])
+    monkeypatch.setattr(measure, "contender", lambda *_: sleeps)
+    pipe = SimpleNamespace(send=sent.append, recv=lambda: next(orders))
+    measure._serve(pipe, "ref", setup())
+    good, (wall, used) = sent[1]
+    assert good
+    assert used < 0.5 * wall
+
+
+def test_processor_time_is_divided_by_the_threads():
+    one, two = (bench([setup(threads=n)], ["ref"], [], repeat=1)[0].rows[0] for n in (1, 64))
+    assert 0 < two.cpu_times[0] < one.cpu_times[0] / 8
+
+
+STAT = """cpu  {} 200 300 {} 50 10 20 {} 999 0
+cpu0 1 2 3 4 5 6 7 8 9 10
+"""
+
+
+def test_noise_is_what_others_had(tmp_path):
+    file = tmp_path / "stat"
+    readings = []
+    for user, idle, stolen in ((1000, 5000, 100), (1300, 5080, 120)):
+        file.write_text(STAT.format(user, idle, stolen))
+        readings.append(processor_time(file))
+    before, after = readings
+    # 4 s in all; busy 3 s, of which 2 were ours
+    assert [round(share, 6) for share in after.noise_since(before, 2.0)] == [0.25, 0.05]
+    assert after.noise_since(before, 3.5).processes == 0
+
+
+@pytest.mark.parametrize("text", [None, "", "cpu  1 2 3\n", "no numbers at all here, not a single one of them\n"])
+def test_a_system_that_counts_nothing_is_no_error(tmp_path, text):
+    file = tmp_path / "stat"
+    if text is not None:
+        file.write_text(text)
+    assert processor_time(file) is None
 
 
 def test_json_can_be_read_and_names_no_place():
@@ -124,6 +181,10 @@ def test_json_can_be_read_and_names_no_place():
     assert size["output"] == [1920, 1080]
     assert [row["peer"] for row in size["rows"]] == [False, False, True, True]
     assert [row.get("error") for row in size["rows"]] == [1e-6, 1e-6, None, "inf"]
+    ours = size["rows"][0]
+    assert (ours["minimum_ms"], ours["cpu_min_ms"], ours["cpu_times_ms"]) == (200, 180, [180, 210, 190])
+    assert round(ours["of_first_peer"]["cpu_min"], 6) == 0.36
+    assert size["noise"] == {"processes": 0.25, "guests": 0.031}
     assert platform.node() not in text
     assert "/home" not in text
 

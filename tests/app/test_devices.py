@@ -12,8 +12,8 @@ import pyopencl as cl
 import pytest
 from rich.console import Console
 
+from stss.devices import compiled_for, selftest, verdicts
 from stss.devices import selection as devices
-from stss.devices import selftest, verdicts
 from stss.devices.selection import choose
 from stss.devices.verdicts import Verdict, known, run_selftest, verdict
 from stss_cl.device import discovery as cl_device
@@ -29,9 +29,10 @@ def own_cache(tmp_path, monkeypatch):
         monkeypatch.delenv(name, raising=False)
 
 
-def fake(platform, name, kind=cl.device_type.CPU, driver="1"):
+def fake(platform, name, kind=cl.device_type.CPU, driver="1", target="znver3"):
     return SimpleNamespace(
         platform=SimpleNamespace(name=platform, version="OpenCL 1.2"),
+        version=f"OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-{target}",
         name=name,
         type=kind,
         driver_version=driver,
@@ -126,11 +127,38 @@ def test_the_table_has_every_device_the_best_first(machine):
     out = io.StringIO()
     devices.print_rows(rows, Console(file=out, width=120))
     table = [line.split() for line in out.getvalue().splitlines()]
-    assert table[2] == ["B:", "cpu", "CPU", "1", "16.0", "GiB", "yes", "passed", "(7", "GFLOP/s)"]
+    assert table[2] == ["B:", "cpu", "CPU", "1", "znver3", "16.0", "GiB", "yes", "passed", "(7", "GFLOP/s)"]
     assert table[3][-2:] == ["failed:", "x"]
     data = json.loads(devices.to_json(rows))
     assert data[2]["verdict"]["why"] == "x"
     assert data[0]["memory"] == 2**34
+
+
+@pytest.mark.parametrize(
+    ("target", "flags", "said"),
+    [
+        ("generic", {"sse2", "avx2"}, "AVX2"),
+        ("x86-64", {"avx2", "avx512f"}, "AVX-512"),
+        ("znver3", {"avx2", "avx512f"}, "AVX-512"),
+        ("znver3", {"avx2"}, None),
+        ("generic", {"sse2"}, None),
+        ("generic", set(), None),
+        ("rocketlake", {"avx2", "avx512f"}, None),
+        ("some-new-name", {"avx2", "avx512f"}, None),
+    ],
+)
+@pytest.mark.parametrize("kind", [CPU, GPU])
+def test_what_a_processor_has_and_the_compiler_does_not_use_is_said(monkeypatch, target, flags, said, kind):
+    monkeypatch.setattr(compiled_for, "cpu_flags", lambda: frozenset(flags))
+    handle = fake("P", "one", kind, target=target)
+    monkeypatch.setattr(cl_device, "found", lambda: [handle])
+    monkeypatch.setattr(devices, "verdict", lambda *_, **__: passed(1))
+    out = io.StringIO()
+    rows = devices.rows()
+    devices.print_rows(rows, Console(file=out, width=60))
+    line = f"P: one: kernels are compiled for {target} and do not use this processor's {said}; another runtime may know it: pip install "
+    assert (line in out.getvalue()) == (said is not None and kind == CPU)
+    assert rows[0].target == target
 
 
 # The child process

@@ -20,6 +20,7 @@ from stss_cl.device.tuning import (
     Tuning,
     Winograd,
     built_in,
+    built_in_rows,
     keep,
     kept,
     kept_path,
@@ -58,6 +59,26 @@ def test_the_built_in_rows():
     assert built_in(fake(is_cpu=False)).winograd is None
     for row in (built_in(fake()), built_in(fake(is_cpu=False))):
         assert tuple(row.direct) == OUTPUTS
+
+
+def test_a_row_has_what_it_does_not_say_from_its_class(tmp_path):
+    path = tmp_path / "tuning.toml"
+    text = tuning.BUILT_IN.read_text()
+    path.write_text(text)
+    rows = built_in_rows(path)
+    gpu, nvidia, amd = (rows.classes[name] for name in ("gpu", "nvidia", "amd"))
+    assert amd == gpu
+    assert nvidia == replace(gpu, local=nvidia.local) != gpu
+    cpu, wide = rows.classes["cpu"], rows.targets["rocketlake"]
+    assert wide == replace(cpu, winograd=wide.winograd) != cpu
+    for section in ("[gpu.direct]", "[cpu.direct]"):
+        assert text.count(section) == 1
+        path.write_text(text.replace(section, section.replace("direct", "direkt")))
+        with pytest.raises(DeviceError, match="direct: expected a table, found nothing"):
+            built_in_rows(path)
+    path.write_text(text.replace("[nvidia]", "[nvidia]\nrows = 2"))
+    with pytest.raises(DeviceError, match=r"nvidia\.rows: unknown key"):
+        built_in_rows(path)
 
 
 def test_a_processor_with_vectors_of_16_is_known_by_its_target():
