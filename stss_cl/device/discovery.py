@@ -14,6 +14,7 @@ import pyopencl as cl
 from pyopencl.tools import ImmediateAllocator, MemoryPool
 
 from stss_cl.device.caches import pocl_cache
+from stss_cl.device.generated_code import generate_once
 from stss_cl.errors import DeviceError
 
 __all__ = [
@@ -33,9 +34,7 @@ __all__ = [
 
 NO_DEVICE = "no OpenCL device: pip install 'pyopencl[pocl]' gives one that runs on any CPU"
 
-# PyOpenCL keeps the code that it generates as pickles, which run what they hold, in a folder that other programs share and that the
-# umask alone protects. It asks at every call; $PYOPENCL_NO_CACHE counts only before its import.
-cl._PYOPENCL_NO_CACHE = True  # pyright: ignore[reportPrivateUsage]
+generate_once()
 
 _process: list[int] = []
 """The process that first used OpenCL, once there is one: what a driver starts then does not survive a fork."""

@@ -1,5 +1,6 @@
 """Devices, their caches, and what happens to them after a fork."""
 
+import linecache
 import os
 import subprocess
 import sys
@@ -56,6 +57,15 @@ def run_three(device):
     cl.Kernel(build(device, "demo.cl", {"THREE": 3}), "three")(device.queue, out.shape, None, buffer)
     cl.enqueue_copy(device.queue, out, buffer)
     assert (out == 3).all()
+
+
+def test_a_second_kernel_of_a_kind_costs_no_generated_code(kernels, device):
+    """PyOpenCL writes a Python module for each kernel object, and keeps it: a process that opened many streams grew and slowed."""
+    run_three(device)
+    modules = len(linecache.cache)
+    for _ in range(3):
+        run_three(device)
+    assert len(linecache.cache) == modules
 
 
 def test_a_device_answers_every_question(device, kernels):

@@ -37,7 +37,8 @@ import pyopencl as cl
 selftest.groups(open_device(), np.random.default_rng(0))
 print("computed")
 """
-SHARED = COMPUTE.replace("selftest.groups", "cl._PYOPENCL_NO_CACHE = False\nselftest.groups")  # as PyOpenCL does by itself
+# As PyOpenCL does by itself.
+SHARED = "import pyopencl.invoker\n" + COMPUTE.replace("selftest.groups", "cl._PYOPENCL_NO_CACHE = False\nselftest.groups")
 
 
 @pytest.fixture(autouse=True)
@@ -92,8 +93,9 @@ def test_pickles_of_others_are_not_read(device, bare, tmp_path):
     subprocess.run(fill, env=bare, capture_output=True, timeout=120, check=False)
     (tmp_path / "evil").rmdir()  # the poison works, where that cache is on
 
-    compute(bare)
-    assert not (tmp_path / "evil").exists()
+    for before in ("", "import pyopencl.invoker\n"):
+        compute(bare, before)
+        assert not (tmp_path / "evil").exists()
 
 
 def test_all_caches_lie_in_one_private_folder(device, bare, tmp_path):
