@@ -80,6 +80,10 @@ class PreparedPort:
             self.failed[key].passed_alone(key)
         return outputs
 
+    def layers(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
+        """See ``FolderPort``."""
+        return self.program.layers(stage, inputs, weights)
+
     def _started(self, stage: str, inputs: Arrays, weights: Weights | None) -> Outputs:
         """A start for this case alone; of many that fail while a case is made smaller, the last one's job is kept."""
         before, self.program.kept = self.program.kept, None

@@ -8,12 +8,14 @@ import numpy as np
 from stss_ref.arrays import Image, Plane, require_shape
 from stss_ref.conv import conv_chain
 from stss_ref.resample import downsample_8
+from stss_ref.watch import part
 from stss_ref.weights import Weights
 
 WINDOW = 5
 """Side of the attention window, in pixels at 1/8 size (paper, Eq. 5)."""
 
 
+@part("reshaded")
 def erm(x4: Image, gbuffer: Image, mask: Plane, weights: Weights) -> Image:
     """Reshade each place with the light of its neighbours, weighted by how alike their materials are.
 

@@ -14,6 +14,7 @@ from stss_ref.motion_chain import Gather, chain_steps
 from stss_ref.network import network
 from stss_ref.occlusion_warp import occlusion_warp
 from stss_ref.warp import warp
+from stss_ref.watch import part
 from stss_ref.weights import Weights
 
 
@@ -73,6 +74,7 @@ def frame(inputs: FrameInputs, weights: Weights, gather: Gather = "longest") -> 
     return image, prepared.mask.astype(bool)
 
 
+@part("color", "mask", "history")
 def prepare(inputs: FrameInputs, gather: Gather = "longest") -> NetworkInputs:
     """Make the network's inputs: warp the three colour frames to the current one. Arguments and errors as in ``frame``."""
     _check(inputs)

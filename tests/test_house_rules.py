@@ -24,8 +24,8 @@ MAY_IMPORT = {
 FLOORS = {
     "stss": "__main__ > cli > demo bench > quality cluster > check run > port sequence baselines > conform stress frames"
     " > pages > images weights devices color optional > output > errors terminal version machine",
-    "conformance": "run_suite stored_cases > suite > confirm diagnosis known_failures > rehearsal > judge > findings"
-    " > answers mistakes cases > protocol scenes tolerance",
+    "conformance": "run_suite stored_cases > suite > confirm diagnosis first_layer known_failures > rehearsal > judge"
+    " > findings > answers mistakes cases > protocol scenes tolerance",
     "stss_cl": "skip > frame > network image_space > device > toml_table errors",
 }
 """The rooms of a package from top to bottom: a room imports those on the floors below it, and none beside it."""

@@ -9,6 +9,8 @@ grows with data, weights and depth exactly as rounding does, and needs no consta
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,8 @@ from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
 from conformance.answers.port_arithmetic import Arithmetic
+from conformance.protocol.layers import reference_layers
+from conformance.protocol.port import Outputs
 from conformance.protocol.stages import STAGES
 from conformance.tolerance import BOUNDS, UNIT
 from stss_ref.weights import Weights, astype
@@ -39,12 +43,21 @@ def expect_with_weights(
         weights: float32.
         arithmetic: of the port.
     """
-    compute = STAGES[stage].compute
+    return _spread(partial(STAGES[stage].compute, inputs), weights, arithmetic)
+
+
+def expect_layers(stage: str, inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: Arithmetic) -> dict[str, Expected]:
+    """The same of its layers (``conformance.protocol.layers``), in the order of computation; arguments likewise."""
+    return _spread(partial(reference_layers, stage, inputs), weights, arithmetic)
+
+
+def _spread(compute: Callable[[Weights], Outputs], weights: Weights, arithmetic: Arithmetic) -> dict[str, Expected]:
+    """What ``compute`` gives of the weights, and how far changes of the size of rounding move it."""
     exact = astype(weights, np.dtype(np.float64))
-    truth = compute(inputs, exact)
+    truth = compute(exact)
     random = np.random.default_rng(0)
-    runs = [compute(inputs, _changed(exact, arithmetic, random)) for _ in range(RUNS)]
-    opened = compute(inputs, _opened(exact))
+    runs = [compute(_changed(exact, arithmetic, random)) for _ in range(RUNS)]
+    opened = compute(_opened(exact))
     expected: dict[str, Expected] = {}
     for name, want in truth.items():
         moved = np.abs([run[name] - want for run in runs])

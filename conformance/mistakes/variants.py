@@ -23,6 +23,7 @@ import numpy as np
 
 import conformance.protocol.stages
 import stss_ref
+from conformance.protocol.layers import Watched, chosen
 from conformance.protocol.port import AnyArray, Arrays, Outputs
 from conformance.protocol.stages import STAGES
 from conformance.tolerance import ratio
@@ -92,16 +93,18 @@ class Variant:
         self,
         name: str,
         reference: Callable[..., Outputs],
+        watched: Watched,
         dtype: str = "float32",
         winograd: bool = False,
         entry: Callable[[AnyArray], AnyArray] | None = None,
     ):
-        """Make a port of a copy's ``reference``; ``entry`` is done to every float array and weight before."""
+        """Make a port of a copy's ``reference`` and ``watched``; ``entry`` is done to every float array and weight before."""
         self.name = name
         self.dtype = dtype
         self.winograd = winograd
         self._reference = reference
         self._entry = entry
+        self._watched = watched
 
     def __repr__(self) -> str:
         return f"Variant({self.name!r})"
@@ -117,6 +120,12 @@ class Variant:
             weights = None if weights is None else {name: entry(tensor) for name, tensor in weights.items()}
         with np.errstate(all="ignore"):
             return self._reference(stage, inputs, weights)
+
+    def layers(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
+        """Its layers, see `conformance.protocol.layers`."""
+        with self._watched() as seen:
+            self.run(stage, inputs, weights)
+        return chosen(stage, seen)
 
 
 def load(name: str, changes: Sequence[Change] = (), functions: Functions | None = None, **port: Any) -> Variant:
@@ -134,14 +143,14 @@ def load(name: str, changes: Sequence[Change] = (), functions: Functions | None 
     finder = _Copy(_changed(changes), functions or {})
     sys.meta_path.insert(0, finder)
     try:
-        stages = import_module(f"{PACKAGE}.stages")
+        stages, watch = import_module(f"{PACKAGE}.stages"), import_module(f"{PACKAGE}.watch")
     finally:
         sys.meta_path.remove(finder)
         for module in [module for module in sys.modules if module.partition(".")[0] == PACKAGE]:
             del sys.modules[module]
     if missing := sorted(set(finder.functions) - finder.replaced):
         raise VariantError(f"{missing[0]}: no such function in the reference")
-    return Variant(name, stages.reference, **port)
+    return Variant(name, stages.reference, watch.watched, **port)
 
 
 def departs(got: Outputs, want: Outputs, row: str | None) -> bool:

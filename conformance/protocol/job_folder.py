@@ -23,12 +23,15 @@ from safetensors.numpy import save
 
 from conformance.protocol.array_specs import ArraySpec, Sizes, check_numbers
 from conformance.protocol.job_tree import Folder, JobError
+from conformance.protocol.layers import LAYERS_OF, check_layers
 from conformance.protocol.npy import Claim, read_claim, read_numbers, write_array
 from conformance.protocol.port import AnyArray, Arrays, Case, Outputs, Unsupported
 from conformance.protocol.stages import check_input_shapes, check_inputs, check_output_shapes, find, require_inputs
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights, WeightsError, check
 
+LAYERS = "layers"
+"""Folder of a case where a program may leave what lies inside its stage; where it is, the judge asks for it."""
 WEIGHTS = "weights.safetensors"
 WEIGHTS_METADATA = {"stss_weights_version": "1"}
 DTYPE = "float32"
@@ -41,13 +44,14 @@ MOST_WEIGHTS_BYTES = 64 * 2**20
 """Of a weights file: this network's has 1.7 MiB."""
 
 
-def write_job(job: Path, cases: Sequence[Case], first: int = 0) -> None:
+def write_job(job: Path, cases: Sequence[Case], first: int = 0, *, layers: bool = False) -> None:
     """Write ``cases`` into the folder ``job``, which is made if need be.
 
     Args:
         job: the folder.
         cases: what a port is asked.
         first: number of the first of them.
+        layers: whether to ask for what lies inside the stages.
 
     Raises:
         ArrayError: inputs are not what a stage takes.
@@ -59,6 +63,8 @@ def write_job(job: Path, cases: Sequence[Case], first: int = 0) -> None:
         check_inputs(case.stage, case.inputs, DTYPE)
         (folder / "in").mkdir(parents=True)
         (folder / "stage").write_text(f"{case.stage}\n", encoding="ascii")
+        if layers:
+            (folder / LAYERS).mkdir()
         for name, array in case.inputs.items():
             with (folder / "in" / f"{name}.npy").open("xb") as file:
                 write_array(name, file, array)
@@ -177,8 +183,8 @@ def clear(case: Folder) -> None:
     """
     if case.kind("unsupported") is not None:
         case.require("unsupported", "file")
-    if case.kind("out") is not None:
-        with case.folder("out") as out:
+    for folder in (kept for kept in ("out", LAYERS) if case.kind(kept) is not None):
+        with case.folder(folder) as out:
             old = [name for name in out.names() if name.endswith(".npy")]
             for name in old:
                 out.require(name, "file")
@@ -187,9 +193,9 @@ def clear(case: Folder) -> None:
     case.remove("unsupported")
 
 
-def write_outputs(case: Folder, outputs: Arrays) -> None:
-    """Write ``case/out``; a file is there only when it is whole."""
-    with case.made("out") as out:
+def write_outputs(case: Folder, outputs: Arrays, into: str = "out") -> None:
+    """Write ``case/out``, or layers into ``case/layers``; a file is there only when it is whole."""
+    with case.made(into) as out:
         for name, array in outputs.items():
             with out.written(f"{name}.npy") as file:
                 write_array(name, file, array)
@@ -233,6 +239,30 @@ def read_outputs(case: Folder, stage: str, sizes: Sizes) -> Outputs | Unsupporte
 
         try:
             return _read_arrays(out, given, lambda claims: check_output_shapes(stage, claims, sizes, DTYPE, label))
+        except ArrayError as error:
+            raise JobError(str(error)) from error
+
+
+def read_layers(case: Folder, stage: str, inputs: Arrays) -> Outputs:
+    """What a program left of its layers; all, some or none.
+
+    Raises:
+        JobError: a file is no layer of the stage, or damaged, no real file, or misshapen.
+    """
+    if case.kind(LAYERS) is None:
+        return {}
+    with case.folder(LAYERS) as folder:
+        found = [name.removesuffix(".npy") for name in folder.names() if name.endswith(".npy") and not name.startswith(".")]
+
+        def label(name: str) -> str:
+            return f"{folder.path / name}.npy"
+
+        try:
+            specs = LAYERS_OF.get(stage, {})
+            if unknown := [name for name in found if name not in specs]:
+                raise ArrayError(f"{label(unknown[0])}: not a layer of stage {stage}")
+            some = {name: specs[name] for name in specs if name in found}
+            return _read_arrays(folder, some, lambda claims: check_layers(stage, claims, inputs, label))
         except ArrayError as error:
             raise JobError(str(error)) from error
 

@@ -5,18 +5,20 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
-from conformance.protocol.job_folder import DTYPE, read_outputs, write_job
+from conformance.protocol.job_folder import DTYPE, read_layers, read_outputs, write_job
 from conformance.protocol.job_tree import Folder, JobError, open_folder
 from conformance.protocol.own_session import MOST_SAID, Ending, described, run_alone
 from conformance.protocol.port import Arrays, Case, Outputs, PortError, Unsupported
 from conformance.protocol.stages import STAGES, check_inputs
 from stss_ref.weights import Weights, zeros
 
+T = TypeVar("T")
 PROBED = ((8, 8), (72, 136))
 """(H, W) at which a program is asked for its stages."""
 
@@ -77,19 +79,32 @@ class FolderPort:
             PortError: the program is not there, fails, takes or says too much, leaves processes behind, removes its job, or leaves
                 an output missing, damaged, misshapen or of another dtype.
         """
-        if not cases:
-            return []
         sizes = [check_inputs(case.stage, case.inputs, DTYPE) for case in cases]
+
+        def read(folder: Folder, number: int) -> Outputs | Unsupported:
+            return read_outputs(folder, cases[number].stage, sizes[number])
+
+        return self._computed(cases, read) if cases else []
+
+    def layers(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
+        """What it hands over of one case's layers, maybe nothing. Errors as ``run_many``."""
+        (found,) = self._computed(
+            [Case(stage, inputs, weights)], lambda folder, _: read_layers(folder, stage, inputs), layers=True
+        )
+        return found
+
+    def _computed(self, cases: Sequence[Case], read: Callable[[Folder, int], T], *, layers: bool = False) -> list[T]:
+        """Start the program on a job of ``cases``, and ``read`` what it left in the folder of each."""
         job = Path(tempfile.mkdtemp(prefix="stss-job-"))
         with open_folder(job) as folder:
             failed = False
             try:
-                write_job(job, cases)
+                write_job(job, cases, layers=layers)
                 self._start(folder)
-                results: list[Outputs | Unsupported] = []
-                for number, case in enumerate(cases):
+                results: list[T] = []
+                for number in range(len(cases)):
                     with folder.folder(f"{number:04d}") as given:
-                        results.append(read_outputs(given, case.stage, sizes[number]))
+                        results.append(read(given, number))
                 return results
             except JobError as error:
                 failed, self.kept = True, job

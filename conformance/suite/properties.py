@@ -17,6 +17,7 @@ from hypothesis.errors import Flaky
 from conformance.confirm import confirm
 from conformance.diagnosis import diagnose
 from conformance.findings import DepartureError, Failure, Record
+from conformance.first_layer import first_departure
 from conformance.judge import Body, Judge
 from conformance.rehearsal import prepare, rehearse
 
@@ -84,9 +85,9 @@ def _diagnosed(judge: Judge, failure: Failure, first: Failure | None) -> Failure
     Asking the port again is no part of the test's record.
     """
     met, judge.record = judge.record, Record()
-    words = "" if failure.before else diagnose(judge, (first or failure).finding)
+    words = [] if failure.before else [first_departure(judge, failure.finding), diagnose(judge, (first or failure).finding)]
     judge.record = met
-    message = f"{failure.finding.message}; {words}" if words else failure.finding.message
+    message = "; ".join([failure.finding.message, *filter(None, words)])
     return replace(failure, finding=replace(failure.finding, message=message))
 
 

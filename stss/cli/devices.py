@@ -29,11 +29,12 @@ def devices(again: bool, as_json: bool) -> None:
 @click.command()
 @click.argument("job", type=PATH)
 @click.option("--backend", type=click.Choice(["ref", "cl"]), default="ref", show_default=True)
-def port(job: Path, backend: str) -> None:
+@click.option("--dump", is_flag=True, help="Leave what each layer of the network gives, too: folder layers of a case.")
+def port(job: Path, backend: str, dump: bool) -> None:
     """Compute every case of the folder JOB, as any port does: see docs/ports.md."""
     from stss.conform.own_ports import run_job
 
-    run_job(job, backend)
+    run_job(job, backend, dump=dump)
 
 
 @click.command()

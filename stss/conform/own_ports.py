@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from conformance.protocol.job_folder import (
+    LAYERS,
     MOST_WEIGHTS_BYTES,
     WEIGHTS,
     case_names,
@@ -23,7 +24,8 @@ from conformance.protocol.job_folder import (
     write_unsupported,
 )
 from conformance.protocol.job_tree import Folder, JobError, open_folder
-from conformance.protocol.port import Arrays, Outputs, Port
+from conformance.protocol.layers import reference_layers
+from conformance.protocol.port import Arrays, Outputs
 from conformance.protocol.stages import STAGES, reference
 from stss.errors import InputError
 from stss_cl.errors import DeviceError
@@ -48,6 +50,10 @@ class ReferencePort:
     def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
         """See ``conformance.protocol.port.Port``."""
         return reference(stage, inputs, weights)
+
+    def layers(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
+        """What it computes on its way: ``conformance.protocol.layers``."""
+        return {} if weights is None else reference_layers(stage, inputs, weights)
 
 
 class OpenCLPort:
@@ -88,6 +94,11 @@ class OpenCLPort:
                 return module.run_stage(stage, inputs, weights, device, self._precision)
         raise InputError(f"backend cl: it has no stage {stage}")
 
+    def layers(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
+        """What the network's layers give, of the stages that are parts of it."""
+        module = import_module(WITH_WEIGHTS[0])
+        return module.run_layers(stage, inputs, weights, self._device, self._precision) if stage in module.STAGES else {}
+
     @property
     def _device(self) -> Any:
         if self._opened is None:
@@ -121,12 +132,13 @@ PORTS = {"ref": ReferencePort, "cl": OpenCLPort}
 """The names that ``run_job`` takes. Each is also a factory for ``module:factory``."""
 
 
-def run_job(job: Path, backend: str) -> None:
+def run_job(job: Path, backend: str, *, dump: bool = False) -> None:
     """Compute every case of a job folder.
 
     Args:
         job: the folder; outputs, or ``unsupported``, go into its cases.
         backend: a name of ``PORTS``.
+        dump: leave what the network's layers give in folder ``layers`` of each case, whether that is there or not.
 
     Raises:
         InputError: the job is malformed or larger than the memory, the message names the file; or the backend or its device is
@@ -134,19 +146,19 @@ def run_job(job: Path, backend: str) -> None:
     """
     if backend not in PORTS:
         raise InputError(f"backend: expected one of {', '.join(PORTS)}, got {backend!r}")
-    port: Port = PORTS[backend]()
+    port = PORTS[backend]()
     weights = _WeightsFiles()
     try:
         # A job's numbers are anybody's: what they overflow to is the answer, and no warning.
         with open_folder(job) as folder, np.errstate(all="ignore"):
             for name in case_names(folder):
                 with folder.folder(name) as case:
-                    _run_case(case, port, weights)
+                    _run_case(case, port, weights, dump=dump)
     except JobError as error:
         raise InputError(str(error)) from error
 
 
-def _run_case(case: Folder, port: Port, weights: _WeightsFiles) -> None:
+def _run_case(case: Folder, port: ReferencePort | OpenCLPort, weights: _WeightsFiles, *, dump: bool) -> None:
     clear(case)
     stage = read_stage(case)
     if stage not in STAGES or stage not in port.stages():
@@ -156,11 +168,15 @@ def _run_case(case: Folder, port: Port, weights: _WeightsFiles) -> None:
         inputs = read_inputs(case, stage)
         given = weights.read(case) if STAGES[stage].weights else None
         outputs = port.run(stage, inputs, given)
+        asked = dump or case.kind(LAYERS) is not None
+        layers = port.layers(stage, inputs, given) if asked and given is not None else {}
     except (ArrayError, DeviceError) as error:
         raise JobError(f"{case.path}: {error}") from error
     except MemoryError as error:
         raise JobError(f"{case.path}: stage {stage} needs more memory than there is") from error
     write_outputs(case, outputs)
+    if layers:
+        write_outputs(case, layers, LAYERS)
 
 
 class _WeightsFiles:

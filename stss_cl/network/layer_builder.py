@@ -16,7 +16,9 @@ from stss_cl.network.conv import Final, conv, half
 from stss_cl.network.layer import FAST_MULTIPLY_ADD, KernelSource, LayerLaunch, layer
 from stss_cl.network.pack_weights import pack
 from stss_cl.network.tiles import Maps, Tiling
-from stss_ref.weights import Weights
+from stss_ref.weights import LAYERS, Weights
+
+OUTPUTS = {layer.name: layer.outputs for layer in LAYERS}
 
 
 class LayerBuilder:
@@ -33,12 +35,14 @@ class LayerBuilder:
         launches: in order.
         marked: the buffers with change maps, likewise.
         maps: their change maps.
+        results: what each launch leaves as the layer's result: buffer, first channel, channels; None: no more than others read.
         dtype: of the activations.
     """
 
     def __init__(self, device: Device, weights: Weights, precision: str, height: int, width: int, keep: bool):
         self.launches: list[LayerLaunch] = []
         self.marked: list[Padded] = []
+        self.results: list[tuple[Padded, int, int] | None] = []
         self.maps = ChangeMaps(device, height, width)
         self.dtype = dtype_of(precision)
         self._device, self._weights, self._keep = device, weights, keep
@@ -92,6 +96,7 @@ class LayerBuilder:
             out_first=out_first, stride=stride, relu=relu, side=side, image=image, final=final,
         )  # fmt: skip
         self.launches.append(launch)
+        self.results.append((out, out_first, OUTPUTS[name]) if final is None else None)
         return out
 
     def kernel(
@@ -128,6 +133,7 @@ class LayerBuilder:
         maps = tuple(held.changes for held in reads if held.changes is not None)
         known = Maps(maps, -(-reads[0].height // 4), -(-reads[0].width // 4)) if maps else None
         self.launches.append(layer(self._device, stage, name, source, arguments, tiling, (size,), (group,), known, out))
+        self.results.append(None)
         return self.launches[-1]
 
 

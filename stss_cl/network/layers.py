@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 
 import numpy as np
@@ -25,6 +25,7 @@ from stss_ref.arrays import Array
 from stss_ref.weights import Weights, reads_history
 
 GBUFFER, MASK = 9, 1
+See = Callable[[LayerLaunch, tuple[Padded, int, int] | None], None]
 WINDOW = 5
 """The attention's, pixels of a side."""
 
@@ -130,8 +131,23 @@ class Layers:
         tiles = whole(self.device, ceil_div(strip.last, 4), last.tiling.columns, strip.first // 4)
         last.set(first_row=strip.first, height=strip.last, top=strip.top, tiles=tiles.tiles, count=tiles.count)
 
-    def run_stage(self, stage: str, inputs: Mapping[str, Array]) -> dict[str, Array]:
-        """Run one stage alone, on arrays; H, W are multiples of 8 and the frame is one strip."""
+    def layers_of(self, stage: str, inputs: Mapping[str, Array]) -> dict[str, Array]:
+        """What each layer of a stage, or of all (``network``), gives (docs/ports.md); the last one is fused where Winograd runs."""
+        found: dict[str, list[Array]] = {}
+
+        def see(launch: LayerLaunch, result: tuple[Padded, int, int] | None) -> None:
+            if result is not None:
+                found.setdefault(launch.name, []).append(read(self.device, *result))
+            elif launch.name == "attend" and stage == "network":
+                found["reshaded"] = [read(self.device, self.features["reshaded"], 0, 64)]
+
+        if len(self.strips) > 1:
+            return {}
+        self.run_stage(stage, inputs, see)
+        return {name: arrays[0] if len(arrays) == 1 else np.stack(arrays) for name, arrays in found.items()}
+
+    def run_stage(self, stage: str, inputs: Mapping[str, Array], see: See | None = None) -> dict[str, Array]:
+        """Run one stage alone, on arrays; H, W are multiples of 8 and the frame is one strip. ``see`` is told behind each launch."""
         height, width = self.size
         self.place(self.strips[0])
         color = inputs.get("color", np.zeros((height, width, 6), np.float32))
@@ -147,15 +163,17 @@ class Layers:
             both = np.concatenate([inputs["reshaded"], inputs["feature"]], axis=-1)
             write(self.device, self.features["reshaded"], both)
         image = Outgoing(self.device, (2 * height, 2 * width, 3), on_device=False)
-        for launch in self.ready(image.data):
-            if launch.stage == stage:
+        for launch, result in zip(self.ready(image.data), self._build.results, strict=True):
+            if stage in (launch.stage, "network"):
                 launch.enqueue(self.device.queue)
+                if see is not None:
+                    see(launch, result)
         outputs = {
             "encoder": {"x1": ("x1", 0, 24), "x2": ("x2", 0, 24), "x3": ("x3", 0, 32), "x4": ("x4", 0, 32)},
             "history": {"feature": ("reshaded", 64, 32)},
             "erm": {"reshaded": ("reshaded", 0, 64)},
         }
-        if stage == "decoder":
+        if stage in ("decoder", "network"):
             return {"image": image.finish()}
         image.finish()
         return {name: read(self.device, self.features[key], first, n) for name, (key, first, n) in outputs[stage].items()}

@@ -123,6 +123,17 @@ def run_stage(
     network = Network(weights, device, precision)
     if stage == "network":
         return {"image": network(*(inputs[name] for name in ("color", "gbuffer", "mask", "history")))}
-    like = {"history": "history", "encoder": "color", "erm": "gbuffer", "decoder": "color"}[stage]
+    return _layers_for(stage, inputs, network, weights).run_stage(stage, inputs)
+
+
+def run_layers(
+    stage: str, inputs: Mapping[str, Array], weights: Weights, device: Device | None = None, precision: Precision = "float32"
+) -> dict[str, Array]:
+    """What the layers of a stage give, by their names; none where the frame goes in strips."""
+    return _layers_for(stage, inputs, Network(weights, device, precision), weights).layers_of(stage, inputs)
+
+
+def _layers_for(stage: str, inputs: Mapping[str, Array], network: Network, weights: Weights) -> Layers:
+    like = {"history": "history", "erm": "gbuffer"}.get(stage, "color")
     height, width = inputs[like].shape[-3:-1]
-    return Layers(network.device, weights, height, width, precision).run_stage(stage, inputs)
+    return Layers(network.device, weights, height, width, network.precision)

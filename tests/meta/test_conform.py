@@ -14,9 +14,12 @@ import pytest
 from click.testing import CliRunner
 
 from conformance.answers.expected import Expected, largest
+from conformance.answers.network import expect_layers
+from conformance.answers.port_arithmetic import Arithmetic
 from conformance.findings import DepartureError
 from conformance.judge import Judge, Tier
 from conformance.mistakes import find
+from conformance.protocol.layers import LAYERS_OF
 from conformance.run_suite import run_suite
 from stss.cli.main import stss
 from stss.conform.load_port import load_port
@@ -24,6 +27,7 @@ from stss.conform.own_ports import ReferencePort
 from stss.errors import InputError
 from stss.images.read_write import read_rgb
 from tests.fuzz.harness import call
+from tests.meta.samples import samples
 
 EXAMPLE = Path(__file__).parents[2] / "conformance" / "examples" / "cpp"
 WRONG = """
@@ -276,5 +280,12 @@ def test_the_example_in_cpp_passes(tmp_path):
     shutil.copytree(EXAMPLE, tmp_path / "cpp", ignore=shutil.ignore_patterns("port"))
     subprocess.run(["make", "-s"], cwd=tmp_path / "cpp", check=True)
     port = load_port(None, str(tmp_path / "cpp" / "port"), 60, None, False)
+    for stage, names in LAYERS_OF.items():
+        case = samples(stage)[0]
+        exact = {name: a.astype(np.float64) if a.dtype.kind == "f" else a for name, a in case.inputs.items()}
+        right = expect_layers(stage, exact, case.weights, Arithmetic())
+        layers = port.layers(stage, case.inputs, case.weights)
+        assert list(layers) == list(names)
+        assert max(largest(right[name], layers[name]) for name in names) <= 1
     results = run_suite(Judge(port, Tier("some", 12, 3)))
     assert not [f"{result.id}: {result.message}" for result in results if result.outcome != "passed"]

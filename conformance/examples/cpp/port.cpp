@@ -367,6 +367,15 @@ static float sigmoid(float x) {
     return (x >= 0.0f ? 1.0f : small) / (1.0f + small);
 }
 
+// What the layers give, for the judge to say where a wrong answer begins; nothing is kept unless a case asks for it (run_case).
+// Of a layer that runs for each of the three earlier frames there are three.
+static std::map<std::string, std::vector<Image>> *layers_asked = nullptr;
+
+static Image seen(const std::string &name, Image x) {
+    if (layers_asked) (*layers_asked)[name].push_back(x);
+    return x;
+}
+
 // conv(x) * sigmoid(gate(x)); ReLU, where there is one, comes after the product.
 static Image gated(const Image &x, const Weights &weights, const std::string &name, int stride = 1) {
     Image gate = conv(x, weights, name + ".conv_mask.0", stride);
@@ -378,8 +387,10 @@ static Image gated(const Image &x, const Weights &weights, const std::string &na
 static Image conv_chain(Image x, const Weights &weights, const std::string &name, const std::vector<int> &strides,
                         bool last_relu = true) {
     for (size_t i = 0; i < strides.size(); ++i) {
-        x = conv(x, weights, name + "." + std::to_string(2 * i), strides[i]);
+        const std::string layer = name + "." + std::to_string(2 * i);
+        x = conv(x, weights, layer, strides[i]);
         if (last_relu || i + 1 < strides.size()) x = relu(std::move(x));
+        x = seen(layer, std::move(x));
     }
     return x;
 }
@@ -464,21 +475,25 @@ static Image pad_to_8(const Image &x) {
 static Image history(std::vector<Image> frames, const Weights &weights) {
     for (Image &x : frames)
         for (const char *name : {"convHis1", "convHis2", "convHis3"}) x = conv_chain(std::move(x), weights, name, {2, 1, 1});
-    return gated(concat({&frames[0], &frames[1], &frames[2]}), weights, "lowlevelGated");  // no ReLU
+    return seen("lowlevelGated", gated(concat({&frames[0], &frames[1], &frames[2]}), weights, "lowlevelGated"));  // no ReLU
 }
 
 // ---- Stage encoder ----
 
+static Image gated_relu(const Image &x, const Weights &weights, const std::string &name) {
+    return seen(name, relu(gated(x, weights, name)));
+}
+
 static Image down(const Image &x, const Weights &weights, const std::string &name) {
-    const Image half = gated(x, weights, name + ".downsample", 2);  // no ReLU
-    return relu(gated(relu(gated(half, weights, name + ".conv1")), weights, name + ".conv2"));
+    const Image half = seen(name + ".downsample", gated(x, weights, name + ".downsample", 2));  // no ReLU
+    return gated_relu(gated_relu(half, weights, name + ".conv1"), weights, name + ".conv2");
 }
 
 // Gives x1, x2, x3, x4: at full, 1/2, 1/4 and 1/8 size.
 static std::array<Image, 4> encoder(const Image &color, const Image &gbuffer, const Image &mask, const Weights &weights) {
     const Image trusted = times_mask(color, mask);  // all six channels
     const Image x = concat({&color, &trusted, &gbuffer});
-    const Image x1 = relu(gated(relu(gated(x, weights, "conv1")), weights, "conv2"));
+    const Image x1 = gated_relu(gated_relu(x, weights, "conv1"), weights, "conv2");
     const Image x2 = down(x1, weights, "down1"), x3 = down(x2, weights, "down2"), x4 = down(x3, weights, "down3");
     return {x1, x2, x3, x4};
 }
@@ -532,7 +547,7 @@ static Image decoder(const Image &reshaded, const Image &feature, const Image &x
         u = upsample_corners(u);
         u = conv_chain(concat({skip, &u}), weights, name + ".conv.double_conv", {1, 1});
     }
-    Image image = pixel_shuffle(conv(u, weights, "outc", 1));
+    Image image = pixel_shuffle(seen("outc", conv(u, weights, "outc", 1)));
     if (image.channels != 3) refuse(weights.file, "outc.weight: expected 12 outputs");
     const Image base = upsample_centres(some_channels(color, 0, 3));
     for (size_t i = 0; i < image.data.size(); ++i) image.data[i] += base.data[i];
@@ -547,7 +562,8 @@ static Image network(const Image &color, const Image &gbuffer, const Image &mask
     const Image c = pad_to_8(color), g = pad_to_8(gbuffer), m = pad_to_8(mask);
     const auto [x1, x2, x3, x4] = encoder(c, g, m, weights);
     const Image feature = history({pad_to_8(frames[0]), pad_to_8(frames[1]), pad_to_8(frames[2])}, weights);
-    const Image padded = decoder(erm(x4, g, m, weights), feature, x1, x2, x3, c, weights);
+    const Image reshaded = seen("reshaded", erm(x4, g, m, weights));
+    const Image padded = decoder(reshaded, feature, x1, x2, x3, c, weights);
     Image image(2 * color.height, 2 * color.width, 3);
     each_pixel(image, [&](int y, int x) { std::copy_n(padded.at(y, x), 3, image.at(y, x)); });
     return image;
@@ -591,6 +607,9 @@ static Image frame(const FrameInputs &in, const Weights &weights) {
         }
         frames.insert(frames.begin(), concat({&warped, &trust}));
     }
+    seen("color", color);
+    seen("mask", mask);
+    for (const Image &x : frames) seen("history", x);
     return network(color, in.gbuffer, mask, frames, weights);
 }
 
@@ -935,6 +954,15 @@ static const std::map<std::string, void (*)(Case &)> STAGES = {
 
 // ---- The job ----
 
+static void write_layer(const fs::path &path, const std::vector<Image> &images) {
+    Shape shape{size_t(images[0].height), size_t(images[0].width)};
+    if (images[0].channels > 1) shape.push_back(images[0].channels);
+    if (images.size() > 1) shape.insert(shape.begin(), images.size());
+    std::vector<float> numbers;
+    for (const Image &image : images) numbers.insert(numbers.end(), image.data.begin(), image.data.end());
+    write_npy(path, shape, numbers);
+}
+
 static void run_case(const fs::path &folder) {
     std::string stage = read_file(folder / "stage");
     stage.erase(stage.find_last_not_of(" \t\r\n") + 1);
@@ -942,9 +970,15 @@ static void run_case(const fs::path &folder) {
         refuse(folder / "stage", "expected one line, the name of a stage");
     Case job(folder);
     const auto found = STAGES.find(stage);
-    if (found != STAGES.end()) found->second(job);
     // A stage of a later version is no error.
-    else if (!std::ofstream(folder / "unsupported")) refuse(folder / "unsupported", "cannot be written");
+    if (found == STAGES.end()) {
+        if (!std::ofstream(folder / "unsupported")) refuse(folder / "unsupported", "cannot be written");
+        return;
+    }
+    std::map<std::string, std::vector<Image>> layers;
+    layers_asked = fs::is_directory(folder / "layers") ? &layers : nullptr;
+    found->second(job);
+    for (const auto &[name, images] : layers) write_layer(folder / "layers" / (name + ".npy"), images);
 }
 
 static void run_job(const fs::path &job) {

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: MIT
+"""Where inside a stage a wrong answer begins: the first of the port's layers that departs from the reference's."""
+
+from __future__ import annotations
+
+from conformance.answers.expected import largest
+from conformance.answers.network import expect_layers
+from conformance.findings import Finding, said
+from conformance.judge import Judge
+from conformance.protocol.layers import LAYERS_OF, check_layers
+from conformance.protocol.port import Outputs, PortError
+from stss_ref.arrays import ArrayError
+
+ASKED_FOR = ("network", "frame")
+"""Stages of many layers: a port that hands over none is told that it could."""
+
+
+def first_departure(judge: Judge, finding: Finding) -> str:
+    """Words on the first layer that departs; empty where the stage has none, or the port hands over none."""
+    case = finding.case
+    specs = LAYERS_OF.get(case.stage, {})
+    if not specs or case.weights is None:
+        return ""
+    try:
+        got = _handed_over(judge, finding)
+    except (ArrayError, PortError) as error:
+        return f"its layers cannot be read: {error}"
+    if not got:
+        return "it hands over no layers, of which the first that departs would be named" if case.stage in ASKED_FOR else ""
+    right = expect_layers(case.stage, judge.exactly(case.inputs, case.stage), case.weights, judge.arithmetic)
+    there = [name for name in specs if name in got]
+    for i, name in enumerate(there):
+        if (worst := largest(right[name], got[name])) > 1:
+            before = f"; the {i} before it are right" if i > 1 else f"; {there[0]} before it is right" if i else ""
+            return f"first departs at layer {said(name, got[name], right[name], worst)}{before}"
+    return f"none of the {len(there)} layers that it hands over departs"
+
+
+def _handed_over(judge: Judge, finding: Finding) -> Outputs:
+    """By name; nothing of a port that cannot."""
+    case, port = finding.case, judge.port
+    ask = getattr(port, "layers", None)
+    if ask is None or case.weights is None:
+        return {}
+    inputs = {name: array.copy() for name, array in case.inputs.items()}
+    try:
+        got: Outputs = ask(case.stage, inputs, {name: tensor.copy() for name, tensor in case.weights.items()})
+        check_layers(case.stage, got, case.inputs)
+    except (ArrayError, PortError):
+        raise
+    except Exception as error:
+        # A port is a stranger.
+        raise PortError(f"{type(error).__name__}: {error}") from error
+    return got

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: MIT
+"""What a port may hand over from inside a stage, so that the judge can say where a wrong answer begins: its layers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+
+import numpy as np
+
+from conformance.protocol.array_specs import ArraySpec, Described, Label, array_spec, check_shapes
+from conformance.protocol.port import Arrays, Outputs
+from conformance.protocol.stages import check_inputs, reference
+from stss_ref.arrays import ArrayError
+from stss_ref.watch import Seen, watched
+from stss_ref.weights import LAYERS, Layer, Weights
+
+_GIVEN = {"color": "H W 6", "mask": "H W", "history": "3 H W 4"}
+"""What stage ``frame`` makes for the network; not yet padded."""
+PADDED = ("network", "frame")
+"""Stages that take frames of any size, and pad them to multiples of 8 inside."""
+
+
+def _stage_of(layer: Layer) -> str:
+    if layer.component != "backbone":
+        return layer.component
+    return "decoder" if layer.name.startswith(("up", "outc")) else "encoder"
+
+
+def _spec(layer: Layer) -> ArraySpec:
+    over = f"/{layer.divisor}" if layer.divisor > 1 else ""
+    return array_spec(f"{'3 ' if layer.repeats == 3 else ''}H{over} W{over} {layer.outputs}")
+
+
+def _specs(stages: Sequence[str]) -> dict[str, ArraySpec]:
+    return {layer.name: _spec(layer) for layer in LAYERS if _stage_of(layer) in stages}
+
+
+_WHOLE = {
+    **_specs(("encoder", "history", "erm")),
+    "reshaded": array_spec("H/8 W/8 64"),
+    **_specs(("decoder",)),
+}
+LAYERS_OF: Mapping[str, Mapping[str, ArraySpec]] = {
+    "history": _specs(("history",)),
+    "encoder": _specs(("encoder",)),
+    "erm": _specs(("erm",)),
+    "decoder": _specs(("decoder",)),
+    "network": _WHOLE,
+    "frame": {**{name: array_spec(text) for name, text in _GIVEN.items()}, **_WHOLE},
+}
+"""Of each stage that has any, in the order of computation: names and shapes. Each as the next layer reads it: behind gate and ReLU."""
+
+
+Watched = Callable[[], AbstractContextManager[Seen]]
+"""``stss_ref.watch.watched``, of the reference or of a copy of it."""
+
+
+def reference_layers(stage: str, inputs: Arrays, weights: Weights) -> Outputs:
+    """What the reference computes in the layers of ``stage``, in the dtype of the inputs; errors as `reference`."""
+    with watched() as seen:
+        reference(stage, inputs, weights)
+    return chosen(stage, seen)
+
+
+def chosen(stage: str, seen: Seen) -> Outputs:
+    """Of all that was seen, the layers of a stage."""
+    found: Outputs = {}
+    for name in LAYERS_OF.get(stage, {}):
+        if arrays := seen.arrays.get(name):
+            found[name] = np.ascontiguousarray(np.stack(arrays) if len(arrays) > 1 else arrays[0])
+    return found
+
+
+def check_layers(stage: str, layers: Mapping[str, Described], inputs: Arrays, label: Label = str) -> None:
+    """Say that ``layers`` are some of a stage's, of the right shapes, in float32.
+
+    Raises:
+        ArrayError: one is not.
+    """
+    specs, sizes = LAYERS_OF.get(stage, {}), check_inputs(stage, inputs)
+    padded = {letter: -(-size // 8) * 8 for letter, size in sizes.items()} if stage in PADDED else sizes
+    for name, array in layers.items():
+        if name not in specs:
+            raise ArrayError(f"{label(name)}: not a layer of stage {stage}")
+        check_shapes({name: specs[name]}, {name: array}, sizes if name in _GIVEN else padded, "float32", label)

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: MIT
+"""What the backend hands over of its layers: right by the judge's bounds, in the table's shapes."""
+
+import numpy as np
+import pytest
+
+from conformance.answers.expected import largest
+from conformance.answers.network import expect_layers
+from conformance.answers.port_arithmetic import Arithmetic
+from conformance.protocol.layers import LAYERS_OF, check_layers
+from stss.conform.own_ports import OpenCLPort
+from tests.meta.samples import samples
+
+FUSED = {"up3.conv.double_conv.2", "outc"}
+"""One launch with the image, or two with it."""
+
+
+@pytest.mark.parametrize("precision", ["float32", "float32-direct", "half"])
+@pytest.mark.parametrize("stage", ["history", "encoder", "erm", "decoder", "network"])
+def test_layers(device, stage, precision):
+    case, port = samples(stage)[0], OpenCLPort(precision)
+    layers = port.layers(stage, case.inputs, case.weights)
+    check_layers(stage, layers, case.inputs)
+    assert set(LAYERS_OF[stage]) - set(layers) <= FUSED
+    exact = {name: a.astype(np.float64) for name, a in case.inputs.items()}
+    right = expect_layers(stage, exact, case.weights, Arithmetic(port.dtype, port.winograd))
+    assert max(largest(right[name], layer) for name, layer in layers.items()) <= 1
+
+
+def test_the_whole_frame_hands_over_none(device):
+    case = samples("frame")[0]
+    assert OpenCLPort().layers("frame", case.inputs, case.weights) == {}

@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: MIT
+"""A mistake in one layer is looked for in that layer, whoever hands the layers over and however few."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from conformance.answers.expected import largest
+from conformance.answers.network import expect_layers
+from conformance.answers.port_arithmetic import Arithmetic
+from conformance.findings import DepartureError
+from conformance.first_layer import first_departure
+from conformance.judge import Judge, Tier
+from conformance.mistakes.variants import load
+from conformance.protocol import FolderPort, PortError
+from conformance.protocol.job_folder import read_layers, write_job
+from conformance.protocol.job_tree import JobError, open_folder
+from conformance.protocol.layers import LAYERS_OF, check_layers, reference_layers
+from conformance.run_suite import run_suite
+from stss.conform.own_ports import ReferencePort, run_job
+from stss_ref.arrays import ArrayError
+from stss_ref.weights import LAYERS
+from tests.meta.samples import samples
+
+NAMES = [layer.name for layer in LAYERS]
+
+
+def as_float64(inputs):
+    return {name: a.astype(np.float64) if a.dtype.kind == "f" else a for name, a in inputs.items()}
+
+
+class Mangled(ReferencePort):
+    """The reference, with the taps of one layer's window upside down, or in ``outc``, which has no window, its outputs."""
+
+    def __init__(self, layer, only=None):
+        self.layer, self.only = layer, only
+
+    def _given(self, weights):
+        names = [name for name in weights if name.startswith(f"{self.layer}.") and name.endswith("weight") and "mask" not in name]
+        return {**weights, **{name: weights[name][::-1] if self.layer == "outc" else weights[name][:, :, ::-1] for name in names}}
+
+    def run(self, stage, inputs, weights=None):
+        return super().run(stage, inputs, self._given(weights))
+
+    def layers(self, stage, inputs, weights=None):
+        found = super().layers(stage, inputs, self._given(weights))
+        return found if self.only is None else {name: found[name] for name in self.only}
+
+
+def words(port, stage="network", sample=0):
+    case, judge = samples(stage)[sample], Judge(port)
+    with pytest.raises(DepartureError) as caught:
+        judge.agrees(stage, case.inputs, case.weights)
+    return first_departure(judge, caught.value.finding)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_layer_is_named_where_the_mistake_is_in_it(name):
+    said = words(Mangled(name))
+    assert said.startswith(f"first departs at layer {name}: error / bound ")
+    assert ("before it" in said) == (name != NAMES[0])
+
+
+def test_of_few_layers_the_first_behind_the_mistake_is_named():
+    few = ["conv1", "down2.downsample", "up1.conv.double_conv.0"]
+    said = words(Mangled("down1.conv2", few))
+    assert said.startswith("first departs at layer down2.downsample: ")
+    assert said.endswith("; conv1 before it is right")
+
+
+def test_what_the_network_is_given_comes_first():
+    """A mistake before the network: the history of stage frame in the wrong order."""
+    port = load("reversed", [("frame.py", "history[::-1]", "history")])
+    assert words(port, "frame").startswith("first departs at layer history: ")
+
+
+def test_what_lies_behind_all_layers_is_not_one_of_them():
+    """The decoder's base upsampled on the wrong grid: every layer is right."""
+    port = load("base", [("decoder.py", "upsample_centres(color[..., :3])", "upsample_corners(color[..., :3])")])
+    assert words(port) == "none of the 35 layers that it hands over departs"
+
+
+class Silent(Mangled):
+    def layers(self, stage, inputs, weights=None):
+        return {}
+
+
+class Misshapen(Mangled):
+    def layers(self, stage, inputs, weights=None):
+        return {"conv1": np.zeros((1, 1, 24), np.float32)}
+
+
+class Broken(Mangled):
+    def layers(self, stage, inputs, weights=None):
+        raise ZeroDivisionError("no such buffer")
+
+
+def test_a_port_may_hand_over_none():
+    assert words(Silent("conv1"), "encoder") == ""
+    assert words(Silent("conv1")).startswith("it hands over no layers")
+
+
+def test_wrong_layers_are_said_to_be():
+    assert words(Misshapen("conv1")).startswith("its layers cannot be read: conv1: expected shape (16, 24, 24), got (1, 1, 24)")
+    assert words(Broken("conv1")) == "its layers cannot be read: ZeroDivisionError: no such buffer"
+
+
+def test_the_judge_says_it():
+    """In the message of the test that fails, with what the whole looks like."""
+    results = run_suite(Judge(Mangled("down1.conv1"), Tier("some", 3, 3)), ["encoder"], first_only=True)
+    failed = next(result for result in results if result.outcome == "failed")
+    assert "; first departs at layer down1.conv1: " in failed.message
+    assert "looks like" in failed.message
+
+
+@pytest.mark.parametrize("stage", LAYERS_OF)
+def test_the_reference_hands_over_all_in_order(stage):
+    """Of the table's shapes; and float32 is right by the judge's own bounds."""
+    case = samples(stage)[0]
+    found = reference_layers(stage, case.inputs, case.weights)
+    assert list(found) == list(LAYERS_OF[stage])
+    check_layers(stage, found, case.inputs)
+    right = expect_layers(stage, as_float64(case.inputs), case.weights, Arithmetic())
+    assert max(largest(right[name], found[name]) for name in found) <= 1
+
+
+def test_every_layer_of_the_table_belongs_to_one_stage():
+    parts = [name for stage in ("encoder", "history", "erm", "decoder") for name in LAYERS_OF[stage]]
+    assert sorted(parts) == sorted(NAMES)
+    assert [name for name in LAYERS_OF["network"] if name != "reshaded"] == NAMES
+
+
+PROGRAM = [sys.executable, "-m", "stss", "port"]
+
+
+def test_a_program_hands_them_over_when_asked():
+    case = samples("encoder")[0]
+    port = FolderPort(PROGRAM, 60)
+    found = port.layers("encoder", case.inputs, case.weights)
+    want = reference_layers("encoder", case.inputs, case.weights)
+    assert list(found) == list(want)
+    assert all(np.array_equal(found[name], want[name]) for name in want)
+
+
+def test_dump(tmp_path):
+    """Without the judge's folder, and not where it is not asked for; what an earlier run left goes."""
+    case = samples("history")[0]
+    write_job(tmp_path, [case, samples("warp")[0]])
+    run_job(tmp_path, "ref")
+    assert not (tmp_path / "0000" / "layers").exists()
+    subprocess.run([*PROGRAM, "--dump", str(tmp_path)], check=True)
+    assert len(list((tmp_path / "0000" / "layers").iterdir())) == 10
+    assert not (tmp_path / "0001" / "layers").exists()
+    np.save(tmp_path / "0000" / "layers" / "conv1.npy", np.zeros(3))
+    run_job(tmp_path, "ref")
+    assert not (tmp_path / "0000" / "layers" / "conv1.npy").exists()
+
+
+def test_what_a_program_leaves_there_is_checked(tmp_path):
+    case = samples("history")[0]
+    write_job(tmp_path, [case], layers=True)
+    with open_folder(tmp_path) as job, job.folder("0000") as folder:
+        assert read_layers(folder, "history", case.inputs) == {}
+        np.save(tmp_path / "0000" / "layers" / "convHis1.0.npy", np.zeros((3, 2, 2, 24), np.float32))
+        with pytest.raises(JobError, match="expected shape"):
+            read_layers(folder, "history", case.inputs)
+        np.save(tmp_path / "0000" / "layers" / "conv1.npy", np.zeros(3, np.float32))
+        with pytest.raises(JobError, match="not a layer of stage history"):
+            read_layers(folder, "history", case.inputs)
+
+
+def test_a_program_that_fails_then_is_told_of():
+    case = samples("history")[0]
+    with pytest.raises(PortError):
+        FolderPort(["false"], 10).layers(case.stage, case.inputs, case.weights)
+
+
+def test_a_stage_without_layers_has_none():
+    with pytest.raises(ArrayError, match="conv1: not a layer of stage warp"):
+        check_layers("warp", {"conv1": np.zeros(1, np.float32)}, samples("warp")[0].inputs)
