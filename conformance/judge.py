@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from time import monotonic
@@ -33,8 +33,8 @@ MOST_BEFORE = 63
 """Cases that are remembered as those before a failure: with it, one start of a program."""
 SHRINK_SECONDS = 60.0
 """After which a failing case is as small as it gets."""
-MOST_WEIGHTS = 32
-"""Sets of weights that are remembered as the port is given them."""
+MOST_WEIGHTS = 128
+"""Sets of weights that are remembered as the port is given them: those of one test."""
 
 
 @dataclass(frozen=True)
@@ -91,11 +91,16 @@ class Judge:
         self.record = Record()
         self._before.clear()
 
-    def for_all(self, strategy: st.SearchStrategy[Any], body: Body, *, dear: bool = False) -> None:
+    def for_all(
+        self, strategy: st.SearchStrategy[Any], body: Body, *, dear: bool = False, drawn: Sequence[Any] | None = None
+    ) -> None:
         """Run ``body`` on cases of ``strategy``, towards larger errors.
 
         A port that takes its cases beforehand (``conformance.rehearsal``) is not steered: they must not depend on its answers.
+        So they are ``drawn`` already, and only when one of them fails are they drawn again, to be made smaller.
         """
+        if drawn is not None and self._all_right(body, drawn):
+            return
         steered = not hasattr(self.port, "prepare") and not self.certified
         phases = [Phase.explicit, Phase.generate, *([Phase.target] if steered else []), *([Phase.shrink] if self.shrink else [])]
         failed_at, failing = 0.0, set[bytes]()
@@ -115,6 +120,17 @@ class Judge:
                     hypothesis.target(worst, label=output)
 
         self.draw(strategy, run, phases, dear=dear)
+
+    def _all_right(self, body: Body, drawn: Sequence[Any]) -> bool:
+        try:
+            for case in drawn:
+                self.check(body, case)
+        except DepartureError:
+            if not self.shrink:
+                raise
+            self.begin()
+            return False
+        return True
 
     def check(self, body: Body, case: Any) -> None:
         """Run a property on one case of it; what fails is in the record."""

@@ -10,7 +10,9 @@ import hashlib
 import shutil
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,10 +21,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
-from conformance.judge import Body, Judge
+from conformance.judge import MOST_WEIGHTS, Body, Judge
 from conformance.protocol.array_specs import Sizes
 from conformance.protocol.port import Arrays, Case, Outputs, PortError, Unsupported
-from conformance.protocol.program_port import FolderPort
+from conformance.protocol.program_port import FolderPort, remove_tree
 from conformance.protocol.stages import STAGES, check_inputs
 from stss_ref.weights import Weights
 
@@ -42,6 +44,9 @@ class PreparedPort:
 
     def __init__(self, program: FolderPort):
         self.program = program
+        # Beside the judging: some file systems take milliseconds for each folder.
+        removing = ThreadPoolExecutor(1)
+        program.remove = partial(removing.submit, remove_tree)
         self.name, self.dtype = program.name, program.dtype
         self.answers: dict[bytes, list[Outputs]] = {}
         self.failed: dict[bytes, _FailedStart] = {}
@@ -132,10 +137,31 @@ def _batches(cases: Sequence[Case]) -> list[list[Case]]:
 def digest(case: Case) -> bytes:
     """Of all that a port is given; the same for the same case."""
     digested = hashlib.blake2b(case.stage.encode())
-    for name, array in [*case.inputs.items(), *(case.weights or {}).items()]:
-        digested.update(f"{name}{array.shape}{array.dtype}".encode())
-        digested.update(np.ascontiguousarray(array).data)
+    _take(digested, case.inputs)
+    if case.weights is not None:
+        digested.update(_digest_of_weights(case.weights))
     return digested.digest()
+
+
+def _take(digested: Any, arrays: Arrays) -> None:
+    for name, array in arrays.items():
+        digested.update(f"{name}{array.shape}{array.dtype.str}".encode())
+        digested.update(np.ascontiguousarray(array).data)
+
+
+_WEIGHTS: dict[int, tuple[Weights, bytes]] = {}
+"""Digests of weights by their identity; they are kept alive, so that it stays theirs."""
+
+
+def _digest_of_weights(weights: Weights) -> bytes:
+    """The judge gives the same object for the same weights, and changes none."""
+    if id(weights) not in _WEIGHTS:
+        if len(_WEIGHTS) == MOST_WEIGHTS:
+            _WEIGHTS.clear()
+        digested = hashlib.blake2b()
+        _take(digested, weights)
+        _WEIGHTS[id(weights)] = weights, digested.digest()
+    return _WEIGHTS[id(weights)][1]
 
 
 class Rehearsal(Judge):
@@ -148,7 +174,7 @@ class Rehearsal(Judge):
     def __init__(self, judge: Judge, port: PreparedPort):
         super().__init__(judge.port, judge.tier, judge.seed, repeat=judge.repeat)
         self.missing: dict[tuple[int, bytes], Case] = {}
-        self._prepared = port
+        self._prepared, self._weights = port, judge._weights
         self._asked: Counter[bytes] = Counter()
 
     def asks_more(self, body: Body, drawn: Any) -> bool:
@@ -191,12 +217,14 @@ def _zeros(stage: str, sizes: Sizes) -> Outputs:
     return {name: np.zeros(spec.shape(sizes), kinds[spec.kind]) for name, spec in STAGES[stage].outputs.items()}
 
 
-def rehearse(judge: Judge, strategy: st.SearchStrategy[Any], body: Body, *, dear: bool = False) -> None:
-    """Have the answers ready that ``judge.for_all`` will ask a program for."""
-    if isinstance(judge.port, PreparedPort):
-        drawn: list[Any] = []
-        judge.draw(strategy, drawn.append, [Phase.generate], dear=dear)
-        prepare(judge, drawn, body)
+def rehearse(judge: Judge, strategy: st.SearchStrategy[Any], body: Body, *, dear: bool = False) -> list[Any] | None:
+    """Have the answers ready that ``judge.for_all`` will ask a program for; the cases, or None: it is no program."""
+    if not isinstance(judge.port, PreparedPort):
+        return None
+    drawn: list[Any] = []
+    judge.draw(strategy, drawn.append, [Phase.generate], dear=dear)
+    prepare(judge, drawn, body)
+    return drawn
 
 
 def prepare(judge: Judge, drawn: Sequence[Any], body: Body) -> None:

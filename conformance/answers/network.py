@@ -56,7 +56,8 @@ def _spread(compute: Callable[[Weights], Outputs], weights: Weights, arithmetic:
     exact = astype(weights, np.dtype(np.float64))
     truth = compute(exact)
     random = np.random.default_rng(0)
-    runs = [compute(_changed(exact, arithmetic, random)) for _ in range(RUNS)]
+    changes = _changes(exact, arithmetic)
+    runs = [compute(_changed(exact, changes, random)) for _ in range(RUNS)]
     opened = compute(_opened(exact))
     expected: dict[str, Expected] = {}
     for name, want in truth.items():
@@ -83,17 +84,21 @@ def layer_change(terms: int, arithmetic: Arithmetic) -> float:
     return change
 
 
-def _changed(weights: Weights, arithmetic: Arithmetic, random: np.random.Generator) -> Weights:
-    changed: Weights = {}
+def _changes(weights: Weights, arithmetic: Arithmetic) -> Weights:
+    """By how much each number of the weights may be changed."""
+    changes: Weights = {}
     for name, tensor in weights.items():
         layer = weights[name.replace(".bias", ".weight")]
         size = layer_change(int(np.prod(layer.shape[1:])), arithmetic)
         # Winograd mixes the taps of a window, so that one of them bears the others' roundings.
-        scale = np.abs(tensor).max(axis=(2, 3), keepdims=True) if arithmetic.winograd and tensor.ndim == 4 else tensor
-        changed[name] = tensor + scale * size * random.uniform(-1, 1, tensor.shape)
-        if name.endswith(".bias"):
-            changed[name] += arithmetic.spacing * random.uniform(-1, 1, tensor.shape)
-    return changed
+        whole = arithmetic.winograd and tensor.ndim == 4
+        scale = np.abs(tensor).max(axis=(2, 3), keepdims=True) if whole else np.abs(tensor)
+        changes[name] = scale * size + (arithmetic.spacing if name.endswith(".bias") else 0)
+    return changes
+
+
+def _changed(weights: Weights, changes: Weights, random: np.random.Generator) -> Weights:
+    return {name: tensor + changes[name] * (2 * random.random(tensor.shape, np.float32) - 1) for name, tensor in weights.items()}
 
 
 def _opened(weights: Weights) -> Weights:

@@ -56,7 +56,7 @@ class Arithmetic:
 
     def rounded(self, x: NDArray[Any], most: float | None = None) -> NDArray[Any]:
         """``x`` as float32 numbers that the port holds: the nearest, finite where ``x`` is, at most ``most``; other kinds as they are."""
-        if x.dtype.kind != "f":
+        if x.dtype.kind != "f" or (most is None and x.dtype == np.float32 and self.dtype == "float32"):
             return np.ascontiguousarray(x)
         most = float(np.finfo(self.dtype).max) if most is None else most
         with np.errstate(over="ignore"):

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import select
 import signal
 import subprocess
 import time
@@ -59,13 +60,28 @@ def run_alone(command: Sequence[str], out: BinaryIO, err: BinaryIO, timeout: flo
     end = time.monotonic() + timeout
     try:
         while status is None and not talked and (left := end - time.monotonic()) > 0:
-            with suppress(subprocess.TimeoutExpired):
-                status = process.wait(min(left, _LOOK))
+            status = _waited(process, min(left, _LOOK))
             talked = max(os.fstat(file.fileno()).st_size for file in (out, err)) > MOST_SAID
         left_behind = _left(process.pid, GRACE) if status is not None else 0
     finally:
         _stop(process)
     return Ending(None if talked else status, talked, left_behind, _tail(err))
+
+
+def _waited(process: subprocess.Popen[bytes], seconds: float) -> int | None:
+    """Its status as soon as it has one; None: it still runs. ``Popen.wait`` looks every 50 ms only."""
+    with suppress(OSError, AttributeError):
+        handle = os.pidfd_open(process.pid)
+        try:
+            ended = select.poll()
+            ended.register(handle, select.POLLIN)
+            ended.poll(seconds * 1000)
+            return process.poll()
+        finally:
+            os.close(handle)
+    with suppress(subprocess.TimeoutExpired):
+        return process.wait(seconds)
+    return None
 
 
 def _left(leader: int, grace: float) -> int:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
@@ -19,6 +20,9 @@ from conformance.protocol.stages import STAGES, check_inputs
 from stss_ref.weights import Weights, zeros
 
 T = TypeVar("T")
+MEMORY = Path("/dev/shm")
+ROOM, LEAST_ROOM = 4, 512 * 2**20
+"""Times the inputs of a job, and bytes, that must be free in memory for a job to lie there."""
 PROBED = ((8, 8), (72, 136))
 """(H, W) at which a program is asked for its stages."""
 
@@ -34,6 +38,7 @@ class FolderPort:
         dtype: the program's arithmetic; the files are float32 in any case.
         stderr: the end of what the program's last run wrote there.
         kept: the job folder of its last run that failed, if any.
+        remove: what removes a job folder; one that does so later must do it in the end.
     """
 
     def __init__(self, command: Sequence[str], timeout: float, dtype: str = DTYPE):
@@ -48,6 +53,7 @@ class FolderPort:
         self.dtype = dtype
         self.stderr = ""
         self.kept: Path | None = None
+        self.remove: Callable[[Path], object] = remove_tree
         self._command = list(command)
         self._timeout = timeout
         self._stages: frozenset[str] | None = None
@@ -95,7 +101,7 @@ class FolderPort:
 
     def _computed(self, cases: Sequence[Case], read: Callable[[Folder, int], T], *, layers: bool = False) -> list[T]:
         """Start the program on a job of ``cases``, and ``read`` what it left in the folder of each."""
-        job = Path(tempfile.mkdtemp(prefix="stss-job-"))
+        job = Path(tempfile.mkdtemp(prefix="stss-job-", dir=place_for(cases)))
         with open_folder(job) as folder:
             failed = False
             try:
@@ -116,7 +122,7 @@ class FolderPort:
             finally:
                 # What lies there by now may be somebody else's.
                 if not failed and folder.in_place():
-                    shutil.rmtree(job, ignore_errors=True)
+                    self.remove(job)
 
     def _start(self, job: Folder) -> None:
         """Run the program on ``job`` to its end."""
@@ -133,6 +139,24 @@ class FolderPort:
 
     def _said(self) -> str:
         return f"\n{self.stderr}" if self.stderr else ""
+
+
+def place_for(cases: Sequence[Case]) -> Path | None:
+    """Where to make a job: in memory where the system has a folder there with room, and nobody asked for another place.
+
+    Thousands of small files take longer on a disk than their numbers to compute. None: the usual place, as ``TMPDIR`` says.
+    """
+    needed = ROOM * sum(array.nbytes for case in cases for array in case.inputs.values()) + LEAST_ROOM
+    usual = tempfile.gettempdir() == "/tmp"
+    try:
+        return MEMORY if usual and os.access(MEMORY, os.W_OK) and shutil.disk_usage(MEMORY).free > needed else None
+    except OSError:
+        return None
+
+
+def remove_tree(job: Path) -> None:
+    """Remove a job folder, as far as that can be done."""
+    shutil.rmtree(job, ignore_errors=True)
 
 
 class _FailedError(Exception):

@@ -33,9 +33,9 @@ def cases(strategy: st.SearchStrategy[Any], *, dear: bool = False) -> Callable[[
     def decorate(body: Body) -> Callable[[Judge], None]:
         @wraps(body)
         def test(judge: Judge) -> None:
-            rehearse(judge, strategy, body, dear=dear)
+            drawn = rehearse(judge, strategy, body, dear=dear)
             with _confirmed(judge, body):
-                judge.for_all(strategy, body, dear=dear)
+                judge.for_all(strategy, body, dear=dear, drawn=drawn)
 
         return _as_test(test, body)
 

@@ -6,6 +6,7 @@ import time
 import numpy as np
 import pytest
 
+from conformance.protocol import program_port
 from conformance.protocol.port import Case, PortError
 from conformance.protocol.program_port import FolderPort
 from conformance.protocol.stages import reference
@@ -59,6 +60,22 @@ def test_a_right_program_leaves_nothing_behind(program, tmp_path):
     assert {name: array.tobytes() for name, array in got.items()} == {name: array.tobytes() for name, array in want.items()}
     assert port.stderr == "starting"
     assert not kept(tmp_path)
+
+
+def test_jobs_lie_in_memory_where_there_is_room(monkeypatch, tmp_path):
+    """Unless the user wants them elsewhere."""
+    some = [Case("warp", warp_inputs())]
+    monkeypatch.setattr(program_port, "MEMORY", tmp_path)
+    monkeypatch.setattr("tempfile.tempdir", "/tmp")
+    assert program_port.place_for(some) == tmp_path
+    monkeypatch.setattr(program_port, "ROOM", 2**60)
+    assert program_port.place_for(some) is None
+    monkeypatch.setattr(program_port, "ROOM", 4)
+    monkeypatch.setattr(program_port, "MEMORY", tmp_path / "nowhere")
+    assert program_port.place_for(some) is None
+    monkeypatch.setattr(program_port, "MEMORY", tmp_path)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "jobs"))
+    assert program_port.place_for(some) is None
 
 
 def test_no_cases_start_nothing():

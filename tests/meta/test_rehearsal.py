@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from hypothesis import strategies as st
 
 from conformance.findings import DepartureError
 from conformance.judge import Judge, Tier
@@ -9,7 +10,7 @@ from conformance.protocol.port import Case, PortError
 from conformance.protocol.stages import reference
 from conformance.rehearsal import PreparedPort, prepare, rehearse
 from conformance.run_suite import run_suite
-from conformance.suite.properties import find_property
+from conformance.suite.properties import cases, find_property
 
 
 class Program:
@@ -69,6 +70,34 @@ def test_a_job_that_fails_as_a_whole_is_a_failure_though_each_case_passes():
         judge.check(body, case)
     with pytest.raises(DepartureError, match=r"depends on the cases before: .* 40 in one job: ended by SIGSEGV"):
         judge.check(body, some[-1])
+
+
+def test_cases_are_drawn_once_unless_one_fails():
+    """Drawing takes as long as judging."""
+    draws = []
+
+    def counted(shape):
+        draws.append(shape)
+        return {"color": np.full((*shape, 1), 0.5), "motion": np.zeros((*shape, 2))}
+
+    strategy = st.tuples(st.integers(1, 9), st.integers(1, 9)).map(counted)
+
+    @cases(strategy)
+    def test(judge, case):
+        """Its frame has few columns."""
+        judge.run("warp", case)
+        if fails and case["color"].shape[1] > 5:
+            judge.same("warp.warped", case["color"], case["color"] + 1)
+
+    fails = False
+    test(Judge(PreparedPort(Program()), Tier("some", 40, 5)))
+    once = len(draws)
+    assert 30 <= once <= 60
+    fails = True
+    with pytest.raises(DepartureError):
+        test(Judge(PreparedPort(Program()), Tier("some", 40, 5)))
+    assert len(draws) > 2 * once
+    assert draws[-1] == (1, 6)
 
 
 def test_nothing_is_prepared_for_a_port_in_this_process():
