@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Mapping
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from types import ModuleType
@@ -108,11 +108,14 @@ class _Collector(Judge):
             return StoredTest(name, words, None, 0)
         return StoredTest(name, words, self._found, self._undecided)
 
-    def for_all(self, strategy: st.SearchStrategy[Any], body: Body, *, dear: bool = False) -> None:
+    def for_all(
+        self, strategy: st.SearchStrategy[Any], body: Body, *, dear: bool = False, drawn: Sequence[Any] | None = None
+    ) -> None:
         """Drawn first, so that the first case that no answer can be stored of ends the test."""
-        drawn: list[Any] = []
-        self.draw(strategy, drawn.append, [Phase.generate], dear=dear)
-        for case in drawn:
+        some: list[Any] = [*(drawn or ())]
+        if drawn is None:
+            self.draw(strategy, some.append, [Phase.generate], dear=dear)
+        for case in some:
             self.check(body, case)
 
     def agrees(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Outputs:
