@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""What a device cannot do; kept apart from pyopencl, so that catching it costs no import."""
+"""The error of devices; apart from pyopencl, so that catching it needs no import of it."""
 
 
 class DeviceError(RuntimeError):
-    """There is no such device, or it cannot do what is asked; the message is one line.
+    """There is no such device, or a device cannot do its task; the message is one line.
 
     Attributes:
         log: the compiler's log where a kernel did not build, else empty.

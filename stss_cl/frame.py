@@ -100,11 +100,11 @@ class Frame:
         return made, valid
 
     def expect(self, size: tuple[int, int]) -> None:
-        """Make what ``compute`` needs for planes of (height, width)."""
+        """Build in advance what ``compute`` needs for planes of (height, width)."""
         self._preparation(self.network.layers(*size))
 
     def compute(self, sources: Sources, size: tuple[int, int]) -> tuple[Any, NDArray[np.bool_]]:
-        """The same for planes of (height, width) that are on the device, and known to be finite."""
+        """Do the same for planes of (height, width) that are on the device and known to be finite."""
         layers = self.network.layers(*size)
         prepare = self._preparation(layers)
         prepare.start(sources, tops=[strip.top for strip in layers.strips])

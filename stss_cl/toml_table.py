@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""TOML files whose every key is checked: its type, its value, and that it is known."""
+"""Read TOML files and check every key: its type, its value, and that it is known."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ else:
 
 
 MAX_BYTES = 64 << 10
-"""Of a file; the tables here take three thousand."""
+"""Largest size of a file; ours have three thousand bytes."""
 
 
 MAX_DOTS = 200
-"""In a line; the parser's time grows with the cube of a dotted key's length."""
+"""Most dots in a line; the parser's time grows with the cube of a dotted key's length."""
 
 
 def read_toml(path: Path, error: Callable[[str], Exception]) -> Table:
-    """The top table of a file.
+    """Read the top table of a file.
 
     Args:
         path: a regular file of at most `MAX_BYTES`.
-        error: made of a message, and raised, where something is wrong: here and in what the table is asked for.
+        error: makes the exception to raise from a message, here and in the table's methods.
     """
     try:
         text = read_regular(path, MAX_BYTES).decode("utf-8")
@@ -47,7 +47,7 @@ def read_toml(path: Path, error: Callable[[str], Exception]) -> Table:
 
 
 class Table:
-    """A TOML table whose keys are taken one by one; what is left over at the end is unknown."""
+    """A TOML table whose keys are taken one by one; a key that is left at the end is unknown."""
 
     def __init__(self, path: Path, prefix: str, error: Callable[[str], Exception], table: dict[str, Any]):
         self.path, self.prefix, self.error, self.rest = path, prefix, error, dict(table)
@@ -65,21 +65,21 @@ class Table:
         return value
 
     def text(self, key: str) -> str:
-        """One line of text, not empty."""
+        """The value of a key that must be one line of text, not empty."""
         value = cast(str, self.take(key, "text", str))
         if not value or not value.isprintable():
             raise self.fail(key, "one line of text", value)
         return value
 
     def choice(self, key: str, choices: Collection[str]) -> Any:
-        """One of a few words."""
+        """The value of a key that must be one of ``choices``."""
         value = self.rest.pop(key, None)
         if value not in choices:
             raise self.fail(key, f"one of {', '.join(choices)}", value)
         return value
 
     def number(self, key: str, *, positive: bool = False, infinite: bool = False) -> float:
-        """A number, finite unless said."""
+        """The value of a key that must be a number, finite unless ``infinite``."""
         expected = "a number > 0" if positive else "a number"
         found = self.take(key, expected, (int, float))
         value = _float(found)
@@ -88,7 +88,7 @@ class Table:
         return value
 
     def numbers(self, key: str, count: int) -> tuple[float, ...]:
-        """A list of so many finite numbers."""
+        """The value of a key that must be a list of ``count`` finite numbers."""
         expected = f"{count} numbers"
         values = cast(list[Any], self.take(key, expected, list))
         if len(values) != count or not all(type(x) in (int, float) and math.isfinite(_float(x)) for x in values):
@@ -96,7 +96,7 @@ class Table:
         return tuple(float(x) for x in values)
 
     def names(self, key: str, count: int) -> tuple[tuple[str, ...], ...]:
-        """A list of lists of so many names."""
+        """The value of a key that must be a list of lists of ``count`` names."""
         expected = f"a list of lists of {count} names each"
         values = cast(list[Any], self.take(key, expected, list))
         for value in values:
@@ -107,13 +107,13 @@ class Table:
         return tuple(tuple(value) for value in values)
 
     def table(self, key: str, *, optional: bool = False) -> Table:
-        """A table within this one."""
+        """The table of a key; an empty one if it is ``optional`` and missing."""
         value = {} if optional and key not in self.rest else self.take(key, "a table", dict)
         self.rest.pop(key, None)
         return Table(self.path, f"{self.prefix}{key}.", self.error, value)
 
     def whole(self, key: str, most: int, *, divides: int | None = None) -> int:
-        """A whole number from 1 to ``most``, a divisor of ``divides``."""
+        """The value of a key that must be a whole number from 1 to ``most``, and a divisor of ``divides``."""
         value = self.rest.pop(key, None)
         if type(value) is not int or not 1 <= value <= most:
             raise self.fail(key, f"a whole number from 1 to {most}", value)
@@ -122,7 +122,7 @@ class Table:
         return value
 
     def flag(self, key: str) -> bool:
-        """True or false; false where it is not there."""
+        """The value of a key that must be true or false; false if it is missing."""
         return key in self.rest and cast(bool, self.take(key, "true or false", bool))
 
     def end(self, known: str = "") -> None:
@@ -132,7 +132,7 @@ class Table:
 
 
 def _float(value: float) -> float:
-    """As a float; NaN in place of a whole number that is too large for one."""
+    """``value`` as a float; NaN for a whole number that is too large for one."""
     try:
         return float(value)
     except OverflowError:
@@ -140,7 +140,7 @@ def _float(value: float) -> float:
 
 
 class _Shown(reprlib.Repr):
-    """Values of a stranger's file, cut short; ``repr`` itself fails for nested tables and for long whole numbers."""
+    """Shows values from files of unknown origin, cut short; ``repr`` itself fails for nested tables and long whole numbers."""
 
     def repr_int(self, x: int, level: int) -> str:
         del level

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Device buffers: activations in their frame of zeros, and arrays that come from and go to the caller without a copy where possible."""
+"""Device buffers: activations with a border of zeros, and the caller's arrays, without a copy where possible."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from stss_ref.arrays import Array, ArrayError, require_dtype
 FLAGS = cl.mem_flags
 
 SLACK = 16
-"""Pixels behind the last row, for strips that stick out over its end (kernels/common.clh)."""
+"""Pixels behind the last row, for strips that reach over its end (kernels/common.clh)."""
 
 
 HUGE_PAGE = 2 << 20
 ALIGNMENT = 16
-"""Bytes: where a ``float4`` may lie. A part of an array need not begin at such a place."""
+"""Alignment of a ``float4``; bytes. A part of an array need not begin at a multiple of it."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +31,11 @@ class Padded:
     """Activations (height, width, channels), channels last, inside a border of zeros (kernels/common.clh).
 
     Attributes:
-        data: the buffer; ``images`` of them one behind the other.
-        height, width, channels: of what it holds.
+        data: the buffer; it holds ``images`` images one behind the other.
+        height, width, channels: the shape of an image, without its border.
         dtype: float32, or float16 for half storage.
-        images: how many.
-        changes: its change map (kernels/change_map.clh), ``images`` of them one behind the other; None: it has none.
+        images: number of images.
+        changes: the change maps (kernels/change_map.clh) of the images, one behind the other; None: there are none.
     """
 
     data: cl.Buffer
@@ -74,7 +74,7 @@ def zeroed(device: Device, size: int) -> cl.Buffer:
 
 
 def whole_pages(size: int) -> int:
-    """What ``zeroed`` takes for ``size`` bytes, at most."""
+    """Most bytes that ``zeroed`` allocates for ``size`` bytes."""
     return size if size < HUGE_PAGE else -(-size // HUGE_PAGE) * HUGE_PAGE
 
 
@@ -92,7 +92,7 @@ def map_bytes(height: int, width: int, images: int = 1) -> int:
 def padded(
     device: Device, height: int, width: int, channels: int, dtype: np.dtype[Any], images: int = 1, changes: bool = False
 ) -> Padded:
-    """Allocate activations; all zero. ``changes``: with a change map of their own, nothing marked."""
+    """Allocate activations of zeros. ``changes``: with a change map, in which nothing is marked."""
     data = zeroed(device, padded_bytes(height, width, channels, dtype, images))
     marks = zeroed(device, map_bytes(height, width, images)) if changes else None
     return Padded(data, height, width, channels, dtype, images, marks)
@@ -100,7 +100,7 @@ def padded(
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the network reads, at H8, W8 = H, W rounded up to multiples of 8; ``input``'s change map is that of ``base``, too.
+    """The network's inputs, at H8, W8 = H, W rounded up to multiples of 8; ``input`` and ``base`` share a change map.
 
     Attributes:
         input: (H8, W8, 24) color 6, color * mask 6, gbuffer 9, zeros 3.
@@ -126,15 +126,15 @@ def inputs_for(device: Device, rows: int, columns: int, dtype: np.dtype[Any], ch
 
 
 FULL_MAPS, LEAST = 16, 1 << 16
-"""Full-sized maps a parent has room for; its least size, bytes."""
+"""Full-sized maps that a parent buffer has room for; its least size, bytes."""
 
 
 class ChangeMaps:
-    """Change maps that are cleared all at once: parts of few large buffers.
+    """Change maps that are cleared all at once: parts of a few large buffers.
 
     Args:
         device: to make them on.
-        height, width: of the largest.
+        height, width: size of the largest map's activations; pixels.
     """
 
     def __init__(self, device: Device, height: int, width: int):
@@ -145,7 +145,7 @@ class ChangeMaps:
         self._used = self._size
 
     def take(self, height: int, width: int) -> cl.Buffer:
-        """One more, for a buffer of this size."""
+        """Take one more map, for activations of this size."""
         size = map_bytes(height, width)
         if self._used + size > self._size:
             self._parents.append(cl.Buffer(self._device.context, FLAGS.READ_WRITE, self._size))
@@ -155,7 +155,7 @@ class ChangeMaps:
         return part
 
     def clear(self) -> None:
-        """Enqueue that nothing is marked."""
+        """Enqueue clearing all marks."""
         for parent in self._parents:
             cl.enqueue_fill_buffer(self._device.queue, parent, np.zeros(1, np.uint32), 0, self._size // 4 * 4)
 
@@ -165,7 +165,7 @@ class Counts:
 
     Args:
         device: to make them on.
-        most: how many are taken at most.
+        most: most numbers that are taken.
     """
 
     def __init__(self, device: Device, most: int):
@@ -173,12 +173,12 @@ class Counts:
         self._all, self._taken = zeroed(device, most * self._step), 0
 
     def take(self) -> cl.Buffer:
-        """One more, int32 (1)."""
+        """Take one more number, int32 (1)."""
         self._taken += 1
         return self._all.get_sub_region((self._taken - 1) * self._step, 4)
 
     def clear(self) -> None:
-        """Enqueue that all are 0."""
+        """Enqueue setting all numbers to 0."""
         cl.enqueue_fill_buffer(self._device.queue, self._all, np.zeros(1, np.int32), 0, self._all.size)
 
 
@@ -204,7 +204,7 @@ def constant(device: Device, array: NDArray[Any]) -> cl.Buffer:
 
 
 def on_device(device: Device, name: str, array: cla.Array) -> cl.Buffer:
-    """What an array holds that is on the device already: its buffer, or a part of it.
+    """The buffer of an array that is already on the device, or the part of a buffer that the array covers.
 
     Raises:
         ArrayError: it is not float32, or not C-contiguous.
@@ -217,7 +217,7 @@ def on_device(device: Device, name: str, array: cla.Array) -> cl.Buffer:
 
 
 def part(device: Device, buffer: cl.Buffer, first: int, size: int) -> cl.Buffer:
-    """Bytes ``first`` .. of a buffer: in place where the device lets a buffer begin there, else a copy."""
+    """The ``size`` bytes of a buffer from byte ``first`` on: in place where the device allows a buffer to begin there, else a copy."""
     if size and first % (device.handle.mem_base_addr_align // 8) == 0:
         return buffer.get_sub_region(first, size)
     made = cl.Buffer(device.context, FLAGS.READ_WRITE, size)
@@ -226,14 +226,14 @@ def part(device: Device, buffer: cl.Buffer, first: int, size: int) -> cl.Buffer:
 
 
 def incoming(device: Device, array: Array) -> cl.Buffer:
-    """The caller's array as a buffer: its own memory on a CPU where kernels can read it there, else a copy."""
+    """The caller's array as a buffer: in place on a CPU if its alignment allows that, else a copy."""
     in_place = device.is_cpu and array.flags.c_contiguous and array.ctypes.data % ALIGNMENT == 0
     how = FLAGS.USE_HOST_PTR if in_place else FLAGS.COPY_HOST_PTR
     return cl.Buffer(device.context, FLAGS.READ_ONLY | how, hostbuf=np.ascontiguousarray(array))
 
 
 class Outgoing:
-    """An array that a kernel writes, and may compare: NumPy's, filled in place on a CPU, or ``pyopencl.array``'s."""
+    """An array that a kernel writes: a NumPy array, filled in place on a CPU, or a ``pyopencl.array``."""
 
     def __init__(self, device: Device, shape: tuple[int, ...], *, on_device: bool):
         self._device, self._on_device = device, on_device
@@ -247,13 +247,13 @@ class Outgoing:
             self.data = cl.Buffer(device.context, FLAGS.READ_WRITE | how[0], size, hostbuf=how[1])
 
     def finish(self) -> Any:
-        """The array, complete; the queue has run dry, but for one on the device."""
+        """The complete array. Waits for the queue, unless the array is on the device."""
         if self._on_device:
             return self.array
         if not self._device.is_cpu:
             cl.enqueue_copy(self._device.queue, self.array, self.data)
             return self.array
-        # Mapping is what makes the device's writes visible in the host's memory.
+        # Only mapping makes the device's writes visible in the host's memory.
         mapped, _ = cl.enqueue_map_buffer(self._device.queue, self.data, cl.map_flags.READ, 0, self.array.shape, self.array.dtype)
         mapped.base.release(self._device.queue)
         self._device.queue.finish()

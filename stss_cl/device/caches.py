@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Folders for compiled kernels that nobody else can write to: what lies in them is loaded and executed."""
+"""Folders for compiled kernels, which no other user can write to, since their content is loaded and executed."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from pathlib import Path
 from stss_cl.errors import DeviceError
 
 LEAST_FREE = 32 << 20
-"""Bytes that must be free where kernels are kept: all of ours take about 10 MiB, and compilers do not survive a full disk."""
+"""Bytes that must be free in the cache: all of our kernels take about 10 MiB, and compilers crash on a full disk."""
 LONGEST = 512
-"""Characters of the home's path: PoCL ends the process where a path in its cache has more than 1023."""
+"""Most characters of the cache home's path: PoCL ends the process if a path in its cache has more than 1023."""
 
 WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
 def home() -> Path:
-    """``$XDG_CACHE_HOME``, or ``~/.cache``, links resolved; made if need be, a private temporary folder where it cannot serve.
+    """The cache home: ``$XDG_CACHE_HOME`` or ``~/.cache``, with links resolved, made if need be; else a private temporary folder.
 
     Raises:
         DeviceError: there is no place for a temporary folder either.
@@ -41,7 +41,7 @@ def home() -> Path:
 
 
 def is_temporary() -> bool:
-    """Whether what is compiled now is gone when the process ends, for want of a home that can be written to."""
+    """Whether compiled kernels are lost when the process ends, since no cache home can be written to."""
     where = home()
     return bool(_temporary.cache_info().currsize) and where == _temporary()
 
@@ -68,7 +68,7 @@ def private(*parts: str) -> Path:
 
 
 def keep(path: Path, data: bytes) -> None:
-    """Write a file of a private folder, whole or not at all; where that cannot be (a full disk, ...) there is none."""
+    """Write a file of a private folder, whole or not at all; if that fails (a full disk, ...) there is no file."""
     with suppress(OSError):
         handle, beside = tempfile.mkstemp(dir=path.parent, prefix=".")
         try:
@@ -80,7 +80,7 @@ def keep(path: Path, data: bytes) -> None:
 
 
 def read(path: Path, most: int) -> bytes | None:
-    """What ``keep`` wrote; None: no file of at most ``most`` bytes, but nothing, a link, a pipe, a folder."""
+    """Read what ``keep`` wrote; None if it is not there, has more than ``most`` bytes, or is a link, a pipe or a folder."""
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     try:
         with os.fdopen(os.open(path, flags), "rb") as file:
@@ -92,10 +92,10 @@ def read(path: Path, most: int) -> bytes | None:
 
 @contextmanager
 def pocl_cache(version: str) -> Generator[None]:
-    """PoCL keeps what it compiles in a private folder, one for each ``version`` of it, unless the user named one.
+    """Have PoCL store compiled kernels in a private folder, one for each ``version`` of PoCL, unless the user named a folder.
 
-    PoCL reads ``$POCL_CACHE_DIR`` when it is first asked for its devices and never again; the environment is put back
-    afterwards, for a child process may hold another PoCL.
+    PoCL reads ``$POCL_CACHE_DIR`` when it is first asked for its devices and never again; the environment is restored
+    afterwards, since a child process may load another PoCL.
     """
     _pin_threads()
     if "POCL_CACHE_DIR" in os.environ:
@@ -109,17 +109,17 @@ def pocl_cache(version: str) -> Generator[None]:
 
 
 def _pin_threads() -> None:
-    """Have PoCL keep each of its threads on a processor of its own, where this process may use all of them.
+    """Have PoCL pin each of its threads to a processor, if this process may use all processors.
 
-    Left alone, two of its threads were seen sharing one processor for whole seconds while another was idle: twice the time. Its
-    threads look at the environment when they start, whenever that is, so the variable stays.
+    Without that, two of its threads were seen sharing one processor for whole seconds while another was idle, which doubles the
+    time. The threads read the environment when they start, at an unknown moment, so the variable stays.
     """
     if hasattr(os, "sched_getaffinity") and len(os.sched_getaffinity(0)) == os.cpu_count():
         os.environ.setdefault("POCL_AFFINITY", "1")
 
 
 def _secure(folder: Path) -> bool:
-    """Refuse what another user made; take from others the right to write to what is ours. True: they had it."""
+    """Refuse a folder of another user, and take others' right to write from ours. Returns whether they had it."""
     if not hasattr(os, "getuid"):
         return False  # Windows: the profile's folder has its own access list
     found = folder.lstat()
@@ -145,7 +145,7 @@ def _empty(folder: Path) -> None:
 
 
 def _make(folder: Path) -> None:
-    """``mkdir -p`` with mode 0700 for each folder that is made, whatever the umask; ``mkdir(parents=True)`` opens the upper ones."""
+    """``mkdir -p`` with mode 0700 for each new folder under any umask; ``mkdir(parents=True)`` would open the upper ones to others."""
     for each in (*reversed(folder.parents), folder):
         if not each.exists():
             each.mkdir(mode=0o700, exist_ok=True)
@@ -161,7 +161,7 @@ def _user_home() -> Path:
 
 
 def _serves(folder: Path) -> bool:
-    """Whether there is a way to write here, and room."""
+    """Whether the folder can be written to and has room."""
     return (
         len(str(folder)) <= LONGEST
         and os.access(folder, os.R_OK | os.W_OK | os.X_OK)
@@ -170,9 +170,9 @@ def _serves(folder: Path) -> bool:
 
 
 def _refuse_others(folder: Path) -> None:
-    """Refuse a home that others rule: its owner, and all where all may write, could replace what lies in it.
+    """Refuse a home that another user owns or that all may write to: they could replace its content.
 
-    A group may be the user's own, so only "all" counts; root can do as it likes anyway.
+    A group may be the user's own, so only the right of all counts; root can replace anything anyway.
     """
     if not hasattr(os, "getuid"):
         return

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Choose an OpenCL device; every question about a device is answered here."""
+"""Choose an OpenCL device, and query its properties."""
 
 from __future__ import annotations
 
@@ -37,28 +37,28 @@ NO_DEVICE = "no OpenCL device: pip install 'pyopencl[pocl]' gives one that runs 
 generate_once()
 
 _process: list[int] = []
-"""The process that first used OpenCL, once there is one: what a driver starts then does not survive a fork."""
+"""The process that first used OpenCL, if any: a driver's threads do not survive a fork."""
 
 
 DeviceClass = Literal["cpu", "gpu"]
 CLASSES: tuple[DeviceClass, ...] = get_args(DeviceClass)
-"""``cpu``: work-items of a group run one after the other, and memory is the host's. ``gpu``: neither."""
+"""``cpu``: work-items of a group run one after the other, and memory is the host's. ``gpu``: neither is so."""
 
 
 MAKERS = {"nvidia": ("nvidia",), "amd": ("advanced micro devices", "amd"), "intel": ("intel",)}
-"""Parts of what devices say of their vendor."""
+"""Maker -> parts of the vendor's name in the device's properties."""
 
 
 class Properties:
-    """What a device says of itself, without opening it.
+    """A device's properties, queried without opening it.
 
     Args:
         handle: pyopencl's device.
-        device_class: of ``CLASSES``, as which it is treated whatever it is; None: ``$STSS_DEVICE_CLASS``, or else what it is.
+        device_class: of ``CLASSES``, to treat the device as that class; None: ``$STSS_DEVICE_CLASS``, or the device's own class.
 
     Attributes:
         handle: pyopencl's device.
-        device_class: decides host code, work-groups and the tuning row. Any device gives right results as either.
+        device_class: decides host code, work-groups and the tuning row. Any device gives right results as either class.
 
     Raises:
         DeviceError: there is no such class.
@@ -75,7 +75,7 @@ class Properties:
 
     @property
     def is_cpu(self) -> bool:
-        """Whether it is treated as a processor, see ``device_class``."""
+        """Whether it is treated as a CPU, see ``device_class``."""
         return self.device_class == "cpu"
 
     @property
@@ -90,7 +90,7 @@ class Properties:
 
     @property
     def maker(self) -> str:
-        """``nvidia``, ``amd``, ``intel``: whose tile sizes it takes; an empty text where it is no GPU, or not treated as one."""
+        """``nvidia``, ``amd`` or ``intel``, by which tile sizes are chosen; "" if it is not a GPU, or not treated as one."""
         if self.is_cpu or not self.is_gpu:
             return ""
         vendor = str(self.handle.vendor).lower()
@@ -98,7 +98,7 @@ class Properties:
 
     @property
     def has_fp16(self) -> bool:
-        """Whether kernels may compute in ``half``; loading and storing it needs no leave."""
+        """Whether kernels may compute in ``half``; all devices can load and store it."""
         return "cl_khr_fp16" in self.handle.extensions.split()
 
     @property
@@ -108,17 +108,17 @@ class Properties:
 
     @property
     def takes_prefetch(self) -> bool:
-        """Whether its compiler takes ``__builtin_prefetch``: those of rusticl 22.3 and Oclgrind 21.10 end the process."""
+        """Whether its compiler accepts ``__builtin_prefetch``; the compilers of rusticl 22.3 and Oclgrind 21.10 crash on it."""
         return not self.name.startswith(("rusticl:", "Oclgrind:"))
 
     @property
     def correctly_rounded_divide(self) -> bool:
-        """Whether it takes ``-cl-fp32-correctly-rounded-divide-sqrt``; without, a quotient may err by 2.5 ulp."""
+        """Whether it accepts ``-cl-fp32-correctly-rounded-divide-sqrt``; without it a quotient may err by 2.5 ulp."""
         return bool(self.handle.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT)
 
     @property
     def local_memory(self) -> int:
-        """Bytes of ``local`` memory a work-group may use; ask before a launch, PoCL ends the process where it is exceeded."""
+        """Bytes of ``local`` memory that a work-group may use; check before a launch, since PoCL ends the process beyond it."""
         return int(self.handle.local_mem_size)
 
     @property
@@ -128,12 +128,12 @@ class Properties:
 
     @property
     def compute_units(self) -> int:
-        """How many work-groups it computes side by side, at least."""
+        """Least number of work-groups that it computes at the same time."""
         return int(self.handle.max_compute_units)
 
     @property
     def memory(self) -> int:
-        """Bytes of global memory; of a CPU, what the machine has."""
+        """Bytes of global memory; for a CPU the machine's memory."""
         return int(self.handle.global_mem_size)
 
     @property
@@ -143,18 +143,18 @@ class Properties:
 
     @property
     def target(self) -> str:
-        """The processor that kernels are compiled for, in LLVM's words, with which PoCL ends the device's version; empty where untold."""
+        """LLVM's name of the processor that kernels are compiled for, from the end of PoCL's device version; "" if unknown."""
         found = re.search(r"-(?:gnu|musl|darwin[\d.]*|msvc)-(\S+)$", _one_line(self.handle.version))
         return found[1] if found else ""
 
     @property
     def platform_version(self) -> str:
-        """The platform's version; that of PoCL names the LLVM it compiles with."""
+        """The platform's version; PoCL's also names its LLVM."""
         return _one_line(self.handle.platform.version)
 
 
 class Device(Properties):
-    """An OpenCL device with its context and one in-order queue; of use only in the process that opened it."""
+    """An OpenCL device with its context and one in-order queue; usable only in the process that opened it."""
 
     def __init__(self, handle: cl.Device, context: cl.Context, queue: cl.CommandQueue, device_class: str | None = None):
         super().__init__(handle, device_class)
@@ -176,7 +176,7 @@ class Device(Properties):
 
     @cached_property
     def pool(self) -> MemoryPool:
-        """Memory for arrays that are handed out: that of one the caller has dropped serves the next, page faults and all."""
+        """Memory for arrays that go to the caller: a dropped array's memory is used again, which saves page faults."""
         return MemoryPool(ImmediateAllocator(self.queue))
 
 
@@ -186,7 +186,7 @@ def full_name(handle: cl.Device) -> str:
 
 
 def is_gpu(handle: cl.Device) -> bool:
-    """Whether it is a graphics processor; Oclgrind calls itself everything at once and is not one."""
+    """Whether it is a graphics processor; Oclgrind claims all types at once and does not count."""
     return bool(handle.type & cl.device_type.GPU) and not handle.type & cl.device_type.CPU
 
 
@@ -209,7 +209,7 @@ def found() -> list[cl.Device]:
     if not _process:
         _process.append(os.getpid())
     _require_same_process(_process[0])
-    with pocl_cache("unknown"):  # should a version of PoCL look for its devices this early
+    with pocl_cache("unknown"):  # in case a version of PoCL looks for its devices this early
         try:
             platforms = cl.get_platforms()
         except cl.Error:
@@ -220,12 +220,12 @@ def found() -> list[cl.Device]:
             try:
                 handles += platform.get_devices()
             except cl.Error:
-                continue  # a platform without devices says so by an error
+                continue  # a platform without devices raises an error
     return sorted(handles, key=full_name)
 
 
 def named() -> dict[str, cl.Device]:
-    """Every device of ``found()`` by a name of its own: where names are equal, the second has `` #2`` after it, and so on."""
+    """Every device of ``found()`` by a unique name: of equal names the second gets the suffix `` #2``, and so on."""
     seen: Counter[str] = Counter()
     devices: dict[str, cl.Device] = {}
     for handle in found():
@@ -236,12 +236,12 @@ def named() -> dict[str, cl.Device]:
 
 
 def matching(name: str | None) -> dict[str, cl.Device]:
-    """The devices whose name, or else whose platform's version, holds ``name``, case ignored; None: all.
+    """The devices whose name contains ``name``, or else whose platform's version does, ignoring case; None: all devices.
 
-    A name in full means that device alone. The version serves ``pocl``, which calls itself Portable Computing Language.
+    A full name selects only that device. The version is searched for ``pocl``, whose platform is named Portable Computing Language.
 
     Raises:
-        DeviceError: there is none.
+        DeviceError: no device fits.
     """
     devices = named()
     if not devices:
@@ -258,7 +258,7 @@ def matching(name: str | None) -> dict[str, cl.Device]:
 
 
 def open_device(name: str | None = None, device_class: str | None = None) -> Device:
-    """Open the device whose ``platform: device`` holds ``name``, case ignored.
+    """Open the device whose ``platform: device`` contains ``name``, ignoring case.
 
     Args:
         name: part of the name; None: ``$STSS_DEVICE``, or else the first GPU, or else the first device.

@@ -18,14 +18,14 @@ Arguments = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Launch:
-    """One kernel, ready to go.
+    """One kernel, ready to be enqueued.
 
     Attributes:
-        name: what it computes, e.g. ``down1.conv2``.
-        kernel: with its arguments set.
+        name: the layer or step that it computes, e.g. ``down1.conv2``.
+        kernel: the kernel with its arguments set.
         size: global size.
         group: work-group size; None = the runtime's choice.
-        arguments: those that it was made with: OpenCL does not keep buffers alive.
+        arguments: the arguments that it was made with, kept because OpenCL does not keep buffers alive.
     """
 
     name: str
@@ -35,7 +35,7 @@ class Launch:
     arguments: Arguments
 
     def set(self, **values: Any) -> None:
-        """Set arguments from now on; buffers among them are the caller's to keep."""
+        """Set arguments for later runs; the caller must keep buffers among them alive."""
         places = list(self.arguments)
         for name, value in values.items():
             self.kernel.set_arg(places.index(name), typed(value))
@@ -53,7 +53,7 @@ def kernel(program: cl.Program, name: str, arguments: Arguments) -> cl.Kernel:
 
 
 def typed(value: Any) -> Any:
-    """``value`` as a kernel takes it."""
+    """``value`` in the type that a kernel takes."""
     return np.int32(value) if isinstance(value, int) else np.float32(value) if isinstance(value, float) else value
 
 

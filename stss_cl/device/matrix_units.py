@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whether a device has matrix units that compute what we take for granted (kernels/mma.clh)."""
+"""Whether a device has matrix units, and whether they compute what our kernels assume (kernels/mma.clh)."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _proved: WeakKeyDictionary[cl.Context, bool] = WeakKeyDictionary()
 
 
 def are_emulated(device: Device) -> bool:
-    """On everything but NVIDIA's: tests take the same way elsewhere, only slowly."""
+    """Whether matrix units are emulated: on all devices but NVIDIA's, where tests run the same code slowly."""
     return device.maker != "nvidia"
 
 
 def proved(device: Device) -> bool:
-    """Whether one product came out right, to the last bit; asked once for each context."""
+    """Whether one product came out right to the last bit; tested once for each context."""
     if device.context not in _proved:
         right = False
         with suppress(DeviceError, cl.Error):  # older ones: their compiler does not know the instruction

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Build kernels with their -D options; show the build log with the source line it means."""
+"""Build kernels with their -D options; show errors with the source line that they refer to."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ KERNELS = _PACKAGE / "kernels" if (_PACKAGE / "kernels").is_dir() else _PACKAGE.
 """Where the sources are: inside the wheel, or beside the package in a checkout."""
 
 MOST_BINARY = 64 << 20
-"""Bytes of a compiled program that is kept; ours have some 100 KiB."""
+"""Most bytes of a compiled program that is stored; ours have some 100 KiB."""
 
 _building = Lock()
 """One thread builds at a time: two would undo each other's filters of warnings."""
@@ -44,7 +44,7 @@ def build(device: Device, file: str, options: Mapping[str, object] | None = None
         flags: further compiler options.
 
     Raises:
-        DeviceError: it does not build; the message has the line of source that the log names, ``log`` has the log.
+        DeviceError: it does not build; the message has the source line that the compiler's log names, ``log`` has the whole log.
     """
     given = [f"-D {k}" if v is True else f"-D {k}={v}" for k, v in (options or {}).items() if v is not None and v is not False]
     key = (file, " ".join(["-cl-std=CL1.2", *given, flags]).strip())
@@ -56,14 +56,14 @@ def build(device: Device, file: str, options: Mapping[str, object] | None = None
 
 
 def built(device: Device) -> Mapping[tuple[str, str], cl.Program]:
-    """What was built for this device so far, by file and options, in order."""
+    """The programs built for this device so far, by file and options, in order."""
     return dict(_programs.get(device.context, {}))
 
 
 def source(file: str) -> str:
-    """The text of ``kernels/file`` with its ``#include "..."`` lines replaced by what they name, once each.
+    """The text of ``kernels/file`` with its ``#include "..."`` lines replaced by the files' texts, once each.
 
-    Caches of binaries do not look into included files; a single text has nothing to overlook.
+    Caches of binaries do not check included files, so a program must be a single text.
     """
     seen: set[str] = set()
 
@@ -91,16 +91,16 @@ def _build(device: Device, file: str, options: str) -> cl.Program:
 
 
 def _kept_or_built(device: Device, text: str, options: str) -> cl.Program:
-    """From the binary that an earlier process kept, on platforms that keep none themselves."""
+    """Build a program; on platforms without a cache, from the binary that an earlier process stored."""
     if has_src_build_cache(device.handle):
         with suppress(cl.Error):
             return cl.Program(device.context, text).build(options)
-        # Versions of PoCL fail where another process makes the same folder of the cache in the same instant: it is there now.
+        # Some versions of PoCL fail if another process makes the same cache folder at the same moment. By now it exists.
         return cl.Program(device.context, text).build(options)
     what = json.dumps([device.name, device.driver, device.platform_version, options, text])
     path = private("binaries") / hashlib.sha256(what.encode()).hexdigest()
     if binary := read(path, MOST_BINARY):
-        with suppress(cl.Error):  # a driver may refuse what it made, and then makes it anew
+        with suppress(cl.Error):  # a driver may refuse its own binary; then the program is built anew
             return cl.Program(device.context, [device.handle], [binary]).build(options)
     built = cl.Program(device.context, text).build(options)
     binaries: Any = built.get_info(cl.program_info.BINARIES)
@@ -109,7 +109,7 @@ def _kept_or_built(device: Device, text: str, options: str) -> cl.Program:
 
 
 def _fault(log: str, text: str) -> str:
-    """The first error of the log in one line, with the line of source that it means."""
+    """The first error of the log in one line, with the source line that it refers to."""
     # Clang writes file:line:column: error: what, PoCL 3.0 error: file:line:column: what
     at = re.search(r":(\d+):\d+: error: (.*)|error: .*?:(\d+):\d+: (.*)", log)
     if not at:

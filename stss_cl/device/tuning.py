@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Tile sizes: data in ``tuning.toml``, one row per class of device, and rows that ``stss tune`` found for single devices."""
+"""Tile sizes: ``tuning.toml`` has a row for each class of device, and ``stss tune`` stores rows for single devices."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ BUILT_IN = Path(__file__).with_name("tuning.toml")
 OUTPUTS = (24, 32, 64)
 """Output channels of the network's layers: a row has tile sizes for each."""
 TILE = 4
-"""Pixels of a row that a tile of conv.cl has, which a work-item's divide."""
+"""Pixels of a row in a tile of conv.cl; a work-item's pixels divide it."""
 VECTORS = (8, 16)
 """Lanes that winograd.cl computes with."""
 MOST_TILES, MOST_HELD, MOST_GROUP, MOST_ROWS = 32, 16, 1024, 2
@@ -60,11 +60,11 @@ class Local:
 
 @dataclass(frozen=True)
 class Tuning:
-    """One row.
+    """One row of tile sizes.
 
     Attributes:
-        winograd: by output channels, ``OUTPUTS``; None where another convolution is faster.
-        direct: likewise, of the plain convolution.
+        winograd: number of output channels, of ``OUTPUTS`` -> sizes; None where another convolution is faster.
+        direct: likewise, for the plain convolution.
         local: None where work-items do not share local memory, or the direct convolution is faster.
     """
 
@@ -77,24 +77,24 @@ _trial: ContextVar[Tuning | None] = ContextVar("_trial", default=None)
 
 
 def tuning_for(device: Properties) -> Tuning:
-    """The row in force: that of ``trial``, or else the one kept for this device, or else the built-in one.
+    """The row in use: the one of ``trial``, or else the one stored for this device, or else the built-in one.
 
     Raises:
-        DeviceError: the kept row is wrong; the message names file and key.
+        DeviceError: the stored row is wrong; the message names file and key.
     """
     return _trial.get() or kept(device) or built_in(device)
 
 
 def built_in(device: Properties) -> Tuning:
-    """The row of ``tuning.toml`` for this device, or its maker's GPUs, or what the processor is compiled for, or its class."""
+    """The most specific row of ``tuning.toml``: for this device, its maker's GPUs, its compiler's target, or its class."""
     return _built_in(device.name, device.maker, device.device_class, device.target)
 
 
 class Rows(NamedTuple):
-    """Of a file such as ``tuning.toml``.
+    """The rows of a file such as ``tuning.toml``.
 
-    ``classes``: by class and maker, ``cpu``, ``gpu``, ``nvidia``, ..; ``targets``: of processors, by what they are compiled for;
-    ``devices``: by the name of a device.
+    ``classes``: by class or maker, ``cpu``, ``gpu``, ``nvidia``, ...; ``targets``: by LLVM's name of the processor that kernels are
+    compiled for; ``devices``: by the name of a device.
     """
 
     classes: dict[str, Tuning]
@@ -103,7 +103,7 @@ class Rows(NamedTuple):
 
 
 def built_in_rows(path: Path) -> Rows:
-    """The rows of a file.
+    """Read the rows of a file.
 
     Raises:
         DeviceError: a row is wrong; the message names file and key.
@@ -123,7 +123,7 @@ def built_in_rows(path: Path) -> Rows:
 
 
 def kept(device: Properties) -> Tuning | None:
-    """The row that ``keep`` wrote; None: there is none for this driver and these kernels.
+    """The row that ``keep`` stored; None if there is none for this driver and these kernels.
 
     Raises:
         DeviceError: it is wrong.
@@ -132,7 +132,7 @@ def kept(device: Properties) -> Tuning | None:
 
 
 def keep(device: Properties, tuning: Tuning | None) -> Path:
-    """Use this row for this device from now on, in every process; None: the built-in one."""
+    """Store a row for this device, for every later process; None: go back to the built-in row. Returns the file."""
     path = kept_path(device)
     if tuning is None:
         path.unlink(missing_ok=True)
@@ -148,12 +148,12 @@ def keep(device: Properties, tuning: Tuning | None) -> Path:
 
 
 def kept_path(device: Properties) -> Path:
-    """Where this device's row is kept, whether or not it is there."""
+    """The file in which this device's row is stored; it may not exist."""
     return _path(device.name, device.driver, device.device_class)
 
 
 def to_toml(tuning: Tuning) -> str:
-    """A row as it stands in a file."""
+    """A row as the text of a file."""
     lines = [] if tuning.local is None else ["", f"local = {_inline(tuning.local)}"]
     for key, rows in (("winograd", tuning.winograd), ("direct", tuning.direct)):
         if rows is not None:
@@ -163,7 +163,7 @@ def to_toml(tuning: Tuning) -> str:
 
 @contextmanager
 def trial(tuning: Tuning) -> Generator[None]:
-    """Within the block and this thread ``tuning`` is the row of every device."""
+    """Within the block, and in this thread, every device uses the row ``tuning``."""
     token = _trial.set(tuning)
     try:
         yield

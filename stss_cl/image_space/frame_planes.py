@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a frame is computed from, as buffers on the device: one for each display frame and plane."""
+"""The inputs of a frame as buffers on the device, one for each display frame and plane."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from stss_ref.arrays import Array, ArrayError, require_dtype, require_shape
 Source = Array | cl.Buffer
 """A C-contiguous float32 array, or a buffer on the device that holds one."""
 MOST_STEPS = 5
-"""How many display frames back a colour frame may lie (spec 1)."""
+"""Most display frames that a colour frame may lie back (spec 1)."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Sources:
         stencils: (H, W) of the frame itself and of the three colour frames.
         normals: likewise (H, W, 3); from pixel to pixel ``normal_stride`` floats.
         positions: likewise (H, W, 3).
-        normal_stride: 3, or 9 where the normals are those of G-buffers.
+        normal_stride: 3, or 9 where the normals are read from G-buffers.
     """
 
     steps: tuple[int, int, int]
@@ -47,7 +47,7 @@ class Sources:
 
 
 def check_steps(steps: Sequence[int]) -> tuple[int, int, int]:
-    """The three steps.
+    """Check the three steps, and return them as numbers.
 
     Raises:
         ArrayError: they are not three numbers in order.
@@ -83,9 +83,9 @@ def planes(
         device: to run on.
         name: for errors.
         source: the stack.
-        count: how many are wanted.
-        shape: of one.
-        more: whether the stack may hold others behind.
+        count: number of planes to take.
+        shape: shape of a plane.
+        more: whether the stack may hold further planes.
 
     Raises:
         ArrayError: shape, dtype or size differ.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Everything of a frame that comes before the network, fused: motion chain, warp, holes, occlusion warp, packing."""
+"""The stages of a frame before the network, fused: motion chain, warp, holes, occlusion warp, packing."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from stss_cl.image_space.frame_planes import Source, Sources, check_steps, plane
 from stss_cl.image_space.stages import LIMITS, Gather, kernels, launch
 
 FINITE = ("colors", "gbuffer", "nov", "stencils", "normals")
-"""The arrays that must be finite: a NaN would end as 0 in some ReLU, unseen."""
+"""The arrays that must be finite: a ReLU could turn a NaN into 0 unnoticed."""
 SCANNERS = 64
-"""Work-items that look for what is not finite."""
+"""Work-items that search for values that are not finite."""
 NOBODY, UNWANTED = 0xFFFFFFFF, 0
-"""What the splat's two buffers hold where nothing is wanted (kernels/occlusion_warp.cl)."""
+"""Content of the splat's two buffers where no motion is needed (kernels/occlusion_warp.cl)."""
 
 
 class Prepare:
@@ -30,11 +30,11 @@ class Prepare:
         device: to run on.
         height, width: of the frames.
         gather: how the motion chain reads between pixels.
-        eights: a work-item computes eight pixels in a row; None: on processors.
-        inputs: what to write to; None: buffers of its own. If they have change maps, only what is ``dirty`` is computed.
+        eights: whether a work-item computes eight pixels in a row; None: on CPUs.
+        inputs: buffers to write to; None: buffers of its own. If they have change maps, only ``dirty`` tiles are computed.
 
     Attributes:
-        inputs: what the network is given, on the device; every frame writes to the same buffers.
+        inputs: the network's inputs on the device; every frame writes to the same buffers.
         mask: (H, W) uint8, 1 = not a hole of the newest colour frame.
         dirty: a byte for each 4 x 4 pixels of ``inputs.input``: 0: the inputs there are those of the last frame, and no hole is filled.
     """
@@ -67,7 +67,7 @@ class Prepare:
         self._done: cl.Event | None = None
 
     def _built(self, *, looking: bool) -> dict[str, cl.Kernel]:
-        """The kernels by name; ``looking``: those that compute what is dirty, and mark what then differs."""
+        """The kernels by name; ``looking``: the kernels that compute only dirty tiles, and mark tiles that then differ."""
         options: dict[str, object] = {"HALF": self.inputs.input.dtype == np.float16, "MARK": looking}
         made = kernels(self.device, self._file, {"GATHER": f"gather_{self._gather}", **options, **LIMITS})
         if self._gather != "longest":
@@ -77,7 +77,7 @@ class Prepare:
 
     @cached_property
     def _unlooking(self) -> dict[str, cl.Kernel]:
-        """Built when it is first asked for."""
+        """Built at its first use."""
         return self._built(looking=False)
 
     def begin(
@@ -96,8 +96,8 @@ class Prepare:
 
         ``strip`` then finishes each of the strips that begin at ``tops``.
 
-        Arrays are read in place on a processor: they must stay as they are until the queue has done this frame. All but motions
-        and positions must be finite: ``not_finite`` says afterwards.
+        On a CPU arrays are read in place: they must not change until the queue has finished this frame. All but motions and
+        positions must be finite: ``not_finite`` checks it afterwards.
 
         Raises:
             ArrayError: shapes, dtypes or steps are not a frame's.
@@ -139,10 +139,10 @@ class Prepare:
         """``begin`` for what is on the device already, and known to be finite.
 
         Args:
-            sources: what to read; kept until the next frame.
+            sources: the planes to read; kept until the next frame.
             tops: see ``begin``.
             older: False: the two older colour frames are not read, and ``inputs.earlier`` stays as it is.
-            looking: with change maps; False: everything is dirty, and nothing is marked.
+            looking: use change maps; False: everything is computed, and nothing is marked.
         """
         self._read, self._tops, self._planes = sources, tuple(tops), 3 if older else 1
         self._looks = looking and bool(self._maps)
@@ -159,12 +159,12 @@ class Prepare:
 
     @property
     def gbuffer(self) -> cl.Buffer:
-        """That of the frame begun last, (H, W, 9)."""
+        """The G-buffer of the frame begun last, (H, W, 9)."""
         assert self._read is not None
         return self._read.gbuffer
 
     def not_finite(self) -> str | None:
-        """Name of an array of the frame begun last that had to be finite and was not; waits for the queue."""
+        """Name of an array of the frame begun last that must be finite and is not; None: all are. Waits for the queue."""
         bad = np.empty(len(FINITE), np.int32)
         cl.enqueue_copy(self.device.queue, bad, self._bad)
         if not bad.any():
@@ -173,10 +173,10 @@ class Prepare:
         return FINITE[int(bad.argmax())]
 
     def strip(self, top: int = 0) -> None:
-        """Enqueue what is left to do for the rows of ``inputs`` that begin at row ``top`` of the frame, one of ``begin``'s."""
+        """Enqueue the rest of the work for the rows of ``inputs`` that begin at row ``top`` of the frame, one of ``begin``'s."""
         assert self._read is not None
         if len(self._tops) > 1:
-            self._warp(top)  # the strips before it have been written over
+            self._warp(top)  # an earlier strip's values have been overwritten
         size, inputs = (self.height, self.width), self.inputs
         if self._read.steps[0]:
             place = (*size, self.rows, self.columns, top)
@@ -216,7 +216,7 @@ class Prepare:
         return (self.dirty,)
 
     def _warp(self, top: int) -> None:
-        """Warp and judge the colour frames; for the newest, mark the places that holes look up."""
+        """Warp the colour frames and find their holes; for the newest, mark the places that holes look up."""
         s, inputs = self._read, self.inputs
         assert s is not None
         place = (self.height, self.width, self.rows, self.columns, top)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The image-space stages one by one: on device buffers, and on arrays as ports are asked for them (spec 11).
+"""The image-space stages one by one: on device buffers, and on arrays in the form of the port protocol (spec 11).
 
-Every result equals the reference's in float32 bit for bit where the device divides and takes square roots correctly rounded.
-``prepare`` holds what a whole frame runs instead.
+Every result equals the reference's in float32 bit for bit if the device rounds divisions and square roots correctly. Whole frames run
+the fused kernels of ``prepare`` instead.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ def launch(
 ) -> cl.Event:
     """Enqueue one work-item for each of ``width`` x ``height`` places, rounded up to whole work-groups.
 
-    With ``planes`` that number of planes is the second of three dimensions and the rows are the third: what the planes read in
-    common is then still in a cache.
+    ``planes`` adds that number of planes as the second of three dimensions, with rows as the third: data that the planes read in
+    common then stay in a cache.
     """
     (across, down), (columns, rows) = grid(device, width, height)
     size, local = ((across, down), (columns, rows)) if planes is None else ((across, planes, down), (columns, 1, rows))
@@ -132,12 +132,12 @@ class ImageStages:
         return STAGES[name](self, inputs)
 
     def upload(self, array: NDArray[Any]) -> cl.Buffer:
-        """A new buffer with what ``array`` holds."""
+        """A new buffer with the content of ``array``."""
         flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
         return cl.Buffer(self.device.context, flags, hostbuf=np.ascontiguousarray(array))
 
     def download(self, buffer: cl.Buffer, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-        """A new array with what ``buffer`` holds when everything enqueued so far is done."""
+        """A new array with the content of ``buffer`` after everything enqueued so far is done."""
         array = np.empty(shape, dtype)
         cl.enqueue_copy(self.device.queue, array, buffer)
         return array
@@ -152,7 +152,7 @@ def _size(inputs: Inputs, name: str, *channels: int | None) -> tuple[int, int]:
 
 
 def _take(inputs: Inputs, size: tuple[int, int], **channels: int) -> list[Array]:
-    """The named float32 arrays, of ``size`` and so many channels each; 0: none."""
+    """The named float32 arrays, checked to have ``size`` and the given number of channels; 0: a plane."""
     for name, count in channels.items():
         require_shape(name, inputs[name], (*size, count) if count else size)
         require_dtype(name, inputs[name], np.dtype(np.float32))

@@ -23,10 +23,10 @@ from stss_cl.network.tiles import Maps, of_convolution
 
 @dataclass(frozen=True)
 class Final:
-    """What the decoder's last layer needs to write the image itself (kernels/decoder.clh).
+    """The data with which the decoder's last layer writes the image itself (kernels/decoder.clh).
 
-    ``color`` (rows, columns, 4), ``weight`` (24, 16) and ``bias`` (16) of outc, the frame's own height and width, and the change
-    map of ``color``, if any.
+    ``color`` is (rows, columns, 4); ``weight`` (24, 16) and ``bias`` (16) are outc's; ``height`` and ``width`` are the frame's before
+    padding; ``changes`` is the change map of ``color``, if any.
     """
 
     color: cl.Buffer
@@ -40,7 +40,7 @@ class Final:
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """For winograd.cl, all rows of the frame; the image's place is taken by another buffer until the caller sets it."""
+        """Arguments of winograd.cl for all rows of the frame; another buffer stands for the image until the caller sets it."""
         return {
             "color": self.color,
             "outc_weight": self.weight,
@@ -74,21 +74,20 @@ def conv(
     image: int = 0,
     final: Final | None = None,
 ) -> LayerLaunch:
-    """A convolution of ``a`` and ``b`` side by side into channels ``out_first`` .. of ``out``.
+    """Make a convolution of ``a`` and ``b`` side by side into channels ``out_first`` .. of ``out``.
 
     Args:
         device: to run on.
-        stage: for the launch.
-        name: for the launch.
+        stage: the launch's stage.
+        name: the launch's name.
         packed: the layer's tensors.
         a: first input; its image ``image`` is read.
         b: second input, if any.
-        out: the output; its size is the input's over ``stride``.
-        out_first: its first channel written.
+        out: the output; its size is the input's divided by ``stride``.
+        out_first: the first channel of it to write.
         stride: 1 or 2.
         relu: whether ReLU follows.
-        side: of Winograd's tiles at stride 1, 4 or 2, at stride 2 they are 2; 0: the plain kernel. Where there is no faster one it is the
-            plain one in any case.
+        side: side of Winograd's tiles, 4 or 2 at stride 1, 2 at stride 2; 0: the plain kernel, which also runs where no faster one does.
         image: which of ``a``'s images.
         final: write ``image`` instead of ``out``; the caller sets it before every run.
     """
@@ -123,7 +122,7 @@ def _tensors(device: Device, packed: Packed, shape: Shape) -> dict[str, Any]:
 
 
 def _source(shape: Shape, packed: Packed, a: Padded, b: Padded | None, out: Padded, *, relu: bool, image: bool) -> KernelSource:
-    """What the layer's kernel is built from."""
+    """The source and options from which the layer's kernel is built."""
     options = {
         "A": a.channels,
         "B": b.channels if b else 0,
@@ -137,7 +136,7 @@ def _source(shape: Shape, packed: Packed, a: Padded, b: Padded | None, out: Padd
 
 
 def _shape(device: Device, packed: Packed, a: Padded, out: Padded, side: int, stride: int, final: Final | None) -> Shape:
-    """The fastest kernel that the row of tile sizes knows for this layer; ``side`` of 0: the plain one."""
+    """The fastest kernel for this layer by the row of tile sizes; the plain one for ``side`` 0."""
     tuning, whole_eights = tuning_for(device), a.channels % 8 == 0
     if side == 0 or packed.direct.shape[0] != 3:
         return _direct(device, packed, out, stride, final)
@@ -157,7 +156,7 @@ def _shape(device: Device, packed: Packed, a: Padded, out: Padded, side: int, st
 
 
 def _maps(a: Padded, image: int, other: Padded | Final | None) -> Maps | None:
-    """The change maps of all that is read."""
+    """The change maps of all inputs; None: they have none."""
     if a.changes is None:
         return None
     buffers = (a.changes,) if other is None or other.changes is None else (a.changes, other.changes)
@@ -171,7 +170,7 @@ def _winograd(device: Device, packed: Packed, out: Padded, side: int, stride: in
     (kernels, gate), shown = in_lanes(packed, row.vector), final or out
     outputs = packed.direct.shape[-1]
     weight = winograd(kernels, side, row.vector * row.block, stride)
-    # The lanes behind the outputs: the gate's, or else two inputs at a time leave none.
+    # The lanes behind the outputs hold the gate; without a gate, two inputs at a time fill them.
     in_pairs = bool(outputs % row.vector) and packed.gate_direct is None and row.block * row.vector == kernels.shape[-1]
     tiling = of_convolution(shown.height, shown.width, stride, 3, side)
     return Shape(
@@ -199,7 +198,7 @@ def _direct(device: Device, packed: Packed, out: Padded, stride: int, final: Fin
     assert final is None
     size, _, _, outputs = packed.direct.shape
     row = tuning_for(device).direct[outputs]
-    # A processor's core computes a tile, and all blocks of its outputs, by itself.
+    # A CPU's core computes a tile with all blocks of its outputs by itself.
     workers, blocks = (1, 1) if device.is_cpu else (16 // row.pixels, outputs // 8 // row.block)
     tiling = of_convolution(out.height, out.width, stride, size)
     return Shape(

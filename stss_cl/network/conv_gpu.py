@@ -19,7 +19,7 @@ registers; bytes of local memory that emulated products take."""
 
 
 def local(device: Device, packed: Packed, out: Padded, stride: int, most_rows: int) -> Shape:
-    """As conv_local.cl has it; ``most_rows``: of pixels that a work-item may have."""
+    """The shape of conv_local.cl for this layer; a work-item has at most ``most_rows`` rows of pixels."""
     slices, rows = packed.direct.shape[-1] // 8, _rows(device, out, most_rows)
     tiling = _tiling(out, rows, stride)
     return Shape(
@@ -34,7 +34,7 @@ def local(device: Device, packed: Packed, out: Padded, stride: int, most_rows: i
 
 
 def on_matrix_units(device: Device, packed: Packed, out: Padded, stride: int, most_rows: int) -> Shape:
-    """As conv_mma.cl has it."""
+    """The shape of conv_mma.cl for this layer; a work-item has at most ``most_rows`` rows of pixels."""
     inner, outputs = packed.direct.shape[2] // 8, packed.direct.shape[3]
     # Tiles of twice the side and eights of all channels would not fit into local memory together.
     rows = 1 if stride == 2 else _rows(device, out, most_rows)
@@ -54,7 +54,7 @@ def on_matrix_units(device: Device, packed: Packed, out: Padded, stride: int, mo
 
 
 def _rows(device: Device, out: Padded, most: int) -> int:
-    """Layers with few tiles have smaller ones, which keep more of the device busy."""
+    """Rows of pixels of a work-item: layers with few tiles get smaller ones, which use more of the device."""
     tiles = ceil_div(out.width, WIDE) * ceil_div(out.height, TALL * most)
     return most if tiles >= 2 * device.compute_units else 1
 

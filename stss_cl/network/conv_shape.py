@@ -14,14 +14,14 @@ from stss_cl.network.tiles import Tiling
 
 @dataclass(frozen=True)
 class Shape:
-    """What differs from one kernel to the other; arguments are the same.
+    """The parts in which convolution kernels differ; their arguments are the same.
 
     Attributes:
-        file: of the kernel, which has its name.
-        options: it is built with, besides those of the layer.
-        weight, gate: as it reads them; None: no gate, or within ``weight``.
-        tiling: of the output.
-        size, group: of the launch.
+        file: the kernel's file; the kernel has the same name.
+        options: build options, besides those of the layer.
+        weight, gate: the tensors as the kernel reads them; gate None: there is none, or it is part of ``weight``.
+        tiling: the tiles of the output.
+        size, group: global size and work-group of the launch.
     """
 
     file: str

@@ -20,7 +20,7 @@ FAST_MULTIPLY_ADD = "-cl-mad-enable"
 
 
 class KernelSource(NamedTuple):
-    """What a kernel is built from: file, kernel, -D options, compiler flags."""
+    """The source of a kernel: file, name, -D options, compiler flags."""
 
     file: str
     kernel: str
@@ -30,14 +30,14 @@ class KernelSource(NamedTuple):
 
 @dataclass(frozen=True)
 class LayerLaunch(Launch):
-    """A launch that computes the tiles of its output in a list; as it is made, all of them.
+    """A launch that computes the tiles of its output in a list; at first the list has all tiles.
 
     Attributes:
-        stage: the stage it belongs to, e.g. ``encoder``.
-        source: of the kernel.
-        tiling: of its output.
-        reads: the change maps of what it reads; None: there are none.
-        changes: that of its output; None: it has none.
+        stage: the stage that it belongs to, e.g. ``encoder``.
+        source: the kernel's source.
+        tiling: the tiles of its output.
+        reads: the change maps of its inputs; None: there are none.
+        changes: the change map of its output; None: there is none.
     """
 
     stage: str
@@ -50,16 +50,16 @@ class LayerLaunch(Launch):
         """The same layer over other tiles.
 
         Args:
-            device: it was made for.
-            tiles: what to compute.
-            marking: whether to mark, in ``changes``, the tiles where stored bits came to differ.
+            device: the device that it was made for.
+            tiles: the tiles to compute.
+            marking: whether to mark, in ``changes``, the tiles whose stored bits change.
         """
         program = self.program(device, marking=marking)
         arguments = {**self.arguments, "tiles": tiles.tiles, "count": tiles.count}
         return replace(self, kernel=kernel(program, self.source.kernel, arguments), arguments=arguments)
 
     def program(self, device: Device, *, marking: bool) -> cl.Program:
-        """What ``over`` takes its kernel from; built once."""
+        """The program of the kernel of ``over``; built once."""
         return build(device, self.source.file, {**self.source.options, "MARK": marking}, self.source.flags)
 
 
@@ -80,12 +80,12 @@ def layer(
     Args:
         device: to run on.
         stage, name, source, tiling, reads: see ``LayerLaunch``.
-        arguments: those before the list and, where the kernel can mark, the output's map.
-        size, group: of the launch.
-        out: what it writes, and marks; None: the image.
+        arguments: the arguments before the list and, where the kernel can mark, before the output's map.
+        size, group: global size and work-group of the launch.
+        out: the activations that it writes and marks; None: it writes the image.
     """
     tiles = whole(device, tiling.rows, tiling.columns)
-    marks = {} if out is None else {"changes": out.changes or out.data}  # without -D MARK it is not looked at
+    marks = {} if out is None else {"changes": out.changes or out.data}  # without -D MARK it is not read
     together = {**arguments, "tiles": tiles.tiles, "count": tiles.count, **marks}
     made = kernel(build(device, source.file, source.options, source.flags), source.kernel, together)
     return LayerLaunch(name, made, size, group, together, stage, source, tiling, reads, None if out is None else out.changes)

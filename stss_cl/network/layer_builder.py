@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Launches one behind the other, with the buffers between them: what ``stss_cl.network.layers`` builds the network with."""
+"""Build a sequence of launches with the buffers between them; ``stss_cl.network.layers`` builds the network with it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OUTPUTS = {layer.name: layer.outputs for layer in LAYERS}
 
 
 class LayerBuilder:
-    """Appends layer after layer.
+    """Appends layers in order.
 
     Args:
         device: to run on.
@@ -60,11 +60,11 @@ class LayerBuilder:
         return self.marked[-1]
 
     def share(self, name: str, divisor: int, buffer: Padded) -> None:
-        """Let ``scratch`` give ``buffer`` where it is asked for this name and size; unless all are kept."""
+        """Let ``scratch`` return ``buffer`` for this name and size, unless all buffers are kept."""
         self._shared[name, divisor, buffer.channels] = buffer
 
     def scratch(self, name: str, divisor: int, channels: int) -> Padded:
-        """Activations that are soon done with: those that this name and size had before, but that each is kept if all are."""
+        """Activations for short use: the same buffer for the same name and size, or a new one each time if all are kept."""
         key = name, divisor, channels
         if self._keep or key not in self._shared:
             self._shared[key] = self.padded(divisor, channels)
@@ -112,19 +112,19 @@ class LayerBuilder:
         reads: tuple[Padded, ...],
         out: Padded | None,
     ) -> LayerLaunch:
-        """Append any other kernel over tiles, which come behind ``arguments``.
+        """Append any other kernel over tiles; its tile list comes after ``arguments``.
 
         Args:
             stage, name: of the layer; the kernel has the same name.
-            file: of the kernel.
-            options: it is built with.
-            arguments: its own.
-            tiling: of its output.
-            workers: work-items that share a tile where there are many.
-            reads: what has change maps of what it reads.
-            out: what it writes, and marks; None: the image.
+            file: the kernel's file.
+            options: its build options.
+            arguments: its own arguments.
+            tiling: the tiles of its output.
+            workers: work-items that share a tile on a GPU.
+            reads: the inputs that have change maps.
+            out: the activations that it writes and marks; None: it writes the image.
         """
-        # Interpolation is not contracted: it then has the reference's bits.
+        # Interpolation is not contracted, so that it has the reference's bits.
         flags = FAST_MULTIPLY_ADD if file == "erm.cl" else ""
         workers = 1 if self._device.is_cpu else workers
         source = KernelSource(file, name, {**options, "WORKERS": workers, "HALF": half(self.dtype)}, flags)
@@ -138,5 +138,5 @@ class LayerBuilder:
 
 
 def dtype_of(precision: str) -> np.dtype[Any]:
-    """What activations are stored as."""
+    """The dtype in which activations are stored."""
     return np.dtype(np.float16 if precision == "half" else np.float32)

@@ -27,7 +27,7 @@ from stss_ref.weights import Weights, reads_history
 GBUFFER, MASK = 9, 1
 See = Callable[[LayerLaunch, tuple[Padded, int, int] | None], None]
 WINDOW = 5
-"""The attention's, pixels of a side."""
+"""Side of the attention's window, in pixels at 1/8 size."""
 
 
 class Layers:
@@ -44,17 +44,17 @@ class Layers:
         precision: see ``stss_cl.network.network.PRECISIONS``.
         memory_limit: bytes that the buffers may take; None = half of the device's memory.
         residual: False: leave out all layers but the last, whose weights are 0.
-        keep: every layer keeps what it wrote, with a change map, so that less than all may be run (``stss_cl.skip.partial_network``),
-            and layers that these weights do not need are left out; without effect where the frame goes in strips.
+        keep: every layer keeps its output, with a change map, so that fewer tiles may be run (``stss_cl.skip.partial_network``), and
+            layers that these weights do not need are left out; without effect where the frame goes in strips.
 
     Attributes:
         launches: in order; the last one writes the image.
-        inputs: what the first ones read.
-        features: of the stages, by the names of ``stss_ref``.
-        strips: in which the frame goes.
-        keep: whether everything is kept.
+        inputs: the inputs of the first launches.
+        features: the stages' outputs, by the names of ``stss_ref``.
+        strips: the strips in which the frame goes.
+        keep: whether every layer's output is kept.
         reads_history: whether the launches read the history.
-        marked: where all is kept, what each layer writes, with its change map.
+        marked: if all is kept, the output of each layer, with its change map.
         maps: those change maps.
 
     Raises:
@@ -101,7 +101,7 @@ class Layers:
             self._image(self.inputs.input)
 
     def ready(self, image: cl.Buffer) -> list[LayerLaunch]:
-        """The launches in order, the last of them to write ``image`` (2H, 2W, 3) float32."""
+        """The launches in order; the last one writes ``image`` (2H, 2W, 3) float32."""
         self.launches[-1].set(image=image)
         return self.launches
 
@@ -115,11 +115,11 @@ class Layers:
         return PackInputs(self.device, self.inputs, *self.size)
 
     def pack(self, color: cl.Buffer, gbuffer: cl.Buffer, mask: cl.Buffer, history: cl.Buffer) -> None:
-        """Bring the four inputs, plain arrays on the device, to where the first layers read them."""
+        """Enqueue copying the four inputs, plain arrays on the device, to the buffers of the first layers."""
         self._packing(color, gbuffer, mask, history, self._top)
 
     def all_finite(self) -> bool:
-        """Whether all inputs packed since the last question were; waits for the queue."""
+        """Whether all inputs packed since the last call are finite; waits for the queue."""
         return self._packing.all_finite()
 
     def place(self, strip: Strip) -> None:
@@ -268,7 +268,7 @@ class Layers:
         return Final(self.inputs.base, weight, bias, self._height, self._width, *self.size, self.inputs.input.changes)
 
     def _image(self, feature: Padded) -> None:
-        """outc, and the upsampled frame; where outc is 0 any finite feature will do."""
+        """Append outc and the upsampled frame; if outc is 0, any finite feature will do."""
         final = self._final()
         self._build.kernel(
             "decoder", "image", "decoder.cl", {},

@@ -43,7 +43,7 @@ class Network:
         self.device = open_device() if device is None else device
         self.precision: Precision = precision
         self._weights, self._memory_limit = weights, memory_limit
-        # With a last layer of zeros the network adds exactly 0 to the upsampled frame, whatever the rest of it computes.
+        # With a last layer of zeros the network adds exactly 0 to the upsampled frame, whatever its other layers compute.
         self.residual = has_residual(weights)
         self._layers: Layers | None = None
 
@@ -58,7 +58,7 @@ class Network:
             image: (2H, 2W, 3) float32, an array of the kind given; not clipped.
 
         Raises:
-            ArrayError: shapes or dtypes differ, or an input is not finite: a NaN would spread over whole tiles.
+            ArrayError: shapes or dtypes differ, or an input is not finite (a NaN would spread over whole tiles).
         """
         height, width = check(color, gbuffer, mask, history)
         layers = self.layers(height, width)
@@ -102,7 +102,7 @@ class Network:
 
 
 def check(color: Given, gbuffer: Given, mask: Given, history: Given) -> tuple[int, int]:
-    """H and W, once shapes and dtypes fit."""
+    """Check shapes and dtypes; returns H and W."""
     require_shape("color", color, (None, None, 6))
     height, width = color.shape[:2]
     shapes = {"gbuffer": (height, width, 9), "mask": (height, width), "history": (3, height, width, 4)}

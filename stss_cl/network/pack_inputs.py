@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The network's four inputs, plain arrays on the device, brought to where its first layers read them."""
+"""Copy the network's four inputs, plain arrays on the device, to the buffers of its first layers."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class PackInputs:
         self._bad = cl.Buffer(device.context, FLAGS.READ_WRITE | FLAGS.COPY_HOST_PTR, hostbuf=np.zeros(2, np.int32))
 
     def __call__(self, color: cl.Buffer, gbuffer: cl.Buffer, mask: cl.Buffer, history: cl.Buffer, top: int) -> None:
-        """Enqueue it; ``top``: which row of the frame is row 0 of ``inputs``."""
+        """Enqueue the copy; ``top`` is the row of the frame that is row 0 of ``inputs``."""
         to, size, first = self._inputs, self._size, np.int32(top)
         full, eighth = (to.input.width, to.input.height), (to.eighth.width, to.eighth.height)
         queue, columns = self._device.queue, np.int32(to.input.columns)
-        # A group that divides the width, a multiple of 8: asking each work-item whether it lies beyond would cost a third of the time.
+        # A group that divides the width, a multiple of 8: a test in each work-item for the frame's end would cost a third of the time.
         group = gcd(to.input.width, 64), 1
         self._input(queue, full, group, color, gbuffer, mask, to.input.data, to.base, self._bad, *size, columns, first)
         place = np.int32(to.eighth.height), np.int32(to.eighth.width), np.int32(to.eighth.columns), first
@@ -42,7 +42,7 @@ class PackInputs:
         self._history(queue, (*full, 3), (*group, 1), history, to.earlier.data, self._bad, *size, *place)
 
     def all_finite(self) -> bool:
-        """Whether all inputs packed since the last question were; waits for the queue."""
+        """Whether all inputs packed since the last call are finite; waits for the queue."""
         bad = np.empty(2, np.int32)
         cl.enqueue_copy(self._device.queue, bad, self._bad)
         if bad.any():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Weights as the kernels read them: channels padded to multiples of 8, outputs last, transformed for Winograd."""
+"""Pack weights in the form that kernels read: channels padded to multiples of 8, outputs last, transformed for Winograd."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from stss_cl.device.grid import ceil8
 from stss_ref.weights import Weights
 
 POINTS = {4: (0.625, -0.625, 1.5, -1.5, 0.0), 2: (1.0, -1.0, 0.0)}
-"""Where F(4x4, 3x3) and F(2x2, 3x3) evaluate, with infinity; constants exact in float32, errors of F(4x4) 2 to 3 times below those
-of 0, +-1, +-2."""
+"""The points of F(4x4, 3x3) and F(2x2, 3x3), besides infinity. All constants are exact in float32, and the errors of F(4x4, 3x3) are 2
+to 3 times smaller than with 0, +-1, +-2."""
 
 
 def winograd_matrix(side: int) -> NDArray[np.float64]:
@@ -30,10 +30,10 @@ EVERY_SECOND = np.array([[1.0, 0, 0], [1, 0, 1], [0, 0, 1], [0, 1, 0], [0, 1, 0]
 
 @dataclass(frozen=True)
 class Packed:
-    """One layer's tensors.
+    """One layer's tensors, float32.
 
-    ``direct`` (k, k, IN, OUT), ``gate_direct`` (k, k, IN, 1) or None, ``bias`` (OUT), ``gate_bias``; float32. Inputs behind the first
-    ``used`` are padding.
+    ``direct`` (k, k, IN, OUT), ``gate_direct`` (k, k, IN, 1) or None, ``bias`` (OUT), ``gate_bias``. Inputs after the first ``used``
+    are padding.
     """
 
     direct: NDArray[np.float32]
@@ -49,7 +49,7 @@ def pack(weights: Weights, name: str, inputs: tuple[tuple[int, int], ...]) -> Pa
     Args:
         weights: the 92 tensors.
         name: module path; gated if ``name.conv_feature.weight`` is there.
-        inputs: of each input side by side, its channels and the channels of the buffer it lies in.
+        inputs: channels of each input, and channels of the buffer that holds it.
 
     Returns:
         The packed tensors; outputs padded to a multiple of 8 by zeros.
@@ -79,7 +79,7 @@ def pack_outc(weights: Weights) -> tuple[NDArray[np.float32], NDArray[np.float32
 
 
 def _spread(weight: NDArray[Any], inputs: tuple[tuple[int, int], ...]) -> NDArray[Any]:
-    """Put each input's channels at the start of its buffer's."""
+    """Spread the inputs' channels: each input at the start of its buffer's channels, zeros behind it."""
     spread = np.zeros((weight.shape[0], sum(size for _, size in inputs), *weight.shape[2:]), weight.dtype)
     source = target = 0
     for channels, size in inputs:
@@ -93,7 +93,7 @@ def _direct(weight: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def in_lanes(packed: Packed, vector: int) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-    """The outputs' kernels, filled up to whole vectors, and the gate's where it is not in the first lane behind the outputs."""
+    """The outputs' kernels, padded to whole vectors, and the gate's kernel unless it is in the first lane behind the outputs."""
     outputs = packed.direct.shape[-1]
     empty = -outputs % vector
     if not empty:
@@ -104,7 +104,7 @@ def in_lanes(packed: Packed, vector: int) -> tuple[NDArray[np.float32], NDArray[
 
 
 def paired(transformed: NDArray[np.float32], outputs: int) -> NDArray[np.float32]:
-    """What `winograd` gives, in one block, with the last 8 ``outputs`` of two inputs in the lanes of one vector (``-D PAIRED``)."""
+    """Rearrange a result of `winograd` of one block: the last 8 ``outputs`` of two inputs share a vector (``-D PAIRED``)."""
     whole, last = transformed[..., : outputs - 8], transformed[..., outputs - 8 : outputs]
     one, two = slice(0, None, 2), slice(1, None, 2)
     both = np.stack([last[:, :, one], last[:, :, two]], axis=-1).reshape(*last[:, :, one].shape[:-1], 16)
@@ -121,7 +121,7 @@ def winograd(kernels: NDArray[np.float32], side: int, block: int, stride: int = 
         stride: 1 or 2.
 
     Returns:
-        ((side + 2)^2, OUT / block, IN, block), at stride 2 (25, ...): what is read one after the other lies so.
+        ((side + 2)^2, OUT / block, IN, block), at stride 2 (25, ...): in the order in which the kernel reads.
     """
     g = winograd_matrix(side) if stride == 1 else EVERY_SECOND
     transformed = np.einsum("ku,uvco,lv->klco", g, kernels.astype(np.float64), g, optimize=True)
@@ -138,7 +138,7 @@ def fragments(packed: Packed, eights: int, block: int) -> NDArray[np.float16]:
         block: outputs of a work-group.
 
     Returns:
-        (OUT / block, chunks, steps, matrices, 32, 4): of each product the four numbers of each of 32 work-items (kernels/mma.clh).
+        (OUT / block, chunks, steps, matrices, 32, 4): for each product the four numbers of each of 32 work-items (kernels/mma.clh).
         The inner dimension runs over channels within taps within chunks, 16 to a step; the gate is a last matrix of equal columns.
     """
     _, _, inner, outputs = packed.direct.shape

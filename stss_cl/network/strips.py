@@ -12,7 +12,7 @@ from stss_cl.device.buffers import padded_bytes, whole_pages
 from stss_cl.errors import DeviceError
 
 OVERLAP = {False: 128, True: 256}
-"""Rows beside a strip's own that are computed with it, without and with Winograd.
+"""Rows on either side of a strip that are computed with it, without and with Winograd.
 
 An image pixel depends on 106 low-resolution rows to either side: 1 for each convolution at full size, 2, 4 and 8 at the smaller ones, 16
 for the attention's window, 15 for the upsampling. With Winograd the *bits* of a pixel depend on its whole tile's input, so that each
@@ -24,13 +24,13 @@ STEP = 32
 SHARED = {1: (12, *3 * [24]), 2: (*3 * [24], 32, 32), 4: (24, *3 * [32], 64, 96), 8: (16, *3 * [32], 64, 64, 96, 96)}
 """Channels of each buffer of activations by the divisor of its size (``stss_cl/network/layers.py``); 12 is three of 4."""
 KEPT = {1: (24, 24), 2: 10 * (24,), 4: 9 * (32,), 8: (*10 * [32], 64)}
-"""Those that are there besides where each layer keeps what it wrote; without Winograd the decoder stores one more of 24 at full size."""
+"""Further buffers if each layer keeps its output; without Winograd the decoder stores one more of 24 channels at full size."""
 MAP = 1 / 16
-"""Bytes of a change map for each value's pixel: one for 4 x 4."""
+"""Bytes of a change map for each pixel: one for 4 x 4."""
 BASE, IMAGE, PREPARE = 16, 48, 3 * 8 + 2 * 4 + 1
-"""Bytes for each pixel: of what the decoder upsamples; of the image; of motions, splat and holes (``stss_cl.image_space.prepare``)."""
+"""Bytes for each pixel: of the decoder's base; of the image; of motions, splat and holes (``stss_cl.image_space.prepare``)."""
 WEIGHTS = 8 << 20
-"""What the weights take, transformed for Winograd, and rounded up."""
+"""Bytes of the weights, transformed for Winograd; rounded up."""
 
 
 @dataclass(frozen=True)
@@ -43,13 +43,13 @@ class Strip:
 
 
 def bytes_for(rows: int, height: int, width: int, dtype: DTypeLike, *, keep: bool = False) -> int:
-    """What a network and the frames it computes take on a device, but for the caller's display frames.
+    """Bytes that a network and its frames take on a device, without the caller's display frames.
 
     Args:
-        rows: of a strip; ``height`` where the frame is not divided.
+        rows: rows of a strip; ``height`` where the frame is not divided.
         height, width: of the frame, multiples of 8.
         dtype: of the activations.
-        keep: whether each layer keeps what it wrote, with a change map.
+        keep: whether each layer keeps its output, with a change map.
     """
     total = rows * width * BASE + height * width * (IMAGE + PREPARE) + WEIGHTS
     for divisor, shared in SHARED.items():
@@ -71,7 +71,7 @@ def rows_within(height: int, width: int, dtype: DTypeLike, limit: int, overlap: 
         overlap: of ``OVERLAP``.
 
     Raises:
-        DeviceError: not even the smallest strip does.
+        DeviceError: not even the smallest strip fits.
     """
     if bytes_for(height, height, width, dtype) <= limit:
         return height

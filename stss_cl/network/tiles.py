@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Lists of tiles: where a layer computes (kernels/tile_list.clh), and the launch that finds the tiles which marks of its inputs reach."""
+"""Lists of the tiles that a layer computes (kernels/tile_list.clh), and the launch that finds the tiles reached by marks of its inputs."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from stss_cl.device.launch import Launch, kernel
 from stss_cl.device.program import build
 
 SIDE = 4
-"""Pixels of a side of a change map's tile."""
+"""Side of a change map's tile; pixels."""
 MOST_TILES = 1 << 16
-"""Rows, and columns, that a list's numbers have room for."""
+"""Most rows or columns of tiles that a list's numbers can express."""
 
 
 @dataclass(frozen=True)
 class TileList:
-    """Two buffers: a uint32 for each tile, its row << 16 | its column; how many there are, int32 (1)."""
+    """Two buffers: ``tiles`` has a uint32 for each tile, row << 16 | column; ``count`` is their number, int32 (1)."""
 
     tiles: cl.Buffer
     count: cl.Buffer
@@ -32,11 +32,11 @@ class TileList:
 
 @dataclass(frozen=True)
 class Tiling:
-    """How the tiles of a layer's output lie, and what of its inputs each reads.
+    """The tiles of a layer's output, and the pixels of its inputs that each tile reads.
 
     Attributes:
-        rows, columns: of tiles.
-        step: (y, x) pixels of the inputs from a tile to the next.
+        rows, columns: numbers of tiles.
+        step: (y, x) pixels of the inputs from one tile to the next.
         before, beyond: tile t reads, along both axes, the pixels step * t - before .. step * (t + 1) + beyond.
         size: (y, x) pixels of the output in a tile.
     """
@@ -50,22 +50,22 @@ class Tiling:
 
     @property
     def most(self) -> int:
-        """Tiles in all."""
+        """Number of all tiles."""
         return self.rows * self.columns
 
     def near(self, reach: int) -> Tiling:
-        """The same tiles, read with ``reach`` tiles of a change map around them in a map of the output itself."""
+        """The same tiles, each reading a map of the output itself with ``reach`` tiles around it."""
         return Tiling(self.rows, self.columns, self.size, SIDE * reach, SIDE * reach - 1)
 
 
 def of_convolution(height: int, width: int, stride: int, size: int, side: int = SIDE) -> Tiling:
-    """For a convolution of ``size`` x ``size`` with an output of (height, width), in tiles of ``side`` pixels."""
+    """The tiling of a convolution of ``size`` x ``size`` with an output of (height, width), in tiles of ``side`` pixels."""
     step = stride * side
     return Tiling(ceil_div(height, side), ceil_div(width, side), (step, step), size // 2, size // 2 - stride)
 
 
 class Maps(NamedTuple):
-    """Change maps of what a layer reads, up to three of one size: ``buffers``; the first begins at element ``first``."""
+    """Change maps of a layer's inputs, up to three of one size; the first buffer's map begins at element ``first``."""
 
     buffers: tuple[cl.Buffer, ...]
     rows: int
@@ -88,7 +88,7 @@ def whole(device: Device, rows: int, columns: int, first: int = 0) -> TileList:
 
 
 def find_tiles(device: Device, tiling: Tiling, maps: Maps, to: TileList, *, unmarked: bool = False) -> Launch:
-    """The launch that makes the list of the tiles that marks reach; ``unmarked``: of those that none does.
+    """The launch that lists the tiles that marks reach, or with ``unmarked`` the tiles that no mark reaches.
 
     ``to.count`` must be 0 before.
     """
@@ -107,10 +107,10 @@ def find_tiles(device: Device, tiling: Tiling, maps: Maps, to: TileList, *, unma
 
 
 def finder(device: Device) -> cl.Program:
-    """What ``find_tiles`` takes its kernel from; built once."""
+    """The program of the kernel of ``find_tiles``; built once."""
     return build(device, "tile_list.cl", {"SPAN": _span(device)})
 
 
 def _span(device: Device) -> int:
-    """Tiles of a work-item. On a processor most work-items have nothing to do, and each of them costs something."""
+    """Tiles of a work-item. On a CPU they are many, since most have nothing to do and each work-item costs something."""
     return 64 if device.is_cpu else 1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Layers that compute only the tiles that changes of their inputs reach (kernels/tile_list.cl, change_map.clh)."""
+"""Layers that compute only the tiles reached by changes of their inputs (kernels/tile_list.cl, change_map.clh)."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from stss_cl.network.tiles import TileList, find_tiles
 
 
 class ChangedTiles:
-    """Layers that compute only what changed, made from those that compute everything, on the same buffers.
+    """Layers that compute only changed tiles, made from layers that compute all tiles, on the same buffers.
 
     Args:
         device: to run on.
-        layers: all of them with change maps; the last one writes the image.
+        layers: layers with change maps; the last one writes the image.
         maps: the change maps that they write.
 
     Attributes:
-        layers: those that compute only what changed.
+        layers: the layers that compute only changed tiles.
     """
 
     def __init__(self, device: Device, layers: Sequence[LayerLaunch], maps: ChangeMaps):
         self._device, self._maps = device, maps
         self._counts = Counts(device, len(layers))
-        # Lists are needed only until the layer is done, and layers follow each other: one buffer is enough.
+        # A list is needed only until its layer is done, and layers run one after the other: one buffer is enough.
         numbers = zeroed(device, 4 * max(layer.tiling.most for layer in layers))
         lists = [TileList(numbers, self._counts.take()) for _ in layers]
         self._finders = [
@@ -37,13 +37,13 @@ class ChangedTiles:
         ]
         self.layers = [layer.over(device, to, marking=layer.changes is not None) for layer, to in zip(layers, lists, strict=True)]
 
-        # Runtimes load, or compile, a kernel when it is first run: over empty lists now, not when the first change waits for it.
+        # Runtimes load or compile a kernel at its first run: do it now, over empty lists, rather than at the first change.
         self._counts.clear()
         enqueue(device, self.layers)
         enqueue(device, self._finders)
 
     def run(self, image: cl.Buffer) -> None:
-        """Enqueue them all; see ``stss_cl.skip.partial_network.PartialNetwork.run_changed``."""
+        """Enqueue all layers; see ``stss_cl.skip.partial_network.PartialNetwork.run_changed``."""
         self.layers[-1].set(image=image)
         self._maps.clear()
         self._counts.clear()

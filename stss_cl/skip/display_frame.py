@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A display frame as a caller hands it over."""
+"""A display frame as a caller passes it."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from stss_ref.arrays import Array
 
 
 class DisplayFrame(Protocol):
-    """What an engine gives for a display frame (spec 0), float32. Nothing of it may change while it is in the window of a call.
+    """The arrays of a display frame (spec 0), float32. None of them may change while the frame is in the window of a call.
 
     Attributes:
-        color: (H, W, 3), or None.
-        motion: (H, W, 2).
-        gbuffer: (H, W, 9).
-        nov: (H, W).
-        stencil: (H, W).
-        position: (H, W, 3).
+        color: (H, W, 3) display-referred, in [0, 1]; None where the frame was not rendered.
+        motion: (H, W, 2) pixels, current -> previous, x right, y down.
+        gbuffer: (H, W, 9) normal 3, depth (normalised), roughness, metallic, base colour 3.
+        nov: (H, W) dot of normal and view vector.
+        stencil: (H, W) object number, 0 = static.
+        position: (H, W, 3) world space; cm.
     """
 
     @property

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Everything that decides how much of a frame is computed: whether to look for changes, whether flat tiles may be left out.
+"""Decide how much of a frame is computed: whether to look for changes, and whether flat tiles may be left out.
 
-Plan, execute, learn: ``ErrorControl.plan`` gives data, ``stss_cl.skip.frame_cache`` executes it, ``learn`` takes what it found.
+Plan, execute, learn: ``ErrorControl.plan`` returns data, ``stss_cl.skip.frame_cache`` executes it, ``learn`` takes the results.
 """
 
 from __future__ import annotations
@@ -17,21 +17,22 @@ from stss_cl.skip.uploaded_frames import Tiles
 
 @dataclass(frozen=True)
 class Rules:
-    """The constants. Periods count frames of a kind.
+    """The constants. Periods count frames of one kind, SF or EF.
 
     Attributes:
-        most_changed, most_changed_bounded: where a larger share of the network's inputs changed all of it is computed, since to look
-            for the rest would not pay; for ``bounded`` already where flat tiles save more.
+        most_changed, most_changed_bounded: if a larger share of the network's inputs changed, the whole network is computed, since
+            finding the unchanged rest would not pay. ``bounded`` has a lower share, from which flat tiles save more.
         patience, again, rest: after ``patience`` frames in a row, of either kind, in which all was computed, ``rest`` frames are
-            computed without looking for changes: looking costs, and a camera that moves seldom stops. From then on ``again`` frames
-            in a row suffice: the first of either kind makes up for what was left out meanwhile.
-        aim: share of the largest error that leaving out may make of a frame that is checked; the rest is for those between two checks.
-        flat: share of the largest error: the largest second difference of a colour that counts as flat.
-        first_check, growth, rarest_check: frames without flat tiles between two that are checked: at first; how many times as many
-            after each that went well; at most.
-        retry: after so many frames of which nothing may be left out it is tried again.
-        sampled, block, cut: every so many pixels of a colour are looked at, means of blocks of so many of those compared with the
-            last ones: a larger mean difference is another shot, and is checked. Single pixels would take a fast pan over a checker for one.
+            computed without looking for changes: looking costs time, and a moving camera seldom stops. After that, ``again`` frames
+            in a row suffice, the first of either kind computed whole to make up for the changes that were not looked for.
+        aim: share of ``max_error`` that skipping may cost a frame that is checked; the rest is margin for the frames between checks.
+        flat: share of ``max_error`` that the second difference of a colour may have in a flat tile.
+        first_check, growth, rarest_check: number of frames without flat tiles between two checks: at first; the factor by which it
+            grows after each good check; at most.
+        retry: number of frames after a bad check until flat tiles are tried again.
+        sampled, block, cut: to tell another shot, every ``sampled``-th pixel of a colour is read, and means of blocks of ``block`` x
+            ``block`` of these are compared with the last ones. A mean difference above ``cut`` is another shot, and is checked. By
+            single pixels, a fast pan over a checker would look like another shot.
     """
 
     most_changed: float = 0.75
@@ -54,7 +55,7 @@ RULES = Rules()
 
 
 class Attention:
-    """Whether to look where a stream's frames changed; shared by the ``ErrorControl`` of SFs and that of EFs.
+    """Decides whether to look where a stream's frames changed; the ``ErrorControl`` of SF and the one of EF share it.
 
     Attributes:
         frames_unlooked: frames left to be computed without looking, this one included.
@@ -64,12 +65,12 @@ class Attention:
         self.frames_unlooked = self._frames_all_changed = 0
 
     def begin(self) -> bool:
-        """The next frame begins; whether to look where it changed."""
+        """Begin the next frame; returns whether to look where it changed."""
         self.frames_unlooked = max(0, self.frames_unlooked - 1)
         return not self.frames_unlooked
 
     def looked(self, *, all_changed: bool) -> None:
-        """Somebody looked in vain, or not."""
+        """Record a frame whose changes were looked for; ``all_changed``: it was in vain."""
         self._frames_all_changed = self._frames_all_changed + 1 if all_changed else 0
         if self._frames_all_changed >= RULES.patience:
             self._frames_all_changed, self.frames_unlooked = RULES.patience - RULES.again, RULES.rest
@@ -80,7 +81,7 @@ class ErrorControl:
 
     Args:
         max_error: how far an image may be from the one computed whole; 0: every bit counts.
-        attention: shared with the other kind.
+        attention: shared with the other kind of frame.
     """
 
     def __init__(self, max_error: float, attention: Attention):
@@ -90,20 +91,20 @@ class ErrorControl:
 
     @property
     def needs_changes(self) -> bool:
-        """Whether it matters where the next frame changed: what was left out of the last one is not mended by changes alone."""
+        """Whether to find where the next frame changed: after a frame without its flat tiles, changes alone do not tell what to compute."""
         return not self._attention.frames_unlooked and not self._stale
 
     def plan_inputs(self, dirty: Tiles | None) -> InputPlan:
-        """What of the inputs to compute; ``dirty``: where they may differ from those of the last frame of the kind, None: everywhere."""
+        """Plan which inputs to compute; ``dirty``: where they may differ from those of the last frame of the kind, None: everywhere."""
         return InputPlan(dirty, looking=not self._attention.frames_unlooked)
 
     def plan(self, inputs: InputPlan, changed: float, color: NDArray[np.float32] | None) -> Plan:
-        """What of the network to run.
+        """Plan which part of the network to run.
 
         Args:
-            inputs: what was computed of them.
-            changed: the share of them that then differed.
-            color: the newest (H, W, 3), by which another shot is told.
+            inputs: the plan by which the inputs were computed.
+            changed: the share of the inputs that then differed.
+            color: the newest colour (H, W, 3), by which another shot is told.
         """
         all_changed = changed > (RULES.most_changed_bounded if self._max_error else RULES.most_changed)
         if not all_changed and not self._stale:
@@ -114,7 +115,7 @@ class ErrorControl:
         return Plan("partly" if leave_out else "whole", check, all_changed, inputs.looking)
 
     def learn(self, plan: Plan, departure: float | None) -> None:
-        """The plan was executed; ``departure``: of a frame that was checked, what leaving out flat tiles would have made of it."""
+        """Learn from an executed plan; ``departure``: the error that leaving out flat tiles would have made, if the frame was checked."""
         if departure is not None:
             self._flat.judge(departure)
         if plan.looking:
@@ -122,10 +123,10 @@ class ErrorControl:
 
 
 class FlatControl:
-    """Whether flat tiles are left out of the frames of a kind, by the departures of those that are checked.
+    """Decides whether flat tiles are left out of the frames of a kind, by the departures of checked frames.
 
     Attributes:
-        allowed: whether they are, between two checks.
+        allowed: whether they are left out between two checks.
     """
 
     def __init__(self, max_error: float):
@@ -133,7 +134,7 @@ class FlatControl:
         self._age, self._period = 0, RULES.first_check
 
     def next(self, *, cut: bool) -> tuple[bool, bool]:
-        """Whether the next frame is computed without its flat tiles, and whether it is checked, which is the other way.
+        """Whether the next frame is computed without its flat tiles, and whether it is checked; never both.
 
         ``cut``: it begins another shot.
         """
@@ -142,7 +143,7 @@ class FlatControl:
         return self.allowed and not due, due
 
     def judge(self, departure: float) -> None:
-        """The frame that was checked would have departed by so much."""
+        """Record a check: without its flat tiles the frame would have departed by ``departure``."""
         well, self._age = departure <= RULES.aim * self._max_error, 0
         if not well:
             self._period = RULES.retry
@@ -160,7 +161,7 @@ class Shot:
         self._last: NDArray[np.float32] | None = None
 
     def cut(self, color: NDArray[np.float32]) -> bool:
-        """Whether ``color`` (H, W, 3) shows something else than the last one; the first one does not."""
+        """Whether ``color`` (H, W, 3) shows another shot than the last one; False for the first."""
         now, before = _blocks(color[:: RULES.sampled, :: RULES.sampled]), self._last
         self._last = now
         if before is None:

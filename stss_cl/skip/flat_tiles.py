@@ -22,12 +22,12 @@ DIVISORS = (1, 2, 4)
 
 
 class FlatTiles:
-    """The network's layers, the decoder's among them computing only what is wanted.
+    """The network's layers, with the decoder's computing only the tiles that are not flat (*wanted*).
 
     Args:
         device: to run on.
-        layers: of the whole network; the last one writes the image.
-        inputs: what they read.
+        layers: the layers of the whole network; the last one writes the image.
+        inputs: their inputs.
         mask: (height, width) uint8, 1 = not a hole of the newest frame, a buffer.
         size: height and width of the frame.
         flat: the largest second difference of a colour that counts as flat, in units of the image.
@@ -60,11 +60,11 @@ class FlatTiles:
         self._rest = self._upsampled(self._layers[-1])
 
     def read(self, gbuffer: cl.Buffer) -> None:
-        """From now on ``gbuffer`` (height, width, 9) is the frame's: to be called before all others."""
+        """Use ``gbuffer`` (height, width, 9) as the frame's from now on; call this before the other methods."""
         self._detail.set(gbuffer=gbuffer)
 
     def ready(self, image: cl.Buffer) -> list[Launch]:
-        """Enqueue the search for what is wanted; the layers in order, and behind them a launch that writes the rest of ``image``."""
+        """Enqueue the search for wanted tiles. Returns the layers in order, and a last launch that writes the rest of ``image``."""
         self._counts.clear()
         for launch in (self._detail, *self._coarser, *self._finders):
             launch.enqueue(self._device.queue)
@@ -73,7 +73,7 @@ class FlatTiles:
         return [*self._layers, self._rest]
 
     def departure(self, image: cl.Buffer) -> float:
-        """How far ``image``, which the whole network made, lies from what it were with flat tiles left out; waits for it."""
+        """Largest difference of ``image``, made by the whole network, from the image without flat tiles; waits for it."""
         self._departure.set(image=image)
         for launch in (self._detail, self._departure):
             launch.enqueue(self._device.queue)
@@ -82,7 +82,7 @@ class FlatTiles:
         return float(apart.max())
 
     def wanted(self) -> NDArray[np.bool_]:
-        """Which tiles of the frame were no flat ones, (rows / 4, columns / 4) of the padded frame; waits for the queue."""
+        """True for the tiles that are not flat, (rows / 4, columns / 4) of the padded frame; waits for the queue."""
         return self.maps()[0]
 
     def maps(self) -> list[NDArray[np.bool_]]:
@@ -97,7 +97,7 @@ class FlatTiles:
         return Launch(name, made, *grid(self._device, *tiles[::-1]), arguments)
 
     def _found(self, layer: LayerLaunch, size: int, reach: int, *, unmarked: bool = False) -> TileList:
-        """The list of a layer's tiles that are wanted, or lie no farther than ``reach`` tiles from one that is; made before each frame."""
+        """The list of a layer's tiles within ``reach`` tiles of a wanted one, or with ``unmarked`` the others; made before each frame."""
         to = TileList(zeroed(self._device, 4 * layer.tiling.most), self._counts.take())
         wanted = Maps((self._maps[size],), *self._tiles[size])
         self._finders.append(find_tiles(self._device, layer.tiling.near(reach), wanted, to, unmarked=unmarked))
@@ -114,7 +114,7 @@ class FlatTiles:
             yield layer.over(self._device, self._found(layer, size, int(before_last)))
 
     def _upsampled(self, last: LayerLaunch) -> Launch:
-        """What the flat tiles are: the upsampled frame."""
+        """The launch that writes the upsampled frame into flat tiles."""
         workers, group = (1, 1) if self._device.is_cpu else (4, GROUP)
         to = self._found(last, 0, 0, unmarked=True)
         names = "color", "image", "height", "width", "rows", "columns"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What is kept of the last frame of a kind."""
+"""The data kept of the last frame of a kind, SF or EF, from which the next one is computed."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ DECODER = 0.45
 
 @dataclass(frozen=True)
 class Report:
-    """What a frame cost.
+    """The cost of a frame.
 
     Attributes:
         prepared: share of the tiles of 4 x 4 pixels whose inputs were computed anew.
-        changed: share of those whose inputs then differed; 1 where nobody looked.
-        network: what of the network was run, see ``stss_cl.skip.plan.Plan``; ``none``: the frame is the last one of its kind.
-        departure: for ``bounded``, of a frame that was checked: the largest difference that leaving out would have made.
+        changed: share of the tiles whose inputs then differed; 1 if they were not compared.
+        network: the part of the network that ran, see ``stss_cl.skip.plan.Plan``; ``none``: the frame equals the last one of its kind.
+        departure: for ``bounded``, if the frame was checked: the largest error that leaving out flat tiles would have made.
     """
 
     prepared: float
@@ -45,7 +45,7 @@ class Report:
 
 @dataclass(frozen=True)
 class Last:
-    """The last frame of a kind: its number and those of the oldest frame and of the colours that it read, and its ``valid``."""
+    """The last frame of a kind: its number, the numbers of the oldest frame and of the colours that it read, and its ``valid``."""
 
     number: int
     oldest: int
@@ -55,7 +55,7 @@ class Last:
 
 
 class FrameCache:
-    """All that is kept of the last frame of a kind. SF and EF differ at every silhouette: each would recompute the other's."""
+    """The data kept of the last frame of a kind. SF and EF have separate caches, since their inputs differ at every silhouette."""
 
     def __init__(self, device: Device, layers: Layers, gather: Gather, max_error: float, attention: Attention):
         self.layers, self.network = layers, PartialNetwork(layers)
@@ -71,19 +71,19 @@ class FrameCache:
         self.network.begin()
 
     def read(self, steps: tuple[int, int, int]) -> tuple[int, ...]:
-        """Those of the steps whose colour frames these weights read."""
+        """The steps whose colour frames these weights read."""
         return steps if self.layers.reads_history else steps[:1]
 
     def prepare_inputs(self, sources: Sources, plan: InputPlan) -> float:
-        """Fill the network's inputs; the share of tiles of which they then differ, 1 where nobody looked."""
-        self._is_first, self.last = self.last is None, None  # should this end half-way, nothing of it is the next frame's
+        """Fill the network's inputs; returns the share of tiles in which they then differ, 1 if they were not compared."""
+        self._is_first, self.last = self.last is None, None  # if this fails half-way, the next frame must not use it
         self._mark(plan.dirty)
         self.prepare.start(sources, older=self.layers.reads_history, looking=plan.looking)
         self.prepare.strip()
         return 1.0 if self._is_first or not plan.looking else self._changed()
 
     def execute(self, plan: Plan) -> tuple[float | None, NDArray[np.bool_]]:
-        """Run the network; the departure of a frame that is checked, and ``valid``."""
+        """Run the network; returns the departure if the frame is checked, else None, and ``valid``."""
         departure = None
         if plan.network == "changed":
             self.network.run_changed(self.image.target(whole=False))
@@ -99,11 +99,11 @@ class FrameCache:
         return departure, valid.view(np.bool_)
 
     def activity(self) -> NDArray[np.float32]:
-        """How much of the network ``run`` took, for each tile of the last frame: 1 but for flat tiles, which took no decoder."""
+        """The share of the network that ran for each tile of the last frame: 1, or less in flat tiles, which need no decoder."""
         return np.where(self._flat_tiles().wanted(), np.float32(1), np.float32(1 - DECODER))
 
     def _flat_tiles(self) -> FlatTiles:
-        """Of the last frame prepared; built when it is first asked for."""
+        """The flat tiles of the last frame prepared; built at its first use."""
         if self._flat is None:
             layers = self.layers
             self._flat = FlatTiles(self._device, layers.launches, layers.inputs, self.prepare.mask, layers.size, self._max_bend)
@@ -111,7 +111,7 @@ class FrameCache:
         return self._flat
 
     def _mark(self, dirty: Tiles | None) -> None:
-        """Have the inputs computed where they are ``dirty``, and nowhere else; None: everywhere."""
+        """Mark where the inputs are to be computed: where they are ``dirty``, or everywhere for None."""
         tiles = _spread(dirty, (self.prepare.rows, self.prepare.columns))
         cl.enqueue_copy(self._device.queue, self.prepare.dirty, tiles, is_blocking=True)
 
@@ -127,7 +127,7 @@ class FrameCache:
 
 
 def _spread(changed: Tiles | None, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """The map of what is to be computed for a padded ``size``: a pixel reads its right and lower neighbours, and padding repeats."""
+    """The map of tiles to compute for a padded ``size``: changes spread since a pixel reads its right and lower neighbours."""
     rows, columns = (length // 4 for length in size)
     if changed is None:
         return np.ones((rows, columns), np.uint8)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The last image of a kind, which is shown to callers and written over once nobody has it."""
+"""The last image of a kind, which callers may view and which is overwritten once no caller holds it."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ Image = NDArray[np.float32]
 
 
 class LastImage:
-    """An image in memory that belongs to the stream, lent to whoever looks at it.
+    """An image in memory that belongs to the stream and that callers may hold.
 
-    A loan is the array that ``show`` returns, with all views made of it, and ends with the last of them. While it lasts nothing is
-    written there: the next image goes elsewhere, and the memory stays with its borrowers.
+    ``show`` returns an array of that memory. As long as this array or a view of it exists, nothing is written there: the next image
+    goes to new memory, and the old memory lives as long as its arrays.
 
     Args:
         device: to run on.
-        shape: of the image.
+        shape: shape of the image.
     """
 
     def __init__(self, device: Device, shape: tuple[int, int, int]):
@@ -36,13 +36,13 @@ class LastImage:
         assert self._image is not None, "no image was made yet"
         array, lent = self._image.finish(), self._lent()
         if lent is None:
-            # A view's base is the array that it was made of, unless that is a view of another array: here it is one of a buffer.
+            # A view's base is the array it was made from, unless that is itself a view of an array; this one is a view of a buffer.
             lent = np.asarray(memoryview(array).toreadonly())
             self._loan = weakref.ref(lent)
         return lent.view()
 
     def target(self, *, whole: bool) -> cl.Buffer:
-        """Where to write the next image: over the last one, or elsewhere if that is lent, and then over a copy unless ``whole``."""
+        """The buffer for the next image: the last one, or a new one if a caller holds the last; then with its content unless ``whole``."""
         last = self._image
         if last is None or self._lent() is not None:
             self._image, self._loan = Outgoing(self._device, self._shape, on_device=False), None

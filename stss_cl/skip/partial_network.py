@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A network of which less than all is run: where something changed, or without flat tiles."""
+"""Run only a part of the network: where something changed, or without flat tiles."""
 
 from __future__ import annotations
 
@@ -19,55 +19,55 @@ from stss_cl.skip.flat_tiles import FlatTiles
 
 
 class PartialNetwork:
-    """The network of ``layers``, of which every layer keeps what it wrote; other layers are always run whole."""
+    """Runs the network of ``layers`` whole or in part; in part only if its layers keep their outputs."""
 
     def __init__(self, layers: Layers):
         self.layers = layers
         self._changed: ChangedTiles | None = None
         self._builder: Thread | None = None
-        # What no frame changes: by weights that do not read the history, what its branch makes.
+        # With weights that do not read the history, the output of its branch is constant.
         constant = layers.keep and not layers.reads_history
         self._constant = frozenset(i for i, layer in enumerate(layers.launches) if constant and layer.stage == "history")
 
     def begin(self) -> None:
-        """Enqueue, before the first ``run``, what no later one computes again."""
+        """Enqueue, before the first ``run``, the layers whose outputs are constant."""
         enqueue(self.layers.device, (layer for i, layer in enumerate(self.layers.launches) if i in self._constant))
 
     def run(self, image: cl.Buffer, flat: FlatTiles | None = None) -> None:
-        """Enqueue the network, without what is ``flat``; ``image`` is complete when the queue has run dry."""
+        """Enqueue the network, without the ``flat`` tiles; ``image`` is complete when the queue is empty."""
         launches = self.layers.ready(image) if flat is None else flat.ready(image)
         enqueue(self.layers.device, (launch for i, launch in enumerate(launches) if i not in self._constant))
 
     def run_changed(self, image: cl.Buffer) -> None:
-        """Enqueue what the marks in the change maps of ``inputs`` lead to; the rest of ``image``, the last one made, stays.
+        """Enqueue the tiles that the marks in the change maps of ``inputs`` reach; the rest of ``image``, the last one made, stays.
 
-        Whoever fills the network's inputs marks the tiles that came to differ since the last run of either kind, and clears the
-        marks behind this one. The image has the bits of ``run``'s.
+        The code that fills the network's inputs must mark the tiles that differ since the last ``run`` or ``run_changed``, and clear
+        the marks after this one. The image has the same bits as one of ``run``.
         """
         self.changed_tiles().run(image)
 
     def expect_changes(self) -> None:
-        """Begin to build what the first ``run_changed`` would wait for, while the caller does something else with its image."""
+        """Begin to build the kernels of ``run_changed`` in another thread, while the caller uses its image."""
         if self._changed is None and self._builder is None:
             self._builder = Thread(target=self._build_behind)
             self._builder.start()
 
     def settle(self) -> None:
-        """Wait for it, and load it: better at a stream's start than among its frames."""
+        """Wait for these kernels and load them: at a stream's start, rather than at its first change."""
         if self._builder is not None:
             self._builder.join()
             self._builder = None
             self.changed_tiles()
 
     def changed_tiles(self) -> ChangedTiles:
-        """What ``run_changed`` runs; made once."""
+        """The layers of ``run_changed``; made once."""
         if self._changed is None:
             self._changed = ChangedTiles(self.layers.device, self._layers(), self.layers.maps)
         return self._changed
 
     def _build_behind(self) -> None:
-        # Programs alone: PyOpenCL writes code for each kernel object, and warns where two threads do so at once.
-        with suppress(Exception):  # whatever it is, ``run_changed`` meets it, too
+        # Only programs: PyOpenCL generates code for each kernel object, and warns if two threads do so at once.
+        with suppress(Exception):  # ``run_changed`` meets the same error and reports it
             finder(self.layers.device)
             for layer in self._layers():
                 layer.program(self.layers.device, marking=layer.changes is not None)
@@ -76,9 +76,9 @@ class PartialNetwork:
         return [layer for i, layer in enumerate(self.layers.launches) if i not in self._constant]
 
     def activity(self) -> NDArray[np.float32]:
-        """Where the last ``run_changed`` changed anything: the share of the stored activations, for each 4 x 4 pixels of the largest.
+        """The share of the stored activations that the last ``run_changed`` changed, for each 4 x 4 pixels of the largest ones.
 
-        Waits for the queue. A tile of smaller activations counts for all the pixels that it stands for.
+        Waits for the queue. A tile of smaller activations counts for all pixels that it covers.
         """
         layers = self.layers
         height, width = layers.inputs.input.height, layers.inputs.input.width

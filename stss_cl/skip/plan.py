@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What is to be computed of a frame: data between ``error_control``, which decides, and ``frame_cache``, which executes."""
+"""Plans of a frame's computation: ``error_control`` makes them, and ``frame_cache`` executes them."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from stss_cl.skip.uploaded_frames import Tiles
 
 @dataclass(frozen=True)
 class InputPlan:
-    """What of a frame's inputs is computed.
+    """Which of the network's inputs to compute.
 
     Attributes:
-        dirty: where; None: everywhere. Nowhere: the frame is the last one of its kind.
-        looking: whether what came to differ is marked.
+        dirty: where; None: everywhere. If nowhere, the frame equals the last one of its kind.
+        looking: whether to mark the tiles that then differ.
     """
 
     dirty: Tiles | None
@@ -23,19 +23,19 @@ class InputPlan:
 
     @property
     def nothing(self) -> bool:
-        """Whether nothing is to be computed."""
+        """Whether nothing needs to be computed."""
         return self.dirty is not None and not self.dirty.any()
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What of the network is run.
+    """Which part of the network to run.
 
     Attributes:
-        network: ``changed``: where inputs changed; ``partly``: everywhere, but for the decoder's flat tiles; ``whole``: everywhere.
-        check: whether the image, which is ``whole``, shows what leaving out flat tiles would have made of it.
-        all_changed: whether there was nothing to gain from looking for changes.
-        looking: whether anybody looked.
+        network: ``changed``: where inputs changed; ``partly``: everywhere, except for the decoder in flat tiles; ``whole``: everywhere.
+        check: whether to measure, on a ``whole`` image, the error that leaving out flat tiles would make.
+        all_changed: whether looking for changes gained nothing.
+        looking: whether changes were looked for.
     """
 
     network: Literal["changed", "partly", "whole"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Display frames one after the other: stage ``frame`` for each, computing only where something changed."""
+"""Compute display frames one after the other, each only where something changed."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from stss_ref.weights import Weights
 
 Skip = Literal["off", "exact", "bounded"]
 SKIPS: tuple[Skip, ...] = ("off", "exact", "bounded")
-"""``off``: every frame is computed whole. ``exact``: what did not change is kept, with the bits of ``off``. ``bounded``: where a camera
-moves, flat tiles are left out besides."""
+"""``off``: compute every frame whole. ``exact``: reuse what did not change, with the bits of ``off``. ``bounded``: where a camera moves,
+leave out flat tiles too."""
 
 
 class Stream:
@@ -40,13 +40,13 @@ class Stream:
         device: to run on; None = ``stss_cl.device.discovery.open_device()``.
         precision: see ``stss_cl.network.network.PRECISIONS``.
         gather: how the motion chain reads between pixels.
-        memory_limit: see ``stss_cl.network.network.Network``; where what is kept does not fit, nothing is left out.
-        skip: of ``SKIPS``.
-        max_error: for ``bounded``: how far the image may be from that of ``off``, in units of the image. Held by checks: every so
-            many frames one is computed whole, which shows what leaving out makes (docs/skipping.md says how often it is missed).
+        memory_limit: see ``stss_cl.network.network.Network``; if the data kept between frames do not fit, every frame is computed whole.
+        skip: one of ``SKIPS``.
+        max_error: for ``bounded``: how far the image may be from the one of ``off``, in units of the image. It is held by checks: now and
+            then a frame is computed whole, which shows the error of skipping (docs/skipping.md says how often frames exceed it).
 
     Attributes:
-        report: what the last frame cost.
+        report: the cost of the last frame.
     """
 
     def __init__(
@@ -76,19 +76,20 @@ class Stream:
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Compute the last frame of ``window``.
 
-        Nothing of a call depends on those before it but the time it takes. Frames are known again by being the same objects, from one
-        window to the next. On a processor their arrays are read in place, and those of a window are compared with what arrives in the
-        next one: nothing of a frame may change until a call without it, which already finds the frame's arrays free for another one.
-        A caller that hands in windows of six thus needs six sets of arrays, and an object for each frame.
+        With ``off`` and ``exact`` only the time of a call depends on earlier calls. A frame is recognised in the next window if it is
+        the same object. On a CPU the arrays of frames are read in place, and those of a window are compared with the frames that arrive
+        in the next one. So the arrays of a frame must not change from one call to the next if both windows have the frame; for the first
+        call whose window lacks it they may already hold another one. A caller that passes windows of six frames thus needs six sets of
+        arrays, and an object for each frame.
 
         Args:
             window: consecutive display frames of one size, oldest first.
             steps: how many frames back the three colour frames lie, newest first; ``window`` holds them.
-            out: (2H, 2W, 3) float32, C-contiguous: what the image is copied to; None: the stream lends its own.
+            out: (2H, 2W, 3) float32, C-contiguous: gets a copy of the image; None: the stream returns its own array.
 
         Returns:
-            image: (2H, 2W, 3) float32, not clipped: ``out``, or an array that is read-only where something is kept, since it may be the
-                last frame's. That never changes while it, or a view of it, is in somebody's hands.
+            image: (2H, 2W, 3) float32, not clipped: ``out``, or the stream's array, which is read-only if frames are kept. It never
+                changes as long as the caller holds it or a view of it.
             valid: (H, W) False in the warping holes of the newest colour frame; likewise.
 
         Raises:
@@ -126,16 +127,16 @@ class Stream:
         return self._compute(cache, held, chosen, dirty, window[-1 - chosen[0]].color)
 
     def expect(self, size: tuple[int, int]) -> None:
-        """Build what the first call for frames of (H, W) would wait for, such as while that frame is being read."""
+        """Build the kernels of the first call for frames of (H, W) in advance, for example while that frame is read."""
         self._arriving(size)
         if self._keep(size, extrapolates=False) is None:
             self._whole.expect(size)
 
     def activity(self) -> NDArray[np.float32]:
-        """How much of the network the last frame took, for each 4 x 4 of its pixels: 0 nothing, 1 everything.
+        """The share of the network that the last frame needed, for each 4 x 4 of its pixels: from 0, nothing, to 1, everything.
 
-        Of a frame that was computed where something changed it is the share of the stored activations that came to differ; of one of
-        which something was left out, see ``FrameCache.activity``.
+        For a frame computed only where something changed, this is the share of the stored activations that changed. For a frame
+        without its flat tiles see ``FrameCache.activity``.
         """
         assert self._uploaded is not None, "no frame was computed yet"
         rows, columns = (-(-length // 4) for length in self._uploaded.size)
@@ -175,7 +176,7 @@ class Stream:
         return self._uploaded
 
     def _keep(self, size: tuple[int, int], *, extrapolates: bool) -> FrameCache | None:
-        """What is kept of SFs, or of EFs; None: nothing is."""
+        """The cache of SF, or of EF; None if nothing is kept."""
         if self._skip == "off":
             return None
         if extrapolates not in self._caches:
@@ -189,7 +190,7 @@ class Stream:
         return self._caches[extrapolates]
 
     def _can_keep(self, size: tuple[int, int]) -> bool:
-        """Whether the limit is enough to keep all of an SF and all of an EF."""
+        """Whether the memory limit allows a cache for SF and one for EF."""
         height, width = map(ceil8, size)
         return 2 * bytes_for(height, height, width, dtype_of(self.precision), keep=True) <= self._memory
 
@@ -198,7 +199,7 @@ class Stream:
     ) -> Tiles | None:
         """Where the network's inputs may differ from those of the last frame of the kind; None: everywhere.
 
-        They are the same where, in all frames that either read, nothing moves and the surface is the same, and so are the colours.
+        They are equal where nothing moves and the surface is the same in all frames that either reads, and the colours are the same.
         """
         last = cache.last
         if last is None or _missing(steps) != _missing(last.steps):
@@ -220,5 +221,5 @@ def _last(held: list[UploadedFrame], steps: tuple[int, ...], valid: NDArray[np.b
 
 
 def _missing(steps: tuple[int, ...]) -> list[bool]:
-    """Which older colour frames stand in for missing ones."""
+    """For each older colour frame, whether it replaces a missing one."""
     return [older == newer for newer, older in pairwise(steps)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Display frames as they arrive on the device, each once, and where each differs from the one before it."""
+"""Upload display frames to the device, each once, and find where each differs from the one before it."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ Tiles = NDArray[np.bool_]
 SPAN = 256
 """Tiles of a work-item of changed_tiles.cl."""
 HELD = 9
-"""Display frames that are remembered: the window of an output, that of the one before it of the same kind, and one more. Of all but the
-window's it is remembered where they differ, and nothing else: their arrays are the caller's again."""
+"""Number of display frames that are remembered: an output's window, the window of the output before it of the same kind, and one more.
+Of frames older than the window only the places where they differ are remembered: the caller may reuse their arrays."""
 FINITE = ("color", "gbuffer", "nov", "stencil")
 
 
@@ -35,12 +35,12 @@ class UploadedFrame:
     """A display frame on the device.
 
     Attributes:
-        frame: as it was given; None once it is older than the window.
-        number: counts the frames as they arrived; of no meaning but to compare.
-        planes: the buffers by name; none once it is older than the window.
-        color: its colour, if it has one; none once it is older than the window.
-        changed: where it differs from the frame before it, or moves; None: there is none before it, or nobody looked.
-        recolored: where its colour differs from the last one before it, nowhere if it has none; None: likewise.
+        frame: the caller's object; None once it is older than the window.
+        number: counts the frames in order of arrival; only for comparisons.
+        planes: the buffers by name; empty once it is older than the window.
+        color: its colour, if it has one; None once it is older than the window.
+        changed: where it differs from the frame before it, or moves; None: there is no frame before it, or they were not compared.
+        recolored: where its colour differs from the last one before it, nowhere if it has no colour; None: likewise.
     """
 
     frame: DisplayFrame | None
@@ -51,12 +51,12 @@ class UploadedFrame:
     recolored: Tiles | None = None
 
     def let_go(self) -> None:
-        """Its arrays are the caller's again, who may write to them."""
+        """Drop its arrays: the caller may write to them again."""
         self.frame, self.planes, self.color = None, {}, None
 
 
 class UploadedFrames:
-    """The last frames of one size (height, width) that arrived, each the next display frame after the one before it."""
+    """The last frames of one size (height, width) that arrived, consecutive display frames."""
 
     def __init__(self, device: Device, height: int, width: int):
         self._device, self.size = device, (height, width)
@@ -71,18 +71,18 @@ class UploadedFrames:
 
     @cached_property
     def _comparing(self) -> dict[str, cl.Kernel]:
-        """Built when a second frame comes."""
+        """The kernels that compare frames; built when a second frame comes."""
         program = build(self._device, "changed_tiles.cl", {"SPAN": SPAN})
         return {name: cl.Kernel(program, name) for name in ("differ", "differ_color")}
 
     def take(self, window: Sequence[DisplayFrame], *, compare: bool) -> list[UploadedFrame]:
-        """The frames of ``window``, consecutive and oldest first, on the device; those of the last window are not looked at again.
+        """Upload the frames of ``window``, consecutive and oldest first; frames of the last window are not uploaded or compared again.
 
-        Frames are compared when they arrive, with frames of the same window: of all others the arrays may have been written to since.
+        Frames are compared when they arrive, and only with frames of the same window: the caller may have written to older arrays.
 
         Args:
-            window: the frame to be computed is the last.
-            compare: look where new ones differ from those before them.
+            window: its last frame is the one to compute.
+            compare: whether to find where new frames differ from those before them.
 
         Raises:
             ArrayError: a shape or dtype is not a frame's, or a value that must be finite is not.
@@ -98,21 +98,21 @@ class UploadedFrames:
         if self._chain[-1] is not known[-1]:
             while self._chain[-1] is not known[-1]:
                 self._chain.pop()
-            self._count += 1  # what arrives next does not follow the one that was last
+            self._count += 1  # the next frame does not follow the last one
         for held in takewhile(lambda held: held is not known[0], self._chain):
             held.let_go()
         return known
 
     def forget(self) -> None:
-        """What arrives next follows nothing."""
+        """Forget all frames: the next one follows none."""
         self._chain.clear()
 
     def changed(self, first: int, last: int) -> Tiles | None:
-        """Where something moves or differs in the frames numbered ``first`` + 1 .. ``last``; None: everywhere, for all that is known."""
+        """Where something moves or differs in the frames numbered ``first`` + 1 .. ``last``; None: unknown, so possibly everywhere."""
         return self._either([held.changed for held in self._chain if first < held.number <= last], last - first)
 
     def color_changed(self, one: int, other: int) -> Tiles | None:
-        """Where the colours of two frames may differ, by their numbers; None: everywhere, for all that is known."""
+        """Where the colours of two frames may differ, by their numbers; None: unknown, so possibly everywhere."""
         first, last = sorted((one, other))
         return self._either([held.recolored for held in self._chain if first < held.number <= last], last - first)
 
@@ -121,7 +121,7 @@ class UploadedFrames:
         return np.logical_or.reduce([*known, np.zeros(self._shape, np.bool_)]) if len(known) == count else None
 
     def _arrive(self, frame: DisplayFrame, window: Sequence[UploadedFrame], *, compare: bool) -> None:
-        """``window``: the frames before it that its outputs read, too."""
+        """Upload and compare a frame; ``window`` has the frames before it that its output also reads."""
         height, width = self.size
         shapes = {"motion": (2,), "gbuffer": (9,), "nov": (), "stencil": (), "position": (3,)}
         planes = {
@@ -156,7 +156,7 @@ class UploadedFrames:
     def _launch(self, name: str, *arguments: cl.Buffer | None) -> None:
         kernel = self._comparing[name]
         size = -(-self._shape[1] // SPAN), self._shape[0]
-        # A group that does not follow the size, see stss_cl.device.grid.grid; one work-item does much.
+        # A group that does not depend on the size, see stss_cl.device.grid.grid; each work-item does much.
         kernel(self._device.queue, size, (1, 1) if self._device.is_cpu else None, *arguments, *map(np.int32, self.size))
 
     def _scan(self, buffer: cl.Buffer, floats: int, which: int) -> None:
@@ -179,7 +179,7 @@ class UploadedFrames:
 
 
 def sources(held: Sequence[UploadedFrame], steps: tuple[int, int, int]) -> Sources:
-    """What stage ``frame`` reads for the last of ``held``, consecutive frames of which the steps lead to those with colour."""
+    """The inputs of stage ``frame`` for the last of ``held``, which are consecutive frames; the steps lead to frames with colour."""
     back = held[::-1]
     now, colors = back[0].planes, [back[step] for step in steps]
     shown = [now, *(frame.planes for frame in colors)]
