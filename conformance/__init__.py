@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""Judges ports of the reference; knows `stss_ref` and no port."""
+"""The judge of ports: it knows the reference, `stss_ref`, and no port."""

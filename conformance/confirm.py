@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A failure is run again: alone, and after the cases before it. What fails only sometimes says so."""
+"""Run a failure again, alone and after the cases before it, and say if it occurs only sometimes."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from conformance.rehearsal import prepare
 
 
 def confirm(judge: Judge, body: Body) -> Failure:
-    """The failure of the test that ran last, with words where it does not fail on its own.
+    """Confirm the failure of the test that ran last; its message says if it does not fail alone.
 
     Args:
-        judge: whose ``record`` has it.
+        judge: its ``record`` has the failure.
         body: the property.
 
     Returns:
-        The smallest case if that fails alone. Otherwise the first one that failed, with as few of the cases before it as it needs.
+        The smallest case if that fails alone. Otherwise the first case that failed, with as few of the cases before it as it needs.
     """
     small, first = judge.record.failure, judge.record.first
     assert small is not None

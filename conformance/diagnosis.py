@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A wrong answer beside those of known mistakes: which of them, planted in the reference, gives the same numbers on the same input."""
+"""Compare a wrong answer with known mistakes: which of them, planted in the reference, gives the same numbers on the same input."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from conformance.protocol.port import Case, Outputs
 from conformance.rehearsal import prepare
 
 MOST_SECONDS = 20.0
-"""Of computing time, for one diagnosis."""
+"""Most computing time of one diagnosis; seconds."""
 MOST_NAMED = 3
 INSIDE = ("history", "encoder", "erm", "decoder")
 CONTAINS = {"network": INSIDE, "frame": ("motion_chain", "warp", "holes", "occlusion_warp", "network", *INSIDE)}
@@ -28,11 +28,11 @@ ALIKE = 0.99
 
 
 def diagnose(judge: Judge, finding: Finding) -> str:
-    """Words on what a wrong answer looks like.
+    """Name the known mistakes that a wrong answer looks like.
 
     Returns:
-        ``looks like: ...``, the nearest first; or that no known mistake gives these numbers. Empty where there is nothing to compare:
-        the port gave no answer, or one that is right by itself, so that only two of its answers together are wrong.
+        ``looks like: ...``, the nearest first; or that no known mistake gives these numbers. "" where there is nothing to compare: the
+        port gave no answer, or its answer is right by itself and only two of its answers together are wrong.
     """
     if finding.expected is None:
         return ""
@@ -62,7 +62,7 @@ def _asked(judge: Judge, case: Case) -> None:
 
 
 def _shown_by(stage: str) -> tuple[Mistake, ...]:
-    """Those of the stage itself first, then those of stages whose code it shares or contains."""
+    """The mistakes of the stage itself first, then those of stages whose code it shares or contains."""
     inside = [mistake for part in CONTAINS.get(stage, ()) for mistake in of_stage(part)]
     return tuple(dict.fromkeys([*of_stage(stage), *of_stage(stage, shared=True), *inside]))
 
@@ -73,7 +73,7 @@ def _port(mistake: Mistake) -> Variant:
 
 
 def explained(got: Outputs, made: Outputs, right: dict[str, Expected], wrong: dict[str, NDArray[np.bool_]]) -> float:
-    """Which share of the numbers that are wrong, and of all others, are those of a mistake, within twice their bound; the smaller one."""
+    """The share of the wrong numbers that a mistake gives too, within twice their bound, or of the others, whichever is smaller."""
     shares = [1.0]
     for name, expected in right.items():
         if made[name].shape != got[name].shape:

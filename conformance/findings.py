@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the judge found: one departure, what one test met, how one test ended."""
+"""Records of what the judge found: a departure, the cases of a test, the result of a test."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ class Finding:
 
     Attributes:
         message: what departs, where, by how much.
-        case: what the port was given.
+        case: the port's inputs.
         output: name of the wrong output.
-        got: what the port answered.
-        expected: what is right.
+        got: the port's answer; None: it gave none.
+        expected: the right answer; None: it is not known.
     """
 
     message: str
@@ -59,17 +59,17 @@ class Failure:
 
 @dataclass
 class Record:
-    """What one test met.
+    """The cases of one test, and their results.
 
     Attributes:
-        cases: how often the port was asked.
-        undecided: numbers that rounding decided.
-        unjudged: answers that were not held against anything, since rounding decides on the whole of them.
+        cases: number of cases that the port computed.
+        undecided: numbers for which rounding decides between several right answers.
+        unjudged: answers that were not judged, since rounding decides on the whole of them.
         worst: largest error / bound of each output, by ``stage.output``.
-        failure: what failed the test, as small as it got.
-        first: what failed it first.
-        largest: the largest height and width that the port was asked for.
-        drawn: digest of the test's cases, where the judge takes it.
+        failure: the failure of the test, in its smallest form.
+        first: the first failure of the test.
+        largest: the largest height and width among the cases.
+        drawn: digest of the test's cases; empty where the judge takes none.
     """
 
     cases: int = 0
@@ -82,7 +82,7 @@ class Record:
     drawn: bytes = b""
 
     def met(self, sizes: Mapping[str, int]) -> None:
-        """The port was asked once more, for these sizes."""
+        """Count one more case, of these sizes."""
         self.cases += 1
         self.largest = max(self.largest[0], sizes["H"]), max(self.largest[1], sizes["W"])
 
@@ -94,11 +94,11 @@ class TestResult:
     Attributes:
         id: ``stage.test``, as a file of known failures names it.
         stage: its stage.
-        property: what it asks, in words.
+        property: the property that it tests, in words.
         outcome: ``passed``, ``failed``, ``skipped`` (the port lacks the stage), ``known`` (failed, as expected) or ``error``.
-        message: why, unless passed.
-        seconds: it took.
-        record: what it met.
+        message: why, unless it passed.
+        seconds: duration.
+        record: its cases and results.
     """
 
     __test__ = False  # to pytest: none of its classes
@@ -113,7 +113,7 @@ class TestResult:
 
 
 def tallied(records: Sequence[Record]) -> Counter[str]:
-    """Cases, undecided numbers and unjudged cases of several tests together."""
+    """Total cases, undecided numbers and unjudged cases of several tests."""
     return Counter({
         "cases": sum(r.cases for r in records),
         "undecided": sum(r.undecided for r in records),
@@ -122,12 +122,12 @@ def tallied(records: Sequence[Record]) -> Counter[str]:
 
 
 def said(output: str, got: NDArray[Any], expected: Expected, worst: float) -> str:
-    """One line: how wrong ``got`` is at its worst number, and how much of it departs.
+    """One line that says how wrong ``got`` is at its worst number, and what share of it departs.
 
     Args:
         output: ``stage.name``.
-        got: what the port answered.
-        expected: what is right.
+        got: the port's answer.
+        expected: the right answer.
         worst: the largest error / bound.
     """
     if got.shape != expected.want.shape:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Failures that a port's authors know of: each with a reason, and with the day until which it is excused."""
+"""Known failures of a port: each has a reason, and a last day on which it is excused."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ KEYS = ("test", "until", "reason")
 
 
 class KnownFailuresError(ValueError):
-    """A file of known failures is malformed, or names a test that there is not."""
+    """A file of known failures is malformed, or names a test that does not exist."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class KnownFailure:
 
     Attributes:
         test: its id, ``stage.test``.
-        until: the last day on which that is no failure.
+        until: the last day on which the failure is excused.
         reason: why, or a link.
     """
 
@@ -37,7 +37,7 @@ class KnownFailure:
     reason: str
 
     def excuse(self, result: TestResult) -> None:
-        """Say of a result that failed that it is known; past the day it stays a failure, and says so."""
+        """Mark a failed result as known; past its day it stays a failure, and its message says so."""
         if date.today() <= self.until:
             result.outcome = "known"
             result.message += f"; known until {self.until}: {self.reason}"
