@@ -96,8 +96,8 @@ def ratio(row: str, got: NDArray[Any], want: NDArray[Any], scale: NDArray[Any] |
 
     Args:
         row: name in ``BOUNDS``.
-        got: what is judged; its dtype is the arithmetic.
-        want: what it is held against.
+        got: the numbers to judge; their dtype is the arithmetic.
+        want: the numbers to compare with.
         scale: see the module.
     """
     bound = BOUNDS[row]

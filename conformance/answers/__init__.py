@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""What is right: for each stage's inputs the reference's answer, and how far a port may lie from it."""
+"""The right answers: for each stage's inputs the reference's answer, and the allowed error of a port."""

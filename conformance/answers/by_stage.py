@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What each stage's port may answer: one function per stage, by its name."""
+"""The right answers of each stage: one function for each stage, by its name."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ IMAGE_SPACE: dict[str, Callable[[dict[str, NDArray[Any]], Arithmetic], dict[str,
 def expect(
     stage: str, inputs: dict[str, NDArray[Any]], weights: Weights | None, arithmetic: Arithmetic, got: Outputs
 ) -> dict[str, Expected]:
-    """What is right for a case.
+    """The right answers for a case.
 
     Args:
         stage: its name.
-        inputs: float64, of numbers that the port holds.
-        weights: as the port was given them.
-        arithmetic: of the port.
-        got: what the port answered: what it read by one output it must have done in another.
+        inputs: float64, of numbers that the port's arithmetic holds.
+        weights: the port's weights.
+        arithmetic: the port's arithmetic.
+        got: the port's answer, since one output may depend on the port's own choice in another.
 
     Returns:
-        By output; empty where rounding decides on the whole answer, so that nothing can be said.
+        Output -> right answers; empty where rounding decides on the whole answer, so that it cannot be judged.
     """
     if stage in IMAGE_SPACE:
         return IMAGE_SPACE[stage](inputs, arithmetic)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a port may answer: the truth, what it may be off by, and other answers that are as right."""
+"""The right answers of an output: the truth, the allowed error, and other answers that are equally right."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ Bool = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Expected:
-    """Of one output.
+    """The right answers of one output.
 
     Attributes:
         want: the truth.
-        allowed: what each number may be off by; shape of ``want``, or a number.
+        allowed: the allowed error of each number; shape of ``want``, or one number.
         others: further right answers, each of the shape of ``want``: where rounding decides, either side is right.
         vectors: whether the last axis belongs together: an answer is right as a whole, and non-finite as a whole.
     """
@@ -33,7 +33,7 @@ class Expected:
 
     @property
     def undecided(self) -> int:
-        """How many numbers have more than one right answer."""
+        """Number of values that have more than one right answer."""
         different = np.zeros(self.want.shape, bool)
         for other in self.others:
             different |= (other != self.want) & ~(np.isnan(other) & np.isnan(self.want))
@@ -57,7 +57,7 @@ class Expected:
 
 
 def exact(want: NDArray[Any]) -> Expected:
-    """Nothing is computed: the same numbers."""
+    """The right answer of an output that only copies numbers: nothing is allowed."""
     return Expected(want, 0.0)
 
 

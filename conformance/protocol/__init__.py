@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How a port is asked: the stages, their arrays, a port as an object, a port as a program."""
+"""The port protocol: the stages, their arrays, a port as an object, a port as a program."""
 
 from conformance.protocol.job_folder import JobError, write_job
 from conformance.protocol.port import Case, Port, PortError, Unsupported

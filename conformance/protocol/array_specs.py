@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Sizes and kinds of arrays, as the stage table writes them, and the check of arrays against them."""
+"""Sizes and kinds of arrays in the form of the stage table, and the check of arrays against them."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Kind = Literal["float", "uint8", "int"]
 Sizes = dict[str, int]
 """Size of each letter."""
 Label = Callable[[str], str]
-"""From an array's name to what an error calls it, such as its file."""
+"""Turns an array's name into the name that an error shows, such as its file."""
 
 
 class Described(Protocol):
-    """An array, or what a file claims to hold: enough to say whether it fits."""
+    """An array, or the header of a file: enough to check shape and dtype."""
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -113,20 +113,20 @@ def _dim(word: str) -> Dim:
 def check_shapes(
     specs: Mapping[str, ArraySpec], arrays: Mapping[str, Described], sizes: Sizes, dtype: str | None, label: Label
 ) -> Sizes:
-    """Check shape and dtype of every array of ``specs``, other ones are not looked at; no number is.
+    """Check shape and dtype of every array of ``specs``; other arrays and all numbers are ignored.
 
     Args:
-        specs: what is expected; sizes become known in this order.
-        arrays: what there is, or is said to be.
-        sizes: of the letters that are known already.
-        dtype: what all floats must have; None: that of the first one, float32 or float64.
-        label: what an error calls the array of a name.
+        specs: the arrays expected; sizes become known in this order.
+        arrays: the arrays found, or the headers of their files.
+        sizes: the sizes of letters that are already known.
+        dtype: the dtype of all floats; None: the dtype of the first one, float32 or float64.
+        label: turns an array's name into the name that an error shows.
 
     Returns:
-        The sizes, with those that became known.
+        The sizes of all letters.
 
     Raises:
-        ArrayError: one is missing or does not fit.
+        ArrayError: an array is missing or does not fit.
     """
     sizes = dict(sizes)
     for name, spec in specs.items():
@@ -148,7 +148,7 @@ def check_numbers(specs: Mapping[str, ArraySpec], arrays: Arrays, label: Label) 
 
 
 def require_multiples(inputs: Mapping[str, ArraySpec], outputs: Mapping[str, ArraySpec], sizes: Sizes, label: Label) -> None:
-    """Raise ArrayError where an output of ``H/8`` asks for a multiple of 8 and H is none."""
+    """Raise ArrayError if an output such as ``H/8`` needs a multiple of 8 and H is not one."""
     dims = [dim for spec in (*inputs.values(), *outputs.values()) for dim in spec.dims]
     for dim in dims:
         if dim.letter and sizes[dim.letter] % dim.over:

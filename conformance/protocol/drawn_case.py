@@ -19,11 +19,11 @@ from conformance.protocol.port import AnyArray
 
 PROPERTY = "property.json"
 MOST_BYTES = 1 << 20
-"""Of the structure: the largest, a sequence of six frames with weights of their own, has some 40 KB."""
+"""Largest size of the structure; the largest case, a sequence of six frames with their own weights, has some 40 KB."""
 
 
 def fingerprint(drawn: Any) -> bytes:
-    """The same for the same case: floats as ports get them, in float32, for their last bits in float64 are the machine's."""
+    """A digest that is equal for equal cases: of floats in float32, as ports get them, since float64's last bits depend on the machine."""
     digest = hashlib.blake2b()
 
     def noted(array: AnyArray) -> str:
@@ -40,7 +40,7 @@ def write_drawn(folder: Folder, test: str, drawn: Any) -> None:
     """Write the case of a test into ``folder``.
 
     Raises:
-        TypeError: it holds something else than numbers, words, lists, tuples, dictionaries of words and arrays.
+        TypeError: it holds anything but numbers, words, lists, tuples, dictionaries of words and arrays.
     """
     arrays: dict[int, tuple[str, AnyArray]] = {}
 
@@ -71,7 +71,7 @@ def _written(value: Any, noted: Callable[[AnyArray], str]) -> Any:
 
 
 def read_drawn(folder: Folder) -> tuple[str, Any]:
-    """The test's id and its case.
+    """Read the test's id and its case.
 
     Raises:
         JobError: it is damaged.

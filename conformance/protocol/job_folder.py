@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""The job folder of spec 11, read and written: what a port that is a program is handed, and what it leaves.
+"""Read and write the job folder of spec 11: the inputs of a port that is a program, and the outputs that it leaves.
 
 ``JOB/0000/stage``, ``JOB/0000/in/NAME.npy``, ``JOB/0000/in/weights.safetensors``; then ``JOB/0000/out/NAME.npy`` or an empty file
-``JOB/0000/unsupported``. Whoever wrote it is a stranger: it is a tree of real files, or refused, and shapes and sizes are those of the
-stage before memory is taken.
+``JOB/0000/unsupported``. A job may come from anybody: it is refused unless it is a tree of real files, and shapes and sizes are checked
+against the stage before memory is allocated.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights, WeightsError, check
 
 LAYERS = "layers"
-"""Folder of a case where a program may leave what lies inside its stage; where it is, the judge asks for it."""
+"""Folder of a case for the outputs of layers inside its stage; the judge makes it to ask for them."""
 WEIGHTS = "weights.safetensors"
 WEIGHTS_METADATA = {"stss_weights_version": "1"}
 DTYPE = "float32"
-"""Of every float in a job, whatever a port computes in."""
+"""The dtype of every float in a job, whatever the port's arithmetic."""
 MOST_CASES = 100_000
-"""Of one job."""
+"""Most cases of a job."""
 MOST_BYTES = 2 * 2**30
-"""Of one case's inputs: the largest, stage frame for an image of 7680 x 4320, has 1.9 GiB."""
+"""Most bytes of a case's inputs; stage frame for an image of 7680 x 4320 has 1.9 GiB."""
 MOST_WEIGHTS_BYTES = 64 * 2**20
-"""Of a weights file: this network's has 1.7 MiB."""
+"""Most bytes of a weights file; this network's has 1.7 MiB."""
 
 
 def write_job(job: Path, cases: Sequence[Case], first: int = 0, *, layers: bool = False) -> None:
@@ -49,12 +49,12 @@ def write_job(job: Path, cases: Sequence[Case], first: int = 0, *, layers: bool 
 
     Args:
         job: the folder.
-        cases: what a port is asked.
-        first: number of the first of them.
-        layers: whether to ask for what lies inside the stages.
+        cases: the cases.
+        first: number of the first case.
+        layers: whether to ask for the outputs of layers inside the stages.
 
     Raises:
-        ArrayError: inputs are not what a stage takes.
+        ArrayError: inputs are not those of the stage.
         WeightsError: weights are not of this network, or not float32.
     """
     written: dict[int, Path] = {}
@@ -85,7 +85,7 @@ def _serialised(weights: Weights) -> bytes:
 
 
 def link(source: Path, path: Path) -> None:
-    """The same 1.7 MB under a second name; copied where the file system has no links."""
+    """Give the same 1.7 MB a second name; copy them where the file system has no links."""
     try:
         os.link(source, path)
     except OSError:
@@ -93,10 +93,10 @@ def link(source: Path, path: Path) -> None:
 
 
 def case_names(job: Folder) -> list[str]:
-    """Names of the folders of a job's cases, in order; other files beside them do not matter.
+    """Names of the folders of a job's cases, in order; other files beside them are ignored.
 
     Raises:
-        JobError: there is none, or more than ``MOST_CASES``; or one is a link.
+        JobError: there is no case, there are more than ``MOST_CASES``, or one is a link.
     """
     numbered = [name for name in job.names() if re.fullmatch(r"[0-9]{4,9}", name) and job.kind(name) != "file"]
     if not numbered:
@@ -118,10 +118,10 @@ def read_stage(case: Folder) -> str:
 
 
 def read_inputs(case: Folder, stage: str) -> Outputs:
-    """The arrays of ``case/in``, checked against the table.
+    """Read the arrays of ``case/in``, checked against the table.
 
     Raises:
-        JobError: one is missing, damaged, of another stage, or not what the stage takes; or all are larger than ``MOST_BYTES``.
+        JobError: an array is missing, damaged, of another stage, or not as the table says; or together they exceed ``MOST_BYTES``.
     """
     taken = find(stage).inputs
     with case.folder("in") as folder:
@@ -145,7 +145,7 @@ def read_inputs(case: Folder, stage: str) -> Outputs:
 
 
 def read_weights(data: bytes, path: Path) -> Weights:
-    """The tensors of a job's weights file.
+    """Read the tensors of a job's weights file.
 
     Args:
         data: all of its bytes.
@@ -176,10 +176,10 @@ def read_weights(data: bytes, path: Path) -> Weights:
 
 
 def clear(case: Folder) -> None:
-    """Remove what an earlier run left, so that results of two runs never stand side by side.
+    """Remove the outputs of an earlier run, so that results of two runs are never mixed.
 
     Raises:
-        JobError: what lies there is no real file, and nothing was removed.
+        JobError: something there is not a real file; then nothing was removed.
     """
     if case.kind("unsupported") is not None:
         case.require("unsupported", "file")
@@ -202,21 +202,21 @@ def write_outputs(case: Folder, outputs: Arrays, into: str = "out") -> None:
 
 
 def write_unsupported(case: Folder) -> None:
-    """Say that the stage is not there."""
+    """Write the file that says that the port lacks the stage."""
     with case.written("unsupported"):
         pass
 
 
 def read_outputs(case: Folder, stage: str, sizes: Sizes) -> Outputs | Unsupported:
-    """What a program left in ``case``; files that the table does not name are not looked at.
+    """Read the outputs that a program left in ``case``; files that the table does not name are ignored.
 
     Args:
-        case: its folder.
-        stage: its name.
-        sizes: what `check_inputs` said of its inputs.
+        case: the case's folder.
+        stage: the stage's name.
+        sizes: the result of `check_inputs` for its inputs.
 
     Raises:
-        JobError: an output is missing, damaged, no real file, or not what the stage gives.
+        JobError: an output is missing, damaged, not a real file, or not as the table says.
     """
     given = find(stage).outputs
     unsupported = case.kind("unsupported") is not None
@@ -244,10 +244,10 @@ def read_outputs(case: Folder, stage: str, sizes: Sizes) -> Outputs | Unsupporte
 
 
 def read_layers(case: Folder, stage: str, inputs: Arrays) -> Outputs:
-    """What a program left of its layers; all, some or none.
+    """Read the layers that a program left: all, some or none.
 
     Raises:
-        JobError: a file is no layer of the stage, or damaged, no real file, or misshapen.
+        JobError: a file is not a layer of the stage, is damaged, not a real file, or misshapen.
     """
     if case.kind(LAYERS) is None:
         return {}
@@ -268,10 +268,10 @@ def read_layers(case: Folder, stage: str, inputs: Arrays) -> Outputs:
 
 
 def read_array(folder: Folder, name: str) -> AnyArray:
-    """One plain array of numbers, in the machine's byte order and C-contiguous, whatever it was in the file.
+    """Read one array of numbers; the result is C-contiguous in the machine's byte order.
 
     Raises:
-        JobError: there is none, or it is of objects, or its size is not what its header says, or more than ``MOST_BYTES``.
+        JobError: it is missing, it is an array of objects, its size does not fit its header, or it exceeds ``MOST_BYTES``.
     """
     path = folder.path / name
     with folder.file(name) as file:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""A folder that somebody else has filled: its files are real ones, or refused.
+"""Open folders that somebody else has filled: every file must be a real one.
 
-No link is followed, not even one that is put in place meanwhile: a folder stays open, and what lies in it is named relative to it.
-Where the system has no such calls (Windows), it is looked at first and opened then.
+No link is followed, not even one that is put in place meanwhile: a folder stays open, and its files are opened relative to it. Where the
+system has no such calls (Windows), a file is checked first and then opened.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any, BinaryIO, Literal
 Kind = Literal["file", "folder", "link", "other"]
 
 MOST_NAMES = 200_000
-"""In one folder: a job of more is refused before its names are kept."""
+"""Most names in one folder; a folder with more is refused before they are read into memory."""
 RELATIVE = {os.open, os.mkdir, os.unlink, os.stat, os.rename} <= os.supports_dir_fd and os.listdir in os.supports_fd
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 _READ_FOLDER = os.O_RDONLY | getattr(os, "O_DIRECTORY", 0) | _NO_LINK
@@ -28,14 +28,14 @@ _NEW_FILE = os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NO_LINK
 
 
 class JobError(ValueError):
-    """A job folder is not what it must be; the message names the file, what was expected and what was found, in one line."""
+    """A job folder breaks the protocol; the message names the file, what was expected and what was found, in one line."""
 
     def __init__(self, message: str):
         super().__init__(printable(message))
 
 
 def printable(text: str) -> str:
-    """``text`` with what a terminal would obey, or cannot show, written out as Python escapes it."""
+    """``text`` with control characters, and characters that a terminal cannot show, escaped as in Python."""
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
@@ -58,7 +58,7 @@ class Folder:
         self.close()
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close the folder."""
         if self._handle is not None:
             os.close(self._handle)
             self._handle = None
@@ -72,7 +72,7 @@ class Folder:
             return False
 
     def names(self) -> list[str]:
-        """Of all that lies in it, sorted.
+        """Names of everything in the folder, sorted.
 
         Raises:
             JobError: there are more than ``MOST_NAMES``, or it cannot be read.
@@ -86,7 +86,7 @@ class Folder:
         return sorted(found)
 
     def kind(self, name: str) -> Kind | None:
-        """What lies there under this name; None: nothing."""
+        """The kind of file with this name; None: there is none."""
         try:
             mode = os.stat(**self._at(name), follow_symlinks=False).st_mode
         except FileNotFoundError:
@@ -98,7 +98,7 @@ class Folder:
         return "file" if stat.S_ISREG(mode) else "folder" if stat.S_ISDIR(mode) else "other"
 
     def folder(self, name: str) -> Folder:
-        """The folder of this name, opened.
+        """Open the folder of this name.
 
         Raises:
             JobError: there is none, or it is a link.
@@ -108,13 +108,13 @@ class Folder:
             return Folder(self.path / name, os.open(**self._at(name), flags=_READ_FOLDER) if RELATIVE else None)
 
     def made(self, name: str) -> Folder:
-        """The same; it is made if need be."""
+        """Open the folder of this name; make it if need be."""
         with self._said(self.path / name), suppress(FileExistsError):
             os.mkdir(**self._at(name))  # noqa: PTH102 (relative to the open folder)
         return self.folder(name)
 
     def file(self, name: str) -> BinaryIO:
-        """The file of this name, opened for reading.
+        """Open the file of this name for reading.
 
         Raises:
             JobError: there is none, or it is a link, a pipe, a device or a folder.
@@ -128,10 +128,10 @@ class Folder:
         return file
 
     def read(self, name: str, most: int) -> bytes:
-        """The file's bytes.
+        """Read a file's bytes.
 
         Raises:
-            JobError: as ``file``, or it has more than ``most``.
+            JobError: as ``file``, or it has more than ``most`` bytes.
         """
         with self.file(name) as file, self._said(self.path / name):
             data = file.read(most + 1)
@@ -141,7 +141,7 @@ class Folder:
 
     @contextmanager
     def written(self, name: str) -> Generator[BinaryIO, None, None]:
-        """A new file of this name, which takes the place of another when it is whole; nothing is written into that one."""
+        """Write a new file, which replaces one of the same name once it is complete; an old file is never written into."""
         beside = f".{name}.tmp"
         with self._said(self.path / name):
             self.remove(beside)
@@ -161,7 +161,7 @@ class Folder:
             os.unlink(**self._at(name))
 
     def require(self, name: str, expected: Literal["file", "folder"]) -> None:
-        """Raise JobError unless it is there, and is one."""
+        """Raise JobError unless there is a real file, or folder, of this name."""
         found = self.kind(name)
         if found is None:
             raise JobError(f"{self.path / name}: {'missing' if expected == 'file' else 'no such folder'}")
@@ -183,7 +183,7 @@ class Folder:
 
 
 def open_folder(path: Path) -> Folder:
-    """The folder that the user names: this one may be reached by links.
+    """Open the folder that the user names; the path to it may have links.
 
     Raises:
         JobError: there is none.

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""The .npy files of a job: what one claims to hold is read first, its numbers only when that was found right.
+"""Read the .npy files of a job: the header first, and the numbers only after the header was checked.
 
-Nothing that is read is executed, and no memory is taken for numbers that a file only claims to have.
+Nothing that is read is executed, and no memory is allocated for numbers that a file only claims to have.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _READERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.r
 
 @dataclass(frozen=True)
 class Claim:
-    """What a header says of the numbers after it.
+    """The description of the numbers in a file's header.
 
     Attributes:
-        shape: each at least 0.
-        dtype: of integers, floats or bool, in the machine's order of bytes.
-        stored: the same in the file's.
+        shape: each length at least 0.
+        dtype: integers, floats or bool, in the machine's byte order.
+        stored: the same in the file's byte order.
         fortran: whether the first axis is the fastest.
         start: byte of the file where the numbers begin.
     """
@@ -55,10 +55,10 @@ class Claim:
 
 
 def read_claim(path: Path, file: BinaryIO) -> Claim:
-    """The header of an open file; its length and kind are held against the limits, its size against the file's.
+    """Read the header of an open file, and check its length and kind against the limits and its claim against the file's size.
 
     Raises:
-        JobError: it is none, or of objects, or the file has not as many bytes as it claims.
+        JobError: it is not a header, it describes objects, or the file does not have as many bytes as it claims.
     """
     text = _header(path, file)
     try:
@@ -82,7 +82,7 @@ def read_claim(path: Path, file: BinaryIO) -> Claim:
 
 
 def _header(path: Path, file: BinaryIO) -> bytes:
-    """Magic, version, length and text; not more than the limit is read of a file that claims more."""
+    """Check magic, version and length, and return the text; no more than the limit is read of a file that claims more."""
     start = file.read(12)
     if len(start) < 10 or not start.startswith(np.lib.format.MAGIC_PREFIX):
         raise JobError(f"{path}: not a .npy file: expected it to begin with {np.lib.format.MAGIC_PREFIX!r}")
@@ -96,7 +96,7 @@ def _header(path: Path, file: BinaryIO) -> bytes:
 
 
 def read_numbers(path: Path, file: BinaryIO, claim: Claim) -> AnyArray:
-    """The numbers of a file whose claim was found right: in the machine's byte order and C-contiguous."""
+    """Read the numbers after a checked header; the result is C-contiguous in the machine's byte order."""
     file.seek(claim.start)
     count = prod(claim.shape)
     numbers = np.fromfile(file, claim.stored, count)
@@ -107,7 +107,7 @@ def read_numbers(path: Path, file: BinaryIO, claim: Claim) -> AnyArray:
 
 
 def write_array(name: str, file: BinaryIO, array: AnyArray) -> None:
-    """Version 1.0, little-endian, C order; integers as int32.
+    """Write an array in version 1.0, little-endian, C order; integers as int32.
 
     Raises:
         ArrayError: an integer has more than 32 bits.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A stranger's program, run in a session of its own that ends with it: nothing of it is left running, and what it says has an end."""
+"""Run an unknown program in a session of its own: none of its processes outlives it, and its output is limited."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from typing import BinaryIO
 from conformance.protocol.job_tree import printable
 
 TAIL_BYTES = 2000
-"""How much of the end of stderr is shown."""
+"""Bytes of the end of stderr that are shown."""
 MOST_SAID = 64 * 2**20
-"""Bytes of stdout, and of stderr: a program that says more is stopped."""
+"""Most bytes of stdout, and of stderr: a program that writes more is stopped."""
 GRACE = 1.0
-"""Seconds in which what a program started may end after it."""
+"""Seconds in which a program's own child processes may end after it."""
 _LOOK = 0.1
-"""Seconds between two looks at how much was said."""
+"""Seconds between two checks of the size of its output."""
 
 
 @dataclass(frozen=True)
 class Ending:
-    """How it ended.
+    """How a program ended.
 
     Attributes:
-        status: its own, negative for a signal; None: it was stopped.
-        talked: whether it was stopped for what it said.
-        left_behind: processes of its session that still ran after it; they were stopped.
-        stderr: the end of what it wrote there, without what a terminal would obey.
+        status: its exit status, negative for a signal; None: it was stopped.
+        talked: whether it was stopped for writing too much.
+        left_behind: number of processes of its session that still ran after it; they were stopped.
+        stderr: the end of its stderr, without control characters.
     """
 
     status: int | None
@@ -44,12 +44,12 @@ class Ending:
 
 
 def run_alone(command: Sequence[str], out: BinaryIO, err: BinaryIO, timeout: float) -> Ending:
-    """Run a program to its end, or stop it; then stop whatever it has started and left.
+    """Run a program to its end, or stop it; then stop all processes that it has left behind.
 
     Args:
         command: program and arguments.
-        out: for stdout, open for reading as well.
-        err: for stderr likewise.
+        out: file for stdout, open for reading as well.
+        err: file for stderr, likewise.
         timeout: seconds.
 
     Raises:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a port is to the suite: an object with these four members. Nothing needs to be imported to be one."""
+"""The protocol of a port: an object with these four members. A port needs no import from here."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from stss_ref.weights import Weights
 
 AnyArray = NDArray[Any]
-"""Array of floats, of a mask (uint8, 0 or 1) or of integers."""
+"""An array of floats, a mask (uint8, 0 or 1) or integers."""
 Arrays = Mapping[str, AnyArray]
 """Inputs by the names of the stage table."""
 Outputs = dict[str, AnyArray]
@@ -20,23 +20,23 @@ Outputs = dict[str, AnyArray]
 
 
 class PortError(RuntimeError):
-    """A port failed or broke the protocol; the message names it, the stage, and what was expected and found."""
+    """A port failed or broke the protocol; the message names the port, the stage, and what was expected and found."""
 
 
 @dataclass(frozen=True)
 class Unsupported:
-    """In the place of outputs: the port lacks the stage."""
+    """Returned instead of outputs: the port lacks the stage."""
 
     stage: str
 
 
 @dataclass(frozen=True)
 class Case:
-    """One stage to be run once.
+    """One call of a stage.
 
     Attributes:
         stage: its name in ``conformance.protocol.stages.STAGES``.
-        inputs: what that row names.
+        inputs: the arrays that the table names for it.
         weights: the network's tensors, float32; None for a stage that takes none.
     """
 
@@ -51,17 +51,17 @@ class Port(Protocol):
     Arrays are C-contiguous; floats are float32 (for a float16 port they are rounded to float16 beforehand), masks uint8.
 
     Attributes:
-        name: stands in reports.
-        dtype: ``float32`` or ``float16``: the port's arithmetic, which picks the row of the tolerance table.
+        name: its name in reports.
+        dtype: ``float32`` or ``float16``: the port's arithmetic, by which the bounds are chosen.
     """
 
     name: str
     dtype: str
 
     def stages(self) -> frozenset[str]:
-        """What it implements; the rest is skipped by name, visibly."""
+        """The stages that it has; the others are skipped, and reports name them."""
         ...
 
     def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
-        """Outputs of one of its ``stages()``, by the names of the stage table."""
+        """Compute one of its ``stages()``; returns outputs by the names of the stage table."""
         ...

@@ -22,23 +22,23 @@ from stss_ref.weights import Weights, zeros
 T = TypeVar("T")
 MEMORY = Path("/dev/shm")
 ROOM, LEAST_ROOM = 4, 512 * 2**20
-"""Times the inputs of a job, and bytes, that must be free in memory for a job to lie there."""
+"""Free memory that a job needs to lie in memory: as a multiple of its inputs, and at least this number of bytes."""
 PROBED = ((8, 8), (72, 136))
 """(H, W) at which a program is asked for its stages."""
 
 
 class FolderPort:
-    """Runs a program on job folders, many cases at a start.
+    """Runs a program on job folders, with many cases at one start.
 
-    A job folder is removed when all went well. Otherwise it is kept, with ``stderr.txt`` and ``stdout.txt`` in it, and the
-    error names it.
+    A job folder is removed after success. After a failure it is kept, with ``stderr.txt`` and ``stdout.txt`` in it, and the error
+    names it.
 
     Attributes:
-        name: of the program, without its folder.
+        name: the program's name, without its folder.
         dtype: the program's arithmetic; the files are float32 in any case.
-        stderr: the end of what the program's last run wrote there.
+        stderr: the end of the stderr of the program's last run.
         kept: the job folder of its last run that failed, if any.
-        remove: what removes a job folder; one that does so later must do it in the end.
+        remove: the function that removes a job folder, now or later.
     """
 
     def __init__(self, command: Sequence[str], timeout: float, dtype: str = DTYPE):
@@ -59,7 +59,7 @@ class FolderPort:
         self._stages: frozenset[str] | None = None
 
     def stages(self) -> frozenset[str]:
-        """What the program does not call unsupported at every size: asked once, with a small and a larger case of each stage."""
+        """The stages that the program supports at some size: asked once, with a small and a larger case of each stage."""
         if self._stages is None:
             cases = [smallest_case(stage, size) for size in PROBED for stage in STAGES]
             results = zip(cases, self.run_many(cases), strict=True)
@@ -67,7 +67,7 @@ class FolderPort:
         return self._stages
 
     def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
-        """One case, at a start of its own. Errors as ``run_many``; an unsupported stage is one too."""
+        """Compute one case at a start of its own. Errors as ``run_many``; an unsupported stage is an error too."""
         (result,) = self.run_many([Case(stage, inputs, weights)])
         if isinstance(result, Unsupported):
             sizes = ", ".join(f"{name} {array.shape}" for name, array in inputs.items())
@@ -75,13 +75,13 @@ class FolderPort:
         return result
 
     def run_many(self, cases: Sequence[Case]) -> list[Outputs | Unsupported]:
-        """All cases at one start.
+        """Compute all cases at one start.
 
         Returns:
-            For each case its outputs, of the table's shapes and dtypes; NaN is left to be judged.
+            For each case its outputs, with the table's shapes and dtypes; NaN is left to the judge.
 
         Raises:
-            ArrayError: inputs are not what a stage takes.
+            ArrayError: inputs are not those of the stage.
             PortError: the program is not there, fails, takes or says too much, leaves processes behind, removes its job, or leaves
                 an output missing, damaged, misshapen or of another dtype.
         """
@@ -93,7 +93,7 @@ class FolderPort:
         return self._computed(cases, read) if cases else []
 
     def layers(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
-        """What it hands over of one case's layers, maybe nothing. Errors as ``run_many``."""
+        """The layers of one case that it hands over, perhaps none. Errors as ``run_many``."""
         (found,) = self._computed(
             [Case(stage, inputs, weights)], lambda folder, _: read_layers(folder, stage, inputs), layers=True
         )
@@ -164,7 +164,7 @@ class _FailedError(Exception):
 
 
 def _failed(ending: Ending, timeout: float) -> str:
-    """Why nothing that the program left counts; empty if all is well."""
+    """The reason why none of the program's outputs counts; "" if there is none."""
     if ending.status is None:
         return f"stopped after {timeout:g} s" if not ending.talked else f"stopped: more than {MOST_SAID >> 20} MiB on its output"
     if ending.status != 0:

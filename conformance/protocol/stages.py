@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The stages of the port protocol (spec 11): what each takes and gives, and the reference that computes it.
+"""The stages of the port protocol (spec 11): the inputs and outputs of each, and the reference that computes it.
 
 ``"3 H W 4"`` is an array of floats, ``"H W uint8"`` a mask of 0 and 1, ``"4 int"`` are integers. A letter stands for any size of at
 least 1, the same in all arrays of the stage; ``H/8`` says that H is a multiple of 8.
@@ -44,10 +44,10 @@ class Stage:
 
     Attributes:
         name: the stage's word.
-        inputs: what it takes, in the order in which sizes become known.
-        outputs: what it gives.
+        inputs: its inputs, in the order in which sizes become known.
+        outputs: its outputs.
         weights: whether it takes the network's weights.
-        compute: the reference, from inputs and weights (in one dtype; empty for a stage that takes none) to outputs.
+        compute: the reference: takes inputs and weights (in one dtype; empty for a stage that takes none), returns outputs.
     """
 
     name: str
@@ -206,19 +206,19 @@ def find(name: str) -> Stage:
 
 
 def check_inputs(stage: str, inputs: Arrays, dtype: str | None = None, label: Label = str) -> Sizes:
-    """Say that ``inputs`` are what ``stage`` takes.
+    """Check that ``inputs`` are a stage's inputs.
 
     Args:
         stage: its name.
-        inputs: by the names of the table.
-        dtype: what all floats must have; None: float32 or float64, the same in all of them.
-        label: what an error calls the array of a name.
+        inputs: arrays by the names of the table.
+        dtype: the dtype of all floats; None: float32 or float64, the same in all of them.
+        label: turns an array's name into the name that an error shows.
 
     Returns:
         The size of each letter.
 
     Raises:
-        ArrayError: one is missing, not the stage's, misshapen, of another dtype, or a mask of more than 0 and 1.
+        ArrayError: an array is missing, not the stage's, misshapen, of another dtype, or a mask with other values than 0 and 1.
     """
     sizes = check_input_shapes(stage, inputs, dtype, label)
     check_numbers(find(stage).inputs, inputs, label)
@@ -226,7 +226,7 @@ def check_inputs(stage: str, inputs: Arrays, dtype: str | None = None, label: La
 
 
 def check_input_shapes(stage: str, inputs: Mapping[str, Described], dtype: str | None = None, label: Label = str) -> Sizes:
-    """The same before there is a number: arrays, or what files claim to hold."""
+    """Check shapes and dtypes only: of arrays, or of the headers of files before their numbers are read."""
     row = find(stage)
     require_inputs(stage, inputs, label)
     sizes = check_shapes(row.inputs, inputs, {}, dtype, label)
@@ -235,7 +235,7 @@ def check_input_shapes(stage: str, inputs: Mapping[str, Described], dtype: str |
 
 
 def require_inputs(stage: str, names: Iterable[str], label: Label = str) -> None:
-    """Raise ArrayError where a name is none of the stage's inputs."""
+    """Raise ArrayError if a name is not one of the stage's inputs."""
     taken = find(stage).inputs
     for name in names:
         if name not in taken:
@@ -243,7 +243,7 @@ def require_inputs(stage: str, names: Iterable[str], label: Label = str) -> None
 
 
 def check_outputs(stage: str, outputs: Arrays, sizes: Sizes, dtype: str = "float32", label: Label = str) -> None:
-    """Say that ``outputs`` are what ``stage`` gives for inputs of these sizes; NaN is left to be judged. Errors as above."""
+    """Check that ``outputs`` are a stage's outputs for inputs of these sizes; NaN is left to the judge. Errors as above."""
     check_output_shapes(stage, outputs, sizes, dtype, label)
     check_numbers(find(stage).outputs, outputs, label)
 
@@ -251,12 +251,12 @@ def check_outputs(stage: str, outputs: Arrays, sizes: Sizes, dtype: str = "float
 def check_output_shapes(
     stage: str, outputs: Mapping[str, Described], sizes: Sizes, dtype: str = "float32", label: Label = str
 ) -> None:
-    """The same before there is a number."""
+    """Check shapes and dtypes of outputs only, as `check_input_shapes` does of inputs."""
     check_shapes(find(stage).outputs, outputs, sizes, dtype, label)
 
 
 def reference(stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
-    """What the reference computes, in the dtype of the inputs: float64 is the truth.
+    """Compute a stage by the reference, in the dtype of the inputs: float64 is the truth.
 
     Args:
         stage: its name.
