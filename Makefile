@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test check bench mutants alarms misses fuzz gpu gpu-class offline portability clean
+.PHONY: demo test check bench mutants alarms misses fuzz gpu gpu-class offline portability judge-wheel clean
 
 demo: $(VENV)/.base
 	$(BIN)/stss demo demo --overwrite
@@ -48,6 +48,10 @@ offline: $(VENV)/.test $(VENV)/.offline
 # Every OpenCL runtime that can be installed here, each with the tests of the backend.
 portability: $(VENV)/.test
 	$(BIN)/python tests/portability.py
+
+# The judge of ports alone, without OpenCL and image libraries: dist/spacetime_supersampling_judge-*.whl.
+judge-wheel: $(VENV)/.python
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist ./packaging/judge
 
 # One stamp per extra, so that a target installs only what it needs, and only once.
 $(VENV)/.python:

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import click
 
-from stss.cli.options import MAX_COUNT, PATH, Names, Size
+from stss.cli.option_kinds import PATH, Names
+from stss.cli.options import MAX_COUNT, Size
 from stss.output.apart import require_places
 from stss.terminal import Terminal, echo
 from stss.weights.file import identity, load

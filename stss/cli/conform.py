@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""``stss conform``: the judge of ports."""
+"""``stss conform``, ``badge`` and ``port``: the judge of ports, and our own as ports."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from stss.cli.options import MAX_SECONDS, MAX_SEED, PATH, Names, Number
+from stss.cli.option_kinds import MAX_SECONDS, MAX_SEED, PATH, Names, Number
 from stss.errors import InputError
 from stss.optional import require as require_package
 from stss.output.apart import require_places
@@ -125,6 +125,17 @@ def badge(certificate: Path, out: Path) -> None:
 
     require_places({"--out": out}, [certificate])
     echo(f"{out}: {write_badge(certificate, out)}")
+
+
+@click.command()
+@click.argument("job", type=PATH)
+@click.option("--backend", type=click.Choice(["ref", "cl"]), default="ref", show_default=True)
+@click.option("--dump", is_flag=True, help="Leave what each layer of the network gives, too: folder layers of a case.")
+def port(job: Path, backend: str, dump: bool) -> None:
+    """Compute every case of the folder JOB, as any port does: see docs/ports.md."""
+    from stss.conform.own_ports import run_job
+
+    run_job(job, backend, dump=dump)
 
 
 def _write_cases(folder: Path, stages: list[str], dtype: str, winograd: bool, tier: str, seed: int) -> None:

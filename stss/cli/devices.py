@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Subcommands about devices, other engines and ports; what they need is imported only when they run."""
+"""Subcommands about devices; what they need is imported only when they run."""
 
 from __future__ import annotations
 
 from functools import partial
-from pathlib import Path
 
 import click
 
-from stss.cli.options import PATH, Size
+from stss.cli.options import Size
 from stss.terminal import Terminal, echo
 
 
@@ -24,17 +23,6 @@ def devices(again: bool, as_json: bool) -> None:
         click.echo(found.to_json(rows))
     else:
         found.print_rows(rows, Terminal())
-
-
-@click.command()
-@click.argument("job", type=PATH)
-@click.option("--backend", type=click.Choice(["ref", "cl"]), default="ref", show_default=True)
-@click.option("--dump", is_flag=True, help="Leave what each layer of the network gives, too: folder layers of a case.")
-def port(job: Path, backend: str, dump: bool) -> None:
-    """Compute every case of the folder JOB, as any port does: see docs/ports.md."""
-    from stss.conform.own_ports import run_job
-
-    run_job(job, backend, dump=dump)
 
 
 @click.command()

@@ -9,11 +9,10 @@ from typing import Any
 
 import click
 
+from stss.cli.option_kinds import PATH, Names
 from stss.cli.options import (
     MAX_COUNT,
-    PATH,
     FrameRange,
-    Names,
     Size,
     backend_options,
     frame_options,

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import sys
@@ -17,11 +16,12 @@ from rich.console import Console
 
 from stss.baselines.registry import METHODS
 from stss.cli.bench import bench_command, export, gpu_report_command
-from stss.cli.conform import badge, conform
-from stss.cli.devices import devices, port, tune
+from stss.cli.conform import badge, conform, port
+from stss.cli.devices import devices, tune
 from stss.cli.evaluate import compare_command, flicker_command, flicker_scenes_command, methods_command
+from stss.cli.guard import run_guarded
+from stss.cli.option_kinds import PATH
 from stss.cli.options import (
-    PATH,
     SIDE,
     FrameRange,
     backend_options,
@@ -47,19 +47,14 @@ from stss.run.preview import Preview, require_preview
 from stss.run.skip_report import told
 from stss.sequence.choose_weights import choose_weights
 from stss.sequence.reader import open_sequence
-from stss.terminal import Terminal, accept_any_text, echo, printable
+from stss.terminal import Terminal, echo, printable
 from stss.version import VERSION
 from stss.weights import inspect as inspection
 from stss.weights.file import load, save
 from stss_cl.device.caches import private
 from stss_cl.errors import DeviceError
-from stss_ref.arrays import ArrayError
 from stss_ref.checkpoint import read_checkpoint
 from stss_ref.schedule import FrameKind
-from stss_ref.weights import WeightsError
-
-_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-"""Errors of a write to standard output where no more data fits."""
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120})
@@ -230,44 +225,9 @@ def _report(summary: Summary, out: Path, console: Console) -> None:
 
 def main() -> None:
     """Run the command; a mistake of the user is one line on standard error and status 2."""
-    status: Any = 0
     if installed("matplotlib"):
         # For Matplotlib, which colour-science imports and which else stores files beside other programs'. A failure here must not
         # stop a command that needs no device.
         with suppress(DeviceError):
             os.environ.setdefault("MPLCONFIGDIR", str(private("matplotlib")))
-    accept_any_text()
-    try:
-        _require_utf8(sys.argv[1:])
-        status = stss.main(standalone_mode=False)
-    except click.ClickException as error:
-        _fail(" ".join(error.format_message().split()))
-    except (InputError, ArrayError, WeightsError, DeviceError) as error:
-        _fail(str(error))
-    except (KeyboardInterrupt, click.exceptions.Abort):
-        status = 130
-    except BrokenPipeError:
-        status = 141
-    except OSError as error:
-        if error.filename is not None:
-            _fail(f"{error.filename}: {error.strerror}")
-            sys.exit(2)
-        if error.errno not in _FULL:
-            raise
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is still in the buffer would fail again
-        _fail(f"what was printed cannot be written: {error.strerror}")
-    sys.exit(status if isinstance(status, int) else 0)
-
-
-def _require_utf8(words: list[str]) -> None:
-    """Raise InputError for a word that is not UTF-8: neither OpenImageIO nor JSON can take it as a name."""
-    for word in words:
-        try:
-            word.encode()
-        except UnicodeEncodeError:
-            raise InputError(f"{word}: expected a name in UTF-8") from None
-
-
-def _fail(message: str) -> None:
-    echo(f"stss: {message}", err=True)
-    sys.exit(2)
+    run_guarded(stss)

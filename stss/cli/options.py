@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from functools import wraps
-from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
+from stss.cli.option_kinds import PATH, Number
 from stss.color import TRANSFERS
 from stss.frames.backends import BACKENDS
 from stss.frames.compute_options import PRECISIONS, SKIPS, ComputeOptions, Precision
@@ -18,28 +17,14 @@ from stss.images.headers import MAX_SIDE
 from stss.sequence.choose_weights import AUTO
 from stss.sequence.find_files import MAX_DIGITS
 
-PATH = click.Path(path_type=Path)
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-MAX_SEED = 2**32 - 1
-MAX_SECONDS = 7 * 24 * 3600
 MAX_MIB = 1 << 24
 """Largest ``--memory-limit``, in MiB: 16 TiB."""
 SIDE = click.IntRange(1, MAX_SIDE)
 MAX_COUNT = 10**6
 """Most frames or repetitions that an option may ask for."""
-
-
-class Number(click.FloatRange):
-    """A number within a range, never NaN or infinite; ``click.FloatRange`` takes both."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Parse; a wrong one is the user's mistake."""
-        found = super().convert(value, param, ctx)
-        if not math.isfinite(found):
-            self.fail(f"expected a finite number, got {value!r}", param, ctx)
-        return found
 
 
 class FrameRange(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
@@ -224,13 +209,3 @@ class Size(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
 def _is_whole(word: str, digits: int) -> bool:
     """Whether ``word`` is a whole number of at most ``digits`` ASCII digits; ``int`` raises for more than 4300."""
     return word.isascii() and word.isdecimal() and len(word.lstrip("0")) <= digits
-
-
-class Names(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
-    """``a,b,c``; empty for none."""
-
-    name = "a,b"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
-        """Split at commas."""
-        return value if isinstance(value, tuple) else tuple(name for name in str(value).split(",") if name)

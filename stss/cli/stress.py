@@ -11,7 +11,7 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from stss.cli.options import PATH, Names
+from stss.cli.option_kinds import PATH, Names
 from stss.errors import InputError
 from stss.frames.backends import BACKENDS
 from stss.output.apart import require_places

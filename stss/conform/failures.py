@@ -31,18 +31,13 @@ from conformance.protocol.port import Case, Port, PortError
 from conformance.protocol.stages import STAGES
 from conformance.rehearsal import prepare
 from conformance.suite.properties import find_property
+from stss.conform.picture import WORDS, draw, png
 from stss.errors import InputError
-from stss.images.contact_sheet import contact_sheet
-from stss.images.read_write import write_rgb
 from stss.output.write_whole import make_folder, told, write_whole
 
 CASE = "0000"
 DRAWN = "property"
 """Folder of the property's own case."""
-DECADES = 3
-"""Of error / bound, either way from 1, that a picture tells apart."""
-PICTURE_SIDE = 240
-"""Pixels on the screen that the longer side of a picture's panel takes, about."""
 
 
 def keep_failure(folder: Path, name: str, failure: Failure, replay: str) -> Path:
@@ -76,11 +71,13 @@ def keep_failure(folder: Path, name: str, failure: Failure, replay: str) -> Path
 
 def _write_failure(folder: Path, finding: Finding, again: str) -> None:
     write_job(folder, [finding.case])
+    seen = ""
     if finding.expected is not None and finding.got is not None:
         _write_right(folder / CASE, finding.output, finding.got, finding.expected)
-        if picture := _picture(finding.got, finding.expected):
-            write_rgb(folder / "picture.png", picture[0])
-    write_whole(folder / "README.txt", f"{finding.message}\n\nRun it again:\n  {again}\n".encode())
+        if (picture := draw(finding.got, finding.expected)) is not None:
+            write_whole(folder / "picture.png", png(picture))
+            seen = f"\npicture.png, from left to right: {WORDS}\n"
+    write_whole(folder / "README.txt", f"{finding.message}\n{seen}\nRun it again:\n  {again}\n".encode())
 
 
 def _write_right(case: Path, output: str, got: NDArray[Any], expected: Expected) -> None:
@@ -90,26 +87,6 @@ def _write_right(case: Path, output: str, got: NDArray[Any], expected: Expected)
     for i, right in enumerate((expected.want, *expected.others)):
         np.save(case / "expected" / f"{output}.{i}.npy", np.asarray(right, np.float64))
     np.save(case / "allowed" / f"{output}.npy", np.broadcast_to(np.asarray(expected.allowed, np.float64), expected.want.shape))
-
-
-def _picture(got: NDArray[Any], expected: Expected) -> tuple[NDArray[Any]] | None:
-    """What the port gave, what is right, and error / bound from black (1/1000) over red (1) to white (1000)."""
-    want = np.asarray(expected.want, np.float64)
-    if got.shape != want.shape or want.ndim not in (2, 3) or not want.size:
-        return None
-    ratio = expected.ratios(got)
-    planes = [a if a.ndim == 3 else a[..., None] for a in (got.astype(np.float64), want)]
-    wrong = (ratio if ratio.ndim == 3 else ratio[..., None]).max(axis=-1)
-    shown = int(np.argmax(ratio.max(axis=(0, 1)) if ratio.ndim == 3 else np.zeros(1))) if planes[0].shape[-1] != 3 else None
-    chosen = [np.nan_to_num(p if shown is None else np.repeat(p[..., shown : shown + 1], 3, axis=-1)) for p in planes]
-    low, high = chosen[1].min(), chosen[1].max()
-    scaled = [np.clip((p - low) / (high - low if high > low else 1), 0, 1) for p in chosen]
-    with np.errstate(divide="ignore"):
-        decades = np.log10(wrong) / DECADES
-    heat = np.stack([np.clip(1 + decades, 0, 1), np.clip(decades, 0, 1), np.clip(decades, 0, 1)], axis=-1)
-    zoom = max(1, PICTURE_SIDE // max(want.shape[:2]))
-    sheet = contact_sheet([("", [*scaled, heat])], ("port", "expected", "error / bound"), zoom=zoom)
-    return (sheet.astype(np.float32),)
 
 
 def replay(port: Port, folder: Path) -> Record:

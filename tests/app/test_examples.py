@@ -1,6 +1,8 @@
 """The examples run as they stand, on small input."""
 
+import re
 import runpy
+import shlex
 import sys
 from pathlib import Path
 
@@ -66,3 +68,23 @@ def test_numbers_that_a_tester_gets(monkeypatch, capsys):
     assert units["careless, width 4096"] > 20 * units["reference, width 4096"]
     assert "reference: a flat frame stays flat" in lines
     assert "careless: a flat frame does not stay flat" in lines
+
+
+def test_the_workflow_of_a_port(tmp_path, monkeypatch):
+    """Its commands, for one stage of the reference."""
+    text = re.sub(r">\n +(stss .*)\n +", r"\1 ", (EXAMPLES / "conform.yml").read_text())
+    commands = re.findall(r"- run: (stss .*)", text)
+    assert len(commands) == 3
+    monkeypatch.chdir(tmp_path)
+    Path("port.py").write_text(
+        "import sys, pathlib, stss.conform.own_ports as ours\nours.run_job(pathlib.Path(sys.argv[1]), 'ref')\n"
+    )
+    Path("known.json").write_text('{"format": 1, "failures": []}')
+    for command in commands:
+        line = command.replace("./my_port", f"'{sys.executable} port.py'").replace("warp,holes", "rrm").replace("full", "quick")
+        words = shlex.split(line)[1:]
+        done = CliRunner().invoke(stss, [*words, *(["--stages", "rrm"] if words[0] == "conform" else [])], catch_exceptions=False)
+        assert done.exit_code == 0, done.output
+    for name in ("results.json", "junit.xml", "report.html", "certificate.json", "badge.svg"):
+        assert name in text
+        assert Path(name).is_file()

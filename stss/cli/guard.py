@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: MIT
+"""A command line from its words to its status: what the user did wrong is one line, what we did wrong a traceback."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+from typing import Any
+
+import click
+
+from stss.errors import InputError
+from stss.terminal import accept_any_text, echo
+from stss_cl.errors import DeviceError
+from stss_ref.arrays import ArrayError
+from stss_ref.weights import WeightsError
+
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+"""Errors of a write to standard output where no more data fits."""
+
+
+def run_guarded(command: click.Command) -> None:
+    """Run the command and end with its status; a mistake of the user is one line on standard error and status 2."""
+    status: Any = 0
+    accept_any_text()
+    try:
+        _require_utf8(sys.argv[1:])
+        status = command.main(standalone_mode=False)
+    except click.ClickException as error:
+        _fail(" ".join(error.format_message().split()))
+    except (InputError, ArrayError, WeightsError, DeviceError) as error:
+        _fail(str(error))
+    except (KeyboardInterrupt, click.exceptions.Abort):
+        status = 130
+    except BrokenPipeError:
+        status = 141
+    except OSError as error:
+        if error.filename is not None:
+            _fail(f"{error.filename}: {error.strerror}")
+            sys.exit(2)
+        if error.errno not in _FULL:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is still in the buffer would fail again
+        _fail(f"what was printed cannot be written: {error.strerror}")
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _require_utf8(words: list[str]) -> None:
+    """Raise InputError for a word that is not UTF-8: neither OpenImageIO nor JSON can take it as a name."""
+    for word in words:
+        try:
+            word.encode()
+        except UnicodeEncodeError:
+            raise InputError(f"{word}: expected a name in UTF-8") from None
+
+
+def _fail(message: str) -> None:
+    echo(f"stss: {message}", err=True)
+    sys.exit(2)

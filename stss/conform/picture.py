@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: MIT
+"""A picture of a wrong answer, drawn and encoded with NumPy alone: the judge is installed without image libraries."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conformance.answers.expected import Expected
+
+WORDS = "port, expected, error / bound (black 1/1000, red 1, white 1000)"
+"""What a picture shows from left to right."""
+DECADES = 3
+"""Of error / bound, either way from 1, that a picture tells apart."""
+SIDE = 240
+"""Pixels on the screen that the longer side of a picture's panel takes, about."""
+GAP, PAPER = 8, 33
+"""Pixels between panels; their grey, of 255."""
+
+
+def draw(got: NDArray[Any], expected: Expected) -> NDArray[np.uint8] | None:
+    """What the port gave, what is right, and error / bound, side by side.
+
+    Returns:
+        (H', W', 3); None where the output is no image, or has another shape than is right.
+    """
+    want = np.asarray(expected.want, np.float64)
+    if got.shape != want.shape or want.ndim not in (2, 3) or not want.size:
+        return None
+    ratio = expected.ratios(got)
+    planes = [a if a.ndim == 3 else a[..., None] for a in (got.astype(np.float64), want)]
+    wrong = (ratio if ratio.ndim == 3 else ratio[..., None]).max(axis=-1)
+    shown = int(np.argmax(ratio.max(axis=(0, 1)) if ratio.ndim == 3 else np.zeros(1))) if planes[0].shape[-1] != 3 else None
+    chosen = [np.nan_to_num(p if shown is None else np.repeat(p[..., shown : shown + 1], 3, axis=-1)) for p in planes]
+    low, high = chosen[1].min(), chosen[1].max()
+    scaled = [np.clip((p - low) / (high - low if high > low else 1), 0, 1) for p in chosen]
+    with np.errstate(divide="ignore"):
+        decades = np.log10(wrong) / DECADES
+    heat = np.stack([np.clip(1 + decades, 0, 1), np.clip(decades, 0, 1), np.clip(decades, 0, 1)], axis=-1)
+    zoom = max(1, SIDE // max(want.shape[:2]))
+    panels = [np.round(255 * panel).astype(np.uint8).repeat(zoom, axis=0).repeat(zoom, axis=1) for panel in (*scaled, heat)]
+    gap = np.full((panels[0].shape[0], GAP, 3), PAPER, np.uint8)
+    sheet = np.concatenate([gap, *(each for panel in panels for each in (panel, gap))], axis=1)
+    return np.pad(sheet, ((GAP, GAP), (0, 0), (0, 0)), constant_values=PAPER)
+
+
+def png(pixels: NDArray[np.uint8]) -> bytes:
+    """The bytes of a PNG file of (H, W, 3) pixels: one chunk of rows without filters, as W3C's PNG 2nd edition, 11.2, has it."""
+    height, width, _ = pixels.shape
+    rows = np.concatenate([np.zeros((height, 1), np.uint8), pixels.reshape(height, -1)], axis=1)
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(rows.tobytes(), 9)), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(kind, data) for kind, data in chunks)
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
