@@ -33,6 +33,7 @@ class Finding:
         output: name of the wrong output.
         got: the port's answer; None: it gave none.
         expected: the right answer; None: it is not known.
+        terms: lines on the worst pixel (``conformance.terms``).
     """
 
     message: str
@@ -40,6 +41,7 @@ class Finding:
     output: str
     got: NDArray[Any] | None
     expected: Expected | None
+    terms: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

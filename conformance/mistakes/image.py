@@ -26,6 +26,7 @@ def _chain(name: str, what: str, *change: str, more: Sequence[Change] = ()) -> M
 MOTION_CHAIN = (
     _chain("x_sign", "follows x to the other side", _FOLLOWED, "at = follow(chained * np.array((-1, 1), chained.dtype))"),
     _chain("y_sign", "follows y to the other side", _FOLLOWED, "at = follow(chained * np.array((1, -1), chained.dtype))"),
+    _chain("backwards", "follows the motion backwards", _FOLLOWED, "at = follow(-chained)"),
     _chain("axes_swapped", "takes dx for dy", _FOLLOWED, "at = follow(chained[..., ::-1])"),
     _chain("not_followed", "adds the motions of one pixel", _FOLLOWED, "at = follow(chained * 0)"),
     _chain("rounded_sum", "rounds p + m", _FOLLOWED, f"{_P}\n    at = follow((p + chained) - p)"),
@@ -102,6 +103,7 @@ def _warp(name: str, what: str, *change: str, **marks: Any) -> Mistake:
 WARP = (
     _warp("x_sign", "x to the left", SAMPLE, _FOLLOW, f"{_FOLLOW} * np.array((-1, 1), motion.dtype)", also=BOTH),
     _warp("y_sign", "y upwards", SAMPLE, _FOLLOW, f"{_FOLLOW} * np.array((1, -1), motion.dtype)", also=BOTH),
+    _warp("backwards", "follows the motion backwards", SAMPLE, _FOLLOW, f"{_FOLLOW} * -1", also=BOTH),
     _warp("axes_swapped", "takes dx for dy", SAMPLE, _FOLLOW, f"{_FOLLOW}[..., ::-1]", also=BOTH),
     _warp("half_pixel", "pixel centres at halves", SAMPLE, _FOLLOW, f"{_FOLLOW} - motion.dtype.type(0.5)", also=BOTH),
     _warp("rounded_sum", "rounds p + m, and takes the fraction of that", SAMPLE, _FOLLOW, _summed("(p + moved)"), also=BOTH),

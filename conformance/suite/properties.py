@@ -20,6 +20,7 @@ from conformance.findings import DepartureError, Failure, Record
 from conformance.first_layer import first_departure
 from conformance.judge import Body, Judge
 from conformance.rehearsal import prepare, rehearse
+from conformance.terms import terms_at_worst
 
 
 def cases(strategy: st.SearchStrategy[Any], *, dear: bool = False) -> Callable[[Body], Callable[[Judge], None]]:
@@ -88,7 +89,7 @@ def _diagnosed(judge: Judge, failure: Failure, first: Failure | None) -> Failure
     words = [] if failure.before else [first_departure(judge, failure.finding), diagnose(judge, (first or failure).finding)]
     judge.record = met
     message = "; ".join([failure.finding.message, *filter(None, words)])
-    return replace(failure, finding=replace(failure.finding, message=message))
+    return replace(failure, finding=replace(failure.finding, message=message, terms=terms_at_worst(failure.finding)))
 
 
 def _as_test(test: Any, body: Body) -> Callable[[Judge], None]:

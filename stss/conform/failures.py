@@ -31,7 +31,7 @@ from conformance.protocol.port import Case, Port, PortError
 from conformance.protocol.stages import STAGES
 from conformance.rehearsal import prepare
 from conformance.suite.properties import find_property
-from stss.conform.picture import WORDS, draw, png
+from stss.conform.picture import draw, png
 from stss.errors import InputError
 from stss.output.write_whole import make_folder, told, write_whole
 
@@ -71,13 +71,14 @@ def keep_failure(folder: Path, name: str, failure: Failure, replay: str) -> Path
 
 def _write_failure(folder: Path, finding: Finding, again: str) -> None:
     write_job(folder, [finding.case])
-    seen = ""
+    parts = [finding.message, "\n".join(finding.terms)]
     if finding.expected is not None and finding.got is not None:
         _write_right(folder / CASE, finding.output, finding.got, finding.expected)
         if (picture := draw(finding.got, finding.expected)) is not None:
-            write_whole(folder / "picture.png", png(picture))
-            seen = f"\npicture.png, from left to right: {WORDS}\n"
-    write_whole(folder / "README.txt", f"{finding.message}\n{seen}\nRun it again:\n  {again}\n".encode())
+            write_whole(folder / "picture.png", png(picture.pixels))
+            parts.append(f"picture.png, from left to right: {picture.words}")
+    parts.append(f"Run it again:\n  {again}\n")
+    write_whole(folder / "README.txt", "\n\n".join(filter(None, parts)).encode())
 
 
 def _write_right(case: Path, output: str, got: NDArray[Any], expected: Expected) -> None:

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import math
 import struct
 import zlib
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,26 +14,37 @@ from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
 
-WORDS = "port, expected, error / bound (black 1/1000, red 1, white 1000)"
-"""What a picture shows from left to right."""
 DECADES = 3
-"""Of error / bound, either way from 1, that a picture tells apart."""
-SIDE = 240
-"""Pixels on the screen that the longer side of a picture's panel takes, about."""
+"""Of error / bound, below 1 and at least above it, that a picture tells apart."""
+SIDE, LEAST_WIDTH = 240, 60
+"""Pixels on the screen that the longer side of a picture's panel takes, about, and its width at least."""
+MOST = 120
+"""Rows and columns of a frame that a panel shows."""
 GAP, PAPER = 8, 33
 """Pixels between panels; their grey, of 255."""
 
 
-def draw(got: NDArray[Any], expected: Expected) -> NDArray[np.uint8] | None:
-    """What the port gave, what is right, and error / bound, side by side.
+@dataclass(frozen=True)
+class Picture:
+    """``pixels`` (H', W', 3), and in words what they show from left to right."""
+
+    pixels: NDArray[np.uint8]
+    words: str
+
+
+def draw(got: NDArray[Any], expected: Expected) -> Picture | None:
+    """What the port gave, what is right, and error / bound, side by side; of a large frame the part around its worst pixel.
 
     Returns:
-        (H', W', 3); None where the output is no image, or has another shape than is right.
+        None where the output is no image, or has another shape than is right.
     """
     want = np.asarray(expected.want, np.float64)
     if got.shape != want.shape or want.ndim not in (2, 3) or not want.size:
         return None
     ratio = expected.ratios(got)
+    worst = np.unravel_index(int(ratio.argmax()), ratio.shape)
+    rows, columns = (_window(want.shape[axis], int(worst[axis])) for axis in (0, 1))
+    got, want, ratio = (a[rows, columns] for a in (got, want, ratio))
     planes = [a if a.ndim == 3 else a[..., None] for a in (got.astype(np.float64), want)]
     wrong = (ratio if ratio.ndim == 3 else ratio[..., None]).max(axis=-1)
     shown = int(np.argmax(ratio.max(axis=(0, 1)) if ratio.ndim == 3 else np.zeros(1))) if planes[0].shape[-1] != 3 else None
@@ -39,13 +52,26 @@ def draw(got: NDArray[Any], expected: Expected) -> NDArray[np.uint8] | None:
     low, high = chosen[1].min(), chosen[1].max()
     scaled = [np.clip((p - low) / (high - low if high > low else 1), 0, 1) for p in chosen]
     with np.errstate(divide="ignore"):
-        decades = np.log10(wrong) / DECADES
-    heat = np.stack([np.clip(1 + decades, 0, 1), np.clip(decades, 0, 1), np.clip(decades, 0, 1)], axis=-1)
+        decades = np.log10(wrong)
+    above = max(DECADES, math.ceil(decades[np.isfinite(decades)].max(initial=0)))
+    white = np.clip(decades / above, 0, 1)
+    heat = np.stack([np.clip(1 + decades / DECADES, 0, 1), white, white], axis=-1)
     zoom = max(1, SIDE // max(want.shape[:2]))
-    panels = [np.round(255 * panel).astype(np.uint8).repeat(zoom, axis=0).repeat(zoom, axis=1) for panel in (*scaled, heat)]
+    wide = max(zoom, -(-LEAST_WIDTH // want.shape[1]))
+    panels = [np.round(255 * panel).astype(np.uint8).repeat(zoom, axis=0).repeat(wide, axis=1) for panel in (*scaled, heat)]
     gap = np.full((panels[0].shape[0], GAP, 3), PAPER, np.uint8)
     sheet = np.concatenate([gap, *(each for panel in panels for each in (panel, gap))], axis=1)
-    return np.pad(sheet, ((GAP, GAP), (0, 0), (0, 0)), constant_values=PAPER)
+    words = f"port, expected, error / bound (black 1e-{DECADES}, red 1, white 1e{above})"
+    words += "" if shown is None else f", channel {shown}"
+    if want.shape != expected.want.shape:
+        words += f"; rows {rows.start} to {rows.stop - 1} and columns {columns.start} to {columns.stop - 1} of the frame"
+    return Picture(np.pad(sheet, ((GAP, GAP), (0, 0), (0, 0)), constant_values=PAPER), words)
+
+
+def _window(length: int, worst: int) -> slice:
+    """Of a large frame what lies around its worst pixel."""
+    start = min(max(worst - MOST // 2, 0), max(length - MOST, 0))
+    return slice(start, min(start + MOST, length))
 
 
 def png(pixels: NDArray[np.uint8]) -> bytes:

@@ -18,7 +18,7 @@ from rich.table import Table
 from conformance.findings import TestResult, tallied
 from conformance.judge import Judge
 from conformance.protocol.stages import STAGES
-from conformance.run_suite import JUDGED, REQUIRED, SEQUENCE
+from conformance.run_suite import JUDGED, REQUIRED, SEQUENCE, SUITE
 from stss.output.write_whole import write_named
 from stss.version import VERSION
 
@@ -28,7 +28,8 @@ OUTPUT_STAGE = {SEQUENCE: "frame"}
 """Whose outputs the tests of something else judge."""
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2em auto; max-width: 60em; padding: 0 1em; color: #222; background: #fff }
-table { border-collapse: collapse; width: 100% }
+p { overflow-wrap: anywhere }
+table { border-collapse: collapse; width: 100%; margin-bottom: 1.5em }
 td, th { text-align: left; padding: .3em .6em; border-bottom: 1px solid #ddd; vertical-align: top }
 td.n, th.n { text-align: right; font-variant-numeric: tabular-nums }
 .failed, .error { color: #b00020; font-weight: 600 } .passed { color: #1b7f3b }
@@ -149,15 +150,28 @@ def write_page(path: Path, judge: Judge, results: Sequence[TestResult], folders:
     verdict = "passes" if passed(results) else "departs from the specification"
     verdict = "was not judged" if JUDGED in {r.id for r in results} else verdict
     rows = "".join(_row(r) for r in results)
+    outputs = "".join(_stage_row(stage, some) for stage, some in by_stage([r for r in results if r.stage in SUITE]).items())
     failures = "".join(_failure(r, folders.get(r.id)) for r in results if r.outcome in ("failed", "error"))
     name = html.escape(judge.port.name)
     text = f"""<!doctype html><html lang="en"><meta charset="utf-8"><title>{name}: conformance</title><style>{STYLE}</style>
 <h1>{name} {verdict}</h1>
 <p>{arithmetic}; tier {judge.tier.name}, seed {judge.seed}; {counted["cases"]} cases; {counted["undecided"]} numbers decided by rounding,
 {counted["unjudged"]} cases not judged for that; stss {VERSION}.</p>
+<table><tr><th>stage<th>output<th class="n">largest error / bound</tr>{outputs}</table>
 <table><tr><th>test<th>what it asks<th><th class="n">cases<th class="n">error / bound</tr>{rows}</table>{failures}</html>
 """
     write_named(path, text)
+
+
+def _stage_row(stage: str, some: Sequence[TestResult]) -> str:
+    """A row for each output: how far it was off at most, or that nothing was held against it."""
+    met = worst_of(some)
+    ratios = {name.split(".")[-1]: _number(ratio) for name, ratio in met.items()}
+    lacking = "not judged: the port lacks the stage" if all(r.outcome == "skipped" for r in some) else "not judged"
+    named = dict.fromkeys([*_outputs(stage), *ratios])
+    return "".join(
+        f'<tr><td><code>{stage}</code><td>{html.escape(name)}<td class="n">{ratios.get(name, lacking)}</tr>' for name in named
+    )
 
 
 def _row(r: TestResult) -> str:

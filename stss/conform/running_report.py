@@ -51,6 +51,8 @@ class RunningReport:
         self._status.update(f"{done}: {result.id}: {result.outcome}")
         if result.outcome in ("failed", "error"):
             echo(f"{done}: {result.outcome}: {result.id}: {result.message}")
+            for line in result.record.failure.finding.terms if result.record.failure is not None else ():
+                echo(f"  {line}")
             if result.record.failure is not None:
                 self.folders[result.id] = keep_failure(self._failures, result.id, result.record.failure, self._again)
                 echo(f"  {self._again} --replay {shlex.quote(str(self.folders[result.id]))}")

@@ -24,6 +24,7 @@ from conformance.run_suite import run_suite
 from stss.cli.main import stss
 from stss.conform.load_port import load_port
 from stss.conform.own_ports import ReferencePort
+from stss.conform.picture import draw
 from stss.errors import InputError
 from stss.images.read_write import read_rgb
 from tests.fuzz.harness import call
@@ -32,6 +33,7 @@ from tests.meta.samples import samples
 EXAMPLE = Path(__file__).parents[2] / "conformance" / "examples" / "cpp"
 WRONG = """
 from stss.conform.own_ports import ReferencePort
+from stss.conform.picture import draw
 
 class Port(ReferencePort):
     name = "wrong"
@@ -94,6 +96,8 @@ def test_a_wrong_port_leaves_what_is_needed(here):
     page = (here / "page.html").read_text()
     assert "departs from the specification" in page
     assert "data:image/png;base64," in page
+    assert "the test expects" in page
+    assert '<code>holes</code><td>valid<td class="n">not judged: the port lacks the stage' in page
     assert int(ElementTree.parse(here / "junit.xml").getroot()[0].get("failures", 0)) > 0
     found = json.loads((here / "found.json").read_text())
     assert {test["outcome"] for test in found["tests"] if test["stage"] == "holes"} == {"skipped"}
@@ -145,8 +149,22 @@ def test_an_output_that_nothing_judged_says_so(here):
         "    def stages(self): return frozenset({'warp'})\n"
         "    def run(self, *given): raise MemoryError('no device')\n"
     )
-    done = run("--port", "lost:Port", "--stages", "warp", "--fail-fast")
+    done = run("--port", "lost:Port", "--stages", "warp", "--fail-fast", "--report", "page.html")
     assert "warped not judged, inside not judged" in " ".join(done.output.split())
+    assert '<td>inside<td class="n">not judged</tr>' in (here / "page.html").read_text()
+
+
+def test_the_picture_of_a_large_frame_shows_its_worst_part():
+    """Not a thousand rows of one column; and its scale reaches as far as the error does."""
+    want = np.zeros((1000, 1, 3))
+    got = want.copy()
+    got[700, 0] = 1
+    shown = draw(got, Expected(want, 1e-5))
+    assert shown.pixels.shape[0] < 300
+    assert shown.pixels.shape[1] > 180
+    assert (shown.pixels[:, -30] == 255).all(axis=-1).any()
+    assert "white 1e5" in shown.words
+    assert "rows 640 to 759 and columns 0 to 0 of the frame" in shown.words
 
 
 def test_the_same_failure_again(here):

@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: MIT
+"""A wrong pixel of an image stage, taken apart: what the formula of docs/stages.md has there, as the reference computes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conformance.answers.expected import largest
+from conformance.findings import Finding
+from conformance.protocol.stages import reference
+from stss_ref.constants import HoleLimits
+from stss_ref.motion_chain import chain_steps, gather_longest, truncated
+from stss_ref.occlusion_warp import FARTHEST, splat
+from stss_ref.sample import Place, bilinear, follow, leads_inside, taps
+
+Float64 = NDArray[np.float64]
+Inputs = dict[str, NDArray[Any]]
+Term = tuple[str, str]
+"""A name, and what it is there."""
+LIMITS = HoleLimits()
+
+
+def terms_at_worst(finding: Finding) -> tuple[str, ...]:
+    """Lines about the worst pixel: inputs, both answers, and the terms of the formula; none where a stage has no pixels to show."""
+    case, got, expected = finding.case, finding.got, finding.expected
+    if case.stage not in TERMS or got is None or expected is None or got.shape != expected.want.shape:
+        return ()
+    inputs = {name: a.astype(np.float64) if a.dtype.kind == "f" else a for name, a in case.inputs.items()}
+    if got.shape[:2] != _size(inputs):
+        return ()
+    place = tuple(int(i) for i in np.unravel_index(int(expected.ratios(got).argmax()), got.shape))
+    y, x = place[:2]
+    with np.errstate(all="ignore"):
+        found = [*TERMS[case.stage](inputs, y, x)]
+        truth = reference(case.stage, inputs).get(finding.output)
+    found += [("the port gives", _shown(got[y, x])), ("the test expects", _shown(expected.want[y, x]))]
+    if truth is not None and largest(replace(expected, want=truth, allowed=2 * np.asarray(expected.allowed)), expected.want) > 1:
+        found.append(("of this case is right", f"{_shown(truth[y, x])}; the test compares two answers of the port"))
+    width = max(len(name) for name, _ in found)
+    head = f"at row {y}, column {x} of {' x '.join(map(str, got.shape[:2]))}, as the reference has it in float64:"
+    return (head, *(f"  {name:{width}}  {text}" for name, text in found))
+
+
+def _size(inputs: Inputs) -> tuple[int, int]:
+    """(H, W) of an image stage's inputs."""
+    motion = inputs["motions"][0] if "motions" in inputs else inputs.get("motion", inputs.get("valid"))
+    assert motion is not None
+    return motion.shape[0], motion.shape[1]
+
+
+def _shown(value: Any) -> str:
+    """A number, or a vector in parentheses."""
+    numbers = np.asarray(value)
+    if numbers.ndim == 0:
+        return f"{numbers[()]:.9g}"
+    return f"({', '.join(f'{n:.9g}' for n in numbers.ravel())})"
+
+
+def _leads_to(at: Place, y: int, x: int) -> str:
+    if not at.finite[y, x]:
+        return "nowhere: not finite, so off screen, and the pixel itself is read"
+    return f"column {at.x[y, x]} + {at.fx[y, x]:.9g}, row {at.y[y, x]} + {at.fy[y, x]:.9g}"
+
+
+def _read(image: Float64, at: Place, y: int, x: int) -> list[Term]:
+    """The four pixels between which is read, the place clamped into the frame, and what comes of it."""
+    four = taps(at)
+    y0, x0, y1, x1 = (int(a[y, x]) for a in (four.y0, four.x0, four.y1, four.x1))
+    return [
+        (f"row {y0}, columns {x0} and {x1}", f"{_shown(image[y0, x0])} and {_shown(image[y0, x1])}"),
+        (f"row {y1}, columns {x0} and {x1}", f"{_shown(image[y1, x0])} and {_shown(image[y1, x1])}"),
+        ("fractions across, down", _shown([four.fx[y, x], four.fy[y, x]])),
+        ("read between them", _shown(bilinear(image, four)[y, x])),
+    ]
+
+
+def _motion_chain(inputs: Inputs, y: int, x: int) -> list[Term]:
+    motions = inputs["motions"]
+    chained = list(chain_steps(motions))
+    found = [("motion of the newest frame", _shown(motions[0, y, x]))]
+    for j, earlier in enumerate(motions[1:], start=1):
+        at = follow(chained[j - 1])
+        row, column = int(truncated(at.y, at.fy)[y, x]), int(truncated(at.x, at.fx)[y, x])
+        found.append((f"step {j}: leads to", _leads_to(at, y, x)))
+        if at.finite[y, x]:
+            four = [_or_zero(earlier, row + i, column + k) for i in (0, 1) for k in (0, 1)]
+            found.append((f"step {j}: motions at rows {row}, {row + 1}", " ".join(map(_shown, four))))
+            found.append((f"step {j}: longest, 0 if one is 0", _shown(gather_longest(earlier, at)[y, x])))
+        found.append((f"step {j}: chained", _shown(chained[j][y, x])))
+    return found
+
+
+def _or_zero(motion: Float64, row: int, column: int) -> Float64:
+    height, width, _ = motion.shape
+    return motion[row, column] if 0 <= row < height and 0 <= column < width else np.zeros(2)
+
+
+def _warp(inputs: Inputs, y: int, x: int) -> list[Term]:
+    at = follow(inputs["motion"])
+    return [
+        ("motion", _shown(inputs["motion"][y, x])),
+        ("leads to", _leads_to(at, y, x)),
+        ("inside", _shown(leads_inside(at)[y, x].astype(int))),
+        *_read(inputs["color"], at, y, x),
+    ]
+
+
+def _holes(inputs: Inputs, y: int, x: int) -> list[Term]:
+    at = follow(inputs["motion"])
+    four = taps(at)
+    s = bilinear(inputs["stencil_previous"][..., None], four)[y, x, 0]
+    n, now = bilinear(inputs["normal_previous"], four)[y, x], inputs["normal"][y, x]
+    corners = [(j[y, x], i[y, x]) for j in (four.y0, four.y1) for i in (four.x0, four.x1)]
+    distances = [float(np.sqrt(((inputs["position_previous"][p] - inputs["position"][y, x]) ** 2).sum())) for p in corners]
+    facing, depth = abs(inputs["nov"][y, x]), inputs["depth"][y, x]
+    bias = LIMITS.facing * facing + LIMITS.grazing * (1 - facing) + LIMITS.depth * depth
+    length = np.sqrt((n * n).sum())
+    static = [
+        ("static, as that is 0: |NoV|, depth", _shown([facing, depth])),
+        ("distances to the four", _shown(distances)),
+        ("bias, a hole unless all <=", _shown(bias)),
+    ]
+    moving = [
+        ("moving: normal read there, and now", f"{_shown(n)} and {_shown(now)}"),
+        (f"cosine, a hole if < {LIMITS.cosine:g}", _shown((now * n).sum() / (length + 1e-5))),
+    ]
+    return [
+        ("motion", _shown(inputs["motion"][y, x])),
+        ("leads to", _leads_to(at, y, x)),
+        ("inside, else a hole", _shown(leads_inside(at)[y, x].astype(int))),
+        ("fractions across, down", _shown([four.fx[y, x], four.fy[y, x]])),
+        ("stencil read there, and now", f"{_shown(s)} and {_shown(inputs['stencil'][y, x])}"),
+        (f"3 |difference|, a hole if > {LIMITS.mesh:g}", _shown(3 * abs(s - inputs["stencil"][y, x]))),
+        *(static if s == 0 else moving),
+    ]
+
+
+def _occlusion_warp(inputs: Inputs, y: int, x: int) -> list[Term]:
+    motion, depth = inputs["motion"], inputs["depth"]
+    at = follow(motion)
+    look = taps(at)
+    row, column = int(look.y0[y, x]), int(look.x0[y, x])
+    instead = splat(motion, depth)[look.y0, look.x0]
+    found = [
+        ("motion", _shown(motion[y, x])),
+        ("leads to", _leads_to(at, y, x)),
+        ("looks up what was splatted at", f"row {row}, column {column}"),
+        *_writers(at, motion, depth, row, column),
+        ("occlusion motion", _shown(instead[y, x])),
+        ("valid", _shown(inputs["valid"][y, x])),
+    ]
+    if inputs["valid"][y, x]:
+        return [*found, ("warped, taken as it is valid", _shown(inputs["warped"][y, x]))]
+    again = follow(instead)
+    return [*found, ("from this pixel that leads to", _leads_to(again, y, x)), *_read(inputs["color"], again, y, x)]
+
+
+MOST_WRITERS = 4
+
+
+def _writers(at: Place, motion: Float64, depth: Float64, row: int, column: int) -> list[Term]:
+    """Who writes to a pixel of the splat: the one that stays first."""
+    there = at.finite & (depth < FARTHEST) & (np.abs(row - at.y - 0.5) < 1) & (np.abs(column - at.x - 0.5) < 1)
+    places = sorted(((float(depth[j, i]), int(j), int(i)) for j, i in np.argwhere(there)))
+    if not places:
+        return [("written there by", "nobody: 0")]
+    words = [f"row {j}, column {i}, depth {d:.9g}, motion {_shown(motion[j, i])}" for d, j, i in places[:MOST_WRITERS]]
+    others = len(places) - len(words)
+    names = ["written there by, and stays", *["written there by"] * (len(words) - 1)]
+    return [*zip(names, words, strict=True), *([("", f"and {others} more")] if others else [])]
+
+
+def _rrm(inputs: Inputs, y: int, x: int) -> list[Term]:
+    top, left, height, width = (int(n) for n in inputs["rectangle"])
+    within = top <= y < top + height and left <= x < left + width
+    return [
+        ("valid before", _shown(inputs["valid"][y, x])),
+        ("rectangle", f"rows {top} to {top + height - 1}, columns {left} to {left + width - 1}"),
+        ("holds the pixel", "yes: 0" if within else "no: as before"),
+    ]
+
+
+TERMS: dict[str, Callable[[Inputs, int, int], Sequence[Term]]] = {
+    "motion_chain": _motion_chain,
+    "warp": _warp,
+    "holes": _holes,
+    "occlusion_warp": _occlusion_warp,
+    "rrm": _rrm,
+}
+"""By stage; the row and the column come last."""

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: MIT
+"""A wrong pixel taken apart: its terms are those of the formula, worked out by hand."""
+
+import numpy as np
+import pytest
+
+from conformance.answers.expected import Expected
+from conformance.findings import Finding
+from conformance.judge import Judge, Tier
+from conformance.mistakes import find
+from conformance.protocol import Case, reference
+from conformance.run_suite import run_suite
+from conformance.terms import TERMS, terms_at_worst
+
+
+def terms(stage, inputs, output, wrong_at):
+    """Of a port that is right but at one place."""
+    inputs = {name: np.asarray(a, np.uint8 if name == "valid" else np.float32) for name, a in inputs.items()}
+    want = reference(stage, {name: a.astype(float) if a.dtype.kind == "f" else a for name, a in inputs.items()})[output]
+    got = want.copy()
+    got[wrong_at] = 1 - got[wrong_at] if want.dtype == np.uint8 else got[wrong_at] + 1
+    lines = terms_at_worst(Finding("", Case(stage, inputs), output, got, Expected(want, 0.0)))
+    assert lines[0].startswith("at row {}, column {} of ".format(*wrong_at))
+    return {name.strip(): text.strip() for name, _, text in (line.strip().partition("  ") for line in lines[1:])}
+
+
+def still(height, width):
+    return {
+        "motion": np.zeros((height, width, 2)),
+        "stencil_previous": np.zeros((height, width)), "stencil": np.zeros((height, width)),
+        "normal_previous": np.ones((height, width, 3)), "normal": np.ones((height, width, 3)),
+        "position_previous": np.zeros((height, width, 3)), "position": np.zeros((height, width, 3)),
+        "nov": np.full((height, width), 0.5), "depth": np.full((height, width), 0.25),
+    }  # fmt: skip
+
+
+def test_warp():
+    color = np.arange(6.0).reshape(2, 3, 1)
+    motion = np.zeros((2, 3, 2))
+    motion[1, 2] = -1.25, -0.5
+    found = terms("warp", {"color": color, "motion": motion}, "warped", (1, 2))
+    assert found["motion"] == "(-1.25, -0.5)"
+    assert found["leads to"] == "column 0 + 0.75, row 0 + 0.5"
+    assert found["inside"] == "1"
+    assert found["row 0, columns 0 and 1"] == "(0) and (1)"
+    assert found["row 1, columns 0 and 1"] == "(3) and (4)"
+    assert found["fractions across, down"] == "(0.75, 0.5)"
+    assert found["read between them"] == found["the test expects"] == "(2.25)"
+    assert found["the port gives"] == "(3.25)"
+
+
+def test_motion_chain():
+    motions = np.zeros((2, 3, 3, 2))
+    motions[0, 0, 0] = 1, 1
+    motions[1, 1:, 1:] = [[[1, 0], [0, 2]], [[0, 1], [1, 1]]]
+    found = terms("motion_chain", {"motions": motions}, "motion", (0, 0))
+    assert found["step 1: leads to"] == "column 1 + 0, row 1 + 0"
+    assert found["step 1: motions at rows 1, 2"] == "(1, 0) (0, 2) (0, 1) (1, 1)"
+    assert found["step 1: longest, 0 if one is 0"] == "(0, 2)"
+    assert found["step 1: chained"] == found["the test expects"] == "(1, 3)"
+
+
+def test_holes_of_what_stands():
+    inputs = still(1, 2)
+    inputs["position_previous"][0, 0] = 3, 4, 0
+    found = terms("holes", inputs, "valid", (0, 0))
+    # A frame of one row: both rows of taps are that one.
+    assert found["distances to the four"] == "(5, 0, 5, 0)"
+    assert found["bias, a hole unless all <="] == str(7.5 * 0.5 + 45 * 0.5 + 50 * 0.25)
+    assert not any(name.startswith("cosine") for name in found)
+
+
+def test_holes_of_what_moves():
+    inputs = still(1, 2)
+    inputs["stencil_previous"][:], inputs["stencil"][:] = 2, 2.5
+    inputs["normal_previous"][:], inputs["normal"][:] = (0, 0, 1), (0, 0.6, 0.8)
+    found = terms("holes", inputs, "valid", (0, 1))
+    assert found["3 |difference|, a hole if > 1"] == "1.5"
+    assert float(found["cosine, a hole if < 0.98"]) == pytest.approx(0.8 / (1 + 1e-5), 1e-6)
+    assert "distances to the four" not in found
+
+
+def test_occlusion_warp():
+    """Two pixels write to the place that is looked up; the nearer one stays."""
+    motion = np.zeros((1, 3, 2))
+    motion[0, 2] = -1, 0
+    inputs = {
+        "color": np.arange(9.0).reshape(1, 3, 3), "warped": np.zeros((1, 3, 3)), "motion": motion,
+        "depth": [[0.5, 0.5, 0.25]], "valid": np.zeros((1, 3), np.uint8),
+    }  # fmt: skip
+    found = terms("occlusion_warp", inputs, "occlusion_motion", (0, 1))
+    assert found["looks up what was splatted at"] == "row 0, column 1"
+    assert found["written there by, and stays"] == "row 0, column 2, depth 0.25, motion (-1, 0)"
+    assert found["occlusion motion"] == "(-1, 0)"
+    assert found["from this pixel that leads to"] == "column 0 + 0, row 0 + 0"
+
+
+def test_lost_motion_is_said_to_be():
+    motion = np.full((1, 1, 2), np.nan)
+    found = terms("warp", {"color": np.ones((1, 1, 1)), "motion": motion}, "inside", (0, 0))
+    assert found["leads to"].startswith("nowhere: not finite")
+
+
+def test_a_comparison_of_two_answers_says_so():
+    inputs = {"color": np.ones((1, 1, 1), np.float32), "motion": np.zeros((1, 1, 2), np.float32)}
+    finding = Finding("", Case("warp", inputs), "warped", np.full((1, 1, 1), 3.0), Expected(np.full((1, 1, 1), 2.0), 0.0))
+    assert terms_at_worst(finding)[-1].split("  ")[-1].strip() == "(1); the test compares two answers of the port"
+
+
+@pytest.mark.parametrize(
+    "name", ["motion_chain_x_sign", "warp_x_sign", "holes_facing_5", "occlusion_warp_starts_at_1", "rrm_filled"]
+)
+def test_every_image_stage_shows_its_terms(name):
+    mistake = find(name)
+    results = run_suite(Judge(mistake.port(), Tier("some", 60, 3)), [mistake.stage], first_only=True)
+    shown = results[-1].record.failure.finding.terms
+    assert mistake.stage in TERMS
+    assert shown[0].startswith("at row ")
+    assert {"the port gives", "the test expects"} <= {line.strip().split("  ")[0] for line in shown[1:]}
+
+
+def test_the_networks_stages_show_none():
+    case = Case("history", {"history": np.zeros((3, 8, 8, 4), np.float32)})
+    assert terms_at_worst(Finding("", case, "feature", np.zeros((1, 1, 32)), Expected(np.ones((1, 1, 32)), 0.0))) == ()
