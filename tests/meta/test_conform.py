@@ -33,7 +33,6 @@ from tests.meta.samples import samples
 EXAMPLE = Path(__file__).parents[2] / "conformance" / "examples" / "cpp"
 WRONG = """
 from stss.conform.own_ports import ReferencePort
-from stss.conform.picture import draw
 
 class Port(ReferencePort):
     name = "wrong"
