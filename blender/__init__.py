@@ -14,22 +14,20 @@ from .passes import set_up
 
 
 class Settings(bpy.types.PropertyGroup):
-    """What the user chooses, kept in the scene."""
+    """The user's choices, stored in the scene."""
 
     folder: bpy.props.StringProperty(name="Folder", subtype="DIR_PATH", default="//stss", description="For frames and results")  # type: ignore[valid-type]
     options: bpy.props.StringProperty(name="Options", description="More options of stss run, such as --format png")  # type: ignore[valid-type]
-    command: bpy.props.StringProperty(
-        name="Command", description="What starts stss; empty: the one that came with this extension"
-    )  # type: ignore[valid-type]
+    command: bpy.props.StringProperty(name="Command", description="Command that starts stss; empty: the one in this extension")  # type: ignore[valid-type]
 
 
 class SetUp(bpy.types.Operator):
-    """Turn on the passes and AOVs that stss needs, and number what moves."""
+    """Turn on the passes and AOVs that stss needs, and number moving objects."""
 
     bl_idname, bl_label, bl_options = "stss.set_up", "Set up passes", {"REGISTER", "UNDO"}
 
     def execute(self, context: Any) -> set[str]:
-        """Do it."""
+        """Set up the scene, and report warnings."""
         for line in set_up(context.scene, context.view_layer):
             self.report({"WARNING"}, line)
         return {"FINISHED"}
@@ -41,7 +39,7 @@ class Render(bpy.types.Operator):
     bl_idname, bl_label = "stss.render", "Render and supersample"
 
     def execute(self, context: Any) -> set[str]:
-        """Do it; Blender waits."""
+        """Render, run stss and load the result; Blender waits until all is done."""
         scene, chosen = context.scene, context.scene.stss
         folder, window = Path(bpy.path.abspath(chosen.folder)), context.window_manager
         window.progress_begin(scene.frame_start, scene.frame_end)
@@ -70,7 +68,7 @@ class Panel(bpy.types.Panel):
     bl_space_type, bl_region_type, bl_context = "PROPERTIES", "WINDOW", "render"
 
     def draw(self, context: Any) -> None:
-        """Lay it out."""
+        """Draw the settings and the two buttons."""
         layout = self.layout
         layout.use_property_split = True
         for name in ("folder", "options", "command"):

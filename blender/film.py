@@ -15,24 +15,24 @@ import bpy
 from .passes import changed, set_up, write_camera
 
 GBUFFER_SAMPLES = 4
-"""Of frames that are not rendered: base colour and normals need few, and light none."""
+"""Samples of frames that are not rendered: base colour and normals need few, light needs none."""
 
 
 class FilmError(RuntimeError):
-    """What the user has to know, in a line."""
+    """The scene cannot be rendered or supersampled; the message is one line."""
 
 
 def render(scene: Any, folder: Path, on_frame: Callable[[int], None] = lambda number: None) -> list[str]:
     """Write ``folder/lr/frame.NNNN.exr`` for every frame of the scene and ``folder/camera.csv``.
 
-    The first frame and every second one after it have the scene's own samples; the others are there for their G-buffer, and their
-    colour is worth nothing. The scene's settings are as before afterwards, but for passes, AOVs and object numbers.
+    The first frame and every second one after it have the scene's own samples; the others are rendered for their G-buffer only, and
+    their colour is not used. Afterwards the scene's settings are as before, except for passes, AOVs and object numbers.
 
     Returns:
         Lines for the user, see `stss.passes.set_up`.
 
     Raises:
-        FilmError: the scene cannot be rendered so.
+        FilmError: the engine is not Cycles, or the scene has no camera.
     """
     if scene.render.engine != "CYCLES":
         raise FilmError(f"expected the engine Cycles, found {scene.render.engine}: only Cycles writes the pass Vector")
@@ -53,7 +53,7 @@ def render(scene: Any, folder: Path, on_frame: Callable[[int], None] = lambda nu
 
 
 def _small(scene: Any) -> list[tuple[Any, str, Any]]:
-    """Half the size, and layers in a file; motion blur off, for with it there is no Vector."""
+    """Settings for half the size and multilayer files; motion blur is off, since with it Cycles writes no Vector pass."""
     image = scene.render.image_settings
     kind = [(image, "media_type", "MULTI_LAYER_IMAGE")] if hasattr(image, "media_type") else []  # Blender 5
     return [
@@ -86,12 +86,12 @@ def _frame(scene: Any, number: int, path: Path, *, colour: bool) -> None:
 
 
 def supersample(folder: Path, first: int, command: Sequence[str] = (), options: Sequence[str] = ()) -> Path:
-    """Run ``stss run`` on what `render` wrote; the frames lie in ``folder/out``.
+    """Run ``stss run`` on the frames of `render`; its output goes to ``folder/out``.
 
     Args:
-        folder: of `render`.
-        first: the first frame: it has colour.
-        command: what starts stss; empty: the one in this extension's wheels.
+        folder: the folder of `render`.
+        first: the first frame, which has colour.
+        command: command that starts stss; empty: the one in this extension's wheels.
         options: more of ``stss run``.
 
     Raises:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a stage computes on its way, for whoever asks to see it: the network's layers, and what the network is given."""
+"""Record what a stage computes on its way, for callers that ask for it: the network's inputs and its layers."""
 
 from __future__ import annotations
 
