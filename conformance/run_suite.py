@@ -24,6 +24,8 @@ SUITE_FOLDER = Path(__file__).with_name("suite")
 SEQUENCE = "sequence"
 """The tests of whole sequences, which need stage ``frame``."""
 SUITE = (*STAGES, SEQUENCE)
+_COLLECTING = "unraisableexception", "threadexception"
+"""Plugins that collect garbage five times at the end of a run, a third of what one short run takes; no port's exception is theirs."""
 JUDGED = "suite.something_is_judged"
 """Id of the result that is added where nothing was: a run that says nothing of a port does not pass it."""
 REQUIRED = "suite.required_stages_are_there"
@@ -80,7 +82,7 @@ def run_suite(
         "-W",
         "ignore",
     ]
-    arguments += [f"-pno:{name}" for name in ("cacheprovider", "terminal", "logging", "faulthandler")]
+    arguments += [f"-pno:{name}" for name in ("cacheprovider", "terminal", "logging", "faulthandler", *_COLLECTING)]
     if junit is not None:
         arguments += ["--junitxml", str(junit)]
     if first_only:
@@ -136,6 +138,9 @@ class _Plugin:
             pytest.skip(f"the port has no stage {needs}")
         self._judge.begin()
         return self._judge
+
+    def pytest_configure(self, config: pytest.Config) -> None:
+        config.option.tbstyle = "native"  # pytest's own form parses every file on the way, for a text that nobody reads
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
         if report.failed:

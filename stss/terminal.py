@@ -7,6 +7,7 @@ two; half of a name that is not UTF-8 cannot be encoded at all. Each is shown as
 
 from __future__ import annotations
 
+import os
 import sys
 from io import TextIOWrapper
 from typing import Any
@@ -14,6 +15,8 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
+WIDE = 200
+"""Columns where there is no terminal: a number in a file that is cut to fit 80 of them is lost."""
 MOST = 2000
 """Most characters of a message; text from a file may be longer and is cut."""
 
@@ -34,6 +37,11 @@ def echo(line: str, *, err: bool = False) -> None:
 
 class Terminal(Console):
     """Rich's console, where every text, in tables too, is made printable; line breaks stay."""
+
+    def __init__(self, **how: Any):
+        super().__init__(**how)
+        if not self.is_terminal and "COLUMNS" not in os.environ:
+            self.width = WIDE
 
     def render_str(self, text: str, **how: Any) -> Text:
         """See ``rich.console.Console``; what it is given besides markup is text."""

@@ -19,7 +19,10 @@ COUNT = 13  # the last frame is an SF, computed after several of its kind
 
 
 def panel(scene, skip):
-    stream, frames = Stream(load("antialiased").weights, skip=skip, max_error=2 / 255), list(display_frames(SCENES[scene], (136, 240), COUNT))
+    stream, frames = (
+        Stream(load("antialiased").weights, skip=skip, max_error=2 / 255),
+        list(display_frames(SCENES[scene], (136, 240), COUNT)),
+    )
     for number in range(COUNT):
         window = window_at(frames, number)
         image, _ = stream(window, plan(window).steps)

@@ -8,6 +8,7 @@ import math
 import platform
 import re
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 from rich import box
@@ -38,7 +39,7 @@ def print_results(results: Results, console: Console) -> None:
     for table in results.tables:
         shown = RichTable(title=table.title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
         for i, column in enumerate(table.columns):
-            shown.add_column(column, justify="right" if i else "left", no_wrap=i < 2)
+            shown.add_column(column, justify="right" if i else "left", no_wrap=i < 2, overflow="fold")
         for row in table.rows:
             shown.add_row(*map(text_of, row))
         console.print(shown)
@@ -115,7 +116,7 @@ def renew(page: str, results: Results) -> str:
 
     def between(match: re.Match[str]) -> str:
         if match[2] == "measured":
-            return f"{match[1]}{measured_on(results)}\n{match[3]}"
+            return f"{match[1]}{fill(measured_on(results), 100, break_on_hyphens=False)}\n{match[3]}"
         table = results.table(match[2])
         return match[0] if table is None else f"{match[1]}{markdown(table)}{match[3]}"
 
