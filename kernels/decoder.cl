@@ -10,11 +10,12 @@
 // The buffers may hold a strip of the frame: their row 0 is the frame's row `top`; rows `first_row` .. height - 1 are written.
 // `tiles`, `count`: the tiles of 4 x 4 pixels that are computed, see tile_list.clh.
 //
-// Build -D WORKERS (4 or 1), optionally -D HALF.  Launch (any multiple of WORKERS).
+// Build -D WORKERS (16: a pixel each; or 1), optionally -D HALF.  Launch (any multiple of WORKERS).
 // winograd.cl -D IMAGE does the same as `image` at the end of up3.
 #include "common.clh"
 #include "tile_list.clh"
 #include "decoder.clh"
+#include "image.clh"
 
 kernel void image(global const stored *restrict feature, global const float4 *restrict color, global const float8 *restrict weight,
                   global const float8 *restrict bias, global float *restrict image, const int height, const int width, const int rows,
@@ -23,8 +24,16 @@ kernel void image(global const stored *restrict feature, global const float4 *re
 {
     const int2 part = part_of_list(count[0], 1);
     for (int t = part.x; t < part.y; ++t) {
+#if WORKERS == 16
+        const int y = 4 * TILE_ROW(tiles[t]) + WORKER / 4, x = 4 * TILE_COLUMN(tiles[t]) + WORKER % 4;
+        if (y < first_row || y >= height || x >= width) continue;
+        const int pixel = ((y + 1) * feature_columns + x + 1) * 3;
+        const float8 first = LOAD8(feature, pixel), second = LOAD8(feature, pixel + 1), third = LOAD8(feature, pixel + 2);
+        for (int lower = 0; lower < 2; ++lower)
+            write_row(outc_row(first, second, third, lower, weight, bias), color, image, y, x, lower, width, rows, columns, top);
+#else
         const int x = 4 * TILE_COLUMN(tiles[t]);
-        for (int y = 4 * TILE_ROW(tiles[t]) + WORKER, i = WORKER; i < 4; i += WORKERS, y += WORKERS) {
+        for (int y = 4 * TILE_ROW(tiles[t]), i = 0; i < 4; ++i, ++y) {
             if (y < first_row || y >= height) continue;
             float8 f[12], sums[8];
             // Beyond the row lie zeros or the next one: computed, not written.
@@ -32,6 +41,7 @@ kernel void image(global const stored *restrict feature, global const float4 *re
             residual((const float *)f, weight, bias, sums);
             write_pixels(sums, color, image, y, x, width, rows, columns, top);
         }
+#endif
     }
 }
 
@@ -40,7 +50,14 @@ kernel void upsampled(global const float4 *restrict color, global float *restric
 {
     const float8 nothing[8] = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
     const int2 part = part_of_list(count[0], 1);
-    for (int t = part.x; t < part.y; ++t)
-        for (int y = 4 * TILE_ROW(tiles[t]) + WORKER, i = WORKER; i < 4 && y < height; i += WORKERS, y += WORKERS)
+    for (int t = part.x; t < part.y; ++t) {
+#if WORKERS == 16
+        const int y = 4 * TILE_ROW(tiles[t]) + WORKER / 4, x = 4 * TILE_COLUMN(tiles[t]) + WORKER % 4;
+        if (y >= height || x >= width) continue;
+        for (int lower = 0; lower < 2; ++lower) write_row(nothing[0], color, image, y, x, lower, width, rows, columns, 0);
+#else
+        for (int y = 4 * TILE_ROW(tiles[t]), i = 0; i < 4 && y < height; ++i, ++y)
             write_pixels(nothing, color, image, y, 4 * TILE_COLUMN(tiles[t]), width, rows, columns, 0);
+#endif
+    }
 }

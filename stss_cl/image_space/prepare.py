@@ -72,7 +72,7 @@ class Prepare:
         made = kernels(self.device, self._file, {"GATHER": f"gather_{self._gather}", **options, **LIMITS})
         if self._gather != "longest":
             made.pop("chain_steps8", None)  # its gather is that one
-        eighth = build(self.device, "erm.cl", {"KEYS": 32, "VALUES": 64, "MASK": "uchar", **options})
+        eighth = build(self.device, "downsample_8.cl", {"MASK": "uchar", **options})
         return made | {"downsample_8": cl.Kernel(eighth, "downsample_8")}
 
     @cached_property

@@ -125,10 +125,10 @@ class LayerBuilder:
             out: the activations that it writes and marks; None: it writes the image.
         """
         # Interpolation is not contracted, so that it has the reference's bits.
-        flags = FAST_MULTIPLY_ADD if file == "erm.cl" else ""
+        flags = FAST_MULTIPLY_ADD if stage == "erm" else ""
         workers = 1 if self._device.is_cpu else workers
         source = KernelSource(file, name, {**options, "WORKERS": workers, "HALF": half(self.dtype)}, flags)
-        group = 1 if self._device.is_cpu else GROUP
+        group = 1 if self._device.is_cpu else max(GROUP, workers)
         size = list_size(self._device, tiling.most, workers=workers, group=group)
         maps = tuple(held.changes for held in reads if held.changes is not None)
         known = Maps(maps, -(-reads[0].height // 4), -(-reads[0].width // 4)) if maps else None

@@ -82,6 +82,7 @@ class Layers:
         self.reads_history = not keep or reads_history(weights)
         self._weights, self._height, self._width = weights, rows, columns
         self._fused = winograd
+        self._local = tuning_for(device).local is not None and not device.is_cpu
         self._build = LayerBuilder(device, weights, precision, rows, columns, keep)
         self.launches, self.marked, self.maps = self._build.launches, self._build.marked, self._build.maps
         self.strips = strips(full, height, rows, overlap)
@@ -205,7 +206,7 @@ class Layers:
         self._build.conv("history", "lowlevelGated", joined, self.features["reshaded"], relu=False, out_first=64)
 
     def _erm(self) -> None:
-        options: dict[str, object] = {"KEYS": 32, "VALUES": 64, "MASK": "float"}
+        options: dict[str, object] = {"KEYS": 32, "VALUES": 64}
         out, eighth = self.features["reshaded"], self.inputs.eighth
         light = self._build.conv(
             "erm", "latentEncoder.0", self.features["x4"], self._build.scratch("one", 8, 64), b=eighth, channels=(32, GBUFFER)
@@ -215,6 +216,16 @@ class Layers:
         key = self._build.conv("erm", "KEncoder.0", eighth, self._build.scratch("one", 8, 32), channels=(GBUFFER,))
         key = self._build.conv("erm", "KEncoder.2", key, self._build.scratch("two", 8, 32))
         key = self._build.conv("erm", "KEncoder.4", key, self._build.scratch("one", 8, 32), relu=False)
+        if self._local:
+            self._build.kernel(
+                "erm", "attend_local", "attend_local.cl", options,
+                {
+                    "key": key.data, "value": light.data, "eighth": eighth.data, "reshaded": out.data,
+                    "height": key.height, "width": key.width, "columns": light.columns, "out_channels": out.channels,
+                },
+                of_convolution(key.height, key.width, 1, WINDOW), workers=2 * light.channels, reads=(key, light, eighth), out=out,
+            )  # fmt: skip
+            return
         unit = self._build.scratch("two", 8, 32)
         self._build.kernel(
             "erm", "normalise", "erm.cl", options,
@@ -277,5 +288,5 @@ class Layers:
                 "height": final.height, "width": final.width, "rows": final.rows, "columns": final.columns,
                 "feature_columns": feature.columns, "first_row": 0, "top": 0,
             },
-            of_convolution(final.height, final.width, 1, 3), workers=4, reads=(feature, self.inputs.input), out=None,
+            of_convolution(final.height, final.width, 1, 3), reads=(feature, self.inputs.input), out=None,
         )  # fmt: skip

@@ -23,9 +23,9 @@ class PackInputs:
         self._device, self._inputs, self._size = device, inputs, (np.int32(height), np.int32(width))
         options: dict[str, object] = {"HALF": half(inputs.input.dtype)}
         program = build(device, "encoder.cl", options)
-        erm = build(device, "erm.cl", {"KEYS": 32, "VALUES": 64, "MASK": "float", **options}, FAST_MULTIPLY_ADD)
+        eighth = build(device, "downsample_8.cl", {"MASK": "float", **options}, FAST_MULTIPLY_ADD)
         self._input, self._history = cl.Kernel(program, "pack_input"), cl.Kernel(program, "pack_history")
-        self._eighth = cl.Kernel(erm, "downsample_8")
+        self._eighth = cl.Kernel(eighth, "downsample_8")
         self._bad = cl.Buffer(device.context, FLAGS.READ_WRITE | FLAGS.COPY_HOST_PTR, hostbuf=np.zeros(2, np.int32))
 
     def __call__(self, color: cl.Buffer, gbuffer: cl.Buffer, mask: cl.Buffer, history: cl.Buffer, top: int) -> None:

@@ -115,7 +115,7 @@ class FlatTiles:
 
     def _upsampled(self, last: LayerLaunch) -> Launch:
         """The launch that writes the upsampled frame into flat tiles."""
-        workers, group = (1, 1) if self._device.is_cpu else (4, GROUP)
+        workers, group = (1, 1) if self._device.is_cpu else (16, GROUP)
         to = self._found(last, 0, 0, unmarked=True)
         names = "color", "image", "height", "width", "rows", "columns"
         arguments = {**{name: last.arguments[name] for name in names}, "tiles": to.tiles, "count": to.count}

@@ -258,9 +258,9 @@ def test_a_mark_left_out_shows(device, which):
 
 def launches(sequence):
     """All but the last, in pairs: computing everything and only what changed, with the buffer that both write."""
-    names = {"upsample_corners": "out", "normalise": "unit", "attend": "reshaded", "conv": "out", "winograd": "out"}
+    names = {"normalise": "unit", "attend": "reshaded", "attend_local": "reshaded"}
     pairs = zip(sequence.layers.launches, sequence.network.changed_tiles().layers, strict=True)
-    return [(every, some, every.arguments[names[every.kernel.function_name]]) for every, some in list(pairs)[:-1]]
+    return [(every, some, every.arguments[names.get(every.kernel.function_name, "out")]) for every, some in list(pairs)[:-1]]
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -351,7 +351,7 @@ def test_the_input_at_an_eighth_marks_what_changed(device, size, seed):
     other[random.integers(size[0]) :, random.integers(size[1]) :] += 1
     rows, columns = (-(-n // 8) for n in size)
     held = padded(device, rows, columns, 16, np.dtype(np.float32), changes=True)
-    program = build(device, "erm.cl", {"KEYS": 32, "VALUES": 64, "MASK": "float", "MARK": True})
+    program = build(device, "downsample_8.cl", {"MASK": "float", "MARK": True})
     kernel = cl.Kernel(program, "downsample_8")
 
     def run(gbuffer):
