@@ -63,6 +63,7 @@ static inline void compute(global const stored *restrict a, global const stored 
     float8 sum[PIXELS * BLOCK];
 #pragma unroll
     for (int i = 0; i < PIXELS * BLOCK; ++i) sum[i] = bias[block + i % BLOCK];
+#pragma unroll 1
     for (int tap = 0; tap < KERNEL * KERNEL; ++tap) {
         const int shift = tap / KERNEL * in_columns + tap % KERNEL;
         global const float8 *restrict taps = weight + tap * IN * OUT8 + block;
@@ -76,6 +77,7 @@ static inline void compute(global const stored *restrict a, global const stored 
     float8 gate[PIXELS];
 #pragma unroll
     for (int p = 0; p < PIXELS; ++p) gate[p] = 0.0f;
+#pragma unroll 1
     for (int tap = 0; tap < KERNEL * KERNEL; ++tap) {
         const int shift = tap / KERNEL * in_columns + tap % KERNEL;
         GATE_TAP(a, A, 0)
@@ -85,12 +87,15 @@ static inline void compute(global const stored *restrict a, global const stored 
     }
 #endif
 
-    for (int p = 0; p < PIXELS && x0 + p < width; ++p) {
+#pragma unroll
+    for (int p = 0; p < PIXELS; ++p) {
+        if (x0 + p >= width) continue;
         const int pixel = ((y + 1) * out_columns + x0 + p + 1) * (out_channels / 8) + out_first / 8 + block;
 #ifdef GATED
         const float8 open = sigmoid8((float8)(sum8(gate[p]) + gate_bias));
 #endif
         BEGIN_TILE;
+#pragma unroll
         for (int j = 0; j < BLOCK; ++j) {
             float8 value = sum[p * BLOCK + j];
 #ifdef GATED

@@ -25,6 +25,19 @@
 #define PIXELS (4 * ROWS)
 #define TAPS(r) (STRIDE * (r) + 3)
 
+// A work-item holds all lines of the input that its pixels read; or those of a row of taps, where rows of pixels share little and all take many registers.
+#if STRIDE == 2 && ROWS == 2
+#define AT_ONCE 3
+#define LINES ROWS
+#define LINE(r) (STRIDE * (r))
+#define INPUT(tap, i) in[(i) / 4][STRIDE * ((i) % 4) + (tap)]
+#else
+#define AT_ONCE 9
+#define LINES TAPS(ROWS - 1)
+#define LINE(r) (r)
+#define INPUT(tap, i) in[STRIDE * ((i) / 4) + (tap) / 3][STRIDE * ((i) % 4) + (tap) % 3]
+#endif
+
 #if STRIDE == 2
 #define COLUMN(x) ((x) % 2 * 36 + (x) / 2)
 #else
@@ -104,27 +117,30 @@ void conv_local(global const stored *restrict a, global const stored *restrict b
 
 #pragma unroll 1
             for (int c = 0; c < STEP; ++c) {
-                float in[TAPS(ROWS - 1)][TAPS(3)];
                 local const float *from = tile + c * PLANE + STRIDE * ROWS * ly * PITCH + 4 * lx;
+#pragma unroll 1
+                for (int first_tap = 0; first_tap < 9; first_tap += AT_ONCE) {
+                    float in[LINES][TAPS(3)];
 #pragma unroll
-                for (int r = 0; r < TAPS(ROWS - 1); ++r) read_row(from + r * PITCH, in[r]);
+                    for (int r = 0; r < LINES; ++r) read_row(from + (LINE(r) + first_tap / 3) * PITCH, in[r]);
 #pragma unroll
-                for (int tap = 0; tap < 9; ++tap) {
-                    const float8 w = *(local const float8 *)(taps + (tap * STEP + c) * OUT + 8 * slice);
+                    for (int tap = 0; tap < AT_ONCE; ++tap) {
+                        const float8 w = *(local const float8 *)(taps + ((first_tap + tap) * STEP + c) * OUT + 8 * slice);
 #pragma unroll
-                    for (int i = 0; i < PIXELS; ++i) sum[i] += w * in[STRIDE * (i / 4) + tap / 3][STRIDE * (i % 4) + tap % 3];
-                }
-#ifdef GATED
-                // The gate's channels are dealt out among the slices.
-                if (c % SLICES == slice) {
-#pragma unroll
-                    for (int tap = 0; tap < 9; ++tap) {
-                        const float w = gates[tap * STEP + c];
-#pragma unroll
-                        for (int i = 0; i < PIXELS; ++i) gate[i] += w * in[STRIDE * (i / 4) + tap / 3][STRIDE * (i % 4) + tap % 3];
+                        for (int i = 0; i < PIXELS; ++i) sum[i] += w * INPUT(tap, i);
                     }
-                }
+#ifdef GATED
+                    // The gate's channels are dealt out among the slices.
+                    if (c % SLICES == slice) {
+#pragma unroll
+                        for (int tap = 0; tap < AT_ONCE; ++tap) {
+                            const float w = gates[(first_tap + tap) * STEP + c];
+#pragma unroll
+                            for (int i = 0; i < PIXELS; ++i) gate[i] += w * INPUT(tap, i);
+                        }
+                    }
 #endif
+                }
             }
         }
 

@@ -28,9 +28,13 @@ kernel void image(global const stored *restrict feature, global const float4 *re
         const int y = 4 * TILE_ROW(tiles[t]) + WORKER / 4, x = 4 * TILE_COLUMN(tiles[t]) + WORKER % 4;
         if (y < first_row || y >= height || x >= width) continue;
         const int pixel = ((y + 1) * feature_columns + x + 1) * 3;
-        const float8 first = LOAD8(feature, pixel), second = LOAD8(feature, pixel + 1), third = LOAD8(feature, pixel + 2);
-        for (int lower = 0; lower < 2; ++lower)
-            write_row(outc_row(first, second, third, lower, weight, bias), color, image, y, x, lower, width, rows, columns, top);
+#pragma unroll 1
+        for (int lower = 0; lower < 2; ++lower) {
+            float8 sum = bias[lower];
+#pragma unroll 1
+            for (int e = 0; e < 3; ++e) sum = outc_of_eight(sum, LOAD8(feature, pixel + e), lower, weight + 16 * e);
+            write_row(sum, color, image, y, x, lower, width, rows, columns, top);
+        }
 #else
         const int x = 4 * TILE_COLUMN(tiles[t]);
         for (int y = 4 * TILE_ROW(tiles[t]), i = 0; i < 4; ++i, ++y) {

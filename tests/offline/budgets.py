@@ -19,8 +19,10 @@ BUDGETS = {
     "conv_local": Budget(registers=240, local=31 << 10, share=0.85),
     # Sums of 64 pixels x 32 outputs for four times 32 work-items; what lies between products is loads, and indices of the epilogue.
     "conv_mma": Budget(registers=224, local=40 << 10, share=0.25),
-    # The plain convolution is the oracle: its accumulators may be addressed.
-    "conv": Budget(registers=256, stack=1024),
+    # The keys around a tile of 4 x 4, and 25 weights for each of its pixels.
+    "attend_local": Budget(local=12 << 10),
+    # The plain convolution is the oracle: it may have all registers.
+    "conv": Budget(registers=256),
 }
 
 
