@@ -105,7 +105,9 @@ kernel void departure(global const uchar *restrict wanted, global const float4 *
         float4 upper[6], lower[6];
         between_rows(color, i, x, 4 * rows, 4 * columns, upper, lower);
         global const float *at = image + (2 * i * (2 * width) + 2 * x) * 3;
-        for (int j = 0; j < min(4, width - x); ++j, at += 6) {
+#pragma unroll
+        for (int j = 0; j < 4; ++j, at += 6) {
+            if (x + j >= width) continue;
             most = fmax(most, MAGNITUDE8(six(at) - between_columns(upper + j)));
             most = fmax(most, MAGNITUDE8(six(at + 6 * width) - between_columns(lower + j)));
         }

@@ -46,7 +46,9 @@ static inline void chain_pixel(global const float2 *const *motions, const int ne
     keys[pixel] = UNWANTED;
     first[pixel] = NOBODY;
     float2 motion = motions[0][pixel];
-    for (int j = 1; j <= oldest; ++j) {
+#pragma unroll
+    for (int j = 1; j <= 5; ++j) {  // written out: which motion is read must not depend on a number in a register
+        if (j > oldest) break;
         if (j > 1) motion = chain_on(motion, motions[j - 1], x, y, height, width);
         if (j == newest) chained[pixel] = motion;
         if (j == middle) chained[plane + pixel] = motion;

@@ -17,10 +17,20 @@ from stss_cl.image_space.stages import LIMITS, Gather, kernels, launch
 
 FINITE = ("colors", "gbuffer", "nov", "stencils", "normals")
 """The arrays that must be finite: a ReLU could turn a NaN into 0 unnoticed."""
-SCANNERS = 64
-"""Work-items that search for values that are not finite."""
+SCANNERS = 64, 1 << 15
+"""Work-items that search for values that are not finite, on a processor and on a GPU."""
 NOBODY, UNWANTED = 0xFFFFFFFF, 0
 """Content of the splat's two buffers where no motion is needed (kernels/occlusion_warp.cl)."""
+
+
+def finite_kernel(device: Device) -> cl.Kernel:
+    """What ``scan`` launches."""
+    return cl.Kernel(build(device, "finite.cl", {"APART": not device.is_cpu}), "finite")
+
+
+def scan(device: Device, finite: cl.Kernel, buffer: cl.Buffer, count: int, bad: cl.Buffer, which: int) -> None:
+    """Enqueue a look at ``count`` values: ``bad[which]`` (int32) becomes 1 if one of them is not finite."""
+    finite(device.queue, (SCANNERS[not device.is_cpu],), None, buffer, np.uint64(count), bad, np.int32(which))
 
 
 class Prepare:
@@ -61,7 +71,7 @@ class Prepare:
         self.mask = self._filled(height * width)
         self.dirty = self._filled(self.rows // 4 * (self.columns // 4), 1)
         self._chained = self._filled(3 * height * width * 2 * 4)
-        self._finite, self._bad = cl.Kernel(build(device, "finite.cl"), "finite"), self._filled(4 * len(FINITE))
+        self._finite, self._bad = finite_kernel(device), self._filled(4 * len(FINITE))
         self._splat = self._filled(height * width * 4), self._filled(height * width * 4)
         self._read: Sources | None = None
         self._done: cl.Event | None = None
@@ -125,8 +135,7 @@ class Prepare:
 
     def look_for_non_finite(self, buffer: cl.Buffer, floats: int, which: int) -> None:
         """Have ``not_finite`` name ``FINITE[which]`` if one of the ``floats`` values of a pixel is not finite."""
-        count = np.uint64(self.height * self.width * floats)
-        self._finite(self.device.queue, (SCANNERS,), None, buffer, count, self._bad, np.int32(which))
+        scan(self.device, self._finite, buffer, self.height * self.width * floats, self._bad, which)
 
     def start(
         self,

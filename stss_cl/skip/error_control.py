@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stss_cl.skip.arrival import Tiles
 from stss_cl.skip.plan import InputPlan, Plan
-from stss_cl.skip.uploaded_frames import Tiles
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,12 @@ from stss_cl.image_space.frame_planes import Sources
 from stss_cl.image_space.prepare import Prepare
 from stss_cl.image_space.stages import Gather
 from stss_cl.network.layers import Layers
+from stss_cl.skip.arrival import Tiles
 from stss_cl.skip.error_control import RULES, Attention, ErrorControl
 from stss_cl.skip.flat_tiles import FlatTiles
 from stss_cl.skip.last_image import LastImage
 from stss_cl.skip.partial_network import PartialNetwork
 from stss_cl.skip.plan import InputPlan, Plan
-from stss_cl.skip.uploaded_frames import Tiles
 
 DECODER = 0.45
 """The decoder's share of the network's multiply-adds."""

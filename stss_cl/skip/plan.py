@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from stss_cl.skip.uploaded_frames import Tiles
+from stss_cl.skip.arrival import Tiles
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,11 @@ from stss_cl.network.layer_builder import dtype_of
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import Precision
 from stss_cl.network.strips import bytes_for
+from stss_cl.skip.arrival import Tiles
 from stss_cl.skip.display_frame import DisplayFrame
 from stss_cl.skip.error_control import Attention
 from stss_cl.skip.frame_cache import FrameCache, Last, Report
-from stss_cl.skip.uploaded_frames import Tiles, UploadedFrame, UploadedFrames, sources
+from stss_cl.skip.uploaded_frames import UploadedFrame, UploadedFrames, sources
 from stss_ref.arrays import ArrayError, require_dtype, require_shape
 from stss_ref.weights import Weights
 

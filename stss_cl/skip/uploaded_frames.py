@@ -6,28 +6,20 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import takewhile
 
 import numpy as np
 import pyopencl as cl
-from numpy.typing import NDArray
 
 from stss_cl.device.discovery import Device
-from stss_cl.device.program import build
 from stss_cl.image_space.frame_planes import Sources, upload
-from stss_cl.image_space.prepare import SCANNERS
+from stss_cl.skip.arrival import Arrival, ArrivalOnGpu, ArrivalOnProcessor, Tiles
 from stss_cl.skip.display_frame import DisplayFrame
 from stss_ref.arrays import require_finite
 
-Tiles = NDArray[np.bool_]
-"""(ceil(H / 4), ceil(W / 4)): True where something changed in a tile of 4 x 4 pixels."""
-SPAN = 256
-"""Tiles of a work-item of changed_tiles.cl."""
 HELD = 9
 """Number of display frames that are remembered: an output's window, the window of the output before it of the same kind, and one more.
 Of frames older than the window only the places where they differ are remembered: the caller may reuse their arrays."""
-FINITE = ("color", "gbuffer", "nov", "stencil")
 
 
 @dataclass
@@ -60,20 +52,10 @@ class UploadedFrames:
 
     def __init__(self, device: Device, height: int, width: int):
         self._device, self.size = device, (height, width)
-        self._finite = cl.Kernel(build(device, "finite.cl"), "finite")
+        self._arrival: Arrival = (ArrivalOnProcessor if device.is_cpu else ArrivalOnGpu)(device, height, width)
         self._shape = -(-height // 4), -(-width // 4)
-        self._map = cl.Buffer(device.context, cl.mem_flags.READ_WRITE, self._shape[0] * self._shape[1])
-        self._bad = cl.Buffer(
-            device.context, cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR, hostbuf=np.zeros(len(FINITE), np.int32)
-        )
         self._chain: deque[UploadedFrame] = deque(maxlen=HELD)
         self._count = 0
-
-    @cached_property
-    def _comparing(self) -> dict[str, cl.Kernel]:
-        """The kernels that compare frames; built when a second frame comes."""
-        program = build(self._device, "changed_tiles.cl", {"SPAN": SPAN})
-        return {name: cl.Kernel(program, name) for name in ("differ", "differ_color")}
 
     def take(self, window: Sequence[DisplayFrame], *, compare: bool) -> list[UploadedFrame]:
         """Upload the frames of ``window``, consecutive and oldest first; frames of the last window are not uploaded or compared again.
@@ -129,53 +111,16 @@ class UploadedFrames:
             for name, more in shapes.items()
         }
         color = None if frame.color is None else upload(self._device, "color", frame.color, (height, width, 3))
-        before = window[-1] if window else None
-        if color is not None:
-            self._scan(color, 3, 0)
-        if before is None or not compare:
-            for which, (name, floats) in enumerate((("gbuffer", 9), ("nov", 1), ("stencil", 1)), start=1):
-                self._scan(planes[name], floats, which)
-        else:
-            earlier = [before.planes[name] for name in ("gbuffer", "nov", "stencil", "position")]
-            self._launch("differ", *planes.values(), *earlier, self._map, self._bad)
-        self._require_finite(frame)
-        changed = self._read_map() if before is not None and compare else None
-        recolored = self._recolored(color, window) if compare else None
+        before = window[-1].planes if window and compare else None
+        color_before = next((held.color for held in reversed(window) if held.color is not None), None) if compare else None
+        bad, changed, recolored = self._arrival.look(planes, color, before, color_before)
+        if bad is not None:
+            self.forget()
+            require_finite(bad, getattr(frame, bad))
+        if color is None and compare:
+            recolored = np.zeros(self._shape, np.bool_)
         self._chain.append(UploadedFrame(frame, self._count, planes, color, changed, recolored))
         self._count += 1
-
-    def _recolored(self, color: cl.Buffer | None, window: Sequence[UploadedFrame]) -> Tiles | None:
-        if color is None:
-            return np.zeros(self._shape, np.bool_)
-        before = next((held.color for held in reversed(window) if held.color is not None), None)
-        if before is None:
-            return None
-        self._launch("differ_color", color, before, self._map)
-        return self._read_map()
-
-    def _launch(self, name: str, *arguments: cl.Buffer | None) -> None:
-        kernel = self._comparing[name]
-        size = -(-self._shape[1] // SPAN), self._shape[0]
-        # A group that does not depend on the size, see stss_cl.device.grid.grid; each work-item does much.
-        kernel(self._device.queue, size, (1, 1) if self._device.is_cpu else None, *arguments, *map(np.int32, self.size))
-
-    def _scan(self, buffer: cl.Buffer, floats: int, which: int) -> None:
-        count = np.uint64(self.size[0] * self.size[1] * floats)
-        self._finite(self._device.queue, (SCANNERS,), None, buffer, count, self._bad, np.int32(which))
-
-    def _read_map(self) -> Tiles:
-        tiles = np.empty(self._shape, np.uint8)
-        cl.enqueue_copy(self._device.queue, tiles, self._map)
-        return tiles.view(np.bool_)
-
-    def _require_finite(self, frame: DisplayFrame) -> None:
-        bad = np.empty(len(FINITE), np.int32)
-        cl.enqueue_copy(self._device.queue, bad, self._bad)
-        if bad.any():
-            cl.enqueue_fill_buffer(self._device.queue, self._bad, np.zeros(1, np.int32), 0, bad.nbytes)
-            self.forget()
-            name = FINITE[int(bad.argmax())]
-            require_finite(name, getattr(frame, name))
 
 
 def sources(held: Sequence[UploadedFrame], steps: tuple[int, int, int]) -> Sources:

@@ -48,8 +48,8 @@ KERNELS = {
     "plain float32": {*NETWORK, "winograd", *FLAT},
     "plain float32-direct": {*NETWORK, "image", *FLAT},
     "plain half": {*NETWORK, "winograd", *FLAT},
-    "gpu float32": {"conv_local"},
-    "gpu half": {"conv_mma", "matrix"},
+    "gpu float32": {"conv_local", "attend_local", "arrive"},
+    "gpu half": {"conv_mma", "matrix", "attend_local", "arrive"},
     "stages": {"motion_chain", "warp", "holes", "splat_clear", "splat_nearest", "splat_first", "occlusion_warp", "rrm"},
     "selftest": {"arithmetic", "vectors", "reduce_group", "nearest", "speed"},
 }
@@ -210,6 +210,46 @@ def run_layers(device, precision):
         with trial(built_in_rows(BUILT_IN)[0]["nvidia"]):
             conv(device, "test", "layer", packed, *inputs, out, stride=stride).enqueue(device.queue)
         show(f"stride {stride}", read(device, out))
+    run_attention(device, precision)
+    run_arrival(device)
+
+
+def run_attention(device, precision):
+    """At an eighth of 40 x 24, over random keys and values."""
+    from stss_cl.network.layers import Layers
+    from stss_ref.weights import random as random_weights
+
+    random = np.random.default_rng(0)
+    layers = Layers(device, random_weights(5), 40, 24, precision)
+    attend = next(layer for layer in layers.launches if layer.name == "attend_local")
+    dtype = np.float16 if precision == "half" else np.float32
+    for name in ("key", "value", "eighth"):
+        buffer = attend.arguments[name]
+        cl.enqueue_copy(device.queue, buffer, random.random(buffer.size // np.dtype(dtype).itemsize).astype(dtype))
+    attend.enqueue(device.queue)
+    made = np.empty(attend.arguments["reshaded"].size, np.uint8)
+    cl.enqueue_copy(device.queue, made, attend.arguments["reshaded"])
+    show("attention", made)
+
+
+def run_arrival(device):
+    """A frame that differs from the one before it in one value."""
+    from stss_cl.skip.arrival import ArrivalOnGpu
+
+    random, size = np.random.default_rng(3), (6, 70)
+    shapes = {"motion": 2, "gbuffer": 9, "nov": 1, "stencil": 1, "position": 3, "color": 3}
+    before = {name: random.random((*size, n), dtype=np.float32) for name, n in shapes.items()}
+    now = {name: array.copy() for name, array in before.items()}
+    now["motion"][:] = 0
+    now["nov"][5, 67] += 1
+    now["color"][0, 3] += 1
+    one, two = ({name: cla.to_device(device.queue, a).base_data for name, a in frame.items()} for frame in (before, now))
+    colors = one.pop("color"), two.pop("color")
+    arrival = ArrivalOnGpu(device, *size)
+    bad, changed, recolored = arrival.look(two, colors[1], one, colors[0])
+    assert bad is None
+    assert (np.argwhere(changed).tolist(), np.argwhere(recolored).tolist()) == ([[1, 16]], [[0, 0]])
+    show("arrival", np.stack([changed, recolored]))
 
 
 def run_frame(device, height, width):

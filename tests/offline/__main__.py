@@ -7,6 +7,7 @@ drivers' own compilers are others: the table shows what can be expected, not wha
 import argparse
 import sys
 import tempfile
+from functools import cache
 from pathlib import Path
 
 from rich.console import Console
@@ -43,7 +44,7 @@ def examine(target, *, network_only):
     """Print the table of one target; how many kernels exceed their budget."""
     wrong, table = 0, Table(*TITLES, title=target, box=None, pad_edge=False, title_justify="left")
     with tempfile.TemporaryDirectory() as folder:
-        for program in programs(row_of(target), network_only=network_only):
+        for program in built_for(row_of(target), network_only=network_only):
             try:
                 found = compiled(source(program.file), program.options, program.kernels, target, Path(folder))
             except CompileError as error:
@@ -58,6 +59,12 @@ def examine(target, *, network_only):
                 table.add_row(kernel, program.label, *map(str, numbers), share, "; ".join(over))
     Console(width=None if sys.stdout.isatty() else 200).print(table, markup=False, highlight=False)
     return wrong
+
+
+@cache
+def built_for(row, *, network_only):
+    """The programs of a row, found once: to build them for the device at hand takes minutes."""
+    return programs(row, network_only=network_only)
 
 
 def row_of(target):

@@ -21,6 +21,8 @@ BUDGETS = {
     "conv_mma": Budget(registers=224, local=40 << 10, share=0.25),
     # The keys around a tile of 4 x 4, and 25 weights for each of its pixels.
     "attend_local": Budget(local=12 << 10),
+    # A flag for each of 32 tiles.
+    "arrive": Budget(local=128),
     # The plain convolution is the oracle: it may have all registers.
     "conv": Budget(registers=256),
 }

@@ -1,4 +1,4 @@
-"""The hottest loop of a kernel in a GPU's own instructions: the innermost one with the most multiply-adds."""
+"""The hottest loop of a kernel in a GPU's own instructions: the one with the most multiply-adds of its own."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 MULTIPLY_ADD = re.compile(r"FFMA|HFMA2|HMMA|v_(pk_)?fma|v_fmac|v_mac|v_wmma|v_mfma|v_dot2|v_dual_fmac")
+MATRICES = re.compile(r"HMMA|v_wmma|v_mfma")
 MEMORY = re.compile(r"LD|ST|global_|ds_|s_load|buffer_|scratch_|flat_")
 
 
@@ -35,12 +36,27 @@ class Loop:
 
 
 def hottest(code: Sequence[Instruction]) -> Loop:
-    """The innermost loop with most multiply-adds; where there is no loop, the whole kernel."""
+    """The loop with most multiply-adds of its own, those of loops within it not counted; where there is no loop, the whole kernel.
+
+    Products of matrices are written out one behind the other: of what surrounds them only that counts which lies between them.
+    """
     at = {line.label: i for i, line in enumerate(code) if not line.name}
-    jumps = [(at[line.label], i) for i, line in enumerate(code) if line.name and at.get(line.label, i) < i]
-    inner = [(a, b) for a, b in jumps if not any((c, d) != (a, b) and a <= c and d <= b for c, d in jumps)]
-    loops = [_counted(code[a : b + 1]) for a, b in inner] or [_counted(code)]
-    return max(loops, key=lambda loop: loop.multiply_adds)
+    jumps = sorted({(at[line.label], i) for i, line in enumerate(code) if line.name and at.get(line.label, i) < i})
+    loops: list[Loop] = []
+    for first, last in jumps:
+        inner = [(a, b) for a, b in jumps if (a, b) != (first, last) and first <= a and b <= last]
+        loops.append(_counted(_between_products(_without(code, first, last, inner))))
+    return max(loops or [_counted(_between_products(code))], key=lambda loop: loop.multiply_adds)
+
+
+def _between_products(code: Sequence[Instruction]) -> Sequence[Instruction]:
+    """From the first product of matrices to the last; all of it where there is none."""
+    at = [i for i, line in enumerate(code) if MATRICES.match(line.name)]
+    return code[at[0] : at[-1] + 1] if at else code
+
+
+def _without(code: Sequence[Instruction], first: int, last: int, inner: Sequence[tuple[int, int]]) -> list[Instruction]:
+    return [code[i] for i in range(first, last + 1) if not any(c <= i <= d for c, d in inner)]
 
 
 def _counted(code: Sequence[Instruction]) -> Loop:

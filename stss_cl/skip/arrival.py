@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: MIT
+"""What is looked for in a display frame that arrives: values that are not finite, and where it differs from the one before it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from stss_cl.device.buffers import zeroed
+from stss_cl.device.discovery import Device
+from stss_cl.device.grid import ceil_div
+from stss_cl.device.program import build
+from stss_cl.image_space.prepare import finite_kernel, scan
+
+Tiles = NDArray[np.bool_]
+"""(ceil(H / 4), ceil(W / 4)): True where something changed in a tile of 4 x 4 pixels."""
+SPAN = 256
+"""Tiles of a work-item of changed_tiles.cl."""
+ITEMS, ACROSS = 128, 16
+"""Work-items of a group of arrive.cl, and tiles of a row that it looks at."""
+FINITE = ("color", "gbuffer", "nov", "stencil")
+COMPARED = ("gbuffer", "nov", "stencil", "position")
+
+Planes = Mapping[str, cl.Buffer]
+Found = tuple[str | None, Tiles | None, Tiles | None]
+"""Name of a plane that is not finite; where the frame differs from the one before it, and its colour from the last one before it; None
+where nothing was compared."""
+
+
+class Arrival(Protocol):
+    """Looks at frames of one size."""
+
+    def look(self, planes: Planes, color: cl.Buffer | None, before: Planes | None, color_before: cl.Buffer | None) -> Found:
+        """Look at one.
+
+        Args:
+            planes: all but the colour.
+            color: if it has one.
+            before: those of the frame before it; None: it is compared with nothing.
+            color_before: of the last frame before it that has one; None: likewise.
+        """
+        ...
+
+
+class ArrivalOnProcessor:
+    """A few work-items, each with many tiles; see ``Arrival``."""
+
+    def __init__(self, device: Device, height: int, width: int):
+        self._device, self._size, self._shape = device, (height, width), (ceil_div(height, 4), ceil_div(width, 4))
+        self._finite = finite_kernel(device)
+        self._map = cl.Buffer(device.context, cl.mem_flags.READ_WRITE, self._shape[0] * self._shape[1])
+        self._bad = zeroed(device, 4 * len(FINITE))
+
+    @cached_property
+    def _comparing(self) -> dict[str, cl.Kernel]:
+        """Built when a second frame comes."""
+        program = build(self._device, "changed_tiles.cl", {"SPAN": SPAN})
+        return {name: cl.Kernel(program, name) for name in ("differ", "differ_color")}
+
+    def look(self, planes: Planes, color: cl.Buffer | None, before: Planes | None, color_before: cl.Buffer | None) -> Found:
+        """See ``Arrival``."""
+        if color is not None:
+            self._scan(color, 3, 0)
+        if before is None:
+            for which, (name, floats) in enumerate((("gbuffer", 9), ("nov", 1), ("stencil", 1)), start=1):
+                self._scan(planes[name], floats, which)
+        else:
+            self._launch("differ", *planes.values(), *(before[name] for name in COMPARED), self._map, self._bad)
+        bad = np.empty(len(FINITE), np.int32)
+        cl.enqueue_copy(self._device.queue, bad, self._bad)
+        if bad.any():
+            cl.enqueue_fill_buffer(self._device.queue, self._bad, np.zeros(1, np.int32), 0, bad.nbytes)
+            return FINITE[int(bad.argmax())], None, None
+        changed = None if before is None else self._read_map()
+        if color is None or color_before is None:
+            return None, changed, None
+        self._launch("differ_color", color, color_before, self._map)
+        return None, changed, self._read_map()
+
+    def _launch(self, name: str, *arguments: cl.Buffer) -> None:
+        size = ceil_div(self._shape[1], SPAN), self._shape[0]
+        # A group that does not follow the size, see stss_cl.device.grid.grid; one work-item does much.
+        self._comparing[name](self._device.queue, size, (1, 1), *arguments, *map(np.int32, self._size))
+
+    def _scan(self, buffer: cl.Buffer, floats: int, which: int) -> None:
+        scan(self._device, self._finite, buffer, self._size[0] * self._size[1] * floats, self._bad, which)
+
+    def _read_map(self) -> Tiles:
+        tiles = np.empty(self._shape, np.uint8)
+        cl.enqueue_copy(self._device.queue, tiles, self._map)
+        return tiles.view(np.bool_)
+
+
+class ArrivalOnGpu:
+    """One launch, and one small read for all that it found; see ``Arrival``."""
+
+    def __init__(self, device: Device, height: int, width: int):
+        self._device, self._size, self._shape = device, (height, width), (ceil_div(height, 4), ceil_div(width, 4))
+        self._kernel = cl.Kernel(build(device, "arrive.cl"), "arrive")
+        self._tiles, align = self._shape[0] * self._shape[1], max(int(device.handle.mem_base_addr_align) // 8, 16)
+        self._step = ceil_div(self._tiles, align) * align
+        self._found = zeroed(device, align + 2 * self._step)  # bad, changed, recolored
+        self._first = align
+        self._parts = [
+            self._found.get_sub_region(first, size)
+            for first, size in ((0, 16), (align, self._tiles), (align + self._step, self._tiles))
+        ]
+
+    def look(self, planes: Planes, color: cl.Buffer | None, before: Planes | None, color_before: cl.Buffer | None) -> Found:
+        """See ``Arrival``."""
+        compares, recolors = before is not None, color is not None and color_before is not None
+        earlier = planes if before is None else before
+        shown = planes["position"] if color is None else color
+        arguments = (*planes.values(), shown, *(earlier[name] for name in COMPARED), color_before if recolors else shown)
+        numbers = *self._size, color is not None, compares, recolors
+        size = ITEMS * ceil_div(self._shape[1], ACROSS), self._shape[0]
+        self._kernel(self._device.queue, size, (ITEMS, 1), *arguments, *self._parts, *map(np.int32, numbers))
+        found = np.empty(self._found.size, np.uint8)
+        cl.enqueue_copy(self._device.queue, found, self._found)
+        bad = found[:16].view(np.int32)
+        if bad.any():
+            cl.enqueue_fill_buffer(self._device.queue, self._found, np.zeros(1, np.int32), 0, bad.nbytes)
+            return FINITE[int(bad.argmax())], None, None
+        changed, recolored = (self._map(found, i) for i in range(2))
+        return None, changed if compares else None, recolored if recolors else None
+
+    def _map(self, found: NDArray[np.uint8], which: int) -> Tiles:
+        first = self._first + which * self._step
+        return found[first : first + self._tiles].reshape(self._shape).view(np.bool_)
