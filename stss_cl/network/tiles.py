@@ -35,10 +35,11 @@ class Tiling:
     """The tiles of a layer's output, and the pixels of its inputs that each tile reads.
 
     Attributes:
-        rows, columns: numbers of tiles.
+        rows, columns: numbers of an image's tiles.
         step: (y, x) pixels of the inputs from one tile to the next.
         before, beyond: tile t reads, along both axes, the pixels step * t - before .. step * (t + 1) + beyond.
         size: (y, x) pixels of the output in a tile.
+        images: number of images of the output, one behind the other; the rows of a list count through all of them.
     """
 
     rows: int
@@ -47,11 +48,17 @@ class Tiling:
     before: int
     beyond: int
     size: tuple[int, int] = (SIDE, SIDE)
+    images: int = 1
+
+    @property
+    def lines(self) -> int:
+        """Number of rows of tiles of all images."""
+        return self.images * self.rows
 
     @property
     def most(self) -> int:
         """Number of all tiles."""
-        return self.rows * self.columns
+        return self.lines * self.columns
 
     def near(self, reach: int) -> Tiling:
         """The same tiles, each reading a map of the output itself with ``reach`` tiles around it."""
@@ -65,12 +72,16 @@ def of_convolution(height: int, width: int, stride: int, size: int, side: int = 
 
 
 class Maps(NamedTuple):
-    """Change maps of a layer's inputs, up to three of one size; the first buffer's map begins at element ``first``."""
+    """Change maps of a layer's inputs, up to three of one size; the first buffer's map begins at element ``first``.
+
+    ``half``: rows and columns of the second map, if its input has half the size of the others.
+    """
 
     buffers: tuple[cl.Buffer, ...]
     rows: int
     columns: int
     first: int = 0
+    half: tuple[int, int] | None = None
 
 
 _whole: WeakKeyDictionary[cl.Context, dict[tuple[int, int, int], TileList]] = WeakKeyDictionary()
@@ -94,14 +105,17 @@ def find_tiles(device: Device, tiling: Tiling, maps: Maps, to: TileList, *, unma
     """
     span = _span(device)
     a, b, c = (*maps.buffers, *2 * maps.buffers[-1:])[:3]
+    b_rows, b_columns = maps.half or (maps.rows, maps.columns)
     arguments = {
         "a": a, "b": b, "c": c, "a_tile": maps.first, "map_rows": maps.rows, "map_columns": maps.columns,
+        "b_rows": b_rows, "b_columns": b_columns, "b_part": 1 if maps.half is None else 2,
         "step_y": tiling.step[0], "step_x": tiling.step[1], "before": tiling.before, "beyond": tiling.beyond,
-        "rows": tiling.rows, "columns": tiling.columns, "unmarked": unmarked, "tiles": to.tiles, "count": to.count,
+        "rows": tiling.rows, "columns": tiling.columns, "images": tiling.images, "unmarked": unmarked,
+        "tiles": to.tiles, "count": to.count,
     }  # fmt: skip
-    size, group = grid(device, ceil_div(tiling.columns, span), tiling.rows)
+    size, group = grid(device, ceil_div(tiling.columns, span), tiling.lines)
     if device.is_cpu:
-        size, group = (ceil_div(tiling.columns, span), tiling.rows), (1, 1)
+        size, group = (ceil_div(tiling.columns, span), tiling.lines), (1, 1)
     made = kernel(finder(device), "tile_list", arguments)
     return Launch("tile_list", made, size, group, arguments)
 
