@@ -36,8 +36,8 @@ def local(device: Device, packed: Packed, out: Padded, stride: int, most_rows: i
 def on_matrix_units(device: Device, packed: Packed, out: Padded, stride: int, most_rows: int) -> Shape:
     """The shape of conv_mma.cl for this layer; a work-item has at most ``most_rows`` rows of pixels."""
     inner, outputs = packed.direct.shape[2] // 8, packed.direct.shape[3]
-    # Tiles of twice the side and eights of all channels would not fit into local memory together.
-    rows = 1 if stride == 2 else _rows(device, out, most_rows)
+    # Tiles of twice the side and eights of all channels would not fit into local memory together, nor seven at once into the registers.
+    rows = 1 if stride == 2 or inner % 7 == 0 else _rows(device, out, most_rows)
     plane = 16 * (34 * stride * (stride * (TALL * rows - 1) + 3) + 2)  # bytes of an eight in local memory
     eights = next((n for n in EIGHTS if inner % n == 0 and n * plane + EMULATED <= device.local_memory), 1)
     block = min(outputs, MOST_OUTPUTS)
