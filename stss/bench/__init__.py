@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""``stss bench``: times beside errors, against other engines; ``--pareto``."""
+"""``stss bench``: times and errors beside those of other engines, and with ``--pareto`` of every setting."""

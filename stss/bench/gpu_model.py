@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""What the network would take on a GPU that is not here: a model from counts and published rates, and no measurement.
+"""Estimate the network's time on a GPU that is not here, from counts and published rates; nothing is measured.
 
-Counts come from the launches that the host's code makes for a GPU; instructions from what compilers make of the kernels
-(``python -m tests.offline``). A launch takes the longest of what it asks of each unit, or one work-group's own time.
+The host code's launches for a GPU give the counts, and the compiled kernels the shares of instructions
+(``python -m tests.offline``). The time of a launch is the longest of the times that its demands on each unit take, or that one
+work-group takes by itself.
 """
 
 from __future__ import annotations
@@ -25,17 +26,17 @@ from stss_ref.weights import Weights
 
 @dataclass(frozen=True)
 class Gpu:
-    """Published peaks of one.
+    """Published peak rates of a GPU.
 
     Attributes:
-        name: to be shown.
-        row: of ``tuning.toml``.
-        units: multiprocessors or compute units.
-        ghz: its boost clock.
-        multiply_adds: of a unit in a clock, in float32.
-        matrix: the same of its matrix units, half with float32 sums; 0: none that we use.
-        l2, memory: GB/s.
-        cache: MB of L2 and what lies behind it.
+        name: shown in tables.
+        row: name of its row in ``tuning.toml``.
+        units: number of multiprocessors or compute units.
+        ghz: boost clock; GHz.
+        multiply_adds: float32 multiply-adds of a unit in a clock.
+        matrix: multiply-adds of a unit's matrix units in a clock, half with float32 sums; 0: it has none that our kernels use.
+        l2, memory: rates of the L2 cache and of the memory; GB/s.
+        cache: size of L2 and of the cache behind it; MB.
     """
 
     name: str
@@ -58,24 +59,31 @@ GPUS = {
 }
 
 GAP = 1.5e-6
-"""Seconds from the end of a launch to the start of the next that was enqueued already."""
+"""Seconds from the end of a launch to the start of the next one, if that is enqueued already."""
 LOCAL_BYTES = 128
-"""Of local memory, by one unit in a clock."""
+"""Bytes of local memory that a unit reads in a clock."""
 ISSUED = 0.92
-"""Of its issue slots, a unit with enough work fills this share."""
+"""Share of its issue slots that a unit with enough work fills."""
 ALONE = 1.3
-"""Times the instructions of a work-item that its group takes by itself, for want of others to hide loads behind."""
+"""Clocks per instruction of a group that has a unit to itself: no other group's work hides its loads."""
 SHARE = {"conv_local": 0.90, "conv_mma": 0.31, "conv": 0.70}
-"""Of multiply-adds among all instructions, outside the hottest loop included; sm_90."""
+"""Share of multiply-adds among all instructions of a kernel, inside and outside its hottest loop; compiled for sm_90."""
 SHORTEST, ROUNDS, MOST_REPEATS = 5e-3, 5, 200
-"""Seconds that a timing takes at least, by repetition; timings of each; repetitions at most."""
+"""Least seconds of a timing, which repeats its launches until then; timings of each; most repetitions."""
 L1_LINES = 4
-"""Cache lines that a unit looks up in a clock: what limits the plain convolution, whose work-items read lines of their own."""
+"""Cache lines that a unit looks up in a clock: this limits the plain convolution, since each of its work-items reads other lines."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """One launch: seconds by what limits it, and those of its arithmetic at the peak."""
+    """The estimate for one launch.
+
+    Attributes:
+        stage, name: of the layer.
+        kernel: of ``kernels/``, without suffix.
+        seconds: limit (memory, arithmetic, ...) -> seconds that the launch takes if only that limits it.
+        roof: seconds of its arithmetic at the peak rate; 0 for kernels other than convolutions.
+    """
 
     stage: str
     name: str
@@ -85,17 +93,17 @@ class Estimate:
 
     @property
     def limit(self) -> str:
-        """What takes longest."""
+        """The limit that takes longest, a key of ``seconds``."""
         return max(self.seconds, key=lambda key: self.seconds[key])
 
     @property
     def total(self) -> float:
-        """Seconds."""
+        """Seconds of the launch, with the gap to the next one."""
         return max(self.seconds.values()) + GAP
 
 
 class Modelled(Device):
-    """The device at hand, treated as a GPU with as many units as another: it makes the launches that the other would get."""
+    """The device at hand, treated as a GPU with as many units as ``gpu``, so that it makes the launches that ``gpu`` would get."""
 
     def __init__(self, gpu: Gpu):
         held = open_device(device_class="gpu")
@@ -104,12 +112,22 @@ class Modelled(Device):
 
     @property
     def compute_units(self) -> int:
-        """Those of the other."""
+        """Number of units of the modelled GPU."""
         return self._units
 
 
 def predict(weights: Weights, height: int, width: int, gpu: Gpu, precision: Precision) -> list[Estimate]:
-    """Every launch of the network for whole frames of one size."""
+    """Estimate every launch of the network for whole frames.
+
+    Args:
+        weights: the 92 tensors.
+        height, width: H, W of the inputs; pixels.
+        gpu: the GPU, with its row of tile sizes.
+        precision: of the network.
+
+    Returns:
+        The estimates, in the order of the launches.
+    """
     with trial(built_in_rows(BUILT_IN)[0][gpu.row]):
         return [estimate(layer, gpu) for layer in Layers(Modelled(gpu), weights, height, width, precision).launches]
 
@@ -117,10 +135,14 @@ def predict(weights: Weights, height: int, width: int, gpu: Gpu, precision: Prec
 def measure(
     weights: Weights, height: int, width: int, gpu: Gpu, precision: Precision, name: str | None
 ) -> tuple[list[Estimate], list[float], float]:
-    """The same on a device that is here, with its own row of tile sizes, which is also timed.
+    """Estimate and time every launch of the network on a device that is here, with the device's own row of tile sizes.
+
+    Args:
+        weights, height, width, gpu, precision: see `predict`.
+        name: part of the device's name; None: the default.
 
     Returns:
-        What the model says of every launch; seconds of each; of all, one behind the other.
+        The estimate of each launch; the measured seconds of each; the measured seconds of all in a row.
     """
     device = open_device(name)
     layers = Layers(device, weights, height, width, precision)
@@ -130,7 +152,7 @@ def measure(
 
 
 def _seconds(device: Device, launches: Sequence[LayerLaunch]) -> float:
-    """Of these launches, the least of a few rounds; a round is so long that starting and ending it hardly count."""
+    """Seconds of these launches: the least of a few rounds, each so long that its start and end hardly count."""
     best, repeat = math.inf, 1
     for _ in range(ROUNDS):
         device.queue.finish()
@@ -144,7 +166,7 @@ def _seconds(device: Device, launches: Sequence[LayerLaunch]) -> float:
 
 
 def estimate(layer: LayerLaunch, gpu: Gpu) -> Estimate:
-    """One launch."""
+    """Estimate one launch on ``gpu``."""
     source = layer.source
     read = _bytes(layer, ("a", "b", "feature", "color", "key", "unit", "value", "eighth", "in"))
     written = _bytes(layer, ("out", "image", "reshaded"))
@@ -165,13 +187,13 @@ def estimate(layer: LayerLaunch, gpu: Gpu) -> Estimate:
 
 
 def _local(shape: dict[str, int], height: int, width: int, gpu: Gpu) -> dict[str, float]:
-    """Cycles of conv_local.cl: a unit issues 4 instructions of 32 work-items a clock, two of them at most where it has 64 lanes."""
+    """Cycles of conv_local.cl: a unit of 128 lanes issues 4 instructions of 32 work-items a clock, one of 64 lanes 2."""
     slices, rows, inner = shape["OUT"] // 8, shape["ROWS"], shape["A"] + shape["B"]
     groups = math.ceil(width / 32) * math.ceil(height / (4 * rows))
     multiply_adds = 9 * inner * 4 * rows * (8 + shape["GATED"] / slices)  # of a work-item
     instructions = multiply_adds / SHARE["conv_local"]
     busiest = math.ceil(groups / gpu.units)
-    # Of 32 work-items, for a channel: weights to all of them, 16 bytes at a time, and rows of 128 bytes of the tile.
+    # Reads of 32 work-items for a channel: weights, 16 bytes at a time to all of them, and rows of the tile, 128 bytes at a time.
     wavefronts = inner * (18 + (shape["STRIDE"] * (rows - 1) + 3) * (6 if shape["STRIDE"] == 1 else 9))
     return {
         "arithmetic": busiest * slices * instructions / (gpu.multiply_adds / 32) / ISSUED,
@@ -196,7 +218,7 @@ def _matrix(shape: dict[str, int], height: int, width: int, gpu: Gpu) -> dict[st
 
 
 def _plain(shape: dict[str, int], height: int, width: int, gpu: Gpu) -> dict[str, float]:
-    """Cycles of conv.cl: each input of each pixel is a look-up of its own line, each weight one for all."""
+    """Cycles of conv.cl: each input of each pixel looks up a line of its own; each weight is one look-up for all pixels."""
     inner, blocks = shape["A"] + shape["B"], shape["OUT"] // 8 // max(shape["BLOCK"], 1)
     products = shape["KERNEL"] ** 2 * inner
     items = height * width * blocks / 32 / gpu.units
@@ -208,6 +230,6 @@ def _plain(shape: dict[str, int], height: int, width: int, gpu: Gpu) -> dict[str
 
 
 def _bytes(layer: LayerLaunch, names: Iterable[str]) -> int:
-    """Of the buffers with these argument names, each once."""
+    """Bytes of the buffers with these argument names; each buffer counts once."""
     buffers: dict[int, Any] = {id(layer.arguments[name]): layer.arguments[name] for name in names if name in layer.arguments}
     return sum(int(buffer.size) for buffer in buffers.values())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""``stss bench --model``: the model's launches as a table and as JSON, beside what was measured where there is a device."""
+"""``stss bench --model``: the model's launches as a table and as JSON, beside measured times if there is a device."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from stss_ref.weights import Weights
 
 
 def gpu_named(name: str) -> Gpu:
-    """One of ``GPUS``.
+    """The GPU of this name in ``GPUS``.
 
     Raises:
-        InputError: there is none of this name.
+        InputError: there is no GPU of this name.
     """
     if name not in GPUS:
         raise InputError(f"--model: expected one of {', '.join(GPUS)}, got {name!r}")
@@ -40,17 +40,17 @@ def bench_model(
     measured: bool,
     device: str | None,
 ) -> None:
-    """Print the model's table for one size, and write it.
+    """Print the model's table for one size, and write it as JSON.
 
     Args:
         weights: the 92 tensors.
-        size: (height, width) of the inputs.
+        size: (height, width) of the inputs; pixels.
         gpu: the GPU.
         precision: of the network.
         console: for the table.
-        json_file: for every number; None: none.
-        measured: time the launches of a device that is here, too.
-        device: part of its name.
+        json_file: for every number; None: write none.
+        measured: also time the launches on a device that is here.
+        device: part of the name of that device; None: the default.
     """  # fmt: skip
     if measured:
         rows, times, total = measure(weights, *size, gpu, precision, device)

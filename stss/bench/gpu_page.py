@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The page of ``stss gpu-report``: what is wrong first, then the figures."""
+"""The page of ``stss gpu-report``: faults first, then the figures."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import Any
 
 SLOW = 2.0
-"""Times the model's estimate from which on a launch is listed as slow."""
+"""A launch is listed as slow if it takes more than this many times the model's estimate."""
 CLOSE = 0.05
-"""Share of the network's time that a launch must take to be worth a line."""
+"""A launch is listed only if it takes more than this share of the network's time."""
 
 
 def page(folder: Path, report: Mapping[str, Any]) -> str:
-    """Markdown; figures of steps that have not run yet are left out.
+    """The page as Markdown, without the figures of steps that have not run yet.
 
     Args:
-        folder: of the files that the steps wrote.
+        folder: has the files that the steps wrote.
         report: ``machine`` and ``steps``, see ``stss.bench.gpu_report``.
     """
     machine, steps = report["machine"], report["steps"]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""``stss gpu-report``: everything that is to be known of a GPU, by one command, into one folder.
+"""``stss gpu-report``: test and time everything on a GPU by one command, into one folder.
 
-Each step is a command of ours in a process of its own with a limit of its own, so that a driver that hangs or ends the process costs
-that step alone. The page is written anew after each.
+Each step is an ``stss`` or test command in its own process with its own time limit, so that a driver that hangs or ends the process
+costs that step alone. The page is written anew after each step.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ PACKAGES = ("numpy", "pyopencl", "torch", "onnxruntime", "onnxruntime-gpu", "ten
 TESTS = tuple(
     f"tests/cl/test_{n}.py" for n in ("device", "conv_gpu", "network", "image_stages", "frame", "combinations", "stream")
 )
-"""In the order in which a fault is told soonest; what does not fit the limit is left."""
+"""Tests, in the order that shows a fault soonest; those that do not fit the time limit do not run."""
 
 OURS = "cl,cl-direct,cl-half,cl-host,cl-frame"
 PEERS = (
@@ -44,7 +44,14 @@ Outcome = Literal["passed", "failed", "over its limit", "skipped"]
 
 @dataclass(frozen=True)
 class Step:
-    """A command, ``None`` where it cannot run here, for the reason given; seconds it may take."""
+    """One step.
+
+    Attributes:
+        name: names its log, too.
+        command: None where it cannot run here, for ``reason``.
+        limit: most seconds that it may take.
+        reason: why there is no command.
+    """
 
     name: str
     command: tuple[str, ...] | None
@@ -54,7 +61,14 @@ class Step:
 
 @dataclass(frozen=True)
 class Done:
-    """What came of a step, its seconds, and the last line it said."""
+    """The result of a step.
+
+    Attributes:
+        name: of the step.
+        outcome: of ``Outcome``.
+        seconds: it took.
+        last_line: of its output, or why it was skipped.
+    """
 
     name: str
     outcome: Outcome
@@ -63,13 +77,13 @@ class Done:
 
 
 def steps(folder: Path, device: str, model: str, *, tiny: bool) -> list[Step]:
-    """All of them, in order: what says whether the rest means anything comes first.
+    """All steps, in order: those that find faults come first, since figures of a faulty device mean nothing.
 
     Args:
-        folder: for the files they write.
-        device: its name in full.
-        model: of ``stss.bench.gpu_model.GPUS``, to be shown beside what is measured.
-        tiny: sizes and counts that show that every step runs, and nothing else.
+        folder: the steps write their files there.
+        device: full name of the device.
+        model: a name in ``stss.bench.gpu_model.GPUS``, shown beside the measured times.
+        tiny: take sizes and counts that only show that every step runs.
     """
     size, few, tests = ("64x48", "2", TESTS[:1]) if tiny else ("960x544", "20", TESTS)
     here, to = ("--device", device, "--size", size), folder.absolute()
@@ -114,7 +128,7 @@ def steps(folder: Path, device: str, model: str, *, tiny: bool) -> list[Step]:
 
 
 def _driver() -> Step:
-    """What the driver says of the device: versions, clocks and what holds them down."""
+    """Ask the driver's tool for the device's versions, clocks, and what limits the clocks."""
     asked = {
         "nvidia-smi": ("--query",),
         "rocm-smi": ("--showallinfo",),
@@ -130,11 +144,11 @@ def gpu_report(folder: Path, device: str | None, model: str, *, tiny: bool, tell
     """Run every step.
 
     Args:
-        folder: a new or an empty one.
+        folder: a new or an empty folder.
         device: part of the device's name; None: the first GPU, or else the first device.
         model: see `steps`.
-        tiny: likewise.
-        tell: is handed a line before each step.
+        tiny: see `steps`.
+        tell: called with a line before each step.
 
     Returns:
         Whether nothing is wrong.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""How long a frame takes, here and by other engines, and how far each is from the truth: `stss bench`.
+"""Measure the time of a frame by our code and by other engines, and the error of each: `stss bench`.
 
-Every contender lives in a process of its own, so that its memory is its own and its threads sleep while another runs. They are timed
-in turns, A B C A B C, so that what slows the machine for a while slows all of them.
+Every contender, ours or a peer, lives in its own process, so that its memory is its own and its threads sleep while another runs.
+Contenders are timed in turns, A B C A B C, so that a load on the machine slows all of them.
 """
 
 from __future__ import annotations
@@ -29,29 +29,29 @@ SIZES = ((360, 640), (540, 960), (1080, 1920))
 """(H, W) of the inputs; the outputs are 720p, 1080p and 2160p (paper, Tab. "Time analysis on different resolutions")."""
 DEFAULT_PEERS = ("pytorch", "pytorch-tuned", "onnxruntime", "openvino", "openvino-default")
 WARM_UP = 2
-"""Runs of each contender before the first one timed."""
+"""Runs of each contender before its first timed run."""
 STAGE_RUNS = 5
 """Measurements of the stages, after the timed runs."""
 SUMMARY = ("wall_min", "wall_median", "cpu_min", "cpu_median")
-"""What is made of a contender's runs: of wall clock, and of its process's processor time divided by the threads."""
+"""Figures of a contender's runs: of wall clock, and of its process's processor time divided by the number of threads."""
 PAUSE = 0.02
-"""Seconds between two runs, for the threads of the one before to fall asleep."""
+"""Seconds between two runs, in which the threads of the first one fall asleep."""
 
 
 @dataclass(frozen=True)
 class Timing:
-    """One contender at one size.
+    """The results of one contender at one size.
 
     Attributes:
         name: as in ``OURS`` or ``PEERS``.
         times: seconds of each run, in order.
-        cpu_times: seconds of processor time that its process used in each run, divided by the threads: what ``times`` would be on a
-            quiet machine if all threads always had work.
-        error: largest difference from the float64 reference on the same inputs; None for one that failed.
-        peak_memory: bytes its process had in memory at most, Python and libraries included; None where the system doesn't say.
-        stages: seconds of each stage, from contenders that measure them.
+        cpu_times: seconds of processor time that its process used in each run, divided by the number of threads. They equal ``times``
+            on a quiet machine if all threads always have work.
+        error: largest difference from the float64 reference on the same inputs, output units; None for a contender that failed.
+        peak_memory: most bytes that its process had in memory, with Python and libraries; None where the system doesn't say.
+        stages: seconds of each stage; empty for contenders that measure none.
         details: package versions, precision, layout.
-        fault: why there is no result; None where there is one.
+        fault: why there is no result; None if there is one.
     """
 
     name: str
@@ -70,7 +70,7 @@ class Timing:
 
     @property
     def median(self) -> float:
-        """Seconds of the run in the middle."""
+        """Median of the runs; seconds."""
         return statistics.median(self.times)
 
     @property
@@ -82,7 +82,13 @@ class Timing:
 
 @dataclass(frozen=True)
 class SizeResult:
-    """All contenders for inputs (height, width), ours first; ``noise`` of the timed runs, None where the system doesn't say."""
+    """The results of all contenders at one size.
+
+    Attributes:
+        height, width: of the inputs; pixels.
+        rows: one for each contender, ours first.
+        noise: others' load on the machine during the timed runs; None where the system doesn't say.
+    """
 
     height: int
     width: int
@@ -90,7 +96,7 @@ class SizeResult:
     noise: Noise | None = None
 
     def shares(self, row: Timing) -> dict[str, float]:
-        """What ``row`` takes of the first peer's time, by the names in ``SUMMARY``; empty where that is no comparison."""
+        """Times of ``row`` / times of the first peer, by the names in ``SUMMARY``; empty where the two do not compare."""
         base = next((r for r in self.rows if r.name in PEERS and not r.fault), None)
         if base is None or row.fault or row.name in FRAMES:
             return {}
@@ -110,9 +116,12 @@ def bench(
     Args:
         setups: one for each size.
         ours: names in ``OURS``.
-        peers: names in ``PEERS``; the first is what the others' ratios are to.
-        repeat: timed runs of each.
-        on_step: told what is being done.
+        peers: names in ``PEERS``; ratios are to the first of them.
+        repeat: timed runs of each contender.
+        on_step: called with a line before each step.
+
+    Returns:
+        The results of each setup.
 
     Raises:
         InputError: a name is unknown, or there is nothing to time.
@@ -153,7 +162,7 @@ def _bench_size(setup: Setup, names: Sequence[str], repeat: int, on_step: Callab
 
 
 class _Worker:
-    """A contender's process, seen from here. What fails in it becomes its row's fault."""
+    """A contender's process, seen from the parent process. An error in it becomes the ``fault`` of its row."""
 
     def __init__(self, name: str, setup: Setup):
         self.name = name
@@ -168,7 +177,7 @@ class _Worker:
         self._process = context.Process(target=_serve, args=(self._other_end, name, setup), daemon=True)
 
     def start(self, want: Image) -> None:
-        """Let it make itself ready and warm, and judge its image."""
+        """Start the process, wait until the contender is ready and warm, and compare its image with ``want``."""
         self._process.start()
         self._other_end.close()
         ready = self._answer()
@@ -177,7 +186,7 @@ class _Worker:
             self._error = _error(image, want)
 
     def time(self) -> None:
-        """One timed run."""
+        """Time one run."""
         time.sleep(PAUSE)
         if (seconds := self._ask("time")) is not None:
             self._times.append(seconds[0])
@@ -185,11 +194,11 @@ class _Worker:
 
     @property
     def processor_seconds(self) -> float:
-        """Processor time of all its timed runs."""
+        """Processor time of all timed runs; seconds."""
         return sum(self._cpu_times) * self._setup.threads
 
     def finish(self) -> Timing:
-        """Its row."""
+        """The results of the contender."""
         memory, stages = self._ask("finish") or (None, {})
         if self._fault:
             return Timing(self.name, details=self._details, fault=self._fault)
@@ -197,17 +206,17 @@ class _Worker:
         return Timing(self.name, *times, cpu_times=tuple(self._cpu_times))
 
     def stop(self) -> None:
-        """End the process, whatever it does."""
+        """End the process, even one that hangs."""
         if self._process.pid is not None:
             self._process.terminate()
             self._process.join()
         self._pipe.close()
 
     def _ask(self, order: str) -> Any:
-        """The answer; None after a fault."""
+        """Send ``order`` and return the answer; None after a fault."""
         if self._fault:
             return None
-        with contextlib.suppress(OSError):  # it ended: the answer says so
+        with contextlib.suppress(OSError):  # the process ended: _answer() says so
             self._pipe.send(order)
         return self._answer()
 
@@ -231,7 +240,7 @@ def _error(image: Image, want: Image) -> float:
 
 
 def _serve(pipe: Connection, name: str, setup: Setup) -> None:
-    """The contender's own process: make it, then answer each order with ``(True, result)`` or ``(False, why not)``."""
+    """Run in the contender's process: make the contender, then answer each order with ``(True, result)`` or ``(False, reason)``."""
     try:
         made = contender(name, setup)
         made.prepare(inputs_for(name, setup.height, setup.width))
@@ -245,13 +254,13 @@ def _serve(pipe: Connection, name: str, setup: Setup) -> None:
         pipe.send((True, (_peak_memory(), _stages(made))))
     except (KeyboardInterrupt, EOFError):
         return
-    except Exception as error:  # any engine, any error: it becomes its row
+    except Exception as error:  # an engine may raise anything: it becomes the row's fault
         first = (str(error).strip() or type(error).__name__).splitlines()[0]
         pipe.send((False, first))
 
 
 def _stages(made: Any) -> dict[str, float]:
-    """The smallest of a few measurements of each stage; empty for a contender that measures none."""
+    """Seconds of each stage, the least of a few measurements; empty for a contender that measures none."""
     if not hasattr(made, "timings"):
         return {}
     runs: list[dict[str, float]] = [made.timings() for _ in range(STAGE_RUNS)]
@@ -259,7 +268,7 @@ def _stages(made: Any) -> dict[str, float]:
 
 
 def _peak_memory() -> int | None:
-    """Largest resident set of this process. Not ``ru_maxrss``: a child's starts at its parent's."""
+    """Largest resident set of this process; bytes. Not ``ru_maxrss``, since that of a child starts at its parent's value."""
     try:
         lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
         return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("VmHWM:"))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How much of the machine others had while something was timed."""
+"""Measure the share of the machine that others used while something was timed."""
 
 from __future__ import annotations
 
@@ -9,11 +9,16 @@ from typing import NamedTuple
 
 STAT = Path("/proc/stat")
 TICKS_PER_S = 100
-"""Of /proc/stat, on every Linux (USER_HZ)."""
+"""Unit of the times in /proc/stat, on every Linux (USER_HZ)."""
 
 
 class Noise(NamedTuple):
-    """Shares, 0 to 1, of all the time that all the machine's processors had: other processes here, and other guests of its host."""
+    """The load of others, as shares, 0 to 1, of the time of all the machine's processors.
+
+    Attributes:
+        processes: share of other processes on this machine.
+        guests: share of other guests of this machine's host.
+    """
 
     processes: float
     guests: float
@@ -24,12 +29,12 @@ class Noise(NamedTuple):
 
 @dataclass(frozen=True)
 class ProcessorTime:
-    """What the system has counted since it started, of all processors together, seconds.
+    """Times of all processors together since the system started; seconds.
 
     Attributes:
-        busy: what processes and the kernel have had.
-        stolen: what the host gave to other guests.
-        all: these, and what was idle.
+        busy: time of processes and of the kernel.
+        stolen: time that the host gave to other guests.
+        all: ``busy``, ``stolen`` and idle time.
     """
 
     busy: float
@@ -37,17 +42,22 @@ class ProcessorTime:
     all: float
 
     def noise_since(self, earlier: ProcessorTime, own: float) -> Noise:
-        """What others had between the two readings, where the processes timed had ``own`` seconds."""
+        """The load of others between two readings.
+
+        Args:
+            earlier: the first reading; this one is the second.
+            own: processor time of the timed processes in between; seconds.
+        """
         whole = max(self.all - earlier.all, 1 / TICKS_PER_S)
-        others = max(self.busy - earlier.busy - own, 0.0)  # it counts in hundredths, ours is exact
+        others = max(self.busy - earlier.busy - own, 0.0)  # the system counts in hundredths, own is exact
         return Noise(min(others / whole, 1.0), min((self.stolen - earlier.stolen) / whole, 1.0))
 
 
 def processor_time(path: Path = STAT) -> ProcessorTime | None:
-    """A reading; None where the system does not say."""
+    """Read the times from ``path``; None where the system does not give them."""
     try:
         name, *fields = path.read_text(encoding="ascii").split("\n", 1)[0].split()
-        # user, nice, system, idle, iowait, irq, softirq, steal; what guests of this machine had stands in user already
+        # user, nice, system, idle, iowait, irq, softirq, steal; "user" includes the time of this machine's own guests
         user, nice, system, idle, waiting, irq, softirq, stolen = (int(field) / TICKS_PER_S for field in fields[:8])
     except (OSError, ValueError):
         return None

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """The network as an ONNX model, for other engines: `stss export`.
 
-The graph is written by hand, in the form that ONNX Runtime and OpenVINO run fastest. Measured at 960 x 544, Zen 4, two
-threads: a gate computed by the convolution of its feature instead of one of its own saves 4 to 8 %; the ERM's window as
-25 slices and as a depthwise "unfold" are within 4 % of each other, either way round.
+The graph is written by hand, in the form that ONNX Runtime and OpenVINO run fastest. Measured at 960 x 544 on two threads of a
+Zen 4: computing a gate in its feature's convolution, instead of in a separate one, saves 4 to 8 %; the ERM's window as 25 slices and
+as a depthwise "unfold" differ by at most 4 %, and either may be the faster one.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from stss_ref.weights import Weights
 
 OPSET = 17
 IR_VERSION = 8
-"""The format of the file; that of opset 17's time, so that older engines read it."""
+"""Version of the file format: the one of opset 17's time, so that older engines read it."""
 INPUTS = {"color": (1, 6), "gbuffer": (1, 9), "mask": (1, 1), "history": (3, 4)}
-"""Leading two axes of each input, (N, C); the other two are (H, W)."""
+"""First two axes of each input, (N, C); the other two are (H, W)."""
 
 
 def export(weights: Weights, height: int, width: int) -> Any:
@@ -37,8 +37,7 @@ def export(weights: Weights, height: int, width: int) -> Any:
 
     Args:
         weights: the 92 tensors.
-        height: H of the inputs, a multiple of 8: pad below and right by replicating the last row or column.
-        width: W, likewise.
+        height, width: H, W of the inputs, multiples of 8: pad below and right by replicating the last row or column.
 
     Returns:
         Model of opset 17, float32. Inputs, channels first: color (1, 6, H, W), gbuffer (1, 9, H, W), mask (1, 1, H, W), history
@@ -53,12 +52,16 @@ def export(weights: Weights, height: int, width: int) -> Any:
 
 
 def write(path: Path, weights: Weights, height: int, width: int) -> None:
-    """Write `export` of ``weights`` to ``path``, all of it or nothing."""
+    """Write `export` of ``weights`` to ``path``, whole or not at all.
+
+    Raises:
+        InputError: see `export`; or the file cannot be written.
+    """
     write_named(path, export(weights, height, width).SerializeToString())
 
 
 class _Graph:
-    """Nodes and constants in the making; a value is known by its name."""
+    """The nodes and constants of a graph while it is built; each value has a name."""
 
     def __init__(self) -> None:
         self.onnx = require("onnx")
@@ -76,17 +79,17 @@ class _Graph:
         return outputs
 
     def constant(self, name: str, value: NDArray[Any]) -> str:
-        """Add a constant, or find it where ``name`` is known."""
+        """Add a constant, unless there is one called ``name``; returns its name."""
         if name not in self.constants:
             self.constants[name] = self.onnx.numpy_helper.from_array(np.ascontiguousarray(value), name)
         return name
 
     def integers(self, *values: int) -> str:
-        """A constant of int64 (n,)."""
+        """Add a constant int64 (n,); returns its name."""
         return self.constant("i" + "_".join(map(str, values)), np.array(values, np.int64))
 
     def number(self, value: float) -> str:
-        """A constant float32."""
+        """Add a constant float32 (); returns its name."""
         return self.constant(f"f{value}", np.array(value, np.float32).reshape(()))
 
 
@@ -98,7 +101,7 @@ class _Exporter(_Graph):
         self.weights, self.height, self.width = weights, height, width
 
     def model(self) -> Any:
-        """All of it, checked."""
+        """Build the whole model, and check it."""
         self.network()
         helper, float32 = self.onnx.helper, self.onnx.TensorProto.FLOAT
         size = self.height, self.width
@@ -129,7 +132,7 @@ class _Exporter(_Graph):
         self.op("Add", residual, self.resize(newest, 2, "half_pixel"), output="image")
 
     def history(self) -> str:
-        """Stage ``history``: the three frames as a batch, since they share their weights."""
+        """Stage ``history``: the three frames are one batch, since they share their weights."""
         x = "history"
         for name in ("convHis1", "convHis2", "convHis3"):
             x = self.chain(x, name, (2, 1, 1))
@@ -162,12 +165,12 @@ class _Exporter(_Graph):
         return self.op("Div", total, self.op("Max", weight_sum, self.number(1e-6)))
 
     def down(self, x: str, name: str) -> str:
-        """Half the size by a gated convolution without ReLU, then two with."""
+        """Half the size by a gated convolution without ReLU, followed by two with ReLU."""
         x = self.gated(x, f"{name}.downsample", stride=2)
         return self.relu(self.gated(self.relu(self.gated(x, f"{name}.conv1")), f"{name}.conv2"))
 
     def gated(self, x: str, name: str, stride: int = 1) -> str:
-        """Gated convolution ``G``: the gate is the last channel of the one convolution."""
+        """Gated convolution ``G`` as one convolution, whose last channel is the gate."""
         branches = f"{name}.conv_feature", f"{name}.conv_mask.0"
         weight, bias = (np.concatenate([self.weights[f"{b}.{kind}"] for b in branches]) for kind in ("weight", "bias"))
         y = self._conv(x, name, weight, bias, stride)
@@ -176,7 +179,7 @@ class _Exporter(_Graph):
         return self.op("Mul", feature, self.op("Sigmoid", gate))
 
     def chain(self, x: str, name: str, layers: tuple[int, ...], *, last_relu: bool = True) -> str:
-        """As ``stss_ref.conv.conv_chain``."""
+        """A chain of convolutions, like ``stss_ref.conv.conv_chain``; ``layers`` are their strides."""
         for i, stride in enumerate(layers):
             x = self.conv(x, f"{name}.{2 * i}", stride)
             if last_relu or i < len(layers) - 1:
@@ -197,10 +200,10 @@ class _Exporter(_Graph):
         return self.op("Relu", x)
 
     def concat(self, *values: str) -> str:
-        """Along the channels."""
+        """Concatenate along the channels."""
         return self.op("Concat", *values, axis=1)
 
     def resize(self, x: str, scale: float, grid: str) -> str:
-        """Bilinear, without a prefilter; ``grid`` is ONNX's name of it."""
+        """Resize bilinearly, without a prefilter; ``grid`` is ONNX's name for where samples lie."""
         scales = self.constant(f"scale{scale}", np.array([1, 1, scale, scale], np.float32))
         return self.op("Resize", x, "", scales, mode="linear", coordinate_transformation_mode=grid)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Our own rows of the benchmark, and the inputs that all rows get."""
+"""Our own contenders in the benchmark, and the inputs of all contenders."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from stss_ref.network import network
 from stss_ref.weights import Weights, astype
 
 MOTION = (1.5, 0.75)
-"""Pixels a frame, in the inputs of whole frames: positions that a float32 holds exactly, so that no hole is a matter of rounding."""
+"""Motion in the inputs of whole frames, pixels a frame: float32 has all positions exactly, so that rounding decides no hole."""
 
 
 class Reference:
@@ -43,16 +43,16 @@ class Reference:
 
 
 class OpenCL:
-    """A class of ``stss_cl``, made as ``Class(weights, device, precision=...)``, called with arrays by name; returns the image first.
+    """A class of ``stss_cl``, made as ``Class(weights, device, precision=...)``; a call takes arrays by name, returns the image first.
 
-    A method ``timings``, where there is one, gives seconds by stage, which are reported too.
+    If the class has a method ``timings``, the seconds of each stage that it returns are reported, too.
 
     Args:
-        setup: what for.
-        module: of ``stss_cl``.
-        name: of the class.
-        precision: as ``stss_cl.network.network.PRECISIONS``.
-        on_device: inputs and image stay on the device, as the peers' do in theirs; else NumPy's arrays in, NumPy's out.
+        setup: weights and device.
+        module: module of ``stss_cl`` with the class.
+        name: name of the class.
+        precision: of ``stss_cl.network.network.PRECISIONS``.
+        on_device: inputs and image stay on the device, as the peers' inputs and images do; else both are NumPy arrays.
     """
 
     def __init__(self, setup: Setup, *, module: str, name: str, precision: str, on_device: bool):
@@ -96,24 +96,24 @@ OURS: dict[str, Callable[[Setup], Contender]] = {
     "cl-frame": partial(OpenCL, module="frame", name="Frame", precision="float32", on_device=False),
     "ref": Reference,
 }
-"""Our backends, by the name that ``--ours`` takes; ``cl-host`` is ``cl`` with the transfers from and to NumPy's arrays."""
+"""Our contenders, by the name that ``--ours`` takes; ``cl-host`` is ``cl`` with the transfers from and to NumPy arrays."""
 
 FRAMES = frozenset({"cl-frame"})
-"""Those that make whole frames; the others, the network alone."""
+"""Contenders that compute whole frames; the others compute the network alone."""
 
 
 def default_ours() -> tuple[str, ...]:
-    """Those that run within seconds and are there."""
+    """Names of our contenders that are timed by default: the OpenCL backend if it is installed, else the reference."""
     return ("cl",) if installed("stss_cl.network.network") else ("ref",)
 
 
 def contender(name: str, setup: Setup) -> Contender:
-    """Make the contender of this name ready."""
+    """Make the contender called ``name``, a key of ``OURS`` or ``PEERS``."""
     return (OURS | PEERS)[name](setup)
 
 
 def network_inputs(height: int, width: int) -> NetworkInputs:
-    """Noise, so no shortcut for flat or still places helps. A fifth of the mask is holes."""
+    """Inputs (height, width) of noise, so that shortcuts for flat or still parts do not help. Holes make up a fifth of the mask."""
     random = np.random.default_rng(0)
 
     def noise(*shape: int) -> Image:
@@ -124,7 +124,7 @@ def network_inputs(height: int, width: int) -> NetworkInputs:
 
 
 def frame_inputs(height: int, width: int) -> FrameInputs:
-    """An extrapolated frame of a plane with noise on it that slides past, holes only where it enters."""
+    """Inputs (height, width) of an extrapolated frame: a plane with noise on it slides past, with holes only where it enters."""
     inputs = network_inputs(height, width)
     size = height, width
     steps = (1, 3, 5)
@@ -140,7 +140,7 @@ def frame_inputs(height: int, width: int) -> FrameInputs:
 
 
 def inputs_for(name: str, height: int, width: int) -> NetworkInputs | FrameInputs:
-    """What the contender ``name`` is given."""
+    """The inputs of the contender ``name``."""
     return frame_inputs(height, width) if name in FRAMES else network_inputs(height, width)
 
 

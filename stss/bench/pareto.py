@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Run time against error: every way the backend can compute a frame, on the canonical scenes."""
+"""Measure run time and error of every setting of the backend, on the canonical scenes."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from stss_ref.frame import FrameInputs, frame
 from stss_ref.weights import Weights, astype
 
 CANONICAL = ("static", "interface", "object", "sky", "cut", "pan", "flythrough")
-"""The scenes, the stillest first."""
+"""Names of the scenes, those with the least change first."""
 WARM = 8
-"""Display frames before the first timed one: histories are full, kernels built."""
+"""Display frames before the first timed one; after them, histories are full and kernels built."""
 JUDGED = 2
-"""The last frames, an SF and an EF, are held against the float64 reference and the truth."""
+"""Number of last frames, an SF and an EF, that are compared with the float64 reference and with the truth."""
 
 
 SETTINGS = (
@@ -45,10 +45,10 @@ FULL = SETTINGS[0]
 
 
 def chosen_settings(words: Sequence[str] | None) -> tuple[ComputeOptions, ...]:
-    """Those of `SETTINGS` whose names contain one of ``words``; None: all.
+    """The settings of `SETTINGS` whose names contain one of ``words``; None: all settings.
 
     Raises:
-        InputError: there are none.
+        InputError: no name contains any of them.
     """
     chosen = tuple(s for s in SETTINGS if words is None or any(word in s.name for word in words))
     if not chosen:
@@ -58,16 +58,18 @@ def chosen_settings(words: Sequence[str] | None) -> tuple[ComputeOptions, ...]:
 
 @dataclass(frozen=True)
 class Point:
-    """What a setting does on a scene.
+    """Times and errors of one setting on one scene.
 
     Attributes:
-        scene, setting: which.
-        times: seconds of each timed frame; full: those of `FULL`, in turns with them.
-        error: largest difference from the float64 reference, output units.
-        departure: the same from `FULL`, over all timed frames.
-        missed: how many timed frames depart by more than the setting allows.
-        psnr: to the truth, dB, mean of the judged frames.
-        exact: whether every timed image has the bits of `FULL`'s.
+        scene: its name.
+        setting: the setting.
+        times: seconds of each timed frame.
+        full: seconds of the same frames with the setting `FULL`, timed in turns with ``times``.
+        error: largest difference of the judged frames from the float64 reference, output units.
+        departure: largest difference of all timed frames from those of `FULL`, output units.
+        missed: number of timed frames that depart by more than the setting allows.
+        psnr: mean PSNR of the judged frames to the truth, dB.
+        exact: whether every timed image has the same bits as with `FULL`.
     """
 
     scene: str
@@ -82,12 +84,12 @@ class Point:
 
     @property
     def ratio(self) -> float:
-        """Time as a share of `FULL`'s: sums over the sequence, for a sequence has dear and cheap frames."""
+        """Time / time of `FULL`. Both are sums over the sequence, since its frames differ in cost."""
         return sum(self.times) / sum(self.full)
 
     @property
     def median(self) -> float:
-        """Seconds of the frame in the middle."""
+        """Median time of a frame; seconds."""
         return statistics.median(self.times)
 
 
@@ -100,16 +102,16 @@ def measure(
     count: int,
     on_step: Callable[[str], None] = lambda _: None,
 ) -> Iterator[Point]:
-    """A point for every scene and setting.
+    """Yield a point for every scene and setting.
 
     Args:
         weights: the 92 tensors.
         device: to run on.
         scenes: names in ``SCENES``.
-        settings: each timed in turns with `FULL`.
+        settings: each is timed in turns with `FULL`: a frame of one, then the same frame of the other.
         size: (H, W) of the inputs.
         count: display frames of a sequence, more than `WARM` + `JUDGED`.
-        on_step: told what is being done.
+        on_step: called with a line before each step.
 
     Raises:
         InputError: there is no such scene, or there are too few frames.
@@ -165,7 +167,7 @@ def _point(
             exact, seen = judged[number]
             errors.append(float(np.abs(images[1] - exact).max()))
             scores.append(psnr(255 * np.clip(images[1], 0, 1), 255 * np.clip(seen, 0, 1)) or 0.0)
-        images.clear()  # an image that nobody has is written over, not copied
+        images.clear()  # the backend copies an image that someone holds, and overwrites one that nobody does
     return Point(
         scene,
         setting,
@@ -180,7 +182,7 @@ def _point(
 
 
 def frontier(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Which of the points (time, error) no other one beats in both, by rising time."""
+    """Indices of the points (time, error) that no other point beats in both, by rising time."""
     found: list[int] = []
     for i in sorted(range(len(points)), key=lambda i: points[i]):
         if not found or points[i][1] < points[found[-1]][1]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Run time against error as a table, as JSON, as a picture."""
+"""Report run time against error as a table, as JSON and as a picture."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from stss.weights.file import identity
 from stss_cl.device.discovery import open_device
 
 FORMAT = 1
-"""Raised when a field of the JSON changes its meaning."""
+"""Version of the JSON; raised when a field changes its meaning."""
 LEAST = 1e-8
-"""Errors of 0 are drawn here: the axis is logarithmic."""
+"""Errors of 0 are drawn at this value, since the axis is logarithmic."""
 
 
 def bench_pareto(
@@ -48,17 +48,17 @@ def bench_pareto(
     json_file: Path | None,
     picture: Path | None,
 ) -> None:
-    """``stss bench --pareto``: measure, print, write.
+    """Run ``stss bench --pareto``: measure, print and write the points.
 
     Args:
-        setups: one: weights, size and device.
+        setups: a single one, with weights, size and device.
         scenes: names of canonical scenes; None: all.
-        settings: what to measure.
-        frames: display frames of each.
-        peers: engines to time as well, as far as they are there.
-        repeat: runs of each of them.
-        console: for progress.
-        json_file, picture: to write to, if any.
+        settings: to measure.
+        frames: display frames of each scene.
+        peers: other engines to time as well, if they are installed.
+        repeat: timed runs of each peer.
+        console: for progress and tables.
+        json_file, picture: files to write; None: no such file.
 
     Raises:
         InputError: there are several sizes, or a name is unknown.
@@ -83,7 +83,7 @@ def bench_pareto(
 
 
 def in_its_own_process(setup: Setup, scene: str, settings: Sequence[ComputeOptions], frames: int) -> list[Point]:
-    """The points of a scene, from a process that has not run anything before: what another scene built would not be missed.
+    """Measure the points of a scene in a new process, which has none of the kernels and caches that another scene built.
 
     Raises:
         InputError: the process died.
@@ -101,7 +101,7 @@ def _points(setup: Setup, scene: str, settings: Sequence[ComputeOptions], frames
 
 
 def print_points(points: Sequence[Point], peers: Sequence[Timing], console: Console) -> None:
-    """One table a scene; a star marks the settings that no other one beats in both time and error."""
+    """Print a table for each scene; a star marks the settings that no other setting beats in both time and error."""
     for scene in dict.fromkeys(point.scene for point in points):
         rows = [point for point in points if point.scene == scene]
         best = frontier([(point.ratio, point.error) for point in rows])
@@ -137,7 +137,7 @@ def print_points(points: Sequence[Point], peers: Sequence[Timing], console: Cons
 
 
 def write_json(path: Path, points: Sequence[Point], peers: Sequence[Timing], weights: str, size: tuple[int, int]) -> None:
-    """Every single time, and what it was measured on.
+    """Write the time of every frame and run as JSON, and the machine it was measured on.
 
     Raises:
         InputError: it can't be written.
@@ -173,7 +173,7 @@ def write_json(path: Path, points: Sequence[Point], peers: Sequence[Timing], wei
 
 
 def plot(points: Sequence[Point], peers: Sequence[Timing], path: Path) -> None:
-    """Time against error to float64, a panel a scene; the line joins the settings that no other one beats in both.
+    """Draw time against error to float64, one panel for each scene; a line joins the settings that no other setting beats in both.
 
     Raises:
         InputError: matplotlib is not installed, or the file can't be written.
@@ -206,7 +206,7 @@ def _panel(panel: Any, scene: str, points: Sequence[Point], peers: Sequence[Timi
         y = max(row.error or 0.0, LEAST)
         panel.plot(row.median * 1e3, y, marker="x+1234"[i % 6], color="0.3", linestyle="", label=f"{row.name}, network alone")
     panel.set(xscale="log", yscale="log", xlabel="ms a frame, median", ylabel="largest error to float64")
-    # Plain numbers, few enough to stand side by side where the axis spans less than a decade.
+    # Ticks are plain numbers, few enough to fit side by side even if the axis spans less than a decade.
     panel.xaxis.set_major_locator(require("matplotlib.ticker").LogLocator(subs=(1, 2, 5)))
     panel.xaxis.set_major_formatter("{x:g}")
     panel.xaxis.set_minor_formatter("")

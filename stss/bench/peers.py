@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The network by other engines, as contenders of the benchmark.
+"""Peers: the network by other engines, as contenders in the benchmark.
 
-A contender is made for one size and has three steps: ``prepare`` brings the inputs into its layout, ``run`` is what is timed, ``image``
-brings the result back. Called with arrays, it does all three.
+A contender is made for one size and has three steps: ``prepare`` brings the inputs into its layout, ``run`` computes and is timed,
+``image`` brings the result back. Calling a peer with arrays does all three.
 """
 
 from __future__ import annotations
@@ -28,14 +28,13 @@ from stss_ref.weights import Weights
 
 @dataclass(frozen=True)
 class Setup:
-    """What a contender is made for.
+    """What a contender is made for: weights, size, device and threads.
 
     Attributes:
         weights: the 92 tensors.
-        height: H of the inputs; any.
-        width: W of the inputs; any.
-        device: part of the name of the OpenCL device, for those that use one; None: its default.
-        threads: how many a contender on the CPU may use, where it can be told.
+        height, width: H, W of the inputs; any size, pixels.
+        device: part of the name of the OpenCL device, for contenders that use one; None: the default.
+        threads: most threads of a contender on the CPU, where the engine lets us set them.
     """
 
     weights: Weights
@@ -46,22 +45,22 @@ class Setup:
 
 
 class Contender(Protocol):
-    """What the benchmark times.
+    """One way of computing the network or whole frames, which the benchmark times.
 
     Attributes:
-        details: what a reader of the numbers should know: package, precision, layout.
+        details: facts that the numbers depend on: package, precision, layout.
     """
 
     details: dict[str, str]
 
     def prepare(self, inputs: Any) -> None:
-        """Take inputs (H, W, C) float32: ``NetworkInputs``, or ``FrameInputs`` of one that makes whole frames."""
+        """Take inputs (H, W, C) float32: ``NetworkInputs``, or ``FrameInputs`` if the contender computes whole frames."""
 
     def run(self) -> None:
-        """Compute the image of the inputs prepared; returns when it is there."""
+        """Compute the image of the prepared inputs; returns when it is complete."""
 
     def image(self) -> Image:
-        """(2H, 2W, 3) float32: the result of the last ``run``."""
+        """The result of the last ``run``, (2H, 2W, 3) float32."""
         ...
 
 
@@ -74,7 +73,7 @@ class Peer(ABC):
         self.setup = setup
 
     def __call__(self, color: Image, gbuffer: Image, mask: Plane, history: Array) -> Image:
-        """Stage ``network`` on arrays channels last, as ``stss_ref.network.network``."""
+        """Stage ``network`` on arrays with channels last, like ``stss_ref.network.network``."""
         self.prepare(NetworkInputs(color, gbuffer, mask, history))
         self.run()
         return self.image()
@@ -104,7 +103,7 @@ class Peer(ABC):
 
     @abstractmethod
     def _result(self) -> Array:
-        """(1, 3, 2H, 2W), padded."""
+        """The image of the padded inputs, (1, 3, 2H8, 2W8); H8, W8 = H, W rounded up to multiples of 8."""
 
 
 def _channels_first(x: Array) -> Array:
@@ -112,15 +111,15 @@ def _channels_first(x: Array) -> Array:
 
 
 class PyTorch(Peer):
-    """PyTorch, in the memory format channels_last: on CPUs twice as fast as its default, and what tensor cores want.
+    """PyTorch, in the memory format channels_last: it is twice as fast as the default on CPUs, and the one that tensor cores take.
 
     Args:
-        setup: what for.
+        setup: weights, size and threads.
         tuned: see `TorchNetwork`.
-        cuda: on the first CUDA GPU; else on the CPU.
-        half: in half precision; else in float32, products of tensor cores in TF32 left out.
-        compiled: through ``torch.compile``.
-        layout: memory format; ``contiguous_format`` is what the authors' code runs in.
+        cuda: run on the first CUDA GPU; else on the CPU.
+        half: compute in half precision; else in float32, without the tensor cores' TF32.
+        compiled: use ``torch.compile``.
+        layout: memory format; the authors' code runs in ``contiguous_format``.
     """
 
     def __init__(
@@ -169,11 +168,11 @@ class PyTorch(Peer):
 
 
 class OnnxRuntime(Peer):
-    """ONNX Runtime; inputs and output stay where they are.
+    """ONNX Runtime; inputs and output stay on the device that computes.
 
     Args:
-        setup: what for.
-        provider: what runs the graph: ``CPU``, or on the first CUDA GPU ``CUDA`` or ``Tensorrt``.
+        setup: weights, size and threads.
+        provider: runs the graph: ``CPU``, or ``CUDA`` or ``Tensorrt`` on the first CUDA GPU.
     """
 
     def __init__(self, setup: Setup, *, provider: str = "CPU"):
@@ -183,7 +182,7 @@ class OnnxRuntime(Peer):
             raise InputError(f"ONNX Runtime has no {full}")
         options = runtime.SessionOptions()
         options.intra_op_num_threads = setup.threads
-        # Otherwise its threads spin on after a run, at the expense of the contender that comes next.
+        # Otherwise its threads spin on after a run, and slow the next contender.
         options.add_session_config_entry("session.force_spinning_stop", "1")
         self._session = runtime.InferenceSession(_model(setup), options, providers=[full])
         place = () if provider == "CPU" else ("cuda", 0)
@@ -213,11 +212,11 @@ class OnnxRuntime(Peer):
 
 
 class OpenVino(Peer):
-    """OpenVINO on the CPU, for the shortest time of one frame.
+    """OpenVINO on the CPU, set for the shortest time of one frame.
 
     Args:
-        setup: what for.
-        float32: hold it to float32; else it takes what it thinks best, bfloat16 where the CPU has it.
+        setup: weights, size and threads.
+        float32: compute in float32; else in the precision that OpenVINO chooses, bfloat16 if the CPU has it.
     """
 
     def __init__(self, setup: Setup, *, float32: bool):
@@ -238,7 +237,7 @@ class OpenVino(Peer):
         }
 
     def _bind(self, inputs: dict[str, Array]) -> None:
-        self._inputs = inputs  # shared with the engine, which doesn't own them
+        self._inputs = inputs  # the engine uses these arrays in place and does not own them, so we must
         for name, array in inputs.items():
             self._request.set_tensor(name, self._openvino.Tensor(array, shared_memory=True))
 
@@ -269,4 +268,4 @@ PEERS: dict[str, Callable[[Setup], Peer]] = {
     "onnxruntime-cuda": partial(OnnxRuntime, provider="CUDA"),
     "onnxruntime-tensorrt": partial(OnnxRuntime, provider="Tensorrt"),
 }
-"""Every peer, by the name that ``--peers`` takes."""
+"""All peers, by the name that ``--peers`` takes."""

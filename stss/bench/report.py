@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The benchmark's results as a table, as JSON, as a picture."""
+"""Report the benchmark's results as a table, as JSON and as a picture."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from stss.output.write_whole import write_figure, write_named
 from stss.version import VERSION
 
 FORMAT = 2
-"""Raised when a field of the JSON changes its meaning."""
+"""Version of the JSON; raised when a field changes its meaning."""
 PACKAGES = ("numpy", "pyopencl", "pocl-binary-distribution", "torch", "onnx", "onnxruntime", "openvino")
 
 
 def print_results(results: Sequence[SizeResult], console: Console) -> None:
-    """One table a size; below a contender its stages, where it measures them; below the table how noisy the run was."""
+    """Print a table for each size, with a contender's stages below it if it measures them, and how noisy the run was."""
     for result in results:
         console.print(_table(result))
         for row in result.rows:
@@ -37,7 +37,7 @@ def print_results(results: Sequence[SizeResult], console: Console) -> None:
 
 
 def _remarks(result: SizeResult) -> list[str]:
-    """In what each row computed; how noisy the run was."""
+    """Lines on the precision and threads of each row, and on how noisy the run was."""
     known = [(row.name, row.details.get("precision"), row.details.get("threads")) for row in result.rows if not row.fault]
     computed = [f"{name} {precision}" + (f" x {threads}" if threads else "") for name, precision, threads in known if precision]
     lines = [f"Precision x threads: {', '.join(computed)}."] if computed else []
@@ -78,12 +78,12 @@ def _times(result: SizeResult) -> tuple[float, ...]:
 
 
 def to_json(results: Sequence[SizeResult], weights: str, threads: int) -> str:
-    """Everything measured, and on what; no names of hosts, users or folders.
+    """All measurements, and the machine they were made on, as JSON; without names of hosts, users or folders.
 
     Args:
         results: of `bench`.
-        weights: their identity.
-        threads: that each contender on the CPU had.
+        weights: identity of the weights.
+        threads: number of threads of each contender on the CPU.
     """
     data = {
         "format": FORMAT,
@@ -140,7 +140,7 @@ def _row(result: SizeResult, row: Timing) -> dict[str, Any]:
 
 
 def plot(results: Sequence[SizeResult], path: Path) -> None:
-    """Draw a bar of the minimum for each contender and a line to the median, one panel a size; the suffix picks the format.
+    """Draw one panel for each size, with a bar to the minimum of each contender and a line to its median; the suffix picks the format.
 
     Raises:
         InputError: matplotlib is not installed, or the file can't be written.

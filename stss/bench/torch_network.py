@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The network in PyTorch's own functions, the yardstick of the benchmark. Independent of ``stss_ref`` but for the tensors' names."""
+"""The network in PyTorch's own functions, the yardstick of the benchmark. It shares only the tensors' names with ``stss_ref``."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ class TorchNetwork:
 
     Args:
         weights: the 92 tensors.
-        tuned: False: as the authors wrote it, each gate a convolution of its own and the ERM's window unfolded. True: a gate is one
-            channel more of its feature's convolution, the window 25 slices. The same numbers, and faster.
-        options: of ``torch.Tensor.to``, for the tensors: device, dtype. Weights (O, C, k, k) are ``channels_last``.
+        tuned: False: as the authors wrote it; each gate is a separate convolution, and the ERM's window is unfolded. True: a gate is
+            one more channel of its feature's convolution, and the window is 25 slices; this gives the same numbers, faster.
+        options: for the tensors, of ``torch.Tensor.to``: device, dtype. Weights (O, C, k, k) are ``channels_last``.
     """
 
     def __init__(self, weights: Weights, *, tuned: bool, **options: Any):
@@ -31,7 +31,7 @@ class TorchNetwork:
         self._tensors = {n: t.to(memory_format=layout, **options) if t.ndim == 4 else t.to(**options) for n, t in tensors.items()}
 
     def __call__(self, color: Any, gbuffer: Any, mask: Any, history: Any) -> Any:
-        """Image (1, 3, 2H, 2W) of color (1, 6, H, W), gbuffer (1, 9, H, W), mask (1, 1, H, W), history (3, 4, H, W)."""
+        """Compute the image (1, 3, 2H, 2W) from color (1, 6, H, W), gbuffer (1, 9, H, W), mask (1, 1, H, W), history (3, 4, H, W)."""
         f = self._f
         x = self._torch.cat([color, color * mask, gbuffer], 1)
         x1 = f.relu(self._gated(f.relu(self._gated(x, "conv1")), "conv2"))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""``stss badge``: a certificate as a small picture, or as what shields.io draws one from."""
+"""``stss badge``: draw a certificate as a small picture, or write the JSON from which shields.io draws one."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from stss.errors import InputError
 from stss.output.write_whole import write_named
 
 WIDE = 6.6
-"""Pixels of a letter at size 11, about; the picture says how long each text is, so that it fits in any font."""
+"""Approximate width of a letter at size 11, pixels; the picture states the length of each text, so that any font fits."""
 WHOLE, PART = ("#2f7d32", "green"), ("#7a6a00", "yellowgreen")
-"""Colour in the picture, and its name for shields.io: all stages, some."""
+"""Colour in the picture and its name for shields.io, for a certificate of all stages and of some."""
 _SVG = """<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="20" role="img" aria-label="{label}: {message}">
 <title>{label}: {message}</title>
 <clipPath id="r"><rect width="{width}" height="20" rx="3"/></clipPath>
@@ -33,14 +33,14 @@ def write_badge(certificate: Path, out: Path) -> str:
     """Make a badge of a certificate.
 
     Args:
-        certificate: a file of ``stss conform --certificate``.
-        out: ``.svg``: the picture; ``.json``: an endpoint for shields.io.
+        certificate: a file that ``stss conform --certificate`` wrote.
+        out: file to write: ``.svg`` for a picture, ``.json`` for an endpoint of shields.io.
 
     Returns:
-        What it says.
+        The text of the badge.
 
     Raises:
-        InputError: the certificate is none, or the badge of another kind.
+        InputError: ``certificate`` is no certificate, ``out`` has another suffix, or a file cannot be read or written.
     """
     if out.suffix not in (".svg", ".json"):
         raise InputError(f"{out}: expected a name that ends with .svg or .json")
@@ -55,7 +55,7 @@ def write_badge(certificate: Path, out: Path) -> str:
 
 
 def words(certificate: Mapping[str, Any]) -> tuple[str, str, bool]:
-    """Left side, right side, and whether all stages were judged."""
+    """The text of the left side, the text of the right side, and whether all stages were judged."""
     stages = certificate["stages"]
     whole = set(stages) == set(SUITE)
     count = "all stages" if whole else f"{len(stages)} of {len(SUITE)}" if len(stages) > 3 else ", ".join(stages)

@@ -23,33 +23,33 @@ from stss.errors import InputError
 from stss.output.write_whole import told
 
 FORMAT = 1
-"""Raised when a field of the index, or a file, changes its meaning."""
+"""Version of the archive; raised when a field of the index, or a file, changes its meaning."""
 INDEX, SUMS = "index.json", "SHA256SUMS"
 
 
 def write_cases(
     folder: Path, stages: Sequence[str], arithmetic: Arithmetic, tier: Tier, seed: int, tell: Callable[[str], None]
 ) -> dict[str, Any]:
-    """Write an archive: whole, or not there.
+    """Write an archive, whole or not at all.
 
     Args:
-        folder: of the archive; it is made.
-        stages: whose tests.
-        arithmetic: of the ports that it is for.
-        tier: how many cases.
+        folder: the archive; a new folder.
+        stages: the tests of these stages are stored.
+        arithmetic: of the ports that the archive is for.
+        tier: decides the number of cases.
         seed: of the cases.
         tell: called with a line for each test.
 
     Returns:
-        The index.
+        The index, as in ``index.json``.
 
     Raises:
-        InputError: the folder is there already, or cannot be written.
+        InputError: the folder exists already, or cannot be written.
     """
     if folder.exists() or folder.is_symlink():
-        raise InputError(f"--write-cases {folder}: expected a folder that is not there yet")
+        raise InputError(f"--write-cases {folder}: expected a folder that does not exist yet")
     if not folder.absolute().parent.is_dir():
-        raise InputError(f"--write-cases {folder}: expected a folder in a folder that is there")
+        raise InputError(f"--write-cases {folder}: expected a folder in a folder that exists")
     with told(folder):
         made = Path(tempfile.mkdtemp(prefix=".stss-", dir=folder.absolute().parent))
     try:
@@ -75,7 +75,7 @@ def write_cases(
 
 
 class _Archive:
-    """A folder that is filled test by test: a job that a program can be called with, and beside each ``in`` what is right."""
+    """An archive that is filled test by test: a job folder for a program, with the right answers beside each case's ``in``."""
 
     def __init__(self, folder: Path):
         self._folder = folder
@@ -86,7 +86,7 @@ class _Archive:
         self._weights: dict[str, Path] = {}
 
     def add(self, test: StoredTest) -> None:
-        """One more test."""
+        """Add a test and its cases."""
         before = len(self._cases)
         for stored in test.cases or ():
             self._add(test.id, stored)
@@ -135,7 +135,7 @@ class _Archive:
         return {"expected": [*files], "allowed": next(iter(allowed)), "vectors": right.vectors}
 
     def _keep_once(self, weights: Path, digest: str) -> None:
-        """The same weights are one file under many names."""
+        """Store the same weights once, as one file under many names."""
         if digest in self._weights:
             weights.unlink()
             link(self._weights[digest], weights)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A certificate: what a port was judged on, and how well it did, for others to read and to run again."""
+"""A certificate says what a port was judged on and how large its errors are; others can read it and run the judge again."""
 
 from __future__ import annotations
 
@@ -20,12 +20,17 @@ from stss.output.write_whole import write_named
 from stss_ref.regular_file import read_regular
 
 FORMAT = 1
-"""Raised when a field changes its meaning."""
+"""Version of the certificate; raised when a field changes its meaning."""
 MOST_BYTES = 1 << 20
 
 
 def refused(results: Sequence[TestResult], *, complete: bool) -> str:
-    """Why there is no certificate; empty if there is one."""
+    """Why a run gets no certificate; "" if it gets one.
+
+    Args:
+        results: of the tests of the run.
+        complete: whether the run came to its end.
+    """
     if not complete:
         return "the run was stopped"
     if known := sum(r.outcome == "known" for r in results):
@@ -36,11 +41,11 @@ def refused(results: Sequence[TestResult], *, complete: bool) -> str:
 
 
 def certificate(judge: Judge, results: Sequence[TestResult]) -> dict[str, Any]:
-    """Of a port that conforms. It holds neither time nor place, so the same run again gives the same bytes but for the errors.
+    """The certificate of a port that conforms. It has no time or place, so a second run gives the same bytes, except for errors.
 
     Args:
-        judge: that judged, ``certified``.
-        results: of all its tests; none failed.
+        judge: judged the port; made with ``certified``.
+        results: of all tests of the port; none failed.
     """
     judged = {
         stage: some
@@ -84,17 +89,21 @@ def _digest(lines: Sequence[str]) -> str:
 
 
 def write_certificate(path: Path, judge: Judge, results: Sequence[TestResult]) -> str:
-    """Write it; the digest of its cases."""
+    """Write the certificate; returns the digest of its cases.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
     made = certificate(judge, results)
     write_named(path, json.dumps(made, indent=1) + "\n")
     return made["cases_sha256"]
 
 
 def read_certificate(path: Path) -> dict[str, Any]:
-    """A certificate that somebody made.
+    """Read a certificate, which anybody may have made.
 
     Raises:
-        InputError: it cannot be read, or is none.
+        InputError: the file cannot be read, or is no certificate.
     """
     try:
         found = json.loads(read_regular(path, MOST_BYTES))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a port gets wrong is left as folders, from which it can be run again."""
+"""Write each failure of a port into a folder, and run it again from there."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ from stss.output.write_whole import make_folder, told, write_whole
 
 CASE = "0000"
 DRAWN = "property"
-"""Folder of the property's own case."""
+"""Folder with the values that the property drew."""
 
 
 def keep_failure(folder: Path, name: str, failure: Failure, replay: str) -> Path:
-    """Leave a failure as ``folder/name``: a job of one case, with what is right, a picture, and how to run it again.
+    """Write a failure to ``folder/name``: a job of one case, with the right answer, a picture, and the command that runs it again.
 
     Args:
         folder: for failures; made if need be.
-        name: ``stage.test``; what lies there of an earlier run is replaced.
-        failure: what is kept.
+        name: ``stage.test``; the folder of an earlier run is replaced.
+        failure: to write.
         replay: the command that runs it again, without the folder.
     """
     kept = folder / name
@@ -91,13 +91,13 @@ def _write_right(case: Path, output: str, got: NDArray[Any], expected: Expected)
 
 
 def replay(port: Port, folder: Path) -> Record:
-    """Run a kept failure again: its property on its case, or, in a job of one case that has no property, the case on its own.
+    """Run a failure again from its folder: its property on its case, or the case alone if the folder, a job of one case, has no property.
 
     Returns:
-        What was met: ``failure`` is None if all is right, and ``worst`` has error / bound of each output that is judged.
+        The cases and results: ``failure`` is None if all is right; ``worst`` has error / bound of each judged output.
 
     Raises:
-        InputError: the folder is none, or the port lacks the stage.
+        InputError: the folder is not that of one failure, or the port lacks the stage.
     """
     judge = Judge(port)
     try:
@@ -114,7 +114,7 @@ def replay(port: Port, folder: Path) -> Record:
     except (JobError, PortError) as error:
         raise InputError(str(error)) from error
     except (LookupError, ValueError, TypeError, AttributeError) as error:
-        # What was tampered with is no case of its property, and comes to grief anywhere.
+        # An edited folder may hold no case of its property, and then raises anything anywhere.
         raise InputError(f"{folder}: expected the folder of one failure: {error}") from error
     return judge.record
 
@@ -132,7 +132,7 @@ def _agrees(judge: Judge, case: Case) -> None:
 
 
 def _property(kept: Folder) -> tuple[Body, list[Any]] | None:
-    """The property, the cases before, and the failing one."""
+    """The property and its cases: those before the failing one, then that one; None: the folder has no property."""
     if kept.kind(DRAWN) is None:
         return None
     with kept.folder(DRAWN) as opened:

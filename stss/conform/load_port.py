@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The port that ``stss conform`` is told to judge: a Python object, or a program."""
+"""Load the port that ``stss conform`` judges: a Python object, or a program."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from stss.errors import InputError
 
 
 def load_port(spec: str | None, program: str | None, timeout: float, dtype: str | None, winograd: bool) -> Port:
-    """The port to be judged.
+    """Load the port to be judged.
 
     Args:
         spec: ``package.module:factory``, a callable without arguments; the current folder is searched first.
-        program: a command line; the job folder is added to it.
-        timeout: seconds for one start of a program.
-        dtype: its arithmetic; None: what it says of itself, float32 for a program.
-        winograd: whether it uses Winograd convolutions, over what it says of itself.
+        program: a command line; the job folder is appended to it.
+        timeout: most seconds that one run of a program may take.
+        dtype: arithmetic of the port; None: as the port's own ``dtype`` says, float32 for a program.
+        winograd: the port uses Winograd convolutions, even if its own ``winograd`` does not say so.
 
     Raises:
-        InputError: neither or both are given, or there is no such port.
+        InputError: not exactly one of ``spec`` and ``program`` is given, or there is no such port.
     """
     if (spec is None) == (program is None):
         raise InputError("expected either --port package.module:factory or --exec PROGRAM")

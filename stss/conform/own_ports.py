@@ -34,17 +34,17 @@ from stss_ref.weights import Weights
 
 CACHED_WEIGHTS = 16
 WITH_WEIGHTS = ("stss_cl.network.network", "stss_cl.frame")
-"""Modules with the stages that take weights: ``STAGES`` and ``run_stage(stage, inputs, weights, device)``."""
+"""Modules with the stages that take weights; each has ``STAGES`` and ``run_stage(stage, inputs, weights, device)``."""
 
 
 class ReferencePort:
-    """``stss_ref``, in the dtype of the inputs: a job's are float32."""
+    """The reference, ``stss_ref``. It computes in the dtype of the inputs, which is float32 in a job."""
 
     name = "ref"
     dtype = "float32"
 
     def stages(self) -> frozenset[str]:
-        """All of them."""
+        """All stages."""
         return frozenset(STAGES)
 
     def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
@@ -52,12 +52,12 @@ class ReferencePort:
         return reference(stage, inputs, weights)
 
     def layers(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
-        """What it computes on its way: ``conformance.protocol.layers``."""
+        """Activations of the network's layers in this stage, by name: see ``conformance.protocol.layers``."""
         return {} if weights is None else reference_layers(stage, inputs, weights)
 
 
 class OpenCLPort:
-    """``stss_cl`` on the device of ``$STSS_DEVICE`` or the best one there is.
+    """The OpenCL backend, ``stss_cl``, on the device of ``$STSS_DEVICE`` or on the best one.
 
     Args:
         precision: see ``stss_cl.network.network.PRECISIONS``.
@@ -73,19 +73,19 @@ class OpenCLPort:
 
     @property
     def winograd(self) -> bool:
-        """Whether its convolutions are Winograd's."""
+        """Whether it uses Winograd convolutions."""
         return (
             self._precision != "float32-direct"
             and import_module("stss_cl.device.tuning").tuning_for(self._device).winograd is not None
         )
 
     def stages(self) -> frozenset[str]:
-        """Those of the image space, and those of the network."""
+        """The stages of images, and those of the network."""
         modules = self._network if self._image is None else [self._image, *self._network]
         return frozenset(stage for module in modules for stage in module.STAGES)
 
     def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
-        """See ``conformance.protocol.port.Port``; the device is opened for the first case, and stays."""
+        """See ``conformance.protocol.port.Port``; the first case opens the device, which stays open."""
         device = self._device
         if self._image is not None and stage in self._image.STAGES:
             return self._image.ImageStages(device).run_stage(stage, inputs)
@@ -95,7 +95,7 @@ class OpenCLPort:
         raise InputError(f"backend cl: it has no stage {stage}")
 
     def layers(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
-        """What the network's layers give, of the stages that are parts of it."""
+        """Activations of the network's layers, by name, for stages that are parts of the network; else none."""
         module = import_module(WITH_WEIGHTS[0])
         return module.run_layers(stage, inputs, weights, self._device, self._precision) if stage in module.STAGES else {}
 
@@ -117,7 +117,7 @@ def cl_half() -> OpenCLPort:
 
 
 def _module(name: str) -> ModuleType | None:
-    """Imported only when asked for: it opens the OpenCL library. None where this version has no such module."""
+    """Import a module on its first use, since it opens the OpenCL library. None if this version has no such module."""
     try:
         return import_module(name)
     except ModuleNotFoundError as error:
@@ -129,27 +129,27 @@ def _module(name: str) -> ModuleType | None:
 
 
 PORTS = {"ref": ReferencePort, "cl": OpenCLPort}
-"""The names that ``run_job`` takes. Each is also a factory for ``module:factory``."""
+"""The backends by the names that ``run_job`` takes; each class is also a factory for ``module:factory``."""
 
 
 def run_job(job: Path, backend: str, *, dump: bool = False) -> None:
     """Compute every case of a job folder.
 
     Args:
-        job: the folder; outputs, or ``unsupported``, go into its cases.
-        backend: a name of ``PORTS``.
-        dump: leave what the network's layers give in folder ``layers`` of each case, whether that is there or not.
+        job: the job folder; outputs, or ``unsupported``, go into its cases.
+        backend: a name in ``PORTS``.
+        dump: write the activations of the network's layers to the folder ``layers`` of each case, and make that folder if need be.
 
     Raises:
-        InputError: the job is malformed or larger than the memory, the message names the file; or the backend or its device is
-            not there.
+        InputError: the job is malformed or needs more memory than there is, and the message names the file; or there is no such
+            backend or device.
     """
     if backend not in PORTS:
         raise InputError(f"backend: expected one of {', '.join(PORTS)}, got {backend!r}")
     port = PORTS[backend]()
     weights = _WeightsFiles()
     try:
-        # A job's numbers are anybody's: what they overflow to is the answer, and no warning.
+        # A job may have any numbers: if they overflow, that is the answer and needs no warning.
         with open_folder(job) as folder, np.errstate(all="ignore"):
             for name in case_names(folder):
                 with folder.folder(name) as case:
@@ -180,7 +180,7 @@ def _run_case(case: Folder, port: ReferencePort | OpenCLPort, weights: _WeightsF
 
 
 class _WeightsFiles:
-    """Weights files, each read once: a job has the same one in many cases, and a backend uploads what is the same object once."""
+    """Weights files, each read once: many cases of a job share one, and a backend uploads the same object only once."""
 
     def __init__(self):
         self._read: dict[str, Weights] = {}

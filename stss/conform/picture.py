@@ -15,28 +15,37 @@ from numpy.typing import NDArray
 from conformance.answers.expected import Expected
 
 DECADES = 3
-"""Of error / bound, below 1 and at least above it, that a picture tells apart."""
+"""Decades of error / bound that a picture shows below 1, and at least as many above."""
 SIDE, LEAST_WIDTH = 240, 60
-"""Pixels on the screen that the longer side of a picture's panel takes, about, and its width at least."""
+"""Approximate length of a panel's longer side, and least width of a panel; pixels on the screen."""
 MOST = 120
-"""Rows and columns of a frame that a panel shows."""
+"""Most rows and columns of a frame that a panel shows."""
 GAP, PAPER = 8, 33
-"""Pixels between panels; their grey, of 255."""
+"""Width of the space between panels, pixels; its grey level, 0 to 255."""
 
 
 @dataclass(frozen=True)
 class Picture:
-    """``pixels`` (H', W', 3), and in words what they show from left to right."""
+    """A picture.
+
+    Attributes:
+        pixels: (H', W', 3) uint8.
+        words: what the panels show, from left to right.
+    """
 
     pixels: NDArray[np.uint8]
     words: str
 
 
 def draw(got: NDArray[Any], expected: Expected) -> Picture | None:
-    """What the port gave, what is right, and error / bound, side by side; of a large frame the part around its worst pixel.
+    """Draw the port's answer, the right answer, and error / bound side by side; of a large frame, the part around its worst pixel.
+
+    Args:
+        got: the port's answer.
+        expected: the right answer and its bound.
 
     Returns:
-        None where the output is no image, or has another shape than is right.
+        The picture; None if the output is no image, or has the wrong shape.
     """
     want = np.asarray(expected.want, np.float64)
     if got.shape != want.shape or want.ndim not in (2, 3) or not want.size:
@@ -69,13 +78,13 @@ def draw(got: NDArray[Any], expected: Expected) -> Picture | None:
 
 
 def _window(length: int, worst: int) -> slice:
-    """Of a large frame what lies around its worst pixel."""
+    """The part of an axis that a panel shows: all of a short one, else the part around the worst pixel."""
     start = min(max(worst - MOST // 2, 0), max(length - MOST, 0))
     return slice(start, min(start + MOST, length))
 
 
 def png(pixels: NDArray[np.uint8]) -> bytes:
-    """The bytes of a PNG file of (H, W, 3) pixels: one chunk of rows without filters, as W3C's PNG 2nd edition, 11.2, has it."""
+    """The bytes of a PNG file of (H, W, 3) pixels, with unfiltered rows in one chunk (W3C, PNG, 2nd edition, 11.2)."""
     height, width, _ = pixels.shape
     rows = np.concatenate([np.zeros((height, 1), np.uint8), pixels.reshape(height, -1)], axis=1)
     header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)

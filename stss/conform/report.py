@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What ``stss conform`` found, as a table, as JSON, as a page."""
+"""Report what ``stss conform`` found, as a table, as JSON and as a page."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from stss.output.write_whole import write_named
 from stss.version import VERSION
 
 FORMAT = 1
-"""Raised when a field of the JSON changes its meaning."""
+"""Version of the JSON; raised when a field changes its meaning."""
 OUTPUT_STAGE = {SEQUENCE: "frame"}
-"""Whose outputs the tests of something else judge."""
+"""Tests that are of no stage -> the stage whose outputs they judge."""
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2em auto; max-width: 60em; padding: 0 1em; color: #222; background: #fff }
 p { overflow-wrap: anywhere }
@@ -39,7 +39,7 @@ img { max-width: 100%; image-rendering: pixelated }
 
 
 def print_results(results: Sequence[TestResult], console: Console) -> None:
-    """A line for each stage, then what failed as it was known to."""
+    """Print a line for each stage, then the known failures."""
     table = Table(box=box.SIMPLE_HEAD, padding=0)
     for name, justify in (
         ("stage", "left"),
@@ -74,7 +74,7 @@ def _outputs(stage: str) -> list[str]:
 
 
 def by_stage(results: Sequence[TestResult]) -> dict[str, list[TestResult]]:
-    """In the order of the run."""
+    """Stage -> its results, in the order of the run."""
     grouped: dict[str, list[TestResult]] = {}
     for result in results:
         grouped.setdefault(result.stage, []).append(result)
@@ -82,7 +82,7 @@ def by_stage(results: Sequence[TestResult]) -> dict[str, list[TestResult]]:
 
 
 def worst_of(results: Sequence[TestResult]) -> dict[str, float]:
-    """Largest error / bound of each output."""
+    """``stage.output`` -> its largest error / bound."""
     worst: dict[str, float] = {}
     for result in results:
         for name, ratio in result.record.worst.items():
@@ -93,13 +93,13 @@ def worst_of(results: Sequence[TestResult]) -> dict[str, float]:
 def to_json(
     judge: Judge, results: Sequence[TestResult], folders: dict[str, Path], total: int, complete: bool = True
 ) -> dict[str, Any]:
-    """Everything, for another program; a wrong mask's ratio, which is infinite, is null.
+    """All results, for another program. The ratio of a wrong mask, which is infinite, is null.
 
     Args:
-        judge: that judged.
-        results: so far.
+        judge: judged the port.
+        results: of the tests so far.
         folders: of failures, by the id of the test.
-        total: how many tests there are.
+        total: number of tests in the run.
         complete: whether the run came to its end.
     """
     return {
@@ -134,17 +134,31 @@ def to_json(
 
 
 def passed(results: Sequence[TestResult]) -> bool:
-    """Whether something was judged, and nothing failed but what is known to."""
+    """Whether something was judged, and nothing failed except known failures."""
     return all(r.outcome in ("passed", "skipped", "known") for r in results)
 
 
 def write_json(path: Path, found: dict[str, Any]) -> None:
-    """Write `to_json`'s object."""
+    """Write the object that `to_json` returns.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
     write_named(path, json.dumps(found, indent=1) + "\n")
 
 
 def write_page(path: Path, judge: Judge, results: Sequence[TestResult], folders: dict[str, Path]) -> None:
-    """One HTML file that needs no other."""
+    """Write a single HTML file, which has its pictures inside.
+
+    Args:
+        path: to write.
+        judge: judged the port.
+        results: of the tests.
+        folders: of failures, by the id of the test.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
     arithmetic = judge.arithmetic.dtype + (", Winograd" if judge.arithmetic.winograd else "")
     counted = tallied([r.record for r in results])
     verdict = "passes" if passed(results) else "departs from the specification"
@@ -164,7 +178,7 @@ def write_page(path: Path, judge: Judge, results: Sequence[TestResult], folders:
 
 
 def _stage_row(stage: str, some: Sequence[TestResult]) -> str:
-    """A row for each output: how far it was off at most, or that nothing was held against it."""
+    """A row for each output: its largest error / bound, or that it was not judged."""
     met = worst_of(some)
     ratios = {name.split(".")[-1]: _number(ratio) for name, ratio in met.items()}
     lacking = "not judged: the port lacks the stage" if all(r.outcome == "skipped" for r in some) else "not judged"

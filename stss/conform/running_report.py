@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What ``stss conform`` leaves while it runs: each failure is told and kept when it occurs, and the JSON is whole at any moment."""
+"""Report while ``stss conform`` runs: each failure is printed and stored when it occurs, and the JSON is whole at any moment."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from stss.terminal import Terminal, echo
 
 
 class RunningReport:
-    """Takes the results one by one.
+    """Takes the results of a run one by one; a context, in which the progress is shown.
 
     Args:
-        judge: that judges.
-        failures: folder for what fails.
-        again: the command that runs a failure again, but for its folder.
-        json_file: for every result; None: none.
+        judge: judges the port.
+        failures: folder for failures.
+        again: the command that runs a failure again, without its folder.
+        json_file: for all results; None: write none.
 
     Attributes:
-        results: so far.
-        folders: of what failed, by the id of the test.
+        results: of the tests so far.
+        folders: of failures, by the id of the test.
     """
 
     def __init__(self, judge: Judge, failures: Path, again: str, json_file: Path | None = None):
@@ -44,7 +44,7 @@ class RunningReport:
         self._status.stop()
 
     def take(self, result: TestResult, total: int) -> None:
-        """One more, of so many."""
+        """Take the next result; ``total`` is the number of tests in the run."""
         self.results.append(result)
         self._total = total
         done = f"{len(self.results)} of {total} tests"
@@ -59,7 +59,14 @@ class RunningReport:
         self.write()
 
     def finish(self, page: Path | None) -> bool:
-        """All there is to tell, if the run came to its end or not; whether the port passes."""
+        """Print and write the whole report, even of a run that was stopped.
+
+        Args:
+            page: HTML file to write; None: none.
+
+        Returns:
+            Whether the port passes.
+        """
         complete = self._complete()
         self.write(complete=complete)
         print_results(self.results, Terminal())
@@ -70,7 +77,7 @@ class RunningReport:
         return complete and passed(self.results)
 
     def certify(self, path: Path) -> bool:
-        """Write the certificate, or say why there is none."""
+        """Write the certificate, or print why there is none; returns whether there is one."""
         if why := refused(self.results, complete=self._complete()):
             echo(f"no certificate: {why}")
             return False
@@ -81,6 +88,6 @@ class RunningReport:
         return len(self.results) >= self._total > 0
 
     def write(self, *, complete: bool = False) -> None:
-        """The JSON of what there is."""
+        """Write the JSON of the results so far; ``complete``: the run came to its end."""
         if self._json is not None:
             write_json(self._json, to_json(self._judge, self.results, self.folders, self._total, complete))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the cases of a run depend on besides its options."""
+"""Versions that the cases of a run depend on, besides its options."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stss.version import VERSION
 
 
 def versions_of_cases() -> dict[str, str | int]:
-    """Of stss, the specification, Python, and the packages that draw: with others, the same seed gives other cases."""
+    """Versions of stss, the specification, Python, and the packages that draw cases: with others, the same seed gives other cases."""
     return {
         "stss": VERSION, "specification": stss_ref.SPEC_VERSION, "python": platform.python_version(), **versions(("numpy", "hypothesis")),
     }  # fmt: skip

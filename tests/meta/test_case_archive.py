@@ -173,6 +173,6 @@ def test_mistakes_are_said(tmp_path, arguments, words):
 
 
 def test_no_folder_is_written_over(tmp_path):
-    for place, words in ((tmp_path, "not there yet"), (tmp_path / "nowhere" / "cases", "in a folder that is there")):
+    for place, words in ((tmp_path, "does not exist yet"), (tmp_path / "nowhere" / "cases", "in a folder that exists")):
         with pytest.raises(InputError, match=words):
             written(place, ["rrm"])
