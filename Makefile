@@ -3,13 +3,13 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test check bench mutants alarms misses fuzz gpu gpu-class offline portability judge-wheel clean
+.PHONY: demo test check bench mutants alarms misses fuzz gpu offline portability judge-wheel clean
 
 demo: $(VENV)/.base
 	$(BIN)/stss demo demo --overwrite
 
 test: $(VENV)/.test
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -n 2 --dist worksteal --no-loadscope-reorder
 
 check: $(VENV)/.check
 	$(BIN)/ruff check .
@@ -32,10 +32,6 @@ misses: $(VENV)/.test
 MINUTES ?= 4
 fuzz: $(VENV)/.test
 	$(BIN)/python -m tests.fuzz --minutes $(MINUTES) $(if $(SEED),--seed $(SEED))
-
-# The backend's tests with the host code, work-groups and tuning row of GPUs, on whatever device there is.
-gpu-class: $(VENV)/.test
-	STSS_DEVICE_CLASS=gpu $(BIN)/python -m pytest tests/cl -n 2 --dist loadfile --no-loadscope-reorder
 
 # What there is to know of the first GPU that meets this: one folder, 25 minutes at most, no network once installed.
 gpu: $(VENV)/.test

@@ -11,7 +11,6 @@ from conformance.tolerance import ratio
 from stss.frames.backends import ReferenceBackend
 from stss.frames.display_frame import window_at
 from stss.frames.supersample import plan
-from stss_cl.device.discovery import CLASSES, open_device
 from stss_cl.network.network import PRECISIONS
 from stss_cl.skip.stream import SKIPS, Stream
 from stss_ref.motion_chain import GATHERS
@@ -19,13 +18,6 @@ from tests.cl.test_stream import WEIGHTS, assert_same, first_frame, next_frame
 
 SIZE = 19, 45  # rows of eight pixels and the rest of one; whole tiles and cut ones
 CHANGES = (*6 * ["nothing"], "moving", "moving", "pixel", "moving", "nothing", "moving", "rectangle", "moving")
-
-
-@pytest.fixture(scope="module", params=CLASSES)
-def device(request):
-    """The device treated as of either class: its host code, work-groups and row of tunings."""
-    yield open_device(device_class=request.param)
-    whole.cache_clear()
 
 
 @cache

@@ -5,13 +5,11 @@ import pytest
 from conformance.judge import Judge, Tier
 from conformance.run_suite import run_suite
 from stss.conform.own_ports import OpenCLPort
-from stss_cl.device.discovery import CLASSES
 
 
 @pytest.mark.parametrize("precision", ["float32", "float32-direct", "half"])
-@pytest.mark.parametrize("device_class", CLASSES)
-def test_conforms(device, device_class, precision, monkeypatch):
-    monkeypatch.setenv("STSS_DEVICE_CLASS", device_class)
+def test_conforms(device, precision, monkeypatch):
+    monkeypatch.setenv("STSS_DEVICE_CLASS", device.device_class)
     results = run_suite(Judge(OpenCLPort(precision), Tier("some", 4, 1)))
     assert len(results) > 50
     assert not [f"{result.id}: {result.message}" for result in results if result.outcome != "passed"]
