@@ -176,9 +176,9 @@ def test_the_image_is_that_of_computing_everything(device, precision, size, chan
 )
 @settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(size=sizes(72), changes=CHANGES)
-def test_other_tile_sizes(device, tuning, size, changes):
+def test_other_tile_sizes(processor, tuning, size, changes):
     with trial(tuning):
-        sequence = Sequence(device, size)
+        sequence = Sequence(processor, size)
         inputs = first = noise(np.random.default_rng(0), size)
         sequence.first(inputs)
         for kind, seed in changes:
@@ -205,7 +205,7 @@ def test_where_nothing_is_marked_nothing_is_written(device, precision):
 
 @pytest.mark.parametrize("tall", [False, True])
 @pytest.mark.parametrize("precision", PRECISIONS)
-@few
+@settings(few, max_examples=6)
 @given(across=st.integers(0, 15), along=st.integers(0, 799), seed=SEEDS)
 def test_far_from_a_change_nothing_is_written(device, precision, tall, across, along, seed):
     """No further than the strips' overlap, and everything that did change is."""
@@ -231,9 +231,9 @@ _far = {}
 
 def far(device, precision, tall=False):
     """A frame so long that no change reaches from one end to the other; made once for a precision."""
-    if (precision, tall) not in _far:
-        _far[precision, tall] = Sequence(device, (800, 16) if tall else (16, 800), precision)
-    return _far[precision, tall]
+    if (device, precision, tall) not in _far:
+        _far[device, precision, tall] = Sequence(device, (800, 16) if tall else (16, 800), precision)
+    return _far[device, precision, tall]
 
 
 @pytest.mark.parametrize("which", range(3))

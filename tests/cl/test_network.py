@@ -263,11 +263,11 @@ def test_the_image_is_the_references(net, size, seed, share):
 
 
 @pytest.mark.parametrize("vector", VECTORS)
-def test_the_image_with_vectors_of_either_width(device, vector):
+def test_the_image_with_vectors_of_either_width(processor, vector):
     """From half storage: the stores and the image's own layer, too, know both."""
     inputs = network_inputs((29, 43), 3)
     with trial(VECTORS[vector]):
-        image = Network(random_weights(5), device, "half")(*inputs)
+        image = Network(random_weights(5), processor, "half")(*inputs)
     want = network(*(x.astype(np.float64) for x in inputs), random_weights(5))
     assert ratio("network.cl.half", image, want) <= 1
 

@@ -289,6 +289,7 @@ def test_the_command_on_a_device(device, monkeypatch):
 
 
 def test_a_wrong_row_is_replaced(device, monkeypatch):
+    monkeypatch.setenv("STSS_DEVICE_CLASS", device.device_class)  # the command opens the device by itself
     path = kept_path(device)
     path.write_text("nonsense")
     timed(monkeypatch, lambda sizes, _: 1.0)
