@@ -7,11 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import pyopencl as cl
 import pyopencl.array as cla
 from numpy.typing import NDArray
 
-from stss_cl.device.buffers import Outgoing, on_device
+from stss_cl.device.buffers import Outgoing, mask_of, on_device
 from stss_cl.device.discovery import Device
 from stss_cl.image_space.frame_planes import Source, Sources
 from stss_cl.image_space.prepare import Prepare
@@ -92,7 +91,8 @@ class Frame:
             tops=[strip.top for strip in layers.strips],
             **{name: self._source(name, array, shape) for name, (array, shape) in given.items()},
         )
-        made, valid = self._finish(prepare, layers, on_device=stays)
+        made = self._finish(prepare, layers, on_device=stays)
+        valid = mask_of(self.device, prepare.mask, (height, width), on_device=False)
         name = prepare.not_finite()
         if name is not None:
             array = given[name][0]
@@ -103,12 +103,16 @@ class Frame:
         """Build in advance what ``compute`` needs for planes of (height, width)."""
         self._preparation(self.network.layers(*size))
 
-    def compute(self, sources: Sources, size: tuple[int, int]) -> tuple[Any, NDArray[np.bool_]]:
-        """Do the same for planes of (height, width) that are on the device and known to be finite."""
+    def compute(self, sources: Sources, size: tuple[int, int], *, on_device: bool = False) -> tuple[Any, Any]:
+        """Do the same for planes of (height, width) that are on the device and known to be finite.
+
+        With ``on_device`` both results are a ``pyopencl.array``, ``valid`` as uint8.
+        """
         layers = self.network.layers(*size)
         prepare = self._preparation(layers)
         prepare.start(sources, tops=[strip.top for strip in layers.strips])
-        return self._finish(prepare, layers, on_device=False)
+        image = self._finish(prepare, layers, on_device=on_device)
+        return image, mask_of(self.device, prepare.mask, size, on_device=on_device)
 
     def _source(self, name: str, array: Given, shape: tuple[int | None, ...]) -> Source:
         if not isinstance(array, cla.Array):
@@ -121,16 +125,14 @@ class Frame:
             self._prepare = Prepare(self.device, *layers.size, self._gather, inputs=layers.inputs)
         return self._prepare
 
-    def _finish(self, prepare: Prepare, layers: Layers, *, on_device: bool) -> tuple[Any, NDArray[np.bool_]]:
+    def _finish(self, prepare: Prepare, layers: Layers, *, on_device: bool) -> Any:
         height, width = layers.size
         image = Outgoing(self.device, (2 * height, 2 * width, 3), on_device=on_device)
         for strip in layers.strips:
             prepare.strip(strip.top)
             layers.place(strip)
             layers.run(image.data)
-        valid = np.empty((height, width), np.uint8)
-        cl.enqueue_copy(self.device.queue, valid, prepare.mask)
-        return image.finish(), valid.view(np.bool_)
+        return image.finish()
 
     def timings(self) -> dict[str, float]:
         """Seconds of the network's stages, as ``Network.timings``."""

@@ -13,6 +13,7 @@ import pyopencl.array as cla
 from numpy.typing import NDArray
 
 from stss_cl.device.discovery import Device
+from stss_cl.device.staging import staging
 from stss_ref.arrays import Array, ArrayError, require_dtype
 
 FLAGS = cl.mem_flags
@@ -206,14 +207,22 @@ def constant(device: Device, array: NDArray[Any]) -> cl.Buffer:
 def on_device(device: Device, name: str, array: cla.Array) -> cl.Buffer:
     """The buffer of an array that is already on the device, or the part of a buffer that the array covers.
 
+    What the array's own events wait for is waited for on the device.
+
     Raises:
-        ArrayError: it is not float32, or not C-contiguous.
+        ArrayError: it is not float32, not C-contiguous, of another context, or larger than its buffer.
     """
     require_dtype(name, array, np.dtype(np.float32))
     if not array.flags.c_contiguous:
         raise ArrayError(f"{name}: expected a C-contiguous array, got strides {array.strides}")
-    assert isinstance(array.base_data, cl.Buffer)
-    return part(device, array.base_data, array.offset, array.nbytes) if array.offset else array.base_data
+    buffer: Any = array.base_data
+    if buffer.get_info(cl.mem_info.CONTEXT) != device.context:
+        raise ArrayError(f"{name}: expected an array in the device's context, got one of another")
+    if array.offset + array.nbytes > buffer.size:
+        raise ArrayError(f"{name}: expected a buffer of at least {array.offset + array.nbytes} bytes, got {buffer.size}")
+    if array.events:
+        cl.enqueue_barrier(device.queue, wait_for=array.events)
+    return part(device, buffer, array.offset, array.nbytes) if array.offset else buffer
 
 
 def part(device: Device, buffer: cl.Buffer, first: int, size: int) -> cl.Buffer:
@@ -226,10 +235,23 @@ def part(device: Device, buffer: cl.Buffer, first: int, size: int) -> cl.Buffer:
 
 
 def incoming(device: Device, array: Array) -> cl.Buffer:
-    """The caller's array as a buffer: in place on a CPU if its alignment allows that, else a copy."""
-    in_place = device.is_cpu and array.flags.c_contiguous and array.ctypes.data % ALIGNMENT == 0
+    """The caller's array as a buffer: in place on a CPU if its alignment allows that, else a copy, for which nobody waits."""
+    if not device.is_cpu:
+        return staging(device).upload(np.ascontiguousarray(array))
+    in_place = array.flags.c_contiguous and array.ctypes.data % ALIGNMENT == 0
     how = FLAGS.USE_HOST_PTR if in_place else FLAGS.COPY_HOST_PTR
     return cl.Buffer(device.context, FLAGS.READ_ONLY | how, hostbuf=np.ascontiguousarray(array))
+
+
+def mask_of(device: Device, mask: cl.Buffer, size: tuple[int, int], *, on_device: bool) -> Any:
+    """A copy of a mask (H, W) uint8: a NumPy array of bool, for which the queue is waited for, or a ``pyopencl.array`` of uint8."""
+    if on_device:
+        made = cla.empty(device.queue, size, np.uint8, allocator=device.pool)
+        cl.enqueue_copy(device.queue, made.base_data, mask, byte_count=made.nbytes)
+        return made
+    valid = np.empty(size, np.uint8)
+    cl.enqueue_copy(device.queue, valid, mask)
+    return valid.view(np.bool_)
 
 
 class Outgoing:
@@ -240,11 +262,12 @@ class Outgoing:
         if on_device:
             self.array: Any = cla.empty(device.queue, shape, np.float32, allocator=device.pool)
             self.data = self.array.base_data
-        else:
+        elif device.is_cpu:
             self.array = np.empty(shape, np.float32)
-            how = (FLAGS.USE_HOST_PTR, self.array) if device.is_cpu else (FLAGS.ALLOC_HOST_PTR, None)
-            size = 0 if device.is_cpu else self.array.nbytes
-            self.data = cl.Buffer(device.context, FLAGS.READ_WRITE | how[0], size, hostbuf=how[1])
+            self.data = cl.Buffer(device.context, FLAGS.READ_WRITE | FLAGS.USE_HOST_PTR, hostbuf=self.array)
+        else:
+            self.array = staging(device).array(shape)
+            self.data = device.pool.allocate(self.array.nbytes)
 
     def finish(self) -> Any:
         """The complete array. Waits for the queue, unless the array is on the device."""

@@ -46,6 +46,10 @@ class Arrival(Protocol):
         """
         ...
 
+    def not_finite(self) -> str | None:
+        """Name of a plane that was not finite in a frame for which ``look`` did not wait; waits now."""
+        ...
+
 
 class ArrivalOnProcessor:
     """A few work-items, each with many tiles; see ``Arrival``."""
@@ -82,6 +86,10 @@ class ArrivalOnProcessor:
         self._launch("differ_color", color, color_before, self._map)
         return None, changed, self._read_map()
 
+    def not_finite(self) -> str | None:
+        """See ``Arrival``: ``look`` waits always."""
+        return None
+
     def _launch(self, name: str, *arguments: cl.Buffer) -> None:
         size = ceil_div(self._shape[1], SPAN), self._shape[0]
         # A group that does not follow the size, see stss_cl.device.grid.grid; one work-item does much.
@@ -97,7 +105,7 @@ class ArrivalOnProcessor:
 
 
 class ArrivalOnGpu:
-    """One launch, and one small read for all that it found; see ``Arrival``."""
+    """One launch; where frames are compared, one small read for all that it found; else nobody waits. See ``Arrival``."""
 
     def __init__(self, device: Device, height: int, width: int):
         self._device, self._size, self._shape = device, (height, width), (ceil_div(height, 4), ceil_div(width, 4))
@@ -105,7 +113,7 @@ class ArrivalOnGpu:
         self._tiles, align = self._shape[0] * self._shape[1], max(int(device.handle.mem_base_addr_align) // 8, 16)
         self._step = ceil_div(self._tiles, align) * align
         self._found = zeroed(device, align + 2 * self._step)  # bad, changed, recolored
-        self._first = align
+        self._first, self._unread = align, False
         self._parts = [
             self._found.get_sub_region(first, size)
             for first, size in ((0, 16), (align, self._tiles), (align + self._step, self._tiles))
@@ -120,14 +128,29 @@ class ArrivalOnGpu:
         numbers = *self._size, color is not None, compares, recolors
         size = ITEMS * ceil_div(self._shape[1], ACROSS), self._shape[0]
         self._kernel(self._device.queue, size, (ITEMS, 1), *arguments, *self._parts, *map(np.int32, numbers))
+        self._unread = not compares and not recolors
+        if self._unread:
+            return None, None, None
         found = np.empty(self._found.size, np.uint8)
         cl.enqueue_copy(self._device.queue, found, self._found)
-        bad = found[:16].view(np.int32)
-        if bad.any():
-            cl.enqueue_fill_buffer(self._device.queue, self._found, np.zeros(1, np.int32), 0, bad.nbytes)
-            return FINITE[int(bad.argmax())], None, None
+        if bad := self._named(found[:16].view(np.int32)):
+            return bad, None, None
         changed, recolored = (self._map(found, i) for i in range(2))
         return None, changed if compares else None, recolored if recolors else None
+
+    def not_finite(self) -> str | None:
+        """See ``Arrival``."""
+        if not self._unread:
+            return None
+        bad, self._unread = np.empty(len(FINITE), np.int32), False
+        cl.enqueue_copy(self._device.queue, bad, self._parts[0])
+        return self._named(bad)
+
+    def _named(self, bad: NDArray[np.int32]) -> str | None:
+        if not bad.any():
+            return None
+        cl.enqueue_fill_buffer(self._device.queue, self._found, np.zeros(1, np.int32), 0, bad.nbytes)
+        return FINITE[int(bad.argmax())]
 
     def _map(self, found: NDArray[np.uint8], which: int) -> Tiles:
         first = self._first + which * self._step

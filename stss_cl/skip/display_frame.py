@@ -5,11 +5,16 @@ from __future__ import annotations
 
 from typing import Protocol
 
+import pyopencl.array as cla
+
 from stss_ref.arrays import Array
+
+Given = Array | cla.Array
+"""A NumPy array, or one on the device: ``pyopencl.array.Array(queue, shape, np.float32, data=buffer)`` wraps an engine's buffer."""
 
 
 class DisplayFrame(Protocol):
-    """The arrays of a display frame (spec 0), float32. None of them may change while the frame is in the window of a call.
+    """The arrays of a display frame (spec 0), float32, on the host or on the device. None may change while it is in a call's window.
 
     Attributes:
         color: (H, W, 3) display-referred, in [0, 1]; None where the frame was not rendered.
@@ -21,14 +26,14 @@ class DisplayFrame(Protocol):
     """
 
     @property
-    def color(self) -> Array | None: ...  # noqa: D102
+    def color(self) -> Given | None: ...  # noqa: D102
     @property
-    def motion(self) -> Array: ...  # noqa: D102
+    def motion(self) -> Given: ...  # noqa: D102
     @property
-    def gbuffer(self) -> Array: ...  # noqa: D102
+    def gbuffer(self) -> Given: ...  # noqa: D102
     @property
-    def nov(self) -> Array: ...  # noqa: D102
+    def nov(self) -> Given: ...  # noqa: D102
     @property
-    def stencil(self) -> Array: ...  # noqa: D102
+    def stencil(self) -> Given: ...  # noqa: D102
     @property
-    def position(self) -> Array: ...  # noqa: D102
+    def position(self) -> Given: ...  # noqa: D102

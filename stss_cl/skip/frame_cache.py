@@ -11,6 +11,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from stss_cl.device.discovery import Device
+from stss_cl.device.staging import staging
 from stss_cl.image_space.frame_planes import Sources
 from stss_cl.image_space.prepare import Prepare
 from stss_cl.image_space.stages import Gather
@@ -45,13 +46,13 @@ class Report:
 
 @dataclass(frozen=True)
 class Last:
-    """The last frame of a kind: its number, the numbers of the oldest frame and of the colours that it read, and its ``valid``."""
+    """The last frame of a kind: its number, the numbers of the oldest frame and of the colours that it read, and ``valid`` or None."""
 
     number: int
     oldest: int
     steps: tuple[int, ...]
     colors: tuple[int, ...]
-    valid: NDArray[np.bool_]
+    valid: NDArray[np.bool_] | None
 
 
 class FrameCache:
@@ -82,8 +83,8 @@ class FrameCache:
         self.prepare.strip()
         return 1.0 if self._is_first or not plan.looking else self._changed()
 
-    def execute(self, plan: Plan) -> tuple[float | None, NDArray[np.bool_]]:
-        """Run the network; returns the departure if the frame is checked, else None, and ``valid``."""
+    def execute(self, plan: Plan) -> float | None:
+        """Run the network; returns the departure if the frame is checked, else None."""
         departure = None
         if plan.network == "changed":
             self.network.run_changed(self.image.target(whole=False))
@@ -93,10 +94,7 @@ class FrameCache:
             if plan.check:
                 departure = self._flat_tiles().departure(target)
             self.network.expect_changes()
-        valid = np.empty(self.layers.size, np.uint8)
-        cl.enqueue_copy(self._device.queue, valid, self.prepare.mask)
-        valid.flags.writeable = False
-        return departure, valid.view(np.bool_)
+        return departure
 
     def activity(self) -> NDArray[np.float32]:
         """The share of the network that ran for each tile of the last frame: 1, or less in flat tiles, which need no decoder."""
@@ -113,7 +111,10 @@ class FrameCache:
     def _mark(self, dirty: Tiles | None) -> None:
         """Mark where the inputs are to be computed: where they are ``dirty``, or everywhere for None."""
         tiles = _spread(dirty, (self.prepare.rows, self.prepare.columns))
-        cl.enqueue_copy(self._device.queue, self.prepare.dirty, tiles, is_blocking=True)
+        if self._device.is_cpu:
+            cl.enqueue_copy(self._device.queue, self.prepare.dirty, tiles, is_blocking=True)
+        else:
+            staging(self._device).write(self.prepare.dirty, tiles)
 
     def _changed(self) -> float:
         """The share of tiles whose inputs differ from the last ones; waits for them."""

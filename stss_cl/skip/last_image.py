@@ -7,6 +7,7 @@ import weakref
 
 import numpy as np
 import pyopencl as cl
+import pyopencl.array as cla
 from numpy.typing import NDArray
 
 from stss_cl.device.buffers import Outgoing
@@ -40,6 +41,11 @@ class LastImage:
             lent = np.asarray(memoryview(array).toreadonly())
             self._loan = weakref.ref(lent)
         return lent.view()
+
+    def copy_to(self, array: cla.Array) -> None:
+        """Enqueue a copy of the image to an array on the device."""
+        assert self._image is not None, "no image was made yet"
+        cl.enqueue_copy(self._device.queue, array.base_data, self._image.data, byte_count=array.nbytes, dst_offset=array.offset)
 
     def target(self, *, whole: bool) -> cl.Buffer:
         """The buffer for the next image: the last one, or a new one if a caller holds the last; then with its content unless ``whole``."""

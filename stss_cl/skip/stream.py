@@ -5,11 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+import pyopencl as cl
+import pyopencl.array as cla
 from numpy.typing import NDArray
 
+from stss_cl.device.buffers import mask_of, on_device
 from stss_cl.device.discovery import Device, open_device
 from stss_cl.device.grid import ceil8
 from stss_cl.frame import Frame
@@ -73,8 +76,8 @@ class Stream:
         self._latest: FrameCache | None = None
 
     def __call__(
-        self, window: Sequence[DisplayFrame], steps: Sequence[int], out: NDArray[np.float32] | None = None
-    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        self, window: Sequence[DisplayFrame], steps: Sequence[int], out: NDArray[np.float32] | cla.Array | None = None
+    ) -> tuple[Any, Any]:
         """Compute the last frame of ``window``.
 
         With ``off`` and ``exact`` only the time of a call depends on earlier calls. A frame is recognised in the next window if it is
@@ -86,29 +89,48 @@ class Stream:
         Args:
             window: consecutive display frames of one size, oldest first.
             steps: how many frames back the three colour frames lie, newest first; ``window`` holds them.
-            out: (2H, 2W, 3) float32, C-contiguous: gets a copy of the image; None: the stream returns its own array.
+            out: (2H, 2W, 3) float32, C-contiguous: gets a copy of the image; None: the stream returns its own array, on the device if
+                the last frame's G-buffer is there.
 
         Returns:
             image: (2H, 2W, 3) float32, not clipped: ``out``, or the stream's array, which is read-only if frames are kept. It never
                 changes as long as the caller holds it or a view of it.
-            valid: (H, W) False in the warping holes of the newest colour frame; likewise.
+            valid: (H, W) False in the warping holes of the newest colour frame; likewise. On the device uint8.
 
         Raises:
             ArrayError: shapes, dtypes or steps are not a frame's, ``out`` is not an image's, or an array other than motion and position
                 is not finite.
         """
-        if out is None:
-            return self._next(window, steps)
         height, width = window[-1].nov.shape
-        require_shape("out", out, (2 * height, 2 * width, 3))
+        shape = 2 * height, 2 * width, 3
+        if out is None:
+            if not isinstance(window[-1].gbuffer, cla.Array):
+                return self._next(window, steps, None)
+            return self._next(window, steps, cla.empty(self.device.queue, shape, np.float32, allocator=self.device.pool))
+        require_shape("out", out, shape)
+        if isinstance(out, cla.Array):
+            on_device(self.device, "out", out)
+            return self._next(window, steps, out)
         require_dtype("out", out, np.dtype(np.float32))
         if not (out.flags.c_contiguous and out.flags.writeable):
             raise ArrayError("out: expected a C-contiguous array that can be written to")
-        image, valid = self._next(window, steps)
+        image, valid = self._next(window, steps, None)
         np.copyto(out, image)
         return out, valid
 
-    def _next(self, window: Sequence[DisplayFrame], steps: Sequence[int]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    def _next(self, window: Sequence[DisplayFrame], steps: Sequence[int], out: cla.Array | None) -> tuple[Any, Any]:
+        """The frame's image, in ``out`` if that is given, and ``valid``."""
+        made = self._enqueue(window, steps, out)
+        assert self._uploaded is not None
+        try:
+            self._uploaded.require_finite()
+        except ArrayError:
+            for cache in self._caches.values():
+                cache.last = None  # what is kept may come of what was not finite
+            raise
+        return made
+
+    def _enqueue(self, window: Sequence[DisplayFrame], steps: Sequence[int], out: cla.Array | None) -> tuple[Any, Any]:
         chosen = check_steps(steps)
         if len(window) <= chosen[2]:
             raise ArrayError(f"window: expected the {chosen[2] + 1} frames that the steps lead to, got {len(window)}")
@@ -123,9 +145,16 @@ class Stream:
         self._latest = cache
         if cache is None:
             self.report = Report(1.0, 1.0, "whole")
-            return self._whole.compute(sources(held, chosen), size)
+            image, valid = self._whole.compute(sources(held, chosen), size, on_device=out is not None)
+            if out is None:
+                return image, valid
+            cl.enqueue_copy(self.device.queue, out.base_data, image.base_data, byte_count=out.nbytes, dst_offset=out.offset)
+            return out, valid
         dirty = self._dirty(uploaded, cache, held, cache.read(chosen)) if cache.control.needs_changes else None
-        return self._compute(cache, held, chosen, dirty, window[-1 - chosen[0]].color)
+        color = window[-1 - chosen[0]].color
+        if isinstance(color, cla.Array):  # of another shot only ``bounded`` wants to know
+            color = np.asarray(color.get()) if self._max_error else None
+        return self._compute(cache, held, chosen, dirty, color, out)
 
     def expect(self, size: tuple[int, int]) -> None:
         """Build the kernels of the first call for frames of (H, W) in advance, for example while that frame is read."""
@@ -154,21 +183,40 @@ class Stream:
         steps: tuple[int, int, int],
         dirty: Tiles | None,
         color: NDArray[np.float32] | None,
-    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        out: cla.Array | None,
+    ) -> tuple[Any, Any]:
         """Plan the frame, execute the plan, learn. ``dirty``, ``color``: see ``ErrorControl``."""
         control, last = cache.control, cache.last
         inputs = control.plan_inputs(dirty)
         if last is not None and inputs.nothing:
             self.report = Report(0.0, 0.0, "none")
-            cache.last = _last(held, cache.read(steps), last.valid)
-            return cache.image.show(), last.valid
+            return self._hand_out(cache, held, steps, out, last.valid)
         changed = cache.prepare_inputs(sources(held, steps), inputs)
         plan = control.plan(inputs, changed, color)
-        departure, valid = cache.execute(plan)
+        departure = cache.execute(plan)
         control.learn(plan, departure)
         self.report = Report(1.0 if dirty is None else float(dirty.mean()), changed, plan.network, departure)
+        return self._hand_out(cache, held, steps, out, None)
+
+    def _hand_out(
+        self,
+        cache: FrameCache,
+        held: list[UploadedFrame],
+        steps: tuple[int, int, int],
+        out: cla.Array | None,
+        valid: NDArray[np.bool_] | None,
+    ) -> tuple[Any, Any]:
+        """The image and ``valid``, which is given if it is the last one and on the host; the frame becomes the last of its kind."""
+        if out is None:
+            image = cache.image.show()
+            if valid is None:
+                valid = mask_of(self.device, cache.prepare.mask, cache.layers.size, on_device=False)
+                valid.flags.writeable = False
+            cache.last = _last(held, cache.read(steps), valid)
+            return image, valid
+        cache.image.copy_to(out)
         cache.last = _last(held, cache.read(steps), valid)
-        return cache.image.show(), valid
+        return out, mask_of(self.device, cache.prepare.mask, cache.layers.size, on_device=True)
 
     def _arriving(self, size: tuple[int, int]) -> UploadedFrames:
         if self._uploaded is None or self._uploaded.size != size:
@@ -217,7 +265,7 @@ class Stream:
         return moved
 
 
-def _last(held: list[UploadedFrame], steps: tuple[int, ...], valid: NDArray[np.bool_]) -> Last:
+def _last(held: list[UploadedFrame], steps: tuple[int, ...], valid: NDArray[np.bool_] | None) -> Last:
     return Last(held[-1].number, held[-1 - steps[-1]].number, steps, tuple(held[-1 - step].number for step in steps), valid)
 
 

@@ -10,12 +10,14 @@ from itertools import takewhile
 
 import numpy as np
 import pyopencl as cl
+import pyopencl.array as cla
 
+from stss_cl.device.buffers import on_device
 from stss_cl.device.discovery import Device
 from stss_cl.image_space.frame_planes import Sources, upload
 from stss_cl.skip.arrival import Arrival, ArrivalOnGpu, ArrivalOnProcessor, Tiles
-from stss_cl.skip.display_frame import DisplayFrame
-from stss_ref.arrays import require_finite
+from stss_cl.skip.display_frame import DisplayFrame, Given
+from stss_ref.arrays import require_finite, require_shape
 
 HELD = 9
 """Number of display frames that are remembered: an output's window, the window of the output before it of the same kind, and one more.
@@ -85,6 +87,18 @@ class UploadedFrames:
             held.let_go()
         return known
 
+    def require_finite(self) -> None:
+        """Make sure that all frames of the last window were finite for which ``take`` did not wait; waits for them.
+
+        Raises:
+            ArrayError: one was not. All frames are forgotten.
+        """
+        if bad := self._arrival.not_finite():
+            frames = [held.frame for held in self._chain if held.frame is not None]
+            self.forget()
+            for frame in frames:
+                refuse(bad, frame)
+
     def forget(self) -> None:
         """Forget all frames: the next one follows none."""
         self._chain.clear()
@@ -106,21 +120,37 @@ class UploadedFrames:
         """Upload and compare a frame; ``window`` has the frames before it that its output also reads."""
         height, width = self.size
         shapes = {"motion": (2,), "gbuffer": (9,), "nov": (), "stencil": (), "position": (3,)}
-        planes = {
-            name: upload(self._device, name, np.asarray(getattr(frame, name)), (height, width, *more))
-            for name, more in shapes.items()
-        }
-        color = None if frame.color is None else upload(self._device, "color", frame.color, (height, width, 3))
+        planes = {name: plane(self._device, name, getattr(frame, name), (height, width, *more)) for name, more in shapes.items()}
+        color = None if frame.color is None else plane(self._device, "color", frame.color, (height, width, 3))
         before = window[-1].planes if window and compare else None
         color_before = next((held.color for held in reversed(window) if held.color is not None), None) if compare else None
         bad, changed, recolored = self._arrival.look(planes, color, before, color_before)
         if bad is not None:
             self.forget()
-            require_finite(bad, getattr(frame, bad))
+            refuse(bad, frame)
         if color is None and compare:
             recolored = np.zeros(self._shape, np.bool_)
         self._chain.append(UploadedFrame(frame, self._count, planes, color, changed, recolored))
         self._count += 1
+
+
+def plane(device: Device, name: str, source: Given, shape: tuple[int, ...]) -> cl.Buffer:
+    """A plane of a display frame on the device: a copy, or where it lies.
+
+    Raises:
+        ArrayError: shape, dtype or context differ.
+    """
+    if not isinstance(source, cla.Array):
+        return upload(device, name, np.asarray(source), shape)
+    require_shape(name, source, shape)
+    return on_device(device, name, source)
+
+
+def refuse(name: str, frame: DisplayFrame) -> None:
+    """Tell where the plane ``name`` of a frame is not finite, if it is not."""
+    array = getattr(frame, name)
+    if array is not None:
+        require_finite(name, array.get() if isinstance(array, cla.Array) else array)
 
 
 def sources(held: Sequence[UploadedFrame], steps: tuple[int, int, int]) -> Sources:

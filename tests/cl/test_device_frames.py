@@ -1,0 +1,178 @@
+"""Display frames that an engine has on the device, and when a GPU's host code waits for anything."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pyopencl as cl
+import pyopencl.array as cla
+import pytest
+
+from stss.frames.display_frame import window_at
+from stss.frames.supersample import plan
+from stss_cl.device.discovery import open_device
+from stss_cl.device.staging import staging
+from stss_cl.skip.stream import Stream
+from stss_ref.arrays import ArrayError
+from tests.cl.test_stream import WEIGHTS, first_frame, next_frame
+
+SIZE = 24, 40
+CHANGES = (*5 * ["nothing"], "nothing", "pixel", "moving", "nothing", "rectangle")
+
+
+@pytest.fixture(scope="module", params=["cpu", "gpu"])
+def device(request):
+    return open_device(device_class=request.param)
+
+
+def film(changes=CHANGES):
+    rng = np.random.default_rng(4)
+    frames = [first_frame(rng, SIZE, rendered=True)]
+    color = frames[0].color
+    for i, change in enumerate(changes, start=1):
+        frame, color = next_frame(rng, frames[-1], color, change, rendered=i % 2 == 0)
+        frames.append(frame)
+    return frames
+
+
+def on(device, frame):
+    """The same frame on the device, as an engine's buffers wrapped into arrays."""
+    held = {}
+    for name in (field.name for field in fields(frame) if field.name != "number"):
+        array = getattr(frame, name)
+        if array is not None:
+            buffer = cl.Buffer(device.context, cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR, hostbuf=array)
+            held[name] = cla.Array(device.queue, array.shape, np.float32, data=buffer)
+    return replace(frame, **held)
+
+
+@pytest.mark.parametrize("skip", ["off", "exact"])
+def test_frames_on_the_device_give_the_same_bits(device, skip):
+    frames = film()
+    theirs = [on(device, frame) for frame in frames]
+    here, there = (Stream(WEIGHTS, device, skip=skip) for _ in range(2))
+    out = cla.empty(device.queue, (2 * SIZE[0], 2 * SIZE[1], 3), np.float32)
+    told = []
+    for i in range(len(frames)):
+        steps = plan(window_at(frames, i)).steps
+        image, valid = here(window_at(frames, i), steps)
+        made, mask = there(window_at(theirs, i), steps, out if i % 2 else None)
+        assert isinstance(made, cla.Array)
+        assert (made is out) == bool(i % 2)
+        np.testing.assert_array_equal(made.get().view(np.uint32), image.view(np.uint32))
+        np.testing.assert_array_equal(mask.get().astype(bool), valid)
+        told.append(there.report.network)
+        assert told[-1] == here.report.network
+    assert skip == "off" or {"none", "changed", "whole"} <= set(told)
+
+
+def test_frames_may_lie_here_and_there(device):
+    frames = film(["moving"] * 6)
+    theirs = [on(device, frame) for frame in frames]
+    mixed = [replace(frame, gbuffer=other.gbuffer, color=other.color) for frame, other in zip(frames, theirs, strict=True)]
+    steps = plan(window_at(frames, 6)).steps
+    image, _ = Stream(WEIGHTS, device)(window_at(frames, 6), steps)
+    out = np.empty_like(image)
+    made, _ = Stream(WEIGHTS, device)(window_at(mixed, 6), steps, out)
+    assert made is out
+    np.testing.assert_array_equal(out.view(np.uint32), image.view(np.uint32))
+
+
+def wrong(device, name):
+    queue, other = device.queue, cl.Context([device.handle])
+    elsewhere = cl.Buffer(other, cl.mem_flags.READ_WRITE, 4 * SIZE[0] * SIZE[1])
+    small = cl.Buffer(device.context, cl.mem_flags.READ_WRITE, 4 * SIZE[0] * SIZE[1] - 4)
+    return {
+        "shape": cla.zeros(queue, (SIZE[0], SIZE[1] + 1), np.float32),
+        "dtype": cla.zeros(queue, SIZE, np.float64),
+        "context": cla.Array(queue, SIZE, np.float32, data=elsewhere),
+        "buffer": cla.Array(queue, SIZE, np.float32, data=small),
+    }[name]
+
+
+@pytest.mark.parametrize("name", ["shape", "dtype", "context", "buffer"])
+def test_errors_name_the_plane(device, name):
+    frames = film(["nothing"] * 5)
+    window = [*frames[:-1], replace(frames[-1], stencil=wrong(device, name))]
+    with pytest.raises(ArrayError, match="stencil: expected") as told:
+        Stream(WEIGHTS, device)(window, plan(window).steps)
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("skip", ["off", "exact"])
+@pytest.mark.parametrize("there", [False, True], ids=["host", "device"])
+def test_what_is_not_finite_is_named_and_leaves_nothing(device, skip, there):
+    frames = film(["moving"] * 8)
+    broken = replace(frames[7], nov=frames[7].nov.copy())
+    broken.nov[3, 4] = np.nan
+    stream, fresh = Stream(WEIGHTS, device, skip=skip), Stream(WEIGHTS, device, skip="off")
+    stream._attention.frames_unlooked = 100  # nobody waits for what is found on arrival
+    shown = [on(device, frame) for frame in (*frames, broken)] if there else [*frames, broken]
+    stream(shown[:7][-6:], plan(frames[1:7]).steps)
+    with pytest.raises(ArrayError, match="nov:"):
+        stream([*shown[2:7], shown[-1]], plan(frames[2:8]).steps)
+    image, _ = stream(shown[2:8], plan(frames[2:8]).steps)
+    want, _ = fresh(frames[2:8], plan(frames[2:8]).steps)
+    np.testing.assert_array_equal(image.get() if there else image, want)
+
+
+class Waits:
+    """Notes every call that waits for the device, and which of them brought the image."""
+
+    def __init__(self, monkeypatch, image_bytes):
+        self.before_the_image, self._bytes, self._seen = [], image_bytes, False
+        copy, note = cl.enqueue_copy, self._note
+
+        def copied(queue, dest, src, **options):
+            if any(isinstance(each, np.ndarray) for each in (dest, src)) and options.get("is_blocking", True):
+                self._note("copy", dest)
+            return copy(queue, dest, src, **options)
+
+        class Noted(cl.Buffer):
+            def __init__(self, context, flags, size=0, hostbuf=None):
+                if hostbuf is not None:
+                    note("buffer", None)
+                super().__init__(context, flags, size, hostbuf)
+
+        monkeypatch.setattr(cl, "enqueue_copy", copied)
+        monkeypatch.setattr(cl, "Buffer", Noted)
+        for home, name in ((cl, "wait_for_events"), (cl, "enqueue_map_buffer"), (cl.CommandQueue, "finish"), (cl.Event, "wait")):
+            monkeypatch.setattr(home, name, self._noting(name, getattr(home, name)))
+
+    def _noting(self, name, call):
+        def noted(*arguments, **options):
+            self._note(name, None)
+            return call(*arguments, **options)
+
+        return noted
+
+    def _note(self, name, array):
+        self._seen |= getattr(array, "nbytes", 0) == self._bytes
+        if not self._seen:
+            self.before_the_image.append(name)
+
+
+@pytest.mark.parametrize(("skip", "looking", "waits"), [("off", False, 0), ("exact", False, 0), ("exact", True, 3)])
+def test_nobody_waits_before_the_image(monkeypatch, skip, looking, waits):
+    """Of a frame among others: nowhere where none are compared, else for what arrived and what then differs."""
+    device, frames = open_device(device_class="gpu"), film(["moving"] * 11)
+    stream = Stream(WEIGHTS, device, skip=skip)
+    stream._attention.frames_unlooked = 0 if looking else 100
+    windows = [(window_at(frames, i), plan(window_at(frames, i)).steps) for i in range(len(frames))]
+    for window, steps in windows[:-1]:
+        stream(window, steps)
+    noted = Waits(monkeypatch, 48 * SIZE[0] * SIZE[1])
+    image, _ = stream(*windows[-1])
+    monkeypatch.undo()
+    assert len(noted.before_the_image) == waits, noted.before_the_image
+    np.testing.assert_array_equal(image, Stream(WEIGHTS, device, skip="off")(*windows[-1])[0])
+
+
+def test_page_locked_memory_serves_again():
+    made = staging(open_device(device_class="gpu"))
+    first = made.array((3, 5))
+    view = first[1:]
+    place = first.ctypes.data
+    del first
+    assert made.array((3, 5)).ctypes.data != place
+    del view
+    assert place in {made.array((3, 5)).ctypes.data for _ in range(3)}
