@@ -30,6 +30,9 @@ static inline Between between(const int o, const int count, const int full, cons
     return at;
 }
 
+// Of a tile's row, those of one work-item.
+#define COLUMNS (WORKERS == 1 ? 4 : 1)
+
 kernel void upsample_corners(global const stored *restrict in, global stored *restrict out, const int height, const int width,
                              const int in_columns, const int out_columns, const int full_height, const int top, const int eights,
                              global const uint *restrict tiles, global const int *restrict count, global uchar *restrict changes)
@@ -38,18 +41,25 @@ kernel void upsample_corners(global const stored *restrict in, global stored *re
     for (int t = part.x; t < part.y; ++t) {
         const int up = 4 * TILE_ROW(tiles[t]), left = 4 * TILE_COLUMN(tiles[t]);
         BEGIN_TILE;
-        for (int i = WORKER; i < 16; i += WORKERS) {
-            const int y = up + i / 4, x = left + i % 4;
-            if (y >= 2 * height || x >= 2 * width) continue;
-            const Between v = between(y, height, full_height, top), u = between(x, width, width, 0);
+        // One quotient for each row and column of the tile: it takes as long as a pixel.
+        Between across[COLUMNS];
+#pragma unroll
+        for (int j = 0; j < COLUMNS; ++j) across[j] = between(left + WORKER % 4 + j, width, width, 0);
+        for (int y = up + WORKER / 4; y < least(up + 4, 2 * height); y += COLUMNS == 4 ? 1 : 4) {
+            const Between v = between(y, height, full_height, top);
             const int upper = (v.first + 1) * in_columns + 1, lower = (v.second + 1) * in_columns + 1;
-            for (int c = 0; c < eights; ++c) {
-                const float8 nw = LOAD8(in, (upper + u.first) * eights + c), ne = LOAD8(in, (upper + u.second) * eights + c);
-                const float8 sw = LOAD8(in, (lower + u.first) * eights + c), se = LOAD8(in, (lower + u.second) * eights + c);
-                // First down, then across, as the reference.
-                const float8 west = nw + (sw - nw) * v.share, east = ne + (se - ne) * v.share;
-                const float8 value = west + (east - west) * u.share;
-                PUT(value, ((y + 1) * out_columns + x + 1) * eights + c, out);
+            for (int j = 0; j < COLUMNS; ++j) {
+                const int x = left + WORKER % 4 + j;
+                if (x >= 2 * width) break;
+                const Between u = across[j];
+                for (int c = 0; c < eights; ++c) {
+                    const float8 nw = LOAD8(in, (upper + u.first) * eights + c), ne = LOAD8(in, (upper + u.second) * eights + c);
+                    const float8 sw = LOAD8(in, (lower + u.first) * eights + c), se = LOAD8(in, (lower + u.second) * eights + c);
+                    // First down, then across, as the reference.
+                    const float8 west = nw + (sw - nw) * v.share, east = ne + (se - ne) * v.share;
+                    const float8 value = west + (east - west) * u.share;
+                    PUT(value, ((y + 1) * out_columns + x + 1) * eights + c, out);
+                }
             }
         }
         END_TILE(TILE_ROW(tiles[t]) * ((out_columns - 2) / 4) + TILE_COLUMN(tiles[t]));
