@@ -54,6 +54,11 @@
 #endif
 #define OPEN(t, place) ((const float *)open)[((t) / VECTOR * SIDE * SIDE + (place)) * VECTOR + (t) % VECTOR]
 
+// Where the n-th of output_rows(parity) lies from the first; whether it lies in the frame.
+#define AT(n) ((n) / SIDE * 2 * line + (n) % SIDE * OUT_CHANNELS)
+#define INSIDE(n) (y + parity + (n) / SIDE * 2 < height && x + (n) % SIDE < width)
+#define WRITE(one, where) { _Pragma("unroll") for (int n = 0; n < PARITY_ROWS * SIDE; ++n) if (where) { one; } }
+
 // Where in the input a tile's patch begins; the last strip is filled up with its last tile.
 ALWAYS int corner(global const uint *strip, const int t, const int held, const int in_columns)
 {
@@ -98,7 +103,7 @@ kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void winograd(global const stored *restrict a, global const stored *restrict b, global const vec *restrict weight,
               global const float8 *restrict gate_weight, global const float8 *restrict bias, const float gate_bias,
               global stored *restrict out, const int a_first, const int height, const int width, const int in_columns, const int out_columns,
-              const int out_channels, const int out_first
+              const int out_first
 #ifdef IMAGE
               , global const float4 *restrict color, global const float8 *restrict outc_weight,
               global const float8 *restrict outc_bias, global float *restrict image, const int rows, const int columns,
@@ -142,7 +147,7 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
                 fetch(b, B, STEP * (TILE_ROW(next) * in_columns + TILE_COLUMN(next)), in_columns, PATCH, k);
 #endif
 #ifndef IMAGE
-                fetch(out, out_channels, (SIDE * TILE_ROW(strip[0]) + 1) * out_columns + SIDE * TILE_COLUMN(strip[0]) + 1, out_columns, SIDE, k);
+                fetch(out, OUT_CHANNELS, (SIDE * TILE_ROW(strip[0]) + 1) * out_columns + SIDE * TILE_COLUMN(strip[0]) + 1, out_columns, SIDE, k);
 #endif
 #endif
                 for (int block = 0; block < BLOCKS; block += BLOCK) {
@@ -244,35 +249,39 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
                         values[n] *= BOTH((float8)(OPEN(t + one / OUT8, PLACE(parity, n))), (float8)(OPEN(t + two / OUT8, PLACE(parity, n))));
 #endif
                     }
-#pragma unroll
-                    for (int h = 0; h < EIGHTS; ++h) {
-                        const int c = (h ? two : one) % OUT8, its = t + (h ? two : one) / OUT8;
-                        float8 eight[PARITY_ROWS * SIDE];
-#pragma unroll
-                        for (int n = 0; n < PARITY_ROWS * SIDE; ++n) {
-                            eight[n] = HALF_OF(values[n], h);
 #ifdef RELU
-                            eight[n] = relu8(eight[n]);
+#pragma unroll
+                    for (int n = 0; n < PARITY_ROWS * SIDE; ++n) values[n] = relu_vec(values[n]);
 #endif
-                        }
+#pragma unroll
+                    for (int h = 0; h < (LEFT_OVER(OUT8, v) ? EIGHTS : 1); ++h) {
+                        const int c = (h ? two : one) % OUT8, its = t + (h ? two : one) / OUT8;
 #ifdef IMAGE
 #pragma unroll
-                        for (int n = 0; n < PARITY_ROWS * SIDE; ++n)
-                            features[((its - t) * SIDE * SIDE + PLACE(parity, n)) * OUT8 + c] = eight[n];
+                        for (int n = 0; n < PARITY_ROWS * SIDE; ++n) {
+                            float8 *to = features + ((its - t) * SIDE * SIDE + PLACE(parity, n)) * OUT8 + c;
+                            if (LEFT_OVER(OUT8, v))
+                                *to = HALF_OF(values[n], h);
+                            else
+                                *(vec_at_eight *)to = values[n];
+                        }
 #else
                         if (its >= held) continue;
                         const int x = SIDE * TILE_COLUMN(strip[its]), y = SIDE * TILE_ROW(strip[its]);
-                        const int line = out_columns * out_channels;
-                        global stored *to = out + (y + parity + 1) * line + (x + 1) * out_channels + out_first + 8 * c;
+                        const int line = out_columns * OUT_CHANNELS;
+                        global stored *to = out + (y + parity + 1) * line + (x + 1) * OUT_CHANNELS + out_first + 8 * c;
+                        const int whole = y + SIDE <= height && x + SIDE <= width;
                         BEGIN_TILE;
-                        if (y + SIDE <= height && x + SIDE <= width) {
-#pragma unroll
-                            for (int n = 0; n < PARITY_ROWS * SIDE; ++n) PUT(eight[n], n % SIDE * out_channels / 8, to + n / SIDE * 2 * line);
+                        if (LEFT_OVER(OUT8, v)) {
+                            if (whole)
+                                WRITE(PUT(HALF_OF(values[n], h), 0, to + AT(n)), 1)
+                            else
+                                WRITE(PUT(HALF_OF(values[n], h), 0, to + AT(n)), INSIDE(n))
                         } else {
-#pragma unroll
-                            for (int n = 0; n < PARITY_ROWS * SIDE; ++n)
-                                if (y + parity + n / SIDE * 2 < height && x + n % SIDE < width)
-                                    PUT(eight[n], n % SIDE * out_channels / 8, to + n / SIDE * 2 * line);
+                            if (whole)
+                                WRITE(PUT_VEC(values[n], to + AT(n)), 1)
+                            else
+                                WRITE(PUT_VEC(values[n], to + AT(n)), INSIDE(n))
                         }
                         END_TILE(y / 4 * ((out_columns - 2) / 4) + x / 4);
 #endif

@@ -103,7 +103,7 @@ def conv(
         "width": (final or out).width,
         "in_columns": a.columns,
         "out_columns": out.columns,
-        "out_channels": out.channels,
+        **({} if "SIDE" in shape.options else {"out_channels": out.channels}),
         "out_first": out_first,
         **(final.arguments if final else {}),
     }
@@ -127,6 +127,7 @@ def _source(shape: Shape, packed: Packed, a: Padded, b: Padded | None, out: Padd
         "A": a.channels,
         "B": b.channels if b else 0,
         "OUT": packed.direct.shape[-1],
+        **({"OUT_CHANNELS": out.channels} if "SIDE" in shape.options else {}),
         "GATED": packed.gate_direct is not None,
         "RELU": relu,
         "HALF": half(out.dtype),
