@@ -20,7 +20,7 @@ kernel void pack_input(global const float *restrict color, global const float *r
                        const int width, const int columns, const int top)
 {
     const int x = get_global_id(0), y = get_global_id(1);
-    const int from = min(top + y, height - 1) * width + min(x, width - 1), to = ((y + 1) * columns + x + 1) * 3;
+    const int from = least(top + y, height - 1) * width + least(x, width - 1), to = ((y + 1) * columns + x + 1) * 3;
     global const float *c = color + 6 * from;
     const float m = mask[from];
     global const float *g = gbuffer + 9 * from;
@@ -28,9 +28,9 @@ kernel void pack_input(global const float *restrict color, global const float *r
     const float8 colors = (float8)(c[0], c[1], c[2], c[3], c[4], c[5], c[0] * m, c[1] * m);
     const float8 mixed = (float8)(c[2] * m, c[3] * m, c[4] * m, c[5] * m, g[0], g[1], g[2], g[3]);
     const float8 material = (float8)(g[4], g[5], g[6], g[7], g[8], 0.0f, 0.0f, 0.0f);
-    STORE8(colors, to, input);
-    STORE8(mixed, to + 1, input);
-    STORE8(material, to + 2, input);
+    STREAM8(colors, to, input);
+    STREAM8(mixed, to + 1, input);
+    STREAM8(material, to + 2, input);
     base[y * (columns - 2) + x] = (float4)(c[0], c[1], c[2], 0.0f);
     const int8 eight = not_finite8(colors) | not_finite8(mixed) | not_finite8(material) | not_finite8((float8)(m));
     const int4 four = eight.lo | eight.hi;
@@ -41,7 +41,7 @@ kernel void pack_history(global const float4 *restrict history, global stored *r
                          const int height, const int width, const int rows, const int columns, const int top)
 {
     const int x = get_global_id(0), y = get_global_id(1), i = get_global_id(2);
-    const float4 v = history[(i * height + min(top + y, height - 1)) * width + min(x, width - 1)];
+    const float4 v = history[(i * height + least(top + y, height - 1)) * width + least(x, width - 1)];
     const int8 eight = not_finite8((float8)(v, v));
     if ((eight.s0 | eight.s1 | eight.s2 | eight.s3) != 0) bad[1] = 1;
     const int to = (i * rows + y + 1) * columns + x + 1;

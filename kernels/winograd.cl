@@ -95,7 +95,7 @@ static inline void fetch(global const stored *buffer, const int channels, const 
     const int parts = PRODUCTS / rows, part = (lines + parts - 1) / parts;  // known when it is compiled
     global const stored *from = buffer + (pixel + k / parts * columns) * channels + k % parts * part * line;
 #pragma unroll
-    for (int i = 0; i < part; ++i) __builtin_prefetch((const void *)(size_t)(from + i * line));
+    for (int i = 0; i < part; ++i) __builtin_prefetch((const void *)(size_t)(from + i * line), 0, 2);
 }
 #endif
 
@@ -105,8 +105,8 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
               global stored *restrict out, const int a_first, const int height, const int width, const int in_columns, const int out_columns,
               const int out_first
 #ifdef IMAGE
-              , global const float4 *restrict color, global const float8 *restrict outc_weight,
-              global const float8 *restrict outc_bias, global float *restrict image, const int rows, const int columns,
+              , global const float4 *restrict color, global const float16 *restrict outc_weight,
+              global const float16 *restrict outc_bias, global float *restrict image, const int rows, const int columns,
               const int first_row, const int top
 #endif
               , global const uint *restrict tiles, global const int *restrict count

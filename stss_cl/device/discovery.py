@@ -39,11 +39,9 @@ generate_once()
 _process: list[int] = []
 """The process that first used OpenCL, if any: a driver's threads do not survive a fork."""
 
-
 DeviceClass = Literal["cpu", "gpu"]
 CLASSES: tuple[DeviceClass, ...] = get_args(DeviceClass)
 """``cpu``: work-items of a group run one after the other, and memory is the host's. ``gpu``: neither is so."""
-
 
 MAKERS = {"nvidia": ("nvidia",), "amd": ("advanced micro devices", "amd"), "intel": ("intel",)}
 """Maker -> parts of the vendor's name in the device's properties."""
@@ -110,6 +108,11 @@ class Properties:
     def takes_prefetch(self) -> bool:
         """Whether its compiler accepts ``__builtin_prefetch``; the compilers of rusticl 22.3 and Oclgrind 21.10 crash on it."""
         return not self.name.startswith(("rusticl:", "Oclgrind:"))
+
+    @property
+    def streams(self) -> bool:
+        """Whether it is a processor whose compiler is known to take ``__builtin_nontemporal_store``."""
+        return self.is_cpu and self.name.startswith("Portable Computing Language:")
 
     @property
     def correctly_rounded_divide(self) -> bool:

@@ -79,7 +79,8 @@ class Prepare:
     def _built(self, *, looking: bool) -> dict[str, cl.Kernel]:
         """The kernels by name; ``looking``: the kernels that compute only dirty tiles, and mark tiles that then differ."""
         options: dict[str, object] = {"HALF": self.inputs.input.dtype == np.float16, "MARK": looking}
-        made = kernels(self.device, self._file, {"GATHER": f"gather_{self._gather}", **options, **LIMITS})
+        own = {"GATHER": f"gather_{self._gather}", "STREAM": self.device.streams}
+        made = kernels(self.device, self._file, {**own, **options, **LIMITS})
         if self._gather != "longest":
             made.pop("chain_steps8", None)  # its gather is that one
         eighth = build(self.device, "downsample_8.cl", {"MASK": "uchar", **options})

@@ -22,7 +22,7 @@ class PackInputs:
     def __init__(self, device: Device, inputs: Inputs, height: int, width: int):
         self._device, self._inputs, self._size = device, inputs, (np.int32(height), np.int32(width))
         options: dict[str, object] = {"HALF": half(inputs.input.dtype)}
-        program = build(device, "encoder.cl", options)
+        program = build(device, "encoder.cl", {**options, "STREAM": device.streams})
         eighth = build(device, "downsample_8.cl", {"MASK": "float", **options}, FAST_MULTIPLY_ADD)
         self._input, self._history = cl.Kernel(program, "pack_input"), cl.Kernel(program, "pack_history")
         self._eighth = cl.Kernel(eighth, "downsample_8")
