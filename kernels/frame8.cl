@@ -9,16 +9,21 @@
 // gather_longest of eight pixels in a row, all of whose four pixels lie in the frame; x, y apart.
 INLINE Pair8 gather_longest8(global const float2 *motion, const int8 corner, const int width)
 {
-#define READ(I) const float4 t##I = read4(motion + corner.s##I), b##I = read4(motion + corner.s##I + width);
-    LANES(READ)
+    float8 nwx, nwy, nex, ney, swx, swy, sex, sey;
+    if (in_a_row8(corner)) {
+#define READ(NAME, PIXEL) const Pair8 NAME = read_motions8(motion + corner.s0 + PIXEL); NAME##x = NAME.a, NAME##y = NAME.b;
+        READ(nw, 0) READ(ne, 1) READ(sw, width) READ(se, width + 1)
 #undef READ
-#define SQUARE(NAME, ROW, X, Y) \
-    const float8 NAME##x = GATHERED(ROW, X), NAME##y = GATHERED(ROW, Y), NAME##_square = NAME##x * NAME##x + NAME##y * NAME##y, \
-                 NAME = NAME##_square < INFINITY ? NAME##_square : (float8)(INFINITY);
-    SQUARE(nw, t, x, y)
-    SQUARE(ne, t, z, w)
-    SQUARE(sw, b, x, y)
-    SQUARE(se, b, z, w)
+    } else {
+#define READ(I) const float4 t##I = read4(motion + corner.s##I), b##I = read4(motion + corner.s##I + width);
+        LANES(READ)
+#undef READ
+        nwx = GATHERED(t, x), nwy = GATHERED(t, y), nex = GATHERED(t, z), ney = GATHERED(t, w);
+        swx = GATHERED(b, x), swy = GATHERED(b, y), sex = GATHERED(b, z), sey = GATHERED(b, w);
+    }
+#define SQUARE(NAME) \
+    const float8 NAME##_square = NAME##x * NAME##x + NAME##y * NAME##y, NAME = NAME##_square < INFINITY ? NAME##_square : (float8)(INFINITY);
+    SQUARE(nw) SQUARE(ne) SQUARE(sw) SQUARE(se)
 #undef SQUARE
     // Not "still ? 0 : x": Oclgrind 21.10 negates vectors of conditions wrongly.
     const int8 moves =
@@ -73,6 +78,10 @@ kernel void chain_steps8(MOTIONS, const int newest, const int middle, const int 
 // A stencil and its right neighbour, of eight places: the left ones, then the right ones.
 INLINE Pair8 read_pairs8(global const float *image, const int8 at)
 {
+    if (in_a_row8(at)) {
+        const Pair8 rows = {read8(image + at.s0), read8(image + at.s0 + 1)};
+        return rows;
+    }
 #define READ(I) const float2 p##I = *(global const float2_anywhere *)(image + at.s##I);
     LANES(READ)
 #undef READ
@@ -124,6 +133,13 @@ INLINE bool is_wanted8(global const float2 *motion, volatile global const uint *
     const Place8 to = follow8(m.even, m.odd, x, y);
     if (!all_inside8(to, height, width)) return true;
     const int8 at = raster8(to, width);
+    if (in_a_row8(at)) {
+        volatile global const uint8_anywhere *upper = (volatile global const uint8_anywhere *)(keys + at.s0);
+        volatile global const uint8_anywhere *lower = (volatile global const uint8_anywhere *)(keys + at.s0 + width);
+        const uint8 both = *upper | *lower;
+        const uint4 four = both.lo | both.hi;
+        return ((four.x | four.y | four.z | four.w) | keys[at.s7 + 1] | keys[at.s7 + 1 + width]) != UNWANTED;
+    }
     uint wanted = 0;
 #define READ(I) wanted |= keys[at.s##I] | keys[at.s##I + 1] | keys[at.s##I + width] | keys[at.s##I + width + 1];
     LANES(READ)
