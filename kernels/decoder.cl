@@ -17,8 +17,8 @@
 #include "decoder.clh"
 #include "image.clh"
 
-kernel void image(global const stored *restrict feature, global const float4 *restrict color, global const float16 *restrict weight,
-                  global const float16 *restrict bias, global float *restrict image, const int height, const int width, const int rows,
+kernel void image(global const stored *restrict feature, global const float4 *restrict color, global const float8 *restrict weight,
+                  global const float8 *restrict bias, global float *restrict image, const int height, const int width, const int rows,
                   const int columns, const int feature_columns, const int first_row, const int top, global const uint *restrict tiles,
                   global const int *restrict count)
 {

@@ -45,7 +45,7 @@ class Layers:
         memory_limit: bytes that the buffers may take; None = half of the device's memory.
         residual: False: leave out all layers but the last, whose weights are 0.
         keep: every layer keeps its output, with a change map, so that fewer tiles may be run (``stss_cl.skip.partial_network``), and
-            layers that these weights do not need are left out; without effect where the frame goes in strips.
+            what does not depend on the frame is computed once; without effect where the frame goes in strips.
 
     Attributes:
         launches: in order; the last one writes the image.
@@ -53,7 +53,7 @@ class Layers:
         features: the stages' outputs, by the names of ``stss_ref``.
         strips: the strips in which the frame goes.
         keep: whether every layer's output is kept.
-        reads_history: whether the launches read the history.
+        reads_history: whether the launches read the history; those that do are left out with weights that do not.
         marked: if all is kept, the output of each layer, with its change map.
         maps: those change maps.
 
@@ -79,7 +79,7 @@ class Layers:
         rows = rows_within(full, columns, dtype, limit, overlap)
         keep = keep and bytes_for(full, full, columns, dtype, keep=True) <= limit
         self.device, self.size, self.keep = device, (height, width), keep
-        self.reads_history = not keep or reads_history(weights)
+        self.reads_history = reads_history(weights)
         self._weights, self._height, self._width = weights, rows, columns
         self._fused = winograd
         self._local = tuning_for(device).local is not None and not device.is_cpu

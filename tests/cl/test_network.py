@@ -314,6 +314,26 @@ def test_every_stage_is_the_references(device, eighths, seed):
             assert ratio("stage.cl", made[name], image if name == "image" else small[name], 1.0) <= 1, (stage, name)
 
 
+@pytest.mark.parametrize("keep", [False, True])
+def test_layers_that_read_a_history_nobody_asks_for_are_left_out(device, keep):
+    weights = random_weights(3)
+    empty = {n: np.zeros_like(w) for n, w in weights.items() if n.startswith("lowlevelGated.") and n.endswith(".weight")}
+    for given, want in ((weights, 28), ({**weights, **empty}, 1)):
+        layers = Layers(device, given, 16, 24, "float32", keep=keep)
+        assert sum(launch.stage == "history" for launch in layers.launches) == want
+        assert layers.reads_history == (want > 1)
+
+
+def test_weights_that_read_no_history_have_the_references_image(device):
+    weights = random_weights(3)
+    weights |= {n: np.zeros_like(w) for n, w in weights.items() if n.startswith("lowlevelGated.") and n.endswith(".weight")}
+    random = np.random.default_rng(3)
+    shapes = {"color": (16, 24, 6), "gbuffer": (16, 24, 9), "mask": (16, 24), "history": (3, 16, 24, 4)}
+    inputs = {n: random.random(shape, np.float32) for n, shape in shapes.items()}
+    want = network(**{n: x.astype(np.float64) for n, x in inputs.items()}, weights=astype(weights, np.float64))
+    assert ratio("network.cl", Network(weights, device)(**inputs), want) <= 1
+
+
 def test_without_a_residual_it_is_the_bilinear_image(device):
     inputs = network_inputs((13, 17), 3)
     image = Network(zeros(), device)(*inputs)
