@@ -19,6 +19,7 @@ COUNT = 13  # the last frame is an SF, computed after several of its kind
 
 
 def panel(scene, skip):
+    """The last frame of a scene, coloured."""
     stream, frames = (
         Stream(load("antialiased").weights, skip=skip, max_error=2 / 255),
         list(display_frames(SCENES[scene], (136, 240), COUNT)),

@@ -168,14 +168,18 @@ class Device(Properties):
     @property
     def context(self) -> cl.Context:
         """A context of this device alone."""
-        _require_same_process(self._process)
+        self.require_same_process()
         return self._context
 
     @property
     def queue(self) -> cl.CommandQueue:
         """An in-order command queue."""
-        _require_same_process(self._process)
+        self.require_same_process()
         return self._queue
+
+    def require_same_process(self) -> None:
+        """Raise DeviceError in a fork of the process that opened the device."""
+        _require_same_process(self._process)
 
     @cached_property
     def pool(self) -> MemoryPool:

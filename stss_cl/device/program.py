@@ -31,7 +31,8 @@ MOST_BINARY = 64 << 20
 
 _building = Lock()
 """One thread builds at a time: two would undo each other's filters of warnings."""
-_programs: WeakKeyDictionary[cl.Context, dict[tuple[str, str], cl.Program]] = WeakKeyDictionary()
+_programs: WeakKeyDictionary[Device, dict[tuple[str, str], cl.Program]] = WeakKeyDictionary()
+"""By device, not by context: programs hold their context, and would keep themselves alive."""
 
 
 def build(device: Device, file: str, options: Mapping[str, object] | None = None, flags: str = "") -> cl.Program:
@@ -48,8 +49,9 @@ def build(device: Device, file: str, options: Mapping[str, object] | None = None
     """
     given = [f"-D {k}" if v is True else f"-D {k}={v}" for k, v in (options or {}).items() if v is not None and v is not False]
     key = (file, " ".join(["-cl-std=CL1.2", *given, flags]).strip())
+    device.require_same_process()
     with _building:
-        built = _programs.setdefault(device.context, {})
+        built = _programs.setdefault(device, {})
         if key not in built:
             built[key] = _build(device, file, key[1])
         return built[key]
@@ -57,7 +59,7 @@ def build(device: Device, file: str, options: Mapping[str, object] | None = None
 
 def built(device: Device) -> Mapping[tuple[str, str], cl.Program]:
     """The programs built for this device so far, by file and options, in order."""
-    return dict(_programs.get(device.context, {}))
+    return dict(_programs.get(device, {}))
 
 
 def source(file: str) -> str:

@@ -1,10 +1,12 @@
 """Devices, their caches, and what happens to them after a fork."""
 
+import gc
 import linecache
 import os
 import subprocess
 import sys
 import time
+import weakref
 from types import SimpleNamespace
 
 import numpy as np
@@ -57,6 +59,19 @@ def run_three(device):
     cl.Kernel(build(device, "demo.cl", {"THREE": 3}), "three")(device.queue, out.shape, None, buffer)
     cl.enqueue_copy(device.queue, out, buffer)
     assert (out == 3).all()
+
+
+def test_programs_go_with_their_device(kernels):
+    """A process that opens a device for each film grew by all that PyOpenCL and the driver know of its programs."""
+    try:
+        opened = open_device()
+    except DeviceError as error:
+        pytest.skip(str(error))
+    gone = weakref.ref(build(opened, "demo.cl", {"THREE": 3}))
+    assert gone() is not None
+    del opened
+    gc.collect()
+    assert gone() is None
 
 
 def test_a_second_kernel_of_a_kind_costs_no_generated_code(kernels, device):
