@@ -35,7 +35,6 @@ __all__ = [
 NO_DEVICE = "no OpenCL device: pip install 'pyopencl[pocl]' gives one that runs on any CPU"
 
 generate_once()
-
 _process: list[int] = []
 """The process that first used OpenCL, if any: a driver's threads do not survive a fork."""
 
@@ -236,8 +235,7 @@ def named() -> dict[str, cl.Device]:
     seen: Counter[str] = Counter()
     devices: dict[str, cl.Device] = {}
     for handle in found():
-        name = full_name(handle)
-        seen[name] += 1
+        seen[name := full_name(handle)] += 1
         devices[name if seen[name] == 1 else f"{name} #{seen[name]}"] = handle
     return devices
 
@@ -292,10 +290,9 @@ def open_handle(handle: cl.Device, device_class: str | None = None) -> Device:
 
 
 def _require_same_process(process: int) -> None:
-    if process != os.getpid():
+    if process != (now := os.getpid()):
         raise DeviceError(
-            f"OpenCL was opened in process {process}, this is {os.getpid()}: it does not survive a fork; "
-            "use multiprocessing's spawn"
+            f"OpenCL was opened in process {process}, this is {now}: it does not survive a fork; use multiprocessing's spawn"
         )
 
 
