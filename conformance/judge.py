@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The judge: gives a port cases, holds what it answers against what is right, and remembers the worst."""
+"""The judge: it gives a port cases, compares its answers with the right ones, and records the largest error."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from stss_ref.weights import Weights
 EVERY_CHECK: list[HealthCheck] = [*HealthCheck]  # pyright: ignore[reportAssignmentType]
 MOST_FLOAT16 = 1.0
 MOST_BEFORE = 63
-"""Cases that are remembered as those before a failure: with it, one start of a program."""
+"""Most cases that are remembered as those before a failure; together with the failing case they fill one run of a program."""
 SHRINK_SECONDS = 60.0
-"""After which a failing case is as small as it gets."""
+"""Most time for making a failing case smaller; seconds."""
 MOST_WEIGHTS = 128
-"""Sets of weights that are remembered as the port is given them: those of one test."""
+"""Most sets of weights that are remembered in the form that the port gets; one test has fewer."""
 
 
 @dataclass(frozen=True)
 class Tier:
-    """How much is tried: cases of a cheap property, of one that runs the network, and large frames."""
+    """Numbers of cases: ``cheap`` of a fast property, ``dear`` of one that runs the network, at most ``large`` large frames."""
 
     name: str
     cheap: int
@@ -49,7 +49,7 @@ class Tier:
 
 TIERS = {"quick": Tier("quick", 200, 24, 4), "full": Tier("full", 500, 150, 99)}
 Body = Callable[["Judge", Any], None]
-"""A property: runs the port on what a case says, and raises DepartureError where it does not hold."""
+"""A property: it runs the port on a case, and raises DepartureError if the property does not hold."""
 
 
 class Judge:
@@ -57,14 +57,14 @@ class Judge:
 
     Args:
         port: to be judged.
-        tier: how many cases.
-        seed: of the cases; the same seed gives the same ones.
-        shrink: whether a failing case is made as small as it gets.
-        repeat: how often each case is computed; other bits at any time are a departure.
-        certified: whether anybody has to be able to draw the same cases: they do not depend on answers, and are digested.
+        tier: number of cases.
+        seed: of the cases; the same seed gives the same cases.
+        shrink: make a failing case smaller.
+        repeat: number of times that each case is computed; different bits in any of them are a departure.
+        certified: make cases that everybody can draw again: they do not depend on answers, and their digest is recorded.
 
     Attributes:
-        record: of the test that runs now; the runner puts a new one in its place before each.
+        record: of the test that runs now; the runner sets a new one before each test.
     """
 
     def __init__(
@@ -82,22 +82,23 @@ class Judge:
         self.stages = port.stages()
         self.record = Record()
         self._last: Case | None = None
-        self._near: dict[str, float] = {}  # of one case: what Hypothesis is steered by
+        self._near: dict[str, float] = {}  # largest error / bound in the last case, which steers Hypothesis
         self._before: deque[Any] = deque(maxlen=MOST_BEFORE)
         self._weights: dict[int, tuple[Weights, Weights]] = {}
 
     def begin(self) -> None:
-        """Another test: what the last one met is forgotten."""
+        """Begin another test: forget the record and cases of the last one."""
         self.record = Record()
         self._before.clear()
 
     def for_all(
         self, strategy: st.SearchStrategy[Any], body: Body, *, dear: bool = False, drawn: Sequence[Any] | None = None
     ) -> None:
-        """Run ``body`` on cases of ``strategy``, towards larger errors.
+        """Run ``body`` on cases of ``strategy``, steered towards larger errors.
 
-        A port that takes its cases beforehand (``conformance.rehearsal``) is not steered: they must not depend on its answers.
-        So they are ``drawn`` already, and only when one of them fails are they drawn again, to be made smaller.
+        The cases of a port that computes them beforehand (``conformance.rehearsal``) are not steered, since they must not depend on
+        its answers. They are ``drawn`` already, and are drawn again only if one of them fails, to make it smaller. Of slow (``dear``)
+        cases fewer are drawn. Raises DepartureError as ``check``.
         """
         if drawn is not None and self._all_right(body, drawn):
             return
@@ -133,7 +134,7 @@ class Judge:
         return True
 
     def check(self, body: Body, case: Any) -> None:
-        """Run a property on one case of it; what fails is in the record."""
+        """Run a property on one of its cases; DepartureError if it does not hold, with the failure in ``record``."""
         self._near = {}
         if self.certified:
             self.record.drawn = sha256(self.record.drawn + fingerprint(case)).digest()
@@ -150,7 +151,7 @@ class Judge:
     def draw(
         self, strategy: st.SearchStrategy[Any], take: Callable[[Any], None], phases: list[Phase], *, dear: bool = False
     ) -> None:
-        """Hand ``take`` the tier's number of cases; the same ones for the same seed, unless it fails."""
+        """Call ``take`` with as many cases as the tier says; the same seed gives the same cases, unless ``take`` raises."""
 
         @hypothesis.seed(self.seed)
         @settings(
@@ -164,15 +165,18 @@ class Judge:
         run()
 
     def run(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Outputs:
-        """What the port answers, of the right shapes and dtypes.
+        """Run the port on a case.
 
         Args:
-            stage: its name.
-            inputs: any floats; the port is given them as its arithmetic holds them, see ``given``.
+            stage: name of the stage.
+            inputs: any floats; the port gets them rounded to its arithmetic, see ``given``.
             weights: for a stage that takes them.
 
+        Returns:
+            The port's outputs, with the right shapes and dtypes.
+
         Raises:
-            DepartureError: the port fails, or an output is missing, misshapen or of another dtype.
+            DepartureError: the port fails, or an output is missing or has the wrong shape or dtype.
         """
         case = self.asked(stage, inputs, weights)
         self._last = case
@@ -190,11 +194,11 @@ class Judge:
         return outputs
 
     def asked(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Case:
-        """What the port is given for these inputs."""
+        """The case that the port gets for these inputs."""
         return Case(stage, self.given(inputs, stage), None if weights is None else self._given_weights(weights))
 
     def _given_weights(self, weights: Weights) -> Weights:
-        """The same object for the same weights, so that a job holds them once."""
+        """The weights as the port gets them, the same object for the same weights, so that a job has them once."""
         if id(weights) not in self._weights:
             if len(self._weights) == MOST_WEIGHTS:
                 self._weights.clear()
@@ -202,7 +206,7 @@ class Judge:
         return self._weights[id(weights)][1]
 
     def _answer(self, case: Case) -> Outputs:
-        """What a port in this process writes into its inputs, or later into its outputs, must not change what it is judged by."""
+        """The port's answer. Arrays are copied, since a port in this process may write to its inputs, or later to its outputs."""
         if hasattr(self.port, "prepare"):
             return self.port.run(case.stage, case.inputs, case.weights)
         weights = None if case.weights is None else {name: tensor.copy() for name, tensor in case.weights.items()}
@@ -211,32 +215,32 @@ class Judge:
         except (PortError, ArrayError):
             raise
         except Exception as error:
-            # A port is a stranger: whatever it raises is its failure, on this case.
+            # The port is foreign code: anything that it raises is a failure on this case.
             raise PortError(f"{type(error).__name__}: {error}") from error
         return {name: array.copy() for name, array in outputs.items()}
 
     def given(self, arrays: Arrays, stage: str = "") -> dict[str, NDArray[Any]]:
-        """``arrays`` as the port is given them: float32, of numbers that its arithmetic holds.
+        """``arrays`` as the port gets them: float32, rounded to numbers that its arithmetic has.
 
-        The network's stages of a float16 port get none beyond ``MOST_FLOAT16``: its activations have to fit, too.
+        Stages of the network of a float16 port get no number beyond ``MOST_FLOAT16``, so that activations fit into float16, too.
         """
         narrow = self.arithmetic.dtype == "float16" and stage in STAGES and STAGES[stage].weights
         return {name: self.arithmetic.rounded(array, MOST_FLOAT16 if narrow else None) for name, array in arrays.items()}
 
     def exactly(self, arrays: Arrays, stage: str) -> dict[str, NDArray[Any]]:
-        """The same numbers in float64, for the reference."""
+        """The numbers of ``given`` in float64, for the reference."""
         given = self.given(arrays, stage)
         return {name: array.astype(np.float64) if array.dtype.kind == "f" else array for name, array in given.items()}
 
     def right(
         self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None, got: Outputs | None = None
     ) -> dict[str, Expected]:
-        """What is right for these inputs, by output: see ``conformance.answers.by_stage.expect``."""
+        """The right answers for these inputs, by output: see ``conformance.answers.by_stage.expect``."""
         given = None if weights is None else self._given_weights(weights)
         return expect(stage, self.exactly(inputs, stage), given, self.arithmetic, got or {})
 
     def agrees(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Outputs:
-        """Run, and hold every output against the float64 reference."""
+        """Run the port, and raise DepartureError unless every output is within its bound of the float64 reference."""
         outputs = self.run(stage, inputs, weights)
         expected = self.right(stage, inputs, weights, outputs)
         if not expected:
@@ -246,7 +250,7 @@ class Judge:
         return outputs
 
     def agrees_exactly(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights) -> None:
-        """Run a case that needs no rounding: the same bits. Winograd's matrices have thirds, so such a port has its bounds as ever."""
+        """Run a case that needs no rounding, and expect the right bits; a Winograd port has its bounds, since its matrices have thirds."""
         if self.arithmetic.winograd:
             self.agrees(stage, inputs, weights)
             return
@@ -257,7 +261,7 @@ class Judge:
     def rounds_either_way(
         self, stage: str, output: str, inputs: Mapping[str, NDArray[Any]], weights: Weights, layer: str
     ) -> None:
-        """Hold the errors of an output together against what rounding leaves of sums: the products of ``layer``, of one sign."""
+        """Compare all errors of an output with those of sums that round either way; the sums' terms, of ``layer``, have one sign."""
         got = self.run(stage, inputs, weights)[output]
         want = self.right(stage, inputs, weights)[output].want
         sums = want != 0
@@ -266,14 +270,14 @@ class Judge:
         self.holds(f"{stage}.rounding", found, expected_rounding(self.arithmetic))
 
     def _finite(self, stage: str, outputs: Outputs) -> None:
-        """Rounding decides on the whole answer; but not on whether it is a number."""
+        """Expect finite numbers only, of an answer that cannot be judged since rounding decides on the whole of it."""
         self.record.unjudged += 1
         for name, got in outputs.items():
             if not np.isfinite(got).all():
                 self.holds(f"{stage}.{name}", got, Expected(np.where(np.isfinite(got), got, 0), 0.0))
 
     def same(self, output: str, got: NDArray[Any], want: NDArray[Any]) -> None:
-        """The very same numbers; 0 and -0 are the same, and numbers too small to be normal may be 0."""
+        """Raise DepartureError unless the numbers are equal; 0 equals -0, and a denormal number may be 0."""
         want = np.asarray(want)
         self.holds(output, got, Expected(want, self.arithmetic.flushed(want)))
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""A program is judged at few starts: a rehearsal says which cases a test will ask for, and one start computes many of them.
+"""Judge a program with few starts: a rehearsal finds the cases that a test needs, and one start of the program computes many of them.
 
-The judge knows nothing of it. A rehearsal is a judge that asks and does not judge; the port it asks is the program with a memory.
+A rehearsal is a judge that runs cases and does not judge; its port is the program with a memory. The judge itself is unaware of both.
 """
 
 from __future__ import annotations
@@ -29,22 +29,24 @@ from conformance.protocol.stages import STAGES, check_inputs
 from stss_ref.weights import Weights
 
 BATCH = 64
-"""Cases of a program's one start."""
+"""Most cases in one start of a program."""
 BATCH_BYTES = 256 * 2**20
-"""Of its inputs."""
+"""Most bytes of inputs in one start of a program."""
 
 
 class PreparedPort:
-    """A program as a port that answers from memory what was prepared, and starts the program for anything else.
+    """A program as a port that takes the answers of prepared cases from memory, and starts the program for other cases.
 
     Attributes:
-        program: that answers.
-        answers: to the cases that were prepared, by their digests; to one that was prepared twice, one after the other.
+        program: computes the answers.
+        name, dtype: of the program.
+        answers: of the prepared cases, by their digests; a case that was prepared twice has two, in order.
+        failed: by the digests of its cases, a start that failed as a whole.
     """
 
     def __init__(self, program: FolderPort):
         self.program = program
-        # Beside the judging: some file systems take milliseconds for each folder.
+        # A thread removes folders while the judge goes on: some file systems take milliseconds for each.
         removing = ThreadPoolExecutor(1)
         program.remove = partial(removing.submit, remove_tree)
         self.name, self.dtype = program.name, program.dtype
@@ -56,11 +58,11 @@ class PreparedPort:
         return self.program.stages()
 
     def forget(self) -> None:
-        """What was prepared."""
+        """Forget all prepared cases."""
         self.answers, self.failed = {}, {}
 
     def prepare(self, cases: Sequence[Case]) -> None:
-        """Compute ``cases`` at as few starts as may be; those of a start that fails are left to be asked for one by one."""
+        """Compute ``cases`` with as few starts as possible; the cases of a start that fails are computed later, one by one."""
         for some in _batches(cases):
             try:
                 answers = self.program.run_many(some)
@@ -76,7 +78,7 @@ class PreparedPort:
         """See ``conformance.protocol.port.Port``."""
         key = digest(Case(stage, inputs, weights))
         if key in self.answers:
-            # A property that asks twice gets the second answer at the second time.
+            # A property that runs a case twice gets the second answer the second time.
             answers = self.answers[key]
             answers.append(answers.pop(0))
             return answers[-1]
@@ -90,7 +92,7 @@ class PreparedPort:
         return self.program.layers(stage, inputs, weights)
 
     def _started(self, stage: str, inputs: Arrays, weights: Weights | None) -> Outputs:
-        """A start for this case alone; of many that fail while a case is made smaller, the last one's job is kept."""
+        """Start the program for this case alone. Of many starts that fail while a case is made smaller, only the last job is kept."""
         before, self.program.kept = self.program.kept, None
         try:
             return self.program.run(stage, inputs, weights)
@@ -105,9 +107,9 @@ class _FailedStart:
     """A job of several cases that failed as a whole.
 
     Attributes:
-        error: how.
-        count: its cases.
-        left: digests of those that have not been asked for alone.
+        error: of the start.
+        count: number of cases in the job.
+        left: digests of the cases that have not yet passed alone.
     """
 
     error: PortError
@@ -115,7 +117,7 @@ class _FailedStart:
     left: set[bytes]
 
     def passed_alone(self, key: bytes) -> None:
-        """Which case it was shows when each runs alone. If none does, the job's own failure counts."""
+        """Note that a case passed alone; if every case does, raise the job's own failure, which no single case explains."""
         self.left.discard(key)
         if not self.left:
             raise PortError(f"depends on the cases before: each passes alone, but not {self.count} in one job: {self.error}")
@@ -135,7 +137,7 @@ def _batches(cases: Sequence[Case]) -> list[list[Case]]:
 
 
 def digest(case: Case) -> bytes:
-    """Of all that a port is given; the same for the same case."""
+    """Digest of a case: of its stage, inputs and weights."""
     digested = hashlib.blake2b(case.stage.encode())
     _take(digested, case.inputs)
     if case.weights is not None:
@@ -150,11 +152,11 @@ def _take(digested: Any, arrays: Arrays) -> None:
 
 
 _WEIGHTS: dict[int, tuple[Weights, bytes]] = {}
-"""Digests of weights by their identity; they are kept alive, so that it stays theirs."""
+"""Digests of weights by their identity. The weights are kept alive, so that no other object gets their identity."""
 
 
 def _digest_of_weights(weights: Weights) -> bytes:
-    """The judge gives the same object for the same weights, and changes none."""
+    """Digest of weights; each object is digested once, since the judge has one object for the same weights and changes none."""
     if id(weights) not in _WEIGHTS:
         if len(_WEIGHTS) == MOST_WEIGHTS:
             _WEIGHTS.clear()
@@ -165,10 +167,10 @@ def _digest_of_weights(weights: Weights) -> bytes:
 
 
 class Rehearsal(Judge):
-    """Asks for what a judge will ask for; where the answer is not there yet it goes on with zeros, and finds everything right.
+    """A judge that runs the cases that a judge will run; it takes zeros for a missing answer, and finds everything right.
 
     Attributes:
-        missing: cases without an answer, by their digests and by how often their property asked for them before.
+        missing: cases without an answer, by the number of times that their property ran them before, and their digests.
     """
 
     def __init__(self, judge: Judge, port: PreparedPort):
@@ -178,14 +180,14 @@ class Rehearsal(Judge):
         self._asked: Counter[bytes] = Counter()
 
     def asks_more(self, body: Body, drawn: Any) -> bool:
-        """Go through a property; whether it asked for what is missing."""
+        """Run a property on a case; returns whether it needed a missing answer."""
         self._asked.clear()
         before = len(self.missing)
         body(self, drawn)
         return len(self.missing) > before
 
     def run(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Outputs:
-        """The port's answer, or zeros."""
+        """The port's answer, or zeros if it is missing."""
         case = self.asked(stage, inputs, weights)
         sizes = check_inputs(stage, case.inputs, "float32")
         key = digest(case)
@@ -198,18 +200,18 @@ class Rehearsal(Judge):
     def right(
         self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None, got: Outputs | None = None
     ) -> dict[str, Expected]:
-        """Zeros: nothing is held against them."""
+        """Zeros as right answers, which are compared with nothing."""
         sizes = check_inputs(stage, self.given(inputs, stage), "float32")
         return {name: Expected(zeros, 0.0) for name, zeros in _zeros(stage, sizes).items()}
 
     def rounds_either_way(
         self, stage: str, output: str, inputs: Mapping[str, NDArray[Any]], weights: Weights, layer: str
     ) -> None:
-        """Only asks."""
+        """Run the case, and judge nothing."""
         self.run(stage, inputs, weights)
 
     def holds(self, output: str, got: NDArray[Any], expected: Expected) -> None:
-        """Nothing is judged."""
+        """Judge nothing."""
 
 
 def _zeros(stage: str, sizes: Sizes) -> Outputs:
@@ -218,7 +220,7 @@ def _zeros(stage: str, sizes: Sizes) -> Outputs:
 
 
 def rehearse(judge: Judge, strategy: st.SearchStrategy[Any], body: Body, *, dear: bool = False) -> list[Any] | None:
-    """Have the answers ready that ``judge.for_all`` will ask a program for; the cases, or None: it is no program."""
+    """Prepare the answers that ``judge.for_all`` will need from a program; returns the drawn cases, or None if the port is no program."""
     if not isinstance(judge.port, PreparedPort):
         return None
     drawn: list[Any] = []
@@ -228,9 +230,9 @@ def rehearse(judge: Judge, strategy: st.SearchStrategy[Any], body: Body, *, dear
 
 
 def prepare(judge: Judge, drawn: Sequence[Any], body: Body) -> None:
-    """Have the answers ready that a property asks a program for on these cases.
+    """Prepare the answers that a property needs from a program on the cases ``drawn``.
 
-    A case that asks again depending on what was answered is rehearsed again with the answer, until nothing is missing.
+    A property whose further runs depend on an answer is rehearsed again with that answer, until nothing is missing.
     """
     port = judge.port
     if not isinstance(port, PreparedPort):
@@ -239,5 +241,5 @@ def prepare(judge: Judge, drawn: Sequence[Any], body: Body) -> None:
     while drawn:
         rehearsal = Rehearsal(judge, port)
         drawn = [case for case in drawn if rehearsal.asks_more(body, case)]
-        # What is asked for twice is computed again after all others, not right behind itself.
+        # A case that runs twice is computed again after all others, not right after itself.
         port.prepare([rehearsal.missing[key] for key in sorted(rehearsal.missing, key=lambda key: key[0])])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage ``frame``: the decisions before the network that rounding may turn."""
+"""Stage ``frame``: count the decisions before the network that rounding may turn."""
 
 from __future__ import annotations
 
@@ -15,9 +15,13 @@ from conformance.answers.port_arithmetic import Arithmetic
 
 
 def undecided_before(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic) -> int:
-    """Of stage ``frame``: how many decisions before the network (motion, holes, splat) come within rounding of their threshold.
+    """Number of decisions before the network (motion, holes, splat) that are within rounding of their threshold.
 
-    One of them may change the whole image, so a frame that has any is not judged; it is counted.
+    Each may change the whole image, so a frame that has one is not judged, but counted.
+
+    Args:
+        inputs: of stage ``frame``, float64.
+        arithmetic: of the port.
     """
     steps = [int(step) for step in inputs["steps"]]
     count = 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage holes: each of its comparisons as surely true, surely false, or within rounding of its threshold."""
+"""Stage holes: each comparison is surely true, surely false, or within rounding of its threshold."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SMALL = 2.0**-62
 
 @dataclass(frozen=True)
 class Maybe:
-    """A condition: where it surely holds, and where it may."""
+    """A condition: where it surely holds, and where it may hold."""
 
     sure: Bool
     possible: Bool
@@ -41,12 +41,12 @@ class Maybe:
 
 
 def expect_holes(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic, off: Float64 | float = 0.0) -> dict[str, Expected]:
-    """The mask of the float64 reference; either answer where a test that matters comes within rounding of its threshold.
+    """The mask of the float64 reference; either answer is right where a comparison that decides is within rounding of its threshold.
 
     Args:
         inputs: of the stage, float64.
         arithmetic: of the port.
-        off: (H, W, 2) how far its motion may be off.
+        off: (H, W, 2) largest error of the port's motion; pixels.
     """
     at = reach(inputs["motion"], arithmetic, off)
     inside, edge = within_frame(at)
@@ -72,14 +72,14 @@ def _read(image: Float64, at: Reach, arithmetic: Arithmetic) -> tuple[Float64, F
 
 
 def _is_zero(stencil: Float64, s: Float64, s_off: Float64, at: Reach) -> Maybe:
-    """Warped stencil == 0: surely where every pixel that counts is 0."""
+    """Where the warped stencil is 0; surely where it is 0 at every pixel that counts."""
     own, around = peaks(stencil[..., None], at)
     peak = np.where(at.unsure, around[0][..., 0], own[..., 0])
     return Maybe(peak == 0, np.abs(s) <= s_off)
 
 
 def _too_far(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic) -> Maybe:
-    """Largest distance to the four taps against the bias; all four count, whatever their weight."""
+    """Where the largest distance to the four taps exceeds the bias; all four count, even with weight 0."""
     unit = arithmetic.unit
     facing, depth = np.abs(inputs["nov"]), inputs["depth"]
     bias = LIMITS.facing * facing + LIMITS.grazing * (1 - facing) + LIMITS.depth * depth
@@ -96,7 +96,7 @@ def _too_far(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic)
     highest = np.where(at.unsure, _distance(around, position), own)
     lowest = np.where(at.unsure, 0, own)
     wrong = BOUNDS["length"].roundings * unit
-    # A distance that is no number is a hole.
+    # A distance that is NaN is a hole.
     return Maybe(~(lowest * (1 - wrong) <= bias + off), ~(highest * (1 + wrong) <= bias - off))
 
 
@@ -106,7 +106,7 @@ def _distance(previous: list[Float64], position: Float64) -> Float64:
 
 
 def _turned(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic) -> Maybe:
-    """Cos < 0.98 on a surface, that is, where either normal has a length."""
+    """Where the cosine is below 0.98 on a surface, that is, where one of the two normals is not 0."""
     unit, normal = arithmetic.unit, inputs["normal"]
     n, n_off = _read(inputs["normal_previous"], at, arithmetic)
     length = np.sqrt((n * n).sum(axis=-1))

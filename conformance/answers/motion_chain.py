@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage motion_chain: the right answers, where a step's rounding decides which motion is read included."""
+"""Stage motion_chain: the right answers, also where the rounding of a step decides which motion is read."""
 
 from __future__ import annotations
 
@@ -18,12 +18,17 @@ from stss_ref.sample import Place
 MOST_ANSWERS = 32
 """A pixel with more right answers than this is not judged."""
 SMALL = 2.0**-62
-"""Shorter motions than this have squares that float32 may lose: they may count as still."""
+"""Pixels. Float32 may lose the squares of shorter motions, so that these may count as still."""
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 
 
 def expect_motion_chain(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic) -> dict[str, Expected]:
-    """The chain in float64, and the other answers of pixels that come within rounding of a pixel's edge or of a tie."""
+    """The chain in float64, and further right answers where a step is within rounding of a pixel's edge or of a tie.
+
+    Args:
+        inputs: of the stage, float64.
+        arithmetic: of the port.
+    """
     motions = inputs["motions"]
     chained: NDArray[Any] = motions[0]
     off: NDArray[Any] = np.zeros_like(chained)
@@ -45,7 +50,7 @@ def expect_motion_chain(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic)
 
 
 def _tied(earlier: NDArray[Any], at: Place) -> NDArray[np.bool_]:
-    """Where two different ones of the four motions are so alike in length that arithmetic may decide, or hardly differ from 0."""
+    """Where rounding may decide: two of the four motions differ but have nearly the same length, or one hardly differs from 0."""
     height, width, _ = earlier.shape
     padded = np.pad(earlier, ((2, 3), (2, 3), (0, 0)))
     x = np.clip(truncated(at.x, at.fx), -2, width + 1) + 2
@@ -64,18 +69,18 @@ def _margin() -> float:
 
 
 def _lengths(vectors: NDArray[Any]) -> NDArray[np.float64]:
-    """Squared, with float32's range: beyond it all are equally long."""
+    """Squared lengths with the range of float32: all lengths beyond it are equal."""
     with np.errstate(over="ignore", invalid="ignore"):
         squared = (vectors * vectors).sum(axis=-1)
     return np.where(np.isfinite(vectors).all(axis=-1) & (squared <= FLOAT32_MAX), squared, np.inf)
 
 
 Answer = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""A chained motion, and how far it may be off."""
+"""A chained motion, and its largest error; pixels."""
 
 
 def _answers(motions: NDArray[Any], y: int, x: int, arithmetic: Arithmetic) -> list[Answer]:
-    """All that pixel (y, x) may come to."""
+    """All right answers of pixel (y, x)."""
     ends: list[Answer] = [(motions[0, y, x], np.zeros(2))]
     for earlier in motions[1:]:
         further: dict[bytes, Answer] = {}
@@ -92,7 +97,7 @@ def _answers(motions: NDArray[Any], y: int, x: int, arithmetic: Arithmetic) -> l
 def _steps(
     earlier: NDArray[Any], pixel: tuple[int, int], chained: NDArray[Any], off: NDArray[Any], arithmetic: Arithmetic
 ) -> list[NDArray[np.float64]]:
-    """Which motions one step may read."""
+    """The motions that one step may read."""
     if not np.isfinite(chained).all():
         return [np.zeros(2)]
     wrong = off + np.where(chained == 0, 0, arithmetic.flushed(chained))
@@ -108,7 +113,7 @@ def _trunc(whole: int, fraction: float) -> int:
 
 
 def _longest(earlier: NDArray[Any], row: int, column: int, arithmetic: Arithmetic) -> list[NDArray[np.float64]]:
-    """Which of the four motions at a corner may be taken for the longest."""
+    """Those of the four motions at a corner that may count as the longest."""
     height, width, _ = earlier.shape
     places = [(row + j, column + i) for j in (0, 1) for i in (0, 1)]
     four = np.array([earlier[p] if 0 <= p[0] < height and 0 <= p[1] < width else (0.0, 0.0) for p in places])
@@ -130,7 +135,7 @@ def _longest(earlier: NDArray[Any], row: int, column: int, arithmetic: Arithmeti
 
 
 def _surely_shorter(four: NDArray[Any], lengths: NDArray[Any], i: int, first: int, arithmetic: Arithmetic) -> bool:
-    """Squares that float32 holds leave nothing to rounding: the first of them is taken, or the longer one."""
+    """Whether motion ``i`` cannot be the longest: it is shorter than ``first``, or as long and later; float32 has the squares exactly."""
     squares = four[[i, first]] ** 2
     exact = Arithmetic("float32").holds(squares).all() and Arithmetic("float32").holds(lengths[[i, first]]).all()
     return bool(exact) and (lengths[i] < lengths[first] or i > first)

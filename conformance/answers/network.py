@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""The network's stages: how far rounding may carry a port, found by changing the weights of the float64 reference.
+"""The network's stages: the error that rounding can cause, found by changing the weights of the float64 reference.
 
-What a port computes for a layer is, whatever the order of its sums, the exact layer of weights each changed by at most gamma_n
-relative (backward error; Higham, Accuracy and Stability, section 3.1). So the reference is run again with weights changed at random
-by that much, and the root mean square of what its outputs then do, times the row ``spread``, is what a port may be off by. It
-grows with data, weights and depth exactly as rounding does, and needs no constant for any of them.
+A port's layer, with any order of its sums, equals an exact layer whose weights are each changed by at most gamma_n, relatively
+(backward error; Higham, Accuracy and Stability, section 3.1). So the reference runs again with weights that are changed at random by
+that much. The root mean square of the changes of its outputs, times the row ``spread``, is the allowed error of a port. It grows with
+data, weights and depth exactly as rounding errors do, and needs no constant for any of them.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from stss_ref.weights import Weights, astype
 OPEN = 100.0
 """A gate's bias at which its sigmoid is 1."""
 TAIL = 4.0
-"""The largest of many normal deviations, in rms; where gates nearly close, a few deviate more, and count instead."""
+"""The largest of many normal deviations, in rms. Where gates nearly close, a few deviations are larger, and then these count."""
 RUNS = 3
-"""Of changed weights; every number of every output is a sample."""
+"""Runs with changed weights; every number of every output is a sample."""
 
 
 def expect_with_weights(
     stage: str, inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: Arithmetic
 ) -> dict[str, Expected]:
-    """Truth and allowed error of a stage that takes weights.
+    """The right answers and allowed errors of a stage that takes weights.
 
     Args:
-        stage: its name.
+        stage: name of the stage.
         inputs: float64.
         weights: float32.
         arithmetic: of the port.
@@ -47,12 +47,15 @@ def expect_with_weights(
 
 
 def expect_layers(stage: str, inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: Arithmetic) -> dict[str, Expected]:
-    """The same of its layers (``conformance.protocol.layers``), in the order of computation; arguments likewise."""
+    """The right answers and allowed errors of a stage's layers (``conformance.protocol.layers``), in the order of computation.
+
+    Arguments as of `expect_with_weights`.
+    """
     return _spread(partial(reference_layers, stage, inputs), weights, arithmetic)
 
 
 def _spread(compute: Callable[[Weights], Outputs], weights: Weights, arithmetic: Arithmetic) -> dict[str, Expected]:
-    """What ``compute`` gives of the weights, and how far changes of the size of rounding move it."""
+    """The outputs of ``compute`` for the weights, and how far changes of the weights of the size of rounding move them."""
     exact = astype(weights, np.dtype(np.float64))
     truth = compute(exact)
     random = np.random.default_rng(0)
@@ -70,10 +73,10 @@ def _spread(compute: Callable[[Weights], Outputs], weights: Weights, arithmetic:
 
 
 def layer_change(terms: int, arithmetic: Arithmetic) -> float:
-    """Largest relative change of a layer's weights that stands for its rounding: gamma_n, and what is stored in between.
+    """Largest relative change of a layer's weights that stands for its rounding: gamma_n, and the rounding of stored activations.
 
     Args:
-        terms: products in one sum.
+        terms: number of products in one sum.
         arithmetic: of the port.
     """
     change = (terms + BOUNDS["layer"].roundings) * UNIT["float32"]
@@ -85,12 +88,12 @@ def layer_change(terms: int, arithmetic: Arithmetic) -> float:
 
 
 def _changes(weights: Weights, arithmetic: Arithmetic) -> Weights:
-    """By how much each number of the weights may be changed."""
+    """Largest change of each weight."""
     changes: Weights = {}
     for name, tensor in weights.items():
         layer = weights[name.replace(".bias", ".weight")]
         size = layer_change(int(np.prod(layer.shape[1:])), arithmetic)
-        # Winograd mixes the taps of a window, so that one of them bears the others' roundings.
+        # Winograd mixes the taps of a window, so that each tap bears the others' rounding errors.
         whole = arithmetic.winograd and tensor.ndim == 4
         scale = np.abs(tensor).max(axis=(2, 3), keepdims=True) if whole else np.abs(tensor)
         changes[name] = scale * size + (arithmetic.spacing if name.endswith(".bias") else 0)
@@ -102,6 +105,6 @@ def _changed(weights: Weights, changes: Weights, random: np.random.Generator) ->
 
 
 def _opened(weights: Weights) -> Weights:
-    """All gates open: what a gate's own rounding multiplies, be it as good as closed."""
+    """The weights with all gates open: they give the features, which the rounding error of even a nearly closed gate multiplies."""
     gates = {name: tensor * 0 + (OPEN if name.endswith("bias") else 0) for name, tensor in weights.items() if "conv_mask" in name}
     return {**weights, **gates}

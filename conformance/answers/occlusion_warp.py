@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage occlusion_warp: which motion may have been splatted where, and what is read by it."""
+"""Stage occlusion_warp: the motions that a port may splat to each pixel, and the colours that it then reads."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def expect_occlusion_warp(
     got: dict[str, NDArray[Any]] | None = None,
     off: NDArray[np.float64] | float = 0.0,
 ) -> dict[str, Expected]:
-    """The splat's map looked up, which copies motions and so is exact; and the colour, read by the port's own motion.
+    """The motion looked up in the splatted map, which is exact since it is a copy, and the colour that the port's own motion reads.
 
     Args:
         inputs: of the stage, float64.
         arithmetic: of the port.
-        got: the port's outputs; none: the truth's motion is read by.
-        off: (H, W, 2) how far its motion may be off.
+        got: the port's outputs; None: the right motion reads the colour.
+        off: (H, W, 2) largest error of the port's input motion; pixels.
     """
     motion = inputs["motion"]
     at = reach(motion, arithmetic, off)
@@ -47,7 +47,7 @@ def expect_occlusion_warp(
 
 
 def _maps(at: Reach, motion: NDArray[Any], depth: NDArray[Any]) -> list[NDArray[Any]]:
-    """The splat's map looked up: the truth, and where it is not decided, further right answers."""
+    """Motions looked up in the splatted map: the truth first, then further right answers where rounding decides."""
     if not (at.off_x.any() or at.off_y.any()):
         cell = taps(at.at)
         return [splat(motion, depth)[cell.y0, cell.x0]]
@@ -62,7 +62,7 @@ def _maps(at: Reach, motion: NDArray[Any], depth: NDArray[Any]) -> list[NDArray[
 
 
 def _cells(reached: Reach, y: int, x: int) -> tuple[set[int], set[int]]:
-    """Which rows and which columns of pixels the motion of pixel (y, x) may lead to."""
+    """The rows and the columns of pixels that the motion of pixel (y, x) may lead to."""
     at = reached.at
     columns = ways(int(at.x[y, x]), float(at.fx[y, x]), float(reached.off_x[y, x]))
     rows = ways(int(at.y[y, x]), float(at.fy[y, x]), float(reached.off_y[y, x]))
@@ -70,7 +70,7 @@ def _cells(reached: Reach, y: int, x: int) -> tuple[set[int], set[int]]:
 
 
 def _splats(at: Reach, depth: NDArray[Any]) -> tuple[dict[Cell, Key], dict[Cell, list[Key]]]:
-    """For each pixel of the earlier frame: the nearest of those that surely write there, and all that may."""
+    """For each pixel of the earlier frame: the nearest pixel that surely writes there, and all pixels that may write there."""
     height, width = depth.shape
     definite: dict[Cell, Key] = defaultdict(lambda: NOBODY)
     maybe: dict[Cell, list[Key]] = defaultdict(list)
@@ -91,7 +91,7 @@ def _splats(at: Reach, depth: NDArray[Any]) -> tuple[dict[Cell, Key], dict[Cell,
 
 
 def _order(key: Key) -> Key:
-    """Nearest first; 0 and -0 are the same depth."""
+    """Sort key: the nearest first, with 0 and -0 as the same depth."""
     return key[0] + 0.0, key[1] if key[1] >= 0 else 2**62
 
 
@@ -99,7 +99,7 @@ def _look_up(
     at: Reach, motion: NDArray[Any], definite: dict[Cell, Key], maybe: dict[Cell, list[Key]]
 ) -> dict[Cell, list[NDArray[np.float64]]]:
     height, width, _ = motion.shape
-    flat = np.concatenate([motion.reshape(-1, 2), np.zeros((1, 2))])  # the last: nobody wrote
+    flat = np.concatenate([motion.reshape(-1, 2), np.zeros((1, 2))])  # the last row: no pixel wrote
     answers: dict[Cell, list[NDArray[np.float64]]] = {}
     for y, x in np.ndindex(height, width):
         rows, columns = _cells(at, y, x)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a port computes in: its unit roundoff, what it holds exactly, and how far it may be from where a motion leads."""
+"""The arithmetic of a port: its unit roundoff, the numbers it has exactly, and its largest error in following a motion."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ Bool = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Arithmetic:
-    """Of a port.
+    """The arithmetic of a port.
 
     Attributes:
-        dtype: ``float32`` or ``float16``, which its numbers are stored in; a float16 port has at least float32's range in between.
-        winograd: whether it computes 3 x 3 convolutions in Winograd's way, up to F(4x4).
+        dtype: ``float32`` or ``float16``, in which its numbers are stored; a float16 port computes with at least float32's range.
+        winograd: it computes 3 x 3 convolutions by Winograd's algorithm, up to F(4x4).
     """
 
     dtype: str = "float32"
@@ -37,25 +37,25 @@ class Arithmetic:
 
     @property
     def tiny(self) -> float:
-        """Smallest normal number: what is below it may have become 0."""
+        """Smallest normal number; smaller numbers may become 0."""
         return float(np.finfo(self.dtype).tiny)
 
     @property
     def spacing(self) -> float:
-        """Distance of the smallest numbers: what storing a small one may lose."""
+        """Distance between the smallest numbers, which is the most that storing a small number may lose."""
         return float(np.finfo(self.dtype).smallest_subnormal)
 
     def flushed(self, x: NDArray[Any]) -> Float64:
-        """What copying ``x`` may be off by: a number too small to be normal may become 0."""
+        """Largest error of copying ``x``: a denormal number may become 0."""
         return np.where(np.abs(x) < self.tiny, self.tiny, 0.0)
 
     def holds(self, x: Float64) -> Bool:
-        """Where ``x`` is one of its numbers."""
+        """Where ``x`` is a number that the arithmetic has exactly."""
         with np.errstate(over="ignore"):
             return np.asarray(x.astype(self.dtype) == x)
 
     def rounded(self, x: NDArray[Any], most: float | None = None) -> NDArray[Any]:
-        """``x`` as float32 numbers that the port holds: the nearest, finite where ``x`` is, at most ``most``; other kinds as they are."""
+        """``x`` rounded to the port's numbers, as float32, finite where ``x`` is and at most ``most``; other kinds unchanged."""
         if x.dtype.kind != "f" or (most is None and x.dtype == np.float32 and self.dtype == "float32"):
             return np.ascontiguousarray(x)
         most = float(np.finfo(self.dtype).max) if most is None else most
@@ -66,7 +66,7 @@ class Arithmetic:
 
 @dataclass(frozen=True)
 class Reach:
-    """Where motion leads, how far a port's motion may be off, and what it may round of the fraction: all (H, W)."""
+    """The places where motion leads, and the errors of a port's motion and of its fraction: all (H, W)."""
 
     at: Place
     off_x: Float64
@@ -76,25 +76,25 @@ class Reach:
 
     @property
     def unsure(self) -> Bool:
-        """Where another cell of pixels than the place's own may be read: rounding the fraction leads to none."""
+        """Where a port may read another cell of pixels than the place's own; rounding the fraction alone leads to no other."""
         return _near_whole(self.at.fx, self.off_x) | _near_whole(self.at.fy, self.off_y)
 
     @property
     def slip(self) -> Float64:
-        """How far from the place a port may read, both axes together."""
+        """Largest distance from the place at which a port may read, the sum of both axes; pixels."""
         return self.off_x + self.off_y + self.rounded_x + self.rounded_y
 
 
 def reach(motion: Float64, arithmetic: Arithmetic, off: Float64 | float = 0.0) -> Reach:
     """``p + floor(motion)`` and ``motion - floor(motion)``, and their errors.
 
-    Whole pixels are exact, and so is a fraction that the arithmetic holds; any other, of a motion between -1 and 0, may be off by
-    the row ``fraction``.
+    Whole pixels are exact, and so is a fraction that the arithmetic has. Other fractions, of motion between -1 and 0, have an error of
+    up to the row ``fraction``.
 
     Args:
         motion: (H, W, 2) pixels.
         arithmetic: of the port.
-        off: (H, W, 2) how far the port's motion itself may be off.
+        off: (H, W, 2) largest error of the port's motion itself; pixels.
     """
     at = follow(motion)
     fraction = np.stack([at.fx, at.fy], axis=-1).astype(np.float64)
@@ -104,13 +104,13 @@ def reach(motion: Float64, arithmetic: Arithmetic, off: Float64 | float = 0.0) -
 
 
 def sum_error(total: Float64, off: Float64 | float, arithmetic: Arithmetic) -> Float64:
-    """What rounding a sum of motions adds: nothing where its terms are exact and the arithmetic holds it."""
+    """Error that rounding adds to a sum of motions: 0 where the terms are exact and the arithmetic has the sum exactly."""
     exact = (np.broadcast_to(off, total.shape) == 0) & arithmetic.holds(total)
     return np.where(exact, 0, BOUNDS["sum"].roundings * arithmetic.unit * np.abs(total))
 
 
 def ways(whole: int, fraction: float, off: float) -> list[tuple[int, float]]:
-    """The places, each a whole pixel and a fraction, where a motion may lead along an axis that may be off by so much."""
+    """The places, each a whole pixel and a fraction, where a motion with an error of up to ``off`` may lead along an axis."""
     found = [(whole, fraction)]
     for moved in (fraction - off, fraction + off) if off > 0 else ():
         found.append((whole + math.floor(moved), moved - math.floor(moved)))

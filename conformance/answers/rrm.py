@@ -14,6 +14,6 @@ from stss_ref.rrm import rrm
 
 
 def expect_rrm(inputs: dict[str, NDArray[Any]], _: Arithmetic) -> dict[str, Expected]:
-    """Nothing is computed."""
+    """The right mask, without an allowed error, since the stage computes no number."""
     y, x, height, width = (int(n) for n in inputs["rectangle"])
     return {"valid": exact(rrm(inputs["valid"], (y, x, height, width)).astype(np.uint8))}

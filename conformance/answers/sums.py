@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Many sums together: whether they are rounded either way as often, or always to one side."""
+"""Many sums together: whether their rounding errors have both signs equally often, or mostly one."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from conformance.answers.port_arithmetic import Arithmetic
 from conformance.tolerance import BOUNDS, UNIT
 
 FEWEST = 1000
-"""Sums that say something together."""
+"""Fewest sums from which a bias shows."""
 
 
 def rounding(got: NDArray[Any], want: NDArray[Any], terms: int, arithmetic: Arithmetic) -> NDArray[np.float64]:
     """Mean square and signed sum of the errors, in units of the expected rounding.
 
-    A partial sum is at most ``S``, the sum of what is added, all of one sign. Adding to it rounds by up to ``u S``, either way as
-    often: variance ``(u S)^2 / 3`` at most, ``n`` times. Where results are stored in half, ``layer.float16`` roundings of that are added.
+    A partial sum is at most ``S``, the whole sum, since all terms have one sign. Each of ``n`` additions rounds by up to ``u S``, either
+    way equally often, which gives a variance of at most ``(u S)^2 / 3``. If results are stored in half, ``layer.float16`` such roundings
+    to half are added.
 
     Args:
         got: a port's sums.
-        want: the true ones, none of them 0.
-        terms: ``n``, products in one.
+        want: the true sums, none of them 0.
+        terms: ``n``, number of products in a sum.
         arithmetic: of the port.
 
     Returns:
@@ -42,6 +43,6 @@ def rounding(got: NDArray[Any], want: NDArray[Any], terms: int, arithmetic: Arit
 
 
 def expected_rounding(arithmetic: Arithmetic) -> Expected:
-    """Their limits. Winograd's transformed weights round once for all pixels, so that its errors are alike: they have no sign to sum."""
+    """Limits of `rounding`. Winograd's weights round once for all pixels, so its errors are alike, and their signed sum has no limit."""
     signed = np.inf if arithmetic.winograd else BOUNDS["sums.signed"].roundings
     return Expected(np.zeros(2), np.array([BOUNDS["sums.square"].roundings, signed]))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage warp: the right answers of a port, and how interpolation may be off."""
+"""Stage warp: the right answers of a port, and the largest error of interpolation."""
 
 from __future__ import annotations
 
@@ -18,7 +18,12 @@ Float64 = NDArray[np.float64]
 
 
 def expect_warp(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic) -> dict[str, Expected]:
-    """Bilinear reading, and the mask of what lies in the frame."""
+    """The colour, read bilinearly, and the mask of the places in the frame.
+
+    Args:
+        inputs: of the stage, float64.
+        arithmetic: of the port.
+    """
     at = reach(inputs["motion"], arithmetic)
     want, allowed = interpolated(inputs["color"], at, arithmetic)
     inside, unsure = within_frame(at)
@@ -26,10 +31,10 @@ def expect_warp(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic) -> dict
 
 
 def interpolated(image: Float64, at: Reach, arithmetic: Arithmetic) -> tuple[Float64, Float64]:
-    """``image`` (H, W, C) read bilinearly, and what a port may be off by.
+    """``image`` (H, W, C) read bilinearly, and the largest error of a port.
 
-    ``u (10 peak) + slip contrast``: the lerps' own roundings, and the fraction's and the motion's, which move the result along a
-    slope of at most the contrast of the pixels around.
+    The error is ``u (10 peak) + slip contrast``: the rounding of the lerps, and the errors of fraction and motion, which move the
+    result along a slope of at most the contrast of the pixels around.
     """
     own, around = peaks(image, at)
     peak = np.where(at.unsure[..., None], around[0], own)
@@ -39,10 +44,10 @@ def interpolated(image: Float64, at: Reach, arithmetic: Arithmetic) -> tuple[Flo
 
 
 def peaks(image: Float64, at: Reach) -> tuple[Float64, tuple[Float64, Float64]]:
-    """Largest |value| of the taps that count; largest |value| and contrast of the 4 x 4 pixels around them: all (H, W, C)."""
+    """Largest |value| of the taps that count; largest |value| and contrast of the 4 x 4 pixels around them; all (H, W, C)."""
     height, width, _ = image.shape
     cell = taps(at.at)
-    # The left and the upper ones always count: a fraction of 1 is less that was rounded.
+    # The left and the upper taps always count: a fraction of 1 was below 1 before rounding.
     counts = (cell.fx >= 0, cell.fx > 0, cell.fy > 0, (cell.fx > 0) & (cell.fy > 0))
     places = ((cell.y0, cell.x0), (cell.y0, cell.x1), (cell.y1, cell.x0), (cell.y1, cell.x1))
     own = np.max([np.where(c[..., None], np.abs(image[p]), 0) for c, p in zip(counts, places, strict=True)], axis=0)
@@ -53,7 +58,7 @@ def peaks(image: Float64, at: Reach) -> tuple[Float64, tuple[Float64, Float64]]:
 
 
 def within_frame(reached: Reach) -> tuple[Bool, Bool]:
-    """Whether the place lies in the frame, and where what the motion is off by may decide."""
+    """Where the place lies in the frame, and where the motion's error may decide whether it does."""
     at = reached.at
     height, width = at.finite.shape
     unsure = np.zeros_like(at.finite)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""What the suite asks: strategies for the inputs of every stage."""
+"""The cases of the suite: strategies that draw the inputs of every stage, and cases that are made."""

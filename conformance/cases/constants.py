@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Every constant of the specification, and a case in which it shows: without it, or with another, an answer is far beyond its bound.
+"""Every constant of the specification, with a case in which it shows: without it, or with another value, the answer is far off.
 
-Drawn cases hardly ever come to where a constant counts: sums of weights about 1e-6, lengths about 1e-5, distances just below a limit.
+Drawn cases hardly ever show a constant: that takes sums of weights about 1e-6, lengths about 1e-5, or distances just below a limit.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from stss_ref.weights import Weights
 
 LIMITS = HoleLimits()
 CLOSE = 2.0**-9
-"""How near to a limit a number comes, relatively."""
+"""Relative distance of a number from its limit."""
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class Constant:
     """One number of the specification.
 
     Attributes:
-        name: what it is.
+        name: what the number is, as in the table of docs/stages.md.
         value: as docs/stages.md has it.
-        stage: where it is seen.
-        make: a case of that stage, from a seeded generator.
+        stage: the constant shows in this stage.
+        make: makes a case of that stage from a seeded generator.
     """
 
     name: str
@@ -47,7 +47,7 @@ def _pairs(*numbers: float) -> NDArray[np.float64]:
 
 
 def _still(width: int) -> Inputs:
-    """Stage holes, one row of a still static frame in which all is as it was."""
+    """Stage holes: one row of a frame in which nothing moves and nothing changed."""
     up = np.broadcast_to([0.0, 0.0, 1.0], (1, width, 3))
     flat, none = np.zeros((1, width)), np.zeros((1, width, 3))
     return {
@@ -79,7 +79,7 @@ def _cosine(_: Generator) -> Inputs:
 
 
 def _length(_: Generator) -> Inputs:
-    """Of a normal that points the same way: ``|n| / (|n| + 1e-5)`` is 0.98 at 4.9e-4."""
+    """Normals of one direction and of several lengths: at 4.9e-4, ``|n| / (|n| + 1e-5)`` is 0.98."""
     length = _pairs(1e-6, 1e-5, 1e-4, 4.9e-4 * 0.95, 4.9e-4 * 1.05, 2e-3)
     return _object(np.stack([np.zeros_like(length), np.zeros_like(length), length], axis=-1))
 
@@ -91,7 +91,7 @@ def _mesh(_: Generator) -> Inputs:
 
 
 def _farthest(rng: Generator) -> Inputs:
-    """A few pixels that splat, on a ground that is too far to."""
+    """A few pixels that splat, on a ground that is too far to splat."""
     depth = np.full((1, 20), 20.0)
     depth[0, ::5] = 10 * (1 - CLOSE), 10, 10 * (1 + CLOSE), 9
     motion = np.zeros((1, 20, 2))
@@ -101,7 +101,7 @@ def _farthest(rng: Generator) -> Inputs:
 
 
 def _materials(rng: Generator) -> tuple[Inputs, Weights]:
-    """Few places with keys about 1e-12 long among others a million times shorter: sums of weights about 1e-6, lengths about 1e-12."""
+    """A few places with keys about 1e-12 long, among keys a million times shorter: sums of weights are about 1e-6, lengths 1e-12."""
     size = 9, 9
     keys = 1e-6 * rng.choice([0.1, 0.3, 0.6, 2.0], size)
     keys[1::4, 1::4] = rng.choice([1.0, 2.0, 5.0], (2, 2))
@@ -109,14 +109,14 @@ def _materials(rng: Generator) -> tuple[Inputs, Weights]:
 
 
 def _window(rng: Generator) -> tuple[Inputs, Weights]:
-    """One place to be trusted: light reaches two places away, and no further."""
+    """One place is trusted: its light reaches places up to two away, and no further."""
     trusted = np.zeros((9, 9))
     trusted[4, 4] = 1
     return _lit(rng, np.full((9, 9), 1e3), trusted)
 
 
 def _lit(rng: Generator, keys: NDArray[np.float64], trusted: NDArray[np.float64]) -> tuple[Inputs, Weights]:
-    """Stage erm where a key is 1e-12 times what ``keys`` has at its place."""
+    """Stage erm with keys that are 1e-12 times ``keys``."""
     height, width = keys.shape
     given = dict(made_weights("random", 0))
     for name, tensor in given.items():
@@ -131,7 +131,7 @@ def _lit(rng: Generator, keys: NDArray[np.float64], trusted: NDArray[np.float64]
 
 
 def _dark(rng: Generator) -> tuple[Inputs, Weights]:
-    """Colours of either sign."""
+    """Stage frame with colours of either sign."""
     inputs, given = frame_case((9, 13), rng)
     return {**inputs, "colors": inputs["colors"] * 2 - 1}, given
 
@@ -153,5 +153,5 @@ CONSTANTS = (
 
 
 def constant_cases(stage: str) -> tuple[Callable[[Generator], Any], ...]:
-    """The cases of a stage's constants."""
+    """The cases that show a stage's constants."""
     return tuple(dict.fromkeys(constant.make for constant in CONSTANTS if constant.stage == stage))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Large frames: wider than a tile or a work-group, more pixels than 16 bits count, motion over hundreds of pixels and out on each side.
+"""Large frames: wider than a tile or a work-group, with more pixels than 16 bits count, and with motion of hundreds of pixels.
 
-Made from a generator, not drawn: nothing of them could be made smaller, so they stand in the order in which they get dearer.
+A random generator makes them and Hypothesis does not draw them, since a smaller case would no longer be large. The slowest come last.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from stss_ref.weights import Weights
 IMAGE_SIZES: tuple[Size, ...] = ((2, 300), (301, 3), (257, 259), (129, 66), (65, 129), (65_601, 1), (1, 65_601))
 """(H, W) for the image stages. The third has more than 65,536 pixels; the last two more columns or rows than 16 bits count."""
 NETWORK_SIZES: tuple[Size, ...] = ((8, 528), (264, 8), (72, 136), (8, 2080), (528, 64), (264, 256))
-"""(H, W) for stages of the network: at 1/8 66 columns, 33 rows, 260 columns; the last has more than 65,536 pixels."""
+"""(H, W) for stages of the network: at 1/8 they have up to 33 rows and 260 columns; the last has more than 65,536 pixels."""
 ANY_SIZES: tuple[Size, ...] = ((7, 301), (261, 5), (67, 131), (515, 13), (257, 259))
-"""(H, W) for the whole network, which pads them."""
+"""(H, W) for stages network and frame, which pad them."""
 Made = Callable[[Generator], Any]
 
 
 def motion(rng: Generator, size: Size) -> NDArray[np.float64]:
-    """(H, W, 2): short, across the frame, out of it on each side; whole pixels and not."""
+    """(H, W, 2) motion: short, across the frame, and out of it on each side; of whole pixels and of fractions."""
     height, width = size
     reach = np.array([width, height])
     kind = rng.integers(0, 4, size)[..., None]
@@ -47,11 +47,11 @@ def _warp(size: Size, rng: Generator) -> Inputs:
 
 
 def _holes(size: Size, rng: Generator) -> Inputs:
-    """Objects on a ground; as far apart, and as much turned, as is just trusted."""
+    """Objects on a ground, with distances and angles near the limits of what is trusted."""
     normal, position = rng.normal(0, 1, (*size, 3)), rng.normal(0, 15, (*size, 3))
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     stencil = (rng.random(size) < 0.3) * 2.0
-    # Much of what does not move has to be trusted.
+    # Half of the pixels do not move, since hardly any other pixel is trusted.
     moved = np.where((rng.random(size) < 0.5)[..., None], 0, motion(rng, size))
     return {
         "motion": moved, "stencil": stencil, "stencil_previous": stencil, "normal": normal, "position": position,
@@ -74,7 +74,7 @@ def _rrm(size: Size, rng: Generator) -> Inputs:
 
 
 def network_case(stage: str, size: Size, rng: Generator) -> tuple[Inputs, Weights]:
-    """Inputs in [0, 1] of a stage of the network, and weights."""
+    """Inputs of a stage of the network, in [0, 1], and weights."""
     height, width = size
     shapes = {
         "color": (height, width, 6), "gbuffer": (height, width, 9), "history": (3, height, width, 4),
@@ -92,7 +92,7 @@ def network_case(stage: str, size: Size, rng: Generator) -> tuple[Inputs, Weight
 
 
 def frame_case(size: Size, rng: Generator) -> tuple[Inputs, Weights]:
-    """Motion of quarters, and whole pixels far across; surfaces are one or far apart: no rounding decides what is a hole."""
+    """Stage frame: motion is short, in quarters, or far, in whole pixels; surfaces coincide or are far apart: rounding decides no hole."""
     far = np.round(rng.uniform(-0.9, 0.9, (5, *size, 2)) * (size[1], size[0]))
     moved = np.where(rng.random((5, *size, 1)) < 0.3, far, rng.integers(-6, 7, (5, *size, 2)) / 4)
     positions = np.zeros((4, *size, 3))
@@ -111,7 +111,7 @@ _IMAGE: dict[str, Callable[[Size, Generator], Inputs]] = {
 
 
 def large_inputs(stage: str) -> tuple[Made, ...]:
-    """Of a stage: inputs, and weights if it takes them; the dearest last."""
+    """The large cases of a stage: inputs, and weights if the stage takes them; the slowest last."""
     if stage in _IMAGE:
         return tuple(partial(_IMAGE[stage], size) for size in IMAGE_SIZES)
     if stage == "frame":

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Hypothesis strategies for frames, motion and masks.
 
-Drawn numbers are simple and hardly ever round, so most arrays are filled from a drawn seed; the drawn kinds steer them to where ports
-go wrong.
+Numbers that Hypothesis draws are simple and hardly ever round, so most arrays are filled from a drawn seed. A drawn kind steers them
+to where ports go wrong.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 
 def sizes(largest: int = 20) -> st.SearchStrategy[Size]:
-    """(H, W) from 1 x 1 up: one-row and one-column frames, and every size modulo 8."""
+    """(H, W) from 1 x 1 up, with frames of one row or column, and with every remainder modulo 8."""
     return st.tuples(st.integers(1, largest), st.integers(1, largest))
 
 
 @st.composite
 def frames(draw: st.DrawFn, size: Size, channels: int, kind: Literal["any", "flat"] = "any") -> Float64:
-    """(H, W, channels) of values that float32 holds exactly: noise, a flat frame, a ramp, or mostly 0."""
+    """(H, W, channels) of numbers that float32 has exactly: noise, a flat frame, a ramp, or mostly 0."""
     random = np.random.default_rng(draw(SEEDS))
     filled = kind if kind == "flat" else draw(st.sampled_from(["noise", "flat", "ramp", "sparse"]))
     shape = (*size, channels)
@@ -43,7 +43,7 @@ def frames(draw: st.DrawFn, size: Size, channels: int, kind: Literal["any", "fla
 
 @st.composite
 def colors(draw: st.DrawFn, size: Size, channels: int, kind: str = "any") -> Float64:
-    """(H, W, channels): in [0, 1], one colour, and what HDR and broken renderers give: 0, denormal, negative, 65504 and beyond."""
+    """(H, W, channels) colours: in [0, 1], flat, or as HDR and broken renderers give: 0, denormal, negative, 65504 and beyond."""
     random = np.random.default_rng(draw(SEEDS))
     filled = (
         draw(st.sampled_from(["unit", "unit", "flat", "sparse", "high", "negative", "denormal", "mixed"]))
@@ -70,12 +70,12 @@ def colors(draw: st.DrawFn, size: Size, channels: int, kind: str = "any") -> Flo
 
 @st.composite
 def motions(draw: st.DrawFn, size: Size, *, broken: bool = False) -> Float64:
-    """(H, W, 2) that float32 holds exactly: still, whole pixels and nearly so, halves, short, frame-sized and far outside.
+    """(H, W, 2) motion that float32 has exactly: still, whole pixels or nearly, halves, short, as long as the frame, or far outside.
 
     Args:
-        draw: Hypothesis's.
+        draw: Hypothesis's function.
         size: (H, W).
-        broken: whether some may be NaN or infinite.
+        broken: some may be NaN or infinite.
     """
     random = np.random.default_rng(draw(SEEDS))
     kind = draw(st.sampled_from(["still", "whole", "half", "short", "long", "far", "tiny", "nearly", "one", "alike", "mixed"]))
@@ -106,7 +106,7 @@ def motions(draw: st.DrawFn, size: Size, *, broken: bool = False) -> Float64:
 
 @st.composite
 def dyadic_motions(draw: st.DrawFn, size: Size, kind: str) -> Float64:
-    """(H, W, 2) of ``still``, ``whole``, ``half`` or ``short`` (quarters) motion, whose sums with positions no arithmetic rounds."""
+    """(H, W, 2) of ``still``, ``whole``, ``half`` or ``short`` (quarters) motion, whose sums with places are exact in all arithmetics."""
     random = np.random.default_rng(draw(SEEDS))
     reach = min(max(size), 40)
     if kind == "still":
@@ -120,7 +120,7 @@ def dyadic_motions(draw: st.DrawFn, size: Size, kind: str) -> Float64:
 
 @st.composite
 def masks(draw: st.DrawFn, size: Size) -> NDArray[np.bool_]:
-    """(H, W): all holes, none, one of either, or any."""
+    """(H, W) mask: all 1, all 0, a single 1, a single 0, or random."""
     random = np.random.default_rng(draw(SEEDS))
     kind = draw(st.sampled_from(["all", "none", "one", "but one", "any"]))
     if kind == "any":

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Hypothesis strategies for whole stages: all inputs of one, of one size, drawn to where ports go wrong."""
+"""Hypothesis strategies for whole stages: all inputs of a stage, of one size, steered to where ports go wrong."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def chain_inputs(draw: st.DrawFn, largest: int = 16) -> Inputs:
     size = draw(sizes(largest))
     count = draw(st.integers(1, 5))
     if draw(st.booleans()):
-        # Short steps, none of them 0, that stay in the frame: the chain is followed to its end.
+        # Short steps, none of them 0, stay in the frame, so that the chain runs to its end.
         rng = np.random.default_rng(draw(SEEDS))
         kinds = [draw(st.sampled_from(["whole", "half", "nearly", "any"])) for _ in range(count)]
         return {"motions": np.stack([_short_steps(rng, size, kind) for kind in kinds])}
@@ -57,7 +57,7 @@ def warp_inputs(draw: st.DrawFn, largest: int = 16, color: str = "any", motion: 
 
 @st.composite
 def wide_warp_inputs(draw: st.DrawFn) -> Inputs:
-    """Stage warp in frames so wide, or so high, that the sum of a pixel and a motion rounds away most of a fraction."""
+    """Stage warp in frames so wide, or so high, that the sum of a pixel's place and a motion loses most of the fraction by rounding."""
     shape = draw(st.integers(1, 2)), draw(st.integers(1000, 4500))
     size = shape if draw(st.booleans()) else shape[::-1]
     rng = np.random.default_rng(draw(SEEDS))
@@ -66,7 +66,7 @@ def wide_warp_inputs(draw: st.DrawFn) -> Inputs:
 
 @st.composite
 def holes_inputs(draw: st.DrawFn, largest: int = 16) -> Inputs:
-    """Stage holes: objects and ground, normals of any length, positions near and far, thresholds met."""
+    """Stage holes: objects and ground, normals of any length, and positions near, far and just at the thresholds."""
     size = draw(sizes(largest))
     rng = np.random.default_rng(draw(SEEDS))
     stencil = _stencil(rng, size, draw(st.sampled_from(["ground", "one", "many"])))
@@ -92,7 +92,7 @@ def holes_inputs(draw: st.DrawFn, largest: int = 16) -> Inputs:
 
 @st.composite
 def thresholds(draw: st.DrawFn, largest: int = 16) -> Inputs:
-    """Stage holes where one test alone decides, and is about to: how far, how turned, or another object."""
+    """Stage holes where one comparison decides, near its threshold: distance, angle, or another object."""
     size = draw(sizes(largest))
     rng = np.random.default_rng(draw(SEEDS))
     what = draw(st.sampled_from(["far", "turned", "turned", "other"]))
@@ -106,7 +106,7 @@ def thresholds(draw: st.DrawFn, largest: int = 16) -> Inputs:
         bias = limits.facing * np.abs(nov) + limits.grazing * (1 - np.abs(nov)) + limits.depth * depth
         inputs["position_previous"] = position + _unit(rng, size) * (bias * rng.uniform(0.8, 1.2, size))[..., None]
     if what == "turned":
-        # An angle about that of cosine 0.98, or any; lengths other than 1, of which only one is divided by.
+        # Angles near that of cosine 0.98, or any angle. Lengths differ from 1, since a stage divides by only one of the two.
         aside = np.cross(normal, _unit(rng, size))
         aside /= np.maximum(np.linalg.norm(aside, axis=-1, keepdims=True), 1e-6)
         angle = np.where(rng.random(size) < 0.2, rng.uniform(0, np.pi, size), rng.uniform(0.1, 0.4, size))[..., None]
@@ -127,7 +127,7 @@ def _unit(rng: np.random.Generator, size: Size) -> NDArray[np.float64]:
 
 @st.composite
 def occlusion_inputs(draw: st.DrawFn, largest: int = 16, motion: str = "any") -> Inputs:
-    """Stage occlusion_warp: depths that tie, that are all the same, and that never splat."""
+    """Stage occlusion_warp, also with depths that tie, that are all the same, or that never splat."""
     size = draw(sizes(largest))
     rng = np.random.default_rng(draw(SEEDS))
     moved = draw(motions(size, broken=True) if motion == "any" else dyadic_motions(size, motion))
@@ -142,7 +142,7 @@ def occlusion_inputs(draw: st.DrawFn, largest: int = 16, motion: str = "any") ->
 
 
 def depths(rng: np.random.Generator, size: Size, kind: str) -> NDArray[np.float64]:
-    """(H, W): of any value, of few values, of hardly different ones, of one, or some too far to splat."""
+    """(H, W) depths of ``kind``: any values, few values, hardly different ones, a single value, or some too far to splat."""
     if kind == "ties":
         return np.asarray(rng.choice([0.0, -0.0, 0.25, 0.5], size), np.float64)
     if kind == "close":
@@ -155,7 +155,7 @@ def depths(rng: np.random.Generator, size: Size, kind: str) -> NDArray[np.float6
 
 @st.composite
 def rrm_inputs(draw: st.DrawFn, largest: int = 20) -> Inputs:
-    """Stage rrm: any rectangle in the frame, of one pixel or of all."""
+    """Stage rrm with any rectangle in the frame, from one pixel to the whole frame."""
     height, width = size = draw(sizes(largest))
     h, w = draw(st.integers(1, height)), draw(st.integers(1, width))
     corner = draw(st.integers(0, height - h)), draw(st.integers(0, width - w))
@@ -164,13 +164,13 @@ def rrm_inputs(draw: st.DrawFn, largest: int = 20) -> Inputs:
 
 @st.composite
 def network_inputs(draw: st.DrawFn, stage: str, size: st.SearchStrategy[Size] | None = None, color: str = "any") -> Inputs:
-    """Stages history, encoder, erm, decoder and network: those of these inputs that the stage takes."""
+    """The inputs of ``stage``: history, encoder, erm, decoder or network."""
     height, width = draw(multiples() if size is None else size)
     rng = np.random.default_rng(draw(SEEDS))
     full, eighth = (height, width), (-(-height // 8), -(-width // 8))
     mask = draw(masks(full)).astype(np.float64)
     if draw(st.integers(0, 3)) == 0:
-        mask = rng.random(full)  # a number in the network's input
+        mask = rng.random(full)  # the network accepts any number as a mask
     inputs: Inputs = {}
     if stage in ("encoder", "decoder", "network"):
         inputs["color"] = draw(colors(full, 6, color))
@@ -193,7 +193,7 @@ def network_inputs(draw: st.DrawFn, stage: str, size: st.SearchStrategy[Size] | 
 def frame_inputs(
     draw: st.DrawFn, size: st.SearchStrategy[Size] | None = None, steps: tuple[int, int, int] | None = None
 ) -> Inputs:
-    """Stage frame: SF, EF, missing frames; motion of halves and quarters, so that no rounding decides what is a hole."""
+    """Stage frame: SF, EF and missing frames; motion has halves and quarters, so that rounding decides no hole."""
     full = draw(sizes(16) if size is None else size)
     rng = np.random.default_rng(draw(SEEDS))
     back = steps or draw(
@@ -220,7 +220,7 @@ def frame_inputs(
 
 @st.composite
 def scene_inputs(draw: st.DrawFn) -> Inputs:
-    """Stage frame on an analytic scene: exact motion of a camera and of objects, real holes, cuts, small size."""
+    """Stage frame on a small analytic scene, with exact motion of a camera and of objects, with real holes and with cuts."""
     name, number = draw(st.sampled_from(sorted(SCENES))), draw(st.integers(5, 12))
     size = draw(st.tuples(st.integers(4, 14), st.integers(4, 14)))
     back = draw(st.sampled_from([(0, 2, 4), (1, 3, 5), (1, 1, 1)]))
@@ -249,13 +249,13 @@ def _rendered(name: str, number: int, size: Size) -> Rendered:
 
 @st.composite
 def weights(draw: st.DrawFn) -> Weights:
-    """One of few sets, so that a port need not bring a new one to its device for every case."""
+    """Draw one of a few sets of weights, so that a port need not upload new ones for every case."""
     return made_weights(draw(st.sampled_from(WEIGHT_KINDS)), draw(st.integers(0, 2)))
 
 
 @lru_cache(32)
 def made_weights(kind: str, seed: int) -> Weights:
-    """Weights of ``stss_ref.weights.random``, or those thinned out, enlarged, or with keys near the clamps of spec 8."""
+    """Weights of ``stss_ref.weights.random``, as they are, thinned out, enlarged, or with keys near the clamps of spec 8."""
     made = dict(random(seed))
     rng = np.random.default_rng(seed)
     for name in TENSORS:
@@ -275,7 +275,7 @@ def _stencil(rng: np.random.Generator, size: Size, kind: str) -> NDArray[np.floa
 
 
 def _normals(draw: st.DrawFn, rng: np.random.Generator, size: Size) -> NDArray[np.float64]:
-    """Unit length, not quite, none here and there, or none to speak of."""
+    """(H, W, 3) normals: of unit length, all the same, some of them 0, of length 3, denormal, or all 0."""
     normal = rng.normal(0, 1, (*size, 3))
     normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-3)
     kind = draw(st.sampled_from(["unit", "unit", "flat", "some zero", "long", "denormal", "zero"]))
@@ -288,7 +288,7 @@ def _normals(draw: st.DrawFn, rng: np.random.Generator, size: Size) -> NDArray[n
 
 
 def _gbuffer(draw: st.DrawFn, rng: np.random.Generator, size: Size) -> NDArray[np.float64]:
-    """Normal 3, depth, roughness, metallic, base colour 3, which may be 0 throughout."""
+    """(H, W, 9): normal 3, depth, roughness, metallic, base colour 3, which may be 0 everywhere."""
     rest = rng.random((*size, 6))
     if draw(st.booleans()):
         rest[..., 3:] = 0

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Mistakes that people make when they port a stage, as ports: what a wrong answer is compared with, and what tests the judge.
+"""Mistakes that people make when they port a stage, as ports: they explain wrong answers, and test the judge.
 
-By name, for a command line: ``--port conformance.mistakes:warp_x_sign``.
+A command line names one as ``--port conformance.mistakes:warp_x_sign``.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ MISTAKES: tuple[Mistake, ...] = (
 
 
 def of_stage(stage: str, *, shared: bool = False) -> tuple[Mistake, ...]:
-    """Those that the tests of ``stage`` ought to catch; with ``shared``, those of other stages whose code it shares, too."""
+    """Mistakes that the tests of ``stage`` ought to catch; with ``shared``, also those of other stages whose code it shares."""
     return tuple(mistake for mistake in MISTAKES if mistake.stage == stage or (shared and stage in mistake.also))
 
 
 def find(name: str) -> Mistake:
-    """The mistake of this `Mistake.id`."""
+    """The mistake with this `Mistake.id`."""
     return next(mistake for mistake in MISTAKES if mistake.id == name)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Planted faults: erm and decoder."""
+"""Mistakes in stages erm and decoder."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Planted faults: network and frame."""
+"""Mistakes in stages network and frame."""
 
 from collections.abc import Sequence
 

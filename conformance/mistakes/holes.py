@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Planted faults: holes, occlusion_warp and rrm."""
+"""Mistakes in stages holes, occlusion_warp and rrm."""
 
 from collections.abc import Sequence
 

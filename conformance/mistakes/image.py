@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Planted faults: motion_chain and warp, and what warp shares with holes and occlusion_warp."""
+"""Mistakes in stages motion_chain and warp, and in the code that warp shares with holes and occlusion_warp."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -91,7 +91,7 @@ _WRAPPED_TAP = (SAMPLE, "np.minimum(x0 + 1, width - 1), ", "(x0 + 1) % width, ")
 
 
 def _summed(position: str) -> str:
-    """Follows a motion by way of a position, a sum of pixel ``p`` and ``moved``."""
+    """Changed source that follows a motion through a position, which is a sum of pixel ``p`` and ``moved``."""
     p = "p = np.stack(np.indices(motion.shape[:2])[::-1], axis=-1).astype(motion.dtype)"
     return f"{_FOLLOW}\n    {p}\n    moved = {position} - p"
 

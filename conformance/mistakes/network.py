@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Planted faults: history, encoder and erm, and what they share with decoder."""
+"""Mistakes in stages history and encoder, and in the code that they share with erm and decoder."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,7 +8,7 @@ from conformance.mistakes.variants import Change, Mistake, fault
 
 CONV = "conv.py"
 OTHERS = ("history", "erm", "decoder")
-"""Of the stages with convolutions, those beside encoder."""
+"""Stages with convolutions, other than encoder."""
 
 _PAD = "padded = np.pad(x, ((r, r), (r, r), (0, 0)))"
 _BIAS = "y[...] = bias"

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Copies of the reference with changed source, as ports: planted faults, and correct ports with other arithmetic.
+"""Copies of the reference with changed source, as ports: mistakes, and correct ports with other arithmetic.
 
-A copy is all of `stss_ref` and, on top of it, ``conformance/protocol/stages.py``, under another package name. It is made in memory, and no
-trace of it is left in ``sys.modules``; it runs in the dtype of its inputs, so as a port in float32.
+A copy has all of `stss_ref`, and ``conformance/protocol/stages.py``, under another package name. It is made in memory and leaves no
+trace in ``sys.modules``. It computes in the dtype of its inputs, so in float32 as a port.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from stss_ref.weights import Weights
 ROOT = Path(stss_ref.__file__).parent
 STAGES_FILE = Path(conformance.protocol.stages.__file__)
 PACKAGE = "stss_variant"
-"""Name of every copy; only one is being made at a time."""
+"""Package name of every copy; only one copy is made at a time."""
 
 Change = tuple[str, str, str]
-"""File, old text, new text. Files go by their names alone: those of `stss_ref`, and ``stages.py``."""
+"""File, old text, new text. A file is named without its folder: one of `stss_ref`, or ``stages.py``."""
 Functions = Mapping[str, Callable[..., Any]]
-"""What takes a function's place, by ``module.function``."""
+"""``module.function`` -> the function that replaces it."""
 
 
 class VariantError(ValueError):
@@ -49,12 +49,12 @@ class Mistake:
     """A mistake that a porter could make.
 
     Attributes:
-        stage: whose tests ought to catch it: the narrowest one. Stages that contain it (``network``, ``frame``) see it as well.
-        name: with the stage before it, unique.
+        stage: its tests ought to catch the mistake. It is the narrowest stage; ``network`` and ``frame``, which contain it, fail, too.
+        name: unique within the stage.
         what: the mistake, in one line.
-        changes: what it is in the reference's source.
-        also: other stages of the narrow kind whose tests ought to catch it, since they share the code.
-        bits: the numbers stay within any bound; only a test that asks for exactness can catch it.
+        changes: the mistake, as changes of the reference's source.
+        also: other narrow stages whose tests ought to catch it, since they share the code.
+        bits: the numbers stay within any bound, so that only a test of exact bits can catch it.
     """
 
     stage: str
@@ -75,7 +75,7 @@ class Mistake:
 
 
 def fault(stage: str, name: str, what: str, *change: str, more: Sequence[Change] = (), **marks: Any) -> Mistake:
-    """A mistake by the change ``file, old, new``, and ``more`` where that is not enough."""
+    """Make a mistake from the change ``file, old, new``, and from the changes ``more``."""
     file, old, new = change
     return Mistake(stage, name, what, ((file, old, new), *more), **marks)
 
@@ -84,9 +84,9 @@ class Variant:
     """A copy as a port (`conformance.protocol.port.Port`).
 
     Attributes:
-        name: stands in reports.
-        dtype: ``float32`` or ``float16``, what picks the bounds.
-        winograd: whether its convolutions at stride 1 are Winograd's, whose bits and errors depend on more than the window.
+        name: shown in reports.
+        dtype: ``float32`` or ``float16``; picks the bounds.
+        winograd: it uses Winograd convolutions at stride 1, whose bits and errors depend on more than the window.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class Variant:
         winograd: bool = False,
         entry: Callable[[AnyArray], AnyArray] | None = None,
     ):
-        """Make a port of a copy's ``reference`` and ``watched``; ``entry`` is done to every float array and weight before."""
+        """Make a port of a copy's ``reference`` and ``watched``; ``entry`` first changes every float array and weight."""
         self.name = name
         self.dtype = dtype
         self.winograd = winograd
@@ -110,11 +110,11 @@ class Variant:
         return f"Variant({self.name!r})"
 
     def stages(self) -> frozenset[str]:
-        """All of them."""
+        """All stages."""
         return frozenset(STAGES)
 
     def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
-        """See `conformance.protocol.port.Port`. A wrong number is no warning: other languages give none."""
+        """See `conformance.protocol.port.Port`. Wrong numbers raise no NumPy warning, since other languages give none."""
         if (entry := self._entry) is not None:
             inputs = {name: entry(array) if array.dtype.kind == "f" else array for name, array in inputs.items()}
             weights = None if weights is None else {name: entry(tensor) for name, tensor in weights.items()}
@@ -122,7 +122,7 @@ class Variant:
             return self._reference(stage, inputs, weights)
 
     def layers(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
-        """Its layers, see `conformance.protocol.layers`."""
+        """Activations of the stage's layers, see `conformance.protocol.layers`."""
         with self._watched() as seen:
             self.run(stage, inputs, weights)
         return chosen(stage, seen)
@@ -133,12 +133,12 @@ def load(name: str, changes: Sequence[Change] = (), functions: Functions | None 
 
     Args:
         name: of the port.
-        changes: texts to be replaced, one after the other; each must be there exactly once.
-        functions: functions to be replaced. Whoever imports one gets the new one.
+        changes: texts to replace, one after the other; each must occur exactly once.
+        functions: functions to replace; modules that import one get the new one.
         port: further arguments of `Variant`.
 
     Raises:
-        VariantError: a text is not there exactly once, or there is no such file or function.
+        VariantError: a text does not occur exactly once, or there is no such file or function.
     """
     finder = _Copy(_changed(changes), functions or {})
     sys.meta_path.insert(0, finder)
@@ -154,7 +154,7 @@ def load(name: str, changes: Sequence[Change] = (), functions: Functions | None 
 
 
 def departs(got: Outputs, want: Outputs, row: str | None) -> bool:
-    """Whether outputs differ by more than a row of the table of bounds allows, or at all (None); masks may never differ.
+    """Whether outputs differ by more than ``row`` of the table of bounds allows, or at all if ``row`` is None; masks may never differ.
 
     The row's floor is meant for numbers of order 1, so larger outputs are divided by their largest number.
     """
@@ -198,7 +198,7 @@ class _Copy(MetaPathFinder, Loader):
 
 @cache
 def _sources() -> dict[str, str]:
-    # `arrays` stays the original: it computes nothing, and its errors are those that the suite knows.
+    # `arrays` is not copied: it computes nothing, and the suite catches its errors by their class.
     paths = [path for path in ROOT.glob("*.py") if path.name != "arrays.py"]
     return {path.name: path.read_text(encoding="utf-8") for path in [*paths, STAGES_FILE]}
 

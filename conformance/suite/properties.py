@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""How a property of the suite is written: a function of the judge and of one case."""
+"""Make tests of properties; a property is a function of the judge and of one case."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from conformance.terms import terms_at_worst
 
 
 def cases(strategy: st.SearchStrategy[Any], *, dear: bool = False) -> Callable[[Body], Callable[[Judge], None]]:
-    """Make a test of a property: it is run on many cases of ``strategy``, as many as the judge's tier says.
+    """Make a test of a property, which runs on as many drawn cases as the judge's tier says.
 
     Args:
-        strategy: of the cases.
-        dear: whether one runs the network, so that there can be fewer.
+        strategy: draws the cases.
+        dear: a case is slow, since it runs the network: fewer cases are drawn.
     """
 
     def decorate(body: Body) -> Callable[[Judge], None]:
@@ -46,11 +46,11 @@ def cases(strategy: st.SearchStrategy[Any], *, dear: bool = False) -> Callable[[
 def made_cases(
     made: Sequence[Callable[[np.random.Generator], Any]], *, large: bool = False
 ) -> Callable[[Body], Callable[[Judge], None]]:
-    """Make a test of a property on a few cases that are made and not drawn.
+    """Make a test of a property on a few cases that are made, not drawn.
 
     Args:
         made: each makes one case from a seeded generator.
-        large: whether they are large frames, the dearest last: the judge's tier says how many of them are tried.
+        large: the cases are large frames, the slowest last: the judge's tier says how many of them run.
     """
 
     def decorate(body: Body) -> Callable[[Judge], None]:
@@ -69,7 +69,7 @@ def made_cases(
 
 @contextmanager
 def _confirmed(judge: Judge, body: Body) -> Generator[None]:
-    """A failure is run again before it is told."""
+    """Run a failure again before reporting it."""
     try:
         yield
     except (DepartureError, Flaky) as error:
@@ -81,9 +81,9 @@ def _confirmed(judge: Judge, body: Body) -> Generator[None]:
 
 
 def _diagnosed(judge: Judge, failure: Failure, first: Failure | None) -> Failure:
-    """With words on what it looks like: the case that failed first, for many mistakes look like the smallest one.
+    """Add to the message what the failure looks like, judged by the case that failed first: the smallest case fits many mistakes.
 
-    Asking the port again is no part of the test's record.
+    The test's record does not count the cases that the port computes for this.
     """
     met, judge.record = judge.record, Record()
     words = [] if failure.before else [first_departure(judge, failure.finding), diagnose(judge, (first or failure).finding)]
@@ -93,17 +93,17 @@ def _diagnosed(judge: Judge, failure: Failure, first: Failure | None) -> Failure
 
 
 def _as_test(test: Any, body: Body) -> Callable[[Judge], None]:
-    # pytest looks for fixtures in the signature: the case is none.
+    # pytest looks for fixtures in the signature, and the case is no fixture.
     del test.__wrapped__
     test.property = body
     return test
 
 
 def find_property(test: str) -> Body:
-    """The property of a test by its id, ``stage.test``.
+    """The property of the test with this id, ``stage.test``.
 
     Raises:
-        LookupError: there is none.
+        LookupError: there is no such test.
     """
     stage, _, name = test.partition(".")
     try:

@@ -16,13 +16,13 @@ CASES = st.tuples(network_inputs("decoder"), weights())
 
 @cases(CASES, dear=True)
 def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
-    """The image is the float64 reference's, within what rounding can do to it."""
+    """The image is the float64 reference's, within the error that rounding can cause."""
     judge.agrees("decoder", *case)
 
 
 @cases(CASES, dear=True)
 def test_each_output_channel_has_its_place(judge: Judge, case: tuple[Inputs, Weights]):
-    """Over black, with all weights 0, bias 4c + 2i + j is channel c of the pixels (2y + i, 2x + j), bit for bit."""
+    """With a black colour and all weights 0, bias 4c + 2i + j is channel c of the pixels (2y + i, 2x + j), bit for bit."""
     inputs, given = case
     still = {name: tensor if name == "outc.bias" else tensor * 0 for name, tensor in given.items()}
     got = judge.run("decoder", {**inputs, "color": inputs["color"] * 0}, still)["image"]
@@ -47,17 +47,17 @@ def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
 
 @cases(exact_inputs("decoder", multiples()), dear=True)
 def test_what_needs_no_rounding_is_exact(judge: Judge, case: tuple[Inputs, Weights]):
-    """Eighths and few weights of 1 over flat features are added without a rounding in any order: the image is right bit for bit."""
+    """Sums of eighths and few weights of 1 over flat features need no rounding in any order: the image is right bit for bit."""
     judge.agrees_exactly("decoder", *case)
 
 
 @cases(rounded_sums("decoder"), dear=True)
 def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]):
-    """Thousands of sums of one layer are off by no more than rounding to the nearest leaves on average, and not all to one side."""
+    """Thousands of sums of one layer are off by no more than rounding to nearest causes on average, and not all to one side."""
     judge.rounds_either_way("decoder", "image", *case, LAST["decoder"])
 
 
 @made_cases(large_inputs("decoder"), large=True)
 def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
-    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count."""
+    """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
     judge.agrees("decoder", *case)

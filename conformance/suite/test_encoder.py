@@ -14,12 +14,12 @@ from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("encoder"), weights())
 REACH = {"x1": 2, "x2": 7, "x3": 17, "x4": 37}
-"""How far a pixel of each output sees, in pixels of the input: two layers of radius 1 for x1, then three more at each size."""
+"""Radius that a pixel of each output depends on, in input pixels: two layers of radius 1 for x1, then three more at each size."""
 
 
 @cases(CASES, dear=True)
 def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
-    """All four features are the float64 reference's, within what rounding can do to them."""
+    """All four features are the float64 reference's, within the error that rounding can cause."""
     judge.agrees("encoder", *case)
 
 
@@ -40,7 +40,7 @@ def test_what_is_masked_is_read_once(judge: Judge, case: tuple[Inputs, Weights])
 
 @cases(st.tuples(network_inputs("encoder", multiples(48)), weights(), st.integers(0, 47), st.integers(0, 47)), dear=True)
 def test_a_pixel_is_seen_from_nearby_only(judge: Judge, case: tuple[Inputs, Weights, int, int]):
-    """Changing one pixel changes nothing beyond the layers' radius, bit for bit but for Winograd's tiles."""
+    """Changing one pixel changes nothing beyond the layers' radius; bit for bit, except in a Winograd port."""
     inputs, given, y, x = case
     height, width, _ = inputs["color"].shape
     y, x = y % height, x % width
@@ -67,17 +67,17 @@ def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
 
 @cases(exact_inputs("encoder", multiples()), dear=True)
 def test_what_needs_no_rounding_is_exact(judge: Judge, case: tuple[Inputs, Weights]):
-    """Eighths and few weights of 1 are added without a rounding in any order: all four features are right bit for bit."""
+    """Sums of eighths and few weights of 1 need no rounding in any order: all four features are right bit for bit."""
     judge.agrees_exactly("encoder", *case)
 
 
 @cases(rounded_sums("encoder"), dear=True)
 def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]):
-    """Thousands of sums of one layer are off by no more than rounding to the nearest leaves on average, and not all to one side."""
+    """Thousands of sums of one layer are off by no more than rounding to nearest causes on average, and not all to one side."""
     judge.rounds_either_way("encoder", "x1", *case, LAST["encoder"])
 
 
 @made_cases(large_inputs("encoder"), large=True)
 def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
-    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count."""
+    """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
     judge.agrees("encoder", *case)

@@ -18,13 +18,13 @@ CASES = st.tuples(network_inputs("erm", multiples(48)), weights())
 
 @cases(CASES, dear=True)
 def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
-    """The reshaded light is the float64 reference's, within what rounding can do to it."""
+    """The reshaded light is the float64 reference's, within the error that rounding can cause."""
     judge.agrees("erm", *case)
 
 
 @cases(CASES, dear=True)
 def test_nothing_to_be_trusted_gives_nothing(judge: Judge, case: tuple[Inputs, Weights]):
-    """Where all is masked the result is 0, and not 0 / 0."""
+    """Where the whole window is masked, the result is 0, and not 0 / 0."""
     inputs, given = case
     got = judge.run("erm", {**inputs, "mask": inputs["mask"] * 0}, given)["reshaded"]
     judge.same("erm.reshaded", got, np.zeros_like(got))
@@ -32,9 +32,9 @@ def test_nothing_to_be_trusted_gives_nothing(judge: Judge, case: tuple[Inputs, W
 
 @cases(CASES, dear=True)
 def test_a_masked_value_influences_nobody(judge: Judge, case: tuple[Inputs, Weights]):
-    """What lies where the mask is 0 changes no result, not even its own: layers of one tap keep it from spreading by itself.
+    """Light where the mask is 0 changes no result, not even at its own place: layers of one tap keep it from spreading by itself.
 
-    Its own query does see its own material, so that is left as it is; the light is changed.
+    The material is left as it is, since the query at its place does read it.
     """
     inputs, given = case
     taps = {n: _centre(t) if n.startswith(("latentEncoder", "KEncoder")) and t.ndim == 4 else t for n, t in given.items()}
@@ -47,7 +47,7 @@ def test_a_masked_value_influences_nobody(judge: Judge, case: tuple[Inputs, Weig
 
 @cases(CASES, dear=True)
 def test_equal_light_stays_equal(judge: Judge, case: tuple[Inputs, Weights]):
-    """An average of one value is that value, whatever the weights of it: where the light is the same everywhere, so is the result."""
+    """The average of equal values is that value, whatever their weights: if the light is the same everywhere, so is the result."""
     inputs, given = case
     dark = {n: t * 0 if n.startswith("latentEncoder") and not n.endswith("4.bias") else t for n, t in given.items()}
     if not np.any(given["KEncoder.4.bias"]):
@@ -58,13 +58,13 @@ def test_equal_light_stays_equal(judge: Judge, case: tuple[Inputs, Weights]):
     light = judge.given(dark)["latentEncoder.4.bias"].astype(np.float64)
     faint = (
         np.abs(right.want - light).max(axis=-1, keepdims=True) > np.abs(light).max() / 2
-    )  # no key to speak of: 0, not the light
+    )  # keys too small for the least sum of weights: the result tends to 0, not to the light
     judge.holds("erm.reshaded", got, Expected(np.where(faint, right.want, light), right.allowed))
 
 
 @cases(st.tuples(CASES, SEEDS), dear=True)
 def test_opposite_materials_share_no_light(judge: Judge, case: tuple[tuple[Inputs, Weights], int]):
-    """Where a key is the sign of the first normal, each place averages the light of its own sign: less than none is none."""
+    """If a key is the sign of the first normal component, each place averages the light of its own sign: negative weights count as 0."""
     (inputs, given), seed = case
     height, width, _ = inputs["x4"].shape
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (height, width))
@@ -81,25 +81,25 @@ def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
 
 @made_cases(constant_cases("erm"))
 def test_constants_are_those_of_the_specification(judge: Judge, case: tuple[Inputs, Weights]):
-    """The same where a constant counts: just beside a limit, where a small number is added or is the least."""
+    """Cases agree, too, in which a constant shows: just beside a limit, or near a small number that is added or is a least value."""
     judge.agrees("erm", *case)
 
 
 @made_cases(large_inputs("erm"), large=True)
 def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
-    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count."""
+    """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
     judge.agrees("erm", *case)
 
 
 def _centre(weight: np.ndarray) -> np.ndarray:
-    """Only the tap in the middle."""
+    """The weights with all taps 0 but the one in the middle."""
     kept = np.zeros_like(weight)
     kept[:, :, 1, 1] = weight[:, :, 1, 1]
     return kept
 
 
 def _sign_of_the_first(weights: Weights) -> dict[str, np.ndarray]:
-    """A KEncoder whose only key is the sign of its first input."""
+    """Weights of a KEncoder whose only key is the sign of its first input."""
     keys = {name: np.zeros_like(tensor) for name, tensor in weights.items() if name.startswith("KEncoder")}
     for layer, output, read, value in ((0, 0, 0, 1), (0, 1, 0, -1), (2, 0, 0, 1), (2, 1, 1, 1), (4, 0, 0, 1), (4, 0, 1, -1)):
         keys[f"KEncoder.{layer}.weight"][output, read, 1, 1] = value
@@ -107,7 +107,7 @@ def _sign_of_the_first(weights: Weights) -> dict[str, np.ndarray]:
 
 
 def _quarter(inputs: Inputs) -> Inputs:
-    """Every second pixel at 1/8 size masked."""
+    """The inputs with every second pixel at 1/8 size masked."""
     height, width = inputs["mask"].shape
     y, x = np.indices((height, width)) // 8
     return {**inputs, "mask": ((y + x) % 2 == 0).astype(np.float64)}

@@ -17,7 +17,7 @@ STANDS = frame_inputs().map(lambda inputs: {**inputs, "motions": inputs["motions
 
 @cases(CASES, dear=True)
 def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
-    """The image is the float64 reference's: SF, EF, missing frames; cases in which rounding decides what is a hole are counted."""
+    """The image of SF and EF, also with missing frames, is the float64 reference's; cases are counted where rounding decides a hole."""
     judge.agrees("frame", *case)
 
 
@@ -26,19 +26,19 @@ STARTS = st.sampled_from([(0, 0, 0), (1, 1, 1), (0, 2, 2), (1, 3, 3)])
 
 @cases(st.tuples(STARTS.flatmap(lambda steps: frame_inputs(steps=steps)), weights()), dear=True)
 def test_agrees_at_the_start_of_a_sequence(judge: Judge, case: tuple[Inputs, Weights]):
-    """The same where older frames are missing: the oldest one there is stands in, with nothing of it to be trusted."""
+    """Frames agree, too, where older frames are missing: the oldest existing frame stands in, with all of it masked."""
     judge.agrees("frame", *case)
 
 
 @cases(st.tuples(scene_inputs(), weights()), dear=True)
 def test_agrees_on_rendered_scenes(judge: Judge, case: tuple[Inputs, Weights]):
-    """The same on scenes whose motion, geometry and holes are a renderer's."""
+    """Frames agree, too, on scenes whose motion, geometry and holes come from a renderer."""
     judge.agrees("frame", *case)
 
 
 @cases(st.tuples(STANDS, weights()), dear=True)
 def test_without_a_residual_a_still_frame_is_upsampled(judge: Judge, case: tuple[Inputs, Weights]):
-    """Where nothing moves and nothing is a hole, with weights of 0, an extrapolated frame is a rendered one."""
+    """If nothing moves and nothing is a hole, with weights of 0 an extrapolated frame has the same bits as a rendered one."""
     inputs, given = case
     still = {name: tensor * 0 for name, tensor in given.items()}
     same = {**inputs, "positions": np.zeros_like(inputs["positions"])}
@@ -68,11 +68,11 @@ def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
 
 @made_cases(constant_cases("frame"))
 def test_constants_are_those_of_the_specification(judge: Judge, case: tuple[Inputs, Weights]):
-    """The same where a constant counts: just beside a limit, where a small number is added or is the least."""
+    """Cases agree, too, in which a constant shows: just beside a limit, or near a small number that is added or is a least value."""
     judge.agrees("frame", *case)
 
 
 @made_cases(large_inputs("frame"), large=True)
 def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
-    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count, motion across and out of them."""
+    """Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across and out of them."""
     judge.agrees("frame", *case)

@@ -17,13 +17,13 @@ CASES = st.tuples(network_inputs("history"), weights())
 
 @cases(CASES, dear=True)
 def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
-    """The feature is the float64 reference's, within what rounding can do to it."""
+    """The feature is the float64 reference's, within the error that rounding can cause."""
     judge.agrees("history", *case)
 
 
 @cases(st.tuples(CASES, st.permutations(range(3))), dear=True)
 def test_the_three_frames_share_their_weights(judge: Judge, case: tuple[tuple[Inputs, Weights], list[int]]):
-    """Permuting the frames, and with them what the last layer reads of each, changes nothing but roundings."""
+    """Permuting the frames, and the last layer's inputs from each, changes the result only by rounding."""
     (inputs, given), order = case
     blocks = np.concatenate([np.arange(32) + 32 * i for i in order])
     read = {name: tensor[:, blocks] for name, tensor in given.items() if name.startswith("lowlevelGated") and tensor.ndim == 4}
@@ -35,7 +35,7 @@ def test_the_three_frames_share_their_weights(judge: Judge, case: tuple[tuple[In
 
 @cases(CASES, dear=True)
 def test_without_weights_the_bias_is_left(judge: Judge, case: tuple[Inputs, Weights]):
-    """Where all weights are 0 the feature is the last layer's bias, half open: no ReLU is behind the gate."""
+    """If all weights are 0, the feature is the last layer's bias, times a gate of one half: no ReLU follows the gate."""
     inputs, given = case
     still = {name: tensor if name == "lowlevelGated.conv_feature.bias" else tensor * 0 for name, tensor in given.items()}
     bias = judge.given(still)["lowlevelGated.conv_feature.bias"].astype(np.float64)
@@ -52,17 +52,17 @@ def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
 
 @cases(exact_inputs("history", multiples(32)), dear=True)
 def test_what_needs_no_rounding_is_exact(judge: Judge, case: tuple[Inputs, Weights]):
-    """Eighths and few weights of 1 are added without a rounding in any order: the feature is right bit for bit."""
+    """Sums of eighths and few weights of 1 need no rounding in any order: the feature is right bit for bit."""
     judge.agrees_exactly("history", *case)
 
 
 @cases(rounded_sums("history"), dear=True)
 def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]):
-    """Thousands of sums of one layer are off by no more than rounding to the nearest leaves on average, and not all to one side."""
+    """Thousands of sums of one layer are off by no more than rounding to nearest causes on average, and not all to one side."""
     judge.rounds_either_way("history", "feature", *case, LAST["history"])
 
 
 @made_cases(large_inputs("history"), large=True)
 def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
-    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count."""
+    """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
     judge.agrees("history", *case)

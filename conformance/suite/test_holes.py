@@ -16,19 +16,19 @@ from conformance.suite.properties import cases, made_cases
 
 @cases(holes_inputs())
 def test_agrees_with_the_reference(judge: Judge, inputs: Inputs):
-    """The mask is the float64 reference's; where a test comes within rounding of its threshold, either answer is right."""
+    """The mask is the float64 reference's; either answer is right where a comparison is within rounding of its threshold."""
     judge.agrees("holes", inputs)
 
 
 @cases(thresholds())
 def test_agrees_near_the_thresholds(judge: Judge, inputs: Inputs):
-    """The same where one test alone decides: a surface about as far away, or as turned, as is trusted; another object's edge."""
+    """Masks agree, too, where one comparison decides: the distance or angle of a surface near its limit, or another object's edge."""
     judge.agrees("holes", inputs)
 
 
 @cases(holes_inputs())
 def test_what_is_valid_is_in_the_frame(judge: Judge, inputs: Inputs):
-    """Nothing off screen is trusted."""
+    """A place off screen is always a hole."""
     valid = judge.run("holes", inputs)["valid"]
     inside, edge = within_frame(reach(judge.exactly(inputs, "holes")["motion"], judge.arithmetic))
     judge.same("holes.valid", np.where(inside | edge, 0, valid), np.zeros_like(valid))
@@ -36,7 +36,7 @@ def test_what_is_valid_is_in_the_frame(judge: Judge, inputs: Inputs):
 
 @cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS, st.sampled_from([np.nan, np.inf]))))
 def test_a_lost_position_is_a_hole(judge: Judge, case: tuple[Size, int, float]):
-    """Where nothing moved, a pixel is a hole if any of the four positions read, its own and those right and below, is lost."""
+    """If nothing moves, a pixel is a hole where any of the four positions that it reads, its own, right and below, is not finite."""
     size, seed, lost = case
     rng = np.random.default_rng(seed)
     position = rng.integers(-8, 8, (*size, 3)) / 8
@@ -52,14 +52,14 @@ def test_a_lost_position_is_a_hole(judge: Judge, case: tuple[Size, int, float]):
 
 @cases(holes_inputs())
 def test_the_view_has_no_sign(judge: Judge, inputs: Inputs):
-    """A normal that points away counts as one that points here."""
+    """The sign of NoV does not matter: a normal that points away from the camera counts as one that points to it."""
     first, second = (judge.run("holes", {**inputs, "nov": nov})["valid"] for nov in (inputs["nov"], -inputs["nov"]))
     judge.same("holes.valid", second, first)
 
 
 @cases(holes_inputs())
 def test_another_object_is_a_hole(judge: Judge, inputs: Inputs):
-    """Where no object is what it was, nothing is trusted."""
+    """If every stencil differs from the current one, every pixel is a hole."""
     inputs = {**inputs, "stencil_previous": inputs["stencil"] * 0 + 5, "stencil": inputs["stencil"]}
     valid = judge.run("holes", inputs)["valid"]
     judge.same("holes.valid", valid, np.zeros_like(valid))
@@ -67,7 +67,7 @@ def test_another_object_is_a_hole(judge: Judge, inputs: Inputs):
 
 @cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS, st.sampled_from([-512.0, 0.25, 64.0]))))
 def test_the_origin_does_not_matter(judge: Judge, case: tuple[Size, int, float]):
-    """Moving the whole world moves no hole: positions of whole quarters, so that nothing is rounded."""
+    """Moving the whole world changes no hole; positions are multiples of 1/4, so that nothing is rounded."""
     size, seed, shift = case
     inputs = _quarters(size, seed)
     moved = {name: array + shift if name.startswith("position") else array for name, array in inputs.items()}
@@ -76,7 +76,7 @@ def test_the_origin_does_not_matter(judge: Judge, case: tuple[Size, int, float])
 
 @cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS, st.permutations(range(3)))))
 def test_no_axis_is_special(judge: Judge, case: tuple[Size, int, list[int]]):
-    """Renaming the world's axes moves no hole."""
+    """Permuting the world's axes changes no hole."""
     size, seed, order = case
     inputs = _quarters(size, seed)
     turned = {name: array[..., order] if array.ndim == 3 and array.shape[-1] == 3 else array for name, array in inputs.items()}
@@ -91,13 +91,13 @@ def test_the_same_twice(judge: Judge, inputs: Inputs):
 
 @made_cases(constant_cases("holes"))
 def test_constants_are_those_of_the_specification(judge: Judge, inputs: Inputs):
-    """The same where a constant counts: just beside a limit, where a small number is added or is the least."""
+    """Cases agree, too, in which a constant shows: just beside a limit, or near a small number that is added or is a least value."""
     judge.agrees("holes", inputs)
 
 
 @made_cases(large_inputs("holes"), large=True)
 def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs):
-    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count, motion across and out of them."""
+    """Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across and out of them."""
     judge.agrees("holes", inputs)
 
 

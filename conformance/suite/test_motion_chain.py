@@ -13,13 +13,13 @@ from conformance.suite.properties import cases, made_cases
 
 @cases(chain_inputs())
 def test_agrees_with_the_reference(judge: Judge, inputs: Inputs):
-    """The chained motion is that of the float64 reference; where rounding picks the pixel or the longest, either is right."""
+    """The chained motion is the float64 reference's; where rounding picks the pixel or the longest motion, either pick is right."""
     judge.agrees("motion_chain", inputs)
 
 
 @cases(sizes().flatmap(lambda size: st.tuples(motions(size, broken=True), st.integers(1, 4))))
 def test_over_still_frames_it_is_the_newest(judge: Judge, case: tuple[Float64, int]):
-    """Where nothing moved before, the way back is the newest frame's alone, bit for bit, however many frames there are."""
+    """If only the newest frame moves, the chained motion is that frame's, bit for bit, over any number of frames."""
     newest, more = case
     given = judge.given({"motions": np.concatenate([newest[None], np.zeros((more, *newest.shape))])})["motions"]
     got = judge.run("motion_chain", {"motions": given})["motion"]
@@ -29,13 +29,13 @@ def test_over_still_frames_it_is_the_newest(judge: Judge, case: tuple[Float64, i
 
 @cases(sizes().flatmap(lambda size: dyadic_motions(size, "short")))
 def test_one_frame_is_itself(judge: Judge, motion: Float64):
-    """Over one frame nothing is chained."""
+    """The chained motion of one frame is that frame's motion, bit for bit."""
     judge.same("motion_chain.motion", judge.run("motion_chain", {"motions": motion[None]})["motion"], motion.astype(np.float32))
 
 
 @cases(st.tuples(sizes(20), st.integers(2, 5), st.integers(-3, 3), st.integers(-3, 3)))
 def test_one_speed_adds_up(judge: Judge, case: tuple[tuple[int, int], int, int, int]):
-    """A frame that moves as one moves k times as far over k frames, as long as the way stays inside; to the left and up, too."""
+    """If all pixels move alike, the motion over k frames is k times as long, as long as the way stays in the frame."""
     (height, width), count, dx, dy = case
     motion = np.broadcast_to(np.array([dx, dy], np.float64), (count, height, width, 2))
     got = judge.run("motion_chain", {"motions": motion})["motion"]
@@ -51,5 +51,5 @@ def test_one_speed_adds_up(judge: Judge, case: tuple[tuple[int, int], int, int, 
 
 @made_cases(large_inputs("motion_chain"), large=True)
 def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs):
-    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count, motion across and out of them."""
+    """Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across and out of them."""
     judge.agrees("motion_chain", inputs)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Stage network: the whole of it, at any size."""
+"""Stage network: the whole network, at any size."""
 
 import numpy as np
 from hypothesis import strategies as st
@@ -17,13 +17,13 @@ CASES = st.tuples(network_inputs("network", sizes(20)), weights())
 
 @cases(CASES, dear=True)
 def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
-    """The image is the float64 reference's, at sizes that are no multiples of 8, too."""
+    """The image is the float64 reference's, also at sizes that are not multiples of 8."""
     judge.agrees("network", *case)
 
 
 @cases(CASES, dear=True)
 def test_padding_repeats_the_last_row_and_column(judge: Judge, case: tuple[Inputs, Weights]):
-    """A frame padded beforehand gives the same image, cropped."""
+    """A frame that is padded beforehand gives the same image after cropping."""
     inputs, given = case
     height, width = inputs["mask"].shape
     rows, columns = (np.minimum(np.arange(-(-n // 8) * 8), n - 1) for n in (height, width))
@@ -54,7 +54,7 @@ def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
 
 @made_cases(large_inputs("network"), large=True)
 def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
-    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count."""
+    """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
     judge.agrees("network", *case)
 
 

@@ -13,7 +13,7 @@ from conformance.suite.properties import cases, made_cases
 
 @cases(occlusion_inputs())
 def test_agrees_with_the_reference(judge: Judge, inputs: Inputs):
-    """Motion is copied, never computed; colour is read by it, within rounding."""
+    """The looked-up motion is a copy, bit for bit; the colour read by it is right within rounding."""
     judge.agrees("occlusion_warp", inputs)
 
 
@@ -27,7 +27,7 @@ def test_what_is_valid_is_left_alone(judge: Judge, inputs: Inputs):
 
 @cases(st.sampled_from(["still", "whole", "half", "short"]).flatmap(lambda kind: occlusion_inputs(motion=kind)))
 def test_as_one_pixel_after_the_other(judge: Judge, inputs: Inputs):
-    """The splat gives the map of a loop over the pixels in raster order, ties and all."""
+    """The splat gives the same map as a loop over the pixels in raster order, also where depths tie."""
     got = judge.run("occlusion_warp", inputs)["occlusion_motion"]
     judge.same(
         "occlusion_warp.occlusion_motion",
@@ -38,7 +38,7 @@ def test_as_one_pixel_after_the_other(judge: Judge, inputs: Inputs):
 
 @cases(occlusion_inputs(motion="half"))
 def test_only_the_order_of_depths_counts(judge: Judge, inputs: Inputs):
-    """Halving all depths below the far end, which is exact, changes no motion."""
+    """Halving all depths that splat, which is exact, changes no motion: only their order counts."""
     near = {**inputs, "depth": np.minimum(judge.exactly(inputs, "occlusion_warp")["depth"], 1)}
     halved = {**near, "depth": near["depth"] / 2}
     first, second = (judge.run("occlusion_warp", i)["occlusion_motion"] for i in (near, halved))
@@ -47,7 +47,7 @@ def test_only_the_order_of_depths_counts(judge: Judge, inputs: Inputs):
 
 @cases(occlusion_inputs())
 def test_one_colour_fills_with_itself(judge: Judge, inputs: Inputs):
-    """In a flat frame every hole is filled with its colour, bit for bit."""
+    """In a frame of one colour every hole is filled with that colour, bit for bit."""
     flat = np.broadcast_to(judge.given(inputs, "occlusion_warp")["color"][:1, :1], inputs["color"].shape)
     got = judge.run("occlusion_warp", {**inputs, "color": flat, "warped": flat})["occlusion_warp"]
     judge.same("occlusion_warp.occlusion_warp", got, flat)
@@ -55,14 +55,14 @@ def test_one_colour_fills_with_itself(judge: Judge, inputs: Inputs):
 
 @cases(occlusion_inputs(motion="short"))
 def test_what_is_too_far_writes_nothing(judge: Judge, inputs: Inputs):
-    """From depth 10 on nothing splats: no motion is found anywhere."""
+    """Pixels of depth 10 or more splat nothing: no motion is found anywhere."""
     got = judge.run("occlusion_warp", {**inputs, "depth": inputs["depth"] + 10})["occlusion_motion"]
     judge.same("occlusion_warp.occlusion_motion", got, np.zeros_like(got))
 
 
 @cases(occlusion_inputs(motion="whole").flatmap(lambda inputs: st.tuples(st.just(inputs), st.sampled_from([np.nan, np.inf]))))
 def test_lost_motion_writes_nothing(judge: Judge, case: tuple[Inputs, float]):
-    """A pixel whose motion is not finite splats nothing, not even 0, and looks up its own place."""
+    """A pixel whose motion is not finite splats nothing, not even a 0, and looks up the map at its own place."""
     inputs, lost = case
     motion = inputs["motion"].copy()
     motion[np.random.default_rng(0).random(motion.shape[:2]) < 0.5, 0] = lost
@@ -73,7 +73,7 @@ def test_lost_motion_writes_nothing(judge: Judge, case: tuple[Inputs, float]):
 
 @cases(occlusion_inputs())
 def test_the_same_twice(judge: Judge, inputs: Inputs):
-    """A splat that depends on which write comes first would not give the same bits again."""
+    """The same frame gives the same bits again, unlike a splat that depends on the order of writes."""
     first, second = judge.run("occlusion_warp", inputs), judge.run("occlusion_warp", inputs)
     for name in first:
         judge.same(f"occlusion_warp.{name}", np.nan_to_num(second[name]), np.nan_to_num(first[name]))
@@ -81,18 +81,18 @@ def test_the_same_twice(judge: Judge, inputs: Inputs):
 
 @made_cases(constant_cases("occlusion_warp"))
 def test_constants_are_those_of_the_specification(judge: Judge, inputs: Inputs):
-    """The same where a constant counts: just beside a limit, where a small number is added or is the least."""
+    """Cases agree, too, in which a constant shows: just beside a limit, or near a small number that is added or is a least value."""
     judge.agrees("occlusion_warp", inputs)
 
 
 @made_cases(large_inputs("occlusion_warp"), large=True)
 def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs):
-    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count, motion across and out of them."""
+    """Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across and out of them."""
     judge.agrees("occlusion_warp", inputs)
 
 
 def _looped(motion: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Spec 5 as it is written, for motion of halves and quarters."""
+    """The splat as a plain loop (spec 5), for motion of halves and quarters."""
     height, width = depth.shape
     nearest, earlier = np.full((height, width), 10.0), np.zeros_like(motion)
     finite = np.asarray(np.isfinite(motion).all(axis=-1))

@@ -24,7 +24,7 @@ def test_twice_is_once(judge: Judge, inputs: Inputs):
 
 @cases(rrm_inputs())
 def test_as_many_as_the_rectangle_has(judge: Judge, inputs: Inputs):
-    """Of a frame that is all valid, height times width pixels are taken."""
+    """In a frame that is all valid, exactly height times width pixels are masked."""
     valid = judge.run("rrm", {**inputs, "valid": np.ones_like(inputs["valid"])})["valid"]
     _, _, height, width = inputs["rectangle"]
     judge.same("rrm.valid", np.array(valid.size - int(valid.sum())), np.array(int(height * width)))
@@ -32,5 +32,5 @@ def test_as_many_as_the_rectangle_has(judge: Judge, inputs: Inputs):
 
 @made_cases(large_inputs("rrm"), large=True)
 def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs):
-    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count."""
+    """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
     judge.agrees("rrm", inputs)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Whole sequences: a port may keep what it likes between frames, as long as nobody can tell."""
+"""Whole sequences: a port may keep anything between frames, as long as that changes no result."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ KINDS = ((0, 2, 4), (1, 3, 5))
 
 @st.composite
 def sequences(draw: st.DrawFn) -> list[tuple[str, Inputs, Weights]]:
-    """Calls one after the other: the next frame, the same again, a cut, a part changed, another size, other weights."""
+    """Draw a sequence of calls: each has the next frame, the same one, a cut, a changed part, another size, or other weights."""
     given = draw(weights())
     size = draw(st.tuples(st.integers(1, 12), st.integers(1, 12)))
     frame = draw(frame_inputs(st.just(size), KINDS[0]))
@@ -44,14 +44,14 @@ def sequences(draw: st.DrawFn) -> list[tuple[str, Inputs, Weights]]:
 
 @cases(sequences(), dear=True)
 def test_every_frame_is_as_if_it_were_the_only_one(judge: Judge, calls: list[tuple[str, Inputs, Weights]]):
-    """Whatever was computed before, a frame agrees with the reference, which remembers nothing."""
+    """A frame agrees with the reference, which keeps nothing between frames, whatever the port computed before."""
     for _, frame, given in calls:
         judge.agrees("frame", frame, given)
 
 
 @cases(sequences(), dear=True)
 def test_the_order_does_not_matter(judge: Judge, calls: list[tuple[str, Inputs, Weights]]):
-    """The frames computed in the reverse order are the same, bit for bit."""
+    """Computing the frames in the reverse order gives the same bits."""
     forth = [judge.run("frame", frame, given)["image"] for _, frame, given in calls]
     back = [judge.run("frame", frame, given)["image"] for _, frame, given in reversed(calls)][::-1]
     for first, second in zip(forth, back, strict=True):

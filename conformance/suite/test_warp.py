@@ -14,13 +14,13 @@ from conformance.suite.properties import cases, made_cases
 
 @cases(warp_inputs())
 def test_agrees_with_the_reference(judge: Judge, inputs: Inputs):
-    """The warped colour is that of the float64 reference, also far outside the frame and where motion is not finite."""
+    """The warped colour is the float64 reference's, also far outside the frame and where motion is not finite."""
     judge.agrees("warp", inputs)
 
 
 @cases(wide_warp_inputs())
 def test_wide_frames_lose_nothing(judge: Judge, inputs: Inputs):
-    """Thousands of pixels from the corner a fraction has all the bits of its motion: it is not that of a rounded sum."""
+    """Thousands of pixels from the corner, a fraction has all the bits of its motion, since it is not taken from a rounded sum."""
     judge.agrees("warp", inputs)
 
 
@@ -32,7 +32,7 @@ def test_one_colour_stays_one_colour(judge: Judge, inputs: Inputs):
 
 @cases(warp_inputs(motion="still"))
 def test_nothing_moves(judge: Judge, inputs: Inputs):
-    """Without motion the frame is itself, bit for bit, and all of it lies in the frame."""
+    """Without motion the warped colour is the frame, bit for bit, and every pixel is inside."""
     got = judge.run("warp", inputs)
     judge.same("warp.warped", got["warped"], judge.given(inputs, "warp")["color"])
     judge.same("warp.inside", got["inside"], np.ones_like(got["inside"]))
@@ -40,7 +40,7 @@ def test_nothing_moves(judge: Judge, inputs: Inputs):
 
 @cases(warp_inputs(motion="whole"))
 def test_whole_pixels_move_exactly(judge: Judge, inputs: Inputs):
-    """Motion of whole pixels copies them; outside, the nearest border pixel."""
+    """Motion of whole pixels copies pixels; outside the frame, it copies the nearest border pixel."""
     got, color, motion = judge.run("warp", inputs), judge.given(inputs, "warp")["color"], inputs["motion"].astype(int)
     height, width, _ = color.shape
     y, x = np.indices((height, width))
@@ -51,7 +51,7 @@ def test_whole_pixels_move_exactly(judge: Judge, inputs: Inputs):
 
 @cases(warp_inputs())
 def test_no_colour_is_made_up(judge: Judge, inputs: Inputs):
-    """Nothing comes out that is darker or brighter than anything that went in, but for rounding."""
+    """No result is darker or brighter than all inputs, except by rounding."""
     got, color = judge.run("warp", inputs)["warped"], judge.exactly(inputs, "warp")["color"]
     allowed = judge.right("warp", inputs)["warped"].allowed
     judge.holds("warp.warped", got, Expected(np.clip(got, color.min(axis=(0, 1)), color.max(axis=(0, 1))), allowed))
@@ -77,7 +77,7 @@ def test_channels_do_not_mix(judge: Judge, case: tuple[Inputs, list[int]]):
     )
 )
 def test_a_part_is_as_the_whole(judge: Judge, case: tuple[tuple[int, int], Float64, Float64, int, int]):
-    """A crop of the frame, warped, is the crop of the warped frame, where all that is read lies in the crop: no pixel knows its place."""
+    """Warping a crop gives the crop of the warped frame, where all pixels that are read lie in the crop: no result depends on its place."""
     (height, width), color, motion, top, left = case
     whole = judge.run("warp", {"color": color, "motion": motion})["warped"]
     part = judge.run("warp", {"color": color[top:, left:].copy(), "motion": motion[top:, left:].copy()})["warped"]
@@ -91,7 +91,7 @@ def test_a_part_is_as_the_whole(judge: Judge, case: tuple[tuple[int, int], Float
     sizes(12).flatmap(lambda size: st.tuples(colors(size, 3), dyadic_motions(size, "short"), st.sampled_from([np.nan, np.inf])))
 )
 def test_lost_motion_is_off_screen(judge: Judge, case: tuple[Float64, Float64, float]):
-    """Non-finite motion, in either component, is off screen, reads its own pixel, and spoils no other."""
+    """A pixel with non-finite motion, in either component, is off screen and copies its own colour; it spoils no other pixel."""
     color, motion, lost = case
     broken = motion.copy()
     broken[::2, ::3, 1] = lost
@@ -112,5 +112,5 @@ def test_the_same_twice(judge: Judge, inputs: Inputs):
 
 @made_cases(large_inputs("warp"), large=True)
 def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs):
-    """The same in large frames: hundreds of columns or rows, more pixels than 16 bits count, motion across and out of them."""
+    """Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across and out of them."""
     judge.agrees("warp", inputs)
