@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""How weights are made: samples, augmentation, loss, training. Needs PyTorch; not part of the installed program."""
+"""Make weights: samples, augmentation, loss, training. Needs PyTorch; not part of the installed program."""

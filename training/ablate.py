@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The paper's ablations on our data: short runs from nothing, alike but for one thing, and a table of what each is worth."""
+"""The paper's ablations on our data: short runs from random weights that differ in one thing, and a table of their scores."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from training.validate import Means, bilinear, evaluating, tensors, validate
 
 @dataclass(frozen=True)
 class Variant:
-    """A row: what is left out (see `training.network.Network`), which frames are trained on, and whether RRM is."""
+    """A row of the table: the part that is left out (see `training.network.Network`), the frames trained on, and whether RRM is used."""
 
     name: str
     without: str = ""
@@ -40,7 +40,7 @@ COLUMNS = ("SF", "SF ssim", "EF", "EF ssim", "EF holes")
 
 
 def run(variant: Variant, shards: list[Shard], settings: Settings, steps: int, device: torch.device) -> dict[str, torch.Tensor]:
-    """Train one variant; the running mean of its tensors."""
+    """Train one variant; returns the running mean of its tensors."""
     state = start(settings, device, without=variant.without)
     batches = Batches(
         shards, side=settings.crop, batch=settings.batch, seed=settings.seed, kinds=variant.kinds, masking=variant.masking
@@ -52,7 +52,7 @@ def run(variant: Variant, shards: list[Shard], settings: Settings, steps: int, d
 
 
 def row(name: str, means: Means, kinds: Sequence[str]) -> str:
-    """A line of the table in Markdown; what a network was not trained for is left open."""
+    """A line of the table in Markdown; columns that a network was not trained for stay empty."""
     shown = ((f"{means[c]:.4f}" if "ssim" in c else f"{means[c]:.2f}") if c in means and c[:2] in kinds else "" for c in COLUMNS)
     return f"| {name} | " + " | ".join(shown) + " |"
 

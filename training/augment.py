@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""From stored samples to batches: crops, turns, mirrors, exposure, colours, and Random Reshading Masking (spec 6).
+"""Make batches of stored samples: crops, turns, mirrors, exposure, colours, and Random Reshading Masking (spec 6).
 
-Motion is not among the network's inputs: the pictures are warped already, so a crop or a turn needs no care for it. Normals
-are in world space, and to turn the picture by 90 degrees is to roll the camera: the world, and with it every normal, stays. A
-mirrored picture is that of a mirrored world: normals are mirrored too, in x. And since nothing says where north is, the
-normals of a sample are turned about the vertical axis, z, by any angle. What is up stays up.
+Motion is not an input of the network: the pictures are warped already, so crops and turns need not change it. Normals are in
+world space. Turning the picture by 90 degrees is rolling the camera, which changes no normal. A mirrored picture shows a
+mirrored world, so normals are mirrored, too, in x. Nothing defines north, so the normals of a sample are turned about the
+vertical axis, z, by any angle; up stays up.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ Random = np.random.Generator
 NORMAL = slice(3, 6)
 BASE_COLOR = slice(9, 12)
 COLORS = (slice(0, 3), slice(12, 15), slice(16, 19), slice(20, 23))
-"""The pictures among the 24 channels; the masks follow the last three."""
+"""Channels of the four pictures among the 24; a mask follows each of the last three."""
 MASK = 23
 EXPOSURE = 0.3
-"""Largest change, as natural logarithm of the factor on display-referred values."""
+"""Largest change of exposure: natural logarithm of the factor on display-referred values."""
 
 
 class Batch(NamedTuple):
-    """What the network takes and the truth, channels first, float32.
+    """Inputs of the network and the truth, channels first, float32.
 
     color (N, 6, H, W), gbuffer (N, 9, H, W), mask (N, 1, H, W) after RRM, history (N, 3, 4, H, W), truth (N, 3, 2H, 2W).
     """
@@ -42,21 +42,21 @@ class Batch(NamedTuple):
 
 
 def crop(inputs: Array, truth: Array, corner: tuple[int, int], side: int) -> tuple[Array, Array]:
-    """The same square of both, from ``corner`` (y, x) on: ``side`` pixels of the low resolution."""
+    """The same square of inputs and truth, from ``corner`` (y, x) on; ``side`` and ``corner`` are in low-resolution pixels."""
     y, x = corner
     small, large = inputs[y : y + side, x : x + side], truth[2 * y : 2 * (y + side), 2 * x : 2 * (x + side)]
     return small.astype(np.float32), large.astype(np.float32)
 
 
 def augment(inputs: Array, truth: Array, random: Random) -> tuple[Array, Array]:
-    """Turn, mirror, and change exposure and colours of one crop; float32, new arrays."""
+    """Turn and mirror one crop, and change its exposure and colours; returns new float32 arrays."""
     quarters, mirrored = int(random.integers(4)), bool(random.random() < 0.5)
     inputs, truth = np.rot90(inputs, quarters).copy(), np.rot90(truth, quarters).copy()
     if mirrored:
         inputs, truth = inputs[:, ::-1].copy(), truth[:, ::-1].copy()
     inputs[..., NORMAL] = inputs[..., NORMAL] @ turn_of_the_world(random.uniform(0, 2 * math.pi), mirrored=mirrored).T
     order = random.permutation(3)
-    # Display curves are near enough to powers that a factor on the light is one on the display-referred value.
+    # Display curves are nearly powers, so a factor on the light is nearly a factor on the display-referred value.
     exposure = np.float32(math.exp(random.uniform(-EXPOSURE, EXPOSURE)))
     for part in COLORS:
         inputs[..., part] = np.minimum(inputs[..., part][..., order] * exposure, 1)
@@ -71,13 +71,13 @@ def turn_of_the_world(angle: float, *, mirrored: bool) -> NDArray[np.float32]:
 
 
 def mask_at_random(inputs: Array, random: Random) -> Array:
-    """RRM on the newest frame's mask (H, W). The histories' masks, its own among them, stay as they are."""
+    """The newest frame's mask (H, W) after RRM. The masks in the history, also the newest frame's, stay as they are."""
     height, width, _ = inputs.shape
     return np.asarray(rrm(inputs[..., MASK], draw_rectangle(height, width, random)), inputs.dtype)
 
 
 def collate(inputs: Array, masks: Array, truth: Array) -> Batch:
-    """Batch of inputs (N, H, W, 24), masks (N, H, W) and truth (N, 2H, 2W, 3)."""
+    """Make a batch of inputs (N, H, W, 24), masks (N, H, W) and truth (N, 2H, 2W, 3)."""
     planes = np.ascontiguousarray(np.moveaxis(inputs, -1, 1), np.float32)
     n, _, height, width = planes.shape
     return Batch(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Average the weights of runs that started from one another: better than each (Wortsman et al. 2022, Model soups)."""
+"""Average the weights of runs that continued one another: the mean is better than each (Wortsman et al. 2022, Model soups)."""
 
 from __future__ import annotations
 

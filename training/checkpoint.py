@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A training run's state as one safetensors file: nothing in it is executed when it is read."""
+"""Write and read the state of a training run as one safetensors file; reading it executes nothing."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ ENTRY = "stss_training"
 
 @dataclass
 class State:
-    """What training needs to go on as if it had never stopped.
+    """The state from which training continues as if it had never stopped.
 
     Attributes:
-        step: how many steps are done.
+        step: number of steps done.
         network: the network, trained in place.
         heads: `training.network.Heads`.
         average: running mean of its tensors, by name.
         optimisers: Muon and Adam, each with its parameters.
         best: highest validation PSNR so far (mean of SF and EF), dB.
-        settings: what decides the numbers; a resumed run must have the same.
+        settings: options that change the numbers; a resumed run must have the same.
     """
 
     step: int
@@ -43,14 +43,14 @@ class State:
 
 
 def write(path: Path, state: State) -> None:
-    """Write ``state`` so that ``path`` is either as before or whole."""
+    """Write ``state`` to ``path``, whole or not at all."""
     tensors = {f"network/{name}": t.detach().contiguous() for name, t in state.network.named_parameters()}
     tensors |= {f"heads/{name}": t.detach().contiguous() for name, t in state.heads.named_parameters()}
     tensors |= {f"average/{name}": t.contiguous() for name, t in state.average.items()}
     for name, optimiser, parameter in _optimised(state):
         for kind, value in optimiser.state[parameter].items():
             tensors[f"optimiser/{name}/{kind}"] = torch.as_tensor(value).contiguous()
-    # One entry: safetensors writes several in another order each time.
+    # One entry, since safetensors writes several in a different order each time.
     metadata = {ENTRY: json.dumps({"step": state.step, "best": state.best, "settings": state.settings})}
     temporary = path.with_name(f".{path.name}.tmp")
     temporary.write_bytes(save({name: t.cpu() for name, t in tensors.items()}, metadata))
@@ -58,10 +58,10 @@ def write(path: Path, state: State) -> None:
 
 
 def read(path: Path, state: State, device: torch.device) -> None:
-    """Put what ``path`` holds into ``state``.
+    """Read ``path`` into ``state``.
 
     Raises:
-        InputError: it can't be read, or was made with other settings.
+        InputError: the file can't be read, or was made with other settings.
     """
     try:
         with safe_open(path, "pt", device=str(device)) as file:

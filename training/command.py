@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A module as a command: the user's mistakes are one line and status 2."""
+"""Run a module as a command: a user's mistake prints one line and ends with status 2."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stss_ref.weights import WeightsError
 
 
 def command(main: Callable[[], None]) -> None:
-    """Run ``main``."""
+    """Run ``main``; an InputError prints one line and ends the process with status 2."""
     try:
         main()
     except (InputError, ArrayError, WeightsError) as error:

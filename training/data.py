@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The shards of a data folder: which samples there are, and batches of them."""
+"""The shards of a data folder: list their samples, and draw batches."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ KINDS: tuple[Kind, Kind] = ("SF", "EF")
 
 
 DRAWN = 3
-"""Crops drawn for each one taken, that with the most detail: half of an average frame is flat, and there is little to learn from it."""
+"""Crops drawn for each crop taken, which is the one with the most detail: half of an average frame is flat, and teaches little."""
 
 
 @dataclass(frozen=True)
@@ -38,17 +38,17 @@ class Shard:
 
 @dataclass(frozen=True)
 class StoredSample:
-    """A sample: the shard and the position in it."""
+    """A sample: its shard, and its position in the shard."""
 
     shard: Shard
     index: int
 
 
 def load_shards(folder: Path) -> list[Shard]:
-    """Every complete shard below ``folder``, by name.
+    """Every complete shard below ``folder``, sorted by name.
 
     Raises:
-        InputError: there is none, or one scene is in two splits.
+        InputError: there is no shard, or one scene is in two splits.
     """
     shards: list[Shard] = []
     for path in sorted(folder.rglob("index.json")):
@@ -71,7 +71,7 @@ def places(shards: list[Shard], split: str, kind: str) -> list[StoredSample]:
 
 
 def sets(choice: list[StoredSample]) -> list[list[StoredSample]]:
-    """The samples by the folder that holds their shard: each folder is drawn from equally often, however much is in it."""
+    """The samples grouped by the folder of their shard: training draws from each folder equally often, whatever its size."""
     found: dict[str, list[StoredSample]] = {}
     for place in choice:
         found.setdefault(str(PurePath(place.shard.name).parent), []).append(place)
@@ -79,9 +79,9 @@ def sets(choice: list[StoredSample]) -> list[list[StoredSample]]:
 
 
 class Batches:
-    """Training batches, half SF and half EF; a batch depends on the seed and its number alone, so a resumed run sees the same.
+    """Training batches, half SF and half EF. A batch depends only on the seed and its number, so a resumed run sees the same batches.
 
-    For ablations: ``kinds`` other than both in equal shares, ``masking=False`` without Random Reshading Masking.
+    Ablations take other ``kinds`` than both in equal shares, or ``masking=False``, without Random Reshading Masking.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class Batches:
         return collate(inputs, masks, truth)
 
     def _draw(self, kind: Kind, random: np.random.Generator) -> tuple[StoredSample, tuple[int, int]]:
-        """A sample and the corner of a crop in it."""
+        """Draw a sample, and the corner of a crop in it."""
         chosen = self._sets[kind][int(random.integers(len(self._sets[kind])))]
         place = chosen[int(random.integers(len(chosen)))]
         height, width = place.shard.inputs.shape[1:3]
@@ -132,7 +132,7 @@ class Batches:
         return float(sums[below, right] - sums[y, right] - sums[below, x] + sums[y, x])
 
     def between(self, first: int, last: int, ahead: int = 4, workers: int = 1) -> Iterator[tuple[int, Batch]]:
-        """``(step, batch)`` for ``first <= step < last``, made ahead by threads."""
+        """Yield ``(step, batch)`` for ``first <= step < last``; threads make the batches ahead."""
         with ThreadPoolExecutor(workers) as pool:
             waiting = [pool.submit(self.__getitem__, step) for step in range(first, min(first + ahead, last))]
             for step in range(first, last):
@@ -143,7 +143,7 @@ class Batches:
 
 
 def details(truth: Array) -> Array:
-    """What a picture at half the size cannot hold, the distances of four pixels from their mean: sums from the corner, (H + 1, W + 1)."""
+    """Detail that half the size loses, the distances of four pixels from their mean, as sums from the corner, (H + 1, W + 1)."""
     height, width, channels = truth.shape
     blocks = truth.astype(np.float32).reshape(height // 2, 2, width // 2, 2, channels)
     found = np.abs(blocks - blocks.mean(axis=(1, 3), keepdims=True)).sum(axis=(1, 3, 4), dtype=np.float64)
@@ -151,7 +151,7 @@ def details(truth: Array) -> Array:
 
 
 def whole(place: StoredSample) -> Batch:
-    """A whole frame as a batch of one, nothing augmented, its own mask; padded to multiples of 8 as the network is (spec 7)."""
+    """A whole frame as a batch of one, with its own mask and without augmentation; padded to multiples of 8 as for the network (spec 7)."""
     inputs = place.shard.inputs[place.index].astype(np.float32)
     truth = place.shard.truth[place.index].astype(np.float32)
     below, right = (-length % 8 for length in inputs.shape[:2])
@@ -160,7 +160,7 @@ def whole(place: StoredSample) -> Batch:
 
 
 def spread(choice: list[StoredSample], most: int) -> list[StoredSample]:
-    """At most ``most`` of the samples, spread evenly: over as many scenes as may be."""
+    """At most ``most`` of the samples, spread evenly over as many scenes as possible."""
     if len(choice) <= most:
         return choice
     return [choice[i * len(choice) // most] for i in range(most)]

@@ -2,9 +2,9 @@
 """The training loss of spec section 6, and the perceptual term of our choice.
 
 The perceptual term is structural similarity (Wang 2004) of the luma, over windows of 7 x 7 at three scales. It needs no
-trained network, so nothing is downloaded and nobody's licence is inherited; it compares what the eye does (structure
-relative to the local contrast), where L1 is content with a blur; and the mix of the two is known to beat either alone,
-also by the measures of the other (Zhao et al. 2017, Loss Functions for Image Restoration with Neural Networks).
+trained network, so nothing is downloaded and no licence is inherited. Like the eye, it compares structure relative to the
+local contrast, where L1 accepts a blur. A mix of the two is known to beat each alone, even by the other's measure (Zhao et
+al. 2017, Loss Functions for Image Restoration with Neural Networks).
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from torch import Tensor, nn
 PERCEPTUAL = 0.01
 """Weight of the perceptual term (spec 6)."""
 STRUCTURE = 25.0
-"""The perceptual distance is so many times 1 - SSIM: with the 0.01 of spec 6, as much as L1 on aliased frames, SSIM about 0.8."""
+"""The perceptual distance is this many times 1 - SSIM: on aliased frames, with SSIM about 0.8, 0.01 of it (spec 6) is as much as L1."""
 SCALES = 3
 WINDOW, STRIDE = 7, 3
-"""Windows overlap, but not every one is looked at: that would be a sixth of a step's time on a CPU."""
+"""Windows overlap, but only every third one along each axis counts: all of them would take a sixth of a step's time on a CPU."""
 LUMA = (0.299, 0.587, 0.114)
 
 
@@ -27,7 +27,7 @@ def loss(output: Tensor, truth: Tensor, mask: Tensor, perceptual: Tensor | float
 
     ``mean |o - y| + sum |o - y| (1 - M) / max(sum (1 - M), 1e-6) + 0.01 perceptual``
 
-    The sums run over the batch as over one large picture: were each sample divided by its own holes, a hole of one pixel
+    The sums run over the batch as over one large picture: if each sample were divided by its own holes, a hole of one pixel
     would weigh as much as a frame.
 
     Source: spec 6.
@@ -41,14 +41,14 @@ def loss(output: Tensor, truth: Tensor, mask: Tensor, perceptual: Tensor | float
 
 
 SQUARES = 20.0
-"""Squared errors of some 0.002 weigh as much as L1's of 0.03."""
+"""Factor of the squared error: errors of about 0.002 squared then weigh as much as an L1 of 0.03."""
 
 
 def squared(output: Tensor, truth: Tensor) -> Tensor:
-    """The mean squared error, for the start of a run and for PSNR's sake.
+    """The mean squared error, for the start of a run, and for a high PSNR.
 
-    L1 pulls with the same force however small an error is: a residual that is right at edges and noise elsewhere shrinks to 0
-    everywhere, and from 0 the network did not get away. The reshading regions, of which RRM's rectangle is most, count once: as
+    The gradient of L1 does not shrink with the error: a residual that is right at edges and noise elsewhere shrinks to 0
+    everywhere, and the network did not get away from 0. The reshading regions, mostly RRM's rectangle, count only once: as
     half of the gradient they were half of its noise. Arguments as for `loss`.
     """
     return SQUARES * (output - truth).square().mean()
@@ -61,7 +61,7 @@ def supervision(pictures: list[Tensor], truth: Tensor) -> Tensor:
 
 
 def _weighted(error: Tensor, mask: Tensor) -> Tensor:
-    """``mean e + sum e (1 - M) / max(sum (1 - M), 1e-6)``, of which spec 6 gives M."""
+    """``mean e + sum e (1 - M) / max(sum (1 - M), 1e-6)``, with the mask M (spec 6)."""
     trusted = (nn.functional.interpolate(mask, scale_factor=2, mode="bilinear", align_corners=False) > 0).to(error.dtype)
     masked = (1 - trusted).expand_as(error)
     return error.mean() + (error * masked).sum() / masked.sum().clamp(min=1e-6)

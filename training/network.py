@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""STSSNet as a trainable module. Its parameters carry the names of the specification's 92 tensors."""
+"""STSSNet as a trainable module. Its parameters have the names of the specification's 92 tensors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stss_ref.weights import TENSORS, Weights, check
 
 
 class Rectifier(nn.Module):
-    """ReLU, or while training goes on a leaky one: see `leak`."""
+    """ReLU, or a leaky ReLU during training: see `leak`."""
 
     def __init__(self):
         super().__init__()
@@ -27,7 +27,7 @@ class Rectifier(nn.Module):
 
 
 class Gated(nn.Module):
-    """``conv(x) * sigmoid(gate(x))`` (spec 7, ``G``), computed as one convolution with one channel more."""
+    """``conv(x) * sigmoid(gate(x))`` (spec 7, ``G``), computed as one convolution with one more channel."""
 
     def __init__(self, inputs: int, outputs: int, stride: int = 1):
         super().__init__()
@@ -40,7 +40,7 @@ class Gated(nn.Module):
         feature, gate = self.conv_feature, cast(nn.Conv2d, self.conv_mask[0])
         weight, bias = torch.cat([feature.weight, gate.weight]), torch.cat([_bias(feature), _bias(gate)])
         y = nn.functional.conv2d(x, weight, bias, self.stride, 1)
-        # Copies first: the product of slices takes a third longer, there and back.
+        # Slices are copied first, since their product takes a third longer, forward and backward.
         opened = y[:, -1:].sigmoid().expand(-1, y.shape[1] - 1, -1, -1)
         return y[:, :-1].contiguous(memory_format=torch.channels_last) * opened.contiguous(memory_format=torch.channels_last)
 
@@ -66,7 +66,7 @@ class Down(nn.Module):
 
 
 class DoubleConv(nn.Module):
-    """Two convolutions with ReLU; a module of its own for the sake of the names."""
+    """Two convolutions with ReLU; a separate module, so that its parameters get the specification's names."""
 
     def __init__(self, inputs: int, middle: int, outputs: int):
         super().__init__()
@@ -74,7 +74,7 @@ class DoubleConv(nn.Module):
 
 
 class Up(nn.Module):
-    """Twice the size, corners aligned, joined with ``skip`` before it; then two convolutions."""
+    """Enlarge to twice the size with corners aligned, concatenate behind ``skip``, and apply two convolutions."""
 
     def __init__(self, inputs: int, middle: int, outputs: int):
         super().__init__()
@@ -100,8 +100,8 @@ class Network(nn.Module):
     Source: spec 7, 8; paper, Fig. 5.
 
     Args:
-        without: what is left out: "gbuffer" (zeros instead), "history" (its features are the same everywhere, see `hold_history`), "erm"
-            (the light unweighted: a plain bottleneck).
+        without: the part left out: "gbuffer" (replaced by zeros), "history" (its features are the same everywhere, see `hold_history`),
+            "erm" (the light is not weighted: a plain bottleneck).
     """
 
     def __init__(self, without: str = ""):
@@ -123,7 +123,7 @@ class Network(nn.Module):
         return self.with_features(color, gbuffer, mask, history)[0]
 
     def with_features(self, color: Tensor, gbuffer: Tensor, mask: Tensor, history: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
-        """Image (N, 3, 2H, 2W), and what `Heads` look at.
+        """Image (N, 3, 2H, 2W), and the features that `Heads` read.
 
         Args:
             color: (N, 6, H, W).
@@ -174,11 +174,11 @@ def _attend(query: Tensor, key: Tensor, value: Tensor) -> Tensor:
 
 
 class Heads(nn.ModuleDict):
-    """A colour read out of each deep feature, for the first half of a training run alone: they are not part of the network.
+    """Layers that read a colour out of each deep feature, only in the first half of a training run; they are not part of the network.
 
-    The shallow path learns first, and to it whatever comes up from below is noise: the ReLUs there fall silent, and with them all that
-    a wider view, the history and the ERM have to say. Asked for the truth themselves (Lee et al. 2015, Deeply-Supervised Nets), they
-    have something to say when they are needed.
+    The shallow path learns first, and the deep features are noise to it then: its ReLUs shut them out, and with them the wider view,
+    the history and the ERM. If the deep features must predict the truth themselves (Lee et al. 2015, Deeply-Supervised Nets), they
+    are useful by the time the shallow path needs them.
     """
 
     CHANNELS: ClassVar = {"reshaded": 64, "feature": 32, "up1": 32, "up2": 24}
@@ -192,14 +192,14 @@ class Heads(nn.ModuleDict):
 
 
 OUTC = 0.05
-"""Gain of the last layer at first."""
+"""Gain of the last layer at the start."""
 
 
 def initialise(network: nn.Module, seed: int) -> None:
     """He's initialisation with biases of 0, gates half open, and a small ``outc``: training starts near ``bilinear``.
 
-    Not with an ``outc`` of zeros: no gradient then reaches the layers before it but noise, which Adam scales up to full steps; the
-    history's gates were shut for good before there was anything to learn.
+    ``outc`` does not start at 0: only noise would then reach the layers before it, and Adam scales noise up to full steps. The
+    history's gates shut for good that way, before there was anything to learn.
     """
     generator = torch.Generator().manual_seed(seed)
     with torch.no_grad():
@@ -207,7 +207,7 @@ def initialise(network: nn.Module, seed: int) -> None:
             if name.endswith("bias"):
                 tensor.zero_()
             else:
-                # A half open gate halves its feature.
+                # A half-open gate halves its feature, so the feature's weights are doubled.
                 gain = (
                     2.0
                     if ".conv_feature." in name
@@ -222,10 +222,10 @@ def initialise(network: nn.Module, seed: int) -> None:
 
 
 def hold_gates(network: Network) -> None:
-    """Hold the gate of the history open (0.95 everywhere) and do not train it.
+    """Hold the gate of the history open (0.95 everywhere), and do not train it.
 
-    While the history's features are noise yet, shutting the one gate that all of them pass is the quickest way to a smaller loss; no
-    gradient passes a shut one, and it never opens again. Three runs in a row lost the history that way.
+    While the history's features are still noise, the quickest way to a smaller loss is to shut the one gate that they all pass. A
+    shut gate passes no gradient and never opens again. Three runs in a row lost the history that way.
     """
     mask = network.lowlevelGated.conv_mask[0]
     with torch.no_grad():
@@ -235,10 +235,10 @@ def hold_gates(network: Network) -> None:
 
 
 def hold_history(network: Network) -> None:
-    """Make the features of the history what they are without any: zero its kernels, and do not train them.
+    """Make the features of the history independent of it: set its kernels to 0, and do not train them.
 
-    What is trained so computes the same as `Network` with the history, and whoever runs it can tell from the zeros that the
-    history need not be read.
+    Weights that are trained this way give the same result with any history, and an implementation can tell from the zeros
+    that it need not read the history.
     """
     held = [network.convHis1, network.convHis2, network.convHis3, network.lowlevelGated.conv_feature]
     with torch.no_grad():
@@ -250,11 +250,11 @@ def hold_history(network: Network) -> None:
 
 
 def leak(network: nn.Module, slope: float) -> None:
-    """Let every ReLU of ``network`` pass ``slope`` of what is negative.
+    """Let every ReLU of ``network`` multiply negative numbers by ``slope`` instead of 0.
 
-    A unit that is 0 everywhere gets no gradient and stays so: with small batches and Adam's full-sized steps along noise, two thirds
-    of the decoder's first layer died. A leaky unit comes back. The slope falls to 0 during the run, so that the network trained in the
-    end is the specification's.
+    A unit that is 0 everywhere gets no gradient and stays 0: with small batches, and with Adam's full-sized steps along noise, two
+    thirds of the decoder's first layer died. A leaky unit recovers. The slope falls to 0 during the run, so that the network trained in
+    the end is the specification's.
     """
     for module in network.modules():
         if isinstance(module, Rectifier):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Patterns with the detail that the conformance scenes lack: text, grain at every scale. Drawn from a seed."""
+"""Patterns, drawn from a seed, with detail that the conformance scenes lack: text, and grain at every scale."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from stss_ref.arrays import Array
 Random = np.random.Generator
 _TABLE = 64
 FINEST = 5.0
-"""Shortest period of a pattern; cm. At 5 m a pixel of 160 is about 4 cm: what is finer is noise that nobody can undo."""
+"""Shortest period of a pattern; cm. At 5 m, a pixel of a frame of 160 is about 4 cm wide: finer detail is noise that cannot be undone."""
 EYE = (0.0, -420.0, 140.0)
-"""About where the cameras are; cm."""
+"""Approximate place of the cameras; cm."""
 PIXEL = 0.0075
-"""About the width of a pixel of 160 at distance 1."""
+"""Approximate width of a pixel at distance 1, in a frame of 160."""
 
 
 def glyphs(cell: float, random: Random) -> Pattern:
@@ -55,12 +55,12 @@ def grain(scale: float, random: Random, *, octaves: int = 3, sharp: bool = False
 
 
 def filtered(material: Material, period: float) -> Material:
-    """For a large flat floor: its pattern fades to the mean where its ``period`` is below some pixels, as mip maps make it."""
+    """The material of a large flat floor: its pattern fades to the mean where ``period`` is below a few pixels, as with mip maps."""
 
     def fade(pattern: Pattern) -> Pattern:
         def faded(point: Array) -> Array:
             square = (point[0] - EYE[0]) ** 2 + (point[1] - EYE[1]) ** 2
-            pixel = PIXEL * square / EYE[2]  # as long as it is seen at a grazing angle
+            pixel = PIXEL * square / EYE[2]  # the length that a pixel covers at a grazing angle
             return 0.5 + (pattern(point) - 0.5) * np.clip(1.5 - pixel / (0.5 * period), 0, 1)
 
         return faded
@@ -108,7 +108,7 @@ def _finish(random: Random) -> Finish:
 
 
 def _unfold(point: Array) -> tuple[Array, Array]:
-    # Sheared, so that no face of a box sees the same value all along one of its sides.
+    # Sheared, since a face of a box would otherwise have the same value all along one of its sides.
     return point[0] + 0.43 * point[1], point[2] + 0.71 * point[1]
 
 

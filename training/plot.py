@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Curves of a run's log, where matplotlib is there."""
+"""Draw the curves of a run's log, if matplotlib is installed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stss.optional import require
 
 
 def plot(log: Path, picture: Path) -> None:
-    """Loss, and PSNR of SF and EF against bilinear; nothing without matplotlib."""
+    """Draw the loss, and the PSNR of SF and EF beside bilinear's; without matplotlib, do nothing."""
     try:
         figure = require("matplotlib.figure").Figure(figsize=(9, 7), layout="constrained")
     except InputError:

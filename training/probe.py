@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
-"""What a part of the input, or more features, are worth to trained weights, in a minute and without training.
+"""Estimate the worth of a part of the input, or of more features, to trained weights, in a minute and without training.
 
-The last layer is linear in the 24 features before it, so the best one for any features is a least-squares fit (Alain and Bengio 2016,
-Understanding Intermediate Layers Using Linear Classifier Probes). It is fitted on the training split and scored on another: with
-a part of the input blanked, with the history as further features, with the features of other networks beside these.
+The last layer is linear in the 24 features before it, so the best last layer for any features is a least-squares fit (Alain and
+Bengio 2016, Understanding Intermediate Layers Using Linear Classifier Probes). The fit is made on the training split and scored on
+another: with a part of the input blanked, with the history as further features, or with the features of other networks added.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ BLANKED = {"normals": slice(0, 3), "depth": slice(3, 4), "roughness, metallic": 
 """Channels of the G-buffer that are replaced by their mean over the frame."""
 REFITTED, RIDGE = "last layer refitted", 1e-8
 STEP = 4
-"""Of the pixels of a training frame every fourth is fitted to."""
+"""The fit takes every fourth pixel of a training frame."""
 
 
 class Probe:
-    """A network, others beside it, and for each variant the features that its last layer reads."""
+    """A network, with others beside it: it gives the features that the last layer of each variant reads."""
 
     def __init__(self, weights: str, beside: Sequence[str] = ()):
         self.networks = [_network(name) for name in (weights, *beside)]
         self.without_erm = _network(weights, "erm")
 
     def variants(self, place: StoredSample) -> tuple[Tensor, dict[str, Tensor]]:
-        """What bilinear lacks of the truth (N, 12) for N pixels, and the features (N, F) of each variant, the last of them 1."""
+        """The truth minus bilinear, (N, 12) for N pixels, and the features (N, F) of each variant, the last of which is 1."""
         color, gbuffer, mask, history, truth = (torch.from_numpy(array) for array in whole(place))
         (main, *others), batch = self.networks, (color, gbuffer, mask, history)
         with torch.no_grad():
@@ -75,7 +75,7 @@ def _network(weights: str, without: str = "") -> Network:
 
 
 def _features(network: Network, *batch: Tensor) -> Tensor:
-    """What the last layer reads (1, 24, H, W)."""
+    """The features that the last layer reads, (1, 24, H, W)."""
     kept: list[Tensor] = []
     hook = network.outc.register_forward_pre_hook(lambda _, inputs: kept.append(inputs[0]))
     network(*batch)
@@ -90,11 +90,11 @@ def _blank(gbuffer: Tensor, part: slice) -> Tensor:
 
 
 def history_features(color: Tensor, history: Tensor) -> tuple[Tensor, Tensor]:
-    """How the two older warped frames differ from the newest, where they are to be trusted.
+    """Differences of the two older warped frames from the newest, where their masks are 1.
 
     Returns:
-        low: (1, 10, H, W) means over 8 x 8 pixels, as large as the history's branch sees them, enlarged again.
-        full: (1, 54, H, W) the pixel's own difference and those of the 3 x 3 around it.
+        low: (1, 10, H, W) means over 8 x 8 pixels, the size of the history's features, enlarged again.
+        full: (1, 54, H, W) differences of the 3 x 3 pixels around each.
     """
     low, full = [], []
     for older in (history[:, 0], history[:, 1]):
@@ -115,7 +115,7 @@ def _rows(planes: Tensor) -> Tensor:
 
 
 def fit(made: Iterator[tuple[Tensor, dict[str, Tensor]]]) -> dict[str, Tensor]:
-    """For each variant the last layer (F, 12) with the least squared error."""
+    """The last layer (F, 12) with the least squared error, for each variant."""
     squares: dict[str, Tensor] = {}
     products: dict[str, Tensor] = {}
     for lacking, variants in made:

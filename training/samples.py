@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Training samples: what the network gets for a display frame, made by the project's own pipeline, and the truth.
+"""Make training samples: the network's inputs for a display frame, from the project's own pipeline, and the truth.
 
-A folder for each sequence: ``inputs.npy`` (N, H, W, 24) and ``truth.npy`` (N, 2H, 2W, 3), float16, display-referred, and
-``index.json``, written last: a folder without it does not count. Channels of the inputs: occlusion_warp 3, gbuffer 9,
+Each sequence has a folder with ``inputs.npy`` (N, H, W, 24) and ``truth.npy`` (N, 2H, 2W, 3), float16, display-referred, and
+``index.json``, which is written last: a folder without it does not count. Channels of the inputs: occlusion_warp 3, gbuffer 9,
 history 3 x (warped 3, mask 1). The network's color 6 and mask are among them (`unpack`).
 """
 
@@ -41,13 +41,13 @@ from training.scenes import INPUTS, Film, random_film
 SPLITS = ("training", "validation", "test")
 CHANNELS = 24
 SAMPLES = 16
-"""Rays for each pixel of the analytic truth."""
+"""Number of rays for each pixel of the analytic truth."""
 SIDE = 3
-"""A mean over a pixel of the low resolution is that of so many rays squared; odd, so that one goes through the centre."""
+"""The mean over a low-resolution pixel takes SIDE x SIDE rays; odd, so that one ray goes through the centre."""
 HISTORIES = (6, 7, 9)
-"""Display frames of a film with a truth; their five predecessors are there."""
+"""Display frames of a film that get a truth and have five predecessors."""
 START = 2
-"""One more frame with a truth: its history is cut short by the start of the film."""
+"""One more frame with a truth; the start of the film cuts its history short."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Sample:
 
 
 def samples(frames: Sequence[DisplayFrame], truths: Mapping[int, Image]) -> Iterator[Sample]:
-    """Every frame with a truth twice: once as if it had been rendered, once as if it had not.
+    """Yield every frame with a truth twice, as a rendered frame (SF) and as an extrapolated one (EF).
 
     Args:
         frames: consecutive display frames, each with its colour.
@@ -80,7 +80,7 @@ def samples(frames: Sequence[DisplayFrame], truths: Mapping[int, Image]) -> Iter
 
 
 def pack(inputs: NetworkInputs) -> Image:
-    """(H, W, 24) of what the network takes; what is there twice is stored once."""
+    """The network's inputs as (H, W, 24); channels that occur twice are stored once."""
     height, width, _ = inputs.gbuffer.shape
     history = np.moveaxis(inputs.history, 0, 2).reshape(height, width, 12)
     return np.concatenate([inputs.color[..., :3], inputs.gbuffer, history], axis=-1)
@@ -155,12 +155,12 @@ def _numbered(folder: Path) -> dict[int, Path]:
 
 
 def split_of(scene: str) -> str:
-    """Every sequence of a scene is in one split: of ten scenes about one is for validation, one for the test."""
+    """The split of a scene, the same for all its sequences: about one scene in ten is for validation, and one for the test."""
     return {0: "validation", 1: "test"}.get(int(hashlib.sha256(scene.encode()).hexdigest(), 16) % 10, "training")
 
 
 def write(folder: Path, scene: str, split: str, made: Iterable[Sample]) -> int:
-    """Write samples as a shard; ``folder`` is either as before or whole. Returns how many there are."""
+    """Write samples as a shard, whole or not at all. Returns their number."""
     kept = list(made)
     if not kept:
         raise InputError(f"{folder.name}: no frame has a truth and a history")
@@ -180,7 +180,7 @@ def write(folder: Path, scene: str, split: str, made: Iterable[Sample]) -> int:
 
 
 def write_film(seed: int, inputs: str, size: tuple[int, int], out: Path) -> str:
-    """The shard of the analytic film number ``seed``, unless it is there. Returns a line to print."""
+    """Write the shard of the analytic film number ``seed``, unless it exists. Returns a line to print."""
     film = random_film(seed, inputs)
     scene, name = film.scene.name, f"{film.scene.name}-{inputs}"
     if (out / name / "index.json").exists():

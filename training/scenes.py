@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Random analytic scenes: everything of one is drawn from its number, so the same number gives the same film."""
+"""Random analytic scenes: a scene is drawn from its number alone, so the same number gives the same film."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from training.patterns import Random, filtered, random_material
 
 CAMERAS = ("still", "pan", "tilt", "dolly", "dolly", "forward", "orbit", "shake", "cut")
 INPUTS = {"aliased": (), "color": ("color",), "all": ("color", "normal", "nov", "base_color", "roughness", "metallic")}
-"""Which buffers are means over the pixel: an engine without antialiasing; one with it; a path tracer, G-buffer and all."""
+"""Buffers that are means over the pixel: in an engine without antialiasing, in one with it, in a path tracer that averages all."""
 LENGTH = 12
-"""Frames of a film that are worth looking at: paths are centred on its middle."""
+"""Number of useful frames of a film: paths are centred on the middle one."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Film:
     Attributes:
         scene: at frame 0.
         light: the light at a frame.
-        averaged: the buffers that are means over the pixel of the low resolution, not the ray through its centre.
+        averaged: buffers that are means over the low-resolution pixel; others have the value of the ray through its centre.
     """
 
     scene: Scene
@@ -36,7 +36,7 @@ class Film:
     averaged: tuple[str, ...] = ()
 
     def at(self, frame: float) -> Scene:
-        """The scene to render for ``frame``; that of a neighbouring frame differs in its light alone."""
+        """The scene to render for ``frame``; the scenes of two frames differ only in their light."""
         return replace(self.scene, light=self.light(frame))
 
 
@@ -103,7 +103,7 @@ def _shape(random: Random, size: float) -> Shape:
 
 
 def _thin(random: Random) -> list[Object]:
-    """Poles, rails and wires about a pixel wide or less, with what is behind them changing as the camera moves."""
+    """Poles, rails and wires about a pixel wide or less; the background behind them changes as the camera moves."""
     found: list[Object] = []
     for group in range(int(random.integers(1, 5))):
         material = random_material(random, 40, plain=0.6)
@@ -129,7 +129,7 @@ def _speed(random: Random, slow: float, fast: float) -> float:
 
 
 def _path(random: Random, at: Vector, yaw: float) -> Callable[[float], Pose]:
-    """A straight line with a sway across it, turning; cm and radians a frame."""
+    """A straight path that sways sideways and turns; cm and radians a frame."""
     heading, speed = random.uniform(0, 2 * math.pi), _speed(random, 0.5, 25)
     step = speed * math.cos(heading), speed * math.sin(heading), float(random.normal(0, 1))
     turn = float(random.normal(0, 0.05)) if random.random() < 0.6 else 0.0
@@ -218,7 +218,7 @@ def _light(random: Random) -> Callable[[float], Light]:
     warm = random.uniform(0.6, 1.1, 3) * random.uniform(0.3, 1.15)
     zenith, horizon, ground = random.uniform(0.05, 0.8, 3), random.uniform(0.2, 0.95, 3), random.uniform(0.05, 0.4, 3)
     ambient = float(random.uniform(0.2, 0.7))
-    # Shadows that move, and light that flickers, are what the G-buffer does not know of.
+    # The G-buffer does not show shadows that move and light that flickers.
     turn = float(random.normal(0, 0.02)) if random.random() < 0.3 else 0.0
     flicker = float(random.uniform(0.02, 0.15)) if random.random() < 0.15 else 0.0
 

@@ -30,18 +30,18 @@ from training.validate import Means, bilinear, evaluating, tensors, validate
 CLIP = 1.0
 """Largest norm of a step's gradient."""
 ADAM = 0.05
-"""Adam's rate as a share of Muon's, whose steps are per layer, not per number."""
+"""Adam's rate / Muon's rate; Muon's steps are scaled per layer, Adam's per number."""
 LEAK = 0.1
-"""Slope of the ReLUs' negative half at step 0 of a run from nothing."""
+"""Slope of the ReLUs for negative numbers at step 0 of a run from random weights."""
 AVERAGE = 0.999
-"""Share of the running mean that a step leaves, once there are enough steps."""
+"""Share of the running mean that a step keeps, after enough steps."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What decides the numbers of a run besides the data; steps may be raised when it is resumed. ``young``: see `infancy`.
+    """Options that change the numbers of a run, besides the data; a resumed run may have more steps. ``young``: see `infancy`.
 
-    ``squares``: the share of the squared error in the loss that stays after it. ``history``: whether the history is used.
+    ``squares``: the share of the squared error that stays in the loss after it. ``history``: whether the history is used.
     """
 
     crop: int
@@ -57,13 +57,13 @@ class Settings:
 
 @dataclass(frozen=True)
 class Plan:
-    """How long, and how often what is written.
+    """Length of a run, and intervals of its output.
 
     Attributes:
-        steps: to have been done at the end.
-        validate: every so many steps: scores, weights, checkpoint.
-        log: every so many steps: loss.
-        most: validation frames of each kind.
+        steps: number of steps at the end of the run.
+        validate: steps between two validations, each of which writes scores, weights and a checkpoint.
+        log: steps between two records of the loss.
+        most: most validation frames of each kind.
     """
 
     steps: int
@@ -81,12 +81,12 @@ def rate_at(step: int, steps: int, settings: Settings) -> float:
 
 
 def infancy(step: int, steps: int) -> float:
-    """1 at the start, straight down to 0 at half the run: the share of leaky ReLUs, of the squared error, of the heads."""
+    """Falls linearly from 1 at the start to 0 at half the run: the share of leaky ReLUs, of the squared error, and of the heads."""
     return max(0.0, 1 - 2 * step / steps)
 
 
 def start(settings: Settings, device: torch.device, initial: str | None = None, without: str = "") -> State:
-    """A run at step 0; ``initial`` names weights to go on from, ``without`` what an ablation leaves out."""
+    """A run at step 0; ``initial`` names weights to start from, ``without`` the part that an ablation leaves out."""
     without = without if settings.history else "history"
     network, heads = Network(without), Heads()
     initialise(heads, settings.seed)
@@ -104,7 +104,7 @@ def start(settings: Settings, device: torch.device, initial: str | None = None, 
 
 
 def optimisers(network: nn.Module, heads: nn.Module) -> tuple[torch.optim.Optimizer, ...]:
-    """Muon for the kernels of 3 x 3, Adam for gates, biases and the last layer: they are vectors, or read the features out."""
+    """Muon for kernels of 3 x 3; Adam for gates and biases, which are vectors, and for the last layer, which only reads features out."""
     trained = {name: p for name, p in network.named_parameters() if p.requires_grad}
     kernels = [p for name, p in trained.items() if p.ndim == 4 and not name.startswith("outc") and ".conv_mask." not in name]
     others = [p for p in trained.values() if all(p is not kernel for kernel in kernels)] + list(heads.parameters())
@@ -114,7 +114,7 @@ def optimisers(network: nn.Module, heads: nn.Module) -> tuple[torch.optim.Optimi
 def advance(
     state: State, batch: tuple[Tensor, ...], rate: float, *, half: bool, young: float = 0.0, squares: float = 0.0
 ) -> Tensor:
-    """One step; ``young`` is the share of what only helps a beginner, see `infancy`. Returns the loss, on the device."""
+    """Take one step; ``young`` is the share of the aids for the start, see `infancy`. Returns the loss, on the device."""
     color, gbuffer, mask, history, truth = batch
     for optimiser, factor in zip(state.optimisers, (1.0, ADAM), strict=True):
         for group in optimiser.param_groups:
@@ -144,7 +144,7 @@ def advance(
 
 
 class Log:
-    """``log.jsonl`` of a run, a line a record; also to the terminal."""
+    """Write ``log.jsonl`` of a run, one line a record, and print each record."""
 
     def __init__(self, folder: Path):
         self.path = folder / "log.jsonl"
@@ -165,7 +165,7 @@ class Log:
 
 
 def keep(out: Path, state: State, means: Means) -> None:
-    """Write ``weights.safetensors``, ``best.safetensors`` if these are, and last the checkpoint."""
+    """Write ``weights.safetensors``, also as ``best.safetensors`` if its score is the best, and last the checkpoint."""
     weights, metadata = to_weights(state.average), {"steps": str(state.step), "validation": json.dumps(means)}
     metadata["settings"] = json.dumps(state.settings)
     save(out / "weights.safetensors", weights, metadata)
@@ -177,7 +177,7 @@ def keep(out: Path, state: State, means: Means) -> None:
 
 
 def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan: Plan, device: torch.device) -> None:
-    """Go on from ``state`` up to ``plan.steps``; see the module's README for what is written to ``out``."""
+    """Train from ``state`` up to ``plan.steps``; training/README.md lists the files in ``out``."""
     log = Log(out)
     log.cut(state.step)
     if state.step == 0:

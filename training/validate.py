@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""PSNR of SF and EF over whole frames, as `stss compare` takes it, beside that of bilinear upsampling."""
+"""Measure the PSNR of SF and EF over whole frames as `stss compare` does, beside the PSNR of bilinear upsampling."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ def bilinear(color: Tensor, gbuffer: Tensor, mask: Tensor, history: Tensor) -> T
 
 
 def tensors(batch: Batch, device: torch.device) -> tuple[Tensor, ...]:
-    """The batch on the device; planes as the convolutions like them, channels last."""
+    """The batch on the device, with channels last in memory, as convolutions run fastest."""
     made = [torch.from_numpy(array).to(device, non_blocking=True) for array in batch]
     return tuple(t.contiguous(memory_format=torch.channels_last) if t.ndim == 4 else t for t in made)
 
 
 def validate(model: Model, shards: list[Shard], split: str, *, most: int, device: torch.device) -> Means:
-    """Means over at most ``most`` frames of each kind, spread over the scenes of the split.
+    """Mean scores over at most ``most`` frames of each kind, spread over the scenes of the split.
 
     Raises:
-        InputError: the split lacks a kind.
+        InputError: the split lacks SF or EF samples.
     """
     means: Means = {}
     for kind in KINDS:

@@ -12,7 +12,7 @@ from looks import CUTOUTS, PICTURES, PROCEDURAL
 
 AOVS = {"basecolor": "COLOR", "metallic": "VALUE", "roughness": "VALUE"}
 AMBIENT_BELOW = 0.4
-"""Light from the sky that a face gets that looks down, against one that looks up."""
+"""Light from the sky on a face that looks down / light on a face that looks up."""
 
 
 class Nodes:
@@ -39,11 +39,11 @@ class Nodes:
         return self.add("Math", {0: a, 1: b}, operation=operation).outputs[0]
 
     def span(self, factor: Any, low: float, high: float) -> Any:
-        """From `low` to `high` as the factor goes from 0 to 1."""
+        """A number that goes from `low` to `high` as the factor goes from 0 to 1."""
         return self.add("MapRange", {"Value": factor, "To Min": low, "To Max": high}).outputs["Result"]
 
     def blend(self, factor: Any, a: list[float], b: list[float]) -> Any:
-        """From colour `a` to colour `b`."""
+        """A colour that goes from `a` to `b` as the factor goes from 0 to 1."""
         colours = {"Factor": factor, 6: (*a, 1.0), 7: (*b, 1.0)}
         return self.add("Mix", colours, data_type="RGBA").outputs[2]
 
@@ -63,7 +63,7 @@ def _texture(nodes: Nodes, look: Mapping[str, Any]) -> tuple[Any, Any]:
     """The factor between the two colours, and the opacity (None: opaque)."""
     kind, where = look["texture"], nodes.add("TexCoord")
     if kind in CUTOUTS or kind in PICTURES:
-        # Cards and bushes have texture coordinates, solids get the picture on each side, so many metres wide.
+        # Cards and bushes have texture coordinates; solids show the picture on each side, with a width in metres.
         flat = look.get("flat", kind in CUTOUTS)
         scale = 1.0 if flat else min(1.0, 0.4 * look["scale"])
         vector = nodes.add("Mapping", {"Vector": where.outputs["UV" if flat else "Object"], "Scale": (scale,) * 3})
@@ -72,7 +72,7 @@ def _texture(nodes: Nodes, look: Mapping[str, Any]) -> tuple[Any, Any]:
         return red, nodes.math("GREATER_THAN", node.outputs["Alpha"], 0.5) if kind in CUTOUTS else None
     if kind not in PROCEDURAL:
         return 0.0, None
-    # Shifted, or the faces of a cube would lie just between two squares of a checkerboard.
+    # Shifted, since the faces of a cube would otherwise lie just between two squares of a checkerboard.
     vector = nodes.add("Mapping", {"Vector": where.outputs["Object"], "Location": (0.137, 0.211, 0.173)}).outputs[0]
     node = nodes.add(f"Tex{kind.capitalize()}", {"Vector": vector, "Scale": look["scale"]})
     if kind == "brick":
@@ -82,14 +82,14 @@ def _texture(nodes: Nodes, look: Mapping[str, Any]) -> tuple[Any, Any]:
     if kind == "noise":
         node.inputs["Detail"].default_value = 6.0
         return nodes.span(node.outputs[0], -1.0, 2.0), None
-    # By number: "Factor" was "Fac" before Blender 5.
+    # Outputs by number, since "Factor" was "Fac" before Blender 5.
     return node.outputs[0 if kind == "voronoi" else 1], None
 
 
 def _write_aovs(nodes: Nodes, values: Mapping[str, Any], opacity: Any) -> None:
-    """Write what the G-buffer needs.
+    """Write the AOVs that the G-buffer needs.
 
-    Cycles adds up the AOVs of all surfaces that a ray goes through, so what is cut out must write 0.
+    Cycles adds up the AOVs of all surfaces that a ray goes through, so transparent parts must write 0.
     """
     for name, value in values.items():
         node = nodes.add("OutputAOV", aov_name=name)
@@ -106,7 +106,7 @@ def _ambient(nodes: Nodes, amount: float, metallic: Any, glow: float) -> Any:
     up = nodes.add("SeparateXYZ", {0: nodes.add("NewGeometry").outputs["Normal"]}).outputs[2]
     share = nodes.add("MapRange", {"Value": up, "From Min": -1.0, "To Min": AMBIENT_BELOW * amount, "To Max": amount}).outputs[0]
     shine = nodes.math("ADD", nodes.math("MULTIPLY", share, nodes.math("SUBTRACT", 1.0, metallic)), glow)
-    # Diffuse rays do not see it: few of them would be noise.
+    # Diffuse rays do not see it, since so few rays would only give noise.
     return nodes.math("MULTIPLY", shine, nodes.math("SUBTRACT", 1.0, nodes.add("LightPath").outputs["Is Diffuse Ray"]))
 
 
@@ -114,12 +114,12 @@ def build_material(look: Mapping[str, Any], ambient: float) -> Any:
     """Make a material.
 
     Args:
-        look: of the description.
-        ambient: brightness of the light from the sky where no ray fetches it.
+        look: the material in the scene's description.
+        ambient: brightness of the light from the sky, which the surface glows with instead of sending rays.
     """
     made = bpy.data.materials.new(look["texture"])
     made.use_nodes = True
-    made.cycles.emission_sampling = "NONE"  # it is seen, but lights nothing: no noise
+    made.cycles.emission_sampling = "NONE"  # the glow is visible but lights nothing, so that it adds no noise
     nodes = Nodes(made.node_tree)
     factor, opacity = _texture(nodes, look)
     colour = nodes.blend(factor, look["b"], look["a"])
@@ -139,7 +139,7 @@ def build_material(look: Mapping[str, Any], ambient: float) -> Any:
 
 
 def build_sky(sky: Mapping[str, Any], tree: Any, *, dome: bool) -> None:
-    """A gradient from the horizon up; on a dome with clouds before it."""
+    """Build a sky: a gradient from the horizon up, and on a dome clouds in front of it."""
     nodes = Nodes(tree)
     where = nodes.add("TexCoord").outputs["Generated"]
     up = nodes.add("SeparateXYZ", {0: where}).outputs[2]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
-"""Where the camera and what moves are at a frame: plain arithmetic, no Blender.
+"""Positions of the camera and of moving things at a frame: plain arithmetic, no Blender.
 
-Lengths are metres, angles radians, the time `t` is in frames from the first one (frame 1 of the files is `t` = 0).
+Lengths are in metres, angles in radians; the time `t` is in frames from the first one (frame 1 of the files is `t` = 0).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ Vector = tuple[float, float, float]
 Spec = Mapping[str, Any]
 STILL: Vector = (0.0, 0.0, 0.0)
 FLOOR = 0.3
-"""The camera stays above it."""
+"""Least height of the camera; metres."""
 
 
 def add(a: Sequence[float], b: Sequence[float], scale: float = 1.0) -> Vector:
@@ -34,10 +34,10 @@ def turned(v: Sequence[float], angle: float) -> Vector:
 
 
 def pose(motion: Spec | None, t: float) -> tuple[Vector, Vector]:
-    """How far something that moves is from its place, and how it is turned.
+    """The offset of a moving thing from its place, and its turn.
 
     Args:
-        motion: ``kind`` and its numbers; None: it rests.
+        motion: ``kind`` and its numbers; None: the thing rests.
         t: frames from the first one.
 
     Returns:
@@ -105,7 +105,7 @@ def camera(shots: Sequence[Spec], t: float) -> tuple[Vector, Vector, float]:
 
 
 def _shaken(shot: Spec, t: float, eye: Vector, target: Vector, length: float) -> tuple[Vector, Vector, float]:
-    """A hand or an explosion shakes the camera: sines that do not repeat within a clip."""
+    """Shake the camera as a hand or an explosion does, by sines that do not repeat within a clip."""
     amplitude, p = shot["shake"], shot["phase"]
     shift = amplitude * length
     target = add(

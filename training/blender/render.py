@@ -24,15 +24,15 @@ from paths import camera
 from scenes import SPLITS, VERSION, describe
 
 POINT = 0.01
-"""Filter width in pixels, the smallest there is: every sample lies at the pixel's centre."""
+"""Smallest filter width, pixels: every sample lies at the pixel's centre."""
 
 
 EXACT = 2
-"""Samples of a small frame's pixel where the scene is clean: its light has no noise, and every sample the same answer."""
+"""Samples of a small frame's pixel in a clean scene, whose light has no noise, so that every sample gives the same answer."""
 
 
 def common(scene: Any, threads: int) -> None:
-    """What both renderings have: Cycles on the CPU, few bounces, no denoising, no motion blur."""
+    """Set what both renderings share: Cycles on the CPU, few bounces, no denoising, no motion blur."""
     scene.render.engine = "CYCLES"
     scene.render.resolution_percentage = 100
     scene.render.use_motion_blur = False  # with it there is no Vector pass
@@ -49,9 +49,9 @@ def common(scene: Any, threads: int) -> None:
 
 
 def small(scene: Any, size: tuple[int, int], samples: int, *, aliased: bool) -> None:
-    """Colour and G-buffer. Aliased, every sample lies at the pixel's centre: many only take the noise out of the light."""
+    """Set up colour and G-buffer. If aliased, every sample lies at the pixel's centre, and more samples only reduce the light's noise."""
     scene.render.resolution_x, scene.render.resolution_y = size
-    # Not a small BOX: Cycles takes that one 1 pixel wide, whatever the width says.
+    # Not a small BOX filter, since Cycles makes that 1 pixel wide, whatever the width says.
     scene.cycles.pixel_filter_type, scene.cycles.filter_width = ("GAUSSIAN", POINT) if aliased else ("BOX", 1.0)
     scene.cycles.samples = samples
     layer = scene.view_layers[0]
@@ -61,7 +61,7 @@ def small(scene: Any, size: tuple[int, int], samples: int, *, aliased: bool) -> 
 
 
 def truth(scene: Any, size: tuple[int, int], samples: int) -> None:
-    """Colour at twice the size, the samples spread evenly over the pixel."""
+    """Set up colour at twice the size, with samples spread evenly over the pixel."""
     scene.render.resolution_x, scene.render.resolution_y = 2 * size[0], 2 * size[1]
     scene.cycles.pixel_filter_type, scene.cycles.samples = "BOX", samples
     layer = scene.view_layers[0]
@@ -83,7 +83,7 @@ def _as_exr(scene: Any, *, layers: bool) -> None:
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Blender's own lines on stdout are left out."""
+    """Hide Blender's own lines on stdout."""
     sys.stdout.flush()
     kept, nothing = os.dup(1), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nothing, 1)
@@ -96,7 +96,7 @@ def quiet() -> Iterator[None]:
 
 
 def render_frames(folder: Path, frames: Iterable[int]) -> float:
-    """Render what is not there yet; a file is whole or not there. Returns the seconds it took."""
+    """Render the frames that do not exist yet, each file whole or not at all. Returns the seconds it took."""
     folder.mkdir(parents=True, exist_ok=True)
     scene, start = bpy.context.scene, time.monotonic()
     for number in frames:
@@ -138,7 +138,7 @@ def arguments() -> argparse.Namespace:
 
 
 def claim(folder: Path, settings: dict[str, Any]) -> None:
-    """Refuse to go on with frames that other settings, or another scene, began."""
+    """Refuse to continue a folder that was begun with other settings or another scene."""
     folder.mkdir(parents=True, exist_ok=True)
     path, text = folder / "settings.json", json.dumps(settings)
     if path.exists() and path.read_text() != text:
@@ -147,7 +147,7 @@ def claim(folder: Path, settings: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    """Render a scene; `scene.json` is written last: where it is, the scene is finished."""
+    """Render a scene; `scene.json` is written last, so a folder that has it is finished."""
     given = arguments()
     described = describe(given.scene, given.split, given.frames)
     aliased, every = not given.antialiased, range(1, given.frames + 1)

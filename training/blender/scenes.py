@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """A random scene from a seed, as plain data: the same seed and split give the same scene everywhere.
 
-Needs no Blender, so that what is in a set can be said, and tested, without rendering it.
+Needs no Blender, so that the content of a set can be described and tested without rendering it.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ SOLIDS = ("cube", "cube", "sphere", "cylinder", "cone", "torus", "monkey")
 THIN = ("fence", "lattice", "wheel", "cables", "wires", "ladder")
 MOVES = ("orbit", "pan", "truck", "dolly", "crane", "tilt", "rest")
 CLEAN = ("checker", "checker", "checker", "plain", "brick", "stripes")
-"""Textures of the scenes that are all hard edges: flat surfaces in hard sunlight, no bumps, nothing that glows or mirrors."""
+"""Textures of clean scenes, which have only hard edges: flat surfaces in hard sunlight, no bumps, nothing that glows or mirrors."""
 WIDTH = 160
-"""The speeds are drawn in pixels of a frame as wide as this."""
+"""Speeds are drawn in pixels of a frame of this width; pixels."""
 
 Thing = dict[str, Any]
 
 
 class Scene:
-    """A scene in the making: what has been put where."""
+    """A scene while it is made: the things in it, and their places."""
 
     def __init__(self, seed: int, split: str, frames: int):
         if split not in SPLITS:
@@ -54,11 +54,11 @@ class Scene:
 
     @property
     def focal(self) -> float:
-        """Pixels of a frame WIDTH wide that one radian takes in the middle."""
+        """Pixels per radian in the middle of a frame of width WIDTH."""
         return 0.5 * WIDTH / math.tan(0.5 * self.fov)
 
     def speed(self) -> float:
-        """Pixels a frame: mostly slow, sometimes fast."""
+        """Draw a speed, pixels a frame: mostly slow, sometimes fast."""
         return self.rng.choice((self.rng.uniform(0.2, 1), self.rng.uniform(1, 3), self.rng.uniform(1, 3), self.rng.uniform(3, 7)))
 
     def _shots(self) -> list[Thing]:
@@ -69,7 +69,7 @@ class Scene:
             angle, low = rng.uniform(0, 2 * math.pi), rng.uniform(0.08, 0.5)
             eye = add(self.centre, (math.cos(angle) * math.cos(low), math.sin(angle) * math.cos(low), math.sin(low)), self.away)
             move = rng.choice(MOVES)
-            # Radians a frame, or metres where the camera itself moves: nearer things then pass by faster.
+            # Radians a frame, or metres a frame if the camera itself moves, so that nearer things pass by faster.
             rate = rng.choice((-1, 1)) * self.speed() / self.focal * (self.away if move in ("truck", "dolly", "crane") else 1)
             shake = rng.choice((0, 0, 0, rng.uniform(0.3, 1), rng.uniform(1, 4))) / self.focal
             target = add(self.centre, [rng.uniform(-1, 1), rng.uniform(-1, 1), rng.uniform(-0.3, 0.3)], 0.12 * self.away)
@@ -78,7 +78,7 @@ class Scene:
         return shots
 
     def paint(self, texture: str | None = None, metal: float = 0.2) -> int:
-        """A new material; its number."""
+        """Add a material; returns its number."""
         made = material(self.rng, texture or (self.rng.choice(CLEAN) if self.clean else None), metal)
         if self.clean:
             made |= {"bump": 0.0, "glow": 0.0, "gloss": False, "metallic": [0.0, 0.0]}
@@ -87,7 +87,7 @@ class Scene:
         return len(self.materials) - 1
 
     def put(self, shape: str, at: Any, size: Any, paint: int, turn: Any = (0, 0, 0), motion: Thing | None = None) -> None:
-        """Put a thing into the scene; what moves gets a number of its own."""
+        """Put a thing into the scene; a moving thing gets its own number."""
         self.moving += motion is not None
         number = self.moving if motion is not None else 0
         made = {"shape": shape, "at": list(at), "size": list(size), "turn": list(turn), "material": paint}
@@ -103,12 +103,12 @@ class Scene:
         return None
 
     def free(self, at: Any, radius: float) -> bool:
-        """Whether a thing so wide stays clear of the camera's way."""
+        """Whether a thing of this radius stays clear of the camera's way."""
         return all(distance((eye[0], eye[1], 0), (at[0], at[1], 0)) > radius + 0.25 * self.away for eye in self.walk)
 
 
 def _ground(scene: Scene) -> None:
-    """What everything stands on."""
+    """The ground, on which everything stands."""
     rng = scene.rng
     kind = {"field": "noise", "table": None, "hall": rng.choice(("checker", "brick"))}.get(scene.layout)
     if scene.clean:
@@ -176,7 +176,7 @@ def _furnish(scene: Scene) -> None:
 
 
 def _grass(scene: Scene) -> None:
-    """Tufts of blades about a pixel wide; on a field many, else in every third scene."""
+    """Tufts of grass with blades about a pixel wide: many on a field, else some in every third scene."""
     rng, unit = scene.rng, scene.away / 9
     paints = [scene.paint("plain", 0) for _ in range(3)]
     for paint in paints:
@@ -190,7 +190,7 @@ def _grass(scene: Scene) -> None:
 
 
 def _wires(scene: Scene) -> None:
-    """Wires across the picture, before and behind what stands there, in every second scene."""
+    """Wires across the picture, in front of and behind the things there, in every second scene."""
     rng, unit = scene.rng, scene.away / 9
     for _ in range(rng.choice((0, 0, 1, 2))):
         angle, far, tall = rng.uniform(0, 2 * math.pi), rng.uniform(-4, 4) * unit, unit * rng.uniform(0.5, 3)
@@ -203,7 +203,7 @@ def _wires(scene: Scene) -> None:
 
 
 def _poles(scene: Scene) -> None:
-    """A row of poles a pixel or two wide, mostly, as far apart as they are high or less."""
+    """A row of poles, mostly a pixel or two wide, at most as far apart as they are high."""
     rng, unit = scene.rng, scene.away / 9
     width, tall = unit * math.exp(rng.uniform(math.log(0.03), math.log(0.2))), unit * rng.uniform(1.5, 4)
     angle, far, step = rng.uniform(0, 2 * math.pi), rng.uniform(-3, 4) * unit, tall * rng.uniform(0.25, 1)
@@ -249,11 +249,11 @@ def describe(seed: int, split: str, frames: int) -> Thing:
 
     Args:
         seed: any number.
-        split: "train", "validation" or "test": the same seed gives another scene in each.
-        frames: how many there will be.
+        split: "train", "validation" or "test"; the same seed gives a different scene in each.
+        frames: number of frames.
 
     Returns:
-        what `assemble.py` builds and `scene.json` holds: plain numbers, lists and words.
+        The description that `assemble.py` builds and `scene.json` stores: plain numbers, lists and words.
     """
     if frames < 1:
         raise ValueError(f"frames: expected 1 or more, got {frames}")

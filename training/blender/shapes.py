@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Meshes that Blender has no primitive for: things made of bars, and cards for foliage. Plain Python.
+"""Meshes for which Blender has no primitive: things made of bars, and cards for foliage. Plain Python.
 
 Everything lies within -0.5..0.5 in each coordinate, z up; the builder scales it to metres.
 """
@@ -56,11 +56,11 @@ def _unit(a: Sequence[float]) -> Point:
 
 
 def mesh(kind: str, seed: int) -> Mesh:
-    """Make one.
+    """Make a mesh.
 
     Args:
         kind: "fence", "lattice", "wheel", "cables", "wires", "ladder", "card", "bush" or "grass".
-        seed: for what is random in it.
+        seed: for its random parts.
     """
     rng = random.Random(f"shape {kind} {seed}")
     made = Mesh()
@@ -114,7 +114,7 @@ def _wheel(rng: random.Random) -> list[Bar]:
 
 
 def _cables(rng: random.Random) -> list[Bar]:
-    """Hanging wires in short pieces: a twentieth of a pixel thick at times."""
+    """Hanging wires in short pieces, some only a twentieth of a pixel thick."""
     bars: list[Bar] = []
     for _ in range(rng.randint(3, 8)):
         y, z, sag = rng.uniform(-0.5, 0.5), rng.uniform(0.1, 0.5), rng.uniform(0.1, 0.5)
@@ -141,4 +141,4 @@ def _ladder(rng: random.Random) -> list[Bar]:
 BARS: dict[str, Callable[[random.Random], list[Bar]]] = {
     "fence": _fence, "lattice": _lattice, "wheel": _wheel, "cables": _cables, "wires": _wires, "ladder": _ladder,
 }  # fmt: skip
-"""What is made of bars."""
+"""Kinds of mesh that are made of bars."""
