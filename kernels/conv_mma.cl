@@ -7,6 +7,7 @@
 //
 // Build -D HALF -D A -D B -D OUT -D BLOCK (outputs of a work-group) -D EIGHTS (of channels at once, a divisor of (A + B) / 8) -D STRIDE -D ROWS (1 or 2),
 // all channels multiples of 8, optionally -D GATED -D RELU -D MARK; -D EMULATE: without matrix units, on any device.
+// -D IMAGES: see conv_local.cl.
 // Work-group (32, 4): 32 x 4 ROWS pixels, a tile of the list; launch (32 tiles, 4 OUT / BLOCK).
 //
 // 32 work-items multiply 16 pixels x 16 channels by 16 channels x 8 outputs at once: mma.sync.m16n8k16 of NVIDIA from sm_80 on. The
@@ -59,8 +60,11 @@ kernel __attribute__((reqd_work_group_size(32, 4, 1)))
 void conv_mma(global const ushort *restrict a, global const ushort *restrict b, global const uint2 *restrict weight,
               global const uint2 *restrict gate_weight, global const float *restrict bias, const float gate_bias,
               global ushort *restrict out, const int a_first, const int height, const int width, const int in_columns,
-              const int out_columns, const int out_channels, const int out_first, global const uint *restrict tiles,
-              global const int *restrict count, global uchar *restrict changes)
+              const int out_columns, const int out_channels, const int out_first
+#ifdef IMAGES
+              , const int a_next, const int out_next, const int map_next, const int tile_rows
+#endif
+              , global const uint *restrict tiles, global const int *restrict count, global uchar *restrict changes)
 {
     local uint4 tile[EIGHTS * PLANE];
     EXCHANGE(exchange);
@@ -72,7 +76,18 @@ void conv_mma(global const ushort *restrict a, global const ushort *restrict b, 
     a += a_first;
 
     for (int t = get_group_id(0); t < count[0]; t += get_num_groups(0)) {
-        const int top = TILE_ROW(tiles[t]) * 4 * ROWS, left = TILE_COLUMN(tiles[t]) * 32;
+#ifdef IMAGES
+        const int which = TILE_ROW(tiles[t]) / tile_rows, top = (TILE_ROW(tiles[t]) - which * tile_rows) * 4 * ROWS;
+        global const ushort *from_a = a + which * a_next;
+        global ushort *to = out + which * out_next;
+        global uchar *marks = changes + which * map_next;
+#else
+        const int top = TILE_ROW(tiles[t]) * 4 * ROWS;
+        global const ushort *from_a = a;
+        global ushort *to = out;
+        global uchar *marks = changes;
+#endif
+        const int left = TILE_COLUMN(tiles[t]) * 32;
         float4 sum[2 * ROWS][MATRICES];  // pixels 16 (i % 2) .. of row i / 2, by outputs
 UNROLL
         for (int n = 0; n < MATRICES; ++n) {
@@ -82,7 +97,7 @@ UNROLL
         }
         for (int chunk = 0; chunk < CHUNKS; ++chunk) {
             barrier(CLK_LOCAL_MEM_FENCE);
-            fetch(a, b, tile, item, chunk * EIGHTS, STRIDE * top, STRIDE * left, in_rows, in_columns);
+            fetch(from_a, b, tile, item, chunk * EIGHTS, STRIDE * top, STRIDE * left, in_rows, in_columns);
             barrier(CLK_LOCAL_MEM_FENCE);
 UNROLL
             for (int step = 0; step < STEPS; ++step) {
@@ -117,7 +132,7 @@ UNROLL
 #ifdef RELU
                 value = fmax(value, 0.0f);
 #endif
-                put2(value, out + pixel + 8 * n, changes + y / 4 * ((out_columns - 2) / 4) + x / 4);
+                put2(value, to + pixel + 8 * n, marks + y / 4 * ((out_columns - 2) / 4) + x / 4);
             }
         }
     }

@@ -176,7 +176,7 @@ def estimate(layer: LayerLaunch, gpu: Gpu) -> Estimate:
         return Estimate(layer.stage, layer.name, source.kernel, seconds, 0.0)
     options: dict[str, Any] = dict(source.options)
     shape = {key: int(options.get(key, 0)) for key in ("A", "B", "OUT", "STRIDE", "ROWS", "GATED", "KERNEL", "BLOCK")}
-    height, width = int(layer.arguments["height"]), int(layer.arguments["width"])
+    height, width = int(layer.arguments["height"]) * layer.tiling.images, int(layer.arguments["width"])
     products = 9 * (shape["A"] + shape["B"])
     useful = products * (shape["OUT"] + shape["GATED"]) * height * width
     clock = gpu.units * gpu.ghz * 1e9

@@ -145,9 +145,9 @@ class ChangeMaps:
         self._parents: list[cl.Buffer] = []
         self._used = self._size
 
-    def take(self, height: int, width: int) -> cl.Buffer:
+    def take(self, height: int, width: int, images: int = 1) -> cl.Buffer:
         """Take one more map, for activations of this size."""
-        size = map_bytes(height, width)
+        size = map_bytes(height, width, images)
         if self._used + size > self._size:
             self._parents.append(cl.Buffer(self._device.context, FLAGS.READ_WRITE, self._size))
             self._used = 0
@@ -247,7 +247,8 @@ def mask_of(device: Device, mask: cl.Buffer, size: tuple[int, int], *, on_device
     """A copy of a mask (H, W) uint8: a NumPy array of bool, for which the queue is waited for, or a ``pyopencl.array`` of uint8."""
     if on_device:
         made = cla.empty(device.queue, size, np.uint8, allocator=device.pool)
-        cl.enqueue_copy(device.queue, made.base_data, mask, byte_count=made.nbytes)
+        to: Any = made.base_data
+        cl.enqueue_copy(device.queue, to, mask, byte_count=made.nbytes)
         return made
     valid = np.empty(size, np.uint8)
     cl.enqueue_copy(device.queue, valid, mask)
@@ -259,6 +260,7 @@ class Outgoing:
 
     def __init__(self, device: Device, shape: tuple[int, ...], *, on_device: bool):
         self._device, self._on_device = device, on_device
+        self.data: Any
         if on_device:
             self.array: Any = cla.empty(device.queue, shape, np.float32, allocator=device.pool)
             self.data = self.array.base_data

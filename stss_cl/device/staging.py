@@ -48,7 +48,8 @@ class Staging:
         """Page-locked float32 to be handed out: it serves again when nobody holds it, or a view of it, any more."""
         size = 4 * math.prod(shape)
         locked = self._take(size)
-        made = np.frombuffer(memoryview(locked), np.float32, math.prod(shape)).reshape(shape)
+        held: Any = locked
+        made = np.frombuffer(memoryview(held), np.float32, math.prod(shape)).reshape(shape)
         whole: Any = made.base
         weakref.finalize(whole, self._give_back, locked).atexit = False
         return made
@@ -59,7 +60,8 @@ class Staging:
             return free.pop()
         buffer = cl.Buffer(self._queue.context, FLAGS.READ_WRITE | FLAGS.ALLOC_HOST_PTR, size)
         how: Any = cl.map_flags.READ | cl.map_flags.WRITE
-        return cl.enqueue_map_buffer(self._queue, buffer, how, 0, (size,), np.uint8)[0]
+        bytes_: Any = np.uint8
+        return cl.enqueue_map_buffer(self._queue, buffer, how, 0, (size,), bytes_)[0]
 
     def _give_back(self, locked: NDArray[np.uint8]) -> None:
         free = self._free[locked.nbytes]

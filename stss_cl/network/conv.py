@@ -71,7 +71,7 @@ def conv(
     stride: int = 1,
     relu: bool = True,
     side: int = 4,
-    image: int = 0,
+    image: int | None = 0,
     final: Final | None = None,
 ) -> LayerLaunch:
     """Make a convolution of ``a`` and ``b`` side by side into channels ``out_first`` .. of ``out``.
@@ -88,17 +88,18 @@ def conv(
         stride: 1 or 2.
         relu: whether ReLU follows.
         side: side of Winograd's tiles, 4 or 2 at stride 1, 2 at stride 2; 0: the plain kernel, which also runs where no faster one does.
-        image: which of ``a``'s images.
+        image: which of ``a``'s images; None: all of them in one launch, where work-groups share local memory, into the images of ``out``,
+            or, if it has one, into channels one behind the other.
         final: write ``image`` instead of ``out``; the caller sets it before every run.
     """
-    shape = _shape(device, packed, a, out, side, stride, final)
+    shape = _shape(device, packed, a, out, side, stride, final, a.images if image is None else 1)
     source = _source(shape, packed, a, b, out, relu=relu, image=final is not None)
     arguments = {
         "a": a.data,
         "b": b.data if b else a.data,
         **_tensors(device, packed, shape),
         "out": out.data,
-        "a_first": image * a.rows * a.columns * a.channels,
+        "a_first": (image or 0) * a.rows * a.columns * a.channels,
         "height": (final or out).height,
         "width": (final or out).width,
         "in_columns": a.columns,
@@ -106,9 +107,21 @@ def conv(
         **({} if "SIDE" in shape.options else {"out_channels": out.channels}),
         "out_first": out_first,
         **(final.arguments if final else {}),
+        **(_from_image_to_image(a, out, packed, shape) if image is None else {}),
     }
-    maps = _maps(a, image, b or final)
+    maps = _maps(a, image or 0, b or final)
     return layer(device, stage, name, source, arguments, shape.tiling, shape.size, shape.group, maps, None if final else out)
+
+
+def _from_image_to_image(a: Padded, out: Padded, packed: Packed, shape: Shape) -> dict[str, int]:
+    """How far it is from one image to the next: values of the input and of the output, bytes of the change map, rows of tiles."""
+    several = out.images > 1
+    return {
+        "a_next": a.rows * a.columns * a.channels,
+        "out_next": out.rows * out.columns * out.channels if several else packed.direct.shape[-1],
+        "map_next": map_bytes(out.height, out.width) if several else 0,
+        "tile_rows": shape.tiling.rows,
+    }
 
 
 def _tensors(device: Device, packed: Packed, shape: Shape) -> dict[str, Any]:
@@ -136,7 +149,9 @@ def _source(shape: Shape, packed: Packed, a: Padded, b: Padded | None, out: Padd
     return KernelSource(shape.file, shape.file.removesuffix(".cl"), {**shape.options, **options}, FAST_MULTIPLY_ADD)
 
 
-def _shape(device: Device, packed: Packed, a: Padded, out: Padded, side: int, stride: int, final: Final | None) -> Shape:
+def _shape(
+    device: Device, packed: Packed, a: Padded, out: Padded, side: int, stride: int, final: Final | None, images: int
+) -> Shape:
     """The fastest kernel for this layer by the row of tile sizes; the plain one for ``side`` 0."""
     tuning, whole_eights = tuning_for(device), a.channels % 8 == 0
     if side == 0 or packed.direct.shape[0] != 3:
@@ -150,9 +165,9 @@ def _shape(device: Device, packed: Packed, a: Padded, out: Padded, side: int, st
         and whole_eights
         and matrix_units.proved(device)
     ):
-        return conv_gpu.on_matrix_units(device, packed, out, stride, tuning.local.rows)
+        return conv_gpu.on_matrix_units(device, packed, out, stride, tuning.local.rows, images)
     if tuning.local is not None:
-        return conv_gpu.local(device, packed, out, stride, tuning.local.rows)
+        return conv_gpu.local(device, packed, out, stride, tuning.local.rows, images)
     return _direct(device, packed, out, stride, final)
 
 

@@ -18,13 +18,13 @@ EIGHTS, MOST_OUTPUTS, EMULATED = (4, 3, 2, 7), 32, 3072
 registers; bytes of local memory that emulated products take."""
 
 
-def local(device: Device, packed: Packed, out: Padded, stride: int, most_rows: int) -> Shape:
+def local(device: Device, packed: Packed, out: Padded, stride: int, most_rows: int, images: int) -> Shape:
     """The shape of conv_local.cl for this layer; a work-item has at most ``most_rows`` rows of pixels."""
-    slices, rows = packed.direct.shape[-1] // 8, _rows(device, out, most_rows)
-    tiling = _tiling(out, rows, stride)
+    slices, rows = packed.direct.shape[-1] // 8, _rows(device, out, most_rows, images)
+    tiling = _tiling(out, rows, stride, images)
     return Shape(
         file="conv_local.cl",
-        options={"STRIDE": stride, "ROWS": rows},
+        options={"STRIDE": stride, "ROWS": rows, "IMAGES": images > 1},
         weight=packed.direct,
         gate=packed.gate_direct,
         tiling=tiling,
@@ -33,18 +33,25 @@ def local(device: Device, packed: Packed, out: Padded, stride: int, most_rows: i
     )
 
 
-def on_matrix_units(device: Device, packed: Packed, out: Padded, stride: int, most_rows: int) -> Shape:
+def on_matrix_units(device: Device, packed: Packed, out: Padded, stride: int, most_rows: int, images: int) -> Shape:
     """The shape of conv_mma.cl for this layer; a work-item has at most ``most_rows`` rows of pixels."""
     inner, outputs = packed.direct.shape[2] // 8, packed.direct.shape[3]
     # Tiles of twice the side and eights of all channels would not fit into local memory together, nor seven at once into the registers.
-    rows = 1 if stride == 2 or inner % 7 == 0 else _rows(device, out, most_rows)
+    rows = 1 if stride == 2 or inner % 7 == 0 else _rows(device, out, most_rows, images)
     plane = 16 * (34 * stride * (stride * (TALL * rows - 1) + 3) + 2)  # bytes of an eight in local memory
     eights = next((n for n in EIGHTS if inner % n == 0 and n * plane + EMULATED <= device.local_memory), 1)
     block = min(outputs, MOST_OUTPUTS)
-    tiling = _tiling(out, rows, stride)
+    tiling = _tiling(out, rows, stride, images)
     return Shape(
         file="conv_mma.cl",
-        options={"STRIDE": stride, "ROWS": rows, "BLOCK": block, "EIGHTS": eights, "EMULATE": matrix_units.are_emulated(device)},
+        options={
+            "STRIDE": stride,
+            "ROWS": rows,
+            "BLOCK": block,
+            "EIGHTS": eights,
+            "EMULATE": matrix_units.are_emulated(device),
+            "IMAGES": images > 1,
+        },
         weight=fragments(packed, eights, block),
         gate=None,
         tiling=tiling,
@@ -53,13 +60,13 @@ def on_matrix_units(device: Device, packed: Packed, out: Padded, stride: int, mo
     )
 
 
-def _rows(device: Device, out: Padded, most: int) -> int:
+def _rows(device: Device, out: Padded, most: int, images: int) -> int:
     """Rows of pixels of a work-item: layers with few tiles get smaller ones, which use more of the device."""
-    tiles = ceil_div(out.width, WIDE) * ceil_div(out.height, TALL * most)
+    tiles = images * ceil_div(out.width, WIDE) * ceil_div(out.height, TALL * most)
     return most if tiles >= 2 * device.compute_units else 1
 
 
-def _tiling(out: Padded, rows: int, stride: int) -> Tiling:
+def _tiling(out: Padded, rows: int, stride: int, images: int) -> Tiling:
     tall = TALL * rows
     across = ceil_div(out.width, WIDE)
-    return Tiling(ceil_div(out.height, tall), across, (stride * tall, stride * WIDE), 1, 1 - stride, (tall, WIDE))
+    return Tiling(ceil_div(out.height, tall), across, (stride * tall, stride * WIDE), 1, 1 - stride, (tall, WIDE), images)

@@ -84,7 +84,7 @@ def layer(
         size, group: global size and work-group of the launch.
         out: the activations that it writes and marks; None: it writes the image.
     """
-    tiles = whole(device, tiling.rows, tiling.columns)
+    tiles = whole(device, tiling.lines, tiling.columns)
     marks = {} if out is None else {"changes": out.changes or out.data}  # without -D MARK it is not read
     together = {**arguments, "tiles": tiles.tiles, "count": tiles.count, **marks}
     made = kernel(build(device, source.file, source.options, source.flags), source.kernel, together)

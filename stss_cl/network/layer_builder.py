@@ -50,24 +50,24 @@ class LayerBuilder:
         self._height, self._width = height, width
         self._shared: dict[tuple[str, int, int], Padded] = {}
 
-    def padded(self, divisor: int, channels: int) -> Padded:
+    def padded(self, divisor: int, channels: int, images: int = 1) -> Padded:
         """Activations of 1 / ``divisor`` of the size."""
         height, width = self._height // divisor, self._width // divisor
-        made = padded(self._device, height, width, channels, self.dtype)
+        made = padded(self._device, height, width, channels, self.dtype, images)
         if not self._keep:
             return made
-        self.marked.append(replace(made, changes=self.maps.take(height, width)))
+        self.marked.append(replace(made, changes=self.maps.take(height, width, images)))
         return self.marked[-1]
 
     def share(self, name: str, divisor: int, buffer: Padded) -> None:
         """Let ``scratch`` return ``buffer`` for this name and size, unless all buffers are kept."""
         self._shared[name, divisor, buffer.channels] = buffer
 
-    def scratch(self, name: str, divisor: int, channels: int) -> Padded:
+    def scratch(self, name: str, divisor: int, channels: int, images: int = 1) -> Padded:
         """Activations for short use: the same buffer for the same name and size, or a new one each time if all are kept."""
-        key = name, divisor, channels
+        key = name if images == 1 else f"{name} of {images}", divisor, channels
         if self._keep or key not in self._shared:
-            self._shared[key] = self.padded(divisor, channels)
+            self._shared[key] = self.padded(divisor, channels, images)
         return self._shared[key]
 
     def conv(
@@ -82,7 +82,7 @@ class LayerBuilder:
         stride: int = 1,
         relu: bool = True,
         out_first: int = 0,
-        image: int = 0,
+        image: int | None = 0,
         final: Final | None = None,
     ) -> Padded:
         """Append a convolution; ``channels``: how many of each input's are real, where not all."""

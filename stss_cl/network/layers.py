@@ -19,7 +19,7 @@ from stss_cl.network.layer import LayerLaunch
 from stss_cl.network.layer_builder import LayerBuilder, dtype_of
 from stss_cl.network.pack_inputs import PackInputs
 from stss_cl.network.pack_weights import pack_outc
-from stss_cl.network.strips import OVERLAP, Strip, bytes_for, rows_within, strips
+from stss_cl.network.strips import OVERLAP, Strip, bytes_for, rows_within, strips, together_bytes
 from stss_cl.network.tiles import Tiling, of_convolution, whole
 from stss_ref.arrays import Array
 from stss_ref.weights import Weights, reads_history
@@ -83,6 +83,9 @@ class Layers:
         self._weights, self._height, self._width = weights, rows, columns
         self._fused = winograd
         self._local = tuning_for(device).local is not None and not device.is_cpu
+        # The three images of the history in one launch, where that is known and their buffers have room.
+        needed = bytes_for(rows, full, columns, dtype, keep=keep) + (0 if keep else together_bytes(rows, columns, dtype))
+        self._together = self._local and not winograd and precision != "float32-direct" and needed <= limit
         self._build = LayerBuilder(device, weights, precision, rows, columns, keep)
         self.launches, self.marked, self.maps = self._build.launches, self._build.marked, self._build.maps
         self.strips = strips(full, height, rows, overlap)
@@ -194,15 +197,19 @@ class Layers:
     def _history(self) -> None:
         joined = self._build.padded(8, 96)
         self.features["reshaded"] = self._build.padded(8, 96)
-        for image in range(3) if self.reads_history else ():
+        together = self._together
+        images = 3 if together else 1
+        for image in ((None,) if together else range(3)) if self.reads_history else ():
             x = self.inputs.earlier
             for name, channels, divisor in (("convHis1", 24, 2), ("convHis2", 32, 4), ("convHis3", 32, 8)):
-                one = self._build.scratch("one", divisor, channels)
-                x = self._build.conv("history", f"{name}.0", x, one, stride=2, image=image if divisor == 2 else 0)
-                x = self._build.conv("history", f"{name}.2", x, self._build.scratch("two", divisor, channels))
+                one = self._build.scratch("one", divisor, channels, images)
+                two = self._build.scratch("two", divisor, channels, images)
+                which = None if together else 0
+                x = self._build.conv("history", f"{name}.0", x, one, stride=2, image=image if divisor == 2 else which)
+                x = self._build.conv("history", f"{name}.2", x, two, image=which)
                 last = divisor == 8
-                out = joined if last else self._build.scratch("one", divisor, channels)
-                x = self._build.conv("history", f"{name}.4", x, out, out_first=32 * image if last else 0)
+                out = joined if last else self._build.scratch("one", divisor, channels, images)
+                x = self._build.conv("history", f"{name}.4", x, out, out_first=32 * (image or 0) if last else 0, image=which)
         self._build.conv("history", "lowlevelGated", joined, self.features["reshaded"], relu=False, out_first=64)
 
     def _erm(self) -> None:

@@ -60,6 +60,14 @@ def bytes_for(rows: int, height: int, width: int, dtype: DTypeLike, *, keep: boo
     return total
 
 
+def together_bytes(rows: int, width: int, dtype: DTypeLike) -> int:
+    """What the history's buffers take besides, for (rows, width), where its three images are computed together and not all is kept."""
+    return sum(
+        2 * whole_pages(padded_bytes(rows // divisor, width // divisor, channels, np.dtype(dtype), 3))
+        for divisor, channels in ((2, 24), (4, 32), (8, 32))
+    )
+
+
 def rows_within(height: int, width: int, dtype: DTypeLike, limit: int, overlap: int) -> int:
     """The most rows of a strip with which ``bytes_for`` stays within ``limit`` bytes; ``height`` if the whole frame does.
 

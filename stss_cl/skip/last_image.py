@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import weakref
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -45,7 +46,8 @@ class LastImage:
     def copy_to(self, array: cla.Array) -> None:
         """Enqueue a copy of the image to an array on the device."""
         assert self._image is not None, "no image was made yet"
-        cl.enqueue_copy(self._device.queue, array.base_data, self._image.data, byte_count=array.nbytes, dst_offset=array.offset)
+        to: Any = array.base_data
+        cl.enqueue_copy(self._device.queue, to, self._image.data, byte_count=array.nbytes, dst_offset=array.offset)
 
     def target(self, *, whole: bool) -> cl.Buffer:
         """The buffer for the next image: the last one, or a new one if a caller holds the last; then with its content unless ``whole``."""

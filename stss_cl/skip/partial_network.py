@@ -85,10 +85,11 @@ class PartialNetwork:
         total, values = np.zeros((height // 4, width // 4), np.float32), 0.0
         for buffer in layers.marked:
             assert buffer.changes is not None
-            marks = np.empty((-(-buffer.height // 4), -(-buffer.width // 4)), np.uint8)
-            cl.enqueue_copy(layers.device.queue, marks, buffer.changes)
+            held = np.empty((buffer.images, -(-buffer.height // 4), -(-buffer.width // 4)), np.uint8)
+            cl.enqueue_copy(layers.device.queue, held, buffer.changes)
+            marks = held.mean(axis=0)
             divisor = height // buffer.height
-            share = buffer.channels / divisor**2
+            share = buffer.images * buffer.channels / divisor**2
             total += share * marks.repeat(divisor, 0).repeat(divisor, 1)[: height // 4, : width // 4]
             values += share
         return (total / values).astype(np.float32)

@@ -136,7 +136,8 @@ class Stream:
             raise ArrayError(f"window: expected the {chosen[2] + 1} frames that the steps lead to, got {len(window)}")
         if any(window[-1 - step].color is None for step in chosen):
             raise ArrayError(f"window: expected a colour {', '.join(map(str, chosen))} frames back")
-        window, size = window[-MOST_STEPS - 1 :], window[-1].nov.shape
+        shape: Any = window[-1].nov.shape
+        window, size = window[-MOST_STEPS - 1 :], shape
         if self._latest is not None:
             self._latest.network.settle()
         uploaded, cache = self._arriving(size), self._keep(size, extrapolates=chosen[0] > 0)
@@ -148,7 +149,8 @@ class Stream:
             image, valid = self._whole.compute(sources(held, chosen), size, on_device=out is not None)
             if out is None:
                 return image, valid
-            cl.enqueue_copy(self.device.queue, out.base_data, image.base_data, byte_count=out.nbytes, dst_offset=out.offset)
+            to: Any = out.base_data
+            cl.enqueue_copy(self.device.queue, to, image.base_data, byte_count=out.nbytes, dst_offset=out.offset)
             return out, valid
         dirty = self._dirty(uploaded, cache, held, cache.read(chosen)) if cache.control.needs_changes else None
         color = window[-1 - chosen[0]].color
@@ -210,8 +212,8 @@ class Stream:
         if out is None:
             image = cache.image.show()
             if valid is None:
-                valid = mask_of(self.device, cache.prepare.mask, cache.layers.size, on_device=False)
-                valid.flags.writeable = False
+                made: Any = mask_of(self.device, cache.prepare.mask, cache.layers.size, on_device=False)
+                made.flags.writeable, valid = False, made
             cache.last = _last(held, cache.read(steps), valid)
             return image, valid
         cache.image.copy_to(out)

@@ -14,10 +14,12 @@ from stss_cl.device.discovery import open_device
 from stss_cl.device.tuning import Local, built_in, trial
 from stss_cl.errors import DeviceError
 from stss_cl.network.conv import conv
+from stss_cl.network.layers import Layers
 from stss_cl.network.pack_weights import fragments, pack
 from stss_cl.network.tiles import TileList
 from stss_ref import conv as reference
 from stss_ref.weights import astype
+from stss_ref.weights import random as random_weights
 from tests.cl.test_network import tensors
 
 FLOAT, HALF = np.dtype(np.float32), np.dtype(np.float16)
@@ -175,3 +177,38 @@ def test_fragments_hold_every_weight_where_mma_wants_it():
     want = [kernel[0, 18, 1], kernel[0, 19, 1], kernel[1, 2, 1], kernel[1, 3, 1]]
     np.testing.assert_array_equal(made[0, 0, 1, 0, 5], np.array(want, np.float16))
     assert not made[0, 0, -1, :, :, 2:].any()  # nine taps of three eights are odd
+
+
+@pytest.mark.parametrize("precision", ["float32", "half"])
+def test_launches_of_a_frame(device, precision):
+    """The history's images go together, and the attention is one."""
+    layers = Layers(device, random_weights(5), 24, 40, precision, keep=True).launches
+    assert len(layers) == 38
+    assert [layer.tiling.images for layer in layers].count(3) == 9
+    assert len(Layers(device, random_weights(5), 24, 40, "float32-direct").launches) == 56
+
+
+@pytest.mark.parametrize("local", [Local(1), Local(2, matrix_units=True)], ids=str)
+@pytest.mark.parametrize("joined", [False, True])
+def test_three_images_in_one_launch(device, local, joined):
+    """The same bits as one after the other, into images or into channels."""
+    case = Case(device, ((9, 35), 24, 0, 24, True, 1), HALF)
+    inputs = padded(device, *case.size, 24, HALF, images=3)
+    write(device, inputs, np.random.default_rng(1).random((3, *case.size, 24)))
+    results = []
+    for images in ((None,), range(3)):
+        out = padded(device, *case.size, 72 if joined else 24, HALF, images=1 if joined else 3)
+        step = out.rows * out.columns * out.channels * HALF.itemsize
+        with trial(replace(built_in(device), winograd=None, local=local)):
+            for image in images:
+                single = padded(device, *case.size, 24, HALF) if image is not None and not joined else out
+                first = 24 * (image or 0) if joined else 0
+                made = conv(device, "test", "layer", case.packed, inputs, None, single, image=image, out_first=first)
+                made.enqueue(device.queue)
+                if single is not out:
+                    cl.enqueue_copy(device.queue, out.data, single.data, byte_count=step, dst_offset=image * step)
+        held = np.empty(out.images * step, np.uint8)
+        cl.enqueue_copy(device.queue, held, out.data)
+        results.append(held)
+    assert results[0].any()
+    np.testing.assert_array_equal(*results)
