@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// Building blocks finite and differ for GPUs, in one launch for a display frame that arrives: what changed_tiles.cl and finite.cl do on processors,
+// Building blocks finite and differ for GPUs, in one launch for each new display frame; processors use changed_tiles.cl and finite.cl instead;
 // reference stss_ref/arrays.py::require_finite.
 //
 //  buffer           dir  shape        unit
@@ -13,12 +13,12 @@
 //  changed          out  (H/4, W/4)   1 = something moves in the tile of 4 x 4 pixels, or a bit of it is another; sizes rounded up; if `compares`
 //  recolored        out  (H/4, W/4)   1 = a bit of the colour is another; if `compares`: 0 where there is no colour
 //
-// Work-group (128): ACROSS tiles of a row of tiles, value after value as they lie in memory.  Launch (128 ceil(W / 4 / ACROSS), H / 4).
+// Work-group (128): it takes ACROSS tiles of a row of tiles, reading values in their order in memory.  Launch (128 ceil(W / 4 / ACROSS), H / 4).
 #define ITEMS 128
 #define ACROSS 16
 #define EXPONENT 0x7f800000u
 
-// The values of four rows of pixels under the group's tiles: whether one is not finite; tiles with another bit than `before`.
+// Reads four rows of pixels under the group's tiles: whether a value is not finite, and which tiles have a bit that differs from `before`.
 static inline uint look(global const uint *now, global const uint *before, const int floats, const int y, const int x, const int height,
                         const int width, const int compares, local uint *seen)
 {

@@ -1,5 +1,5 @@
-// Stage erm, its attention on GPUs: what `normalise` and `attend` of erm.cl do, in one, reference stss_ref/erm.py. A work-group has a tile of 4 x 4
-// pixels: the keys of it and around it come into local memory, where they are divided by their lengths; then 25 weights for each pixel; then the sums.
+// Stage erm, the attention on GPUs: `normalise` and `attend` of erm.cl in one kernel, reference stss_ref/erm.py. A work-group computes a tile of 4 x 4
+// pixels: it loads the keys of the tile and around it into local memory, divides them by their lengths, computes 25 weights for each pixel, then the sums.
 //
 //  buffer    dir  shape                     content
 //  key       in   padded, (KEYS)            KEncoder's result, not yet normalised
@@ -19,11 +19,11 @@
 #define VALUES8 (VALUES / 8)
 #define WINDOW 5
 #define TAPS (WINDOW * WINDOW)
-#define SIDE (4 + WINDOW - 1)  // of a tile and what its windows reach
+#define SIDE (4 + WINDOW - 1)  // side of a tile with all that its windows reach
 #define PITCH (KEYS + 1)       // neighbours then lie in different banks
 #define ITEMS (16 * VALUES8)
 
-// Where the place `i` of a tile and its surroundings lies, in pixels of the buffers; beyond the frame, its nearest pixel.
+// Pixel of the buffers for place `i` of a tile and its surroundings; for a place beyond the frame, the frame's nearest pixel.
 static inline int place_of(const int y, const int x, const int height, const int width, const int columns)
 {
     return (least(most(y, 0), height - 1) + 1) * columns + least(most(x, 0), width - 1) + 1;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// Building block differ: where a display frame is not what the one before it was.
+// Building block differ: the tiles where a display frame differs from the one before it.
 //
 //  buffer           dir  shape        unit
 //  motion           in   (H, W, 2)    px
@@ -26,7 +26,7 @@ static inline uint any4(const uint4 v)
     return two.x | two.y;
 }
 
-// Bits in which `count` values differ; eight and four at a time: the compiler makes no vectors of a loop it may not read ahead in.
+// Bits in which `count` values differ; eight and four at a time, since the compiler vectorises no loop in which it may not read ahead.
 static inline uint bits(global const uint *a, global const uint *b, const int count)
 {
     uint8 differ = 0;
@@ -53,7 +53,7 @@ static inline uint not_finite(global const uint *a, const int count)
     return any4(four) | rest;
 }
 
-// Whether one of `count` values, at most 8, is not 0; -0 is.
+// Whether one of `count` values, at most 8, is not 0; -0 counts as 0.
 static inline uint moves(global const uint *a, const int count)
 {
     if (count == 8) {
@@ -65,7 +65,7 @@ static inline uint moves(global const uint *a, const int count)
     return any;
 }
 
-// The tiles of a row of `floats` values a pixel, one array after the other: few streams at a time are what a processor fetches ahead.
+// Compares the tiles of a row of `floats` values a pixel, one array after the other, since a processor prefetches only few streams at a time.
 static inline uint compare(global const uint *now, global const uint *before, const int floats, const int row, const int first,
                            const int last, const int width, uint *seen, const bool finite)
 {

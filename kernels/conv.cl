@@ -56,7 +56,7 @@ static inline void compute(global const stored *restrict a, global const stored 
                            const int out_channels, const int out_first, const int block, const int x0, const int y,
                            global uchar *restrict changes)
 {
-    // Input pixel under the kernel's corner. Pixels beyond the row are computed too, from whatever lies there, and not stored.
+    // Input pixel under the kernel's corner. Pixels beyond the row are computed, too, from any values there, but not stored.
     const int at = (y * STRIDE + 1 - PAD) * in_columns + x0 * STRIDE + 1 - PAD;
     global const stored *from;
 

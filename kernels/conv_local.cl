@@ -1,5 +1,5 @@
 // Building block conv for GPUs, reference stss_ref/conv.py::conv and ::gated: 3 x 3, stride 1 or 2. A work-group brings a tile of the input
-// and its weights into local memory; a work-item holds eight outputs of 4 x ROWS pixels in registers. Buffers and weights are conv.cl's.
+// and its weights into local memory; a work-item holds eight outputs of 4 x ROWS pixels in registers. Buffers and weights as in conv.cl.
 //
 // Build -D A -D B -D OUT (multiples of 8; A may be 4 where not GATED) -D STRIDE -D ROWS (1 or 2: pixels of a work-item, one above the other),
 // optionally -D GATED -D RELU -D HALF -D MARK.  Work-group (8, 4, OUT / 8): 32 x 4 ROWS pixels, a tile of the list (tile_list.clh); launch (8 tiles, 4, OUT / 8).
@@ -9,8 +9,8 @@
 // -D IMAGE (OUT=24): the decoder's image in place of `out` (image.clh); rows `first_row` .. height - 1 are written, row 0 is the frame's row `top`.
 // -D IMAGES: several one behind the other, a list's rows likewise, `tile_rows` of each. From one to the next lie a_next and out_next values, map_next of `changes`.
 //
-// 32 neighbouring work-items lie 8 x 4 and compute the same eight outputs: their weights are a broadcast, their inputs 128 bytes in a
-// row. STEP channels at a time come into the tile, one plane each; at stride 2 even columns lie before odd ones.
+// 32 neighbouring work-items form 8 x 4 and compute the same eight outputs: their weights are a broadcast, and their inputs are 128
+// bytes in a row. The tile takes STEP channels at a time, one plane each; at stride 2 even columns lie before odd ones.
 #if !defined(A) || !defined(B) || !defined(OUT) || !defined(STRIDE) || !defined(ROWS)
 #error "conv_local.cl needs -D A, B, OUT, STRIDE, ROWS"
 #endif
@@ -67,8 +67,8 @@
 #define READ4(buffer, i) ((global const float4 *)(buffer))[i]
 #endif
 
-// Channels `first` .. first + STEP - 1 of the pixels under the tile, whose corner is the buffers' pixel (top, left). What lies beyond the
-// buffers is needed by pixels only that are not stored.
+// Loads channels `first` .. first + STEP - 1 of the pixels under the tile, whose corner is the buffers' pixel (top, left). Only pixels that
+// are not stored need values beyond the buffers.
 static inline void fetch(global const stored *a, global const stored *b, local float *tile, const int item, const int first,
                          const int top, const int left, const int in_rows, const int in_columns
 #ifdef UPSAMPLE
@@ -101,7 +101,7 @@ static inline void fetch(global const stored *a, global const stored *b, local f
     }
 }
 
-// What a work-item reads of one row of a plane: in[x] is the input under its first pixel's left tap, x columns on.
+// The values that a work-item reads from one row of a plane: in[x] is x columns right of the input under its first pixel's left tap.
 static inline void read_row(local const float *from, float *in)
 {
     const float4 v = *(local const float4 *)from;
@@ -239,7 +239,7 @@ void conv_local(global const stored *restrict a, global const stored *restrict b
         const float opens[8] = {open.s0, open.s1, open.s2, open.s3, open.s4, open.s5, open.s6, open.s7};
 #endif
 #ifdef IMAGE
-        // outc wants all channels of a pixel: a row of pixels of each work-item after the other goes through the tile.
+        // outc reads all channels of a pixel: the tile takes one row of pixels of each work-item at a time.
 #pragma unroll
         for (int r = 0; r < ROWS; ++r) {
             barrier(CLK_LOCAL_MEM_FENCE);

@@ -101,7 +101,7 @@ UNROLL
             barrier(CLK_LOCAL_MEM_FENCE);
 UNROLL
             for (int step = 0; step < STEPS; ++step) {
-                // The last one may stand alone: its other half meets weights of 0.
+                // The last eight may have no partner: the other half is multiplied by weights of 0.
                 const int from = TAP_AT(2 * step), then = TAP_AT(2 * step + 1 < 9 * EIGHTS ? 2 * step + 1 : 2 * step);
                 uint2 w[MATRICES];
 UNROLL

@@ -1,11 +1,11 @@
-// Stage decoder, its output: reference stss_ref/decoder.py (outc), stss_ref/resample.py::pixel_shuffle and ::upsample_centres.
+// Stage decoder, the output: reference stss_ref/decoder.py (outc), stss_ref/resample.py::pixel_shuffle and ::upsample_centres.
 //
 //  buffer   dir  shape           content
 //  feature  in   padded, (24)    up3's result
 //  color    in   (H8, W8, 4)     see decoder.clh, as weight and bias
 //  image    out  (2H, 2W, 3)     what lies beyond 2H, 2W is not written
 //
-// upsampled: the same without the network's share, where nothing of it was computed.
+// upsampled: the image without the network's share, for tiles where the network was not computed.
 //
 // The buffers may hold a strip of the frame: their row 0 is the frame's row `top`; rows `first_row` .. height - 1 are written.
 // `tiles`, `count`: the tiles of 4 x 4 pixels that are computed, see tile_list.clh.
@@ -40,7 +40,7 @@ kernel void image(global const stored *restrict feature, global const float4 *re
         for (int y = 4 * TILE_ROW(tiles[t]), i = 0; i < 4; ++i, ++y) {
             if (y < first_row || y >= height) continue;
             float8 f[12], sums[8];
-            // Beyond the row lie zeros or the next one: computed, not written.
+            // Beyond the row are zeros or the next row: these pixels are computed, but not written.
             for (int c = 0; c < 12; ++c) f[c] = LOAD8(feature, ((y + 1) * feature_columns + x + 1) * 3 + c);
             residual((const float *)f, weight, bias, sums);
             write_pixels(sums, color, image, y, x, width, rows, columns, top);

@@ -1,4 +1,4 @@
-// Stage encoder, its input: reference stss_ref/encoder.py (the concatenation) and stss_ref/resample.py::pad_to_8.
+// Stage encoder, the input: reference stss_ref/encoder.py (the concatenation) and stss_ref/resample.py::pad_to_8.
 //
 //  buffer   dir  shape              content
 //  color    in   (H, W, 6)          occlusion_warp and warped of the newest frame

@@ -4,7 +4,7 @@
 //  values  in   (count)   as bits
 //  bad     out  (arrays)  `which` is set to 1 if one of them is not finite; the caller clears it
 //
-// Launch any number of work-items; each takes a stretch. -D APART: neighbours take neighbouring values, as GPUs like it.
+// Launch any number of work-items; each takes a contiguous part. -D APART: neighbours take neighbouring values, which is faster on GPUs.
 kernel void finite(global const uint *restrict values, const ulong count, global int *bad, const int which)
 {
     uint largest = 0;  // without its sign, what is not finite has the largest bits of all

@@ -1,5 +1,5 @@
-// Building block plain: where the decoder has something to add. Where the newest frame is flat and free of holes, what the network adds to
-// the upsampled frame is next to nothing (docs/decisions/0019-plain-tiles-are-upsampled-alone.md).
+// Building block plain: the tiles where the decoder has something to add. Where the newest frame is flat and free of holes, the network adds
+// almost nothing to the upsampled frame (docs/decisions/0019-plain-tiles-are-upsampled-alone.md).
 //
 //  buffer  dir  shape                       content
 //  color   in   (rows, columns, 4)          the frame that is upsampled, see decoder.clh; sizes are multiples of 8
@@ -10,7 +10,7 @@
 //                                           near the frame's edge all are
 // Launch (columns / 4, rows / 4), or more.
 //
-// departure: what leaving the flat tiles out would change, from an image that all of the network made.
+// departure: the change that leaving out the flat tiles would make, measured on an image that the whole network made.
 //  image    in   (2H, 2W, 3)
 //  apart    out  (rows / 4, columns / 4)     the largest difference from the upsampled frame in a flat tile; 0 in the others
 // Launch (columns / 4, rows / 4), or more.

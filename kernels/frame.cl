@@ -24,7 +24,7 @@
 #include "motion_chain.cl"
 #include "prepare.clh"
 
-// The map of what is to be computed; elsewhere nothing has moved, and `chained` is 0 already.
+// The map of the tiles to compute; elsewhere nothing has moved, and `chained` is 0 already.
 #ifdef MARK
 #define DIRTY_ARGUMENT , global const uchar *restrict dirty
 #define IS_DIRTY(x, y) dirty[tile_of(x, y, (width + 7) / 8 * 8)]
@@ -47,7 +47,7 @@ static inline void chain_pixel(global const float2 *const *motions, const int ne
     first[pixel] = NOBODY;
     float2 motion = motions[0][pixel];
 #pragma unroll
-    for (int j = 1; j <= 5; ++j) {  // written out: which motion is read must not depend on a number in a register
+    for (int j = 1; j <= 5; ++j) {  // unrolled: the choice of the motion must not depend on a number in a register
         if (j > oldest) break;
         if (j > 1) motion = chain_on(motion, motions[j - 1], x, y, height, width);
         if (j == newest) chained[pixel] = motion;

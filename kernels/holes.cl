@@ -19,7 +19,7 @@
 #endif
 #include "sample.clh"
 
-// Whether a squared distance is beyond bias; one that is NaN is.
+// Whether a squared distance is beyond bias; NaN counts as beyond.
 static __attribute__((noinline)) bool is_beyond(const float4 squared, const float bias)
 {
     const float4 d = sqrt(squared);
@@ -34,13 +34,13 @@ INLINE bool is_far(global const float *previous, const float3 position, const Ta
     const float4 y = (float4)(top.s15, bottom.s15) - position.y;
     const float4 z = (float4)(top.s26, bottom.s26) - position.z;
     const float4 squared = x * x + y * y + z * z;
-    // Most are near by more than the roundings of a square: then no root is asked for.
+    // Most places are nearer by more than the rounding of a square, and then need no root.
     const float surely = bias > 1.0f && bias < 1e18f ? bias * bias * 0.99999f : -1.0f;
     if (squared.x <= surely && squared.y <= surely && squared.z <= surely && squared.w <= surely) return false;
     return is_beyond(squared, bias);
 }
 
-// Takes float4: Intel 2026.2 hands float3 to a function that it does not inline wrongly.
+// Takes float4, since Intel 2026.2 passes float3 wrongly to a function that is not inlined.
 static __attribute__((noinline)) bool is_turned(const float4 of, const float4 earlier)
 {
     const float3 normal = of.xyz, n = earlier.xyz;
@@ -68,8 +68,8 @@ INLINE float3 normal_between(global const float *normal, const Taps at, const in
 #define BIAS(nov, depth) \
     (FACING * ((nov) < 0.0f ? -(nov) : (nov)) + GRAZING * (1.0f - ((nov) < 0.0f ? -(nov) : (nov))) + DEPTH * (depth))
 
-// Whether the pixel's warped colour is to be trusted, if it is on screen; s is the stencil read at its taps. Positions are read
-// where s is 0 only, normals elsewhere only: the other is not asked for.
+// Whether the pixel's warped colour is trusted, if it is on screen; s is the stencil read at its taps. Positions are read
+// only where s is 0, normals only elsewhere, since the test of the other does not apply.
 INLINE bool same_surface(const Taps at, const int pixel, const float s, const float stencil, const float bias,
                                 global const float *normal_previous, global const float *normal, const int normal_stride,
                                 global const float *position_previous, global const float *position)

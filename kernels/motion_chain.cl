@@ -17,7 +17,7 @@ static inline float2 read_motion(global const float2 *motion, const int x, const
     return x >= 0 && x < width && y >= 0 && y < height ? motion[y * width + x] : (float2)(0.0f);
 }
 
-// trunc of a place, towards zero: what lies between -1 and 0 is 0. Farther left it is floor, and reads 0 as well.
+// trunc of a place, towards zero: places between -1 and 0 give 0. Farther left it is floor, which reads 0 as well.
 INLINE int truncated(const int whole, const float fraction)
 {
     return whole + ((whole == -1) & (fraction > 0.0f));
@@ -34,7 +34,7 @@ INLINE float2 gather_longest(global const float2 *motion, const Place at, const 
     const int4 still = u == 0.0f && v == 0.0f;
     if (still.x | still.y | still.z | still.w) return (float2)(0.0f);
     const float4 squared = u * u + v * v, length = squared < INFINITY ? squared : (float4)(INFINITY);  // NaN is the longest, too
-    // Replaced only by one strictly longer: the first in raster order stays.
+    // Only a strictly longer motion replaces the longest, so that the first in raster order stays.
     const int4 eastern = length.yyww > length.xxzz;
     const float4 longest = eastern ? (float4)(top.zw, bottom.zw) : (float4)(top.xy, bottom.xy);
     const float4 of = eastern ? length.yyww : length.xxzz;
@@ -57,7 +57,7 @@ INLINE float2 gather_bilinear(global const float2 *motion, const Place at, const
 static inline float2 chain_on(const float2 chained, global const float2 *earlier, const int x, const int y,
                               const int height, const int width)
 {
-    // What is far outside reads 0, and what is not finite stays so; an integer holds neither.
+    // A place far outside reads 0, and a motion that is not finite stays so; neither place fits in an integer.
     const bool near = chained.x >= (float)(-width - 1) && chained.x <= (float)(width + 1) && chained.y >= (float)(-height - 1) &&
                       chained.y <= (float)(height + 1);
     return chained + (near ? GATHER(earlier, lead(chained, x, y), height, width) : (float2)(0.0f));

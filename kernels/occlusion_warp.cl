@@ -76,7 +76,7 @@ static inline void splat_depth(const float2 motion, const int x, const int y, gl
     }
 }
 
-// Its part in the first pixel of that depth.
+// One pixel's part in the first pixel of that depth.
 static inline void splat_index(const float2 motion, const int x, const int y, global const float *depth,
                                global const uint *keys, volatile global uint *first, const int height,
                                const int width)

@@ -15,7 +15,7 @@
 #include "common.clh"
 #include "tile_list.clh"
 
-// Between which two of `count` values along an axis an output lies, and where between them.
+// The two of `count` values along an axis that an output lies between, and its place between them.
 typedef struct {
     int first, second;
     float share;

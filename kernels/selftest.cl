@@ -1,4 +1,4 @@
-// What every other kernel takes for granted of a device, in small; stss/devices/selftest.py says what must come out.
+// Small tests of what every other kernel assumes of a device; stss/devices/selftest.py has the right results.
 //
 //  buffer   dir  shape         meaning
 //  a, b, c  in   (n,)          finite, b not 0, |c| < 80
@@ -7,7 +7,7 @@
 //
 // Launch (n) each; reduce_group in work-groups of GROUP.
 
-// Two roundings, as the reference has them: a product must not melt into the sum.
+// Two roundings, as in the reference: product and sum must not be fused.
 #pragma OPENCL FP_CONTRACT OFF
 
 #define GROUP 64
@@ -53,7 +53,7 @@ void reduce_group(global const float *restrict in, global float *restrict out)
     if (i == 0) out[get_group_id(0)] = part[0];
 }
 
-// Nearest wins, as where pixels are splatted: out[place[i]] = smallest of the key[i] that fall there.
+// The nearest wins, as in the splat: out[place[i]] = smallest key[i] of those with this place.
 kernel void nearest(global const int *restrict place, global const int *restrict key, volatile global int *restrict out,
                     const int n)
 {

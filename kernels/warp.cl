@@ -7,7 +7,7 @@
 //  warped  out  (H, W, CHANNELS)  as color; border pixel where outside
 //  inside  out  (H, W)            1 = motion finite and the place read lies within the frame
 //
-// Build -D CHANNELS=n.  Launch (W, H) rounded up.  No image sampler: its precision is the device's choice.
+// Build -D CHANNELS=n.  Launch (W, H) rounded up.  No image sampler, since each device chooses its precision.
 #ifndef CHANNELS
 #error "warp.cl needs -D CHANNELS=n"
 #endif
