@@ -20,6 +20,7 @@ from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected, largest
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.answers.sums import expected_rounding, rounding
+from conformance.cases.same_draws import no_local_constants
 from conformance.findings import DepartureError, Failure, Finding, Record, said
 from conformance.protocol.drawn_case import fingerprint
 from conformance.protocol.port import Arrays, Case, Outputs, Port, PortError
@@ -162,7 +163,8 @@ class Judge:
         def run(case: Any) -> None:
             take(case)
 
-        run()
+        with no_local_constants():
+            run()
 
     def run(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Outputs:
         """Run the port on a case.

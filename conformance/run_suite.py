@@ -183,10 +183,14 @@ class _Plugin:
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
         report = yield
         if call.when == "call" or report.skipped or report.failed:
-            self._take(item, call, report)
+            result = self._take(item, call, report)
+            if result.outcome == "known":  # to pytest, which writes JUnit and stops at a failure
+                report.outcome, report.wasxfail = "skipped", result.message
+            elif result.outcome == "failed" and report.passed:
+                report.outcome, report.longrepr = "failed", result.message
         return report
 
-    def _take(self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport) -> None:
+    def _take(self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport) -> TestResult:
         stage, name = _stage(item), item.name.removeprefix("test_")
         said = _words(item)
         result = TestResult(f"{stage}.{name}", stage, said, report.outcome, seconds=call.duration, record=self._judge.record)
@@ -203,6 +207,7 @@ class _Plugin:
         elif result.id in self._known:
             result.outcome, result.message = "failed", "it is among the known failures, and passes: take it off the list"
         self._tell(result)
+        return result
 
 
 def _judged(result: TestResult) -> bool:

@@ -10,6 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from conformance.judge import Judge
+from conformance.run_suite import run_suite
+from stss.conform.certificate import certificate
+from stss.conform.own_ports import ReferencePort
 from stss.images.read_write import read_rgb
 from stss.version import VERSION
 
@@ -89,6 +93,16 @@ def test_a_right_port(stss):
     assert done.returncode == 0, done.stdout + done.stderr
     assert json.loads((stss.folder / "c.json").read_text())["stages"]["rrm"]["cases"] > 600
     assert stss("badge", "c.json", "-o", "b.svg").returncode == 0
+
+
+def test_cases_are_those_of_a_checkout(stss):
+    """Whatever is installed where, and whatever numbers stand in the port's source; nothing else is left in the folder."""
+    (stss.folder / "ours.py").write_text(PORT + "numbers = [*range(3, 20)]; more = 4, 5, 7, 11, 13, 17, 19\n")
+    assert stss("conform", "--port", "ours:Port", "--certificate", "c.json").returncode == 0
+    assert {path.name for path in stss.folder.iterdir()} <= {"ours.py", "c.json", "__pycache__"}
+    judge = Judge(ReferencePort(), certified=True)
+    ours = certificate(judge, run_suite(judge, ["rrm"]))
+    assert json.loads((stss.folder / "c.json").read_text())["cases_sha256"] == ours["cases_sha256"]
 
 
 def test_a_wrong_port(stss):

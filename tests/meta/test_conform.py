@@ -185,8 +185,12 @@ def test_known_failures(here):
     run("--port", "wrong_port:Port", "--stages", "warp,rrm", "--json", "found.json")
     failed = [test["id"] for test in json.loads((here / "found.json").read_text())["tests"] if test["outcome"] == "failed"]
     known(here, [*failed, "holes.agrees_with_the_reference"])  # the last is not asked for, and has no say
-    done = run("--port", "wrong_port:Port", "--stages", "warp,rrm", "--known-failures", "known")
+    done = run(
+        "--port", "wrong_port:Port", "--stages", "warp,rrm", "--known-failures", "known", "--junit", "junit.xml", "--fail-fast"
+    )
     assert done.exit_code == 0, done.output
+    counts = ElementTree.parse(here / "junit.xml").getroot()[0]
+    assert (counts.get("failures"), counts.get("errors"), counts.get("skipped")) == ("0", "0", str(len(failed)))
     assert "known until 2999-01-01: https://example.org/1" in done.output
     # Past the day they are failures again.
     known(here, failed, "2020-02-29")
@@ -195,9 +199,10 @@ def test_known_failures(here):
     assert "known until 2020-02-29, which is past: https://example.org/1" in done.output
     # On a right port the list is wrong, and that is said.
     known(here, failed)
-    done = run("--port", "stss.port:ReferencePort", "--stages", "warp,rrm", "--known-failures", "known")
+    done = run("--port", "stss.port:ReferencePort", "--stages", "warp,rrm", "--known-failures", "known", "--junit", "junit.xml")
     assert done.exit_code == 1
     assert "take it off the list" in done.output
+    assert ElementTree.parse(here / "junit.xml").getroot()[0].get("failures") == str(len(failed))
 
 
 @pytest.mark.parametrize(
