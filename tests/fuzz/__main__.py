@@ -14,7 +14,7 @@ from pathlib import Path
 HELPERS = {"__init__", "__main__", "harness", "test_slices"}
 NAMES = sorted({path.stem for path in Path(__file__).parent.glob("*.py")} - HELPERS)
 GRACE = 300
-"""Seconds past its share after which a fuzzer is ended."""
+"""Seconds that a fuzzer may take beyond its share before it is ended."""
 
 
 def main():

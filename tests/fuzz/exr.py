@@ -1,4 +1,4 @@
-"""Damaged EXR files in a sequence, through ``stss check``: any may be refused, none may do harm."""
+"""Fuzz ``stss check`` with damaged EXR files in a sequence: it may refuse any of them, and none may do harm."""
 
 import shutil
 import struct
@@ -23,7 +23,7 @@ WORDS = [
 
 @lru_cache(1)
 def frames():
-    """Three whole frames as bytes: the one in the middle is damaged."""
+    """Three whole frames as bytes; the fuzzer damages the middle one."""
     with TemporaryDirectory() as folder:
         for number in (1, 2, 3):
             write_channels(
@@ -33,7 +33,7 @@ def frames():
 
 
 def make(random):
-    """The header is where most is decided: half of the faults lie there."""
+    """Damage a frame; half of the faults are in the header, which decides most."""
     whole = frames()[1]
     head = whole.index(b"screenWindowWidth") + 30
     if random.random() < 0.5:
@@ -53,5 +53,5 @@ def check(folder, data):
 
 
 def run(seed: int, seconds: float) -> int:
-    """Number of cases; AssertionError with seed and case where one is not right."""
+    """Run the fuzzer; returns the number of cases, or raises AssertionError with seed and case if one is wrong."""
     return fuzz(seed, seconds, make, check)

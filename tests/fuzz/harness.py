@@ -1,4 +1,4 @@
-"""What every fuzzer needs: ``stss`` called in this process under a watchdog, bytes mutated, time kept.
+"""Shared by the fuzzers: call ``stss`` in this process under a watchdog, mutate bytes, keep time.
 
 A case is right if it ends in time, with a status that is allowed, without a traceback, a warning, or anything on standard
 error but one printable line.
@@ -23,14 +23,14 @@ from pathlib import Path
 from stss.cli.main import main
 
 _STDERR = os.dup(2)
-"""For the last words: of the process's own, not of whatever it is set to later."""
+"""The process's own standard error, for its last message: a later redirection does not change it."""
 CASE_SECONDS = 30
-"""Of a busy machine; a case takes a hundredth of a second."""
+"""Most seconds of a case, on a busy machine; a case usually takes a hundredth of a second."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """As of ``subprocess.run``."""
+    """The result of a call, as of ``subprocess.run``."""
 
     returncode: int
     stdout: str
@@ -38,12 +38,12 @@ class Result:
 
 
 class HangError(BaseException):
-    """No ``Exception``: what is watched must not catch it."""
+    """A case hangs. No ``Exception``, since the watched code must not catch it."""
 
 
 @contextlib.contextmanager
 def watchdog(seconds=CASE_SECONDS):
-    """Raise HangError after ``seconds``; where native code does not come back, end the process soon after."""
+    """Raise HangError after ``seconds``; if native code does not return, end the process soon after."""
 
     def expired(*_):
         raise HangError(f"no end in {seconds} s")
@@ -60,7 +60,7 @@ def watchdog(seconds=CASE_SECONDS):
 
 
 def call(*arguments, seconds=CASE_SECONDS):
-    """``stss`` in this process: what it prints, native libraries too, and its status; warnings are errors."""
+    """Call ``stss`` in this process; returns its status and all output, also of native libraries. Warnings are errors."""
     out, err = io.TextIOWrapper(io.BytesIO(), "utf-8"), io.TextIOWrapper(io.BytesIO(), "utf-8")
     with _native_errors() as native, warnings.catch_warnings(), watchdog(seconds), contextlib.ExitStack() as stack:
         warnings.simplefilter("error")
@@ -148,14 +148,14 @@ def mutated(random_, data, words=()):
 
 
 def exchanged(random_, data, pattern, words):
-    """Bytes with one thing that ``pattern`` matches replaced by one of ``words``: faults that a parser lets through."""
+    """Bytes with one match of ``pattern`` replaced by one of ``words``: faults that a parser accepts."""
     found = random_.choice(list(re.finditer(pattern, data)))
     return data[: found.start()] + random_.choice(words) + data[found.end() :]
 
 
 @contextlib.contextmanager
 def _native_errors():
-    """What is written past Python to standard error, as text in a buffer once the block has ended."""
+    """Collect standard error of native code, which bypasses Python; the buffer has it as text after the block."""
     text = io.StringIO()
     if threading.current_thread() is not threading.main_thread():
         yield text

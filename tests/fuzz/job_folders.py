@@ -1,4 +1,4 @@
-"""Job folders damaged at random: each is answered or refused in one line, in time, and nothing outside of it is touched.
+"""Fuzz ``stss port`` with damaged job folders: it answers or refuses each in one line, in time, and touches nothing outside.
 
 ``run(seed, seconds)`` is what ``make fuzz`` calls; case ``n`` of a seed is always the same one.
 """
@@ -23,7 +23,7 @@ from stss.conform.own_ports import run_job
 from stss.errors import InputError
 
 SECONDS = 20
-"""For one case: more is a hang."""
+"""Most seconds of a case; a longer one counts as a hang."""
 CHEAP = ("motion_chain", "warp", "holes", "occlusion_warp", "rrm", "history")
 PLACES = (
     "",
@@ -95,7 +95,7 @@ def _one(random, folder, damage):
 
 
 def _whole(job):
-    """A job that was accepted has no link where one would be followed, and answers that can be judged."""
+    """An accepted job has no link that would be followed, and its answers can be judged."""
     with open_folder(job) as folder:
         for name in case_names(folder):
             with folder.folder(name) as case:
@@ -140,7 +140,7 @@ def _grown(random, path, _):
 
 
 def _header(random, path, _):
-    """A whole .npy file that claims something else."""
+    """A whole .npy file with a wrong header."""
     shape = tuple(
         int(random.choice([8, 3, 2, 1])) if random.random() < 0.6 else NUMBERS[random.integers(len(NUMBERS))] for _ in range(3)
     )

@@ -1,4 +1,4 @@
-"""Damaged PNG files, their checksums right again more often than not, through ``stss compare``."""
+"""Fuzz ``stss compare`` with damaged PNG files, most of them with corrected checksums."""
 
 import struct
 import zlib
@@ -29,7 +29,7 @@ def picture():
 
 
 def make(random):
-    """Mostly the contents of one chunk, its length and checksum set right; otherwise any bytes."""
+    """Damage mostly the content of one chunk, with length and checksum corrected; else any bytes."""
     data = picture()
     if random.random() < 0.3:
         return mutated(random, data, WORDS)
@@ -60,5 +60,5 @@ def check(folder, data):
 
 
 def run(seed: int, seconds: float) -> int:
-    """Number of cases; AssertionError with seed and case where one is not right."""
+    """Run the fuzzer; returns the number of cases, or raises AssertionError with seed and case if one is wrong."""
     return fuzz(seed, seconds, make, check)

@@ -1,4 +1,4 @@
-"""Damaged profiles, through ``stss check``, and damaged rows of tile sizes."""
+"""Fuzz ``stss check`` with damaged profiles, and the reader of tile sizes with damaged rows."""
 
 from stss.sequence.profiles import load_profile, profile_names
 from stss_cl.device.tuning import BUILT_IN, built_in_rows
@@ -23,7 +23,7 @@ def make(random):
 
 
 def check(folder, data):
-    """As a profile there is nothing to look at: status 2 either way."""
+    """Read damaged rows, or call ``stss check`` with a damaged profile on an empty folder, where its status is always 2."""
     path = folder / "case.toml"
     path.write_bytes(data)
     if data.startswith(TUNING):
@@ -44,5 +44,5 @@ def _check_rows(path):
 
 
 def run(seed: int, seconds: float) -> int:
-    """Number of cases; AssertionError with seed and case where one is not right."""
+    """Run the fuzzer; returns the number of cases, or raises AssertionError with seed and case if one is wrong."""
     return fuzz(seed, seconds, make, check)

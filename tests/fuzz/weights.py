@@ -1,4 +1,4 @@
-"""Damaged weights and checkpoints, through ``stss weights inspect`` and ``stss weights import``."""
+"""Fuzz ``stss weights inspect`` and ``stss weights import`` with damaged weights and checkpoints."""
 
 import io
 import struct
@@ -99,5 +99,5 @@ def check(folder, data):
 
 
 def run(seed: int, seconds: float) -> int:
-    """Number of cases; AssertionError with seed and case where one is not right."""
+    """Run the fuzzer; returns the number of cases, or raises AssertionError with seed and case if one is wrong."""
     return fuzz(seed, seconds, make, check)

@@ -1,4 +1,4 @@
-"""What a kernel may take on any target. A compiler's next version may need a little more: ceilings are not the figures of today."""
+"""Budgets of the kernels on every target. They are above today's figures, since a compiler's next version may need a little more."""
 
 from dataclasses import dataclass
 
@@ -29,7 +29,7 @@ BUDGETS = {
 
 
 def faults(kernel, compiled, target):
-    """What exceeds the budget, in words."""
+    """The figures that exceed the budget, in words."""
     budget = BUDGETS.get(kernel, DEFAULT)
     share = budget.share if target.startswith("sm_") or kernel.endswith("_mma") else 0.0
     checks = (

@@ -17,18 +17,18 @@ from tests.offline.hottest_loop import Loop
 
 BUILTINS = Path(os.environ.get("LIBCLC", "/usr/lib/clc"))
 OLDEST = 22
-"""Version of clang and libclc: before it, libclc has no work-item functions for AMD."""
+"""Oldest version of clang and libclc: in older ones libclc has no work-item functions for AMD."""
 SIGNATURE = {
     "sm": ("--target=nvptx64-unknown-nvcl", "-march=", "nvptx64--nvidiacl.bc"),
     "gfx": ("--target=amdgcn-amd-amdhsa", "-mcpu=", "amdgcn-amd-amdhsa.bc"),
 }
 
 SQUARE_ROOT = "float __nv_sqrtf(float x) { return __nvvm_sqrt_rn_f(x); }\n"
-"""What libclc calls of CUDA's own library, which is not here."""
+"""The function that libclc calls from CUDA's own library, which is not installed."""
 
 
 class MissingError(Exception):
-    """A compiler is not there; the message says which and how to get it."""
+    """A compiler is missing; the message says which one, and how to get it."""
 
 
 class CompileError(Exception):
@@ -55,7 +55,7 @@ class Compiled:
 
 @cache
 def clang() -> str:
-    """The newest clang that is there.
+    """The newest installed clang.
 
     Raises:
         MissingError: it, or libclc.

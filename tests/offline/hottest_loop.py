@@ -31,7 +31,7 @@ class Loop:
 
     @property
     def share(self) -> float:
-        """Of multiply-adds among all."""
+        """Share of multiply-adds among all instructions."""
         return self.multiply_adds / self.instructions if self.instructions else 0.0
 
 
@@ -50,7 +50,7 @@ def hottest(code: Sequence[Instruction]) -> Loop:
 
 
 def _between_products(code: Sequence[Instruction]) -> Sequence[Instruction]:
-    """From the first product of matrices to the last; all of it where there is none."""
+    """The instructions from the first product of matrices to the last; all instructions if there is none."""
     at = [i for i, line in enumerate(code) if MATRICES.match(line.name)]
     return code[at[0] : at[-1] + 1] if at else code
 
@@ -70,7 +70,7 @@ def _counted(code: Sequence[Instruction]) -> Loop:
 
 
 def nvidia(text: str, kernel: str) -> list[Instruction]:
-    """What nvdisasm prints of one kernel."""
+    """The instructions of one kernel, from nvdisasm's output."""
     body = re.split(r"\n\s*\.section|\n//-----", text.split(f".text.{kernel}:", 1)[-1])[0]
     found: list[Instruction] = []
     for line in body.splitlines():
@@ -83,7 +83,7 @@ def nvidia(text: str, kernel: str) -> list[Instruction]:
 
 
 def amd(text: str, kernel: str) -> list[Instruction]:
-    """What clang's assembly has of one kernel."""
+    """The instructions of one kernel, from clang's assembly."""
     body = text.split(f"\n{kernel}:", 1)[-1].split("\n.Lfunc_end", 1)[0]
     found: list[Instruction] = []
     for line in body.splitlines():

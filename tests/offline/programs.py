@@ -34,7 +34,7 @@ class Program:
 
 
 def programs(row, *, network_only=False):
-    """Those of one row of ``tuning.toml``, ``nvidia`` or ``amd`` for instance, in the order in which they are built.
+    """The programs of one row of ``tuning.toml``, such as ``nvidia`` or ``amd``, in the order in which they are built.
 
     Args:
         row: its name.
@@ -68,7 +68,7 @@ def programs(row, *, network_only=False):
 
 
 def launch_nothing(patch):
-    """From now on kernels are built and not run: their results do not matter here, and processors take minutes for them."""
+    """From now on, build kernels without running them: their results do not matter here, and processors take minutes for them."""
     patch.setattr(cl, "enqueue_nd_range_kernel", lambda queue, *_: cl.enqueue_marker(queue))
     patch.setattr(cl.Kernel, "__call__", lambda kernel, queue, *_: cl.enqueue_marker(queue))
 
