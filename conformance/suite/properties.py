@@ -99,14 +99,26 @@ def _as_test(test: Any, body: Body) -> Callable[[Judge], None]:
     return test
 
 
-def find_property(test: str) -> Body:
-    """The property of the test with this id, ``stage.test``.
+def find_test(test: str) -> Any:
+    """A test by its id, ``stage.test``: a function of the judge.
 
     Raises:
         LookupError: there is no such test.
     """
     stage, _, name = test.partition(".")
     try:
-        return getattr(import_module(f"conformance.suite.test_{stage}"), f"test_{name}").property
+        return getattr(import_module(f"conformance.suite.test_{stage}"), f"test_{name}")
     except (ImportError, AttributeError) as error:
+        raise LookupError(f"no such test: {test}") from error
+
+
+def find_property(test: str) -> Body:
+    """The property of a test by its id, ``stage.test``.
+
+    Raises:
+        LookupError: there is none.
+    """
+    try:
+        return find_test(test).property
+    except AttributeError as error:
         raise LookupError(f"no such test: {test}") from error

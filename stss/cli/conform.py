@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +50,7 @@ MAX_REPEAT = 1000
 @click.option("--json", "json_file", type=PATH, help="File for every result, written as it comes.")
 @click.option("--junit", type=PATH, help="File for JUnit XML.")
 @click.option("--report", type=PATH, help="File for an HTML page with pictures.")
+@click.option("--cluster", help="Run the tests on local:N processes, or on the workers of a scheduler: tcp://host:8786.")
 def conform(
     spec: str | None,
     program: str | None,
@@ -68,6 +71,7 @@ def conform(
     json_file: Path | None,
     junit: Path | None,
     report: Path | None,
+    cluster: str | None,
 ) -> None:
     """Judge a port: say which stage departs from the specification, by how much, and on which smallest input.
 
@@ -75,36 +79,37 @@ def conform(
     """
     for package in ("pytest", "hypothesis"):
         require_package(package, "conform")
-    from conformance.judge import TIERS, Judge
+    from conformance.judge import TIERS
     from conformance.known_failures import KnownFailuresError, read_known
     from conformance.run_suite import SUITE, run_suite
-    from stss.conform.load_port import load_port
+    from stss.conform.load_port import GivenPort, Judging
     from stss.conform.running_report import RunningReport
 
     places = {"--certificate": certificate, "--json": json_file, "--junit": junit, "--report": report}
     require_places(places, [known_failures])
     _require_folder(failures)
-    for option, names in (("--stages", stages), ("--require", require)):
-        if unknown := set(names or ()) - set(SUITE):
-            raise InputError(f"{option}: expected some of {', '.join(SUITE)}, got {', '.join(sorted(unknown))}")
+    _require_stages({"--stages": stages, "--require": require})
+    if cluster is not None and (replay is not None or write_cases is not None):
+        raise InputError("--cluster: expected neither --replay nor --write-cases")
     if write_cases is not None:
         if spec is not None or program is not None:
             raise InputError("--write-cases: expected neither --port nor --exec: what is right depends on no port")
         asked = [stage for stage in SUITE if stages is None or stage in stages]
         _write_cases(write_cases, asked, dtype or "float32", winograd, tier, seed)
         return
-    port = load_port(spec, program, timeout, dtype, winograd)
+    given = GivenPort(spec, program, timeout, dtype, winograd)
     if replay is not None:
-        sys.exit(_replay(port, replay))
-    judge = Judge(port, TIERS[tier], seed, repeat=repeat, certified=certificate is not None)
-    running = RunningReport(judge, failures, _command(spec, program, dtype, winograd), json_file)
+        sys.exit(_replay(given.load(), replay))
+    judging = Judging(given, TIERS[tier], seed, repeat, certificate is not None)
     try:
         known = read_known(known_failures) if known_failures is not None else ()
-        with running, by_name(junit) as junit_file:
-            run_suite(
-                judge, stages or SUITE, known=known, required=require or (), junit=junit_file, first_only=fail_fast,
-                on_result=running.take,
-            )  # fmt: skip
+        with _judge(judging, cluster) as (judge, elsewhere):
+            running = RunningReport(judge, failures, _command(given), json_file)
+            with running, by_name(junit) as junit_file:
+                run_suite(
+                    judge, stages or SUITE, known=known, required=require or (), junit=junit_file, first_only=fail_fast,
+                    on_result=running.take, elsewhere=elsewhere,
+                )  # fmt: skip
     except KnownFailuresError as error:
         raise InputError(str(error)) from error
     except OSError as error:
@@ -147,16 +152,37 @@ def _write_cases(folder: Path, stages: list[str], dtype: str, winograd: bool, ti
     echo(f"{folder}: {len(index['cases'])} cases, inputs {index['inputs_sha256'][:16]}")
 
 
+def _require_stages(named: dict[str, tuple[str, ...] | None]) -> None:
+    from conformance.run_suite import SUITE
+
+    for option, names in named.items():
+        if unknown := set(names or ()) - set(SUITE):
+            raise InputError(f"{option}: expected some of {', '.join(SUITE)}, got {', '.join(sorted(unknown))}")
+
+
 def _require_folder(failures: Path) -> None:
     """Raise InputError if ``failures`` cannot be a folder: before minutes of work, not after."""
     if failures.exists() and not failures.is_dir():
         raise InputError(f"{failures}: expected a folder, found a file")
 
 
-def _command(spec: str | None, program: str | None, dtype: str | None, winograd: bool) -> str:
-    words = ["stss", "conform", *(("--port", spec) if spec is not None else ("--exec", program or ""))]
-    words += ["--dtype", dtype] if dtype is not None else []
-    return shlex.join([*words, *(["--winograd"] if winograd else [])])
+@contextmanager
+def _judge(judging: Any, cluster: str | None) -> Generator[tuple[Any, Any]]:
+    """The judge of this process, and who runs the tests in its place, if anybody."""
+    if cluster is None:
+        yield judging.judge(), None
+        return
+    require_package("distributed", "cluster")
+    from stss.cluster.conform import judged_on_cluster
+
+    with judged_on_cluster(cluster, judging) as both:
+        yield both
+
+
+def _command(port: Any) -> str:
+    words = ["stss", "conform", *(("--port", port.spec) if port.spec is not None else ("--exec", port.program or ""))]
+    words += ["--dtype", port.dtype] if port.dtype is not None else []
+    return shlex.join([*words, *(["--winograd"] if port.winograd else [])])
 
 
 def _replay(port: Any, folder: Path) -> int:

@@ -7,12 +7,12 @@ Dask's own protocol carries pickled Python objects, so whoever can reach a sched
 from __future__ import annotations
 
 import os
-from collections.abc import Generator, Sequence
+import time
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, suppress
 from threading import Thread
 from typing import Any
 
-from stss.cluster.worker import Chunk, Introduction, Work, Worker
 from stss.errors import InputError
 from stss.optional import require
 
@@ -24,41 +24,71 @@ FAREWELL = 5
 """Seconds for workers to drop the work."""
 
 
-def introduce(name: str) -> Introduction:
-    """Runs on a worker: see `Worker.introduce`."""
-    return _worker(name).introduce()
+def ask(name: str, method: str, *arguments: Any) -> Any:
+    """Runs on a worker: call a method of what `crew` put there."""
+    return getattr(distributed().get_worker().plugins[name].work, method)(*arguments)
 
 
-def compute_chunk(name: str, numbers: Sequence[int], backends: frozenset[str]) -> Chunk:
-    """Runs on a worker: see `Worker.compute`."""
-    return _worker(name).compute(numbers, backends)
+class Crew:
+    """The workers of a client that have the same work."""
+
+    def __init__(self, client: Any, name: str):
+        self.client, self._name = client, name
+        self._seen = time.monotonic()
+
+    def addresses(self) -> list[str]:
+        """The workers that there are now."""
+        return list(self.client.scheduler_info(n_workers=-1)["workers"])
+
+    def introductions(self) -> dict[str, Any]:
+        """What ``introduce`` of each worker's work returns, by its address."""
+        asked = {address: self.submit("introduce", workers=[address]) for address in self.addresses()}
+        return {address: future.result() for address, future in asked.items()}
+
+    def require_some(self) -> None:
+        """Raise InputError if there has been no worker for `WAIT` seconds: one that dies while it starts does not come back."""
+        if self.addresses():
+            self._seen = time.monotonic()
+        elif time.monotonic() - self._seen > WAIT:
+            raise InputError(f"--cluster: every worker has ended, and none has come for {WAIT} s")
+
+    def submit(self, method: str, *arguments: Any, workers: Sequence[str] | None = None) -> Any:
+        """Call a method of the work on any worker, or on one of ``workers``; returns dask's future."""
+        return self.client.submit(ask, self._name, method, *arguments, pure=False, workers=workers)
 
 
-def _worker(name: str) -> Worker:
-    return distributed().get_worker().plugins[name].worker
+@contextmanager
+def crew(client: Any, make: Callable[[], Any]) -> Generator[Crew, None, None]:
+    """Send work to each worker once, including those that come later; they drop it at the end.
 
-
-def send(client: Any, name: str, work: Work) -> None:
-    """Send the work to each worker once, including those that come later."""
+    Args:
+        client: see `connected`.
+        make: makes the work, on the worker.
+    """
 
     def setup(self: Any, worker: Any) -> None:
         del worker
-        self.worker = Worker(work)
+        self.work = make()
 
+    name = f"stss-{os.getpid()}-{time.time_ns()}"
     plugin = type("Plugin", (distributed().WorkerPlugin,), {"name": name, "setup": setup})
     client.register_plugin(plugin(), name=name)
+    try:
+        yield Crew(client, name)
+    finally:
+        _forget(client, name)
 
 
-def forget(client: Any, name: str) -> None:
-    """Tell the workers to drop the work; a worker that hangs never answers and is not waited for."""
+def _forget(client: Any, name: str) -> None:
+    """A worker that hangs never answers and is not waited for."""
 
-    def ask() -> None:
+    def tell() -> None:
         with suppress(Exception):  # a scheduler that is gone takes it along
             client.unregister_worker_plugin(name)
 
-    asking = Thread(target=ask, daemon=True)
-    asking.start()
-    asking.join(FAREWELL)
+    telling = Thread(target=tell, daemon=True)
+    telling.start()
+    telling.join(FAREWELL)
 
 
 def distributed() -> Any:

@@ -3,18 +3,18 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from stss.baselines.registry import ACCUMULATING
 from stss.cluster.chunks import cut
-from stss.cluster.client import compute_chunk, connected, distributed, forget, introduce, send
-from stss.cluster.worker import Chunk, File, Introduction, Work
+from stss.cluster.client import Crew, connected, crew, distributed
+from stss.cluster.worker import Chunk, File, Introduction, Work, Worker
 from stss.errors import InputError
 from stss.frames.compute_options import ComputeOptions
 from stss.output.folder import OutputFolder
@@ -79,12 +79,8 @@ def run_on_cluster(
         work = Work(
             sequence, planned.rendered, options, method, loaded, backend, compute, planned.folder.path.absolute(), lock
         )  # fmt: skip
-        name = f"stss-{os.getpid()}-{time.time_ns()}"
-        send(client, name, work)
-        try:
-            summary = _Coordinator(client, name, work, planned, cluster, on_frame).run()
-        finally:
-            forget(client, name)
+        with crew(client, partial(Worker, work)) as workers:
+            summary = _Coordinator(workers, work, planned, cluster, on_frame).run()
         planned.folder.finish(remove_others=options.overwrite)
     return summary
 
@@ -101,10 +97,8 @@ def require_independent(method: str, compute: ComputeOptions, budget: float | No
 class _Coordinator:
     """Hands out chunks, takes their files into the folder, and hands them out again where a worker dies or does not answer."""
 
-    def __init__(
-        self, client: Any, name: str, work: Work, planned: RunPlan, cluster: Cluster, on_frame: Callable[[FrameReport], None]
-    ):
-        self._client, self._name, self._work, self._planned, self._cluster = client, name, work, planned, cluster
+    def __init__(self, crew: Crew, work: Work, planned: RunPlan, cluster: Cluster, on_frame: Callable[[FrameReport], None]):
+        self._crew, self._work, self._planned, self._cluster = crew, work, planned, cluster
         self._on_frame = on_frame
         self._backends = self._introduced()
         self._reports: dict[int, FrameReport] = {}
@@ -116,7 +110,7 @@ class _Coordinator:
     def run(self) -> Summary:
         """All chunks; raises the error of the first frame that has one, after all before it are written."""
         todo = self._keep()
-        for numbers in cut(todo, max(1, len(self._workers()))):
+        for numbers in cut(todo, max(1, len(self._crew.addresses()))):
             self._submit(numbers)
         while self._pending:
             for future in self._finished():
@@ -130,8 +124,7 @@ class _Coordinator:
 
     def _introduced(self) -> frozenset[str]:
         """Names of the workers' backends."""
-        asked = {a: self._client.submit(introduce, self._name, workers=[a], pure=False) for a in self._workers()}
-        found: dict[str, Introduction] = {address: future.result() for address, future in asked.items()}
+        found: dict[str, Introduction] = self._crew.introductions()
         for address, who in found.items():
             if who.error:
                 raise InputError(f"worker {address}: {who.error}")
@@ -143,9 +136,6 @@ class _Coordinator:
                 f"--cluster: workers differ, and so would their bits: {'; '.join(names)}; --mixed-devices takes them"
             )
         return frozenset(names)
-
-    def _workers(self) -> list[str]:
-        return list(self._client.scheduler_info(n_workers=-1)["workers"])
 
     def _keep(self) -> list[int]:
         """Report the frames that an earlier run finished; returns the others, which are still to be done."""
@@ -165,11 +155,12 @@ class _Coordinator:
         return todo
 
     def _submit(self, numbers: Sequence[int], without: str | None = None) -> None:
-        others = [address for address in self._workers() if address != without] if without else None
-        future = self._client.submit(compute_chunk, self._name, numbers, self._backends, pure=False, workers=others)
+        others = [address for address in self._crew.addresses() if address != without] if without else None
+        future = self._crew.submit("compute", numbers, self._backends, workers=others)
         self._pending[future] = numbers, time.monotonic()
 
     def _finished(self) -> Iterable[Any]:
+        self._crew.require_some()
         with suppress(TimeoutError):
             return distributed().wait(list(self._pending), timeout=1, return_when="FIRST_COMPLETED").done
         return ()
@@ -210,7 +201,7 @@ class _Coordinator:
 
     def _again(self) -> None:
         """Give a chunk that takes too long to another worker as well; drop the other copy of a chunk that is done."""
-        where: dict[str, Any] = self._client.processing()
+        where: dict[str, Any] = self._crew.client.processing()
         for future, (numbers, since) in list(self._pending.items()):
             if all(number in self._reports for number in numbers):
                 future.cancel()

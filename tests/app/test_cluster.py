@@ -16,6 +16,7 @@ from stss.output.write_whole import write_part
 from stss.run.job import run
 from stss.run.options import RunOptions
 from stss.sequence.reader import open_sequence
+from stss.version import VERSION
 from stss.weights.file import BILINEAR, load
 
 FRAMES = range(20)
@@ -179,29 +180,13 @@ def test_a_worker_that_hangs_loses_nothing(cluster, frames, tmp_path, monkeypatc
 
 
 def test_workers_of_different_kinds_are_refused_unless_asked_for(cluster, frames, tmp_path, monkeypatch):
-    from stss.cluster import run as running
-
-    real = running._Coordinator._introduced
+    from stss.cluster.client import Crew
+    from stss.cluster.worker import Introduction
 
     def different(self):
-        asked = {a: running.Introduction(running.VERSION, f"device {i}") for i, a in enumerate(self._workers())}
+        return {address: Introduction(VERSION, f"device {i}") for i, address in enumerate(self.addresses())}
 
-        class Client:
-            def submit(self, function, name, *, workers, pure):
-                class Future:
-                    def result(self):
-                        return asked[workers[0]]
-
-                return Future()
-
-        own, self._client = self._client, Client()
-        workers, self._workers = self._workers, lambda: list(asked)
-        try:
-            return real(self)
-        finally:
-            self._client, self._workers = own, workers
-
-    monkeypatch.setattr(running._Coordinator, "_introduced", different)
+    monkeypatch.setattr(Crew, "introductions", different)
     with pytest.raises(InputError, match=r"device 0; device 1; --mixed-devices"):
         on_cluster(frames, tmp_path / "out", cluster)
     # A worker that came later, of a kind that nobody introduced, is refused as well.

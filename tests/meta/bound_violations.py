@@ -3,17 +3,19 @@
 """``make misses``: how often ``--skip bounded`` breaks its promise, over many random sequences; the table of docs/skipping.md."""
 
 import argparse
-from collections import defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from scipy.stats import binomtest
 
+from stss.cluster.client import connected, crew
+from stss.errors import InputError
 from stss.frames.display_frame import window_at
 from stss.frames.supersample import plan
 from stss.sequence.scenes import display_frames
 from stss.weights.file import load
+from stss_cl.device.discovery import open_device
 from stss_cl.skip.stream import Stream
 from training.scenes import random_film
 
@@ -37,20 +39,55 @@ class Tally:
         return f"| {error * 255:g}/255 | {len(self.sequences)} | {count} | {missed} | {share:.2%} | {ratios.max():.2f} |"
 
 
-def measure(seed, weights, errors, size, count, tallies):
-    """One random film: every frame against the one of ``--skip off``."""
-    frames = list(display_frames(random_film(seed).scene, size, count))
-    full = Stream(weights, skip="off")
-    streams = {error: Stream(weights, full.device, skip="bounded", max_error=error) for error in errors}
-    for number in range(count):
-        window = window_at(frames, number)
-        steps = plan(window).steps
-        image = full(window, steps)[0]
-        for error, stream in streams.items():
-            departure = float(np.abs(stream(window, steps)[0] - image).max())
-            if departure or stream.report.network == "changed":
-                tallies[error].sequences.add(seed)
-                tallies[error].departures.append(departure)
+class Films:
+    """What is measured of every film, by this process or by a worker; ``weights`` and the like are sent to each worker once."""
+
+    def __init__(self, weights, errors, size, count):
+        self.weights, self.errors, self.size, self.count = weights, errors, size, count
+
+    def introduce(self):
+        """The device, with its driver."""
+        device = open_device()
+        return f"{device.name}, {device.driver}"
+
+    def measure(self, seed):
+        """One random film, every frame against the one of ``--skip off``: by largest error, departures of the frames in part."""
+        frames = list(display_frames(random_film(seed).scene, self.size, self.count))
+        full = Stream(self.weights, skip="off")
+        streams = {error: Stream(self.weights, full.device, skip="bounded", max_error=error) for error in self.errors}
+        found = {error: [] for error in self.errors}
+        for number in range(self.count):
+            window = window_at(frames, number)
+            steps = plan(window).steps
+            image = full(window, steps)[0]
+            for error, stream in streams.items():
+                departure = float(np.abs(stream(window, steps)[0] - image).max())
+                if departure or stream.report.network == "changed":
+                    found[error].append(departure)
+        return found
+
+
+def departures(films, seeds, cluster):
+    """Each film's, in the order of ``seeds``."""
+    if cluster is None:
+        yield from map(films.measure, seeds)
+        return
+    with connected(cluster) as client, crew(client, lambda: films) as workers:
+        if len(kinds := sorted(set(workers.introductions().values()))) > 1:
+            raise InputError(f"--cluster: workers' devices differ, and so would their bits: {'; '.join(kinds)}")
+        # A film whose worker dies is measured again by another worker or by its successor.
+        for future in [workers.submit("measure", seed) for seed in seeds]:
+            yield future.result()
+
+
+def tallied(films, seeds, cluster):
+    """What became of the films, by largest error."""
+    tallies = {error: Tally() for error in films.errors}
+    for seed, found in zip(seeds, departures(films, seeds, cluster), strict=True):
+        for error, some in found.items():
+            tallies[error].sequences |= {seed} if some else set()
+            tallies[error].departures += some
+    return tallies
 
 
 def positive(text):
@@ -68,13 +105,16 @@ def main():
     parser.add_argument("--size", default="320x180")
     parser.add_argument("--weights", default="realtime")
     parser.add_argument("--levels", default="1,2,4", help="largest errors, in steps of 8 bits")
+    parser.add_argument("--cluster", help="measure on local:N processes, or on the workers of a scheduler: tcp://host:8786")
     parser.add_argument("--write", action="store_true", help="put the table into docs/skipping.md")
     given = parser.parse_args()
     width, height = map(int, given.size.split("x"))
     errors = [float(level) / 255 for level in given.levels.split(",")]
-    tallies, weights = defaultdict(Tally), load(given.weights).weights
-    for seed in range(given.first, given.first + given.sequences):
-        measure(seed, weights, errors, (height, width), given.frames, tallies)
+    films = Films(load(given.weights).weights, errors, (height, width), given.frames)
+    try:
+        tallies = tallied(films, range(given.first, given.first + given.sequences), given.cluster)
+    except InputError as error:
+        parser.error(str(error))
     head = [
         "| `--max-error` | films | frames in part | beyond it | share at most (95 %) | worst / allowed |",
         "|---|---|---|---|---|---|",
