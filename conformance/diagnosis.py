@@ -62,9 +62,10 @@ def _asked(judge: Judge, case: Case) -> None:
 
 
 def _shown_by(stage: str) -> tuple[Mistake, ...]:
-    """The mistakes of the stage itself first, then those of stages whose code it shares or contains."""
+    """Those that large frames show first, since there all take long; then the stage's own, then those of code it shares."""
     inside = [mistake for part in CONTAINS.get(stage, ()) for mistake in of_stage(part)]
-    return tuple(dict.fromkeys([*of_stage(stage), *of_stage(stage, shared=True), *inside]))
+    known = dict.fromkeys([*of_stage(stage), *of_stage(stage, shared=True), *inside])
+    return tuple(sorted(known, key=lambda mistake: not mistake.large))
 
 
 @lru_cache(512)

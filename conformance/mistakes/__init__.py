@@ -13,6 +13,7 @@ from conformance.mistakes.frame import FRAME, NETWORK
 from conformance.mistakes.holes import HOLES, OCCLUSION_WARP, RRM
 from conformance.mistakes.image import MOTION_CHAIN, WARP
 from conformance.mistakes.network import ENCODER, HISTORY
+from conformance.mistakes.sizes import SIZES
 from conformance.mistakes.variants import Mistake, Variant
 
 MISTAKES: tuple[Mistake, ...] = (
@@ -27,6 +28,7 @@ MISTAKES: tuple[Mistake, ...] = (
     *DECODER,
     *NETWORK,
     *FRAME,
+    *SIZES,
 )
 
 

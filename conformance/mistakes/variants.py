@@ -55,6 +55,7 @@ class Mistake:
         changes: the mistake, as changes of the reference's source.
         also: other narrow stages whose tests ought to catch it, since they share the code.
         bits: the numbers stay within any bound, so that only a test of exact bits can catch it.
+        large: no small frame shows it.
     """
 
     stage: str
@@ -63,6 +64,7 @@ class Mistake:
     changes: tuple[Change, ...]
     also: tuple[str, ...] = ()
     bits: bool = False
+    large: bool = False
 
     @property
     def id(self) -> str:

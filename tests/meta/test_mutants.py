@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 
 from conformance import mistakes
+from conformance.cases.large_inputs import large_inputs
+from conformance.judge import TIERS, Judge
 from conformance.mistakes import MISTAKES, find, of_stage
 from conformance.mistakes.variants import PACKAGE, VariantError, departs, load
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs, reference
+from stss.conform.own_ports import ReferencePort
 from tests.meta.samples import samples
 
 
@@ -20,12 +23,22 @@ def by_id(mutant):
 
 
 @cache
-def truth(stage):
-    """Of each sample what the reference computes, in float64 and in float32."""
+def tried(stage, *, large):
+    """Samples, or the large frames of the quick tier."""
+    if not large:
+        return samples(stage)
+    judge = Judge(ReferencePort())
+    made = [make(np.random.default_rng(0)) for make in large_inputs(stage)[: TIERS["quick"].large]]
+    return [judge.asked(stage, *(case if STAGES[stage].weights else (case,))) for case in made]
+
+
+@cache
+def truth(stage, *, large):
+    """Of each what the reference computes, in float64 and in float32."""
     with np.errstate(all="ignore"):
         return [
             (reference(stage, as_float64(case.inputs), case.weights), reference(stage, case.inputs, case.weights))
-            for case in samples(stage)
+            for case in tried(stage, large=large)
         ]
 
 
@@ -33,13 +46,13 @@ def as_float64(inputs):
     return {name: a.astype(np.float64) if a.dtype.kind == "f" else a for name, a in inputs.items()}
 
 
-def is_found_out(port, stage, *, bits):
+def is_found_out(port, stage, *, bits, large=False):
     """Whether a sample tells the port from the reference, by its bits or by more than any bound of a stage allows.
 
     Everything it gives must fit the table of stages: a fault is to be found by its numbers, not by a crash.
     """
     found = False
-    for case, (exact, rounded) in zip(samples(stage), truth(stage), strict=True):
+    for case, (exact, rounded) in zip(tried(stage, large=large), truth(stage, large=large), strict=True):
         got = port.run(stage, case.inputs, case.weights)
         check_outputs(stage, got, check_inputs(stage, case.inputs))
         found |= departs(got, rounded, None) if bits else departs(got, exact, "stage.cl")
@@ -54,7 +67,7 @@ def test_a_fault_is_one(mutant):
     """It applies, runs, and shows in every stage whose tests ought to catch it."""
     port = mutant.port()
     for stage in (mutant.stage, *mutant.also):
-        assert is_found_out(port, stage, bits=mutant.bits), stage
+        assert is_found_out(port, stage, bits=mutant.bits, large=mutant.large), stage
 
 
 @pytest.mark.parametrize("mutant", [mutant for mutant in MISTAKES if mutant.bits], ids=by_id)
