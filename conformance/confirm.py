@@ -9,6 +9,8 @@ from conformance.findings import DepartureError, Failure
 from conformance.judge import Body, Judge
 from conformance.rehearsal import prepare
 
+UNSTABLE = "differs from run to run"
+
 
 def confirm(judge: Judge, body: Body) -> Failure:
     """Confirm the failure of the test that ran last; its message says if it does not fail alone.
@@ -35,7 +37,7 @@ def confirm(judge: Judge, body: Body) -> Failure:
         if len(before) == len(first.before):
             break
         few *= 2
-    return _with_words(replace(first, before=()), "differs from run to run: it passed when it was run again")
+    return _with_words(replace(first, before=()), f"{UNSTABLE}: it passed when it was run again")
 
 
 def fails(judge: Judge, body: Body, failure: Failure) -> Failure | None:

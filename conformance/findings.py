@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from conformance.answers.expected import Expected
 from conformance.protocol.port import Case
 
+LARGE = 48
+"""Rows or columns of a frame that no drawn case has."""
+
 
 class DepartureError(AssertionError):
     """A port's answer is wrong: the message says where and by how much."""
@@ -72,6 +75,7 @@ class Record:
         first: the first failure of the test.
         largest: the largest height and width among the cases.
         drawn: digest of the test's cases; empty where the judge takes none.
+        about: words on the case that is checked now, for the message of its failure.
     """
 
     cases: int = 0
@@ -82,6 +86,7 @@ class Record:
     first: Failure | None = None
     largest: tuple[int, int] = (0, 0)
     drawn: bytes = b""
+    about: str = ""
 
     def met(self, sizes: Mapping[str, int]) -> None:
         """Count one more case, of these sizes."""
@@ -141,5 +146,15 @@ def said(output: str, got: NDArray[Any], expected: Expected, worst: float) -> st
     share = float((ratios > 1).mean())
     return (
         f"{output}: {by} at {list(place)}: got {got[place]:.9g}, expected {expected.want[place]:.9g}"
-        f"{f', allowed {allowed:.3g}' if allowed else ''}; {share:.1%} of {got.size} numbers depart"
+        f"{f', allowed {allowed:.3g}' if allowed else ''}; {share:.1%} of {got.size} numbers depart{_from(ratios > 1)}"
     )
+
+
+def _from(wrong: NDArray[np.bool_]) -> str:
+    """Of a large frame, the row and the column at which the wrong numbers begin: limits of an index, of a tile."""
+    words: list[str] = []
+    for axis, name in enumerate(("row", "column")) if wrong.ndim in (2, 3) else ():
+        first = int(wrong.any(axis=tuple(i for i in range(wrong.ndim) if i != axis)).argmax())
+        if wrong.shape[axis] > LARGE and first:
+            words.append(f"{name} {first}")
+    return f", none before {' or '.join(words)}" if words else ""

@@ -152,6 +152,11 @@ CONSTANTS = (
 )
 
 
+def pinned_by(make: Callable[[Generator], Any]) -> str:
+    """Words on the constants that a case is made for."""
+    return "the case is made for " + " and ".join(f"{each.name} ({each.value})" for each in CONSTANTS if each.make is make)
+
+
 def constant_cases(stage: str) -> tuple[Callable[[Generator], Any], ...]:
     """The cases that show a stage's constants."""
     return tuple(dict.fromkeys(constant.make for constant in CONSTANTS if constant.stage == stage))

@@ -14,7 +14,7 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.errors import Flaky
 
-from conformance.confirm import confirm
+from conformance.confirm import UNSTABLE, confirm
 from conformance.diagnosis import diagnose
 from conformance.findings import DepartureError, Failure, Record
 from conformance.first_layer import first_departure
@@ -44,13 +44,17 @@ def cases(strategy: st.SearchStrategy[Any], *, dear: bool = False) -> Callable[[
 
 
 def made_cases(
-    made: Sequence[Callable[[np.random.Generator], Any]], *, large: bool = False
+    made: Sequence[Callable[[np.random.Generator], Any]],
+    *,
+    large: bool = False,
+    about: Callable[[Callable[[np.random.Generator], Any]], str] = lambda _: "",
 ) -> Callable[[Body], Callable[[Judge], None]]:
     """Make a test of a property on a few cases that are made, not drawn.
 
     Args:
         made: each makes one case from a seeded generator.
         large: the cases are large frames, the slowest last: the judge's tier says how many of them run.
+        about: words on a made case, for the message of its failure.
     """
 
     def decorate(body: Body) -> Callable[[Judge], None]:
@@ -59,7 +63,8 @@ def made_cases(
             some = [make(np.random.default_rng(judge.seed)) for make in made[: judge.tier.large if large else None]]
             prepare(judge, some, body)
             with _confirmed(judge, body):
-                for case in some:
+                for case, make in zip(some, made, strict=False):
+                    judge.record.about = about(make)
                     judge.check(body, case)
 
         return _as_test(test, body)
@@ -86,9 +91,12 @@ def _diagnosed(judge: Judge, failure: Failure, first: Failure | None) -> Failure
     The test's record does not count the cases that the port computes for this.
     """
     met, judge.record = judge.record, Record()
-    words = [] if failure.before else [first_departure(judge, failure.finding), diagnose(judge, (first or failure).finding)]
+    words: list[str] = []
+    # What does not come back alone cannot be asked for again.
+    if not failure.before and UNSTABLE not in failure.finding.message:
+        words = [first_departure(judge, failure.finding), diagnose(judge, (first or failure).finding)]
     judge.record = met
-    message = "; ".join([failure.finding.message, *filter(None, words)])
+    message = "; ".join(filter(None, [failure.finding.message, met.about, *words]))
     return replace(failure, finding=replace(failure.finding, message=message, terms=terms_at_worst(failure.finding)))
 
 

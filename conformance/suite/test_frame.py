@@ -4,7 +4,7 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from conformance.cases.constants import constant_cases
+from conformance.cases.constants import constant_cases, pinned_by
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, frame_inputs, scene_inputs, weights
 from conformance.judge import Judge
@@ -66,7 +66,7 @@ def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     judge.same("frame.image", *(judge.run("frame", *case)["image"] for _ in range(2)))
 
 
-@made_cases(constant_cases("frame"))
+@made_cases(constant_cases("frame"), about=pinned_by)
 def test_constants_are_those_of_the_specification(judge: Judge, case: tuple[Inputs, Weights]):
     """Cases agree, too, in which a constant shows: just beside a limit, or near a small number that is added or is a least value."""
     judge.agrees("frame", *case)

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from conformance.answers.port_arithmetic import reach
 from conformance.answers.warp import within_frame
-from conformance.cases.constants import constant_cases
+from conformance.cases.constants import constant_cases, pinned_by
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import SEEDS, Size, sizes
 from conformance.cases.stage_inputs import Inputs, holes_inputs, thresholds
@@ -89,7 +89,7 @@ def test_the_same_twice(judge: Judge, inputs: Inputs):
     judge.same("holes.valid", judge.run("holes", inputs)["valid"], judge.run("holes", inputs)["valid"])
 
 
-@made_cases(constant_cases("holes"))
+@made_cases(constant_cases("holes"), about=pinned_by)
 def test_constants_are_those_of_the_specification(judge: Judge, inputs: Inputs):
     """Cases agree, too, in which a constant shows: just beside a limit, or near a small number that is added or is a least value."""
     judge.agrees("holes", inputs)

@@ -4,7 +4,7 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from conformance.cases.constants import constant_cases
+from conformance.cases.constants import constant_cases, pinned_by
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, occlusion_inputs
 from conformance.judge import Judge
@@ -79,7 +79,7 @@ def test_the_same_twice(judge: Judge, inputs: Inputs):
         judge.same(f"occlusion_warp.{name}", np.nan_to_num(second[name]), np.nan_to_num(first[name]))
 
 
-@made_cases(constant_cases("occlusion_warp"))
+@made_cases(constant_cases("occlusion_warp"), about=pinned_by)
 def test_constants_are_those_of_the_specification(judge: Judge, inputs: Inputs):
     """Cases agree, too, in which a constant shows: just beside a limit, or near a small number that is added or is a least value."""
     judge.agrees("occlusion_warp", inputs)

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from conformance.cases.constants import CONSTANTS
+from conformance.findings import DepartureError
 from conformance.judge import Judge
 from conformance.mistakes.variants import load
 from conformance.protocol.stages import STAGES
+from conformance.suite import test_occlusion_warp
 from conformance.suite.properties import find_property
 from stss.conform.own_ports import ReferencePort
 from tests.meta import right_ports
@@ -87,6 +89,12 @@ def test_without_it_or_with_another_the_answer_is_far_off(constant):
     for change in PLANTS[constant.name]:
         message, worst = judged(load("planted", [change]), constant)
         assert worst >= BOUNDS, (change[2], message, worst)
+
+
+def test_a_failure_names_the_constant():
+    judge = Judge(load("planted", [PLANTS["beginning of the depth buffer"][0]]), shrink=True)
+    with pytest.raises(DepartureError, match=r"; the case is made for beginning of the depth buffer \(10\)"):
+        test_occlusion_warp.test_constants_are_those_of_the_specification(judge)
 
 
 @pytest.mark.parametrize("name", ["orders", "fma", "flush", "winograd_4", "half"])

@@ -79,6 +79,11 @@ def test_a_mistake_of_size_is_found_in_the_quick_tier(stage, kind):
         any(judge.check(body, case) for case in cases)
 
 
+def test_a_mistake_of_size_says_where_it_begins():
+    (message,) = messages(Sized(64), Tier("few", 2, 2, 1), "motion_chain")
+    assert "numbers depart, none before column 64" in message
+
+
 class Remembering(ReferencePort):
     """Now and then the answer before, where it has the right shape."""
 
