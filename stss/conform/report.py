@@ -20,22 +20,14 @@ from conformance.judge import Judge
 from conformance.protocol.stages import STAGES
 from conformance.run_suite import JUDGED, REQUIRED, SEQUENCE, SUITE
 from stss.output.write_whole import write_named
+from stss.pages.page import page
+from stss.terminal import printable
 from stss.version import VERSION
 
 FORMAT = 1
 """Version of the JSON; raised when a field changes its meaning."""
 OUTPUT_STAGE = {SEQUENCE: "frame"}
 """Tests that are of no stage -> the stage whose outputs they judge."""
-STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; margin: 2em auto; max-width: 60em; padding: 0 1em; color: #222; background: #fff }
-p { overflow-wrap: anywhere }
-table { border-collapse: collapse; width: 100%; margin-bottom: 1.5em }
-td, th { text-align: left; padding: .3em .6em; border-bottom: 1px solid #ddd; vertical-align: top }
-td.n, th.n { text-align: right; font-variant-numeric: tabular-nums }
-.failed, .error { color: #b00020; font-weight: 600 } .passed { color: #1b7f3b }
-.skipped, .known { color: #777 } code, pre { font: 13px ui-monospace, monospace; white-space: pre-wrap; overflow-wrap: anywhere }
-img { max-width: 100%; image-rendering: pixelated }
-"""
 
 
 def print_results(results: Sequence[TestResult], console: Console) -> None:
@@ -166,15 +158,23 @@ def write_page(path: Path, judge: Judge, results: Sequence[TestResult], folders:
     rows = "".join(_row(r) for r in results)
     outputs = "".join(_stage_row(stage, some) for stage, some in by_stage([r for r in results if r.stage in SUITE]).items())
     failures = "".join(_failure(r, folders.get(r.id)) for r in results if r.outcome in ("failed", "error"))
-    name = html.escape(judge.port.name)
-    text = f"""<!doctype html><html lang="en"><meta charset="utf-8"><title>{name}: conformance</title><style>{STYLE}</style>
-<h1>{name} {verdict}</h1>
+    body = f"""<h1>{html.escape(printable(judge.port.name))} {verdict}</h1>
 <p>{arithmetic}; tier {judge.tier.name}, seed {judge.seed}; {counted["cases"]} cases; {counted["undecided"]} numbers decided by rounding,
 {counted["unjudged"]} cases not judged for that; stss {VERSION}.</p>
-<table><tr><th>stage<th>output<th class="n">largest error / bound</tr>{outputs}</table>
-<table><tr><th>test<th>what it asks<th><th class="n">cases<th class="n">error / bound</tr>{rows}</table>{failures}</html>
-"""
-    write_named(path, text)
+{_table("Outputs", ("stage", "output"), ("largest error / bound",), outputs)}
+{_table("Tests", ("test", "what it asks", "outcome"), ("cases", "error / bound"), rows)}{failures}"""
+    write_named(path, page(f"{judge.port.name}: conformance", body))
+
+
+def _table(caption: str, words: Sequence[str], numbers: Sequence[str], rows: str) -> str:
+    """Markup of a table that scrolls by itself where the page is narrower."""
+    head = "".join(
+        [*(f'<th scope="col">{name}</th>' for name in words), *(f'<th scope="col" class="n">{name}</th>' for name in numbers)]
+    )
+    return (
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{caption}"><table><caption>{caption}</caption>'
+        f"<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>"
+    )
 
 
 def _stage_row(stage: str, some: Sequence[TestResult]) -> str:
@@ -190,7 +190,7 @@ def _stage_row(stage: str, some: Sequence[TestResult]) -> str:
 
 def _row(r: TestResult) -> str:
     worst = "<br>".join(f"{html.escape(name.split('.')[-1])} {_number(ratio)}" for name, ratio in r.record.worst.items())
-    cells = f'<td><code>{html.escape(r.id)}</code><td>{html.escape(r.property)}<td class="{r.outcome}">{r.outcome}'
+    cells = f'<td><code>{html.escape(r.id)}</code><td class="words">{html.escape(r.property)}<td class="{r.outcome}">{r.outcome}'
     return f'<tr>{cells}<td class="n">{r.record.cases or ""}<td class="n">{worst}</tr>'
 
 
