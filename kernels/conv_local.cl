@@ -3,10 +3,6 @@
 //
 // Build -D A -D B -D OUT (multiples of 8; A may be 4 where not GATED) -D STRIDE -D ROWS (1 or 2: pixels of a work-item, one above the other),
 // optionally -D GATED -D RELU -D HALF -D MARK.  Work-group (8, 4, OUT / 8): 32 x 4 ROWS pixels, a tile of the list (tile_list.clh); launch (8 tiles, 4, OUT / 8).
-//
-// -D UPSAMPLE: b is of half the size, b_height x b_width and of b_columns with its border, and is upsampled on its way into the tile (upsample.clh).
-// Its row 0 is row `top` of `full_height`.
-// -D IMAGE (OUT=24): the decoder's image in place of `out` (image.clh); rows `first_row` .. height - 1 are written, row 0 is the frame's row `top`.
 // -D IMAGES: several one behind the other, a list's rows likewise, `tile_rows` of each. From one to the next lie a_next and out_next values, map_next of `changes`.
 //
 // 32 neighbouring work-items form 8 x 4 and compute the same eight outputs: their weights are a broadcast, and their inputs are 128
@@ -16,12 +12,6 @@
 #endif
 #include "common.clh"
 #include "tile_list.clh"
-#ifdef UPSAMPLE
-#include "upsample.clh"
-#endif
-#ifdef IMAGE
-#include "image.clh"
-#endif
 
 #define IN (A + B)
 #define SLICES (OUT / 8)
@@ -33,12 +23,7 @@
 #define PITCH (36 * STRIDE)                          // floats of a row of the tile: whole float4s
 #define PLANE ((PITCH * READ_TALL + 7) / 8 * 8 + 4)  // planes 4 apart then lie in other banks than those beside them
 #define ITEMS (32 * SLICES)
-#define PIXEL (OUT + 4)  // floats of a pixel on its way through the tile: eight of them then lie in all banks
-#ifdef IMAGE
-#define TILE (4 * WIDE * PIXEL > STEP * PLANE ? 4 * WIDE * PIXEL : STEP * PLANE)
-#else
 #define TILE (STEP * PLANE)
-#endif
 #define PIXELS (4 * ROWS)
 #define TAPS(r) (STRIDE * (r) + 3)
 
@@ -71,28 +56,12 @@
 // are not stored need values beyond the buffers.
 static inline void fetch(global const stored *a, global const stored *b, local float *tile, const int item, const int first,
                          const int top, const int left, const int in_rows, const int in_columns
-#ifdef UPSAMPLE
-                         , local const int *places, local const float *shares, const int b_columns
-#endif
                          )
 {
     for (int i = item; i < STEP / 4 * READ_WIDE * READ_TALL; i += ITEMS) {
         const int quad = i % (STEP / 4), x = i / (STEP / 4) % READ_WIDE, y = i / (STEP / 4) / READ_WIDE;
-#ifdef UPSAMPLE
-        float4 v = 0.0f;
-        if (first < A) {
-            const int place = least(top + y, in_rows - 1) * in_columns + least(left + x, in_columns - 1);
-            v = READ4(a, (place * A + first) / 4 + quad);
-        } else if (places[2 * y] >= 0 && places[2 * (READ_TALL + x)] >= 0) {
-            const int upper = (places[2 * y] + 1) * b_columns + 1, lower = (places[2 * y + 1] + 1) * b_columns + 1;
-            const int west = places[2 * (READ_TALL + x)], east = places[2 * (READ_TALL + x) + 1], c = (first - A) / 4 + quad;
-            v = between4(READ4(b, (upper + west) * (B / 4) + c), READ4(b, (upper + east) * (B / 4) + c), READ4(b, (lower + west) * (B / 4) + c),
-                         READ4(b, (lower + east) * (B / 4) + c), shares[y], shares[READ_TALL + x]);
-        }
-#else
         const int place = least(top + y, in_rows - 1) * in_columns + least(left + x, in_columns - 1);
         const float4 v = B && first >= A ? READ4(b, (place * B + first - A) / 4 + quad) : READ4(a, (place * A + first) / 4 + quad);
-#endif
         local float *to = tile + 4 * quad * PLANE + y * PITCH + COLUMN(x);
         to[0] = v.x;
         to[PLANE] = v.y;
@@ -120,36 +89,18 @@ void conv_local(global const stored *restrict a, global const stored *restrict b
                 global const float *restrict gate_weight, global const float8 *restrict bias, const float gate_bias,
                 global stored *restrict out, const int a_first, const int height, const int width, const int in_columns,
                 const int out_columns, const int out_channels, const int out_first
-#ifdef UPSAMPLE
-                , const int b_height, const int b_width, const int b_columns, const int full_height, const int top
-#endif
-#ifdef IMAGE
-                , global const float4 *restrict color, global const float8 *restrict outc_weight,
-                global const float8 *restrict outc_bias, global float *restrict image, const int rows, const int columns,
-                const int first_row, const int top
-#endif
 #ifdef IMAGES
                 , const int a_next, const int out_next, const int map_next, const int tile_rows
 #endif
                 , global const uint *restrict tiles, global const int *restrict count
-#ifndef IMAGE
                 , global uchar *restrict changes
-#endif
                 )
 {
     local float tile[TILE] __attribute__((aligned(16)));
     local float taps[9 * STEP * OUT] __attribute__((aligned(32)));
     local float gates[9 * STEP];
     const int lx = get_local_id(0), ly = get_local_id(1), slice = get_local_id(2), item = (slice * 4 + ly) * 8 + lx;
-#ifdef IMAGE
-    const int in_rows = (rows + 3) / 4 * 4 + 2;
-#else
     const int in_rows = (STRIDE * height + 3) / 4 * 4 + 2;
-#endif
-#ifdef UPSAMPLE
-    local int places[2 * (READ_TALL + READ_WIDE)];
-    local float shares[READ_TALL + READ_WIDE];
-#endif
     a += a_first;
 
     for (int t = get_group_id(0); t < count[0]; t += get_num_groups(0)) {
@@ -163,14 +114,6 @@ void conv_local(global const stored *restrict a, global const stored *restrict b
         global stored *to = out;
 #endif
         const int left = TILE_COLUMN(tiles[t]) * WIDE;
-#ifdef UPSAMPLE
-        barrier(CLK_LOCAL_MEM_FENCE);
-        for (int i = item; i < READ_TALL + READ_WIDE; i += ITEMS) {
-            const int down = i < READ_TALL;
-            find_line(down ? up + i - 1 : left + i - READ_TALL - 1, down ? b_height : b_width, down ? full_height : b_width, down ? top : 0,
-                      places + 2 * i, shares + i);
-        }
-#endif
         float8 sum[PIXELS];
         float gate[8];
 #pragma unroll
@@ -181,9 +124,6 @@ void conv_local(global const stored *restrict a, global const stored *restrict b
         for (int first = 0; first < IN; first += STEP) {
             barrier(CLK_LOCAL_MEM_FENCE);
             fetch(from_a, b, tile, item, first, STRIDE * up, STRIDE * left, in_rows, in_columns
-#ifdef UPSAMPLE
-                  , places, shares, b_columns
-#endif
                   );
             for (int i = item; i < 9 * STEP * OUT / 4; i += ITEMS)
                 ((local float4 *)taps)[i] =
@@ -238,33 +178,6 @@ void conv_local(global const stored *restrict a, global const stored *restrict b
         const float8 open = sigmoid8((float8)(gate[0], gate[1], gate[2], gate[3], gate[4], gate[5], gate[6], gate[7]));
         const float opens[8] = {open.s0, open.s1, open.s2, open.s3, open.s4, open.s5, open.s6, open.s7};
 #endif
-#ifdef IMAGE
-        // outc reads all channels of a pixel: the tile takes one row of pixels of each work-item at a time.
-#pragma unroll
-        for (int r = 0; r < ROWS; ++r) {
-            barrier(CLK_LOCAL_MEM_FENCE);
-#pragma unroll
-            for (int i = 0; i < 4; ++i) {
-                const float8 value = relu8(sum[4 * r + i]);
-                local float4 *at = (local float4 *)(tile + (ly * WIDE + 4 * lx + i) * PIXEL + 8 * slice);
-                at[0] = value.lo;
-                at[1] = value.hi;
-            }
-            barrier(CLK_LOCAL_MEM_FENCE);
-#pragma unroll 1
-            for (int i = item; i < 2 * 4 * WIDE; i += ITEMS) {
-                const int lower = i / (4 * WIDE), pixel = i % (4 * WIDE), x = left + pixel % WIDE, y = up + ROWS * (pixel / WIDE) + r;
-                if (x >= width || y < first_row || y >= height) continue;
-                float8 both = outc_bias[lower];
-#pragma unroll 1
-                for (int e = 0; e < 3; ++e) {
-                    local const float4 *f = (local const float4 *)(tile + pixel * PIXEL + 8 * e);
-                    both = outc_of_eight(both, (float8)(f[0], f[1]), lower, outc_weight + 16 * e);
-                }
-                write_row(both, color, image, y, x, lower, width, rows, columns, top);
-            }
-        }
-#else
         BEGIN_TILE;
 #pragma unroll
         for (int i = 0; i < PIXELS; ++i) {
@@ -283,7 +196,6 @@ void conv_local(global const stored *restrict a, global const stored *restrict b
         END_TILE(which * map_next + (up + ROWS * ly) / 4 * ((out_columns - 2) / 4) + left / 4 + lx);
 #else
         END_TILE((up + ROWS * ly) / 4 * ((out_columns - 2) / 4) + left / 4 + lx);
-#endif
 #endif
     }
 }
