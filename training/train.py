@@ -21,7 +21,7 @@ from training import checkpoint
 from training.checkpoint import State
 from training.command import command
 from training.data import Batches, Shard, load_shards
-from training.loss import loss, squared, structure, supervision
+from training.loss import STRUCTURE, loss, squared, structure, supervision
 from training.muon import Muon
 from training.network import Heads, Network, hold_gates, hold_history, initialise, leak, load_weights, to_weights
 from training.plot import plot
@@ -41,7 +41,8 @@ AVERAGE = 0.999
 class Settings:
     """Options that change the numbers of a run, besides the data; a resumed run may have more steps. ``young``: see `infancy`.
 
-    ``squares``: the share of the squared error that stays in the loss after it. ``history``: whether the history is used.
+    ``squares``: the share of the squared error in the loss that stays after it. ``history``: whether the history is used.
+    ``structure``: the perceptual distance is so many times 1 - SSIM.
     """
 
     crop: int
@@ -53,6 +54,7 @@ class Settings:
     young: bool = True
     squares: float = 0.0
     history: bool = True
+    structure: float = STRUCTURE
 
 
 @dataclass(frozen=True)
@@ -112,9 +114,19 @@ def optimisers(network: nn.Module, heads: nn.Module) -> tuple[torch.optim.Optimi
 
 
 def advance(
-    state: State, batch: tuple[Tensor, ...], rate: float, *, half: bool, young: float = 0.0, squares: float = 0.0
+    state: State,
+    batch: tuple[Tensor, ...],
+    rate: float,
+    *,
+    half: bool,
+    young: float = 0.0,
+    squares: float = 0.0,
+    similar: float = STRUCTURE,
 ) -> Tensor:
-    """Take one step; ``young`` is the share of the aids for the start, see `infancy`. Returns the loss, on the device."""
+    """One step; ``young`` is the share of what only helps a beginner, see `infancy`, ``similar`` what 1 - SSIM is multiplied by.
+
+    Returns the loss, on the device.
+    """
     color, gbuffer, mask, history, truth = batch
     for optimiser, factor in zip(state.optimisers, (1.0, ADAM), strict=True):
         for group in optimiser.param_groups:
@@ -125,7 +137,7 @@ def advance(
         pictures = state.heads(features) if young else []
     output = output.float()
     squares = max(young, squares)
-    value = (1 - squares) * loss(output, truth, mask, structure(output, truth))
+    value = (1 - squares) * loss(output, truth, mask, similar * structure(output, truth))
     if squares:
         value = value + squares * squared(output, truth)
     if young:
@@ -187,7 +199,8 @@ def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan
     for step, batch in batches.between(state.step, plan.steps):
         rate = rate_at(step, plan.steps, settings)
         young = infancy(step, plan.steps) if settings.young else 0.0
-        total += advance(state, tensors(batch, device), rate, half=settings.half, young=young, squares=settings.squares)
+        shares = {"young": young, "squares": settings.squares, "similar": settings.structure}
+        total += advance(state, tensors(batch, device), rate, half=settings.half, **shares)
         count += 1
         if state.step % plan.log == 0:
             value, now = float(total) / count, time.perf_counter()
@@ -216,6 +229,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--initial", help="safetensors file to start from; default: bilinear and a random rest")
     parser.add_argument("--squares", type=float, default=0.0, help="share of the squared error in the loss, for PSNR's sake")
+    parser.add_argument("--structure", type=float, default=STRUCTURE, help="the perceptual distance is so many times 1 - SSIM")
     parser.add_argument("--no-history", dest="history", action="store_false", help="weights that do not read the history")
     parser.add_argument("--validate", type=int, default=1000, metavar="STEPS")
     parser.add_argument("--log", type=int, default=100, metavar="STEPS")
@@ -239,6 +253,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         young=chosen.initial is None,
         squares=chosen.squares,
         history=chosen.history,
+        structure=chosen.structure,
     )
     state = start(settings, device, chosen.initial)
     path = chosen.out / "state.safetensors"

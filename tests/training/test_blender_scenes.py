@@ -77,6 +77,36 @@ def test_the_light_of_a_clean_scene_needs_one_sample(many):
         assert not any(look["gloss"] or look["metallic"][1] or look["glow"] or look["bump"] for look in scene["materials"])
 
 
+def test_patterns_of_a_woven_scene_are_near_the_pixels_size(blender, many):
+    """Seen from where the first camera stands, a cell in the middle is 1 to 9 pixels wide, and there are many such surfaces."""
+    scenes, looks = blender["scenes"], blender["looks"]
+    woven = [scene for scene in many if scene["woven"]]
+    assert all(scene["clean"] for scene in woven)
+    assert len(woven) >= 15
+    fine = 0
+    for scene in woven:
+        away = math.dist(scene["shots"][0]["eye"], (0, 0, 0.4 if scene["layout"] == "table" else 1.2))
+        focal = 0.5 * scenes.WIDTH / math.tan(0.5 * scene["fov"])
+        painted = (look for look in scene["materials"] if look["texture"] in looks.CELL)
+        cells = [looks.CELL[look["texture"]] / look["scale"] * focal / away for look in painted]
+        fine += sum(looks.CELLS[0] * 0.999 <= cell <= looks.CELLS[1] * 1.001 for cell in cells)
+    assert fine >= 8 * len(woven)
+
+
+def test_another_path_is_another_way_through_the_same_scene(blender):
+    first, second, third = (blender["scenes"].describe(6, "train", 8, path) for path in (0, 1, 2))
+    different = [name for name in first if first[name] != second[name]]
+    assert set(different) <= {"path", "shots", "camera", "cuts"}
+    assert first["shots"] != second["shots"] != third["shots"]
+
+
+def test_a_set_may_be_of_one_kind(blender):
+    make_set, describe = blender["make_set"], blender["scenes"].describe
+    planned = make_set.plan(16, "woven", 4)
+    assert all(describe(seed, split, 4)["woven"] for split, seed in planned)
+    assert make_set.plan(24, "woven", 4)[:16] == planned
+
+
 def test_what_moves_has_a_number_of_its_own(many):
     for scene in many:
         numbers = [thing["index"] for thing in scene["objects"] if thing["motion"] is not None]

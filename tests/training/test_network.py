@@ -6,6 +6,7 @@ import pytest
 from conformance.answers.network import expect_with_weights
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.tolerance import ratio, sum_bound
+from stss.quality.metrics import luma, ssim
 from stss_ref.loss import loss as reference_loss
 from stss_ref.weights import TENSORS, reads_history, zeros
 from stss_ref.weights import random as random_weights
@@ -123,6 +124,16 @@ def test_structure_sees_blur_and_not_equality():
     truth = torch.rand(2, 3, 32, 32, generator=torch.Generator().manual_seed(0))
     blurred = torch.nn.functional.avg_pool2d(truth, 3, 1, 1)
     assert structure(truth, truth).abs() < structure(0.5 * truth + 0.5 * blurred, truth) < structure(blurred, truth)
+
+
+def test_structure_is_that_of_compare():
+    """On pictures of 8 bits the two say the same."""
+    random = np.random.default_rng(3)
+    pictures = random.integers(0, 256, (2, 3, 40, 56)).astype(np.float64)
+    output, truth = (pictures[0] + 2 * pictures[1]) / 3 // 1, pictures[1]
+    wanted = ssim(*(luma(np.moveaxis(picture, 0, -1).astype(np.uint8)) for picture in (output, truth)))
+    got = structure(*(torch.from_numpy(picture / 255)[None] for picture in (output, truth)))
+    assert 1 - got.item() == pytest.approx(wanted, abs=1e-9)
 
 
 def test_the_aids_of_the_first_half():

@@ -34,7 +34,7 @@ def _mesh_object(shape: str, seed: int) -> Any:
         PRIMITIVES[shape]()
         made = bpy.context.object
         for face in made.data.polygons:
-            face.use_smooth = shape in SMOOTH
+            face.use_smooth = shape in SMOOTH and seed % 3 > 0
         return made
     if shape == "letters":
         bpy.ops.object.text_add()

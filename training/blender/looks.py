@@ -12,6 +12,13 @@ PROCEDURAL = ("checker", "noise", "brick", "voronoi", "wave", "magic")
 PICTURES = ("text", "windows", "stripes")
 CUTOUTS = ("leaves", "mesh")
 
+WOVEN = ("checker", "checker", "checker", "wave", "wave", "voronoi", "noise", "brick", "stripes", "text", "plain")
+"""Textures of the clean scenes whose surfaces are all pattern, with cells near the pixel's size."""
+CELL = {"checker": 1.0, "wave": 0.3, "voronoi": 1.0, "noise": 2.0, "brick": 0.5}
+"""Metres of a cell, or of a period, at scale 1."""
+CELLS = 1.2, 9.0
+"""The smallest and the largest cell in pixels at the middle of a woven scene."""
+
 
 def colour(rng: random.Random, low: float = 0.05, high: float = 0.9, saturation: float = 0.8) -> list[float]:
     """A scene-linear colour: any hue, brightness between the two."""
@@ -47,6 +54,11 @@ def material(rng: random.Random, texture: str | None = None, metal: float = 0.2)
     if kind not in CUTOUTS and not is_metal and rng.random() < 0.06:
         made["glow"] = rng.uniform(0.4, 1.5)
     return made
+
+
+def fine(rng: random.Random, texture: str, pixels: float) -> float:
+    """A scale at which the cells of a texture are as wide as `CELLS` says, for so many ``pixels`` a metre."""
+    return CELL[texture] * pixels / math.exp(rng.uniform(*(math.log(cell) for cell in CELLS)))
 
 
 def sky(rng: random.Random, mood: str) -> dict[str, Any]:

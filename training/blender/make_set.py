@@ -15,22 +15,29 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
 
-from scenes import SPLITS
+from scenes import SPLITS, describe
 
 ROUND = 8
 """Of so many scenes one is for validation and one for the test."""
 
 
-def plan(scenes: int) -> list[tuple[str, int]]:
-    """Split and seed of each scene, mixed, so that a set that was stopped early has some of each."""
-    counts, made = dict.fromkeys(SPLITS, 0), []
-    for i in range(scenes):
-        split = {3: "validation", 7: "test"}.get(i % ROUND, "train")
-        made.append((split, counts[split]))
-        counts[split] += 1
-    return made
+KINDS = ("any", "clean", "woven")
+"""What `--kind` may choose: every scene, those with exact light, or of these those that patterns near the pixel's size cover."""
+
+
+def plan(scenes: int, kind: str = "any", frames: int = 1) -> list[tuple[str, int]]:
+    """Split and seed of each scene, mixed, so that a set that was stopped early has some of each; seeds of other kinds are left out."""
+
+    def suitable(split: str) -> Iterator[int]:
+        return (seed for seed in count() if kind == "any" or describe(seed, split, frames)[kind])
+
+    seeds = {split: suitable(split) for split in SPLITS}
+    splits = ({3: "validation", 7: "test"}.get(i % ROUND, "train") for i in range(scenes))
+    return [(split, next(seeds[split])) for split in splits]
 
 
 def folder_of(output: Path, split: str, seed: int) -> Path:
@@ -67,7 +74,9 @@ def say(text: str) -> None:
 def render_all(given: argparse.Namespace) -> list[Path]:
     """Render what is not finished, several at a time; returns the folders of the scenes that failed."""
     todo = [
-        (split, seed) for split, seed in plan(given.scenes) if not (folder_of(given.output, split, seed) / "scene.json").exists()
+        (split, seed)
+        for split, seed in plan(given.scenes, given.kind, given.frames)
+        if not (folder_of(given.output, split, seed) / "scene.json").exists()
     ]
     say(f"{given.output}: {given.scenes} scenes, {given.scenes - len(todo)} finished")
     running: dict[tuple[str, int], subprocess.Popen[bytes]] = {}
@@ -99,6 +108,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Render a set of scenes, split by scene.")
     parser.add_argument("--python", default=sys.executable, help="a Python that has bpy")
     parser.add_argument("--scenes", type=int, default=64, help="in all; more later adds to the set")
+    parser.add_argument("--kind", choices=KINDS, default="any", help="of scenes; the others' seeds are left out")
     parser.add_argument("--size", default="160x90", help="of the small frames")
     parser.add_argument("--frames", type=int, default=12, help="of each scene")
     parser.add_argument("--samples", type=int, default=32, help="of a small frame's pixel")

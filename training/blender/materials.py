@@ -79,6 +79,9 @@ def _texture(nodes: Nodes, look: Mapping[str, Any]) -> tuple[Any, Any]:
         node.inputs["Color1"].default_value, node.inputs["Color2"].default_value = (0.9, 0.9, 0.9, 1), (0.5, 0.5, 0.5, 1)
         node.inputs["Mortar"].default_value = (0, 0, 0, 1)
         return nodes.add("SeparateColor", {0: node.outputs["Color"]}).outputs[0], None
+    if kind == "wave":
+        node.wave_type, node.bands_direction = ("BANDS", "RINGS")[look["seed"] % 2], "XYZ"[look["seed"] // 2 % 3]
+        node.inputs["Distortion"].default_value = 1.5 * (look["seed"] // 6 % 3)
     if kind == "noise":
         node.inputs["Detail"].default_value = 6.0
         return nodes.span(node.outputs[0], -1.0, 2.0), None

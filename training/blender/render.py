@@ -117,6 +117,7 @@ def arguments() -> argparse.Namespace:
     """The command line."""
     parser = argparse.ArgumentParser(description="Render one random scene with Cycles.")
     parser.add_argument("--scene", type=int, required=True, help="seed of the scene")
+    parser.add_argument("--path", type=int, default=0, help="another number: another way of the camera through the same scene")
     parser.add_argument("--split", choices=SPLITS, default="train")
     parser.add_argument("--size", default="160x90", help="of the small frames; the truth has twice the size")
     parser.add_argument("--frames", type=int, default=16)
@@ -149,12 +150,13 @@ def claim(folder: Path, settings: dict[str, Any]) -> None:
 def main() -> None:
     """Render a scene; `scene.json` is written last, so a folder that has it is finished."""
     given = arguments()
-    described = describe(given.scene, given.split, given.frames)
+    described = describe(given.scene, given.split, given.frames, given.path)
     aliased, every = not given.antialiased, range(1, given.frames + 1)
     settings: dict[str, Any] = {"aliased": aliased, "size": given.size, "samples": given.samples}
     settings |= {"truth_samples": given.truth_samples, "truth_frames": given.truth_frames or list(every)}
     settings |= {"blender": bpy.app.version_string}
-    claim(given.output, {"scene": given.scene, "split": given.split, "frames": given.frames, "scenes": VERSION} | settings)
+    which = {"scene": given.scene, "split": given.split, "frames": given.frames, "path": given.path, "scenes": VERSION}
+    claim(given.output, which | settings)
     lines = [f"{t + 1},{x:.9g},{y:.9g},{z:.9g}" for t in range(given.frames) for x, y, z in [camera(described["shots"], t)[0]]]
     (given.output / "camera.csv").write_text("\n".join(["frame,x,y,z", *lines]) + "\n")
     with quiet():

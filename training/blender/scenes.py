@@ -10,10 +10,10 @@ import math
 import random
 from typing import Any
 
-from looks import CUTOUTS, PICTURES, lights, material, sky
+from looks import CELL, CUTOUTS, PICTURES, WOVEN, fine, lights, material, sky
 from paths import add, camera, distance
 
-VERSION = 4
+VERSION = 6
 """Raise it when the same seed no longer gives the same scene."""
 
 SPLITS = ("train", "validation", "test")
@@ -43,6 +43,7 @@ class Scene:
         self.clean = rng.random() < 0.6
         if self.clean:
             self.mood = "day"
+        self.woven = self.clean and rng.random() < 0.75
         self.fov = rng.uniform(0.7, 1.2)
         self.materials: list[Thing] = []
         self.objects: list[Thing] = []
@@ -78,11 +79,13 @@ class Scene:
         return shots
 
     def paint(self, texture: str | None = None, metal: float = 0.2) -> int:
-        """Add a material; returns its number."""
-        made = material(self.rng, texture or (self.rng.choice(CLEAN) if self.clean else None), metal)
+        """A new material; its number."""
+        made = material(self.rng, texture or (self.rng.choice(WOVEN if self.woven else CLEAN) if self.clean else None), metal)
         if self.clean:
             made |= {"bump": 0.0, "glow": 0.0, "gloss": False, "metallic": [0.0, 0.0]}
         made["scale"] *= 9 / self.away
+        if self.woven and texture is None and made["texture"] in CELL:
+            made["scale"] = fine(self.rng, made["texture"], self.focal / self.away)
         self.materials.append(made)
         return len(self.materials) - 1
 
@@ -151,10 +154,13 @@ def _furnish(scene: Scene) -> None:
     if scene.clean:
         plants //= 3
         _poles(scene)
+    shapes = SOLIDS
+    if scene.woven:
+        solids, shapes = solids + 8, (*SOLIDS, "monkey", "monkey", "torus", "letters")
     leaves = [scene.paint("leaves") for _ in range(2)]
     _grass(scene)
     _wires(scene)
-    for shape in [rng.choice(SOLIDS) for _ in range(solids)]:
+    for shape in [rng.choice(shapes) for _ in range(solids)]:
         size = [unit * rng.uniform(0.5, 2.2) for _ in range(3)]
         size = size if shape in ("cube", "cylinder") else [size[0]] * 3
         if spot := scene.spot(max(size) / 2, 5 * unit):
@@ -176,23 +182,23 @@ def _furnish(scene: Scene) -> None:
 
 
 def _grass(scene: Scene) -> None:
-    """Tufts of grass with blades about a pixel wide: many on a field, else some in every third scene."""
+    """Tufts of blades a pixel wide or less; on a field many, else in every third scene. Woven ones: meadows of blades up to three wide."""
     rng, unit = scene.rng, scene.away / 9
     paints = [scene.paint("plain", 0) for _ in range(3)]
     for paint in paints:
         bright = rng.uniform(0.15, 0.8)
         green = [bright * rng.uniform(0.2, 0.8), bright, bright * rng.uniform(0.05, 0.4)]
         scene.materials[paint] |= {"a": green, "b": green}
-    for _ in range(rng.randint(4, 10) if scene.layout == "field" or rng.random() < 0.33 else 0):
-        wide, tall = unit * rng.uniform(1, 4), unit * rng.uniform(0.2, 1)
-        if spot := scene.spot(wide / 3, 5 * unit):
+    for _ in range(rng.randint(4, 10) if scene.layout == "field" or rng.random() < (0.8 if scene.woven else 0.33) else 0):
+        wide, tall = unit * (rng.uniform(3, 10) if scene.woven else rng.uniform(1, 4)), unit * rng.uniform(0.2, 1)
+        if spot := scene.spot(0 if scene.woven else wide / 3, 5 * unit):
             scene.put("grass", (*spot, tall / 2), (wide, wide, tall), rng.choice(paints), (0, 0, rng.uniform(0, 6)))
 
 
 def _wires(scene: Scene) -> None:
     """Wires across the picture, in front of and behind the things there, in every second scene."""
     rng, unit = scene.rng, scene.away / 9
-    for _ in range(rng.choice((0, 0, 1, 2))):
+    for _ in range(rng.choice((1, 1, 2) if scene.woven else (0, 0, 1, 2))):
         angle, far, tall = rng.uniform(0, 2 * math.pi), rng.uniform(-4, 4) * unit, unit * rng.uniform(0.5, 3)
         at = (
             scene.centre[0] + far * math.cos(angle),
@@ -244,13 +250,25 @@ def _actors(scene: Scene) -> None:
             scene.put(shape, at, [size] * 3, scene.paint(texture), (0, 0, rng.uniform(0, 6)), _motion(scene))
 
 
-def describe(seed: int, split: str, frames: int) -> Thing:
+def _another_path(scene: Scene, path: int) -> None:
+    """Other shots of the same scene; of twenty draws the first whose camera runs into nothing."""
+    scene.rng = random.Random(f"stss blender {VERSION} {scene.split} {scene.seed} path {path}")
+    for _ in range(20):
+        scene.shots = scene._shots()
+        scene.walk = [camera(scene.shots, t)[0] for t in range(-1, scene.frames + 1)]
+        solid = (thing for thing in scene.objects if max(thing["size"]) < scene.away)
+        if all(scene.free(thing["at"], 0.5 * max(thing["size"]) - 0.1 * scene.away) for thing in solid):
+            return
+
+
+def describe(seed: int, split: str, frames: int, path: int = 0) -> Thing:
     """The scene of a seed.
 
     Args:
         seed: any number.
-        split: "train", "validation" or "test"; the same seed gives a different scene in each.
-        frames: number of frames.
+        split: "train", "validation" or "test": the same seed gives another scene in each.
+        frames: how many there will be.
+        path: another number is another way of the camera through the same scene.
 
     Returns:
         The description that `assemble.py` builds and `scene.json` stores: plain numbers, lists and words.
@@ -264,25 +282,18 @@ def describe(seed: int, split: str, frames: int) -> Thing:
     if scene.clean:
         lamps = [lamps[0] | {"soft": 0.0}]
         behind["lights"] = False
+    if path:
+        _another_path(scene, path)
     used = {scene.materials[thing["material"]]["texture"] for thing in scene.objects}
     contents = sorted({thing["shape"] for thing in scene.objects} | used)
     moves = [shot["move"] for shot in scene.shots] + ["shake"] * any(shot["shake"] for shot in scene.shots)
-    return {
+    told = ("seed", "split", "frames", "layout", "mood", "clean", "woven", "moving", "fov", "shots", "materials", "objects")
+    return {name: getattr(scene, name) for name in told} | {
         "version": VERSION,
-        "seed": seed,
-        "split": split,
-        "frames": frames,
-        "layout": scene.layout,
-        "mood": scene.mood,
-        "clean": scene.clean,
+        "path": path,
         "camera": moves,
         "cuts": [shot["first"] + 1 for shot in scene.shots[1:]],
         "contents": contents,
-        "moving": scene.moving,
-        "fov": scene.fov,
-        "shots": scene.shots,
         "sky": behind,
         "lights": lamps,
-        "materials": scene.materials,
-        "objects": scene.objects,
     }
