@@ -5,9 +5,12 @@
 //  color   in   (rows, columns, 4)          the frame that is upsampled, see decoder.clh; sizes are multiples of 8
 //  gbuffer in   (H, W, 9)
 //  mask    in   (H, W)                      1 = not a hole; H > rows - 8, W > columns - 8
-//  wanted  out  (rows / 4, columns / 4)     0 = plain: at no pixel of the tile of 4 x 4, or next to it, lies a hole, or do three pixels in a row or
+//  marked  out  (rows / 4, columns / 4)     0 = plain: at no pixel of the tile of 4 x 4, or next to it, lies a hole, or do three pixels in a row or
 //                                             column depart from a straight line by more than `flat` in the colour or SURFACE in the G-buffer; 1 = any other;
 //                                           near the frame's edge all are
+// Launch (columns / 4, rows / 4), or more.
+//
+// widened: `wanted`, the marked tiles and those next to them. In aliased frames a wire has gaps, and the network draws it there.
 // Launch (columns / 4, rows / 4), or more.
 //
 // departure: the change that leaving out the flat tiles would make, measured on an image that the whole network made.
@@ -27,7 +30,7 @@ typedef float8 float8_anywhere __attribute__((aligned(4)));
 typedef float16 float16_anywhere __attribute__((aligned(4)));
 
 #define SURFACE 0.1f  // an edge that the colour does not show: of what moved into an extrapolated frame, or lies within a hole's colour
-#define EDGE 3  // tiles of the frame: the zeros around the frame make features that look like an edge
+#define EDGE 2  // tiles of the frame, and one more by `widened`: the zeros around the frame make features that look like an edge
 #define REACH 1  // tiles around the two by two that a coarser one covers: two pixels, and one that lies between those upsampled from
 
 #define TILES(length) (((length) + 7) / 8 * 2)  // of a side of the frame, padded to a multiple of 8
@@ -61,7 +64,7 @@ static inline int has_edge(global const float *restrict gbuffer, const int width
 }
 
 kernel void detail(global const float *restrict gbuffer, global const float *restrict color, global const uchar *restrict mask,
-                   global uchar *restrict wanted, const int height, const int width, const float flat)
+                   global uchar *restrict marked, const int height, const int width, const float flat)
 {
     const int x = get_global_id(0), y = get_global_id(1), columns = TILES(width);
     if (x >= columns || y >= TILES(height)) return;
@@ -83,7 +86,14 @@ kernel void detail(global const float *restrict gbuffer, global const float *res
         const int4 four = eight.lo | eight.hi;
         found |= (four.x | four.y | four.z | four.w) != 0;
     }
-    wanted[y * columns + x] = found || has_edge(gbuffer, width, x, y);
+    marked[y * columns + x] = found || has_edge(gbuffer, width, x, y);
+}
+
+kernel void widened(global const uchar *restrict found, global uchar *restrict wanted, const int rows, const int columns)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= columns || y >= rows) return;
+    wanted[y * columns + x] = marked_tiles(found, columns, max(y - 1, 0), min(y + 1, rows - 1), max(x - 1, 0), min(x + 1, columns - 1));
 }
 
 kernel void coarser(global const uchar *restrict fine, global uchar *restrict out, const int rows, const int columns)

@@ -45,10 +45,13 @@ class FlatTiles:
         self._device, self._size = device, size
         self._tiles = [(ceil_div(inputs.input.height // d, 4), ceil_div(inputs.input.width // d, 4)) for d in DIVISORS]
         self._maps = [zeroed(device, map_bytes(4 * rows, 4 * columns)) for rows, columns in self._tiles]
-        self._apart = zeroed(device, 4 * self._tiles[0][0] * self._tiles[0][1])
+        marked, whole = zeroed(device, map_bytes(*(4 * n for n in self._tiles[0]))), self._tiles[0]
+        self._apart = zeroed(device, 4 * whole[0] * whole[1])
         frame = {"height": size[0], "width": size[1]}
-        given = {"gbuffer": inputs.base, "color": inputs.base, "mask": mask, "wanted": self._maps[0]}  # the first until ``read``
-        self._detail = self._launch("detail", self._tiles[0], {**given, **frame, "flat": flat})
+        given = {"gbuffer": inputs.base, "color": inputs.base, "mask": mask, "marked": marked}  # the first until ``read``
+        self._detail = self._launch("detail", whole, {**given, **frame, "flat": flat})
+        given = {"found": marked, "wanted": self._maps[0], "rows": whole[0], "columns": whole[1]}
+        self._widened = self._launch("widened", whole, given)
         self._coarser = [
             self._launch("coarser", size, {"fine": fine, "out": out, "rows": size[0], "columns": size[1]})
             for fine, out, size in zip(self._maps, self._maps[1:], self._tiles, strict=False)
@@ -66,7 +69,7 @@ class FlatTiles:
     def ready(self, image: cl.Buffer) -> list[Launch]:
         """Enqueue the search for wanted tiles. Returns the layers in order, and a last launch that writes the rest of ``image``."""
         self._counts.clear()
-        for launch in (self._detail, *self._coarser, *self._finders):
+        for launch in (self._detail, self._widened, *self._coarser, *self._finders):
             launch.enqueue(self._device.queue)
         self._layers[-1].set(image=image)
         self._rest.set(image=image)
@@ -75,7 +78,7 @@ class FlatTiles:
     def departure(self, image: cl.Buffer) -> float:
         """Largest difference of ``image``, made by the whole network, from the image without flat tiles; waits for it."""
         self._departure.set(image=image)
-        for launch in (self._detail, self._departure):
+        for launch in (self._detail, self._widened, self._departure):
             launch.enqueue(self._device.queue)
         apart = np.empty(self._tiles[0], np.float32)
         cl.enqueue_copy(self._device.queue, apart, self._apart)

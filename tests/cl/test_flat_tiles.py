@@ -59,6 +59,7 @@ def expected(color: np.ndarray, gbuffer: np.ndarray, mask: np.ndarray) -> np.nda
     """Which tiles are no flat ones, by SciPy."""
     hole = np.pad(mask == 0, [(0, p - s) for p, s in zip(PADDED, SIZE, strict=True)])
     found = tiles(ndimage.maximum_filter(bent(color[..., :3], FLAT) | bent(gbuffer, SURFACE) | hole, 3))
+    found = ndimage.maximum_filter(found, 3)
     y, x = np.indices(found.shape)
     inner = (y >= EDGE) & (x >= EDGE) & (4 * (y + EDGE) < SIZE[0]) & (4 * (x + EDGE) < SIZE[1])
     return found | ~inner

@@ -36,7 +36,7 @@ STREAM = {
     *(NETWORK - {"pack_input", "pack_history"}), "finite", "differ", "differ_color", "fill_holes", "tile_list",
     *(f"{name}8" for name in FRAME),
 }  # fmt: skip
-FLAT = {"detail", "coarser", "departure", "tile_list", "upsampled"}
+FLAT = {"detail", "widened", "coarser", "departure", "tile_list", "upsampled"}
 KERNELS = {
     "network float32": NETWORK | {"winograd"},
     "network float32-direct": NETWORK | {"image"},

@@ -318,7 +318,8 @@ def test_every_stage_is_the_references(device, eighths, seed):
 def test_layers_that_read_a_history_nobody_asks_for_are_left_out(device, keep):
     weights = random_weights(3)
     empty = {n: np.zeros_like(w) for n, w in weights.items() if n.startswith("lowlevelGated.") and n.endswith(".weight")}
-    for tensors_of, want in ((weights, 28), ({**weights, **empty}, 1)):
+    # On GPUs the three images of a layer go in one launch.
+    for tensors_of, want in ((weights, 28 if device.is_cpu else 10), ({**weights, **empty}, 1)):
         layers = Layers(device, tensors_of, 16, 24, "float32", keep=keep)
         assert sum(launch.stage == "history" for launch in layers.launches) == want
         assert layers.reads_history == (want > 1)
