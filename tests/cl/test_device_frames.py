@@ -116,7 +116,10 @@ def test_what_is_not_finite_is_named_and_leaves_nothing(device, skip, there):
 
 
 class Waits:
-    """Notes every call that waits for the device, and which of them brought the image."""
+    """Notes every call that waits for the device, and which of them brought the image.
+
+    Not the mapping of new page-locked memory: a frame needs one more piece when copies of the last are still on their way.
+    """
 
     def __init__(self, monkeypatch, image_bytes):
         self.before_the_image, self._bytes, self._seen = [], image_bytes, False
@@ -135,7 +138,7 @@ class Waits:
 
         monkeypatch.setattr(cl, "enqueue_copy", copied)
         monkeypatch.setattr(cl, "Buffer", Noted)
-        for home, name in ((cl, "wait_for_events"), (cl, "enqueue_map_buffer"), (cl.CommandQueue, "finish"), (cl.Event, "wait")):
+        for home, name in ((cl, "wait_for_events"), (cl.CommandQueue, "finish"), (cl.Event, "wait")):
             monkeypatch.setattr(home, name, self._noting(name, getattr(home, name)))
 
     def _noting(self, name, call):
@@ -160,7 +163,6 @@ def test_nobody_waits_before_the_image(monkeypatch, skip, looking, waits):
     windows = [(window_at(frames, i), plan(window_at(frames, i)).steps) for i in range(len(frames))]
     for window, steps in windows[:-1]:
         stream(window, steps)
-    device.queue.finish()  # while a copy runs, the next one takes new page-locked memory
     noted = Waits(monkeypatch, 48 * SIZE[0] * SIZE[1])
     image, _ = stream(*windows[-1])
     monkeypatch.undo()
