@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from itertools import islice
 from typing import TypeVar
 
@@ -31,7 +31,8 @@ def overlap(
     The first item has the processor to itself until it is computed: the user waits to see it.
 
     Each step takes the items in order. An error is raised when its item's turn comes, after the items before it are done, just as
-    if items were worked on one at a time. No thread is left when this returns or raises.
+    if items were worked on one at a time; after an item that cannot be written no other is. No thread is left when this returns or
+    raises.
 
     Args:
         items: what to work on.
@@ -45,6 +46,17 @@ def overlap(
     todo = iter(items)
     reading: deque[Future[Read]] = deque()
     writing: deque[Future[Written]] = deque()
+    failed = False
+
+    def write_in_turn(computed: Computed) -> Written:
+        nonlocal failed
+        if failed:
+            raise CancelledError  # nobody asks: the error before it ends the work
+        try:
+            return write(computed)
+        except BaseException:
+            failed = True
+            raise
 
     def finish(most: int) -> None:
         while len(writing) > most or (writing and writing[0].done()):
@@ -58,7 +70,7 @@ def overlap(
         while reading:
             ready = reading.popleft().result()
             finish(AHEAD - 1)
-            writing.append(writer.submit(write, compute(ready)))
+            writing.append(writer.submit(write_in_turn, compute(ready)))
             reading.extend(reader.submit(read, item) for item in islice(todo, AHEAD + 1 - len(reading)))
     finally:
         try:

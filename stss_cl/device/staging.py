@@ -26,6 +26,8 @@ class Staging:
     def __init__(self, device: Device):
         # Not the context itself: ``_made`` forgets what no context but this holds.
         self._queue, self._pool = device.queue, device.pool
+        # A queue in order waits for all that is in it before it maps: new memory is mapped in one that is empty.
+        self._mapping = cl.CommandQueue(device.context)
         self._free: dict[int, list[NDArray[np.uint8]]] = {}
         self._copying: deque[tuple[Any, NDArray[np.uint8]]] = deque()
 
@@ -61,7 +63,7 @@ class Staging:
         buffer = cl.Buffer(self._queue.context, FLAGS.READ_WRITE | FLAGS.ALLOC_HOST_PTR, size)
         how: Any = cl.map_flags.READ | cl.map_flags.WRITE
         bytes_: Any = np.uint8
-        return cl.enqueue_map_buffer(self._queue, buffer, how, 0, (size,), bytes_)[0]
+        return cl.enqueue_map_buffer(self._mapping, buffer, how, 0, (size,), bytes_)[0]
 
     def _give_back(self, locked: NDArray[np.uint8]) -> None:
         free = self._free[locked.nbytes]

@@ -91,6 +91,15 @@ def test_neighbours_are_read_and_written_while_one_is_computed():
     overlap(range(6), read, compute, write, lambda item: None)
 
 
+def test_after_an_item_that_cannot_be_written_no_other_is():
+    """Those that were computed meanwhile wait in the writer's line; a frame's mask would be written, and its image not."""
+    steps = Steps({("write", 1): OSError("full")})
+    with pytest.raises(OSError, match="full"):
+        steps.run(6, write=0.05)
+    assert steps.items("write") == [0, 1]
+    assert steps.items("compute")[-1] > 1
+
+
 @pytest.mark.parametrize("slow", ["read", "compute", "write", "done"])
 def test_the_look_ahead_is_bounded(slow):
     steps = Steps()
