@@ -42,7 +42,7 @@ class Settings:
     """Options that change the numbers of a run, besides the data; a resumed run may have more steps. ``young``: see `infancy`.
 
     ``squares``: the share of the squared error in the loss that stays after it. ``history``: whether the history is used.
-    ``structure``: the perceptual distance is so many times 1 - SSIM.
+    ``structure``: the perceptual distance is so many times 1 - SSIM. ``extrapolated``: the share of EFs in the squared error.
     """
 
     crop: int
@@ -55,6 +55,7 @@ class Settings:
     squares: float = 0.0
     history: bool = True
     structure: float = STRUCTURE
+    extrapolated: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -122,8 +123,11 @@ def advance(
     young: float = 0.0,
     squares: float = 0.0,
     similar: float = STRUCTURE,
+    extrapolated: float = 0.5,
 ) -> Tensor:
     """One step; ``young`` is the share of what only helps a beginner, see `infancy`, ``similar`` what 1 - SSIM is multiplied by.
+
+    ``extrapolated``: see `training.loss.squared`.
 
     Returns the loss, on the device.
     """
@@ -139,7 +143,7 @@ def advance(
     squares = max(young, squares)
     value = (1 - squares) * loss(output, truth, mask, similar * structure(output, truth))
     if squares:
-        value = value + squares * squared(output, truth)
+        value = value + squares * squared(output, truth, extrapolated)
     if young:
         value = value + young * supervision([p.float() for p in pictures], truth)
     value.backward()
@@ -199,7 +203,12 @@ def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan
     for step, batch in batches.between(state.step, plan.steps):
         rate = rate_at(step, plan.steps, settings)
         young = infancy(step, plan.steps) if settings.young else 0.0
-        shares = {"young": young, "squares": settings.squares, "similar": settings.structure}
+        shares = {
+            "young": young,
+            "squares": settings.squares,
+            "similar": settings.structure,
+            "extrapolated": settings.extrapolated,
+        }
         total += advance(state, tensors(batch, device), rate, half=settings.half, **shares)
         count += 1
         if state.step % plan.log == 0:
@@ -230,6 +239,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--initial", help="safetensors file to start from; default: bilinear and a random rest")
     parser.add_argument("--squares", type=float, default=0.0, help="share of the squared error in the loss, for PSNR's sake")
     parser.add_argument("--structure", type=float, default=STRUCTURE, help="the perceptual distance is so many times 1 - SSIM")
+    parser.add_argument("--extrapolated", type=float, default=0.5, help="share of EFs in the squared error")
     parser.add_argument("--no-history", dest="history", action="store_false", help="weights that do not read the history")
     parser.add_argument("--validate", type=int, default=1000, metavar="STEPS")
     parser.add_argument("--log", type=int, default=100, metavar="STEPS")
@@ -254,6 +264,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         squares=chosen.squares,
         history=chosen.history,
         structure=chosen.structure,
+        extrapolated=chosen.extrapolated,
     )
     state = start(settings, device, chosen.initial)
     path = chosen.out / "state.safetensors"

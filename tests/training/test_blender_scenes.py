@@ -78,7 +78,7 @@ def test_the_light_of_a_clean_scene_needs_one_sample(many):
 
 
 def test_patterns_of_a_woven_scene_are_near_the_pixels_size(blender, many):
-    """Seen from where the first camera stands, a cell in the middle is 1 to 9 pixels wide, and there are many such surfaces."""
+    """Seen from where the first camera stands, a cell in the middle is 0.7 to 6 pixels wide, and there are many such surfaces."""
     scenes, looks = blender["scenes"], blender["looks"]
     woven = [scene for scene in many if scene["woven"]]
     assert all(scene["clean"] for scene in woven)

@@ -142,6 +142,10 @@ def test_the_aids_of_the_first_half():
     truth = torch.rand(2, 3, 32, 48)
     assert squared(truth, truth) == 0
     assert squared(truth + 0.5, truth) > 3.9 * squared(truth + 0.25, truth) > 0
+    wrong, nothing = torch.zeros(2, 3, 32, 48), torch.zeros(2, 3, 32, 48)
+    wrong[1::2] = 0.5  # in EFs alone
+    assert squared(wrong, nothing, 0.75) == 1.5 * squared(wrong, nothing) > 0
+    assert squared(nothing + 0.5, nothing, 0.75) == squared(nothing + 0.5, nothing)
     assert [infancy(step, 100) for step in (0, 25, 50, 99)] == [1, 0.5, 0, 0]
 
     network, heads, batch = Network(), Heads(), tensors(inputs(3))

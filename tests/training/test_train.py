@@ -48,16 +48,28 @@ def test_a_resumed_run_is_the_same_run(data, tmp_path, monkeypatch):
 
 
 def test_options_reach_the_run(data, tmp_path):
-    """``--no-history``: weights that say so; ``--squares``, ``--structure``: another loss, and so other weights."""
+    """``--no-history``: weights that say so; ``--squares``, ``--structure``, ``--extrapolated``: another loss, and so other weights."""
     run(data, tmp_path / "a", 4)
     run(data, tmp_path / "b", 4, "--no-history")
     run(data, tmp_path / "c", 4, "--squares", "0.9", "--initial", str(tmp_path / "a" / "weights.safetensors"))
     run(data, tmp_path / "d", 4, "--initial", str(tmp_path / "a" / "weights.safetensors"))
     run(data, tmp_path / "e", 4, "--structure", "90", "--initial", str(tmp_path / "a" / "weights.safetensors"))
-    made = {name: load(tmp_path / name / "weights.safetensors").weights for name in "abcde"}
+    run(
+        data,
+        tmp_path / "f",
+        4,
+        "--squares",
+        "0.9",
+        "--extrapolated",
+        "0.7",
+        "--initial",
+        str(tmp_path / "a" / "weights.safetensors"),
+    )
+    made = {name: load(tmp_path / name / "weights.safetensors").weights for name in "abcdef"}
     assert [name for name, weights in made.items() if not reads_history(weights)] == ["b"]
     assert (made["c"]["outc.weight"] != made["d"]["outc.weight"]).any()
     assert (made["e"]["outc.weight"] != made["d"]["outc.weight"]).any()
+    assert (made["f"]["outc.weight"] != made["c"]["outc.weight"]).any()
 
 
 def killed_after(step):

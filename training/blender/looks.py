@@ -16,7 +16,7 @@ WOVEN = ("checker", "checker", "checker", "wave", "wave", "voronoi", "noise", "b
 """Textures of the clean scenes whose surfaces are all pattern, with cells near the pixel's size."""
 CELL = {"checker": 1.0, "wave": 0.3, "voronoi": 1.0, "noise": 2.0, "brick": 0.5}
 """Metres of a cell, or of a period, at scale 1."""
-CELLS = 1.2, 9.0
+CELLS = 0.7, 6.0
 """The smallest and the largest cell in pixels at the middle of a woven scene."""
 
 
@@ -56,9 +56,15 @@ def material(rng: random.Random, texture: str | None = None, metal: float = 0.2)
     return made
 
 
-def fine(rng: random.Random, texture: str, pixels: float) -> float:
-    """A scale at which the cells of a texture are as wide as `CELLS` says, for so many ``pixels`` a metre."""
-    return CELL[texture] * pixels / math.exp(rng.uniform(*(math.log(cell) for cell in CELLS)))
+def woven(rng: random.Random, texture: str, first: list[float], pixels: float) -> dict[str, Any]:
+    """What is different in woven scenes: cells of `CELLS`, for so many ``pixels`` a metre; half of the patterns in shades of one colour."""
+    made: dict[str, Any] = {}
+    if texture in CELL:
+        made["scale"] = CELL[texture] * pixels / math.exp(rng.uniform(*(math.log(cell) for cell in CELLS)))
+    if rng.random() < 0.5:
+        shade = rng.uniform(0.35, 0.85)
+        made["b"] = [shade * channel for channel in first]
+    return made
 
 
 def sky(rng: random.Random, mood: str) -> dict[str, Any]:

@@ -10,10 +10,10 @@ import math
 import random
 from typing import Any
 
-from looks import CELL, CUTOUTS, PICTURES, WOVEN, fine, lights, material, sky
+from looks import CUTOUTS, PICTURES, WOVEN, lights, material, sky, woven
 from paths import add, camera, distance
 
-VERSION = 6
+VERSION = 7
 """Raise it when the same seed no longer gives the same scene."""
 
 SPLITS = ("train", "validation", "test")
@@ -84,8 +84,8 @@ class Scene:
         if self.clean:
             made |= {"bump": 0.0, "glow": 0.0, "gloss": False, "metallic": [0.0, 0.0]}
         made["scale"] *= 9 / self.away
-        if self.woven and texture is None and made["texture"] in CELL:
-            made["scale"] = fine(self.rng, made["texture"], self.focal / self.away)
+        if self.woven and texture is None:
+            made |= woven(self.rng, made["texture"], made["a"], self.focal / self.away)
         self.materials.append(made)
         return len(self.materials) - 1
 
