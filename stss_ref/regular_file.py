@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import stat
 from pathlib import Path
+from typing import Any
 
 _KINDS = {
     stat.S_IFDIR: "a folder",
@@ -40,6 +42,25 @@ def read_regular(path: Path, most: int) -> bytes:
         limit = f"{most >> 20} MiB" if most >= 1 << 20 else f"{most >> 10} KiB"
         raise OSError(errno.EFBIG, f"expected at most {limit}, found more", str(path))
     return data
+
+
+def read_json(path: Path, most: int) -> Any:
+    """Read a regular file of JSON, which anybody may have written.
+
+    Args:
+        path: the file; links are followed.
+        most: the largest size allowed; bytes, a multiple of 1024.
+
+    Returns:
+        What it holds.
+
+    Raises:
+        OSError: as `read_regular`, or it holds no JSON; ``strerror`` says which.
+    """
+    try:
+        return json.loads(read_regular(path, most))
+    except (ValueError, RecursionError) as error:  # not text, not JSON, a number of too many digits, nested too deep
+        raise OSError(errno.EINVAL, f"expected JSON: {' '.join(str(error).split())[:200]}", str(path)) from error
 
 
 def require_regular(path: Path) -> int:

@@ -17,7 +17,7 @@ from stss.conform.report import by_stage, worst_of
 from stss.conform.versions import versions_of_cases
 from stss.errors import InputError
 from stss.output.write_whole import write_named
-from stss_ref.regular_file import read_regular
+from stss_ref.regular_file import read_json
 
 FORMAT = 1
 """Version of the certificate; raised when a field changes its meaning."""
@@ -106,11 +106,9 @@ def read_certificate(path: Path) -> dict[str, Any]:
         InputError: the file cannot be read, or is no certificate.
     """
     try:
-        found = json.loads(read_regular(path, MOST_BYTES))
+        found = read_json(path, MOST_BYTES)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: expected JSON: {' '.join(str(error).split())[:200]}") from error
     try:
         well_formed = (
             found["format"] == FORMAT

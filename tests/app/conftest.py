@@ -1,9 +1,10 @@
-"""A small sequence on disk, in the project's own layout."""
+"""A small sequence on disk, in the project's own layout; a browser where there is one."""
 
 import numpy as np
 import pytest
 
 from stss.images.read_write import write_channels
+from tests.app import browser as browsers
 
 VELOCITY = (1.5, 0.75)
 """Pixels a frame, right and down."""
@@ -62,3 +63,12 @@ def write_raw(path, channels, half=()):
         write_channels(path, channels, half=half)
     finally:
         encode.require_finite = finite
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A headless browser; tests that want one are skipped where none is installed."""
+    if browsers.found() is None:
+        pytest.skip(f"no browser: none of {', '.join(browsers.NAMES)} is installed")
+    with browsers.browser() as found:
+        yield found

@@ -7,16 +7,7 @@ import pytest
 from conformance.findings import Record, TestResult
 from stss.conform.report import write_page
 from stss.images.read_write import write_rgb
-from tests.app import browser as browsers
 from tests.app.test_pages import HOSTILE, pictures
-
-
-@pytest.fixture(scope="module")
-def browser():
-    if browsers.found() is None:
-        pytest.skip(f"no browser: none of {', '.join(browsers.NAMES)} is installed")
-    with browsers.browser() as found:
-        yield found
 
 
 @pytest.mark.parametrize("width", [390, 1280])

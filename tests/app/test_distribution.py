@@ -5,13 +5,12 @@ import re
 import subprocess
 import sys
 import zipfile
-from pathlib import Path
 
 import pytest
 
 from stss.version import DISTRIBUTION, VERSION
+from tests.app.wheels import ROOT, build_wheel, unpack_wheel
 
-ROOT = Path(__file__).parents[2]
 DATA = (
     *(f"stss_cl/kernels/{path.name}" for path in (ROOT / "kernels").iterdir()),
     *(f"stss/sequence/profile_tables/{path.name}" for path in (ROOT / "stss/sequence/profile_tables").iterdir()),
@@ -25,19 +24,13 @@ DATA = (
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    pytest.importorskip("hatchling", reason="hatchling is not installed: make test installs it")
-    folder = tmp_path_factory.mktemp("wheel")
-    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
-    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
-    return next(folder.glob("*.whl"))
+    return build_wheel(".", tmp_path_factory.mktemp("wheel"))
 
 
 @pytest.fixture(scope="module")
 def site(wheel, tmp_path_factory):
     """A folder in which the wheel is installed."""
-    folder = tmp_path_factory.mktemp("site")
-    zipfile.ZipFile(wheel).extractall(folder)
-    return folder
+    return unpack_wheel(wheel, tmp_path_factory.mktemp("site"))
 
 
 def run(site, code, path=""):

@@ -6,7 +6,6 @@ import re
 import subprocess
 import sys
 import zipfile
-from pathlib import Path
 
 import pytest
 
@@ -16,8 +15,8 @@ from stss.conform.certificate import certificate
 from stss.conform.own_ports import ReferencePort
 from stss.images.read_write import read_rgb
 from stss.version import VERSION
+from tests.app.wheels import ROOT, build_wheel, unpack_wheel
 
-ROOT = Path(__file__).parents[2]
 ABSENT = ("pyopencl", "cv2", "OpenImageIO", "colour", "scipy", "torch", "matplotlib", "onnx", "distributed")
 START = """
 import site, sys
@@ -46,18 +45,12 @@ class Wrong(Port):
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    pytest.importorskip("hatchling", reason="hatchling is not installed: make test installs it")
-    folder = tmp_path_factory.mktemp("wheel")
-    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
-    subprocess.run(command, cwd=ROOT / "packaging" / "judge", check=True, capture_output=True)
-    return next(folder.glob("*.whl"))
+    return build_wheel("packaging/judge", tmp_path_factory.mktemp("wheel"))
 
 
 @pytest.fixture(scope="module")
 def installed(wheel, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("site")
-    zipfile.ZipFile(wheel).extractall(folder)
-    return folder
+    return unpack_wheel(wheel, tmp_path_factory.mktemp("site"))
 
 
 @pytest.fixture

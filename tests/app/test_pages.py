@@ -15,7 +15,6 @@ from stss.images.read_write import read_rgb, write_mask, write_rgb
 from stss.pages.page import asset, page, table
 from stss.pages.plot import PlotLine, plot
 from stss.pages.viewer import Pane, ShownFrame, Viewer, require_page, write_viewer
-from tests.app import browser as browsers
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>&\"'`${1}\u202e\n\x1b"
 SIZE = (24, 40)
@@ -189,14 +188,6 @@ def test_a_page_forbids_what_is_not_its_own():
 
 
 # What follows needs a browser: Debian's chromium, or Chrome.
-
-
-@pytest.fixture(scope="module")
-def browser():
-    if browsers.found() is None:
-        pytest.skip(f"no browser: none of {', '.join(browsers.NAMES)} is installed")
-    with browsers.browser() as found:
-        yield found
 
 
 @pytest.fixture(scope="module")
