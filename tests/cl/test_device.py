@@ -61,6 +61,14 @@ def run_three(device):
     assert (out == 3).all()
 
 
+def test_a_compilers_warnings_do_not_reach_the_terminal(kernels, device, capfd, monkeypatch):
+    """PoCL's compiler counts them there itself; they show where ``PYOPENCL_COMPILER_OUTPUT`` asks for them."""
+    monkeypatch.delenv("PYOPENCL_COMPILER_OUTPUT", raising=False)
+    (kernels / "demo.cl").write_text("#warning of no interest\n" + DEMO)
+    run_three(device)
+    assert capfd.readouterr() == ("", "")
+
+
 def test_programs_go_with_their_device(kernels):
     """A process that opens a device for each film grew by all that PyOpenCL and the driver know of its programs."""
     try:
