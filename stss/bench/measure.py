@@ -19,9 +19,10 @@ from typing import Any
 
 import numpy as np
 
+from stss.bench.contender import Setup
 from stss.bench.noise import Noise, processor_time
 from stss.bench.ours import FRAMES, OURS, contender, inputs_for, truth
-from stss.bench.peers import PEERS, Setup
+from stss.bench.peers import PEERS
 from stss.errors import InputError
 from stss_ref.arrays import Image
 

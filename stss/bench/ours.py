@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from stss.bench.peers import PEERS, Contender, Setup
+from stss.bench.contender import Contender, Setup
+from stss.bench.peers import PEERS
 from stss.machine import versions
 from stss.optional import installed
 from stss_ref.arrays import Image

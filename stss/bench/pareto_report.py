@@ -16,9 +16,9 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from stss.bench.contender import Setup
 from stss.bench.measure import Timing, bench
 from stss.bench.pareto import CANONICAL, JUDGED, WARM, Point, frontier, measure
-from stss.bench.peers import Setup
 from stss.bench.report import PACKAGES
 from stss.errors import InputError
 from stss.frames.compute_options import ComputeOptions

@@ -1,113 +1,22 @@
 # SPDX-License-Identifier: MIT
-"""Peers: the network by other engines, as contenders in the benchmark.
-
-A contender is made for one size and has three steps: ``prepare`` brings the inputs into its layout, ``run`` computes and is timed,
-``image`` brings the result back. Calling a peer with arrays does all three.
-"""
+"""Peers: the network by other engines, as contenders in the benchmark."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from stss.bench import onnx_export
+from stss.bench.contender import Peer, Setup
+from stss.bench.ncnn_peer import Ncnn
 from stss.bench.torch_network import TorchNetwork
 from stss.errors import InputError
 from stss.machine import versions
 from stss.optional import require
-from stss_ref.arrays import Array, Image, Plane
-from stss_ref.frame import NetworkInputs
-from stss_ref.resample import pad_to_8
-from stss_ref.weights import Weights
-
-
-@dataclass(frozen=True)
-class Setup:
-    """What a contender is made for: weights, size, device and threads.
-
-    Attributes:
-        weights: the 92 tensors.
-        height, width: H, W of the inputs; any size, pixels.
-        device: part of the name of the OpenCL device, for contenders that use one; None: the default.
-        threads: most threads of a contender on the CPU, where the engine lets us set them.
-    """
-
-    weights: Weights
-    height: int
-    width: int
-    device: str | None
-    threads: int
-
-
-class Contender(Protocol):
-    """One way of computing the network or whole frames, which the benchmark times.
-
-    Attributes:
-        details: facts that the numbers depend on: package, precision, layout.
-    """
-
-    details: dict[str, str]
-
-    def prepare(self, inputs: Any) -> None:
-        """Take inputs (H, W, C) float32: ``NetworkInputs``, or ``FrameInputs`` if the contender computes whole frames."""
-
-    def run(self) -> None:
-        """Compute the image of the prepared inputs; returns when it is complete."""
-
-    def image(self) -> Image:
-        """The result of the last ``run``, (2H, 2W, 3) float32."""
-        ...
-
-
-class Peer(ABC):
-    """The network by another engine: a `Contender` that takes channels first, padded to multiples of 8."""
-
-    details: dict[str, str]
-
-    def __init__(self, setup: Setup):
-        self.setup = setup
-
-    def __call__(self, color: Image, gbuffer: Image, mask: Plane, history: Array) -> Image:
-        """Stage ``network`` on arrays with channels last, like ``stss_ref.network.network``."""
-        self.prepare(NetworkInputs(color, gbuffer, mask, history))
-        self.run()
-        return self.image()
-
-    def prepare(self, inputs: NetworkInputs) -> None:
-        """See `Contender`."""
-        mask = inputs.mask[..., None]
-        self._bind({
-            "color": _channels_first(inputs.color[None]),
-            "gbuffer": _channels_first(inputs.gbuffer[None]),
-            "mask": _channels_first(mask[None]),
-            "history": _channels_first(inputs.history),
-        })  # fmt: skip
-
-    @abstractmethod
-    def _bind(self, inputs: dict[str, Array]) -> None:
-        """Take padded inputs (N, C, H, W)."""
-
-    @abstractmethod
-    def run(self) -> None:
-        """See `Contender`."""
-
-    def image(self) -> Image:
-        """See `Contender`."""
-        image = np.moveaxis(self._result()[0], 0, -1)
-        return np.ascontiguousarray(image[: 2 * self.setup.height, : 2 * self.setup.width], np.float32)
-
-    @abstractmethod
-    def _result(self) -> Array:
-        """The image of the padded inputs, (1, 3, 2H8, 2W8); H8, W8 = H, W rounded up to multiples of 8."""
-
-
-def _channels_first(x: Array) -> Array:
-    return np.ascontiguousarray(np.moveaxis(pad_to_8(x), -1, -3))
+from stss_ref.arrays import Array
 
 
 class PyTorch(Peer):
@@ -261,6 +170,7 @@ PEERS: dict[str, Callable[[Setup], Peer]] = {
     "onnxruntime": OnnxRuntime,
     "openvino": partial(OpenVino, float32=True),
     "openvino-default": partial(OpenVino, float32=False),
+    "ncnn": Ncnn,
     "pytorch-cuda": partial(PyTorch, tuned=True, cuda=True, half=True),
     "pytorch-cuda-compiled": partial(PyTorch, tuned=True, cuda=True, half=True, compiled=True),
     "pytorch-cuda-float32": partial(PyTorch, tuned=True, cuda=True),

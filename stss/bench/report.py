@@ -22,7 +22,7 @@ from stss.version import VERSION
 
 FORMAT = 2
 """Version of the JSON; raised when a field changes its meaning."""
-PACKAGES = ("numpy", "pyopencl", "pocl-binary-distribution", "torch", "onnx", "onnxruntime", "openvino")
+PACKAGES = ("numpy", "pyopencl", "pocl-binary-distribution", "torch", "onnx", "onnxruntime", "openvino", "ncnn", "pnnx")
 
 
 def print_results(results: Sequence[SizeResult], console: Console) -> None:

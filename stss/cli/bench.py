@@ -76,9 +76,9 @@ def bench_command(
 ) -> None:
     """Time the network on our backends and on other engines, and measure the errors of all against the float64 reference."""
     from stss.bench import report as bench_report
+    from stss.bench.contender import Setup
     from stss.bench.measure import bench as run_bench
     from stss.bench.ours import default_ours
-    from stss.bench.peers import Setup
     from stss.machine import available_threads
     from stss_ref.weights import random as random_weights
 

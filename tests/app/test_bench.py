@@ -12,10 +12,11 @@ from rich.console import Console
 
 from stss.bench import measure
 from stss.bench import report as bench_report
+from stss.bench.contender import Setup
 from stss.bench.measure import SUMMARY, SizeResult, Timing, bench
 from stss.bench.noise import Noise, processor_time
 from stss.bench.ours import FRAMES, OURS, default_ours, frame_inputs, inputs_for, truth
-from stss.bench.peers import PEERS, Setup
+from stss.bench.peers import PEERS
 from stss.errors import InputError
 from stss.optional import require
 from stss_ref.frame import FrameInputs, prepare

@@ -5,15 +5,16 @@ import pytest
 
 from conformance.tolerance import ratio
 from stss.bench import onnx_export
+from stss.bench.contender import Setup
 from stss.bench.ours import network_inputs
-from stss.bench.peers import OnnxRuntime, OpenVino, PyTorch, Setup
+from stss.bench.peers import PEERS, OnnxRuntime, OpenVino, PyTorch
 from stss.errors import InputError
 from stss_ref.network import network
 from stss_ref.weights import astype
 from stss_ref.weights import random as random_weights
 
 WEIGHTS = random_weights(5)
-NEEDS = {"onnxruntime": OnnxRuntime, "openvino": OpenVino}
+ENGINES = {"onnxruntime": OnnxRuntime, "openvino": OpenVino}
 
 
 def truth(inputs):
@@ -70,9 +71,16 @@ def test_a_file_is_whole_or_not_there(tmp_path):
 def test_engines_compute_the_network_with_it(engine, size):
     need("onnx", engine)
     options = {"float32": True} if engine == "openvino" else {}
-    peer = NEEDS[engine](Setup(WEIGHTS, *size, device=None, threads=1), **options)
+    peer = ENGINES[engine](Setup(WEIGHTS, *size, device=None, threads=1), **options)
     inputs = network_inputs(*size)
     assert ratio("network.peer", peer(**vars(inputs)), truth(inputs)) <= 1
+
+
+@pytest.mark.parametrize("size", [(8, 8), (16, 40), (13, 21)])
+def test_ncnn_computes_the_network_image_by_image(size):
+    need("torch", "pnnx", "ncnn")
+    inputs = network_inputs(*size)
+    assert ratio("network.peer", PEERS["ncnn"](Setup(WEIGHTS, *size, device=None, threads=1))(**vars(inputs)), truth(inputs)) <= 1
 
 
 @pytest.mark.parametrize("size", [(8, 8), (16, 40), (13, 21)])
