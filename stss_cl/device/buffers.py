@@ -191,12 +191,12 @@ def write(device: Device, to: Padded, array: Array, first: int = 0) -> None:
     cl.enqueue_copy(device.queue, to.data, host)
 
 
-def read(device: Device, source: Padded, first: int = 0, channels: int | None = None) -> Array:
-    """Copy out (height, width, channels) float32."""
+def read(device: Device, source: Padded, first: int = 0, channels: int | None = None, image: int = 0) -> Array:
+    """Copy one image out: (height, width, channels) float32."""
     host = np.empty((source.images, source.rows, source.columns, source.channels), source.dtype)
     cl.enqueue_copy(device.queue, host, source.data)  # the slack stays behind
     last = source.channels if channels is None else first + channels
-    return np.ascontiguousarray(host[0][(*source.inside, slice(first, last))], np.float32)
+    return np.ascontiguousarray(host[image][(*source.inside, slice(first, last))], np.float32)
 
 
 def constant(device: Device, array: NDArray[Any]) -> cl.Buffer:

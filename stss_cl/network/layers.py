@@ -90,9 +90,8 @@ class Layers:
         self.launches, self.marked, self.maps = self._build.launches, self._build.marked, self._build.maps
         self.strips = strips(full, height, rows, overlap)
         self._full, self._top = full, 0
-        self._placed: list[
-            tuple[LayerLaunch, int]
-        ] = []  # those that must know where a strip lies, with the divisor of their size
+        # Those that must know where a strip lies, with the divisor of their size.
+        self._placed: list[tuple[LayerLaunch, int]] = []
         self.inputs = inputs_for(device, rows, columns, dtype, self.keep)
         self._build.share("two", 1, self.inputs.input)  # done with after the first layer
         self.features: dict[str, Padded] = {}
@@ -141,8 +140,11 @@ class Layers:
 
         def see(launch: LayerLaunch, result: tuple[Padded, int, int] | None) -> None:
             if result is not None:
-                found.setdefault(launch.name, []).append(read(self.device, *result))
-            elif launch.name == "attend" and stage == "network":
+                out, first, n = result
+                for i in range(launch.tiling.images):  # each an image of the output, or channels behind the one before it
+                    place = (0, n, i) if out.images > 1 else (first + n * i, n, 0)
+                    found.setdefault(launch.name, []).append(read(self.device, out, *place))
+            elif launch.name in ("attend", "attend_local") and stage == "network":
                 found["reshaded"] = [read(self.device, self.features["reshaded"], 0, 64)]
 
         if len(self.strips) > 1:
@@ -164,8 +166,7 @@ class Layers:
             if name in inputs:
                 write(self.device, self.features[name], inputs[name])
         if stage == "decoder":
-            both = np.concatenate([inputs["reshaded"], inputs["feature"]], axis=-1)
-            write(self.device, self.features["reshaded"], both)
+            write(self.device, self.features["reshaded"], np.concatenate([inputs["reshaded"], inputs["feature"]], axis=-1))
         image = Outgoing(self.device, (2 * height, 2 * width, 3), on_device=False)
         for launch, result in zip(self.ready(image.data), self._build.results, strict=True):
             if stage in (launch.stage, "network"):

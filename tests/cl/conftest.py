@@ -2,7 +2,24 @@
 
 import pytest
 
+from stss_cl.device import discovery
 from stss_cl.device.discovery import CLASSES, DeviceError, open_device
+
+UNITS = 1024
+"""Compute units of a processor that is treated as a GPU: more than a test's frame has tiles, as on a GPU. Layers with few tiles for the units
+have smaller ones; so frames of all sizes have the same kernels, and each is compiled once."""
+
+
+class LikeGpu(discovery.Device):
+    """A processor that is treated as a GPU."""
+
+    compute_units = UNITS
+
+
+class FewUnits(discovery.Device):
+    """A device with few units: frames of tests have more tiles."""
+
+    compute_units = 4
 
 
 @pytest.fixture(scope="session", params=CLASSES)
@@ -17,6 +34,14 @@ def processor():
     return opened_as("cpu")
 
 
+@pytest.fixture(scope="session")
+def few_units():
+    """A GPU with few compute units, or the chosen device treated as one."""
+    opened = opened_as("gpu")
+    opened.__class__ = FewUnits
+    return opened
+
+
 def opened_as(device_class):
     try:
         opened = open_device(device_class=device_class)
@@ -24,4 +49,13 @@ def opened_as(device_class):
         pytest.skip(str(error))
     if device_class == "cpu" and opened.kind != "CPU":
         pytest.skip(f"{opened.name} is no processor")
+    if device_class == "gpu" and opened.kind == "CPU":
+        opened.__class__ = LikeGpu
     return opened
+
+
+@pytest.fixture
+def opened(device, monkeypatch):
+    """`device`, also for the code that opens a device by itself: it then builds no program again."""
+    monkeypatch.setattr(discovery, "open_device", lambda: device)
+    return device

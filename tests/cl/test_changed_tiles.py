@@ -9,6 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from conformance.cases.planes import SEEDS, sizes
+from conformance.tolerance import ratio
 from stss_cl.device.buffers import incoming, padded, read
 from stss_cl.device.grid import grid
 from stss_cl.device.program import build
@@ -17,6 +18,7 @@ from stss_cl.network.layers import Layers
 from stss_cl.network.network import PRECISIONS
 from stss_cl.network.strips import OVERLAP, STEP, bytes_for
 from stss_cl.skip.partial_network import PartialNetwork
+from stss_ref.network import network
 from stss_ref.weights import random as random_weights
 from stss_ref.weights import zeros
 
@@ -164,27 +166,45 @@ def test_the_image_is_that_of_computing_everything(device, precision, size, chan
 
 
 @pytest.mark.parametrize(
-    "tuning",
+    ("precision", "tuning"),
     [
-        # The smallest and large ones, and both widths of vectors, in one row: a row of its own for each would be built for a minute.
-        Tuning(
-            {24: Winograd(2, 2, 2, vector=16), 32: Winograd(9, 3, 4), 64: Winograd(1, 1, 1)},
-            {n: Direct(1, 1, 2) for n in (24, 32, 64)},
+        # The smallest and large ones in one row, with vectors of 8 from half storage: two rows would be built for a minute.
+        (
+            "half",
+            Tuning(
+                {24: Winograd(2, 2, 3), 32: Winograd(9, 3, 4), 64: Winograd(1, 1, 1)},
+                {n: Direct(1, 1, 2) for n in (24, 32, 64)},
+            ),
         ),
-        Tuning(None, {n: Direct(4, n // 8, 4) for n in (24, 32, 64)}),
+        ("float32", Tuning(None, {n: Direct(4, n // 8, 4) for n in (24, 32, 64)})),
     ],
+    ids=["winograd", "direct"],
 )
 @settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(size=sizes(72), changes=CHANGES)
-def test_other_tile_sizes(processor, tuning, size, changes):
+def test_other_tile_sizes(processor, precision, tuning, size, changes):
     with trial(tuning):
-        sequence = Sequence(processor, size)
+        sequence = Sequence(processor, size, precision)
         inputs = first = noise(np.random.default_rng(0), size)
         sequence.first(inputs)
+        want = network(*(x.astype(np.float64) for x in inputs), sequence.weights)
+        assert ratio(f"network.cl.{precision}", sequence.show(), want) <= 1
         for kind, seed in changes:
             inputs = step(inputs, first, kind, seed)
             sequence.next(inputs)
             np.testing.assert_array_equal(bits(sequence.show()), bits(sequence.fresh(inputs)), kind)
+
+
+def test_work_items_of_two_rows(few_units):
+    """Of conv_local.cl, in layers with enough tiles for all units; the other tests' layers have too few."""
+    sequence = Sequence(few_units, (72, 40), "half")
+    assert {launch.source.options.get("ROWS") for launch in sequence.layers.launches if launch.tiling.images > 1} == {1, 2}
+    inputs = first = noise(np.random.default_rng(0), sequence.size)
+    sequence.first(inputs)
+    for seed, kind in enumerate(("rectangle", "pixel", "nothing", "all", "rectangle", "back")):
+        inputs = step(inputs, first, kind, seed)
+        sequence.next(inputs)
+        np.testing.assert_array_equal(bits(sequence.show()), bits(sequence.fresh(inputs)), kind)
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)

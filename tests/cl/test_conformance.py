@@ -8,8 +8,8 @@ from stss.conform.own_ports import OpenCLPort
 
 
 @pytest.mark.parametrize("precision", ["float32", "float32-direct", "half"])
-def test_conforms(device, precision, monkeypatch):
-    monkeypatch.setenv("STSS_DEVICE_CLASS", device.device_class)
+@pytest.mark.usefixtures("opened")
+def test_conforms(precision):
     results = run_suite(Judge(OpenCLPort(precision), Tier("some", 4, 1)))
     assert len(results) > 50
     assert not [f"{result.id}: {result.message}" for result in results if result.outcome != "passed"]

@@ -188,7 +188,7 @@ def test_launches_of_a_frame(device, precision):
     assert len(Layers(device, random_weights(5), 24, 40, "float32-direct").launches) == 56
 
 
-@pytest.mark.parametrize("local", [Local(1), Local(2, matrix_units=True)], ids=str)
+@pytest.mark.parametrize("local", [Local(1), Local(2), Local(2, matrix_units=True)], ids=str)
 @pytest.mark.parametrize("joined", [False, True])
 def test_three_images_in_one_launch(device, local, joined):
     """The same bits as one after the other, into images or into channels."""

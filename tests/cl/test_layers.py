@@ -17,7 +17,8 @@ FUSED = {"up3.conv.double_conv.2", "outc"}
 
 @pytest.mark.parametrize("precision", ["float32", "float32-direct", "half"])
 @pytest.mark.parametrize("stage", ["history", "encoder", "erm", "decoder", "network"])
-def test_layers(device, stage, precision):
+@pytest.mark.usefixtures("opened")
+def test_layers(stage, precision):
     case, port = samples(stage)[0], OpenCLPort(precision)
     layers = port.layers(stage, case.inputs, case.weights)
     check_layers(stage, layers, case.inputs)
@@ -27,6 +28,7 @@ def test_layers(device, stage, precision):
     assert max(largest(right[name], layer) for name, layer in layers.items()) <= 1
 
 
-def test_the_whole_frame_hands_over_none(device):
+@pytest.mark.usefixtures("opened")
+def test_the_whole_frame_hands_over_none():
     case = samples("frame")[0]
     assert OpenCLPort().layers("frame", case.inputs, case.weights) == {}
