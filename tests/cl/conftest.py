@@ -6,8 +6,8 @@ from stss_cl.device import discovery
 from stss_cl.device.discovery import CLASSES, DeviceError, open_device
 
 UNITS = 1024
-"""Compute units of a processor that is treated as a GPU: more than a test's frame has tiles, as on a GPU. Layers with few tiles for the units
-have smaller ones; so frames of all sizes have the same kernels, and each is compiled once."""
+"""Compute units of a processor that is treated as a GPU: more than a test's frame has tiles, as on a GPU. Layers with few tiles for
+the units have smaller ones; so frames of all sizes have the same kernels, and each is compiled once."""
 
 
 class LikeGpu(discovery.Device):
