@@ -15,6 +15,15 @@ settings.register_profile("dev", deadline=None)
 settings.load_profile("ci" if os.environ.get("CI") else "dev")
 
 
+LATE = "test_numbers.py"
+"""Tests of another folder than `tests/cl` that need the kernels of every precision."""
+
+
+def pytest_collection_modifyitems(items):
+    """Those come last: by then another test has compiled the kernels. Two workers that want the same ones at once both compile them."""
+    items.sort(key=lambda item: item.path.name == LATE)
+
+
 @pytest.fixture(scope="session")
 def reference_data() -> Path:
     """The folder of reference data, which is not part of the project."""

@@ -85,7 +85,7 @@ def winograd_scale(x, weight, side, stride=1):
     return scale[: height // stride, : width // stride]
 
 
-@few
+@settings(few, max_examples=6)  # each compiles two kernels or three
 @example(size=(5, 7), shape=(24, 24, 24), gated=False, relu=True, vector=8, seed=0)
 @example(size=(5, 43), shape=(24, 24, 24), gated=False, relu=True, vector=16, seed=0)
 @example(size=(5, 43), shape=(24, 0, 24), gated=True, relu=True, vector=16, seed=0)
