@@ -41,13 +41,22 @@ def run(*words):
     return CliRunner().invoke(stss, [str(word) for word in words])
 
 
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """A certificate's bytes."""
+    path = tmp_path_factory.mktemp("certificate") / "c.json"
+    done = run("conform", "--port", "stss.port:ReferencePort", "--stages", "rrm", "--certificate", path)
+    assert done.exit_code == 0, done.output
+    return path.read_bytes()
+
+
 @pytest.fixture
-def made(tmp_path, monkeypatch):
+def made(written, tmp_path, monkeypatch):
+    """That certificate in a folder of its own, with a port that is half broken."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "half_broken.py").write_text(HALF_BROKEN)
     monkeypatch.syspath_prepend(str(tmp_path))
-    done = run("conform", "--port", "stss.port:ReferencePort", "--stages", "rrm", "--certificate", "c.json")
-    assert done.exit_code == 0, done.output
+    (tmp_path / "c.json").write_bytes(written)
     return tmp_path / "c.json"
 
 
