@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Make batches of stored samples: crops, turns, mirrors, exposure, colours, and Random Reshading Masking (spec 6).
+"""Make batches of stored samples: crops, turns, mirrors, exposure, colours, depths, and Random Reshading Masking (spec 6).
 
 Motion is not an input of the network: the pictures are warped already, so crops and turns need not change it. Normals are in
 world space. Turning the picture by 90 degrees is rolling the camera, which changes no normal. A mirrored picture shows a
@@ -20,12 +20,15 @@ from stss_ref.rrm import draw_rectangle, rrm
 
 Random = np.random.Generator
 NORMAL = slice(3, 6)
+DEPTH = 6
 BASE_COLOR = slice(9, 12)
 COLORS = (slice(0, 3), slice(12, 15), slice(16, 19), slice(20, 23))
 """Channels of the four pictures among the 24; a mask follows each of the last three."""
 MASK = 23
 EXPOSURE = 0.3
 """Largest change of exposure: natural logarithm of the factor on display-referred values."""
+MIDDLE, BACKGROUND = (0.04, 0.7), 0.999
+"""Where the middle depth of a crop is put, of what is nearer than the background."""
 
 
 class Batch(NamedTuple):
@@ -61,7 +64,24 @@ def augment(inputs: Array, truth: Array, random: Random) -> tuple[Array, Array]:
     for part in COLORS:
         inputs[..., part] = np.minimum(inputs[..., part][..., order] * exposure, 1)
     inputs[..., BASE_COLOR] = inputs[..., BASE_COLOR][..., order]
+    inputs[..., DEPTH] = depths_at_random(inputs[..., DEPTH], random)
     return inputs, np.minimum(truth[..., order] * exposure, 1)
+
+
+def depths_at_random(depth: Array, random: Random) -> Array:
+    """Depth (H, W) in 0..1 as if the farthest thing were at another distance; one crop in four stays as it is.
+
+    Depth is put between the smallest and the largest of a frame (spec 0): a wide plain presses all that matters into a twentieth of
+    the range, a room fills it. A network that saw the plain alone takes the room's depths for edges everywhere. Half of the crops
+    are multiplied, half raised to a power, which keeps apart what is far. The background stays at 1.
+    """
+    keep, power, middle = random.random() < 0.25, random.random() < 0.5, math.exp(random.uniform(*np.log(MIDDLE)))
+    near = depth < BACKGROUND
+    if keep or not near.any():
+        return depth
+    median = float(np.clip(np.median(depth[near]), 1e-3, 0.95))
+    changed = depth ** (math.log(middle) / math.log(median)) if power else np.minimum(depth * (middle / median), 1)
+    return np.where(near, changed, depth).astype(depth.dtype)
 
 
 def turn_of_the_world(angle: float, *, mirrored: bool) -> NDArray[np.float32]:

@@ -4,6 +4,7 @@
 The last layer is linear in the 24 features before it, so the best last layer for any features is a least-squares fit (Alain and
 Bengio 2016, Understanding Intermediate Layers Using Linear Classifier Probes). The fit is made on the training split and scored on
 another: with a part of the input blanked, with the history as further features, or with the features of other networks added.
+``--as-is`` fits nothing: it only blanks, and needs no training split.
 """
 
 from __future__ import annotations
@@ -132,14 +133,20 @@ def _solve(squares: Tensor, products: Tensor) -> Tensor:
     return torch.linalg.solve(squares + ridge, products)
 
 
-def scores(probe: Probe, shards: list[Shard], split: str, kind: str, most: int) -> dict[str, float]:
-    """Mean PSNR over RGB, dB, of bilinear, of the weights as they are, and of each variant, fitted on the training split."""
-    layers = fit(probe.variants(place) for place in spread(places(shards, "training", kind), most))
+def scores(probe: Probe, shards: list[Shard], split: str, kind: str, most: int, *, as_is: bool = False) -> dict[str, float]:
+    """Mean PSNR over RGB, dB, of bilinear, of the weights as they are, and of each variant.
+
+    The last layer is fitted on the training split. ``as_is``: it is the weights' own, and only parts of the input are blanked.
+    """
+    fitted = () if as_is else spread(places(shards, "training", kind), most)
+    layers = fit(probe.variants(place) for place in fitted)
     errors: dict[str, list[Tensor]] = {}
     for place in spread(places(shards, split, kind), most):
         lacking, variants = probe.variants(place)
         made = {"bilinear": torch.zeros_like(lacking), "as they are": variants[REFITTED] @ probe.shipped()}
-        made |= {name: features @ layers[name] for name, features in variants.items()}
+        if as_is:
+            layers = dict.fromkeys((name for name in variants if name.startswith("without ")), probe.shipped())
+        made |= {name: variants[name] @ layer for name, layer in layers.items()}
         for name, residual in made.items():
             errors.setdefault(name, []).append((residual - lacking).square().mean())
     return {name: float((-10 * torch.stack(found).log10()).mean()) for name, found in errors.items()}
@@ -152,10 +159,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--weights", default="realtime", help="safetensors file")
     parser.add_argument("--beside", nargs="+", default=[], metavar="WEIGHTS", help="networks whose features are added")
     parser.add_argument("--split", default="validation", choices=("training", "validation", "test"))
+    parser.add_argument("--as-is", action="store_true", help="the weights' own last layer, fitted to nothing")
     parser.add_argument("--most", type=int, default=32, help="frames of each kind")
     chosen = parser.parse_args(arguments)
     probe, shards = Probe(chosen.weights, chosen.beside), load_shards(chosen.data)
-    found = [scores(probe, shards, chosen.split, kind, chosen.most) for kind in KINDS]
+    found = [scores(probe, shards, chosen.split, kind, chosen.most, as_is=chosen.as_is) for kind in KINDS]
     lines = [f"| {name} | " + " | ".join(f"{one[name]:.2f}" for one in found) + " |" for name in found[0]]
     sys.stdout.write("\n".join([f"| | {' | '.join(KINDS)} |", "|---|---|---|", *lines]) + "\n")
 

@@ -57,6 +57,10 @@ def test_where_the_truth_is_the_network_s_own_every_part_it_reads_counts(tmp_pat
     for kind in ("SF", "EF"):
         found = scores(Probe(weights), made, "validation", kind, 1)
         assert min(found["as they are"], found["last layer refitted"]) > 50
+        without_fit = scores(Probe(weights), [s for s in made if s.split != "training"], "validation", kind, 1, as_is=True)
+        assert without_fit["as they are"] == found["as they are"]
+        assert not any("with the" in name or "refitted" in name for name in without_fit)
+        assert without_fit["without ERM"] != without_fit["as they are"] != without_fit["without mask"]
         for part in ("normals", "depth", "roughness, metallic", "base colour", "G-buffer", "mask"):
             assert found[f"without {part}"] < found["last layer refitted"] - 3, part
 

@@ -13,7 +13,7 @@ from stss_ref.frame import NetworkInputs
 from stss_ref.resample import upsample_centres
 from stss_ref.schedule import FrameKind
 from training import samples as module
-from training.augment import MASK, NORMAL, augment, collate, mask_at_random, turn_of_the_world
+from training.augment import MASK, NORMAL, augment, collate, depths_at_random, mask_at_random, turn_of_the_world
 from training.samples import film_frames, pack, samples, split_of, unpack
 from training.scenes import INPUTS, Film, random_film
 
@@ -103,6 +103,28 @@ def test_augmentation_keeps_what_belongs_together():
         np.testing.assert_array_equal(np.unique(new[..., [15, 19, 23]]), [0, 1])
         np.testing.assert_array_equal(new[..., 5], np.float32(0.8))
         assert np.abs(np.hypot(new[..., 3], new[..., 4]) - 0.6).max() < 1e-6
+
+
+def test_depths_keep_their_order_and_the_background_while_their_middle_moves():
+    """A plain whose depths lie in a twentieth of the range becomes one that fills it, or less of it; one crop in four stays."""
+    depth = np.random.default_rng(4).uniform(0.01, 0.05, (16, 16)).astype(np.float32)
+    depth[:4] = 1
+    order = np.argsort(depth, axis=None, kind="stable")
+    middles = []
+    for seed in range(200):
+        new = depths_at_random(depth, np.random.default_rng(seed))
+        assert new.dtype == np.float32
+        assert (new[:4] == 1).all()
+        assert (new >= 0).all()
+        assert (new <= 1).all()
+        assert (np.diff(new.ravel()[order]) >= 0).all()
+        middles.append(np.median(new[4:]))
+    same = np.median(depth[4:])
+    assert 30 <= sum(middle == same for middle in middles) <= 70
+    assert min(middles) < 0.06
+    assert max(middles) > 0.5
+    nothing = np.ones((8, 8), np.float32)
+    assert (depths_at_random(nothing, np.random.default_rng(0)) == 1).all()
 
 
 def test_the_mirrored_world():
