@@ -40,11 +40,11 @@ MOST_WEIGHTS = 128
 
 @dataclass(frozen=True)
 class Tier:
-    """Numbers of cases: ``cheap`` of a fast property, ``dear`` of one that runs the network, at most ``large`` large frames."""
+    """Numbers of cases: ``fast`` of a fast property, ``slow`` of one that runs the network, at most ``large`` large frames."""
 
     name: str
-    cheap: int
-    dear: int
+    fast: int
+    slow: int
     large: int = 1
 
 
@@ -93,12 +93,12 @@ class Judge:
         self._before.clear()
 
     def for_all(
-        self, strategy: st.SearchStrategy[Any], body: Body, *, dear: bool = False, drawn: Sequence[Any] | None = None
+        self, strategy: st.SearchStrategy[Any], body: Body, *, slow: bool = False, drawn: Sequence[Any] | None = None
     ) -> None:
         """Run ``body`` on cases of ``strategy``, steered towards larger errors.
 
         The cases of a port that computes them beforehand (``conformance.rehearsal``) are not steered, since they must not depend on
-        its answers. They are ``drawn`` already, and are drawn again only if one of them fails, to make it smaller. Of slow (``dear``)
+        its answers. They are ``drawn`` already, and are drawn again only if one of them fails, to make it smaller. Of ``slow``
         cases fewer are drawn. Raises DepartureError as ``check``.
         """
         if drawn is not None and self._all_right(body, drawn):
@@ -121,7 +121,7 @@ class Judge:
                 for output, worst in self._near.items():
                     hypothesis.target(worst, label=output)
 
-        self.draw(strategy, run, phases, dear=dear)
+        self.draw(strategy, run, phases, slow=slow)
 
     def _all_right(self, body: Body, drawn: Sequence[Any]) -> bool:
         try:
@@ -150,13 +150,13 @@ class Judge:
             self._before.append(case)
 
     def draw(
-        self, strategy: st.SearchStrategy[Any], take: Callable[[Any], None], phases: list[Phase], *, dear: bool = False
+        self, strategy: st.SearchStrategy[Any], take: Callable[[Any], None], phases: list[Phase], *, slow: bool = False
     ) -> None:
         """Call ``take`` with as many cases as the tier says; the same seed gives the same cases, unless ``take`` raises."""
 
         @hypothesis.seed(self.seed)
         @settings(
-            max_examples=self.tier.dear if dear else self.tier.cheap, phases=phases, database=None, deadline=None,
+            max_examples=self.tier.slow if slow else self.tier.fast, phases=phases, database=None, deadline=None,
             report_multiple_bugs=False, suppress_health_check=EVERY_CHECK, print_blob=False,
         )  # fmt: skip
         @hypothesis.given(strategy)

@@ -219,12 +219,12 @@ def _zeros(stage: str, sizes: Sizes) -> Outputs:
     return {name: np.zeros(spec.shape(sizes), kinds[spec.kind]) for name, spec in STAGES[stage].outputs.items()}
 
 
-def rehearse(judge: Judge, strategy: st.SearchStrategy[Any], body: Body, *, dear: bool = False) -> list[Any] | None:
+def rehearse(judge: Judge, strategy: st.SearchStrategy[Any], body: Body, *, slow: bool = False) -> list[Any] | None:
     """Prepare the answers that ``judge.for_all`` will need from a program; returns the drawn cases, or None if the port is no program."""
     if not isinstance(judge.port, PreparedPort):
         return None
     drawn: list[Any] = []
-    judge.draw(strategy, drawn.append, [Phase.generate], dear=dear)
+    judge.draw(strategy, drawn.append, [Phase.generate], slow=slow)
     prepare(judge, drawn, body)
     return drawn
 

@@ -109,12 +109,12 @@ class _Collector(Judge):
         return StoredTest(name, words, self._found, self._undecided)
 
     def for_all(
-        self, strategy: st.SearchStrategy[Any], body: Body, *, dear: bool = False, drawn: Sequence[Any] | None = None
+        self, strategy: st.SearchStrategy[Any], body: Body, *, slow: bool = False, drawn: Sequence[Any] | None = None
     ) -> None:
         """Drawn first, so that the first case that no answer can be stored of ends the test."""
         some: list[Any] = [*(drawn or ())]
         if drawn is None:
-            self.draw(strategy, some.append, [Phase.generate], dear=dear)
+            self.draw(strategy, some.append, [Phase.generate], slow=slow)
         for case in some:
             self.check(body, case)
 

@@ -23,20 +23,20 @@ from conformance.rehearsal import prepare, rehearse
 from conformance.terms import terms_at_worst
 
 
-def cases(strategy: st.SearchStrategy[Any], *, dear: bool = False) -> Callable[[Body], Callable[[Judge], None]]:
+def cases(strategy: st.SearchStrategy[Any], *, slow: bool = False) -> Callable[[Body], Callable[[Judge], None]]:
     """Make a test of a property, which runs on as many drawn cases as the judge's tier says.
 
     Args:
         strategy: draws the cases.
-        dear: a case is slow, since it runs the network: fewer cases are drawn.
+        slow: a case runs the network, which takes time: fewer cases are drawn.
     """
 
     def decorate(body: Body) -> Callable[[Judge], None]:
         @wraps(body)
         def test(judge: Judge) -> None:
-            drawn = rehearse(judge, strategy, body, dear=dear)
+            drawn = rehearse(judge, strategy, body, slow=slow)
             with _confirmed(judge, body):
-                judge.for_all(strategy, body, dear=dear, drawn=drawn)
+                judge.for_all(strategy, body, slow=slow, drawn=drawn)
 
         return _as_test(test, body)
 

@@ -14,13 +14,13 @@ from stss_ref.weights import Weights
 CASES = st.tuples(network_inputs("decoder"), weights())
 
 
-@cases(CASES, dear=True)
+@cases(CASES, slow=True)
 def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
     """The image is the float64 reference's, within the error that rounding can cause."""
     judge.agrees("decoder", *case)
 
 
-@cases(CASES, dear=True)
+@cases(CASES, slow=True)
 def test_each_output_channel_has_its_place(judge: Judge, case: tuple[Inputs, Weights]):
     """With a black colour and all weights 0, bias 4c + 2i + j is channel c of the pixels (2y + i, 2x + j), bit for bit."""
     inputs, given = case
@@ -30,7 +30,7 @@ def test_each_output_channel_has_its_place(judge: Judge, case: tuple[Inputs, Wei
     judge.same("decoder.image", got, np.tile(bias, (got.shape[0] // 2, got.shape[1] // 2, 1)))
 
 
-@cases(st.tuples(network_inputs("decoder", color="flat"), weights()), dear=True)
+@cases(st.tuples(network_inputs("decoder", color="flat"), weights()), slow=True)
 def test_one_colour_stays_one_colour(judge: Judge, case: tuple[Inputs, Weights]):
     """Without a residual a flat frame is upsampled to the same colour bit for bit."""
     inputs, given = case
@@ -39,19 +39,19 @@ def test_one_colour_stays_one_colour(judge: Judge, case: tuple[Inputs, Weights])
     judge.same("decoder.image", got, np.broadcast_to(judge.given(inputs, "decoder")["color"][:1, :1, :3], got.shape))
 
 
-@cases(CASES, dear=True)
+@cases(CASES, slow=True)
 def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     """The same features give the same bits again."""
     judge.same("decoder.image", *(judge.run("decoder", *case)["image"] for _ in range(2)))
 
 
-@cases(exact_inputs("decoder", multiples()), dear=True)
+@cases(exact_inputs("decoder", multiples()), slow=True)
 def test_what_needs_no_rounding_is_exact(judge: Judge, case: tuple[Inputs, Weights]):
     """Sums of eighths and few weights of 1 over flat features need no rounding in any order: the image is right bit for bit."""
     judge.agrees_exactly("decoder", *case)
 
 
-@cases(rounded_sums("decoder"), dear=True)
+@cases(rounded_sums("decoder"), slow=True)
 def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]):
     """Thousands of sums of one layer are off by no more than rounding to nearest causes on average, and not all to one side."""
     judge.rounds_either_way("decoder", "image", *case, LAST["decoder"])

@@ -17,13 +17,13 @@ REACH = {"x1": 2, "x2": 7, "x3": 17, "x4": 37}
 """Radius that a pixel of each output depends on, in input pixels: two layers of radius 1 for x1, then three more at each size."""
 
 
-@cases(CASES, dear=True)
+@cases(CASES, slow=True)
 def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
     """All four features are the float64 reference's, within the error that rounding can cause."""
     judge.agrees("encoder", *case)
 
 
-@cases(CASES, dear=True)
+@cases(CASES, slow=True)
 def test_what_is_masked_is_read_once(judge: Judge, case: tuple[Inputs, Weights]):
     """Where the mask is 0 everywhere, the weights of ``color * mask`` do not matter."""
     inputs, given = case
@@ -38,7 +38,7 @@ def test_what_is_masked_is_read_once(judge: Judge, case: tuple[Inputs, Weights])
         judge.holds(f"encoder.{name}", second[name], Expected(first[name], 2 * np.asarray(expected.allowed)))
 
 
-@cases(st.tuples(network_inputs("encoder", multiples(48)), weights(), st.integers(0, 47), st.integers(0, 47)), dear=True)
+@cases(st.tuples(network_inputs("encoder", multiples(48)), weights(), st.integers(0, 47), st.integers(0, 47)), slow=True)
 def test_a_pixel_is_seen_from_nearby_only(judge: Judge, case: tuple[Inputs, Weights, int, int]):
     """Changing one pixel changes nothing beyond the layers' radius; bit for bit, except in a Winograd port."""
     inputs, given, y, x = case
@@ -57,7 +57,7 @@ def test_a_pixel_is_seen_from_nearby_only(judge: Judge, case: tuple[Inputs, Weig
         judge.holds(f"encoder.{name}", second[name], Expected(want, 2 * np.asarray(expected.allowed)))
 
 
-@cases(CASES, dear=True)
+@cases(CASES, slow=True)
 def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     """The same frame gives the same bits again."""
     first, second = (judge.run("encoder", *case) for _ in range(2))
@@ -65,13 +65,13 @@ def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
         judge.same(f"encoder.{name}", second[name], first[name])
 
 
-@cases(exact_inputs("encoder", multiples()), dear=True)
+@cases(exact_inputs("encoder", multiples()), slow=True)
 def test_what_needs_no_rounding_is_exact(judge: Judge, case: tuple[Inputs, Weights]):
     """Sums of eighths and few weights of 1 need no rounding in any order: all four features are right bit for bit."""
     judge.agrees_exactly("encoder", *case)
 
 
-@cases(rounded_sums("encoder"), dear=True)
+@cases(rounded_sums("encoder"), slow=True)
 def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]):
     """Thousands of sums of one layer are off by no more than rounding to nearest causes on average, and not all to one side."""
     judge.rounds_either_way("encoder", "x1", *case, LAST["encoder"])

@@ -16,13 +16,13 @@ from stss_ref.weights import Weights
 CASES = st.tuples(network_inputs("erm", multiples(48)), weights())
 
 
-@cases(CASES, dear=True)
+@cases(CASES, slow=True)
 def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
     """The reshaded light is the float64 reference's, within the error that rounding can cause."""
     judge.agrees("erm", *case)
 
 
-@cases(CASES, dear=True)
+@cases(CASES, slow=True)
 def test_nothing_to_be_trusted_gives_nothing(judge: Judge, case: tuple[Inputs, Weights]):
     """Where the whole window is masked, the result is 0, and not 0 / 0."""
     inputs, given = case
@@ -30,7 +30,7 @@ def test_nothing_to_be_trusted_gives_nothing(judge: Judge, case: tuple[Inputs, W
     judge.same("erm.reshaded", got, np.zeros_like(got))
 
 
-@cases(CASES, dear=True)
+@cases(CASES, slow=True)
 def test_a_masked_value_influences_nobody(judge: Judge, case: tuple[Inputs, Weights]):
     """Light where the mask is 0 changes no result, not even at its own place: layers of one tap keep it from spreading by itself.
 
@@ -45,7 +45,7 @@ def test_a_masked_value_influences_nobody(judge: Judge, case: tuple[Inputs, Weig
     judge.holds("erm.reshaded", second, Expected(first, 2 * np.asarray(right.allowed)))
 
 
-@cases(CASES, dear=True)
+@cases(CASES, slow=True)
 def test_equal_light_stays_equal(judge: Judge, case: tuple[Inputs, Weights]):
     """The average of equal values is that value, whatever their weights: if the light is the same everywhere, so is the result."""
     inputs, given = case
@@ -62,7 +62,7 @@ def test_equal_light_stays_equal(judge: Judge, case: tuple[Inputs, Weights]):
     judge.holds("erm.reshaded", got, Expected(np.where(faint, right.want, light), right.allowed))
 
 
-@cases(st.tuples(CASES, SEEDS), dear=True)
+@cases(st.tuples(CASES, SEEDS), slow=True)
 def test_opposite_materials_share_no_light(judge: Judge, case: tuple[tuple[Inputs, Weights], int]):
     """If a key is the sign of the first normal component, each place averages the light of its own sign: negative weights count as 0."""
     (inputs, given), seed = case
@@ -73,7 +73,7 @@ def test_opposite_materials_share_no_light(judge: Judge, case: tuple[tuple[Input
     judge.agrees("erm", signed, {**given, **_sign_of_the_first(given)})
 
 
-@cases(CASES, dear=True)
+@cases(CASES, slow=True)
 def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     """The same frame gives the same bits again."""
     judge.same("erm.reshaded", *(judge.run("erm", *case)["reshaded"] for _ in range(2)))

@@ -15,7 +15,7 @@ CASES = st.tuples(frame_inputs(), weights())
 STANDS = frame_inputs().map(lambda inputs: {**inputs, "motions": inputs["motions"] * 0})
 
 
-@cases(CASES, dear=True)
+@cases(CASES, slow=True)
 def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
     """The image of SF and EF, also with missing frames, is the float64 reference's; cases are counted where rounding decides a hole."""
     judge.agrees("frame", *case)
@@ -24,19 +24,19 @@ def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
 STARTS = st.sampled_from([(0, 0, 0), (1, 1, 1), (0, 2, 2), (1, 3, 3)])
 
 
-@cases(st.tuples(STARTS.flatmap(lambda steps: frame_inputs(steps=steps)), weights()), dear=True)
+@cases(st.tuples(STARTS.flatmap(lambda steps: frame_inputs(steps=steps)), weights()), slow=True)
 def test_agrees_at_the_start_of_a_sequence(judge: Judge, case: tuple[Inputs, Weights]):
     """Frames agree, too, where older frames are missing: the oldest existing frame stands in, with all of it masked."""
     judge.agrees("frame", *case)
 
 
-@cases(st.tuples(scene_inputs(), weights()), dear=True)
+@cases(st.tuples(scene_inputs(), weights()), slow=True)
 def test_agrees_on_rendered_scenes(judge: Judge, case: tuple[Inputs, Weights]):
     """Frames agree, too, on scenes whose motion, geometry and holes come from a renderer."""
     judge.agrees("frame", *case)
 
 
-@cases(st.tuples(STANDS, weights()), dear=True)
+@cases(st.tuples(STANDS, weights()), slow=True)
 def test_without_a_residual_a_still_frame_is_upsampled(judge: Judge, case: tuple[Inputs, Weights]):
     """If nothing moves and nothing is a hole, with weights of 0 an extrapolated frame has the same bits as a rendered one."""
     inputs, given = case
@@ -49,7 +49,7 @@ def test_without_a_residual_a_still_frame_is_upsampled(judge: Judge, case: tuple
     judge.same("frame.image", extrapolated, rendered)
 
 
-@cases(st.tuples(frame_inputs(steps=(0, 2, 4)), weights()), dear=True)
+@cases(st.tuples(frame_inputs(steps=(0, 2, 4)), weights()), slow=True)
 def test_a_rendered_frame_looks_for_no_other(judge: Judge, case: tuple[Inputs, Weights]):
     """With weights of 0 a rendered frame depends on its own colour alone."""
     inputs, given = case
@@ -60,7 +60,7 @@ def test_a_rendered_frame_looks_for_no_other(judge: Judge, case: tuple[Inputs, W
     judge.same("frame.image", second, first)
 
 
-@cases(CASES, dear=True)
+@cases(CASES, slow=True)
 def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     """The same buffers give the same bits again."""
     judge.same("frame.image", *(judge.run("frame", *case)["image"] for _ in range(2)))

@@ -15,13 +15,13 @@ from stss_ref.weights import Weights
 CASES = st.tuples(network_inputs("history"), weights())
 
 
-@cases(CASES, dear=True)
+@cases(CASES, slow=True)
 def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
     """The feature is the float64 reference's, within the error that rounding can cause."""
     judge.agrees("history", *case)
 
 
-@cases(st.tuples(CASES, st.permutations(range(3))), dear=True)
+@cases(st.tuples(CASES, st.permutations(range(3))), slow=True)
 def test_the_three_frames_share_their_weights(judge: Judge, case: tuple[tuple[Inputs, Weights], list[int]]):
     """Permuting the frames, and the last layer's inputs from each, changes the result only by rounding."""
     (inputs, given), order = case
@@ -33,7 +33,7 @@ def test_the_three_frames_share_their_weights(judge: Judge, case: tuple[tuple[In
     judge.holds("history.feature", got, Expected(whole, 2 * np.asarray(right.allowed)))
 
 
-@cases(CASES, dear=True)
+@cases(CASES, slow=True)
 def test_without_weights_the_bias_is_left(judge: Judge, case: tuple[Inputs, Weights]):
     """If all weights are 0, the feature is the last layer's bias, times a gate of one half: no ReLU follows the gate."""
     inputs, given = case
@@ -44,19 +44,19 @@ def test_without_weights_the_bias_is_left(judge: Judge, case: tuple[Inputs, Weig
     judge.holds("history.feature", got, Expected(np.broadcast_to(bias / 2, got.shape), right.allowed))
 
 
-@cases(CASES, dear=True)
+@cases(CASES, slow=True)
 def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     """The same history gives the same bits again."""
     judge.same("history.feature", *(judge.run("history", *case)["feature"] for _ in range(2)))
 
 
-@cases(exact_inputs("history", multiples(32)), dear=True)
+@cases(exact_inputs("history", multiples(32)), slow=True)
 def test_what_needs_no_rounding_is_exact(judge: Judge, case: tuple[Inputs, Weights]):
     """Sums of eighths and few weights of 1 need no rounding in any order: the feature is right bit for bit."""
     judge.agrees_exactly("history", *case)
 
 
-@cases(rounded_sums("history"), dear=True)
+@cases(rounded_sums("history"), slow=True)
 def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]):
     """Thousands of sums of one layer are off by no more than rounding to nearest causes on average, and not all to one side."""
     judge.rounds_either_way("history", "feature", *case, LAST["history"])

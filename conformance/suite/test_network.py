@@ -15,13 +15,13 @@ from stss_ref.weights import Weights
 CASES = st.tuples(network_inputs("network", sizes(20)), weights())
 
 
-@cases(CASES, dear=True)
+@cases(CASES, slow=True)
 def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
     """The image is the float64 reference's, also at sizes that are not multiples of 8."""
     judge.agrees("network", *case)
 
 
-@cases(CASES, dear=True)
+@cases(CASES, slow=True)
 def test_padding_repeats_the_last_row_and_column(judge: Judge, case: tuple[Inputs, Weights]):
     """A frame that is padded beforehand gives the same image after cropping."""
     inputs, given = case
@@ -36,7 +36,7 @@ def test_padding_repeats_the_last_row_and_column(judge: Judge, case: tuple[Input
     judge.holds("network.image", got, Expected(whole[: 2 * height, : 2 * width], 2 * np.asarray(right.allowed)))
 
 
-@cases(CASES, dear=True)
+@cases(CASES, slow=True)
 def test_without_a_residual_it_is_bilinear(judge: Judge, case: tuple[Inputs, Weights]):
     """With weights of 0 the image is the first three colours upsampled, within their own range."""
     inputs, given = case
@@ -46,7 +46,7 @@ def test_without_a_residual_it_is_bilinear(judge: Judge, case: tuple[Inputs, Wei
     judge.holds("network.image", got, Expected(np.clip(got, color.min(axis=(0, 1)), color.max(axis=(0, 1))), right.allowed))
 
 
-@cases(CASES, dear=True)
+@cases(CASES, slow=True)
 def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     """The same frame gives the same bits again."""
     judge.same("network.image", *(judge.run("network", *case)["image"] for _ in range(2)))

@@ -42,14 +42,14 @@ def sequences(draw: st.DrawFn) -> list[tuple[str, Inputs, Weights]]:
     return calls
 
 
-@cases(sequences(), dear=True)
+@cases(sequences(), slow=True)
 def test_every_frame_is_as_if_it_were_the_only_one(judge: Judge, calls: list[tuple[str, Inputs, Weights]]):
     """A frame agrees with the reference, which keeps nothing between frames, whatever the port computed before."""
     for _, frame, given in calls:
         judge.agrees("frame", frame, given)
 
 
-@cases(sequences(), dear=True)
+@cases(sequences(), slow=True)
 def test_the_order_does_not_matter(judge: Judge, calls: list[tuple[str, Inputs, Weights]]):
     """Computing the frames in the reverse order gives the same bits."""
     forth = [judge.run("frame", frame, given)["image"] for _, frame, given in calls]

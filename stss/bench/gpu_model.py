@@ -106,8 +106,8 @@ class Modelled(Device):
     """The device at hand, treated as a GPU with as many units as ``gpu``, so that it makes the launches that ``gpu`` would get."""
 
     def __init__(self, gpu: Gpu):
-        held = open_device(device_class="gpu")
-        super().__init__(held.handle, held.context, held.queue, held.device_class)
+        opened = open_device(device_class="gpu")
+        super().__init__(opened.handle, opened.context, opened.queue, opened.device_class)
         self._units = gpu.units
 
     @property

@@ -19,7 +19,7 @@ from stss.errors import InputError
 from stss.frames.compute_options import ComputeOptions
 from stss.output.folder import OutputFolder
 from stss.output.lock import LOCK
-from stss.run.frame_job import FrameReport, describe, kept, keys_of
+from stss.run.frame_job import FrameReport, already_written, describe, keys_of
 from stss.run.job import REFUSAL, RunPlan, Summary, plan, require_unread
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence as Frames
@@ -146,7 +146,7 @@ class _Coordinator:
         keys = [keys_of(work.sequence, work.rendered, options, one) for one in described]
         todo: list[int] = []
         for number in self._planned.numbers:
-            found = (kept(self._planned.folder, options, number, one.of(number)) for one in keys)
+            found = (already_written(self._planned.folder, options, number, one.of(number)) for one in keys)
             kind = next((kind for kind in found if kind is not None), None)
             if kind is None:
                 todo.append(number)

@@ -138,7 +138,7 @@ class Worker:
                 return Chunk([], f"a worker that came later computes by {backend.name}; expected {', '.join(sorted(backends))}")
             work, frames = self._work, list[tuple[FrameReport, list[File]]]()
             sink = WorkerSink(work.out, shared=self._shares())
-            job = FrameJob.of(work.sequence, work.rendered, work.options, backend, self._label, sink, _nothing_kept)
+            job = FrameJob.of(work.sequence, work.rendered, work.options, backend, self._label, sink, _nothing_written)
             try:
                 job.run(numbers, work.sequence.size, lambda report: frames.append((report, sink.take(report.number))))
             except (InputError, ArrayError, DeviceError) as error:
@@ -158,6 +158,6 @@ class Worker:
             return False
 
 
-def _nothing_kept(number: int, key: str) -> FrameKind | None:
+def _nothing_written(number: int, key: str) -> FrameKind | None:
     """A worker keeps no frame: the process that holds the folder knows what is kept, and asks only for the rest."""
     del number, key

@@ -49,24 +49,24 @@ def keep_failure(folder: Path, name: str, failure: Failure, replay: str) -> Path
         failure: to write.
         replay: the command that runs it again, without the folder.
     """
-    kept = folder / name
+    place = folder / name
     make_folder(folder)
     with told(folder):
         made = Path(tempfile.mkdtemp(prefix=".", dir=folder))
     try:
-        with told(kept):
-            _write_failure(made, failure.finding, f"{replay} --replay {shlex.quote(str(kept))}")
+        with told(place):
+            _write_failure(made, failure.finding, f"{replay} --replay {shlex.quote(str(place))}")
             with open_folder(made) as opened, opened.made(DRAWN) as drawn:
                 write_drawn(drawn, name, [*failure.before, failure.drawn])
             made.chmod(0o755)
-            if kept.is_symlink():
-                kept.unlink()
-            shutil.rmtree(kept, ignore_errors=True)
-            made.rename(kept)
+            if place.is_symlink():
+                place.unlink()
+            shutil.rmtree(place, ignore_errors=True)
+            made.rename(place)
     except BaseException:
         shutil.rmtree(made, ignore_errors=True)
         raise
-    return kept
+    return place
 
 
 def _write_failure(folder: Path, finding: Finding, again: str) -> None:
@@ -101,11 +101,11 @@ def replay(port: Port, folder: Path) -> Record:
     """
     judge = Judge(port)
     try:
-        with open_folder(folder) as kept:
-            case = _only_case(kept)
+        with open_folder(folder) as failure:
+            case = _only_case(failure)
             if case.stage not in judge.stages:
                 raise InputError(f"{port.name} has no stage {case.stage}")
-            body, cases = _property(kept) or (_agrees, [case])
+            body, cases = _property(failure) or (_agrees, [case])
             prepare(judge, cases, body)
             for drawn in cases:
                 judge.record = Record()
@@ -119,11 +119,11 @@ def replay(port: Port, folder: Path) -> Record:
     return judge.record
 
 
-def _only_case(kept: Folder) -> Case:
-    name, *more = case_names(kept)
+def _only_case(failure: Folder) -> Case:
+    name, *more = case_names(failure)
     if more:
-        raise JobError(f"{kept.path}: expected the folder of one failure, got {len(more) + 1} cases")
-    with kept.folder(name) as opened:
+        raise JobError(f"{failure.path}: expected the folder of one failure, got {len(more) + 1} cases")
+    with failure.folder(name) as opened:
         return _case(opened)
 
 
@@ -131,11 +131,11 @@ def _agrees(judge: Judge, case: Case) -> None:
     judge.agrees(case.stage, case.inputs, case.weights)
 
 
-def _property(kept: Folder) -> tuple[Body, list[Any]] | None:
+def _property(failure: Folder) -> tuple[Body, list[Any]] | None:
     """The property and its cases: those before the failing one, then that one; None: the folder has no property."""
-    if kept.kind(DRAWN) is None:
+    if failure.kind(DRAWN) is None:
         return None
-    with kept.folder(DRAWN) as opened:
+    with failure.folder(DRAWN) as opened:
         test, cases = read_drawn(opened)
     return find_property(test), [*cases]
 

@@ -14,7 +14,7 @@ from rich.table import Table
 from stss.devices.selection import choose
 from stss.devices.tile_timing import SHAPES, LayerShape, Sizes, Trials, direct_candidates, local_candidates, winograd_candidates
 from stss_cl.device.discovery import Device, DeviceError, Properties, matching
-from stss_cl.device.tuning import OUTPUTS, Direct, Local, Tuning, Winograd, built_in, keep, kept, kept_path, to_toml
+from stss_cl.device.tuning import OUTPUTS, Direct, Local, Tuning, Winograd, built_in, store, stored, stored_path, to_toml
 
 MARGIN = 1.02
 """Factor by which other sizes must be faster than the built-in ones to replace them."""
@@ -160,8 +160,8 @@ def run(name: str | None, size: tuple[int, int], *, show: bool, console: Console
         _drop_wrong_rows(name, tell)
     device = choose(name, tell)
     if show:
-        row = kept(device)
-        source = f"kept in {kept_path(device)}" if row else "built-in"
+        row = stored(device)
+        source = f"stored in {stored_path(device)}" if row else "built-in"
         console.print(
             f"# {device.name}, {device.driver}: {source}",
             to_toml(row or built_in(device)),
@@ -176,8 +176,8 @@ def run(name: str | None, size: tuple[int, int], *, show: bool, console: Console
     for (outputs, sizes), why in trials.refused.items():
         console.print(f"refused for {outputs} outputs: {_shown(sizes)}: {why}", markup=False, highlight=False, soft_wrap=True)
     new = found != built_in(device)
-    path = keep(device, found if new else None)
-    console.print(f"kept: {path}" if new else "the built-in row stays", markup=False, highlight=False, soft_wrap=True)
+    path = store(device, found if new else None)
+    console.print(f"stored: {path}" if new else "the built-in row stays", markup=False, highlight=False, soft_wrap=True)
 
 
 def print_lines(lines: list[Line], console: Console) -> None:
@@ -202,7 +202,7 @@ def _drop_wrong_rows(name: str | None, tell: Callable[[str], None]) -> None:
     for handle in matching(os.environ.get("STSS_DEVICE") if name is None else name).values():
         device = Properties(handle)
         try:
-            kept(device)
+            stored(device)
         except DeviceError as error:
             tell(f"removed: {error}")
-            keep(device, None)
+            store(device, None)

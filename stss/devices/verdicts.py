@@ -25,7 +25,7 @@ import stss_ref
 from conformance import tolerance
 from stss.version import VERSION
 from stss_cl.device import program
-from stss_cl.device.caches import home, is_temporary, keep, private, read
+from stss_cl.device.caches import home, is_temporary, private, read, store
 from stss_cl.errors import DeviceError
 
 try:
@@ -98,12 +98,12 @@ def verdict(
         command: the command that tests the device whose name is appended.
         tell: called with a line if there is something to wait for.
     """
-    if not again and (kept := known(name, handle)):
-        return kept
+    if not again and (stored := known(name, handle)):
+        return stored
     limit, path = _limit(), _path(name, handle)
     with _alone(path.with_suffix(".lock"), lambda: tell(f"waiting for another process, which tests {name}")):
-        if not again and (kept := known(name, handle)):
-            return kept
+        if not again and (stored := known(name, handle)):
+            return stored
         tell(
             f"self-test of {name}" if again else f"first start: building kernels for {name} and testing it, half a minute or more"
         )
@@ -113,20 +113,20 @@ def verdict(
         if found.lasting:
             stored = {"device": name, **asdict(found)}
             del stored["lasting"]
-            keep(path, json.dumps(stored).encode())
+            store(path, json.dumps(stored).encode())
     return found
 
 
 def known(name: str, handle: cl.Device) -> Verdict | None:
     """The verdict stored for this device, its driver, this version of stss and these kernels; None if there is none."""
     try:
-        kept: Any = json.loads(read(_path(name, handle), _MOST_BYTES) or b"")
-        if kept.pop("device") != name or kept["outcome"] not in _OUTCOMES or not isinstance(kept["why"], str):
+        stored: Any = json.loads(read(_path(name, handle), _MOST_BYTES) or b"")
+        if stored.pop("device") != name or stored["outcome"] not in _OUTCOMES or not isinstance(stored["why"], str):
             return None
-        numbers = kept["gflops"], kept["seconds"]
+        numbers = stored["gflops"], stored["seconds"]
         if not all(type(number) in (int, float) and 0 <= number < math.inf for number in numbers):
             return None
-        return Verdict(**kept) if len(kept) == 4 else None  # outcome, why, gflops, seconds
+        return Verdict(**stored) if len(stored) == 4 else None  # outcome, why, gflops, seconds
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
 
@@ -204,10 +204,10 @@ def _processor_seconds(session: int) -> float | None:
 @contextmanager
 def _alone(path: Path, wait: Callable[[], None]) -> Generator[None]:
     """Hold the lock of this file, which the system releases when its process ends; ``wait`` is called if another process has it."""
-    with ExitStack() as held:
+    with ExitStack() as stack:
         # Windows has no flock, some file systems have no locks, a full one no room: every process then tests for itself.
         with suppress(OSError):
-            file = held.enter_context(path.open("ab"))
+            file = stack.enter_context(path.open("ab"))
             if fcntl is not None:
                 try:
                     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

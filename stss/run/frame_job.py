@@ -88,7 +88,7 @@ class FrameJob:
     options: RunOptions
     metadata: dict[str, str]
     rendered: frozenset[int]
-    kept: Callable[[int, str], FrameKind | None]
+    already_written: Callable[[int, str], FrameKind | None]
     """Takes a frame's number and key; returns its kind where an earlier run finished it, else None."""
 
     @classmethod
@@ -100,14 +100,22 @@ class FrameJob:
         backend: Backend,
         weights: str,
         sink: Sink,
-        kept: Callable[[int, str], FrameKind | None],
+        already_written: Callable[[int, str], FrameKind | None],
     ) -> FrameJob:
         """Make the job and the parts that follow from its arguments; ``weights`` is the label of the weights."""
         curve = transfer(options.transfer)
         metadata = describe(sequence, options, backend.method, backend.name, weights)
         keys = keys_of(sequence, rendered, options, metadata)
         return cls(
-            Window(sequence, rendered, curve, options.depth), keys, backend, curve, sink, options, metadata, rendered, kept
+            Window(sequence, rendered, curve, options.depth),
+            keys,
+            backend,
+            curve,
+            sink,
+            options,
+            metadata,
+            rendered,
+            already_written,
         )
 
     def run(self, numbers: Iterable[int], size: tuple[int, int], done: Callable[[FrameReport], None]) -> None:
@@ -123,7 +131,7 @@ class FrameJob:
         """Read the frames that display frame ``number`` depends on, unless it is kept; only this step uses ``window`` and ``keys``."""
         try:
             key = self.keys.of(number)
-            if (kind := self.kept(number, key)) is not None:
+            if (kind := self.already_written(number, key)) is not None:
                 return FrameReport(number, kind, "kept")
             return _Read(key, self.window.up_to(number, keep_going=self.options.keep_going))
         except InputError as error:
@@ -183,7 +191,7 @@ def keys_of(sequence: Sequence, rendered: frozenset[int], options: RunOptions, m
     return Keys(sequence, rendered, {**metadata, "format": options.format, "read": sequence.settings})
 
 
-def kept(folder: OutputFolder, options: RunOptions, number: int, key: str) -> FrameKind | None:
+def already_written(folder: OutputFolder, options: RunOptions, number: int, key: str) -> FrameKind | None:
     """The kind of a frame whose files an earlier run wrote, byte for byte as this run would write them.
 
     None where that is not so, or where this run does not resume.

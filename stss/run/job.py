@@ -18,7 +18,7 @@ from stss.frames.supersample import choose_rendered
 from stss.output.apart import require_apart
 from stss.output.folder import OutputFolder
 from stss.output.write_whole import told
-from stss.run.frame_job import HOLES, SKIPPED, FrameJob, FrameReport, Outcome, kept
+from stss.run.frame_job import HOLES, SKIPPED, FrameJob, FrameReport, Outcome, already_written
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence
 from stss_ref.schedule import FrameKind
@@ -86,7 +86,7 @@ def run(
         what = "--skip bounded" if backend.method == NETWORK else backend.method
         raise InputError(f"--resume: {what} makes each output from all before it; run again with --overwrite")
     folder = planned.folder
-    job = FrameJob.of(sequence, planned.rendered, options, backend, weights, folder, partial(kept, folder, options))
+    job = FrameJob.of(sequence, planned.rendered, options, backend, weights, folder, partial(already_written, folder, options))
     if options.show_skipped and backend.cost is None:
         raise InputError(f"--show-skipped: expected the network on the backend cl, got {backend.method} on {backend.name}")
     require_unread(planned, sequence, reads)

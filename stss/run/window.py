@@ -20,7 +20,7 @@ class Window:
     def __init__(self, sequence: Sequence, rendered: frozenset[int], curve: Transfer, depth: DepthMode):
         self._sequence, self._rendered, self._curve = sequence, rendered, curve
         self._depth: DepthMode = depth
-        self._kept: dict[int, DisplayFrame | InputError] = {}
+        self._frames: dict[int, DisplayFrame | InputError] = {}
 
     def up_to(self, number: int, *, keep_going: bool) -> list[DisplayFrame]:
         """The unbroken run of readable frames that ends in ``number``, oldest first, at most six.
@@ -29,7 +29,7 @@ class Window:
             InputError: ``number`` cannot be read, or, unless ``keep_going``, one of the frames before it.
         """
         numbers = range(max(number - WINDOW + 1, self._sequence.numbers[0]), number + 1)
-        self._kept = {n: kept for n, kept in self._kept.items() if n in numbers}
+        self._frames = {n: frame for n, frame in self._frames.items() if n in numbers}
         window: list[DisplayFrame] = []
         for n in numbers:
             loaded = self._load(n)
@@ -42,13 +42,13 @@ class Window:
         return window
 
     def _load(self, number: int) -> DisplayFrame | InputError:
-        if number not in self._kept:
+        if number not in self._frames:
             try:
                 buffers = self._sequence.load(number, color=number in self._rendered)
-                self._kept[number] = prepare(buffers, self._curve, self._depth)
+                self._frames[number] = prepare(buffers, self._curve, self._depth)
             except InputError as error:
-                self._kept[number] = error
-        return self._kept[number]
+                self._frames[number] = error
+        return self._frames[number]
 
 
 class Keys:

@@ -108,10 +108,10 @@ class OpenCLEngine:
         from stss_cl.device.buffers import read
 
         image = self.run("network", inputs, weights)
-        held = self._network.layers(*inputs["mask"].shape).features
+        buffers = self._network.layers(*inputs["mask"].shape).features
         places = {"x1": ("x1", 0, 24), "x2": ("x2", 0, 24), "x3": ("x3", 0, 32), "x4": ("x4", 0, 32)}
         places |= {"feature": ("reshaded", 64, 32), "reshaded": ("reshaded", 0, 64)}
-        return {n: read(self._device, held[buffer], first, count) for n, (buffer, first, count) in places.items()} | image
+        return {n: read(self._device, buffers[buffer], first, count) for n, (buffer, first, count) in places.items()} | image
 
     def _for(self, weights: Weights) -> Any:
         from stss_cl.network.network import Network

@@ -23,7 +23,7 @@ MASKED = 0.2
 """Share of the pixels that are holes."""
 REACH = 3.0
 """Longest motion in each direction; pixels."""
-KEPT = ("mask", "valid", "depth", "nov", "stencil", "stencil_previous", "normal", "normal_previous")
+UNSCALED = ("mask", "valid", "depth", "nov", "stencil", "stencil_previous", "normal", "normal_previous")
 """Inputs that are not scaled, since their range is fixed by definition."""
 
 Given = dict[str, NDArray[Any]]
@@ -75,9 +75,9 @@ def exact(inputs: Arrays) -> Given:
 
 
 def scaled(stage: str, inputs: Arrays, by: float) -> Given:
-    """Inputs ``by`` times as large, rounded to float32, except those in `KEPT`. Motion is scaled only where it is the only input."""
-    kept = (*KEPT, "motion") if stage != "motion_chain" else KEPT
-    result = {n: a if n in kept or a.dtype.kind != "f" else (a * float(by)).astype(np.float32) for n, a in inputs.items()}
+    """Inputs ``by`` times as large, rounded to float32, except those in `UNSCALED`. Motion is scaled only where it is the only input."""
+    unscaled = (*UNSCALED, "motion") if stage != "motion_chain" else UNSCALED
+    result = {n: a if n in unscaled or a.dtype.kind != "f" else (a * float(by)).astype(np.float32) for n, a in inputs.items()}
     if stage in ("history", "network"):
         result["history"][..., 3] = inputs["history"][..., 3]
     return result

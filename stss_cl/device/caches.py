@@ -67,7 +67,7 @@ def private(*parts: str) -> Path:
     return folder
 
 
-def keep(path: Path, data: bytes) -> None:
+def store(path: Path, data: bytes) -> None:
     """Write a file of a private folder, whole or not at all; if that fails (a full disk, ...) there is no file."""
     with suppress(OSError):
         handle, beside = tempfile.mkstemp(dir=path.parent, prefix=".")
@@ -80,7 +80,7 @@ def keep(path: Path, data: bytes) -> None:
 
 
 def read(path: Path, most: int) -> bytes | None:
-    """Read what ``keep`` wrote; None if it is not there, has more than ``most`` bytes, or is a link, a pipe or a folder."""
+    """Read what ``store`` wrote; None if it is not there, has more than ``most`` bytes, or is a link, a pipe or a folder."""
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     try:
         with os.fdopen(os.open(path, flags), "rb") as file:

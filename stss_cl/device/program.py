@@ -18,7 +18,7 @@ from weakref import WeakKeyDictionary
 import pyopencl as cl
 from pyopencl.characterize import has_src_build_cache
 
-from stss_cl.device.caches import keep, private, read
+from stss_cl.device.caches import private, read, store
 from stss_cl.device.discovery import Device
 from stss_cl.errors import DeviceError
 
@@ -108,7 +108,7 @@ def _stored_or_built(device: Device, text: str, options: str) -> cl.Program:
             return cl.Program(device.context, [device.handle], [binary]).build(options)
     built = cl.Program(device.context, text).build(options)
     binaries: Any = built.get_info(cl.program_info.BINARIES)
-    keep(path, binaries[0])
+    store(path, binaries[0])
     return built
 
 

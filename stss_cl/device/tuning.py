@@ -82,7 +82,7 @@ def tuning_for(device: Properties) -> Tuning:
     Raises:
         DeviceError: the stored row is wrong; the message names file and key.
     """
-    return _trial.get() or kept(device) or built_in(device)
+    return _trial.get() or stored(device) or built_in(device)
 
 
 def built_in(device: Properties) -> Tuning:
@@ -122,8 +122,8 @@ def built_in_rows(path: Path) -> Rows:
     return Rows(classes, targets, single)
 
 
-def kept(device: Properties) -> Tuning | None:
-    """The row that ``keep`` stored; None if there is none for this driver and these kernels.
+def stored(device: Properties) -> Tuning | None:
+    """The row that ``store`` wrote; None if there is none for this driver and these kernels.
 
     Raises:
         DeviceError: it is wrong.
@@ -131,9 +131,9 @@ def kept(device: Properties) -> Tuning | None:
     return _kept(device.name, device.driver, device.device_class)
 
 
-def keep(device: Properties, tuning: Tuning | None) -> Path:
+def store(device: Properties, tuning: Tuning | None) -> Path:
     """Store a row for this device, for every later process; None: go back to the built-in row. Returns the file."""
-    path = kept_path(device)
+    path = stored_path(device)
     if tuning is None:
         path.unlink(missing_ok=True)
     else:
@@ -147,7 +147,7 @@ def keep(device: Properties, tuning: Tuning | None) -> Path:
     return path
 
 
-def kept_path(device: Properties) -> Path:
+def stored_path(device: Properties) -> Path:
     """The file in which this device's row is stored; it may not exist."""
     return _path(device.name, device.driver, device.device_class)
 

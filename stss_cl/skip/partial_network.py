@@ -85,9 +85,9 @@ class PartialNetwork:
         total, values = np.zeros((height // 4, width // 4), np.float32), 0.0
         for buffer in layers.marked:
             assert buffer.changes is not None
-            held = np.empty((buffer.images, -(-buffer.height // 4), -(-buffer.width // 4)), np.uint8)
-            cl.enqueue_copy(layers.device.queue, held, buffer.changes)
-            marks = held.mean(axis=0)
+            changes = np.empty((buffer.images, -(-buffer.height // 4), -(-buffer.width // 4)), np.uint8)
+            cl.enqueue_copy(layers.device.queue, changes, buffer.changes)
+            marks = changes.mean(axis=0)
             divisor = height // buffer.height
             share = buffer.images * buffer.channels / divisor**2
             total += share * marks.repeat(divisor, 0).repeat(divisor, 1)[: height // 4, : width // 4]

@@ -142,21 +142,21 @@ class Stream:
             self._latest.network.settle()
         uploaded, cache = self._arriving(size), self._keep(size, extrapolates=chosen[0] > 0)
         looking = self._attention.begin()
-        held = uploaded.take(window, compare=cache is not None and looking)
+        frames = uploaded.take(window, compare=cache is not None and looking)
         self._latest = cache
         if cache is None:
             self.report = Report(1.0, 1.0, "whole")
-            image, valid = self._whole.compute(sources(held, chosen), size, on_device=out is not None)
+            image, valid = self._whole.compute(sources(frames, chosen), size, on_device=out is not None)
             if out is None:
                 return image, valid
             to: Any = out.base_data
             cl.enqueue_copy(self.device.queue, to, image.base_data, byte_count=out.nbytes, dst_offset=out.offset)
             return out, valid
-        dirty = self._dirty(uploaded, cache, held, cache.read(chosen)) if cache.control.needs_changes else None
+        dirty = self._dirty(uploaded, cache, frames, cache.read(chosen)) if cache.control.needs_changes else None
         color = window[-1 - chosen[0]].color
         if isinstance(color, cla.Array):  # of another shot only ``bounded`` wants to know
             color = np.asarray(color.get()) if self._max_error else None
-        return self._compute(cache, held, chosen, dirty, color, out)
+        return self._compute(cache, frames, chosen, dirty, color, out)
 
     def expect(self, size: tuple[int, int]) -> None:
         """Build the kernels of the first call for frames of (H, W) in advance, for example while that frame is read."""
@@ -181,7 +181,7 @@ class Stream:
     def _compute(
         self,
         cache: FrameCache,
-        held: list[UploadedFrame],
+        frames: list[UploadedFrame],
         steps: tuple[int, int, int],
         dirty: Tiles | None,
         color: NDArray[np.float32] | None,
@@ -192,18 +192,18 @@ class Stream:
         inputs = control.plan_inputs(dirty)
         if last is not None and inputs.nothing:
             self.report = Report(0.0, 0.0, "none")
-            return self._hand_out(cache, held, steps, out, last.valid)
-        changed = cache.prepare_inputs(sources(held, steps), inputs)
+            return self._hand_out(cache, frames, steps, out, last.valid)
+        changed = cache.prepare_inputs(sources(frames, steps), inputs)
         plan = control.plan(inputs, changed, color)
         departure = cache.execute(plan)
         control.learn(plan, departure)
         self.report = Report(1.0 if dirty is None else float(dirty.mean()), changed, plan.network, departure)
-        return self._hand_out(cache, held, steps, out, None)
+        return self._hand_out(cache, frames, steps, out, None)
 
     def _hand_out(
         self,
         cache: FrameCache,
-        held: list[UploadedFrame],
+        frames: list[UploadedFrame],
         steps: tuple[int, int, int],
         out: cla.Array | None,
         valid: NDArray[np.bool_] | None,
@@ -214,10 +214,10 @@ class Stream:
             if valid is None:
                 made: Any = mask_of(self.device, cache.prepare.mask, cache.layers.size, on_device=False)
                 made.flags.writeable, valid = False, made
-            cache.last = _last(held, cache.read(steps), valid)
+            cache.last = _last(frames, cache.read(steps), valid)
             return image, valid
         cache.image.copy_to(out)
-        cache.last = _last(held, cache.read(steps), valid)
+        cache.last = _last(frames, cache.read(steps), valid)
         return out, mask_of(self.device, cache.prepare.mask, cache.layers.size, on_device=True)
 
     def _arriving(self, size: tuple[int, int]) -> UploadedFrames:
@@ -246,7 +246,7 @@ class Stream:
         return 2 * bytes_for(height, height, width, dtype_of(self.precision), keep=True) <= self._memory
 
     def _dirty(
-        self, uploaded: UploadedFrames, cache: FrameCache, held: list[UploadedFrame], steps: tuple[int, ...]
+        self, uploaded: UploadedFrames, cache: FrameCache, frames: list[UploadedFrame], steps: tuple[int, ...]
     ) -> Tiles | None:
         """Where the network's inputs may differ from those of the last frame of the kind; None: everywhere.
 
@@ -255,20 +255,20 @@ class Stream:
         last = cache.last
         if last is None or _missing(steps) != _missing(last.steps):
             return None
-        oldest, newest = min(last.oldest, held[-1 - steps[-1]].number), max(last.number, held[-1].number)
+        oldest, newest = min(last.oldest, frames[-1 - steps[-1]].number), max(last.number, frames[-1].number)
         moved = uploaded.changed(oldest, newest)
         if moved is None:
             return None
         for step, before in zip(steps, last.colors, strict=True):
-            recolored = uploaded.color_changed(held[-1 - step].number, before)
+            recolored = uploaded.color_changed(frames[-1 - step].number, before)
             if recolored is None:
                 return None
             moved = moved | recolored
         return moved
 
 
-def _last(held: list[UploadedFrame], steps: tuple[int, ...], valid: NDArray[np.bool_] | None) -> Last:
-    return Last(held[-1].number, held[-1 - steps[-1]].number, steps, tuple(held[-1 - step].number for step in steps), valid)
+def _last(frames: list[UploadedFrame], steps: tuple[int, ...], valid: NDArray[np.bool_] | None) -> Last:
+    return Last(frames[-1].number, frames[-1 - steps[-1]].number, steps, tuple(frames[-1 - step].number for step in steps), valid)
 
 
 def _missing(steps: tuple[int, ...]) -> list[bool]:

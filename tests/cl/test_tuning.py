@@ -21,9 +21,9 @@ from stss_cl.device.tuning import (
     Winograd,
     built_in,
     built_in_rows,
-    keep,
-    kept,
-    kept_path,
+    store,
+    stored,
+    stored_path,
     to_toml,
     trial,
     tuning_for,
@@ -114,12 +114,12 @@ def test_a_device_may_have_a_row_of_its_own(tmp_path, monkeypatch):
 def test_what_is_kept_comes_back(row):
     device = fake('P: a "name" with \\ and é')
     before = tuning_for(device)
-    assert kept(device) is None
-    keep(device, row)
-    assert kept(device) == row == tuning_for(device)
+    assert stored(device) is None
+    store(device, row)
+    assert stored(device) == row == tuning_for(device)
     for other in (fake("P: two"), replace_driver(device)):
         assert tuning_for(other) == built_in(other)
-    keep(device, None)
+    store(device, None)
     assert tuning_for(device) == before
 
 
@@ -128,13 +128,13 @@ def replace_driver(device):
 
 
 def test_other_kernels_need_other_rows(monkeypatch):
-    keep(fake(), ROW)
+    store(fake(), ROW)
     monkeypatch.setattr(tuning, "_kernels", lambda: ("changed",))
-    assert kept(fake()) is None
+    assert stored(fake()) is None
 
 
 def test_only_the_owner_can_write_to_it():
-    assert keep(fake(), ROW).parent.stat().st_mode & 0o077 == 0
+    assert store(fake(), ROW).parent.stat().st_mode & 0o077 == 0
 
 
 def test_a_trial_ends():
@@ -164,7 +164,7 @@ def test_a_trial_ends():
     ],
 )
 def test_a_wrong_row_is_named(old, new, message):
-    path = keep(fake(), ROW)
+    path = store(fake(), ROW)
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new, 1))
@@ -181,8 +181,8 @@ def test_every_candidate_could_be_kept(outputs, is_cpu):
     for sizes in [*direct_candidates(device, outputs), *winograd_candidates(device, outputs)]:
         key = "winograd" if isinstance(sizes, Winograd) else "direct"
         row = replace(ROW, **{key: {**getattr(ROW, key), outputs: sizes}})
-        keep(device, row)
-        assert kept(device) == row
+        store(device, row)
+        assert stored(device) == row
 
 
 def shape_like(outputs, stride, gated):
@@ -283,14 +283,14 @@ def test_the_command_on_a_device(device, monkeypatch):
     out, told = run(device, monkeypatch)
     assert "winograd 24" in out
     assert len(told) == 4
-    assert (kept(device) is not None) == ("kept: " in out)
+    assert (stored(device) is not None) == ("stored: " in out)
     shown, _ = run(device, monkeypatch, show=True)
     assert to_toml(tuning_for(device)) in shown
 
 
 def test_a_wrong_row_is_replaced(device, monkeypatch):
     monkeypatch.setenv("STSS_DEVICE_CLASS", device.device_class)  # the command opens the device by itself
-    path = kept_path(device)
+    path = stored_path(device)
     path.write_text("nonsense")
     timed(monkeypatch, lambda sizes, _: 1.0)
     out, told = run(device, monkeypatch)

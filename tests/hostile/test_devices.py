@@ -223,7 +223,7 @@ def test_what_cannot_be_written_is_not_there(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, "replace", full)
-    caches.keep(tmp_path / "file", b"x")
+    caches.store(tmp_path / "file", b"x")
     assert not list(tmp_path.iterdir())
 
 

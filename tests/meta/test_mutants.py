@@ -56,7 +56,7 @@ def is_found_out(port, stage, *, bits, large=False):
         got = port.run(stage, case.inputs, case.weights)
         check_outputs(stage, got, check_inputs(stage, case.inputs))
         found |= departs(got, rounded, None) if bits else departs(got, exact, "stage.cl")
-        # Only where indices are computed can one sample crash and another not; the others are dear.
+        # Only where indices are computed can one sample crash and another not; the others take long.
         if found and case.weights is not None:
             break
     return found
