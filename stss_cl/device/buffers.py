@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import mmap
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ import pyopencl.array as cla
 from numpy.typing import NDArray
 
 from stss_cl.device.discovery import Device
+from stss_cl.device.parts import Parts, zeroed
 from stss_cl.device.staging import staging
 from stss_ref.arrays import Array, ArrayError, require_dtype
 
@@ -21,8 +21,6 @@ FLAGS = cl.mem_flags
 SLACK = 16
 """Pixels behind the last row, for strips that reach over its end (kernels/common.clh)."""
 
-
-HUGE_PAGE = 2 << 20
 ALIGNMENT = 16
 """Alignment of a ``float4``; bytes. A part of an array need not begin at a multiple of it."""
 
@@ -63,22 +61,6 @@ class Padded:
         return slice(1, self.height + 1), slice(1, self.width + 1)
 
 
-def zeroed(device: Device, size: int) -> cl.Buffer:
-    """Allocate ``size`` bytes of zeros; on a CPU in huge pages where the system has them: a frame's rows lie far apart."""
-    if device.is_cpu and size >= HUGE_PAGE and hasattr(mmap, "MADV_HUGEPAGE"):
-        memory = mmap.mmap(-1, whole_pages(size), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
-        memory.madvise(mmap.MADV_HUGEPAGE)
-        return cl.Buffer(device.context, FLAGS.READ_WRITE | FLAGS.USE_HOST_PTR, hostbuf=memory)
-    data = cl.Buffer(device.context, FLAGS.READ_WRITE, size)
-    cl.enqueue_fill_buffer(device.queue, data, np.zeros(1, np.uint8), 0, size)
-    return data
-
-
-def whole_pages(size: int) -> int:
-    """Most bytes that ``zeroed`` allocates for ``size`` bytes."""
-    return size if size < HUGE_PAGE else -(-size // HUGE_PAGE) * HUGE_PAGE
-
-
 def padded_bytes(height: int, width: int, channels: int, dtype: np.dtype[Any], images: int = 1) -> int:
     """Size of activations with their border and slack."""
     pixels = images * (-(-height // 4) * 4 + 2) * (-(-width // 4) * 4 + 2) + SLACK
@@ -108,22 +90,28 @@ class Inputs:
         earlier: 3 of (H8, W8, 4) oldest, middle, newest: warped colour and its mask.
         eighth: (H8/8, W8/8, 16) gbuffer 9, mask, zeros 6.
         base: (H8, W8, 4) float32, no border: color 0..2 and 0, what the decoder upsamples and adds.
+        changes: the change maps of ``input``, ``earlier`` and ``eighth``; None: there are none.
     """
 
     input: Padded
     earlier: Padded
     eighth: Padded
     base: cl.Buffer
+    changes: Parts | None = None
 
 
 def inputs_for(device: Device, rows: int, columns: int, dtype: np.dtype[Any], changes: bool = False) -> Inputs:
     """Allocate the network's inputs for (rows, columns), multiples of 8: a frame, or a strip of it; with change maps or without."""
-    return Inputs(
-        input=padded(device, rows, columns, 24, dtype, changes=changes),
-        earlier=padded(device, rows, columns, 4, dtype, images=3, changes=changes),
-        eighth=padded(device, rows // 8, columns // 8, 16, dtype, changes=changes),
-        base=cl.Buffer(device.context, FLAGS.READ_WRITE, rows * columns * 16),
+    made = (
+        padded(device, rows, columns, 24, dtype),
+        padded(device, rows, columns, 4, dtype, images=3),
+        padded(device, rows // 8, columns // 8, 16, dtype),
     )
+    base = cl.Buffer(device.context, FLAGS.READ_WRITE, rows * columns * 16)
+    if not changes:
+        return Inputs(*made, base)
+    maps = Parts(device, [map_bytes(held.height, held.width, held.images) for held in made])
+    return Inputs(*(replace(held, changes=marks) for held, marks in zip(made, maps.buffers, strict=True)), base, maps)
 
 
 FULL_MAPS, LEAST = 16, 1 << 16
@@ -159,28 +147,6 @@ class ChangeMaps:
         """Enqueue clearing all marks."""
         for parent in self._parents:
             cl.enqueue_fill_buffer(self._device.queue, parent, np.zeros(1, np.uint32), 0, self._size // 4 * 4)
-
-
-class Counts:
-    """Whole numbers on the device that are cleared all at once, each a buffer of its own.
-
-    Args:
-        device: to make them on.
-        most: most numbers that are taken.
-    """
-
-    def __init__(self, device: Device, most: int):
-        self._device, self._step = device, max(int(device.handle.mem_base_addr_align) // 8, 4)
-        self._all, self._taken = zeroed(device, most * self._step), 0
-
-    def take(self) -> cl.Buffer:
-        """Take one more number, int32 (1)."""
-        self._taken += 1
-        return self._all.get_sub_region((self._taken - 1) * self._step, 4)
-
-    def clear(self) -> None:
-        """Enqueue setting all numbers to 0."""
-        cl.enqueue_fill_buffer(self._device.queue, self._all, np.zeros(1, np.int32), 0, self._all.size)
 
 
 def write(device: Device, to: Padded, array: Array, first: int = 0) -> None:

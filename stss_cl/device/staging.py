@@ -21,13 +21,17 @@ MOST_FREE = 8
 
 
 class Staging:
-    """The page-locked memory of one device."""
+    """The page-locked memory of one device.
+
+    Attributes:
+        aside: a second queue, for what must not wait for all that is in the device's own; what it does wait for it must name.
+    """
 
     def __init__(self, device: Device):
         # Not the context itself: ``_made`` forgets what no context but this holds.
         self._queue, self._pool = device.queue, device.pool
-        # A queue in order waits for all that is in it before it maps: new memory is mapped in one that is empty.
-        self._mapping = cl.CommandQueue(device.context)
+        # A queue in order waits for all that is in it before it maps: new memory is mapped in one that is nearly empty.
+        self.aside = cl.CommandQueue(device.context)
         self._free: dict[int, list[NDArray[np.uint8]]] = {}
         self._copying: deque[tuple[Any, NDArray[np.uint8]]] = deque()
 
@@ -63,7 +67,7 @@ class Staging:
         buffer = cl.Buffer(self._queue.context, FLAGS.READ_WRITE | FLAGS.ALLOC_HOST_PTR, size)
         how: Any = cl.map_flags.READ | cl.map_flags.WRITE
         bytes_: Any = np.uint8
-        return cl.enqueue_map_buffer(self._mapping, buffer, how, 0, (size,), bytes_)[0]
+        return cl.enqueue_map_buffer(self.aside, buffer, how, 0, (size,), bytes_)[0]
 
     def _give_back(self, locked: NDArray[np.uint8]) -> None:
         free = self._free[locked.nbytes]

@@ -64,8 +64,8 @@ class Prepare:
         eights = device.is_cpu if eights is None else eights
         self.inputs = inputs_for(device, self.rows, self.columns, np.dtype(np.float32)) if inputs is None else inputs
         self.rows = self.inputs.input.height  # of a strip, where the frame goes in strips
-        buffers = self.inputs.input, self.inputs.earlier, self.inputs.eighth
-        self._maps = tuple(buffer.changes for buffer in buffers if buffer.changes is not None)
+        self._changes = self.inputs.changes
+        self._maps = () if self._changes is None else self._changes.buffers
         self._file, self._gather = "frame8.cl" if eights else "frame.cl", gather
         self._kernels = self._built(looking=bool(self._maps))
         self.mask = self._filled(height * width)
@@ -216,10 +216,9 @@ class Prepare:
 
     def _clear(self, splats: bool) -> tuple[cl.Buffer, ...]:
         """Unmark all inputs; the map that tells a kernel where to compute."""
-        if not self._looks:
+        if not self._looks or self._changes is None:
             return ()
-        for marks in self._maps:
-            cl.enqueue_fill_buffer(self.device.queue, marks, np.zeros(1, np.uint8), 0, marks.size)
+        self._changes.clear()
         if splats:  # where nothing is dirty nobody clears them
             for buffer, value in zip(self._splat, (UNWANTED, NOBODY), strict=True):
                 cl.enqueue_fill_buffer(self.device.queue, buffer, np.full(1, value, np.uint32), 0, buffer.size)

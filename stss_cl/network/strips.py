@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import DTypeLike
 
-from stss_cl.device.buffers import padded_bytes, whole_pages
+from stss_cl.device.buffers import padded_bytes
+from stss_cl.device.parts import whole_pages
 from stss_cl.errors import DeviceError
 
 OVERLAP = {False: 128, True: 256}

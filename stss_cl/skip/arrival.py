@@ -11,10 +11,11 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from stss_cl.device.buffers import zeroed
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div
+from stss_cl.device.parts import Parts, zeroed
 from stss_cl.device.program import build
+from stss_cl.device.staging import staging
 from stss_cl.image_space.prepare import finite_kernel, scan
 
 Tiles = NDArray[np.bool_]
@@ -110,14 +111,9 @@ class ArrivalOnGpu:
     def __init__(self, device: Device, height: int, width: int):
         self._device, self._size, self._shape = device, (height, width), (ceil_div(height, 4), ceil_div(width, 4))
         self._kernel = cl.Kernel(build(device, "arrive.cl"), "arrive")
-        self._tiles, align = self._shape[0] * self._shape[1], max(int(device.handle.mem_base_addr_align) // 8, 16)
-        self._step = ceil_div(self._tiles, align) * align
-        self._found = zeroed(device, align + 2 * self._step)  # bad, changed, recolored
-        self._first, self._unread = align, False
-        self._parts = [
-            self._found.get_sub_region(first, size)
-            for first, size in ((0, 16), (align, self._tiles), (align + self._step, self._tiles))
-        ]
+        tiles = self._shape[0] * self._shape[1]
+        self._found = Parts(device, (16, tiles, tiles))  # bad, changed, recolored
+        self._looked: cl.Event | None = None
 
     def look(self, planes: Planes, color: cl.Buffer | None, before: Planes | None, color_before: cl.Buffer | None) -> Found:
         """See ``Arrival``."""
@@ -127,31 +123,33 @@ class ArrivalOnGpu:
         arguments = (*planes.values(), shown, *(earlier[name] for name in COMPARED), color_before if recolors else shown)
         numbers = *self._size, color is not None, compares, recolors
         size = ITEMS * ceil_div(self._shape[1], ACROSS), self._shape[0]
-        self._kernel(self._device.queue, size, (ITEMS, 1), *arguments, *self._parts, *map(np.int32, numbers))
-        self._unread = not compares and not recolors
-        if self._unread:
+        queue = self._device.queue
+        looked = self._kernel(queue, size, (ITEMS, 1), *arguments, *self._found.buffers, *map(np.int32, numbers))
+        queue.flush()  # the device begins while the frame's other launches are made
+        if not compares and not recolors:
+            self._looked = looked
             return None, None, None
-        found = np.empty(self._found.size, np.uint8)
-        cl.enqueue_copy(self._device.queue, found, self._found)
-        if bad := self._named(found[:16].view(np.int32)):
+        self._looked = None
+        found, changed, recolored = self._found.read()
+        if bad := self._named(found.view(np.int32)):
             return bad, None, None
-        changed, recolored = (self._map(found, i) for i in range(2))
-        return None, changed if compares else None, recolored if recolors else None
+        return None, self._map(changed) if compares else None, self._map(recolored) if recolors else None
 
     def not_finite(self) -> str | None:
         """See ``Arrival``."""
-        if not self._unread:
+        if self._looked is None:
             return None
-        bad, self._unread = np.empty(len(FINITE), np.int32), False
-        cl.enqueue_copy(self._device.queue, bad, self._parts[0])
+        # Not in the queue of the launches, where a read would wait for the whole network.
+        bad = np.empty(len(FINITE), np.int32)
+        cl.enqueue_copy(staging(self._device).aside, bad, self._found.buffers[0], wait_for=[self._looked])
+        self._looked = None
         return self._named(bad)
 
     def _named(self, bad: NDArray[np.int32]) -> str | None:
         if not bad.any():
             return None
-        cl.enqueue_fill_buffer(self._device.queue, self._found, np.zeros(1, np.int32), 0, bad.nbytes)
+        cl.enqueue_fill_buffer(self._device.queue, self._found.buffers[0], np.zeros(1, np.int32), 0, bad.nbytes)
         return FINITE[int(bad.argmax())]
 
-    def _map(self, found: NDArray[np.uint8], which: int) -> Tiles:
-        first = self._first + which * self._step
-        return found[first : first + self._tiles].reshape(self._shape).view(np.bool_)
+    def _map(self, tiles: NDArray[np.uint8]) -> Tiles:
+        return tiles.reshape(self._shape).view(np.bool_)

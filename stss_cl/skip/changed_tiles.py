@@ -7,9 +7,10 @@ from collections.abc import Sequence
 
 import pyopencl as cl
 
-from stss_cl.device.buffers import ChangeMaps, Counts, zeroed
+from stss_cl.device.buffers import ChangeMaps
 from stss_cl.device.discovery import Device
 from stss_cl.device.launch import enqueue
+from stss_cl.device.parts import Counts, zeroed
 from stss_cl.network.layer import LayerLaunch
 from stss_cl.network.tiles import TileList, find_tiles
 

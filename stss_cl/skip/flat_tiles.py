@@ -9,10 +9,11 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from stss_cl.device.buffers import Counts, Inputs, map_bytes, zeroed
+from stss_cl.device.buffers import Inputs, map_bytes
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import GROUP, ceil_div, grid, list_size
 from stss_cl.device.launch import Arguments, Launch, kernel
+from stss_cl.device.parts import Counts, zeroed
 from stss_cl.device.program import build
 from stss_cl.network.layer import LayerLaunch
 from stss_cl.network.tiles import Maps, TileList, find_tiles

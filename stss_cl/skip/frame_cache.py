@@ -118,13 +118,9 @@ class FrameCache:
 
     def _changed(self) -> float:
         """The share of tiles whose inputs differ from the last ones; waits for them."""
-        most = 0.0
-        for buffer in (self.layers.inputs.input, self.layers.inputs.earlier):
-            assert buffer.changes is not None
-            marks = np.empty((buffer.images, buffer.changes.size // buffer.images), np.uint8)
-            cl.enqueue_copy(self._device.queue, marks, buffer.changes)
-            most = max(most, np.count_nonzero(marks.any(axis=0)) / marks.shape[1])
-        return most
+        assert self.layers.inputs.changes is not None
+        now, earlier, _ = self.layers.inputs.changes.read()
+        return float(max(np.mean(now != 0), np.mean(earlier.reshape(3, -1).any(axis=0))))
 
 
 def _spread(changed: Tiles | None, size: tuple[int, int]) -> NDArray[np.uint8]:

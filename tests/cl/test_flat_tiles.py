@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from conformance.tolerance import ratio
-from stss_cl.device.buffers import Outgoing, incoming, zeroed
+from stss_cl.device.buffers import Outgoing, incoming
+from stss_cl.device.parts import zeroed
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import PRECISIONS
 from stss_cl.skip.flat_tiles import FlatTiles

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: MIT
+"""Memory of zeros; small buffers that are parts of one, so that they are cleared and read at once."""
+
+from __future__ import annotations
+
+import mmap
+from collections.abc import Sequence
+from itertools import accumulate
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from stss_cl.device.discovery import Device
+from stss_cl.device.grid import ceil_div
+
+FLAGS = cl.mem_flags
+
+HUGE_PAGE = 2 << 20
+
+
+def zeroed(device: Device, size: int) -> cl.Buffer:
+    """Allocate ``size`` bytes of zeros; on a CPU in huge pages where the system has them: a frame's rows lie far apart."""
+    if device.is_cpu and size >= HUGE_PAGE and hasattr(mmap, "MADV_HUGEPAGE"):
+        memory = mmap.mmap(-1, whole_pages(size), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        memory.madvise(mmap.MADV_HUGEPAGE)
+        return cl.Buffer(device.context, FLAGS.READ_WRITE | FLAGS.USE_HOST_PTR, hostbuf=memory)
+    data = cl.Buffer(device.context, FLAGS.READ_WRITE, size)
+    cl.enqueue_fill_buffer(device.queue, data, np.zeros(1, np.uint8), 0, size)
+    return data
+
+
+def whole_pages(size: int) -> int:
+    """Most bytes that ``zeroed`` allocates for ``size`` bytes."""
+    return size if size < HUGE_PAGE else -(-size // HUGE_PAGE) * HUGE_PAGE
+
+
+class Parts:
+    """Buffers of these sizes, in bytes, at first of zeros.
+
+    Attributes:
+        buffers: in the order of the sizes.
+    """
+
+    def __init__(self, device: Device, sizes: Sequence[int]):
+        align = max(int(device.handle.mem_base_addr_align) // 8, 16)
+        self._device, self._sizes = device, tuple(sizes)
+        self._firsts = tuple(accumulate((ceil_div(size, align) * align for size in sizes), initial=0))
+        self._all = zeroed(device, self._firsts[-1])
+        self.buffers = tuple(self._all.get_sub_region(first, size) for first, size in self._places())
+
+    def clear(self) -> None:
+        """Enqueue setting all bytes to 0."""
+        cl.enqueue_fill_buffer(self._device.queue, self._all, np.zeros(1, np.uint32), 0, self._firsts[-1])
+
+    def read(self) -> list[NDArray[np.uint8]]:
+        """The bytes of each; one read, which waits for the queue."""
+        held: NDArray[Any] = np.empty(self._firsts[-1], np.uint8)
+        cl.enqueue_copy(self._device.queue, held, self._all)
+        return [held[first : first + size] for first, size in self._places()]
+
+    def _places(self) -> list[tuple[int, int]]:
+        return list(zip(self._firsts, self._sizes, strict=False))
+
+
+class Counts:
+    """Whole numbers on the device that are cleared all at once, each a buffer of its own.
+
+    Args:
+        device: to make them on.
+        most: most numbers that are taken.
+    """
+
+    def __init__(self, device: Device, most: int):
+        self._device, self._step = device, max(int(device.handle.mem_base_addr_align) // 8, 4)
+        self._all, self._taken = zeroed(device, most * self._step), 0
+
+    def take(self) -> cl.Buffer:
+        """Take one more number, int32 (1)."""
+        self._taken += 1
+        return self._all.get_sub_region((self._taken - 1) * self._step, 4)
+
+    def clear(self) -> None:
+        """Enqueue setting all numbers to 0."""
+        cl.enqueue_fill_buffer(self._device.queue, self._all, np.zeros(1, np.int32), 0, self._all.size)

@@ -1,0 +1,58 @@
+"""How many launches a whole display frame takes: on a GPU each costs what hundreds of thousands of multiply-adds do."""
+
+from collections import Counter
+
+import pyopencl as cl
+import pytest
+
+from stss.frames.display_frame import window_at
+from stss.frames.supersample import plan
+from stss_cl.network.layers import Layers
+from stss_cl.skip.stream import Stream
+from tests.cl.test_device_frames import film
+from tests.cl.test_stream import WEIGHTS
+
+NETWORK = {"gpu": 38, "cpu": 56}
+AROUND = {
+    # arrive, chain_steps, prepare, downsample_8
+    ("gpu", "SF"): 4,
+    # and splat_nearest, splat_first, fill_holes
+    ("gpu", "EF"): 7,
+    # finite for each of four planes, chain_steps, prepare, downsample_8
+    ("cpu", "SF"): 7,
+    # finite for three, no colour; then as above
+    ("cpu", "EF"): 9,
+}
+"""Launches before the network, of a frame that is compared with none."""
+
+
+@pytest.fixture
+def launched(monkeypatch):
+    """The names of the kernels, in order, that would have been launched: their results do not matter here."""
+    names = []
+
+    def noted(queue, kernel, *_):
+        names.append(kernel.function_name)
+        return cl.enqueue_marker(queue)
+
+    monkeypatch.setattr(cl, "enqueue_nd_range_kernel", noted)
+    monkeypatch.setattr(cl.Kernel, "__call__", lambda kernel, queue, *_: noted(queue, kernel))
+    return names
+
+
+@pytest.mark.parametrize("skip", ["off", "exact"])
+def test_launches_of_a_whole_frame(device, launched, skip):
+    frames, stream, found = film(["moving"] * 7), Stream(WEIGHTS, device, skip=skip), {}
+    for i in range(len(frames)):
+        stream._attention.frames_unlooked = 100
+        window = window_at(frames, i)
+        launched.clear()
+        stream(window, plan(window).steps)
+        found["EF" if window[-1].color is None else "SF"] = Counter(launched)
+    which = device.device_class
+    counts = {kind: sum(names.values()) for kind, names in found.items()}
+    assert counts == {kind: NETWORK[which] + AROUND[which, kind] for kind in ("SF", "EF")}, found
+
+
+def test_launches_of_the_network(device):
+    assert len(Layers(device, WEIGHTS, 24, 40, "float32").launches) == NETWORK[device.device_class]
