@@ -108,10 +108,10 @@ def inputs_for(device: Device, rows: int, columns: int, dtype: np.dtype[Any], ch
         padded(device, rows // 8, columns // 8, 16, dtype),
     )
     base = cl.Buffer(device.context, FLAGS.READ_WRITE, rows * columns * 16)
-    if not changes:
-        return Inputs(*made, base)
-    maps = Parts(device, [map_bytes(held.height, held.width, held.images) for held in made])
-    return Inputs(*(replace(held, changes=marks) for held, marks in zip(made, maps.buffers, strict=True)), base, maps)
+    maps = Parts(device, [map_bytes(held.height, held.width, held.images) for held in made]) if changes else None
+    marks = (None, None, None) if maps is None else maps.buffers
+    input_, earlier, eighth = (replace(held, changes=map_) for held, map_ in zip(made, marks, strict=True))
+    return Inputs(input_, earlier, eighth, base, maps)
 
 
 FULL_MAPS, LEAST = 16, 1 << 16

@@ -65,7 +65,7 @@ class Prepare:
         self.inputs = inputs_for(device, self.rows, self.columns, np.dtype(np.float32)) if inputs is None else inputs
         self.rows = self.inputs.input.height  # of a strip, where the frame goes in strips
         self._changes = self.inputs.changes
-        self._maps = () if self._changes is None else self._changes.buffers
+        self._maps: tuple[cl.Buffer, ...] = () if self._changes is None else self._changes.buffers
         self._file, self._gather = "frame8.cl" if eights else "frame.cl", gather
         self._kernels = self._built(looking=bool(self._maps))
         self.mask = self._filled(height * width)
