@@ -42,8 +42,9 @@
         }                                                                                                                 \
     }
 
+// Four eights at a time: twelve at once would take more registers than AMD's GPUs have.
 #define GATE_TAP(buffer, channels, first)                                                                                 \
-    for (int c = 0; c < channels / 8; ++c) {                                                                              \
+    _Pragma("unroll 4") for (int c = 0; c < channels / 8; ++c) {                                                          \
         const float8 w = gate_weight[tap * (IN / 8) + first / 8 + c];                                                     \
         _Pragma("unroll") for (int p = 0; p < PIXELS; ++p)                                                                \
             gate[p] += LOAD8(buffer, (at + shift + p * STRIDE) * (channels / 8) + c) * w;                                 \

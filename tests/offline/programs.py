@@ -41,8 +41,10 @@ def programs(row, *, network_only=False):
         network_only: leave out what surrounds the network.
     """
     device = open_device(device_class="gpu")
-    with trial(built_in_rows(BUILT_IN)[0][row]), pytest.MonkeyPatch.context() as patch:
-        matrix_units.proved(device)  # builds, and launches, what asks for them
+    tuning = built_in_rows(BUILT_IN)[0][row]
+    with trial(tuning), pytest.MonkeyPatch.context() as patch:
+        if tuning.local is not None and tuning.local.matrix_units:
+            matrix_units.proved(device)  # builds, and launches, what asks for them
         launch_nothing(patch)
         for precision in PRECISIONS:
             for size in ((32, 48), (544, 960)):  # of few tiles, and of many
