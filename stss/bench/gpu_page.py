@@ -19,13 +19,14 @@ def page(folder: Path, report: Mapping[str, Any]) -> str:
 
     Args:
         folder: has the files that the steps wrote.
-        report: ``machine`` and ``steps``, see ``stss.bench.gpu_report``.
+        report: ``tiny``, ``machine`` and ``steps``, see ``stss.bench.gpu_report``.
     """
     machine, steps = report["machine"], report["steps"]
     bench, launches, half = (_read(folder / name) for name in ("bench.json", "launches.json", "launches-half.json"))
     wrong = [*_faults(steps), *_slower(bench), *_slow_launches("float32", launches), *_slow_launches("half", half)]
     parts = [
         f"# {machine['device']}\n",
+        *(["Small sizes, which show that every step runs. **The figures mean nothing.**\n"] if report["tiny"] else []),
         "## What is wrong\n",
         "\n".join(f"- {line}" for line in wrong) or "Nothing that was looked for.",
         "\n## Steps\n",
@@ -54,7 +55,7 @@ def _read(path: Path) -> Any:
 
 def _faults(steps: Iterable[Mapping[str, Any]]) -> list[str]:
     bad = [step for step in steps if step["outcome"] not in ("passed", "skipped")]
-    return [f"**{s['name']}** {s['outcome']}, see `logs/{s['name']}.txt`: {_cell(s['last_line'])}" for s in bad]
+    return [f"**{s['name']}** {s['outcome']}, see `logs/{s['name']}.txt`: {_cell(s['last_line']) or 'no output'}" for s in bad]
 
 
 def _slower(bench: Any) -> list[str]:

@@ -15,7 +15,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Literal
 
@@ -24,7 +25,7 @@ from stss.errors import InputError
 from stss.machine import cpu_model, versions
 from stss.output.write_whole import make_folder, write_named
 from stss.version import VERSION
-from stss_cl.device.discovery import is_gpu, matching
+from stss_cl.device.discovery import Properties, is_gpu, matching
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("numpy", "pyopencl", "torch", "onnxruntime", "onnxruntime-gpu", "tensorrt")
@@ -38,6 +39,9 @@ PEERS = (
     ",".join(f"pytorch-cuda{n}{c}" for n in ("", "-float32") for c in ("", "-compiled"))
     + ",onnxruntime-cuda,onnxruntime-tensorrt"
 )
+
+PATIENCE = 4
+"""Of a tiny report: its limits in those of a GPU, since a processor takes longer for the kernels of GPUs."""
 
 Outcome = Literal["passed", "failed", "over its limit", "skipped"]
 
@@ -67,7 +71,7 @@ class Done:
         name: of the step.
         outcome: of ``Outcome``.
         seconds: it took.
-        last_line: of its output, or why it was skipped.
+        last_line: of its output, or why it was skipped; empty if it printed nothing.
     """
 
     name: str
@@ -88,7 +92,7 @@ def steps(folder: Path, device: str, model: str, *, tiny: bool) -> list[Step]:
     size, few, tests = ("64x48", "2", TESTS[:1]) if tiny else ("960x544", "20", TESTS)
     here, to = ("--device", device, "--size", size), folder.absolute()
     stss, model_of = (sys.executable, "-m", "stss"), ("bench", "--model", model, "--measure")
-    return [
+    all_steps = [
         Step("devices", (*stss, "devices", "--again"), 120),
         _driver(),
         Step(
@@ -125,6 +129,7 @@ def steps(folder: Path, device: str, model: str, *, tiny: bool) -> list[Step]:
             150,
         ),
     ]
+    return [replace(step, limit=PATIENCE * step.limit) for step in all_steps] if tiny else all_steps
 
 
 def _driver() -> Step:
@@ -163,7 +168,9 @@ def gpu_report(folder: Path, device: str | None, model: str, *, tiny: bool, tell
     name = next((each for each in fitting if is_gpu(fitting[each])), next(iter(fitting)))
     machine = {
         "stss": VERSION,
+        "date": datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
         "device": name,
+        "treated as": Properties(fitting[name]).device_class,
         "driver": str(fitting[name].driver_version),
         "cpu": cpu_model(),
         "system": f"{platform.system()} {platform.machine()}",
@@ -175,7 +182,7 @@ def gpu_report(folder: Path, device: str | None, model: str, *, tiny: bool, tell
     for step in steps(folder, name, model, tiny=tiny):
         tell(f"{step.name}: up to {step.limit:.0f} s")
         done.append(_run(step, folder / "logs" / f"{step.name}.txt", name))
-        _write(folder, machine, done)
+        _write(folder, machine, done, tiny=tiny)
     return all(each.outcome in ("passed", "skipped") for each in done)
 
 
@@ -202,7 +209,7 @@ def _run(step: Step, log: Path, device: str) -> Done:
     return Done(step.name, outcome, round(time.monotonic() - start, 1), lines[-1] if lines else "")
 
 
-def _write(folder: Path, machine: dict[str, str], done: Sequence[Done]) -> None:
-    report = {"format": 1, "machine": machine, "steps": [asdict(each) for each in done]}
+def _write(folder: Path, machine: dict[str, str], done: Sequence[Done], *, tiny: bool) -> None:
+    report = {"format": 1, "tiny": tiny, "machine": machine, "steps": [asdict(each) for each in done]}
     write_named(folder / "report.json", json.dumps(report, indent=1) + "\n")
     write_named(folder / "README.md", page(folder, report))

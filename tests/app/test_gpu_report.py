@@ -77,7 +77,8 @@ def test_every_step_has_its_row_and_what_is_wrong_comes_first(tmp_path, monkeypa
     assert [step["outcome"] for step in steps] == ["passed", "failed", "over its limit", "skipped"]
     text = (folder / "README.md").read_text()
     assert text.index("**bad** failed") < text.index("## Steps")
-    assert "**endless** over its limit" in text
+    assert "**endless** over its limit, see `logs/endless.txt`: no output" in text
+    assert text.index("The figures mean nothing") < text.index("## What is wrong")
     assert "no / such thing" in text
     assert (folder / "logs" / "bad.txt").read_text().splitlines() == ["first", "no | such thing"]
     assert len(told) == len(STEPS)
@@ -112,7 +113,8 @@ def test_slow_launches_and_faster_peers_are_listed(tmp_path: Path):
 
     rows = [row("cl", False, "float32", 2.0), row("quicker", True, "float32", 1.0), row("other", True, "float16", 1.0)]
     (tmp_path / "bench.json").write_text(json.dumps({"sizes": [{"rows": rows}]}))
-    wrong = page(tmp_path, {"machine": {"device": "a GPU"}, "steps": []}).split("## Steps")[0]
+    wrong = page(tmp_path, {"tiny": False, "machine": {"device": "a GPU"}, "steps": []}).split("## Steps")[0]
+    assert "mean nothing" not in wrong
     assert "encoder slow: 50 us, by the model 10 (L2)" in wrong
     assert "quicker takes 1.00 ms, cl 2.00 ms" in wrong
     assert "other" not in wrong
