@@ -8,7 +8,7 @@ import select
 import signal
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,7 +43,15 @@ class Ending:
     stderr: str
 
 
-def run_alone(command: Sequence[str], out: BinaryIO, err: BinaryIO, timeout: float) -> Ending:
+def run_alone(
+    command: Sequence[str],
+    out: BinaryIO,
+    err: BinaryIO,
+    timeout: float,
+    *,
+    folder: Path | None = None,
+    env: Mapping[str, str] | None = None,
+) -> Ending:
     """Run a program to its end, or stop it; then stop all processes that it has left behind.
 
     Args:
@@ -51,11 +59,15 @@ def run_alone(command: Sequence[str], out: BinaryIO, err: BinaryIO, timeout: flo
         out: file for stdout, open for reading as well.
         err: file for stderr, likewise.
         timeout: seconds.
+        folder: where it runs; None: in this process's.
+        env: its environment; None: this process's.
 
     Raises:
         OSError: it cannot be started.
     """
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=out, stderr=err, start_new_session=True)
+    process = subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=out, stderr=err, cwd=folder, env=env, start_new_session=True
+    )
     status, talked = None, False
     end = time.monotonic() + timeout
     try:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """``stss gpu-report``: test and time everything on a GPU by one command, into one folder.
 
-Each step is an ``stss`` or test command in its own process with its own time limit, so that a driver that hangs or ends the process
-costs that step alone. The page is written anew after each step.
+Each step is an ``stss`` or test command in its own session with its own time limit, so that a driver that hangs or ends the process
+costs that step alone, and none of its processes outlives it. The page is written anew after each step.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import json
 import os
 import platform
 import shutil
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -20,6 +19,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Literal
 
+from conformance.protocol.own_session import run_alone
 from stss.bench.gpu_page import page
 from stss.errors import InputError
 from stss.machine import cpu_model, versions
@@ -190,21 +190,13 @@ def _run(step: Step, log: Path, device: str) -> Done:
     if step.command is None:
         return Done(step.name, "skipped", 0.0, step.reason)
     start = time.monotonic()
-    with log.open("wb") as out:
-        try:
-            status = subprocess.run(
-                step.command,
-                cwd=ROOT,
-                env={**os.environ, "STSS_DEVICE": device, "COLUMNS": "160"},
-                stdin=subprocess.DEVNULL,
-                stdout=out,
-                stderr=subprocess.STDOUT,
-                timeout=step.limit,
-                check=False,
-            ).returncode
-            outcome: Outcome = "failed" if status else "passed"
-        except subprocess.TimeoutExpired:
-            outcome = "over its limit"
+    with log.open("w+b", buffering=0) as out:
+        # A benchmark's own processes would go on using the device after it.
+        env = {**os.environ, "STSS_DEVICE": device, "COLUMNS": "160"}
+        ending = run_alone(step.command, out, out, step.limit, folder=ROOT, env=env)
+    outcome: Outcome = "passed" if ending.status == 0 else "failed"
+    if ending.status is None and not ending.talked:
+        outcome = "over its limit"
     lines = [line.strip() for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
     return Done(step.name, outcome, round(time.monotonic() - start, 1), lines[-1] if lines else "")
 

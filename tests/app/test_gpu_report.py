@@ -84,6 +84,21 @@ def test_every_step_has_its_row_and_what_is_wrong_comes_first(tmp_path, monkeypa
     assert len(told) == len(STEPS)
 
 
+LEAVES = """
+import subprocess, sys
+print(subprocess.Popen([sys.executable, "-c", "import threading; threading.Event().wait()"]).pid)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes in /proc")
+def test_no_process_outlives_its_step(tmp_path, monkeypatch):
+    """Those of a benchmark would go on using the device, while the next step is timed."""
+    monkeypatch.setattr(gpu_report, "steps", lambda *_, **__: [Step("bench", command(LEAVES), 60)])
+    gpu_report.gpu_report(tmp_path / "report", None, "h100", tiny=False, tell=lambda line: None)
+    stat = Path("/proc") / (tmp_path / "report" / "logs" / "bench.txt").read_text().strip() / "stat"
+    assert not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] in "ZX"
+
+
 def test_a_folder_with_something_in_it_is_refused(tmp_path):
     (tmp_path / "mine").write_text("")
     done = CliRunner().invoke(stss, ["gpu-report", "-o", str(tmp_path), "--tiny"])
