@@ -18,6 +18,8 @@ from tests.offline.hottest_loop import Loop
 BUILTINS = Path(os.environ.get("LIBCLC", "/usr/lib/clc"))
 OLDEST = 22
 """Oldest version of clang and libclc: in older ones libclc has no work-item functions for AMD."""
+LIMIT = 900
+"""Seconds for one program, which takes a compiler one or two."""
 SIGNATURE = {
     "sm": ("--target=nvptx64-unknown-nvcl", "-march=", "nvptx64--nvidiacl.bc"),
     "gfx": ("--target=amdgcn-amd-amdhsa", "-mcpu=", "amdgcn-amd-amdhsa.bc"),
@@ -166,7 +168,10 @@ def _amd(told: str, code: str, kernel: str) -> Compiled:
 
 
 def _run(command: list[str]) -> str:
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=False)
+    except subprocess.TimeoutExpired:
+        raise CompileError(f"{Path(command[0]).name}: no end after {LIMIT} s") from None
     told = done.stdout + done.stderr
     if done.returncode:
         wrong = [line for line in told.splitlines() if "error" in line] or [f"status {done.returncode}"]
