@@ -92,7 +92,7 @@ def steps(folder: Path, device: str, model: str, *, tiny: bool) -> list[Step]:
     size, few, tests = ("64x48", "2", TESTS[:1]) if tiny else ("960x544", "20", TESTS)
     here, to = ("--device", device, "--size", size), folder.absolute()
     stss, model_of = (sys.executable, "-m", "stss"), ("bench", "--model", model, "--measure")
-    all_steps = [
+    return [
         Step("devices", (*stss, "devices", "--again"), 120),
         _driver(),
         Step(
@@ -129,7 +129,6 @@ def steps(folder: Path, device: str, model: str, *, tiny: bool) -> list[Step]:
             150,
         ),
     ]
-    return [replace(step, limit=PATIENCE * step.limit) for step in all_steps] if tiny else all_steps
 
 
 def _driver() -> Step:
@@ -179,7 +178,7 @@ def gpu_report(folder: Path, device: str | None, model: str, *, tiny: bool, tell
     make_folder(folder)
     make_folder(folder / "logs")
     done: list[Done] = []
-    for step in steps(folder, name, model, tiny=tiny):
+    for step in (replace(each, limit=(PATIENCE if tiny else 1) * each.limit) for each in steps(folder, name, model, tiny=tiny)):
         tell(f"{step.name}: up to {step.limit:.0f} s")
         done.append(_run(step, folder / "logs" / f"{step.name}.txt", name))
         _write(folder, machine, done, tiny=tiny)
