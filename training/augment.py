@@ -72,7 +72,7 @@ def depths_at_random(depth: Array, random: Random) -> Array:
     """Depth (H, W) in 0..1 as if the farthest thing were at another distance; one crop in four stays as it is.
 
     Depth is put between the smallest and the largest of a frame (spec 0): a wide plain presses all that matters into a twentieth of
-    the range, a room fills it. A network that saw the plain alone takes the room's depths for edges everywhere. Half of the crops
+    the range, a room fills it. A network that saw the plain alone does not know the room's. Half of the crops
     are multiplied, half raised to a power, which keeps apart what is far. The background stays at 1.
     """
     keep, power, middle = random.random() < 0.25, random.random() < 0.5, math.exp(random.uniform(*np.log(MIDDLE)))
