@@ -1,8 +1,10 @@
 """Every test of the backend runs on its device twice: treated as a processor, and as a GPU."""
 
+from weakref import WeakKeyDictionary
+
 import pytest
 
-from stss_cl.device import discovery
+from stss_cl.device import discovery, program
 from stss_cl.device.discovery import CLASSES, DeviceError, open_device
 
 UNITS = 1024
@@ -59,3 +61,15 @@ def opened(device, monkeypatch):
     """`device`, also for the code that opens a device by itself: it then builds no program again."""
     monkeypatch.setattr(discovery, "open_device", lambda: device)
     return device
+
+
+@pytest.fixture
+def unoptimised(monkeypatch):
+    """Programs for a processor are built without optimisation: a fifth of the time, for tests of logic whose programs no other test has."""
+    made = program._stored_or_built
+
+    def quickly(device, text, options):
+        return made(device, text, f"{options} -cl-opt-disable" if device.kind == "CPU" else options)
+
+    monkeypatch.setattr(program, "_stored_or_built", quickly)
+    monkeypatch.setattr(program, "_programs", WeakKeyDictionary())

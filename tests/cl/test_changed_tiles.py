@@ -182,7 +182,7 @@ def test_the_image_is_that_of_computing_everything(device, precision, size, chan
 )
 @settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(size=sizes(72), changes=CHANGES)
-def test_other_tile_sizes(processor, precision, tuning, size, changes):
+def test_other_tile_sizes(processor, unoptimised, precision, tuning, size, changes):
     """Without the history, whose layers would be a third of the kernels."""
     weights = random_weights(5)
     weights |= {n: np.zeros_like(w) for n, w in weights.items() if n.startswith("lowlevelGated.") and n.endswith(".weight")}

@@ -22,6 +22,7 @@ from stss_ref.weights import astype
 from stss_ref.weights import random as random_weights
 from tests.cl.test_network import tensors
 
+pytestmark = pytest.mark.usefixtures("unoptimised")
 FLOAT, HALF = np.dtype(np.float32), np.dtype(np.float16)
 LAYERS = [
     # size, channels of both inputs, outputs, gated, stride
