@@ -55,8 +55,7 @@
 // Loads channels `first` .. first + STEP - 1 of the pixels under the tile, whose corner is the buffers' pixel (top, left). Only pixels that
 // are not stored need values beyond the buffers.
 static inline void fetch(global const stored *a, global const stored *b, local float *tile, const int item, const int first,
-                         const int top, const int left, const int in_rows, const int in_columns
-                         )
+                         const int top, const int left, const int in_rows, const int in_columns)
 {
     for (int i = item; i < STEP / 4 * READ_WIDE * READ_TALL; i += ITEMS) {
         const int quad = i % (STEP / 4), x = i / (STEP / 4) % READ_WIDE, y = i / (STEP / 4) / READ_WIDE;
@@ -92,9 +91,7 @@ void conv_local(global const stored *restrict a, global const stored *restrict b
 #ifdef IMAGES
                 , const int a_next, const int out_next, const int map_next, const int tile_rows
 #endif
-                , global const uint *restrict tiles, global const int *restrict count
-                , global uchar *restrict changes
-                )
+                , global const uint *restrict tiles, global const int *restrict count, global uchar *restrict changes)
 {
     local float tile[TILE] __attribute__((aligned(16)));
     local float taps[9 * STEP * OUT] __attribute__((aligned(32)));
@@ -123,8 +120,7 @@ void conv_local(global const stored *restrict a, global const stored *restrict b
 
         for (int first = 0; first < IN; first += STEP) {
             barrier(CLK_LOCAL_MEM_FENCE);
-            fetch(from_a, b, tile, item, first, STRIDE * up, STRIDE * left, in_rows, in_columns
-                  );
+            fetch(from_a, b, tile, item, first, STRIDE * up, STRIDE * left, in_rows, in_columns);
             for (int i = item; i < 9 * STEP * OUT / 4; i += ITEMS)
                 ((local float4 *)taps)[i] =
                     ((global const float4 *)weight)[(i / (STEP * OUT / 4) * IN + first) * (OUT / 4) + i % (STEP * OUT / 4)];

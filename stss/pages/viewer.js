@@ -116,7 +116,9 @@
   }
   function go(step) {
     const at = Math.min(data.frames.length - 1, Math.max(0, state.at + step));
-    if (at !== state.at) location.hash = `frame-${data.frames[at].number}`;
+    if (at === state.at) return;
+    location.hash = `frame-${data.frames[at].number}`;
+    fromHash(); // the event comes later, perhaps after the next key
   }
   function next(select, step) {
     const views = data.views.filter(has);
@@ -134,10 +136,9 @@
   function fromHash() {
     const number = /^#frame-(\d+)$/.exec(location.hash)?.[1];
     const at = data.frames.findIndex((one) => String(one.number) === number);
-    if (at >= 0) {
-      state.at = at;
-      draw();
-    }
+    if (at < 0 || at === state.at) return;
+    state.at = at;
+    draw();
   }
 
   const keys = {

@@ -270,6 +270,13 @@ def test_keys_lead_through_frames_views_and_zoom(browser, shown):
     assert browser.do("document.getElementById('zoomed').textContent") == "2x"
 
 
+def test_no_key_is_lost_in_a_hurry(browser, shown):
+    """A browser tells of a new address only when it has time; keys may come faster."""
+    browser.open(shown)
+    browser.do("for (const key of ['.', '.']) document.dispatchEvent(new KeyboardEvent('keydown', {key}))")
+    assert browser.do("document.getElementById('caption').textContent") == "frame 2, SF: 32 dB"
+
+
 def test_a_difference_is_that_of_the_pixels(browser, tmp_path):
     """Levels 100 and 110 at a gain of 4: 40."""
     grey = {name: np.full((*SIZE, 3), level / 255, np.float32) for name, level in (("output", 100), ("truth", 110))}
