@@ -56,7 +56,7 @@ def test_imports_go_one_way(path):
 
 @pytest.mark.parametrize("path", [p for p in SOURCES if p.relative_to(ROOT).parts[0] in FLOORS], ids=name)
 def test_rooms_import_those_below(path):
-    """Every room stands in the plan, and no import leads up or across; a package's ``__init__`` hands on what it likes."""
+    """Every room stands in the plan, and no import leads up or across; a package's ``__init__`` may import anything of its package."""
     package, *rest = path.relative_to(ROOT).with_suffix("").parts
     if rest == ["__init__"]:
         return

@@ -61,7 +61,7 @@ class Browser:
         return message
 
     def open(self, path, *, width=1280, height=900, scheme="light", hash_=""):
-        """Load a file, and wait until all of it is there."""
+        """Load a file, and wait until all of it is there and shown: a browser drops keys that come before the first picture."""
         self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600)
         self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
         self.call("Page.navigate", url="about:blank")
@@ -70,6 +70,8 @@ class Browser:
         while "Page.loadEventFired" not in [method for method, _ in self.events]:
             self._next()
         self.do("Promise.all([...document.images].map(image => image.decode()))")
+        for _ in range(2):
+            self.do("new Promise(requestAnimationFrame)")
 
     def do(self, expression):
         """The value of an expression in the page, waited for where it is a promise."""
@@ -156,6 +158,7 @@ def browser():
             "--disable-gpu",
             "--disable-dev-shm-usage",
             "--no-first-run",
+            "--allow-pre-commit-input",
             "--hide-scrollbars",
         ]
         program = subprocess.Popen(

@@ -126,7 +126,7 @@ def test_the_network_s_white_is_the_brightest_hdr_value():
 
 
 def test_a_screen_shows_hdr_without_tone_curve():
-    """Display of hdr is that of srgb: what is above 1 is white."""
+    """hdr is displayed as srgb is: what is above 1 is white."""
     color = np.float32([[[0.2, 0.9, 7]]])
     assert np.array_equal(transfer("hdr").display(color), transfer("srgb").encode(color))
 

@@ -66,7 +66,7 @@ COMMAND = "from stss.cli.main import main; sys.argv = ['stss', 'conform']; main(
 
 
 def test_another_package_of_that_name_is_one_line(site, tmp_path):
-    """It is theirs that is imported, ours is untouched, and the line says where both are and what to do."""
+    """Theirs is imported, ours is untouched, and the line says where both are and what to do."""
     (tmp_path / "conformance").mkdir()
     (tmp_path / "conformance" / "__init__.py").write_text("")
     done = run(site, COMMAND, path=str(tmp_path))

@@ -111,7 +111,7 @@ def test_a_wrong_port(stss):
 
 
 def test_a_cluster_needs_its_extra(stss):
-    """What it imports of stss is in the wheel: it comes as far as the package that is not installed here."""
+    """The wheel has all of stss that it imports: it fails only at the package that is not installed here."""
     done = stss("conform", "--port", "ours:Port", "--cluster", "local:1")
     assert done.returncode == 2
     assert "distributed is not installed" in done.stderr

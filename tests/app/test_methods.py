@@ -292,7 +292,7 @@ def test_resume_does_not_mix_methods(sequence, tmp_path):
 
 
 def test_taau_goes_on_after_a_frame_that_cannot_be_read(sequence, write_frames, tmp_path):
-    """What is left out is a cut: the frames after it are those of a sequence that starts there."""
+    """A frame that is left out is a cut: the frames after it are as in a sequence that starts there."""
     files = sorted(sequence.path.iterdir())
     files[3].write_bytes(files[3].read_bytes()[:3000])
     run(sequence, tmp_path / "all", MethodBackend("taau"), "none", RunOptions(keep_going=True))

@@ -92,7 +92,7 @@ def test_neighbours_are_read_and_written_while_one_is_computed():
 
 
 def test_after_an_item_that_cannot_be_written_no_other_is():
-    """Those that were computed meanwhile wait in the writer's line; a frame's mask would be written, and its image not."""
+    """The frames computed meanwhile wait in the writer's queue; otherwise a frame's mask would be written without its image."""
     steps = Steps({("write", 1): OSError("full")})
     with pytest.raises(OSError, match="full"):
         steps.run(6, write=0.05)

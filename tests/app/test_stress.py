@@ -160,7 +160,7 @@ def test_depth_does_not_make_the_error_grow(results):
 
 
 def test_the_hole_test_loses_nothing_itself(results):
-    """Differences of neighbours are exact, so the verdicts are those of float64 on the same positions."""
+    """Differences of neighbours are exact, so float64 gives the same verdicts for the same positions."""
     table = results.table("positions")
     assert table.column("float32") == table.column("its test in float64")
     assert table.column("float32")[-1] > 10

@@ -80,7 +80,7 @@ class Sequence:
         self.device.queue.finish()
 
     def feed(self, inputs):
-        """Fill the inputs and mark what of them came to differ."""
+        """Fill the inputs and mark the tiles that now differ."""
         before, base = [contents(self.device, held) for held in self.given], self.base()
         self.fill(inputs)
         marks = [tiles(old, contents(self.device, held)) for held, old in zip(self.given, before, strict=True)]

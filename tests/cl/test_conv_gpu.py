@@ -148,7 +148,7 @@ def test_what_is_not_proved_is_not_used(device, monkeypatch):
 @pytest.mark.parametrize("local", [Local(1), Local(2), Local(2, matrix_units=True)], ids=str)
 @pytest.mark.parametrize("layer", [LAYERS[0], LAYERS[6]], ids=str)
 def test_tiles_of_a_list(device, layer, local):
-    """Only the listed tiles are written, whatever the number of work-groups, and those marked whose bits came to differ."""
+    """Only the listed tiles are written, whatever the number of work-groups; a tile is marked if its bits now differ."""
     case = Case(device, layer, HALF)
     made = case.layer(local)
     whole = case.run(made)

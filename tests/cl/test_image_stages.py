@@ -250,7 +250,7 @@ def test_prepare(device, eights, data, size):
 @settings(max_examples=20)
 @given(seed=SEEDS)
 def test_prepare_where_few_pixels_are_holes(device, eights, seed):
-    """Only places that a hole looks up are splatted to: a frame with many rows of eight of which none is wanted."""
+    """Only places that a hole looks up are splatted to: in this frame, many groups of eight rows are not wanted at all."""
     size = (24, 100)
     random = np.random.default_rng(seed)
     stencils = np.zeros((4, *size), np.float32)

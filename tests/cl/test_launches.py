@@ -1,4 +1,4 @@
-"""How many launches a whole display frame takes: on a GPU each costs what hundreds of thousands of multiply-adds do."""
+"""How many launches a whole display frame takes: on a GPU, each costs as much as hundreds of thousands of multiply-adds."""
 
 from collections import Counter
 

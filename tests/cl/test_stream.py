@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A stream of display frames: whatever is kept, the image is that of a frame computed from nothing, bit for bit."""
+"""A stream of display frames: whatever is kept, the image has the bits of a frame computed from nothing."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ def test_frames_older_than_the_window_are_let_go(device):
 
 @pytest.mark.parametrize("x", range(11))
 def test_one_pixel_that_moves_is_seen(device, x):
-    """Nothing else changes, so nothing else gives it away; columns of whole tiles and of the last one, which is not whole."""
+    """Nothing else changes, so nothing else gives it away; in columns of whole tiles, and in the last one, which is cut off."""
     keeping, plain, frames = Stream(WEIGHTS, device), Stream(WEIGHTS, device, skip="off"), list(still(12, (9, 11)))
     frames[11].motion[5, x] = -1.75, 1.25
     for i in range(6, 12):
@@ -249,7 +249,7 @@ def test_what_weights_do_not_read_is_not_computed(device):
 
 
 def test_activity_says_where(device):
-    """Nothing in a still frame, everything in one computed whole; elsewhere it covers every pixel that came to differ."""
+    """Nothing in a still frame, everything in one computed whole; elsewhere it covers every pixel that now differs."""
     keeping, frames = Stream(WEIGHTS, device), still(14, (61, 93))
     frames[12].color[40:43, 70:74] += 0.1
     images = []

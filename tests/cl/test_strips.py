@@ -132,7 +132,7 @@ def test_a_pixel_depends_on_no_more_than_the_overlap(device):
 
 @pytest.mark.parametrize("steps", [(1, 3, 5), (0, 2, 4), (1, 1, 1)])
 def test_whole_frames_in_strips(device, steps):
-    """Motion and splat reach across strips; the image and the holes are those of the whole frame."""
+    """Motion and splat reach across strips; image and holes are as without strips."""
     height = 1210
     random = np.random.default_rng(1)
 

@@ -336,7 +336,7 @@ def test_a_fault_of_the_driver_is_kept():
 
 @pytest.mark.skipif(verdicts.fcntl is None, reason="no file locks on this system")
 def test_one_process_tests_while_others_wait(tmp_path):
-    """And all have its verdict: of several first starts at once none is refused."""
+    """All have its verdict: none of several first starts at once is refused."""
     begun, go, waiting = tmp_path / "begun", tmp_path / "go", threading.Barrier(4, timeout=60)
     slow = child(
         f"open({str(begun)!r}, 'a').write('x')\n" + f"while not os.path.exists({str(go)!r}): time.sleep(0.01)\n" + ANSWER

@@ -216,7 +216,7 @@ def test_resume_and_overwrite_do_not_go_together(demo, tmp_path):
 
 
 def test_overwrite_removes_nothing_before_the_new_frames_are_there(finished, demo, tmp_path):
-    """A frame in the middle cannot be read: those before it are new, those behind it those of the earlier run."""
+    """A frame in the middle cannot be read: the frames before it are new, the frames behind it are from the earlier run."""
     out, frames = tmp_path / "out", tmp_path / "frames"
     shutil.copytree(finished, out)
     shutil.copytree(demo / "frames", frames)
@@ -393,7 +393,7 @@ def unprivileged():
 
 @pytest.mark.parametrize("option", ["--overwrite", "--resume"])
 def test_a_folder_of_somebody_else_is_told(finished, demo, readable, option):
-    """By a user who may read everything and write nothing."""
+    """The user may read everything and write nothing."""
     out, frames = readable / "out", readable / "frames"
     shutil.copytree(finished, out)
     shutil.copytree(demo / "frames", frames)

@@ -135,7 +135,7 @@ def test_a_window_may_be_longer_than_what_is_read(device):
 
 @pytest.mark.parametrize("skip", ["exact", "bounded"])
 def test_nobody_can_write_to_what_is_kept(device, skip):
-    """Of a still picture image and holes are handed out again and again."""
+    """The image and holes of a still picture are handed out again and again."""
     stream, frames = Stream(WEIGHTS, device, skip=skip, max_error=0.1), still_with("nothing", at=0)
     for i in range(10):
         window = frames[max(0, i + 1 - WINDOW) : i + 1]

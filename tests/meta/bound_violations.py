@@ -25,7 +25,7 @@ FIRST, LAST = "<!-- written by make misses -->", "<!-- end -->"
 
 @dataclass
 class Tally:
-    """What became of the frames at one largest error: sequences and frames of which a part was left out, and their departures."""
+    """The frames at one largest error: how many sequences and frames had a part left out, and their departures."""
 
     sequences: set[int] = field(default_factory=set)
     departures: list[float] = field(default_factory=list)

@@ -1,4 +1,4 @@
-"""As much of JSON Schema as ours use, so that tests need no package for it; an unknown word is an error, not a pass."""
+"""The part of JSON Schema that our schemas use, so that tests need no package for it; an unknown word is an error, not a pass."""
 
 import re
 

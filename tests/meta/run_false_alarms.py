@@ -17,7 +17,7 @@ FIRST, LAST = "<!-- written by make alarms -->", "<!-- end -->"
 
 
 def judged(name, tier=TIERS["full"]):
-    """What a right port fails, largest error / bound by stage, cases, undecided numbers, cases not judged."""
+    """The tests a right port fails, its largest error / bound by stage, and the number of cases, undecided numbers and cases not judged."""
     results = run_suite(Judge(port(name), tier))
     worst = dict.fromkeys(STAGES, 0.0)
     for result in results:

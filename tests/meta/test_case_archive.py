@@ -42,7 +42,7 @@ def answers(archive, case, port):
 
 
 def share(archive, index, port):
-    """Of the cases in which each output departs."""
+    """The share of the cases in which each output departs."""
     departing, found = reader(), {}
     for case in index["cases"]:
         got = answers(archive, case, port)

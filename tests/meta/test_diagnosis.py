@@ -13,7 +13,7 @@ from tests.meta.samples import samples
 
 
 def said(port, stage):
-    """Of the first sample that it gets wrong."""
+    """The diagnosis of the first sample that it gets wrong."""
     judge, body = Judge(port), find_property(f"{stage}.agrees_with_the_reference")
     for case in samples(stage):
         try:

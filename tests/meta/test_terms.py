@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""A wrong pixel taken apart: its terms are those of the formula, worked out by hand."""
+"""A wrong pixel taken apart: its terms are the formula's, worked out by hand."""
 
 import numpy as np
 import pytest

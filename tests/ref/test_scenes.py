@@ -142,7 +142,7 @@ def test_stencil_numbers_the_moving_objects():
 
 
 def test_textures_move_with_the_object():
-    """Base colour at p + motion, a frame earlier, is that of p: also where the object turns."""
+    """p has the base colour that p + motion had a frame earlier, also where the object turns."""
     out = render(DEMO, 9, 90, 160)
     crate = out.stencil == 3
     at = (grid((90, 160)) + out.motion)[crate]
