@@ -41,13 +41,15 @@ def main():
     os.environ["OMP_NUM_THREADS"] = "1"
     start = perf_counter()
     names = sys.argv[1:] or list(PORTS)
+    found = {}
     with ProcessPoolExecutor() as pool:
-        found = dict(zip(names, pool.map(judged, names), strict=True))
-    for name, (alarms, worst, counts) in found.items():
-        print(f"{name}: {counts[0]} cases, {counts[1]} numbers decided by rounding, {counts[2]} cases not judged")
-        print("   ", ", ".join(f"{stage} {ratio:.2g}" for stage, ratio in worst.items()))
-        for alarm in alarms:
-            print("    FALSE ALARM", alarm)
+        for name, (alarms, worst, counts) in zip(names, pool.map(judged, names), strict=True):
+            found[name] = alarms, worst, counts
+            print(f"{name}: {counts[0]} cases, {counts[1]} numbers decided by rounding, {counts[2]} cases not judged")
+            print("   ", ", ".join(f"{stage} {ratio:.2g}" for stage, ratio in worst.items()))
+            for alarm in alarms:
+                print("    FALSE ALARM", alarm)
+            sys.stdout.flush()  # minutes pass before the next port
     print(f"{perf_counter() - start:.0f} s")
     if PAGE.exists() and not sys.argv[1:]:
         head, rest = PAGE.read_text(encoding="utf-8").split(FIRST)
