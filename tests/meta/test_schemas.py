@@ -13,6 +13,7 @@ from conformance.answers.port_arithmetic import Arithmetic
 from conformance.judge import Judge, Tier
 from conformance.known_failures import KnownFailuresError, read_known
 from conformance.mistakes import find
+from conformance.protocol.layers import LAYERS_OF
 from conformance.protocol.stages import STAGES
 from conformance.run_suite import SUITE, run_suite
 from stss.cli.main import stss as command
@@ -76,9 +77,9 @@ def test_what_is_written_fits(samples, name):
 
 @pytest.mark.parametrize("name", ["results", "certificate", "cases", "known-failures", "stages"])
 def test_less_or_more_does_not_fit(samples, name):
-    """Each key of each object is needed, unless keys are names of stages, arrays or outputs; and there is no other."""
+    """Each key of each object is needed, unless keys are names of stages, arrays, outputs or layers; and there is no other."""
     rules, sample = schema(name), samples[name]
-    named = {"stages", "inputs", "outputs", "error_over_bound"}
+    named = {"stages", "inputs", "outputs", "layers", "error_over_bound"}
     for path in places(sample):
         if path and path[-1] in named:
             continue
@@ -98,7 +99,15 @@ def test_the_table_of_stages_is_that_of_the_judge():
             for name, spec in specs.items()
         }
 
-    stages = {s.name: {"weights": s.weights, "inputs": arrays(s.inputs), "outputs": arrays(s.outputs)} for s in STAGES.values()}
+    stages = {
+        s.name: {
+            "weights": s.weights,
+            "inputs": arrays(s.inputs),
+            "outputs": arrays(s.outputs),
+            "layers": arrays(LAYERS_OF.get(s.name, {})),
+        }
+        for s in STAGES.values()
+    }
     found = json.loads((FOLDER / "stages.json").read_text())
     assert found == {"format": 1, "specification": stss_ref.SPEC_VERSION, "stages": stages}
     assert list(found["stages"]) == list(STAGES)
