@@ -9,7 +9,7 @@
 //  stencil, stencil0..2 in (H, W)       of the frame itself, and of the colour frames
 //  normal, normal0..2   in (H, W, 3)    likewise; from pixel to pixel normal_stride floats: 3, or 9 within a G-buffer
 //  position, position0..2 in (H, W, 3)  likewise, cm
-//  chained    in/out  (3, H, W, 2)      px, current -> each colour frame; not written where its step is 0
+//  chained    in/out  (3, H, W, 2)      px, current -> each colour frame; not written where its step is 0, or was given as 0: nobody reads it
 //  keys,first in/out  (H, W)            the splat's, occlusion_warp.cl; only places that a hole looks up are wanted
 //  history    out     (3, R+2, C+2, 4)  oldest, middle, newest; warped rgb >= 0, mask
 //  x0         out     (R+2, C+2, 24)    occlusion_warp, warped (both >= 0), the six * mask, gbuffer, 0 0 0
@@ -48,7 +48,7 @@ static inline void chain_pixel(global const float2 *const *motions, const int ne
     float2 motion = motions[0][pixel];
 #pragma unroll
     for (int j = 1; j <= 5; ++j) {  // unrolled: the choice of the motion must not depend on a number in a register
-        if (j > oldest) break;
+        if (j > most(newest, oldest)) break;
         if (j > 1) motion = chain_on(motion, motions[j - 1], x, y, height, width);
         if (j == newest) chained[pixel] = motion;
         if (j == middle) chained[plane + pixel] = motion;

@@ -89,6 +89,7 @@ class Frame:
         prepare.begin(
             steps=steps,
             tops=[strip.top for strip in layers.strips],
+            older=layers.reads_history,
             **{name: self._source(name, array, shape) for name, (array, shape) in given.items()},
         )
         made = self._finish(prepare, layers, on_device=stays)
@@ -110,7 +111,7 @@ class Frame:
         """
         layers = self.network.layers(*size)
         prepare = self._preparation(layers)
-        prepare.start(sources, tops=[strip.top for strip in layers.strips])
+        prepare.start(sources, tops=[strip.top for strip in layers.strips], older=layers.reads_history)
         image = self._finish(prepare, layers, on_device=on_device)
         return image, mask_of(self.device, prepare.mask, size, on_device=on_device)
 

@@ -102,10 +102,12 @@ class Prepare:
         normals: Source,
         positions: Source,
         tops: Sequence[int] = (0,),
+        *,
+        older: bool = True,
     ) -> None:
         """Enqueue the frame's image-space stages up to the splat; the arguments are those of ``stss_ref.frame.FrameInputs``.
 
-        ``strip`` then finishes each of the strips that begin at ``tops``.
+        ``strip`` then finishes each of the strips that begin at ``tops``. ``older``: see ``start``.
 
         On a CPU arrays are read in place: they must not change until the queue has finished this frame. All but motions and
         positions must be finite: ``not_finite`` checks it afterwards.
@@ -132,7 +134,7 @@ class Prepare:
         for which, (buffers, floats) in enumerate(scanned):
             for buffer in buffers:
                 self.look_for_non_finite(buffer, floats, which)
-        self.start(sources, tops)
+        self.start(sources, tops, older=older)
 
     def look_for_non_finite(self, buffer: cl.Buffer, floats: int, which: int) -> None:
         """Have ``not_finite`` name ``FINITE[which]`` if one of the ``floats`` values of a pixel is not finite."""
@@ -156,9 +158,9 @@ class Prepare:
         """
         self._read, self._tops, self._planes = sources, tuple(tops), 3 if older else 1
         self._looks = looking and bool(self._maps)
-        newest, middle, oldest = sources.steps if older else 3 * sources.steps[:1]
+        newest, middle, oldest = sources.steps if older else (sources.steps[0], 0, 0)
         size, skip = (self.height, self.width), self._clear(newest > 0)
-        if oldest > 0:
+        if newest or oldest:
             motions = (*sources.motions, *5 * [self._chained])[:5]
             self._run("chain_steps", size, *motions, newest, middle, oldest, self._chained, *self._splat, *size, *skip)
         for top in self._tops:
