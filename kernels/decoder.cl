@@ -5,8 +5,6 @@
 //  color    in   (H8, W8, 4)     see decoder.clh, as weight and bias
 //  image    out  (2H, 2W, 3)     what lies beyond 2H, 2W is not written
 //
-// upsampled: the image without the network's share, for tiles where the network was not computed.
-//
 // The buffers may hold a strip of the frame: their row 0 is the frame's row `top`; rows `first_row` .. height - 1 are written.
 // `tiles`, `count`: the tiles of 4 x 4 pixels that are computed, see tile_list.clh.
 //
@@ -45,23 +43,6 @@ kernel void image(global const stored *restrict feature, global const float4 *re
             residual((const float *)f, weight, bias, sums);
             write_pixels(sums, color, image, y, x, width, rows, columns, top);
         }
-#endif
-    }
-}
-
-kernel void upsampled(global const float4 *restrict color, global float *restrict image, const int height, const int width,
-                      const int rows, const int columns, global const uint *restrict tiles, global const int *restrict count)
-{
-    const float8 nothing[8] = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
-    const int2 part = part_of_list(count[0], 1);
-    for (int t = part.x; t < part.y; ++t) {
-#if WORKERS == 16
-        const int y = 4 * TILE_ROW(tiles[t]) + WORKER / 4, x = 4 * TILE_COLUMN(tiles[t]) + WORKER % 4;
-        if (y >= height || x >= width) continue;
-        for (int lower = 0; lower < 2; ++lower) write_row(nothing[0], color, image, y, x, lower, width, rows, columns, 0);
-#else
-        for (int y = 4 * TILE_ROW(tiles[t]), i = 0; i < 4 && y < height; ++i, ++y)
-            write_pixels(nothing, color, image, y, 4 * TILE_COLUMN(tiles[t]), width, rows, columns, 0);
 #endif
     }
 }

@@ -9,7 +9,6 @@
 //
 // Tile t of the output, along either axis, reads the pixels step * t - before .. step * (t + 1) + beyond of the inputs; of half the size, those with half
 // the step. `rows`, `columns`: of tiles, of each image.
-// `unmarked`: list those that no marked tile reaches instead.
 // Build -D SPAN=tiles of a work-item, at most 64.  Launch (ceil(columns / SPAN), rows of all images), or more.
 #ifndef SPAN
 #error "tile_list.cl needs -D SPAN=tiles of a work-item"
@@ -29,7 +28,7 @@ static inline int reached(global const uchar *map, const int map_rows, const int
 kernel void tile_list(global const uchar *restrict a, global const uchar *restrict b, global const uchar *restrict c, const int a_tile,
                       const int map_rows, const int map_columns, const int b_rows, const int b_columns, const int b_part, const int step_y,
                       const int step_x, const int before, const int beyond, const int rows, const int columns, const int images,
-                      const int unmarked, global uint *restrict tiles, global int *restrict count)
+                      global uint *restrict tiles, global int *restrict count)
 {
     const int first = get_global_id(0) * SPAN, last = least(first + SPAN, columns) - 1, line = get_global_id(1);
     if (first > last || line >= images * rows) return;
@@ -39,13 +38,13 @@ kernel void tile_list(global const uchar *restrict a, global const uchar *restri
     const int any_a = reached(a, map_rows, map_columns, step_y, step_x, before, beyond, y, first, last);
     const int any_b = has_b && reached(b, b_rows, b_columns, half_y, half_x, before, beyond, y, first, last);
     const int any_c = has_c && reached(c, map_rows, map_columns, step_y, step_x, before, beyond, y, first, last);
-    if (!unmarked && !any_a && !any_b && !any_c) return;
+    if (!any_a && !any_b && !any_c) return;
     ulong found = 0;
     for (int x = first; x <= last; ++x) {
         const int marked = (any_a && reached(a, map_rows, map_columns, step_y, step_x, before, beyond, y, x, x)) ||
                            (any_b && reached(b, b_rows, b_columns, half_y, half_x, before, beyond, y, x, x)) ||
                            (any_c && reached(c, map_rows, map_columns, step_y, step_x, before, beyond, y, x, x));
-        if (marked != unmarked) found |= 1ul << (x - first);
+        if (marked) found |= 1ul << (x - first);
     }
     int at = found ? atomic_add(count, (int)popcount(found)) : 0;
     for (int x = first; x <= last; ++x)

@@ -34,12 +34,10 @@ JUDGED = 2
 SETTINGS = (
     ComputeOptions(precision="float32", skip="off"),
     ComputeOptions(precision="float32", skip="exact"),
-    *(ComputeOptions(precision="float32", skip="bounded", max_error=levels / 255) for levels in (1, 2, 4)),
     ComputeOptions(precision="float32-direct", skip="off"),
     ComputeOptions(precision="float32-direct", skip="exact"),
     ComputeOptions(precision="half", skip="off"),
     ComputeOptions(precision="half", skip="exact"),
-    ComputeOptions(precision="half", skip="bounded", max_error=2 / 255),
 )
 FULL = SETTINGS[0]
 
@@ -67,7 +65,6 @@ class Point:
         full: seconds of the same frames with the setting `FULL`, timed in turns with ``times``.
         error: largest difference of the judged frames from the float64 reference, output units.
         departure: largest difference of all timed frames from those of `FULL`, output units.
-        missed: number of timed frames that depart by more than the setting allows.
         psnr: mean PSNR of the judged frames to the truth, dB.
         exact: whether every timed image has the same bits as with `FULL`.
     """
@@ -78,7 +75,6 @@ class Point:
     full: tuple[float, ...]
     error: float
     departure: float
-    missed: int
     psnr: float
     exact: bool
 
@@ -150,7 +146,7 @@ def _point(
     judged: dict[int, tuple[Image, Image]],
 ) -> Point:
     full = Stream(weights, device, FULL.precision, skip="off")
-    tried = Stream(weights, device, setting.precision, skip=setting.skip, max_error=setting.max_error)
+    tried = Stream(weights, device, setting.precision, skip=setting.skip)
     times: tuple[list[float], list[float]] = [], []
     errors, scores, departures, same = [0.0], list[float](), [0.0], True
     for number in range(len(frames)):
@@ -175,7 +171,6 @@ def _point(
         tuple(times[0][WARM:]),
         max(errors),
         max(departures),
-        sum(departure > setting.max_error > 0 for departure in departures),
         statistics.mean(scores),
         same,
     )

@@ -125,9 +125,7 @@ def print_points(points: Sequence[Point], peers: Sequence[Timing], console: Cons
                 f"{max(point.times) * 1e3:.1f}",
                 f"{point.ratio:.3f}",
                 f"{point.error:.1e}",
-                "same bits"
-                if point.exact
-                else f"{point.departure * 255:.2f}/255" + f", {point.missed} beyond" * bool(point.missed),
+                "same bits" if point.exact else f"{point.departure * 255:.2f}/255",
                 f"{point.psnr:.2f}",
             )
         console.print(table)
@@ -158,7 +156,6 @@ def write_json(path: Path, points: Sequence[Point], peers: Sequence[Timing], wei
                 "share": point.ratio,
                 "error": point.error,
                 "departure": point.departure,
-                "missed": point.missed,
                 "same_bits": point.exact,
                 "psnr": point.psnr,
             }

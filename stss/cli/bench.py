@@ -47,7 +47,7 @@ from stss_cl.network.network import Precision
 @click.option(
     "--settings",
     type=Names(),
-    help="With --pareto: the settings whose names contain one of these, such as float32,2/255  [default: all]",
+    help="With --pareto: the settings whose names contain one of these, such as float32,half off  [default: all]",
 )
 @click.option("--model", help="Print instead the times that a model predicts for a GPU: h100, ...")
 @click.option(

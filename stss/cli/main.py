@@ -102,7 +102,6 @@ def run(
     backend: str,
     compute: ComputeOptions,
     skip: Skip | None,
-    max_error: float | None,
     budget: float | None,
     suffix: str,
     preview: Path | None,
@@ -119,13 +118,13 @@ def run(
     if preview is not None:
         require_preview(preview, [*frames.reads, *reads])
     loaded = choose_weights(weights, frames, _tell, needed=method == NETWORK)
-    compute = with_skipping(compute, skip, max_error, budget, possible=possible)
+    compute = with_skipping(compute, skip, budget, possible=possible)
     if cluster is None and mixed_devices:
         raise InputError("--mixed-devices: expected --cluster as well")
     first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
     with shown_progress(console, last - first + 1, preview and Preview(preview, out, options)) as on_frame:
         if cluster is not None:
-            require_independent(method, compute, budget)
+            require_independent(method, budget)
             where = Cluster(cluster, mixed_devices)
             summary = run_on_cluster(frames, out, where, method, loaded, backend, compute, options, on_frame, reads)
         else:

@@ -124,23 +124,6 @@ weights_option = click.option(
 )
 
 
-class Deviation(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
-    """A deviation in output units, as a number or as steps of eight bits: ``0.008`` or ``2/255``."""
-
-    name = "E"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Parse; a wrong one is the user's mistake."""
-        steps, slash, of = str(value).partition("/")
-        try:
-            found = float(steps) / (float(of) if slash else 1)
-        except (ValueError, ZeroDivisionError):
-            found = -1.0
-        if not 0 < found < 1:
-            self.fail(f"expected a deviation between 0 and 1, such as 2/255, got {value!r}", param, ctx)
-        return found
-
-
 class Milliseconds(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
     """A time such as ``40ms``, in seconds."""
 
@@ -165,11 +148,7 @@ def skip_options(command: Command) -> Command:
         click.option(
             "--skip",
             type=click.Choice(SKIPS),
-            help="off: compute everything; exact: reuse what did not change, with the same bits; bounded: flat tiles get no network"
-            "  [default: exact; bounded with --max-error]",
-        ),
-        click.option(
-            "--max-error", type=Deviation(), help="For bounded: how far the image may be from the full one, such as 2/255."
+            help="off: compute everything; exact: reuse what did not change, with the same bits  [default: exact]",
         ),
         click.option(
             "--budget", type=Milliseconds(), help="Time for a frame, such as 40ms: take the most accurate setting within it."

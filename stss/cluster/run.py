@@ -85,13 +85,12 @@ def run_on_cluster(
     return summary
 
 
-def require_independent(method: str, compute: ComputeOptions, budget: float | None) -> None:
+def require_independent(method: str, budget: float | None) -> None:
     """Raise InputError where an output depends on earlier outputs, or on this machine's speed: then a run cannot be cut."""
     if budget is not None:
         raise InputError("--cluster: expected no --budget: a time is one machine's")
-    if method in ACCUMULATING or compute.skip == "bounded":
-        what = f"--method {method}" if method in ACCUMULATING else "--skip bounded"
-        raise InputError(f"--cluster: {what} makes each output from all before it, so a run cannot be cut")
+    if method in ACCUMULATING:
+        raise InputError(f"--cluster: --method {method} makes each output from all before it, so a run cannot be cut")
 
 
 class _Coordinator:

@@ -28,15 +28,12 @@ class Cost:
     """How much of the network a frame needed.
 
     Attributes:
-        network: where the network ran: ``none``, nowhere; ``changed``, where its inputs had changed; ``partly``, everywhere but in
-            flat tiles; ``whole``, everywhere.
+        network: where the network ran: ``none``, nowhere; ``changed``, where its inputs had changed; ``whole``, everywhere.
         changed: share of the network's inputs that differed from the frame before of this kind; 1 where they were not compared.
-        departure: largest error that skipping made, in units of the image, if the frame was checked; None: not checked.
     """
 
-    network: Literal["none", "changed", "partly", "whole"]
+    network: Literal["none", "changed", "whole"]
     changed: float
-    departure: float | None = None
 
 
 class Backend(Protocol):
@@ -97,7 +94,7 @@ class ReferenceBackend(OnArrays):
 class OpenCLBackend:
     """``stss_cl`` on one device; its name has precision, device and driver, since their bits may differ."""
 
-    method = NETWORK
+    method, accumulates = NETWORK, False
 
     def __init__(self, weights: Weights, options: ComputeOptions, gather: Gather, tell: Callable[[str], None]):
         # Imported here, so that the OpenCL library is opened only by commands that use it.
@@ -105,12 +102,9 @@ class OpenCLBackend:
         from stss_cl.skip.stream import Stream
 
         device = choose(options.device, tell)
-        self._stream = Stream(weights, device, options.precision, gather, options.memory_limit, options.skip, options.max_error)
-        # Under bounded the reused values depend on all earlier frames; under exact reuse changes no bit.
-        self.accumulates = options.skip == "bounded"
-        bound = f" within {options.max_error:g}" if self.accumulates else ""
+        self._stream = Stream(weights, device, options.precision, gather, options.memory_limit, options.skip)
         named = "" if device.kind.lower() == device.device_class else f" as {device.device_class}"
-        self.name = f"cl {options.precision}{bound} on {device.name}{named}, {device.driver}"
+        self.name = f"cl {options.precision} on {device.name}{named}, {device.driver}"
 
     def expect(self, size: tuple[int, int]) -> None:
         """See ``Backend``."""
@@ -124,7 +118,7 @@ class OpenCLBackend:
     def cost(self) -> Cost:
         """See ``Backend``."""
         report = self._stream.report
-        return Cost(report.network, report.changed, report.departure)
+        return Cost(report.network, report.changed)
 
     @property
     def activity(self) -> Array:

@@ -11,7 +11,7 @@ from stss.errors import InputError
 Precision = Literal["float32", "float32-direct", "half"]
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 """See ``stss_cl.network.network.PRECISIONS``; the reference knows float32 alone."""
-Skip = Literal["off", "exact", "bounded"]
+Skip = Literal["off", "exact"]
 SKIPS: tuple[Skip, ...] = get_args(Skip)
 """See ``stss_cl.skip.stream.SKIPS``."""
 
@@ -25,7 +25,6 @@ class ComputeOptions:
         precision: one of ``PRECISIONS``; the reference takes ``float32`` only.
         memory_limit: bytes for the buffers of the OpenCL backend; larger frames go in strips, with the same bits.
         skip: one of ``SKIPS``: what the OpenCL backend leaves out; the reference computes everything.
-        max_error: for ``bounded``: how far an image may be from the full one, in units of the image.
 
     Raises:
         InputError: ``precision`` or ``skip`` is none of these.
@@ -35,7 +34,6 @@ class ComputeOptions:
     precision: Precision = "float32"
     memory_limit: int | None = None
     skip: Skip = "exact"
-    max_error: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse a precision or a way to skip that no backend has."""
@@ -46,11 +44,9 @@ class ComputeOptions:
     @property
     def name(self) -> str:
         """Precision and skipping as tables show them."""
-        bound = f" {self.max_error * 255:g}/255" if self.skip == "bounded" else ""
-        return f"{self.precision} {self.skip}{bound}"
+        return f"{self.precision} {self.skip}"
 
     @property
     def typed(self) -> str:
         """The same as options of the command line."""
-        bound = f" --max-error {self.max_error * 255:g}/255" if self.max_error else ""
-        return f"--precision {self.precision} --skip {self.skip}{bound}"
+        return f"--precision {self.precision} --skip {self.skip}"

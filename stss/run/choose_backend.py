@@ -48,30 +48,23 @@ def open_method(
     return open_backend(backend, loaded.weights, options, tell=tell), loaded.label
 
 
-def with_skipping(
-    options: ComputeOptions, skip: Skip | None, max_error: float | None, budget: float | None, *, possible: bool
-) -> ComputeOptions:
+def with_skipping(options: ComputeOptions, skip: Skip | None, budget: float | None, *, possible: bool) -> ComputeOptions:
     """Add the user's choices about skipping to ``options``, and check that they go together.
 
     Args:
         options: the other choices.
-        skip: one of ``SKIPS``; None: ``bounded`` with ``max_error``, else ``exact``.
-        max_error: for ``bounded``, in units of the image; None: not given.
-        budget: seconds a frame, by which the others and the precision are chosen; None: not given.
+        skip: one of ``SKIPS``; None: not given, so ``exact``.
+        budget: seconds a frame, by which ``skip`` and the precision are chosen; None: not given.
         possible: whether the backend can skip anything.
 
     Raises:
         InputError: the options do not go together.
     """
-    if budget is not None and (skip or max_error or options.precision != "float32"):
-        raise InputError("--budget: expected neither --skip, --max-error nor --precision: it chooses them")
-    if max_error is not None and skip not in (None, "bounded"):
-        raise InputError(f"--max-error: expected --skip bounded, got {skip}")
-    if skip == "bounded" and max_error is None:
-        raise InputError("--skip bounded: expected --max-error, such as 2/255")
-    if (budget or skip or max_error) and not possible:
-        raise InputError("--skip, --max-error, --budget: expected the network on the backend cl")
-    return replace(options, skip=skip or ("bounded" if max_error else "exact"), max_error=max_error or 0.0)
+    if budget is not None and (skip or options.precision != "float32"):
+        raise InputError("--budget: expected neither --skip nor --precision: it chooses them")
+    if (budget or skip) and not possible:
+        raise InputError("--skip, --budget: expected the network on the backend cl")
+    return replace(options, skip=skip or "exact")
 
 
 def within_budget(

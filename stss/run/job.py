@@ -13,7 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from stss.errors import InputError
-from stss.frames.backends import NETWORK, Backend
+from stss.frames.backends import Backend
 from stss.frames.supersample import choose_rendered
 from stss.output.apart import require_apart
 from stss.output.folder import OutputFolder
@@ -83,8 +83,7 @@ def run(
     """
     planned = plan(sequence, out, options, accumulates=backend.accumulates)
     if backend.accumulates and options.resume:
-        what = "--skip bounded" if backend.method == NETWORK else backend.method
-        raise InputError(f"--resume: {what} makes each output from all before it; run again with --overwrite")
+        raise InputError(f"--resume: {backend.method} makes each output from all before it; run again with --overwrite")
     folder = planned.folder
     job = FrameJob.of(sequence, planned.rendered, options, backend, weights, folder, partial(already_written, folder, options))
     if options.show_skipped and backend.cost is None:

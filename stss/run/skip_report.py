@@ -18,17 +18,12 @@ DIM = 0.5
 
 def told(costs: Sequence[Cost]) -> str:
     """One line that says how much of the network a run computed; ``costs`` are those of its frames."""
-    whole, partly, part, none = (
-        [cost for cost in costs if cost.network == network] for network in ("whole", "partly", "changed", "none")
-    )
+    whole, part, none = ([cost for cost in costs if cost.network == network] for network in ("whole", "changed", "none"))
     parts = [f"{len(whole)} whole"] if whole else []
-    parts += [f"{len(partly)} without flat tiles"] if partly else []
     if part:
         parts.append(f"{len(part)} in part ({np.mean([cost.changed for cost in part]):.0%} of the inputs had changed)")
     parts += [f"{len(none)} not at all"] if none else []
-    departures = [cost.departure for cost in costs if cost.departure is not None]
-    checked = f"; {len(departures)} checked, {max(departures) * 255:.2f}/255 apart at most" if departures else ""
-    return f"network computed: {', '.join(parts)}{checked}"
+    return f"network computed: {', '.join(parts)}"
 
 
 def picture(image: Image, activity: Array) -> Image:

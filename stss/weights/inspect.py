@@ -113,7 +113,7 @@ def print_inspection(inspection: Inspection, console: Console) -> None:
         components.add_row(part.name, f"{part.parameters / 1e3:.2f}", f"{part.multiply_adds / 1e9:.2f}")
     console.print(layers, components)
     if not inspection.reads_history:
-        console.print("history: not read; its last kernels are 0, so --skip exact and bounded leave it out")
+        console.print("history: not read; its last kernels are 0, so it is left out")
 
 
 def _table(title: str, words: tuple[str, ...], numbers: tuple[str, ...]) -> Table:

@@ -169,12 +169,6 @@ class Prepare:
             self._run("splat_nearest", size, self._chained, sources.gbuffer, 9, 3, self._splat[0], *size)
             self._run("splat_first", size, self._chained, sources.gbuffer, 9, 3, *self._splat, *size)
 
-    @property
-    def gbuffer(self) -> cl.Buffer:
-        """The G-buffer of the frame begun last, (H, W, 9)."""
-        assert self._read is not None
-        return self._read.gbuffer
-
     def not_finite(self) -> str | None:
         """Name of an array of the frame begun last that must be finite and is not; None: all are. Waits for the queue."""
         bad = np.empty(len(FINITE), np.int32)

@@ -69,4 +69,4 @@ def _rows(device: Device, out: Padded, most: int, images: int) -> int:
 def _tiling(out: Padded, rows: int, stride: int, images: int) -> Tiling:
     tall = TALL * rows
     across = ceil_div(out.width, WIDE)
-    return Tiling(ceil_div(out.height, tall), across, (stride * tall, stride * WIDE), 1, 1 - stride, (tall, WIDE), images)
+    return Tiling(ceil_div(out.height, tall), across, (stride * tall, stride * WIDE), 1, 1 - stride, images)

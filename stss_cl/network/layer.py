@@ -46,21 +46,20 @@ class LayerLaunch(Launch):
     reads: Maps | None
     changes: cl.Buffer | None
 
-    def over(self, device: Device, tiles: TileList, *, marking: bool = False) -> LayerLaunch:
-        """The same layer over other tiles.
+    def over(self, device: Device, tiles: TileList) -> LayerLaunch:
+        """The same layer over other tiles, which marks, in ``changes``, those whose stored bits change.
 
         Args:
             device: the device that it was made for.
             tiles: the tiles to compute.
-            marking: whether to mark, in ``changes``, the tiles whose stored bits change.
         """
-        program = self.program(device, marking=marking)
+        program = self.program(device)
         arguments = {**self.arguments, "tiles": tiles.tiles, "count": tiles.count}
         return replace(self, kernel=kernel(program, self.source.kernel, arguments), arguments=arguments)
 
-    def program(self, device: Device, *, marking: bool) -> cl.Program:
+    def program(self, device: Device) -> cl.Program:
         """The program of the kernel of ``over``; built once."""
-        return build(device, self.source.file, {**self.source.options, "MARK": marking}, self.source.flags)
+        return build(device, self.source.file, {**self.source.options, "MARK": self.changes is not None}, self.source.flags)
 
 
 def layer(

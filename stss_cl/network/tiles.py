@@ -38,7 +38,6 @@ class Tiling:
         rows, columns: numbers of an image's tiles.
         step: (y, x) pixels of the inputs from one tile to the next.
         before, beyond: tile t reads, along both axes, the pixels step * t - before .. step * (t + 1) + beyond.
-        size: (y, x) pixels of the output in a tile.
         images: number of images of the output, one behind the other; the rows of a list count through all of them.
     """
 
@@ -47,7 +46,6 @@ class Tiling:
     step: tuple[int, int]
     before: int
     beyond: int
-    size: tuple[int, int] = (SIDE, SIDE)
     images: int = 1
 
     @property
@@ -59,10 +57,6 @@ class Tiling:
     def most(self) -> int:
         """Number of all tiles."""
         return self.lines * self.columns
-
-    def near(self, reach: int) -> Tiling:
-        """The same tiles, each reading a map of the output itself with ``reach`` tiles around it."""
-        return Tiling(self.rows, self.columns, self.size, SIDE * reach, SIDE * reach - 1)
 
 
 def of_convolution(height: int, width: int, stride: int, size: int, side: int = SIDE) -> Tiling:
@@ -98,11 +92,8 @@ def whole(device: Device, rows: int, columns: int, first: int = 0) -> TileList:
     return made[rows, columns, first]
 
 
-def find_tiles(device: Device, tiling: Tiling, maps: Maps, to: TileList, *, unmarked: bool = False) -> Launch:
-    """The launch that lists the tiles that marks reach, or with ``unmarked`` the tiles that no mark reaches.
-
-    ``to.count`` must be 0 before.
-    """
+def find_tiles(device: Device, tiling: Tiling, maps: Maps, to: TileList) -> Launch:
+    """The launch that lists the tiles that marks reach; ``to.count`` must be 0 before."""
     span = _span(device)
     a, b, c = (*maps.buffers, *2 * maps.buffers[-1:])[:3]
     b_rows, b_columns = maps.half or (maps.rows, maps.columns)
@@ -110,7 +101,7 @@ def find_tiles(device: Device, tiling: Tiling, maps: Maps, to: TileList, *, unma
         "a": a, "b": b, "c": c, "a_tile": maps.first, "map_rows": maps.rows, "map_columns": maps.columns,
         "b_rows": b_rows, "b_columns": b_columns, "b_part": 1 if maps.half is None else 2,
         "step_y": tiling.step[0], "step_x": tiling.step[1], "before": tiling.before, "beyond": tiling.beyond,
-        "rows": tiling.rows, "columns": tiling.columns, "images": tiling.images, "unmarked": unmarked,
+        "rows": tiling.rows, "columns": tiling.columns, "images": tiling.images,
         "tiles": to.tiles, "count": to.count,
     }  # fmt: skip
     size, group = grid(device, ceil_div(tiling.columns, span), tiling.lines)

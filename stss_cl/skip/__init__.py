@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Skip what need not be computed: compare frames, find flat tiles, keep the last frames' data."""
+"""Skip what need not be computed: compare frames, keep the last frames' data."""
 
 from stss_cl.skip.display_frame import DisplayFrame
 from stss_cl.skip.frame_cache import Report

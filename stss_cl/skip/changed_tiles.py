@@ -36,7 +36,7 @@ class ChangedTiles:
         self._finders = [
             find_tiles(device, layer.tiling, layer.reads, to) for layer, to in zip(layers, lists, strict=True) if layer.reads
         ]
-        self.layers = [layer.over(device, to, marking=layer.changes is not None) for layer, to in zip(layers, lists, strict=True)]
+        self.layers = [layer.over(device, to) for layer, to in zip(layers, lists, strict=True)]
 
         # Runtimes load or compile a kernel at its first run: do it now, over empty lists, rather than at the first change.
         self._counts.clear()

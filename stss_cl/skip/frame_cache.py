@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import pyopencl as cl
@@ -17,14 +16,9 @@ from stss_cl.image_space.prepare import Prepare
 from stss_cl.image_space.stages import Gather
 from stss_cl.network.layers import Layers
 from stss_cl.skip.arrival import Tiles
-from stss_cl.skip.error_control import RULES, Attention, ErrorControl
-from stss_cl.skip.flat_tiles import FlatTiles
+from stss_cl.skip.change_control import Part
 from stss_cl.skip.last_image import LastImage
 from stss_cl.skip.partial_network import PartialNetwork
-from stss_cl.skip.plan import InputPlan, Plan
-
-DECODER = 0.45
-"""The decoder's share of the network's multiply-adds."""
 
 
 @dataclass(frozen=True)
@@ -34,14 +28,12 @@ class Report:
     Attributes:
         prepared: share of the tiles of 4 x 4 pixels whose inputs were computed anew.
         changed: share of the tiles whose inputs then differed; 1 if they were not compared.
-        network: the part of the network that ran, see ``stss_cl.skip.plan.Plan``; ``none``: the frame equals the last one of its kind.
-        departure: for ``bounded``, if the frame was checked: the largest error that leaving out flat tiles would have made.
+        network: what of the network ran.
     """
 
     prepared: float
     changed: float
-    network: Literal["none", "changed", "partly", "whole"]
-    departure: float | None = None
+    network: Part
 
 
 @dataclass(frozen=True)
@@ -58,12 +50,9 @@ class Last:
 class FrameCache:
     """The data kept of the last frame of a kind. SF and EF have separate caches, since their inputs differ at every silhouette."""
 
-    def __init__(self, device: Device, layers: Layers, gather: Gather, max_error: float, attention: Attention):
+    def __init__(self, device: Device, layers: Layers, gather: Gather):
         self.layers, self.network = layers, PartialNetwork(layers)
-        self.control = ErrorControl(max_error, attention)
         self.prepare = Prepare(device, *layers.size, gather, inputs=layers.inputs)
-        self._max_bend = RULES.flat * max_error
-        self._flat: FlatTiles | None = None
         self.last: Last | None = None
         self._is_first = True
         self._device = device
@@ -75,38 +64,30 @@ class FrameCache:
         """The steps whose colour frames these weights read."""
         return steps if self.layers.reads_history else steps[:1]
 
-    def prepare_inputs(self, sources: Sources, plan: InputPlan) -> float:
-        """Fill the network's inputs; returns the share of tiles in which they then differ, 1 if they were not compared."""
-        self._is_first, self.last = self.last is None, None  # if this fails half-way, the next frame must not use it
-        self._mark(plan.dirty)
-        self.prepare.start(sources, older=self.layers.reads_history, looking=plan.looking)
-        self.prepare.strip()
-        return 1.0 if self._is_first or not plan.looking else self._changed()
+    def prepare_inputs(self, sources: Sources, dirty: Tiles | None, *, looking: bool) -> float:
+        """Fill the network's inputs.
 
-    def execute(self, plan: Plan) -> float | None:
-        """Run the network; returns the departure if the frame is checked, else None."""
-        departure = None
-        if plan.network == "changed":
+        Args:
+            sources: the frame's.
+            dirty: where the inputs may differ from those of the last frame of the kind; None: everywhere.
+            looking: whether to mark the tiles in which they then differ.
+
+        Returns:
+            The share of these tiles; 1 if the inputs were not compared.
+        """
+        self._is_first, self.last = self.last is None, None  # if this fails half-way, the next frame must not use it
+        self._mark(dirty)
+        self.prepare.start(sources, older=self.layers.reads_history, looking=looking)
+        self.prepare.strip()
+        return 1.0 if self._is_first or not looking else self._changed()
+
+    def execute(self, network: Part) -> None:
+        """Run this part of the network."""
+        if network == "changed":
             self.network.run_changed(self.image.target(whole=False))
         else:
-            target = self.image.target(whole=True)
-            self.network.run(target, self._flat_tiles() if plan.network == "partly" else None)
-            if plan.check:
-                departure = self._flat_tiles().departure(target)
+            self.network.run(self.image.target(whole=True))
             self.network.expect_changes()
-        return departure
-
-    def activity(self) -> NDArray[np.float32]:
-        """The share of the network that ran for each tile of the last frame: 1, or less in flat tiles, which need no decoder."""
-        return np.where(self._flat_tiles().wanted(), np.float32(1), np.float32(1 - DECODER))
-
-    def _flat_tiles(self) -> FlatTiles:
-        """The flat tiles of the last frame prepared; built at its first use."""
-        if self._flat is None:
-            layers = self.layers
-            self._flat = FlatTiles(self._device, layers.launches, layers.inputs, self.prepare.mask, layers.size, self._max_bend)
-        self._flat.read(self.prepare.gbuffer)
-        return self._flat
 
     def _mark(self, dirty: Tiles | None) -> None:
         """Mark where the inputs are to be computed: where they are ``dirty``, or everywhere for None."""

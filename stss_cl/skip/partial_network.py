@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Run only a part of the network: where something changed, or without flat tiles."""
+"""Run the network, or only the part of it that changes reach."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from stss_cl.network.layer import LayerLaunch
 from stss_cl.network.layers import Layers
 from stss_cl.network.tiles import finder
 from stss_cl.skip.changed_tiles import ChangedTiles
-from stss_cl.skip.flat_tiles import FlatTiles
 
 
 class PartialNetwork:
@@ -33,9 +32,9 @@ class PartialNetwork:
         """Enqueue, before the first ``run``, the layers whose outputs are constant."""
         enqueue(self.layers.device, (layer for i, layer in enumerate(self.layers.launches) if i in self._constant))
 
-    def run(self, image: cl.Buffer, flat: FlatTiles | None = None) -> None:
-        """Enqueue the network, without the ``flat`` tiles; ``image`` is complete when the queue is empty."""
-        launches = self.layers.ready(image) if flat is None else flat.ready(image)
+    def run(self, image: cl.Buffer) -> None:
+        """Enqueue the whole network; ``image`` is complete when the queue is empty."""
+        launches = self.layers.ready(image)
         enqueue(self.layers.device, (launch for i, launch in enumerate(launches) if i not in self._constant))
 
     def run_changed(self, image: cl.Buffer) -> None:
@@ -70,7 +69,7 @@ class PartialNetwork:
         with suppress(Exception):  # ``run_changed`` meets the same error and reports it
             finder(self.layers.device)
             for layer in self._layers():
-                layer.program(self.layers.device, marking=layer.changes is not None)
+                layer.program(self.layers.device)
 
     def _layers(self) -> list[LayerLaunch]:
         return [layer for i, layer in enumerate(self.layers.launches) if i not in self._constant]

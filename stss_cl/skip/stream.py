@@ -23,17 +23,16 @@ from stss_cl.network.layers import Layers
 from stss_cl.network.network import Precision
 from stss_cl.network.strips import bytes_for
 from stss_cl.skip.arrival import Tiles
+from stss_cl.skip.change_control import ChangeControl
 from stss_cl.skip.display_frame import DisplayFrame
-from stss_cl.skip.error_control import Attention
 from stss_cl.skip.frame_cache import FrameCache, Last, Report
 from stss_cl.skip.uploaded_frames import UploadedFrame, UploadedFrames, sources
 from stss_ref.arrays import ArrayError, require_dtype, require_shape
 from stss_ref.weights import Weights
 
-Skip = Literal["off", "exact", "bounded"]
-SKIPS: tuple[Skip, ...] = ("off", "exact", "bounded")
-"""``off``: compute every frame whole. ``exact``: reuse what did not change, with the bits of ``off``. ``bounded``: where a camera moves,
-leave out flat tiles too."""
+Skip = Literal["off", "exact"]
+SKIPS: tuple[Skip, ...] = ("off", "exact")
+"""``off``: compute every frame whole. ``exact``: reuse what did not change, with the bits of ``off``."""
 
 
 class Stream:
@@ -46,8 +45,6 @@ class Stream:
         gather: how the motion chain reads between pixels.
         memory_limit: see ``stss_cl.network.network.Network``; if the data kept between frames do not fit, every frame is computed whole.
         skip: one of ``SKIPS``.
-        max_error: for ``bounded``: how far the image may be from the one of ``off``, in units of the image. It is held by checks: now and
-            then a frame is computed whole, which shows the error of skipping (docs/skipping.md says how often frames exceed it).
 
     Attributes:
         report: the cost of the last frame.
@@ -61,7 +58,6 @@ class Stream:
         gather: Gather = "longest",
         memory_limit: int | None = None,
         skip: Skip = "exact",
-        max_error: float = 0.0,
     ):
         self.device = open_device() if device is None else device
         self.precision: Precision = precision
@@ -70,7 +66,7 @@ class Stream:
         self._gather: Gather = gather
         self._weights, self._memory = weights, self.device.memory // 2 if memory_limit is None else memory_limit
         self._skip: Skip = skip
-        self._max_error, self._attention = max_error if skip == "bounded" else 0.0, Attention()
+        self._control = ChangeControl()
         self._uploaded: UploadedFrames | None = None
         self._caches: dict[bool, FrameCache] = {}
         self._latest: FrameCache | None = None
@@ -80,7 +76,7 @@ class Stream:
     ) -> tuple[Any, Any]:
         """Compute the last frame of ``window``.
 
-        With ``off`` and ``exact`` only the time of a call depends on earlier calls. A frame is recognised in the next window if it is
+        Only the time of a call depends on earlier calls. A frame is recognised in the next window if it is
         the same object. On a CPU the arrays of frames are read in place, and those of a window are compared with the frames that arrive
         in the next one. So the arrays of a frame must not change from one call to the next if both windows have the frame; for the first
         call whose window lacks it they may already hold another one. A caller that passes windows of six frames thus needs six sets of
@@ -141,7 +137,7 @@ class Stream:
         if self._latest is not None:
             self._latest.network.settle()
         uploaded, cache = self._arriving(size), self._keep(size, extrapolates=chosen[0] > 0)
-        looking = self._attention.begin()
+        looking = self._control.begin()
         frames = uploaded.take(window, compare=cache is not None and looking)
         self._latest = cache
         if cache is None:
@@ -152,11 +148,8 @@ class Stream:
             to: Any = out.base_data
             cl.enqueue_copy(self.device.queue, to, image.base_data, byte_count=out.nbytes, dst_offset=out.offset)
             return out, valid
-        dirty = self._dirty(uploaded, cache, frames, cache.read(chosen)) if cache.control.needs_changes else None
-        color = window[-1 - chosen[0]].color
-        if isinstance(color, cla.Array):  # of another shot only ``bounded`` wants to know
-            color = np.asarray(color.get()) if self._max_error else None
-        return self._compute(cache, frames, chosen, dirty, color, out)
+        dirty = self._dirty(uploaded, cache, frames, cache.read(chosen)) if looking else None
+        return self._compute(cache, frames, chosen, dirty, looking, out)
 
     def expect(self, size: tuple[int, int]) -> None:
         """Build the kernels of the first call for frames of (H, W) in advance, for example while that frame is read."""
@@ -167,16 +160,14 @@ class Stream:
     def activity(self) -> NDArray[np.float32]:
         """The share of the network that the last frame needed, for each 4 x 4 of its pixels: from 0, nothing, to 1, everything.
 
-        For a frame computed only where something changed, this is the share of the stored activations that changed. For a frame
-        without its flat tiles see ``FrameCache.activity``.
+        For a frame computed only where something changed, this is the share of the stored activations that changed.
         """
         assert self._uploaded is not None, "no frame was computed yet"
         rows, columns = (-(-length // 4) for length in self._uploaded.size)
         network = self.report.network
-        if self._latest is None or network in ("none", "whole"):
+        if self._latest is None or network != "changed":
             return np.full((rows, columns), network != "none", np.float32)
-        shares = self._latest.network.activity() if network == "changed" else self._latest.activity()
-        return shares[:rows, :columns]
+        return self._latest.network.activity()[:rows, :columns]
 
     def _compute(
         self,
@@ -184,20 +175,18 @@ class Stream:
         frames: list[UploadedFrame],
         steps: tuple[int, int, int],
         dirty: Tiles | None,
-        color: NDArray[np.float32] | None,
+        looking: bool,
         out: cla.Array | None,
     ) -> tuple[Any, Any]:
-        """Plan the frame, execute the plan, learn. ``dirty``, ``color``: see ``ErrorControl``."""
-        control, last = cache.control, cache.last
-        inputs = control.plan_inputs(dirty)
-        if last is not None and inputs.nothing:
+        """Plan the frame, execute the plan, learn. ``dirty``, ``looking``: see ``FrameCache.prepare_inputs``."""
+        if cache.last is not None and dirty is not None and not dirty.any():
             self.report = Report(0.0, 0.0, "none")
-            return self._hand_out(cache, frames, steps, out, last.valid)
-        changed = cache.prepare_inputs(sources(frames, steps), inputs)
-        plan = control.plan(inputs, changed, color)
-        departure = cache.execute(plan)
-        control.learn(plan, departure)
-        self.report = Report(1.0 if dirty is None else float(dirty.mean()), changed, plan.network, departure)
+            return self._hand_out(cache, frames, steps, out, cache.last.valid)
+        changed = cache.prepare_inputs(sources(frames, steps), dirty, looking=looking)
+        network = self._control.plan(changed)
+        cache.execute(network)
+        self._control.learn(network)
+        self.report = Report(1.0 if dirty is None else float(dirty.mean()), changed, network)
         return self._hand_out(cache, frames, steps, out, None)
 
     def _hand_out(
@@ -237,7 +226,7 @@ class Stream:
             layers = Layers(
                 self.device, self._weights, *size, self.precision, self._memory, self._whole.network.residual, keep=True
             )
-            self._caches[extrapolates] = FrameCache(self.device, layers, self._gather, self._max_error, self._attention)
+            self._caches[extrapolates] = FrameCache(self.device, layers, self._gather)
         return self._caches[extrapolates]
 
     def _can_keep(self, size: tuple[int, int]) -> bool:

@@ -43,40 +43,38 @@ def make(times):
 
 def test_the_most_accurate_that_keeps_the_time_is_taken(frames):
     told = []
-    setting, _ = choose(frames, 0.02, make([0.05, 0.05, 0, 0, 0, 0]), told.append)
-    assert setting == SETTINGS[2]
-    assert "--precision float32 --skip bounded --max-error 1/255" in told[-1]
+    setting, _ = choose(frames, 0.02, make([0.05, 0]), told.append)
+    assert setting == SETTINGS[1]
+    assert told[-1].startswith("--precision half --skip exact: ")
 
 
 def test_where_none_keeps_it_the_fastest_is_taken_and_said(frames):
     told = []
-    setting, _ = choose(frames, 1e-4, make([0.03, 0.03, 0.002, 0.03, 0.03, 0.03]), told.append)
-    assert setting == SETTINGS[2]
+    setting, _ = choose(frames, 1e-4, make([0.002, 0.03]), told.append)
+    assert setting == SETTINGS[0]
     assert told[-1].startswith("no setting keeps within 0.1 ms")
 
 
 def test_too_few_frames_are_said(frames):
     with pytest.raises(InputError, match="--budget: expected more than 8 frames in a row"):
-        choose(frames[:4], 1, make([0] * 6), print)
+        choose(frames[:4], 1, make([0, 0]), print)
 
 
 @pytest.mark.parametrize(
     ("chosen", "words"),
     [
         ({"budget": 0.04, "skip": "exact"}, "--budget: expected neither --skip"),
-        ({"max_error": 0.01, "skip": "exact"}, "--max-error: expected --skip bounded, got exact"),
-        ({"skip": "bounded"}, "--skip bounded: expected --max-error"),
         ({"skip": "exact", "possible": False}, "expected the network on the backend cl"),
     ],
 )
 def test_options_that_do_not_go_together(chosen, words):
-    options = {"skip": None, "max_error": None, "budget": None, "possible": True} | chosen
+    options = {"skip": None, "budget": None, "possible": True} | chosen
     with pytest.raises(InputError, match=words):
         with_skipping(ComputeOptions(), **options)
 
 
 def test_the_reference_needs_none_of_them():
-    compute = with_skipping(ComputeOptions(), None, None, None, possible=False)
+    compute = with_skipping(ComputeOptions(), None, None, possible=False)
     backend, _ = open_method("network", load(BILINEAR), "ref", compute)
     assert isinstance(backend, ReferenceBackend)
 

@@ -226,11 +226,7 @@ def test_an_address_that_is_none_is_one_line(frames, tmp_path, address, said, mo
 def test_what_cannot_be_cut_is_refused():
     from stss.cluster.run import require_independent
 
-    require_independent("network", ComputeOptions(), None)
-    for method, compute, budget in (
-        ("taau", ComputeOptions(), None),
-        ("network", ComputeOptions(skip="bounded", max_error=0.01), None),
-        ("network", ComputeOptions(), 0.04),
-    ):
+    require_independent("network", None)
+    for method, budget in (("taau", None), ("network", 0.04)):
         with pytest.raises(InputError, match="--cluster"):
-            require_independent(method, compute, budget)
+            require_independent(method, budget)

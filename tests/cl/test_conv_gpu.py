@@ -152,11 +152,12 @@ def test_tiles_of_a_list(device, layer, local):
     case = Case(device, layer, HALF)
     made = case.layer(local)
     whole = case.run(made)
-    (tall, wide), tiling = made.tiling.size, made.tiling
+    tiling = made.tiling
+    tall, wide = (pixels // case.stride for pixels in tiling.step)
     tiles = np.array([(y, x) for y in range(tiling.rows) for x in range(tiling.columns)])[1::2]
     numbers = constant(device, (tiles[:, 0] << 16 | tiles[:, 1]).astype(np.uint32))
     listed = TileList(numbers, constant(device, np.array([len(tiles)], np.int32)))
-    some = replace(made.over(device, listed, marking=True), size=(made.group[0], *made.size[1:]))
+    some = replace(made.over(device, listed), size=(made.group[0], *made.size[1:]))
     inside = np.zeros(case.size, bool)
     for y, x in tiles:
         inside[tall * y : tall * (y + 1), wide * x : wide * (x + 1)] = True

@@ -107,7 +107,7 @@ def test_what_is_not_finite_is_named_and_leaves_nothing(device, skip, there):
     broken = replace(frames[7], nov=frames[7].nov.copy())
     broken.nov[3, 4] = np.nan
     stream, fresh = Stream(WEIGHTS, device, skip=skip), Stream(WEIGHTS, device, skip="off")
-    stream._attention.frames_unlooked = 100  # nobody waits for what is found on arrival
+    stream._control.frames_unlooked = 100  # nobody waits for what is found on arrival
     shown = [on(device, frame) for frame in (*frames, broken)] if there else [*frames, broken]
     stream(shown[:7][-6:], plan(frames[1:7]).steps)
     with pytest.raises(ArrayError, match="nov:"):
@@ -164,7 +164,7 @@ def test_nobody_waits_before_the_image(monkeypatch, skip, looking, waits):
     """Of a frame among others: nowhere where none are compared, else for what arrived and what then differs."""
     device, frames = open_device(device_class="gpu"), film(["moving"] * 11)
     stream = Stream(WEIGHTS, device, skip=skip)
-    stream._attention.frames_unlooked = 0 if looking else 100
+    stream._control.frames_unlooked = 0 if looking else 100
     windows = [(window_at(frames, i), plan(window_at(frames, i)).steps) for i in range(len(frames))]
     for window, steps in windows[:-1]:
         stream(window, steps)
@@ -209,7 +209,7 @@ def test_they_wait_for_what_is_found_on_arrival(monkeypatch, skip):
 def streaming(device, frames, skip):
     """A stream that has computed all windows but the last, and compares none; all windows with their steps."""
     stream = Stream(WEIGHTS, device, skip=skip)
-    stream._attention.frames_unlooked = 100
+    stream._control.frames_unlooked = 100
     windows = [(window_at(frames, i), plan(window_at(frames, i)).steps) for i in range(len(frames))]
     for window, steps in windows[:-1]:
         stream(window, steps)

@@ -44,7 +44,7 @@ def launched(monkeypatch):
 def test_launches_of_a_whole_frame(device, launched, skip):
     frames, stream, found = film(["moving"] * 7), Stream(WEIGHTS, device, skip=skip), {}
     for i in range(len(frames)):
-        stream._attention.frames_unlooked = 100
+        stream._control.frames_unlooked = 100
         window = window_at(frames, i)
         launched.clear()
         stream(window, plan(window).steps)

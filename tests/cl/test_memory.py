@@ -36,7 +36,6 @@ STREAM = {
     *(NETWORK - {"pack_input", "pack_history"}), "finite", "differ", "differ_color", "fill_holes", "tile_list",
     *(f"{name}8" for name in FRAME),
 }  # fmt: skip
-FLAT = {"detail", "widened", "coarser", "departure", "tile_list", "upsampled"}
 KERNELS = {
     "network float32": NETWORK | {"winograd"},
     "network float32-direct": NETWORK | {"image"},
@@ -45,9 +44,6 @@ KERNELS = {
     "stream float32": {*STREAM, "winograd"},
     "stream float32-direct": {*STREAM, "image"},
     "stream half": {*STREAM, "winograd"},
-    "plain float32": {*NETWORK, "winograd", *FLAT},
-    "plain float32-direct": {*NETWORK, "image", *FLAT},
-    "plain half": {*NETWORK, "winograd", *FLAT},
     "gpu float32": {"conv_local", "attend_local", "arrive"},
     "gpu half": {"conv_mma", "matrix", "attend_local", "arrive"},
     "stages": {"motion_chain", "warp", "holes", "splat_clear", "splat_nearest", "splat_first", "occlusion_warp", "rrm"},
@@ -307,33 +303,6 @@ def run_stream(device, precision):
     assert stream.report.network == "changed", stream.report
 
 
-def run_flat(device, precision):
-    """A frame that is flat but for one corner."""
-    from stss_cl.device.buffers import Outgoing
-    from stss_cl.network.layers import Layers
-    from stss_cl.skip.flat_tiles import FlatTiles
-    from stss_cl.skip.partial_network import PartialNetwork
-    from stss_ref.weights import random as random_weights
-
-    random, size = np.random.default_rng(6), (33, 46)
-    layers = Layers(device, random_weights(5), *size, precision, keep=True)
-    color = np.full((*size, 6), 0.5, np.float32)
-    color[14:17, 14:19] = random.random((3, 5, 6), np.float32)
-    mask = cla.to_device(device.queue, np.ones(size, np.uint8))
-    gbuffer, inputs = np.full((*size, 9), 0.5, np.float32), (size, (3, *size, 4))
-    others = [on_device(device, random, shape).base_data for shape in inputs]
-    made = [cla.to_device(device.queue, array).base_data for array in (color, gbuffer)]
-    layers.pack(*made, *others)
-    image = Outgoing(device, (2 * size[0], 2 * size[1], 3), on_device=False)
-    flat = FlatTiles(device, layers.launches, layers.inputs, mask.base_data, size, 0.01)
-    flat.read(made[1])
-    network = PartialNetwork(layers)
-    network.run(image.data, flat)
-    show("flat tiles", image.finish())
-    assert 0 < flat.wanted().mean() < 1
-    show("departure", flat.departure(image.data))
-
-
 def run_stages(device, height, width):
     from stss_cl.image_space.stages import ImageStages
 
@@ -389,8 +358,6 @@ def main(case):
         run_layers(open_device("Oclgrind", device_class="gpu"), how)
     elif kind == "stream":
         run_stream(device, how)
-    elif kind == "plain":
-        run_flat(device, how)
     else:
         for size in SIZES if how in ("", "float32") else (SIZES[0], SIZES[-1]):
             if kind == "network":

@@ -18,8 +18,8 @@ from stss.frames.display_frame import DisplayFrame
 from stss.frames.supersample import plan
 from stss_cl.device import program
 from stss_cl.network.network import PRECISIONS
-from stss_cl.skip.error_control import RULES
-from stss_cl.skip.stream import Stream
+from stss_cl.skip.change_control import RULES
+from stss_cl.skip.stream import SKIPS, Stream
 from stss_cl.skip.uploaded_frames import UploadedFrames
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import random as random_weights
@@ -177,11 +177,11 @@ def builds(monkeypatch):
     return asked
 
 
-@pytest.mark.parametrize("skip", ["off", "exact", "bounded"])
+@pytest.mark.parametrize("skip", SKIPS)
 def test_the_first_frame_waits_only_for_what_was_not_expected(device, monkeypatch, builds, skip):
     """And what it has no use for is not built before it: the kernels that compute changes alone."""
     first = still(1)
-    plain, told, untold = (Stream(WEIGHTS, device, skip=s, max_error=0.1) for s in ("off", skip, skip))
+    plain, told, untold = (Stream(WEIGHTS, device, skip=s) for s in ("off", skip, skip))
     told.expect(first[0].nov.shape)
     expected = list(builds)
     got = told(first, (0, 0, 0))
@@ -272,7 +272,7 @@ def test_activity_says_where(device):
 
 
 def test_where_all_changes_nothing_is_looked_for_after_a_while(device, monkeypatch):
-    monkeypatch.setattr("stss_cl.skip.error_control.RULES", replace(RULES, rest=3))
+    monkeypatch.setattr("stss_cl.skip.change_control.RULES", replace(RULES, rest=3))
     rng, frames = np.random.default_rng(2), still(1)
     color, keeping, plain = frames[0].color, Stream(WEIGHTS, device), Stream(WEIGHTS, device, skip="off")
     for i in range(1, 30):
@@ -359,8 +359,8 @@ def test_work_groups_do_not_follow_the_size(device, monkeypatch):
     for size in ((24, 40), (37, 147)):
         frames = list(still(8, size))
         frames[6].gbuffer[3:7, 2:9] += 0.1
-        for skip, weights in (("off", WEIGHTS), ("exact", WEIGHTS), ("bounded", UNREAD)):
-            stream = Stream(weights, device, skip=skip, max_error=0.1)
+        for skip, weights in (("off", WEIGHTS), ("exact", WEIGHTS), ("exact", UNREAD)):
+            stream = Stream(weights, device, skip=skip)
             for i in range(8):
                 window = frames[max(0, i - 5) : i + 1]
                 stream(window, plan(window).steps)

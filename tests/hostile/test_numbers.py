@@ -53,7 +53,7 @@ def broken(name, place, value, frames):
 def backends():
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("STSS_TRUST_DEVICE", "1")
-        ours = {skip: open_backend("cl", load("default").weights, ComputeOptions(skip=skip, max_error=0.1)) for skip in SKIPS}
+        ours = {skip: open_backend("cl", load("default").weights, ComputeOptions(skip=skip)) for skip in SKIPS}
         plain = load("bilinear").weights
         return ours | {"cl": open_backend("cl", plain), "ref": open_backend("ref", plain)}
 

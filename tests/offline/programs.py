@@ -50,12 +50,11 @@ def programs(row, *, network_only=False):
             for size in ((32, 48), (544, 960)):  # of few tiles, and of many
                 Network(WEIGHTS, device, precision).layers(*size)
             for skip in () if network_only else SKIPS:
-                stream = Stream(WEIGHTS, device, precision, skip=skip, max_error=0.9 if skip == "bounded" else 0.0)
+                stream = Stream(WEIGHTS, device, precision, skip=skip)
                 for window, steps in _windows():
                     stream(window, steps)
                 for cache in stream._caches.values():  # what only some frames build
                     cache.network.changed_tiles()
-                    cache._flat_tiles()
                     cache.prepare._unlooking  # noqa: B018
             if not network_only:
                 Frame(WEIGHTS, device, precision)(**one_frame())

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: MIT
+"""Decide how much of a frame is computed: whether to look for changes, and what of the network to run.
+
+Plan, execute, learn: ``ChangeControl`` plans, ``stss_cl.skip.frame_cache`` executes the plan, ``learn`` takes the result.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Part = Literal["none", "changed", "whole"]
+"""What of the network runs: ``none``: nothing, since the frame equals the last one of its kind; ``changed``: the tiles that changes of
+the inputs reach; ``whole``: all."""
+
+
+@dataclass(frozen=True)
+class Rules:
+    """The constants. Frames are counted in order, SF and EF alike.
+
+    Attributes:
+        most_changed: if a larger share of the network's inputs changed, the whole network is computed, since finding the unchanged
+            rest would not pay.
+        patience, again, rest: after ``patience`` frames in a row in which all was computed, nobody looks for changes until the
+            ``rest``-th: looking costs time, and a moving camera seldom stops. From then on ``again`` such frames in a row suffice. The
+            first of either kind is computed whole to make up for the changes that were not looked for.
+    """
+
+    most_changed: float = 0.75
+    patience: int = 8
+    again: int = 4
+    rest: int = 48
+
+
+RULES = Rules()
+
+
+class ChangeControl:
+    """Decides what is computed of a stream's frames, SF and EF.
+
+    Attributes:
+        frames_unlooked: frames left to be computed without looking for changes, this one included.
+    """
+
+    def __init__(self) -> None:
+        self.frames_unlooked = self._frames_all_changed = 0
+
+    def begin(self) -> bool:
+        """Begin the next frame; returns whether to look where it changed."""
+        self.frames_unlooked = max(0, self.frames_unlooked - 1)
+        return not self.frames_unlooked
+
+    def plan(self, changed: float) -> Part:
+        """Plan what of the network to run; ``changed``: the share of its inputs that changed, 1 if nobody looked."""
+        return "whole" if changed > RULES.most_changed else "changed"
+
+    def learn(self, network: Part) -> None:
+        """Learn from what was run, if changes were looked for: in vain if it was all."""
+        if self.frames_unlooked:
+            return
+        self._frames_all_changed = self._frames_all_changed + 1 if network == "whole" else 0
+        if self._frames_all_changed >= RULES.patience:
+            self._frames_all_changed, self.frames_unlooked = RULES.patience - RULES.again, RULES.rest
