@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test check bench mutants alarms misses fuzz gpu offline portability judge-wheel clean
+.PHONY: demo test check bench mutants alarms fuzz gpu offline portability judge-wheel clean
 
 demo: $(VENV)/.base
 	$(BIN)/stss demo demo --overwrite
@@ -23,10 +23,6 @@ bench: $(VENV)/.bench
 # The judge judged: planted faults that it must find, and right ports that it must let pass (half an hour).
 mutants alarms: $(VENV)/.test
 	$(BIN)/python -m tests.meta.$(if $(filter mutants,$@),run_mutants,run_false_alarms)
-
-# How often --skip bounded breaks its promise, over a hundred random films (half an hour).
-misses: $(VENV)/.test
-	$(BIN)/python -m tests.meta.bound_violations --write
 
 # Damaged files of every kind, others each time (4 minutes); again with SEED=N, longer with MINUTES=M.
 MINUTES ?= 4
