@@ -1,28 +1,50 @@
 # SPDX-License-Identifier: MIT
-"""Cut a run into chunks: anywhere, since an output depends on six display frames and on no earlier output."""
+"""Share a run out: a worker takes chunks that follow each other, since an output depends on six display frames."""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 
-LEAST, MOST = 8, 64
-"""Frames of a chunk. Each chunk reads five frames more than it writes and computes its first frame with nothing to reuse: with 8 frames
-it reads two thirds more. With 64, a machine that dies costs a minute or two."""
+CHUNK = 8
+"""Frames of a chunk: what is lost where a worker dies. A chunk that follows a worker's last one costs nothing more; any other reads five
+frames more than it writes."""
 
 
-def cut(numbers: Sequence[int], workers: int) -> list[Sequence[int]]:
-    """Cut ``numbers`` into consecutive pieces, large ones first: each round shares out half of the rest, so that all workers end together.
+class Lanes:
+    """The chunks that are left, in order, in a lane for each worker that has asked.
 
-    Every display frame counts alike: a supersampled and an extrapolated one take the same time to within a few percent.
-
-    Args:
-        numbers: display frames in order, not empty.
-        workers: at least 1.
+    A worker whose lane is empty gets the second half of the longest one. So workers may come at any time, and all end together.
     """
-    pieces: list[Sequence[int]] = []
-    start = 0
-    while start < len(numbers):
-        size = min(MOST, max(LEAST, (len(numbers) - start) // (2 * workers)))
-        pieces.append(numbers[start : start + size])
-        start += size
-    return pieces
+
+    def __init__(self, numbers: Sequence[int]):
+        """Cut ``numbers``, display frames in order, into chunks."""
+        chunks = deque(numbers[start : start + CHUNK] for start in range(0, len(numbers), CHUNK))
+        self._lanes: dict[str, deque[Sequence[int]]] = {"": chunks}
+
+    def take(self, worker: str) -> Sequence[int]:
+        """The worker's next chunk; empty: nothing is left."""
+        lane = self._lanes.get(worker)
+        if not lane:
+            lane = self._lanes[worker] = self._second_half()
+        return lane.popleft() if lane else ()
+
+    def after(self, worker: str) -> Sequence[int]:
+        """The chunk that the worker will probably take next: that of its lane."""
+        lane = self._lanes.get(worker)
+        return lane[0] if lane else ()
+
+    def left(self) -> bool:
+        """Whether there is a chunk that nobody has taken."""
+        return any(self._lanes.values())
+
+    def drop(self, number: int) -> None:
+        """Drop the chunks that begin after display frame ``number``."""
+        for worker, lane in self._lanes.items():
+            self._lanes[worker] = deque(chunk for chunk in lane if chunk[0] <= number)
+
+    def _second_half(self) -> deque[Sequence[int]]:
+        longest = max(self._lanes.values(), key=len)
+        whole = longest is self._lanes[""]  # nobody works on it
+        count = len(longest) if whole else (len(longest) + 1) // 2
+        return deque([longest.pop() for _ in range(count)][::-1])

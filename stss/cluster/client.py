@@ -20,6 +20,14 @@ LOCAL = "local:"
 MAX_LOCAL = 256
 WAIT = 60
 """Seconds for a scheduler to answer and for its first worker to come."""
+QUIET: dict[str, Any] = {
+    # Dask's 64 KiB gives a frame's memory back to the system after each use: a fifth more time, all of it the system's.
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
+    # Dask looks at the worker's Python stack a hundred times a second and wakes its loops fifty times: 3 % more processor time.
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "500ms",
+}
+"""Dask's settings for workers that are started here."""
 FAREWELL = 5
 """Seconds for workers to drop the work."""
 
@@ -52,9 +60,17 @@ class Crew:
         elif time.monotonic() - self._seen > WAIT:
             raise InputError(f"--cluster: every worker has ended, and none has come for {WAIT} s")
 
-    def submit(self, method: str, *arguments: Any, workers: Sequence[str] | None = None) -> Any:
-        """Call a method of the work on any worker, or on one of ``workers``; returns dask's future."""
-        return self.client.submit(ask, self._name, method, *arguments, pure=False, workers=workers)
+    def submit(self, method: str, *arguments: Any, workers: Sequence[str] | None = None, others: bool = False) -> Any:
+        """Call a method of the work on any worker, or on one of ``workers``; returns dask's future.
+
+        Args:
+            method, arguments: what to call.
+            workers: addresses; None: any.
+            others: where all of ``workers`` have ended, any worker will do.
+        """
+        return self.client.submit(
+            ask, self._name, method, *arguments, pure=False, workers=workers, allow_other_workers=others
+        )  # fmt: skip
 
 
 @contextmanager
@@ -108,10 +124,8 @@ def connected(address: str) -> Generator[Any, None, None]:
         count = address.removeprefix(LOCAL)
         if not (count.isascii() and count.isdecimal() and 1 <= int(count[:9]) <= MAX_LOCAL):
             raise InputError(f"--cluster: expected {LOCAL}N with N from 1 to {MAX_LOCAL}, got {address}")
-        # Dask's 64 KiB gives a frame's memory back to the system after each use: a fifth more time, all of it the system's.
-        trim = {"distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None}
         with (
-            require("dask", "cluster").config.set(trim),
+            require("dask", "cluster").config.set(QUIET),
             dask.LocalCluster(
                 n_workers=int(count), threads_per_worker=1, dashboard_address=None, worker_dashboard_address=None,
                 env=_share_of_threads(int(count)), silence_logs=50, memory_limit=0,

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from stss.baselines.registry import ACCUMULATING
-from stss.cluster.chunks import cut
+from stss.cluster.chunks import Lanes
 from stss.cluster.client import Crew, connected, crew, distributed
 from stss.cluster.worker import Chunk, File, Introduction, Work, Worker
 from stss.errors import InputError
@@ -93,6 +93,15 @@ def require_independent(method: str, budget: float | None) -> None:
         raise InputError(f"--cluster: --method {method} makes each output from all before it, so a run cannot be cut")
 
 
+@dataclass
+class _Task:
+    """A chunk that a worker was given: the worker's address, and when it began, in seconds of ``time.monotonic``."""
+
+    numbers: Sequence[int]
+    worker: str
+    since: float
+
+
 class _Coordinator:
     """Hands out chunks, takes their files into the folder, and hands them out again where a worker dies or does not answer."""
 
@@ -101,22 +110,24 @@ class _Coordinator:
         self._on_frame = on_frame
         self._backends = self._introduced()
         self._reports: dict[int, FrameReport] = {}
-        self._pending: dict[Any, tuple[Sequence[int], float]] = {}
+        self._tasks: dict[Any, _Task] = {}
+        """By dask's future. A worker has one, or more if another worker's has come to it."""
+        self._lanes = Lanes(())
         self._slowest = 0.0
         self._errors: dict[int, str] = {}
         """First frame of a chunk that ended early -> its error."""
 
     def run(self) -> Summary:
         """All chunks; raises the error of the first frame that has one, after all before it are written."""
-        todo = self._keep()
-        for numbers in cut(todo, max(1, len(self._crew.addresses()))):
-            self._submit(numbers)
-        while self._pending:
+        self._lanes = Lanes(self._keep())
+        self._employ()
+        while self._lanes.left() or any(not self._is_done(task) for task in self._tasks.values()):
             for future in self._finished():
-                numbers, since = self._pending.pop(future)
-                self._take(numbers, self._result(future, numbers), time.monotonic() - since)
-            self._drop_later()
+                self._receive(future)
             self._again()
+            self._employ()
+        for future in self._tasks:
+            future.cancel()
         if self._errors:
             raise InputError(self._errors[min(self._errors)])
         return Summary([self._reports[number] for number in sorted(self._reports)])
@@ -153,38 +164,55 @@ class _Coordinator:
                 self._report(FrameReport(number, kind, "kept"))
         return todo
 
-    def _submit(self, numbers: Sequence[int], without: str | None = None) -> None:
-        others = [address for address in self._crew.addresses() if address != without] if without else None
-        future = self._crew.submit("compute", numbers, self._backends, workers=others)
-        self._pending[future] = numbers, time.monotonic()
+    def _employ(self) -> None:
+        """Give each worker that has no chunk its next one."""
+        busy = {task.worker for task in self._tasks.values()}
+        for address in self._crew.addresses():
+            if address not in busy:
+                self._give(address)
+
+    def _give(self, address: str) -> None:
+        if numbers := self._lanes.take(address):
+            after = self._lanes.after(address)
+            future = self._crew.submit("compute", numbers, after, self._backends, workers=[address], others=True)
+            self._tasks[future] = _Task(numbers, address, time.monotonic())
+
+    def _is_done(self, task: _Task) -> bool:
+        """Whether nothing that the run needs is missing of it."""
+        end = min(self._errors, default=task.numbers[-1] + 1)
+        return all(number in self._reports for number in task.numbers if number < end)
 
     def _finished(self) -> Iterable[Any]:
         self._crew.require_some()
+        if not self._tasks:
+            time.sleep(1)  # for a worker to come
+            return ()
         with suppress(TimeoutError):
-            return distributed().wait(list(self._pending), timeout=1, return_when="FIRST_COMPLETED").done
+            return distributed().wait(list(self._tasks), timeout=1, return_when="FIRST_COMPLETED").done
         return ()
 
-    def _result(self, future: Any, numbers: Sequence[int]) -> Chunk:
+    def _receive(self, future: Any) -> None:
+        """Take a chunk that has come in; its worker goes on meanwhile."""
+        task = self._tasks.pop(future)
+        numbers = task.numbers
         try:
-            return future.result()
+            chunk: Chunk = future.result()
         except distributed().KilledWorker as error:
             raise InputError(
                 f"frames {numbers[0]} to {numbers[-1]}: every worker that computed them ended, {error.last_worker.address} last"
             ) from error
-
-    def _take(self, numbers: Sequence[int], chunk: Chunk, seconds: float) -> None:
-        """Put a chunk's files in place; a chunk that arrives a second time is dropped."""
-        self._slowest = max(self._slowest, seconds / len(numbers))
+        if chunk.error and not self._is_done(task):
+            self._errors[numbers[len(chunk.frames)]] = chunk.error
+            self._drop_later()
+        elif all(task.worker != other.worker for other in self._tasks.values()):
+            self._give(task.worker)
+        self._slowest = max(self._slowest, (time.monotonic() - task.since) / len(numbers))
         for report, files in chunk.frames:
             new = report.number not in self._reports
             for file in files:
                 _place(self._planned.folder, file, new=new)
             if new:
                 self._report(report)
-        if chunk.error and numbers[0] not in self._reports:
-            self._errors[numbers[0]] = chunk.error
-        elif chunk.error:
-            self._errors[numbers[len(chunk.frames) - 1]] = chunk.error
 
     def _report(self, report: FrameReport) -> None:
         self._reports[report.number] = report
@@ -192,27 +220,31 @@ class _Coordinator:
 
     def _drop_later(self) -> None:
         """Drop the chunks after the first error; those before it are still computed."""
-        if self._errors:
-            for future, (numbers, _) in list(self._pending.items()):
-                if numbers[0] > min(self._errors):
-                    future.cancel()
-                    del self._pending[future]
+        first = min(self._errors)
+        self._lanes.drop(first)
+        for future, task in list(self._tasks.items()):
+            if task.numbers[0] > first:
+                future.cancel()
+                del self._tasks[future]
 
     def _again(self) -> None:
-        """Give a chunk that takes too long to another worker as well; drop the other copy of a chunk that is done."""
+        """Give a chunk that takes too long to another worker as well. The first worker gets no other until it answers or dies."""
         where: dict[str, Any] = self._crew.client.processing()
-        for future, (numbers, since) in list(self._pending.items()):
-            if all(number in self._reports for number in numbers):
-                future.cancel()
-                del self._pending[future]
-                continue
+        for future, task in list(self._tasks.items()):
             holder = next((address for address, keys in where.items() if future.key in keys), None)
-            copies = sum(other is numbers for other, _ in self._pending.values())
-            limit = max(self._cluster.shortest, PATIENCE * self._slowest * len(numbers))
+            if self._is_done(task):
+                if holder != task.worker:
+                    future.cancel()
+                    del self._tasks[future]
+                continue
+            copies = sum(other.numbers is task.numbers for other in self._tasks.values())
+            limit = max(self._cluster.shortest, PATIENCE * self._slowest * len(task.numbers))
             if holder is None:  # it waits for its turn
-                self._pending[future] = numbers, time.monotonic()
-            elif copies == 1 and len(where) > 1 and time.monotonic() - since > limit:
-                self._submit(numbers, without=holder)
+                task.since = time.monotonic()
+            elif copies == 1 and len(where) > 1 and time.monotonic() - task.since > limit:
+                others = [address for address in where if address != holder]
+                again = self._crew.submit("compute", task.numbers, (), self._backends, workers=others)
+                self._tasks[again] = _Task(task.numbers, "", time.monotonic())
 
 
 def _place(folder: OutputFolder, file: File, *, new: bool) -> None:

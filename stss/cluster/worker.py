@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
@@ -18,6 +19,7 @@ from stss.output.write_whole import make_folder, write_part
 from stss.run.choose_backend import open_method
 from stss.run.frame_job import FrameJob, FrameReport, frame_name
 from stss.run.options import RunOptions
+from stss.run.pipeline import AHEAD
 from stss.version import VERSION
 from stss.weights.file import LoadedWeights
 from stss_cl.errors import DeviceError
@@ -104,6 +106,53 @@ class WorkerSink:
         """The files of a frame, in the order in which they were written."""
         return self._files.pop(Path(frame_name(number, "exr")).stem, [])
 
+    def drop(self) -> None:
+        """Remove the files that nobody has taken."""
+        for file in (file for files in self._files.values() for file in files):
+            if file.part is not None:
+                file.part.unlink(missing_ok=True)
+        self._files.clear()
+
+
+class _Line:
+    """The frames of a worker, one chunk after the other, without a pause between two chunks that follow each other.
+
+    While the last frames of a chunk are written, the first ones of the next are read and computed.
+    """
+
+    def __init__(self, job: FrameJob, sink: WorkerSink, size: tuple[int, int]):
+        self._job, self._sink, self._size = job, sink, size
+        self._waiting = deque[int]()
+        self._begun = deque[int]()
+        """Frames that were asked for or announced, without those that were reported."""
+        self._reports: Generator[FrameReport, None, None] | None = None
+
+    def run(self, numbers: Sequence[int], after: Sequence[int], frames: list[tuple[FrameReport, list[File]]]) -> None:
+        """Append the report and files of each frame to ``frames``; begin with the frames of ``after`` as well."""
+        if list(self._begun) != list(numbers[: len(self._begun)]):
+            self.drop()
+        coming = [*numbers, *after[: AHEAD + 1]][len(self._begun) :]
+        self._begun.extend(coming)
+        self._waiting.extend(coming)
+        for _ in numbers:
+            report = next(self._reports, None) if self._reports else None
+            if report is None:  # nothing was announced
+                self._reports = self._job.run(self._waiting, self._size)
+                report = next(self._reports)
+            self._begun.popleft()
+            frames.append((report, self._sink.take(report.number)))
+        if not self._begun:
+            self.drop()
+
+    def drop(self) -> None:
+        """Forget what was announced; frames that were read stay for those that follow them."""
+        if self._reports:
+            self._reports.close()
+        self._reports = None
+        self._waiting.clear()
+        self._begun.clear()
+        self._sink.drop()
+
 
 class Worker:
     """One run on one worker. Chunks come one at a time, whatever number of threads the worker has."""
@@ -112,6 +161,7 @@ class Worker:
         self._work = work
         self._lock = Lock()
         self._backend: Backend | None = None
+        self._line: _Line | None = None
 
     def introduce(self) -> Introduction:
         """Open the backend; returns its name, or why it cannot be opened."""
@@ -125,25 +175,35 @@ class Worker:
         except (InputError, DeviceError, OSError) as error:
             return Introduction(VERSION, "", str(error))
 
-    def compute(self, numbers: Sequence[int], backends: frozenset[str]) -> Chunk:
+    def compute(self, numbers: Sequence[int], after: Sequence[int], backends: frozenset[str]) -> Chunk:
         """Compute some frames.
 
         Args:
-            numbers: consecutive display frames.
+            numbers: display frames in order.
+            after: the frames that this worker will probably be asked for next.
             backends: names of the backends that the run accepts: a worker that came later may have another.
         """
         with self._lock:
             backend = self._open()
             if backend.name not in backends:
                 return Chunk([], f"a worker that came later computes by {backend.name}; expected {', '.join(sorted(backends))}")
-            work, frames = self._work, list[tuple[FrameReport, list[File]]]()
-            sink = WorkerSink(work.out, shared=self._shares())
-            job = FrameJob.of(work.sequence, work.rendered, work.options, backend, self._label, sink, _nothing_written)
+            frames = list[tuple[FrameReport, list[File]]]()
+            line = self._line = self._line or self._new_line(backend)
             try:
-                job.run(numbers, work.sequence.size, lambda report: frames.append((report, sink.take(report.number))))
-            except (InputError, ArrayError, DeviceError) as error:
-                return Chunk(frames, str(error))
+                line.run(numbers, after, frames)
+            except BaseException as error:
+                line.drop()
+                self._line = None
+                if isinstance(error, (InputError, ArrayError, DeviceError)):
+                    return Chunk(frames, str(error))
+                raise
             return Chunk(frames)
+
+    def _new_line(self, backend: Backend) -> _Line:
+        work = self._work
+        sink = WorkerSink(work.out, shared=self._shares())
+        job = FrameJob.of(work.sequence, work.rendered, work.options, backend, self._label, sink, _nothing_written)
+        return _Line(job, sink, work.sequence.size)
 
     def _open(self) -> Backend:
         if self._backend is None:

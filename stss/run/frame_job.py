@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections import deque
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
@@ -118,14 +119,19 @@ class FrameJob:
             already_written,
         )
 
-    def run(self, numbers: Iterable[int], size: tuple[int, int], done: Callable[[FrameReport], None]) -> None:
-        """Take frames through all steps, and call ``done`` with the report of each in turn; ``size`` is (H, W) of the inputs."""
+    def run(self, numbers: deque[int], size: tuple[int, int]) -> Generator[FrameReport, None, None]:
+        """Take frames through all steps, and yield the report of each in turn; see ``stss.run.pipeline.overlap``.
+
+        Args:
+            numbers: display frames; more may be added meanwhile.
+            size: (H, W) of the inputs.
+        """
 
         def meanwhile() -> None:
             if not self.options.resume:  # then perhaps nothing is left to compute
                 self.backend.expect(size)
 
-        overlap(numbers, self.read, self.compute, self.write, done, meanwhile)
+        return overlap(numbers, self.read, self.compute, self.write, meanwhile)
 
     def read(self, number: int) -> _Read | FrameReport:
         """Read the frames that display frame ``number`` depends on, unless it is kept; only this step uses ``window`` and ``keys``."""

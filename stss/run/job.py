@@ -6,7 +6,9 @@ While one frame is computed the files of the next are read and the one before is
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -91,15 +93,14 @@ def run(
     require_unread(planned, sequence, reads)
     summary = Summary([])
 
-    def done(report: FrameReport) -> None:
-        summary.frames.append(report)
-        on_frame(report)
-
     with folder.opened(refusal=None if options.resume or options.overwrite else REFUSAL):
         if backend.accumulates:
             for number in range(sequence.numbers[0], planned.numbers[0]):
                 job.compute(job.read(number))
-        job.run(planned.numbers, sequence.size, done)
+        with closing(job.run(deque(planned.numbers), sequence.size)) as reports:
+            for report in reports:
+                summary.frames.append(report)
+                on_frame(report)
         folder.finish(remove_others=options.overwrite)
     return summary
 

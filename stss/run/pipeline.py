@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Generator
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from itertools import islice
 from typing import TypeVar
 
 AHEAD = 2
@@ -19,31 +18,31 @@ Written = TypeVar("Written")
 
 
 def overlap(
-    items: Iterable[Item],
+    items: deque[Item],
     read: Callable[[Item], Read],
     compute: Callable[[Read], Computed],
     write: Callable[[Computed], Written],
-    done: Callable[[Written], None],
     meanwhile: Callable[[], None] = lambda: None,
-) -> None:
-    """Do ``done(write(compute(read(item))))`` for every item; later items are read and earlier ones written meanwhile.
+) -> Generator[Written, None, None]:
+    """Do ``write(compute(read(item)))`` for every item; later items are read and earlier ones written meanwhile.
 
     The first item has the processor to itself until it is computed: the user waits to see it.
 
     Each step takes the items in order. An error is raised when its item's turn comes, after the items before it are done, just as
-    if items were worked on one at a time; after an item that cannot be written no other is. No thread is left when this returns or
-    raises.
+    if items were worked on one at a time; after an item that cannot be written no other is. No thread is left when this ends, raises
+    or is closed; what was computed by then is written.
 
     Args:
-        items: what to work on.
+        items: what to work on; each is taken from the list when it is read. More may be added as long as this has not ended.
         read: runs in a thread of its own.
-        compute: runs in the caller's thread.
+        compute: runs in the caller's thread, while the caller waits for the next result.
         write: runs in a third thread.
-        done: runs in the caller's thread.
         meanwhile: runs once in the caller's thread, while the first item is read.
+
+    Yields:
+        What ``write`` returns, in order.
     """
     reader, writer = ThreadPoolExecutor(1, "stss-read"), ThreadPoolExecutor(1, "stss-write")
-    todo = iter(items)
     reading: deque[Future[Read]] = deque()
     writing: deque[Future[Written]] = deque()
     failed = False
@@ -58,23 +57,34 @@ def overlap(
             failed = True
             raise
 
-    def finish(most: int) -> None:
+    def begin_to_read(most: int) -> None:
+        while items and len(reading) < most:
+            reading.append(reader.submit(read, items.popleft()))
+
+    def finished(most: int) -> Generator[Written, None, None]:
         while len(writing) > most or (writing and writing[0].done()):
             written = writing[0].result()  # a failed one stays in the list, so that asking again raises the same error
             writing.popleft()
-            done(written)
+            yield written
 
     try:
-        reading.extend(reader.submit(read, item) for item in islice(todo, 1))
+        begin_to_read(1)
         meanwhile()
         while reading:
-            ready = reading.popleft().result()
-            finish(AHEAD - 1)
-            writing.append(writer.submit(write_in_turn, compute(ready)))
-            reading.extend(reader.submit(read, item) for item in islice(todo, AHEAD + 1 - len(reading)))
+            try:
+                ready = reading.popleft().result()
+            except BaseException:
+                yield from finished(0)
+                raise
+            yield from finished(AHEAD - 1)
+            try:
+                computed = compute(ready)
+            except BaseException:
+                yield from finished(0)
+                raise
+            writing.append(writer.submit(write_in_turn, computed))
+            begin_to_read(AHEAD + 1)
+        yield from finished(0)
     finally:
-        try:
-            finish(0)
-        finally:
-            for thread in (writer, reader):
-                thread.shutdown(cancel_futures=True)
+        reader.shutdown(cancel_futures=True)
+        writer.shutdown()

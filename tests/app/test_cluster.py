@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stss.cluster.chunks import LEAST, MOST, cut
+from stss.cluster.chunks import CHUNK, Lanes
 from stss.errors import InputError
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
@@ -23,15 +23,35 @@ FRAMES = range(20)
 SIZE = (8, 8)
 
 
-@pytest.mark.parametrize("count", [1, 7, 8, 9, 100, 1000, 172_800])
+@pytest.mark.parametrize("count", [0, 1, 7, 8, 9, 100, 1000, 172_800])
 @pytest.mark.parametrize("workers", [1, 2, 1000])
-def test_pieces_are_the_whole_in_order(count, workers):
-    numbers = range(5, 5 + count)
-    pieces = cut(numbers, workers)
-    assert [n for piece in pieces for n in piece] == list(numbers)
-    assert all(len(piece) <= MOST for piece in pieces)
-    assert all(len(piece) >= LEAST for piece in pieces[:-1])
-    assert [len(piece) for piece in pieces] == sorted((len(piece) for piece in pieces), reverse=True)
+def test_lanes_hand_out_each_frame_once(count, workers):
+    """Most chunks follow their worker's last one, as announced; and no worker does more than its share, within a chunk."""
+    numbers, taken, followed = range(5, 5 + count), {worker: [] for worker in map(str, range(workers))}, 0
+    lanes = Lanes(numbers)
+    while lanes.left():
+        for worker, chunks in taken.items():
+            announced = lanes.after(worker)
+            chunk = lanes.take(worker)
+            if announced and chunk:
+                assert chunk == announced
+            followed += bool(announced)
+            chunks.append(chunk)
+    assert sorted(n for chunks in taken.values() for chunk in chunks for n in chunk) == list(numbers)
+    assert max(len(chunk) for chunks in taken.values() for chunk in chunks or [()]) <= CHUNK
+    rounds = {len(chunks) for chunks in taken.values()}
+    assert len(rounds) == 1
+    assert rounds.pop() == -(-count // (CHUNK * workers))
+    assert followed >= count // CHUNK - 2 * workers * (1 + workers.bit_length())
+
+
+def test_lanes_drop_what_comes_after_an_error():
+    lanes = Lanes(range(100))
+    lanes.take("a"), lanes.take("b")
+    lanes.drop(20)
+    assert [list(lanes.take("a"))[0] for _ in range(2)] == [8, 16]
+    assert not lanes.left()
+    assert not lanes.take("b")
 
 
 def test_a_folder_adopts_what_another_process_wrote(tmp_path):

@@ -2,6 +2,8 @@
 
 import threading
 import time
+from collections import deque
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -46,8 +48,10 @@ class Steps:
         return do
 
     def run(self, count, **pauses):
-        steps = [self.step(name, pauses.get(name, 0)) for name in ("read", "compute", "write", "done")]
-        overlap(range(count), *steps)
+        *steps, done = [self.step(name, pauses.get(name, 0)) for name in ("read", "compute", "write", "done")]
+        with closing(overlap(deque(range(count)), *steps)) as results:
+            for item in results:
+                done(item)
 
     def items(self, name):
         return [item for step, item in self.log if step == name]
@@ -88,7 +92,7 @@ def test_neighbours_are_read_and_written_while_one_is_computed():
             writes_last.set()
         return item
 
-    overlap(range(6), read, compute, write, lambda item: None)
+    assert list(overlap(deque(range(6)), read, compute, write)) == list(range(6))
 
 
 def test_after_an_item_that_cannot_be_written_no_other_is():
@@ -303,7 +307,7 @@ def test_meanwhile_runs_beside_the_first_read():
         time.sleep(0.05)
         log.append("meanwhile")
 
-    overlap(range(3), read, lambda item: log.append("compute"), lambda item: item, lambda item: None, meanwhile)
+    list(overlap(deque(range(3)), read, lambda item: log.append("compute"), lambda item: item, meanwhile))
     assert log == ["meanwhile", *["compute"] * 3]
 
 
