@@ -21,12 +21,13 @@ class Lanes:
         """Cut ``numbers``, display frames in order, into chunks."""
         chunks = deque(numbers[start : start + CHUNK] for start in range(0, len(numbers), CHUNK))
         self._lanes: dict[str, deque[Sequence[int]]] = {"": chunks}
+        """"" is nobody's; who takes from it takes all."""
 
     def take(self, worker: str) -> Sequence[int]:
         """The worker's next chunk; empty: nothing is left."""
         lane = self._lanes.get(worker)
         if not lane:
-            lane = self._lanes[worker] = self._second_half()
+            lane = self._lanes[worker] = self._more()
         return lane.popleft() if lane else ()
 
     def after(self, worker: str) -> Sequence[int]:
@@ -38,13 +39,16 @@ class Lanes:
         """Whether there is a chunk that nobody has taken."""
         return any(self._lanes.values())
 
+    def end(self, worker: str, chunk: Sequence[int]) -> None:
+        """Take the lane from a worker that has ended, and put the chunk back that it did not do."""
+        self._lanes[""].extend((chunk, *self._lanes.pop(worker, ())))
+
     def drop(self, number: int) -> None:
         """Drop the chunks that begin after display frame ``number``."""
         for worker, lane in self._lanes.items():
             self._lanes[worker] = deque(chunk for chunk in lane if chunk[0] <= number)
 
-    def _second_half(self) -> deque[Sequence[int]]:
-        longest = max(self._lanes.values(), key=len)
-        whole = longest is self._lanes[""]  # nobody works on it
-        count = len(longest) if whole else (len(longest) + 1) // 2
+    def _more(self) -> deque[Sequence[int]]:
+        longest = self._lanes[""] or max(self._lanes.values(), key=len)
+        count = len(longest) if longest is self._lanes[""] else (len(longest) + 1) // 2
         return deque([longest.pop() for _ in range(count)][::-1])

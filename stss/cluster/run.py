@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -30,6 +31,8 @@ PATIENCE = 10.0
 """How many times as long as the slowest chunk so far a chunk may take before another worker gets it as well."""
 SHORTEST = 60.0
 """Seconds that a chunk may always take: the first one builds kernels."""
+MOST_DEATHS = 3
+"""How many workers may end with a chunk."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +116,8 @@ class _Coordinator:
         self._tasks: dict[Any, _Task] = {}
         """By dask's future. A worker has one, or more if another worker's has come to it."""
         self._lanes = Lanes(())
+        self._deaths = Counter[int]()
+        """First frame of a chunk -> how many workers ended with it."""
         self._slowest = 0.0
         self._errors: dict[int, str] = {}
         """First frame of a chunk that ended early -> its error."""
@@ -166,8 +171,12 @@ class _Coordinator:
 
     def _employ(self) -> None:
         """Give each worker that has no chunk its next one."""
+        addresses = self._crew.addresses()
+        for future, task in list(self._tasks.items()):
+            if task.worker not in ("", *addresses):
+                self._withdraw(future)
         busy = {task.worker for task in self._tasks.values()}
-        for address in self._crew.addresses():
+        for address in addresses:
             if address not in busy:
                 self._give(address)
 
@@ -176,6 +185,17 @@ class _Coordinator:
             after = self._lanes.after(address)
             future = self._crew.submit("compute", numbers, after, self._backends, workers=[address], others=True)
             self._tasks[future] = _Task(numbers, address, time.monotonic())
+
+    def _withdraw(self, future: Any) -> None:
+        """A worker has ended. Dask would give its chunk to one that has work of its own."""
+        future.cancel()
+        task = self._tasks.pop(future)
+        if self._is_done(task):
+            return
+        self._deaths[task.numbers[0]] += 1
+        if self._deaths[task.numbers[0]] > MOST_DEATHS:
+            raise _killed(task.numbers, task.worker)
+        self._lanes.end(task.worker, task.numbers)
 
     def _is_done(self, task: _Task) -> bool:
         """Whether nothing that the run needs is missing of it."""
@@ -198,9 +218,7 @@ class _Coordinator:
         try:
             chunk: Chunk = future.result()
         except distributed().KilledWorker as error:
-            raise InputError(
-                f"frames {numbers[0]} to {numbers[-1]}: every worker that computed them ended, {error.last_worker.address} last"
-            ) from error
+            raise _killed(numbers, error.last_worker.address) from error
         if chunk.error and not self._is_done(task):
             self._errors[numbers[len(chunk.frames)]] = chunk.error
             self._drop_later()
@@ -245,6 +263,10 @@ class _Coordinator:
                 others = [address for address in where if address != holder]
                 again = self._crew.submit("compute", task.numbers, (), self._backends, workers=others)
                 self._tasks[again] = _Task(task.numbers, "", time.monotonic())
+
+
+def _killed(numbers: Sequence[int], worker: str) -> InputError:
+    return InputError(f"frames {numbers[0]} to {numbers[-1]}: every worker that computed them ended, {worker} last")
 
 
 def _place(folder: OutputFolder, file: File, *, new: bool) -> None:

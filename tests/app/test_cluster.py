@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stss.cluster.chunks import CHUNK, Lanes
 from stss.errors import InputError
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
@@ -23,35 +22,9 @@ FRAMES = range(20)
 SIZE = (8, 8)
 
 
-@pytest.mark.parametrize("count", [0, 1, 7, 8, 9, 100, 1000, 172_800])
-@pytest.mark.parametrize("workers", [1, 2, 1000])
-def test_lanes_hand_out_each_frame_once(count, workers):
-    """Most chunks follow their worker's last one, as announced; and no worker does more than its share, within a chunk."""
-    numbers, taken, followed = range(5, 5 + count), {worker: [] for worker in map(str, range(workers))}, 0
-    lanes = Lanes(numbers)
-    while lanes.left():
-        for worker, chunks in taken.items():
-            announced = lanes.after(worker)
-            chunk = lanes.take(worker)
-            if announced and chunk:
-                assert chunk == announced
-            followed += bool(announced)
-            chunks.append(chunk)
-    assert sorted(n for chunks in taken.values() for chunk in chunks for n in chunk) == list(numbers)
-    assert max(len(chunk) for chunks in taken.values() for chunk in chunks or [()]) <= CHUNK
-    rounds = {len(chunks) for chunks in taken.values()}
-    assert len(rounds) == 1
-    assert rounds.pop() == -(-count // (CHUNK * workers))
-    assert followed >= count // CHUNK - 2 * workers * (1 + workers.bit_length())
-
-
-def test_lanes_drop_what_comes_after_an_error():
-    lanes = Lanes(range(100))
-    lanes.take("a"), lanes.take("b")
-    lanes.drop(20)
-    assert [list(lanes.take("a"))[0] for _ in range(2)] == [8, 16]
-    assert not lanes.left()
-    assert not lanes.take("b")
+@pytest.fixture
+def frames(write_frames):
+    return open_sequence(write_frames(FRAMES, rendered=set(range(0, 20, 2)), size=SIZE), "stss")
 
 
 def test_a_folder_adopts_what_another_process_wrote(tmp_path):
@@ -88,11 +61,6 @@ def test_workers_started_here_keep_their_memory(monkeypatch):
     with connected("local:1") as client:
         (found,) = client.run(os.environ.get, "MALLOC_TRIM_THRESHOLD_").values()
     assert found is None
-
-
-@pytest.fixture
-def frames(write_frames):
-    return open_sequence(write_frames(FRAMES, rendered=set(range(0, 20, 2)), size=SIZE), "stss")
 
 
 def on_cluster(sequence, out, where, *, options=None, on_frame=lambda report: None, **chosen):
@@ -165,25 +133,36 @@ def test_resume_keeps_what_is_right_and_makes_the_rest(cluster, frames, tmp_path
     assert files(out) == whole
 
 
-def test_a_worker_that_dies_loses_nothing(cluster, frames, tmp_path):
-    """The process of the first chunk is killed when the first frames are in."""
+def kill_one(cluster):
+    """Returns a function to call with reports: at the first one it kills a worker that has a chunk; and the list of those killed."""
     killed = []
 
     def kill(report):
         del report
-        if not killed:
-            killed.append(True)
-            client = cluster.get_client()
-            for address, busy in client.processing().items():
-                if busy:
-                    os.kill(client.run(os.getpid, workers=[address], nanny=False, wait=True)[address], signal.SIGKILL)
-                    killed.append(address)
-                    break
+        client = cluster.get_client()
+        busy = [address for address, keys in client.processing().items() if keys]
+        if busy and not killed:
+            os.kill(client.run(os.getpid, workers=busy[:1], nanny=False)[busy[0]], signal.SIGKILL)
+            killed.append(busy[0])
 
+    return kill, killed
+
+
+def test_a_worker_that_dies_loses_nothing(cluster, frames, tmp_path):
+    """It is killed when the first frames are in."""
+    kill, killed = kill_one(cluster)
     on_cluster(frames, tmp_path / "many", cluster, on_frame=kill)
-    assert len(killed) == 2, "nobody was killed: all chunks were done"
+    assert killed, "nobody was killed: all chunks were done"
     in_one_process(frames, tmp_path / "one")
     assert files(tmp_path / "many") == files(tmp_path / "one")
+
+
+def test_a_chunk_that_ends_its_workers_ends_the_run(cluster, frames, tmp_path, monkeypatch):
+    monkeypatch.setattr("stss.cluster.run.MOST_DEATHS", 0)
+    kill, killed = kill_one(cluster)
+    with pytest.raises(InputError, match="every worker that computed them ended, tcp://") as caught:
+        on_cluster(frames, tmp_path / "many", cluster, on_frame=kill)
+    assert str(caught.value).endswith(f"{killed[0]} last")
 
 
 def test_a_worker_that_hangs_loses_nothing(cluster, frames, tmp_path, monkeypatch):
