@@ -28,6 +28,8 @@ QUIET: dict[str, Any] = {
     "distributed.admin.tick.interval": "500ms",
 }
 """Dask's settings for workers that are started here."""
+ANY_PORT = {"dashboard": False, "dashboard_address": "127.0.0.1:0"}
+"""Dask's scheduler serves HTTP even without a dashboard, and warns if another one has its usual port."""
 FAREWELL = 5
 """Seconds for workers to drop the work."""
 
@@ -127,7 +129,7 @@ def connected(address: str) -> Generator[Any, None, None]:
         with (
             require("dask", "cluster").config.set(QUIET),
             dask.LocalCluster(
-                n_workers=int(count), threads_per_worker=1, dashboard_address=None, worker_dashboard_address=None,
+                n_workers=int(count), threads_per_worker=1, scheduler_kwargs=ANY_PORT, worker_dashboard_address=None,
                 env=_share_of_threads(int(count)), silence_logs=50, memory_limit=0,
             ) as processes,
             dask.Client(processes) as client,

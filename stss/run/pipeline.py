@@ -73,13 +73,9 @@ def overlap(
         while reading:
             try:
                 ready = reading.popleft().result()
-            except BaseException:
-                yield from finished(0)
-                raise
-            yield from finished(AHEAD - 1)
-            try:
+                yield from finished(AHEAD - 1)
                 computed = compute(ready)
-            except BaseException:
+            except (Exception, KeyboardInterrupt):
                 yield from finished(0)
                 raise
             writing.append(writer.submit(write_in_turn, computed))

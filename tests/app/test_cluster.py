@@ -46,8 +46,15 @@ def test_a_folder_adopts_what_another_process_wrote(tmp_path):
 def cluster():
     """A scheduler and two workers on this machine, in processes of their own."""
     distributed = pytest.importorskip("distributed", reason="the extra cluster is not installed")
+    from stss.cluster.client import ANY_PORT
+
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=None, worker_dashboard_address=None, silence_logs=50, memory_limit=0
+        n_workers=2,
+        threads_per_worker=1,
+        scheduler_kwargs=ANY_PORT,
+        worker_dashboard_address=None,
+        silence_logs=50,
+        memory_limit=0,
     ) as processes:
         yield processes
 
@@ -187,6 +194,15 @@ def test_a_worker_that_hangs_loses_nothing(cluster, frames, tmp_path, monkeypatc
             os.kill(process, signal.SIGCONT)
     in_one_process(frames, tmp_path / "one")
     assert found == files(tmp_path / "one")
+
+
+def test_two_clusters_on_one_machine_do_not_get_in_each_others_way(cluster):
+    """Dask would warn of a port; a warning is an error here."""
+    from stss.cluster.client import connected
+
+    with connected("local:1") as one, connected("local:1") as other:
+        addresses = {next(iter(client.scheduler_info()["workers"])) for client in (one, other)}
+    assert len(addresses) == 2
 
 
 def test_workers_of_different_kinds_are_refused_unless_asked_for(cluster, frames, tmp_path, monkeypatch):

@@ -17,6 +17,7 @@ from click.testing import CliRunner
 from conformance.judge import TIERS, Tier
 from conformance.run_suite import run_suite
 from stss.cli.main import stss
+from stss.cluster.client import ANY_PORT
 from stss.cluster.conform import PortIntroduction, judged_on_cluster
 from stss.conform.load_port import GivenPort, Judging
 from stss.conform.versions import versions_of_cases
@@ -53,8 +54,8 @@ def cluster(tmp_path_factory):
     os.chdir(folder)
     try:
         with distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=None, worker_dashboard_address=None, silence_logs=50,
-            memory_limit=0, scheduler_kwargs={"allowed_failures": 1},
+            n_workers=2, threads_per_worker=1, worker_dashboard_address=None, silence_logs=50, memory_limit=0,
+            scheduler_kwargs={**ANY_PORT, "allowed_failures": 1},
         ) as processes:  # fmt: skip
             yield processes
     finally:
