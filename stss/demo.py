@@ -108,7 +108,12 @@ def demo(
     outputs = {number: out / "output" / frame_name(number, "exr") for number in sequence.numbers}
     write_rgb(out / "sheet.png", demo_sheet(out, outputs))
     versions = [Version(n, _MEANINGS[n], find_pairs(out / n, out / "truth")[0], compared) for n, compared in found.items()]
-    write_comparison(out / "page.html", "stss demo", versions, RenderedInputs(sequence, versions[-1].pairs))
+    write_comparison(
+        out / "page.html",
+        "stss demo: half of the frames rendered, at half the size",
+        versions,
+        RenderedInputs(sequence, versions[-1].pairs),
+    )
     console.print(f"page to look at: {out / 'page.html'}", soft_wrap=True, highlight=False, markup=False)
     console.print(f"pictures to look at: {out / 'sheet.png'}", soft_wrap=True, highlight=False, markup=False)
 

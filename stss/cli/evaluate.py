@@ -73,7 +73,7 @@ def compare_command(
         made = ", ".join(comparison.made_with.get("method", ())) or "another program"
         version = pages.Version("output", f"Made by {made}: what is compared.", pairs, comparison)
         inputs = None if files is None else pages.RenderedInputs(files, pairs)
-        pages.write_comparison(html, f"{out.name} against {truth.name}", [version], inputs)
+        pages.write_comparison(html, f"{out.name}, compared with the truth in {truth.name}", [version], inputs)
         echo(f"page to look at: {html}", err=True)
 
 

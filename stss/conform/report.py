@@ -158,21 +158,27 @@ def write_page(path: Path, judge: Judge, results: Sequence[TestResult], folders:
     rows = "".join(_row(r) for r in results)
     outputs = "".join(_stage_row(stage, some) for stage, some in by_stage([r for r in results if r.stage in SUITE]).items())
     failures = "".join(_failure(r, folders.get(r.id)) for r in results if r.outcome in ("failed", "error"))
+    bad = [r.id for r in results if r.outcome in ("failed", "error")]
+    links = ", ".join(f'<a href="#{html.escape(name)}"><code>{html.escape(name)}</code></a>' for name in bad)
+    told = f"<p>{len(bad)} of {len(results)} tests failed: {links}</p>" if bad else ""
     body = f"""<h1>{html.escape(printable(judge.port.name))} {verdict}</h1>
 <p>{arithmetic}; tier {judge.tier.name}, seed {judge.seed}; {counted["cases"]} cases; {counted["undecided"]} numbers decided by rounding,
 {counted["unjudged"]} cases not judged for that; stss {VERSION}.</p>
+{told}
 {_table("Outputs", ("stage", "output"), ("largest error / bound",), outputs)}
-{_table("Tests", ("test", "what it asks", "outcome"), ("cases", "error / bound"), rows)}{failures}"""
+{failures}
+{_table("Tests", ("test", "what it asks", "outcome"), ("cases", "error / bound"), rows, stack=True)}"""
     write_named(path, page(f"{judge.port.name}: conformance", body))
 
 
-def _table(caption: str, words: Sequence[str], numbers: Sequence[str], rows: str) -> str:
-    """Markup of a table that scrolls by itself where the page is narrower."""
+def _table(caption: str, words: Sequence[str], numbers: Sequence[str], rows: str, *, stack: bool = False) -> str:
+    """Markup of a table that scrolls by itself where the page is narrower; ``stack``: its rows become paragraphs there."""
     head = "".join(
         [*(f'<th scope="col">{name}</th>' for name in words), *(f'<th scope="col" class="n">{name}</th>' for name in numbers)]
     )
+    kind = ' class="stack"' if stack else ""
     return (
-        f'<div class="scroll" tabindex="0" role="region" aria-label="{caption}"><table><caption>{caption}</caption>'
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{caption}"><table{kind}><caption>{caption}</caption>'
         f"<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>"
     )
 
@@ -180,18 +186,19 @@ def _table(caption: str, words: Sequence[str], numbers: Sequence[str], rows: str
 def _stage_row(stage: str, some: Sequence[TestResult]) -> str:
     """A row for each output: its largest error / bound, or that it was not judged."""
     met = worst_of(some)
-    ratios = {name.split(".")[-1]: _number(ratio) for name, ratio in met.items()}
-    lacking = "not judged: the port lacks the stage" if all(r.outcome == "skipped" for r in some) else "not judged"
+    ratios = {name.split(".")[-1]: f'<td class="n">{_number(ratio)}' for name, ratio in met.items()}
+    why = ": the port lacks the stage" if all(r.outcome == "skipped" for r in some) else ""
+    lacking = f'<td class="n wrap">not judged{why}'
     named = dict.fromkeys([*_outputs(stage), *ratios])
-    return "".join(
-        f'<tr><td><code>{stage}</code><td>{html.escape(name)}<td class="n">{ratios.get(name, lacking)}</tr>' for name in named
-    )
+    return "".join(f"<tr><td><code>{stage}</code><td>{html.escape(name)}{ratios.get(name, lacking)}</tr>" for name in named)
 
 
 def _row(r: TestResult) -> str:
     worst = "<br>".join(f"{html.escape(name.split('.')[-1])} {_number(ratio)}" for name, ratio in r.record.worst.items())
     cells = f'<td><code>{html.escape(r.id)}</code><td class="words">{html.escape(r.property)}<td class="{r.outcome}">{r.outcome}'
-    return f'<tr>{cells}<td class="n">{r.record.cases or ""}<td class="n">{worst}</tr>'
+    numbers = {"cases": r.record.cases or "", "error / bound": worst}
+    counted = "".join(f'<td class="n" data-label="{name}">{cell}</td>' for name, cell in numbers.items())
+    return f"<tr>{cells}</td>{counted}</tr>"
 
 
 def _failure(r: TestResult, folder: Path | None) -> str:
@@ -206,7 +213,7 @@ def _failure(r: TestResult, folder: Path | None) -> str:
         if folder
         else f"<p>{html.escape(r.message)}"
     )
-    return f'<h2 class="failed"><code>{html.escape(r.id)}</code></h2>{again}{shown}'
+    return f'<h2 class="failed" id="{html.escape(r.id)}"><code>{html.escape(r.id)}</code></h2>{again}{shown}'
 
 
 def _number(ratio: float) -> str:

@@ -94,7 +94,12 @@ def table(caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]], 
     )
 
 
+def folded(summary: str, html: str) -> str:
+    """Markup that opens at a click on ``summary``, text."""
+    return f"<details><summary>{escape(summary)}</summary>{html}</details>"
+
+
 def definitions(summary: str, terms: Sequence[tuple[str, str]]) -> str:
     """Make a list of terms and their meanings, which opens at a click."""
     listed = "".join(f"<dt>{escape(term)}</dt><dd>{escape(meaning)}</dd>" for term, meaning in terms)
-    return f"<details><summary>{escape(summary)}</summary><dl>{listed}</dl></details>"
+    return folded(summary, f"<dl>{listed}</dl>")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from html import escape
 
 WIDTH, HEIGHT = 640, 240
-LEFT, RIGHT, TOP, BOTTOM = 46, 12, 12, 24
+LEFT, RIGHT, TOP, BOTTOM = 72, 20, 12, 36
 """Margins, in units of the drawing."""
 COLOURS = 8
 """Classes ``c0`` to ``c7`` of ``viewer.css``."""
@@ -33,15 +33,16 @@ class PlotLine:
     colour: int
 
 
-def plot(title: str, lines: Sequence[PlotLine], *, digits: int) -> str:
+def plot(title: str, lines: Sequence[PlotLine], *, digits: int, frames: Sequence[int] = ()) -> str:
     """Draw a figure as markup.
 
     Args:
         title: the score's name and unit.
         lines: at least one, with at least one value.
         digits: digits after the decimal point of a point's value.
+        frames: numbers of frames that the axis shows besides those with values, so that several plots have one axis.
     """
-    numbers = sorted({number for line in lines for number in line.values})
+    numbers = sorted({*frames, *(number for line in lines for number in line.values)})
     found = [value for line in lines for value in line.values.values() if math.isfinite(value)] or [0.0]
     low, high, step = _scale(min(found), max(found))
     span = max(numbers[-1] - numbers[0], 1)
@@ -59,7 +60,9 @@ def plot(title: str, lines: Sequence[PlotLine], *, digits: int) -> str:
         f'<text x="{LEFT - 5}" y="{y(t) + 4:.1f}" text-anchor="end">{t:.{shown}f}</text>'
         for t in ticks
     ]
-    drawn += [f'<text x="{x(n):.1f}" y="{HEIGHT - 6}" text-anchor="middle">{n}</text>' for n in _some(numbers)]
+    first, *others = _some(numbers)
+    below = [(first, f"frame {first}"), *((n, str(n)) for n in others)]
+    drawn += [f'<text x="{x(n):.1f}" y="{HEIGHT - 8}" text-anchor="middle">{text}</text>' for n, text in below]
     drawn.append(f'<line class="at" x1="{LEFT}" x2="{LEFT}" y1="{TOP}" y2="{HEIGHT - BOTTOM}"/>')
     for line in lines:
         places = [(number, value, x(number), y(value)) for number, value in sorted(line.values.items())]
@@ -85,7 +88,7 @@ def _scale(low: float, high: float) -> tuple[float, float, float]:
 
 def _some(numbers: Sequence[int]) -> Sequence[int]:
     """As many of the numbers, evenly spaced, as fit below the plot."""
-    return numbers[:: max(1, math.ceil(len(numbers) / 12))]
+    return numbers[:: max(1, math.ceil(len(numbers) / 8))]
 
 
 def _point(line: PlotLine, number: int, value: str, x: float, y: float) -> str:

@@ -18,7 +18,8 @@
   const has = (view) => view in frame().pictures;
   const picture = (view) => make("img", { src: url(view), alt: `${view}, ${frame().name}`, draggable: false });
   const panel = (side, ...views) => {
-    const tag = make("span", { className: "tag", textContent: views.join(" / ") });
+    const text = side === "difference" ? `difference of ${views.join(" and ")}` : views.at(-1); // of two, the last one is on top
+    const tag = make("span", { className: "tag", textContent: text });
     tag.setAttribute("aria-hidden", "true");
     return make("div", { className: `frame ${side}` }, ...views.map(picture), tag);
   };

@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 
 from stss.color import transfer
-from stss.pages.page import definitions, table
+from stss.pages.page import definitions, folded, table
 from stss.pages.plot import PlotLine, plot
 from stss.pages.viewer import Pane, ShownFrame, Viewer, write_viewer
 from stss.quality.compare import BELOW, METRICS, Comparison, cells, facts
@@ -111,23 +111,26 @@ def write_comparison(
     views.append(Pane(TRUTH, MEANINGS[TRUTH]))
     known = [view.name for view in views]
     pair = (BILINEAR if BILINEAR in known else names[0], best.name)
-    several = len(versions) > 1
+    several, shown = len(versions) > 1, [row.number for row in best.comparison.rows]
     viewer = Viewer(
         title=title,
         notes=best.comparison.notes,
         views=views,
         pair=pair if pair[0] != pair[1] else (best.name, TRUTH),
         plots=[
-            plot(PLOTTED[metric], lines, digits=METRICS[metric][1])
+            plot(PLOTTED[metric], lines, digits=METRICS[metric][1], frames=shown)
             for metric in PLOTTED
             if metric in best.comparison.metrics and (lines := _lines(versions, metric))
         ],
         tables=[
             *tables,
             *(
-                scores_table(version.comparison, f"{version.name}: every frame" if several else "Every frame")
+                folded(f"{version.name}: every frame", scores_table(version.comparison, version.name))
+                if len(versions) > 2
+                else scores_table(version.comparison, f"{version.name}: every frame" if several else "Every frame")
                 for version in versions
             ),
+            *([f"<h3>{escape(best.name)}</h3>"] if several else []),
             *(f"<p>{escape(printable(fact))}</p>" for fact in facts(best.comparison)[len(best.comparison.notes) :]),
             definitions("What the columns mean", DEFINITIONS),
         ],

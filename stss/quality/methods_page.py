@@ -34,4 +34,6 @@ def methods_page(
     ]
     headings, rows = cells(results)
     means = table(f"Every method: {meant(results)}", [f"{above.strip()}\n{kind}" for above, kind in headings], rows)
-    write_comparison(path, f"Methods on {sequence.path.name}", versions, RenderedInputs(sequence, versions[-1].pairs), [means])
+    write_comparison(
+        path, f"Methods compared on {sequence.path.name}", versions, RenderedInputs(sequence, versions[-1].pairs), [means]
+    )

@@ -33,6 +33,12 @@ def test_the_report_on_a_port_has_the_style_of_the_pages(browser, tmp_path, widt
     assert browser.do("document.documentElement.scrollWidth") <= width
     assert browser.do("document.scripts.length") == 0
     assert browser.do("document.images.length") == 1
+    # What a test came to is in sight, however narrow the page; and the first lines lead to each failure.
+    outcomes = browser.do("[...document.querySelectorAll('td.failed, td.passed')].map(e => e.getBoundingClientRect().right)")
+    assert len(outcomes) == 2
+    assert max(outcomes) <= width
+    assert browser.do("document.querySelector('p a').hash") == "#rrm.one"
+    assert browser.do("document.getElementById('rrm.one').tagName") == "H2"
     paper = browser.do("getComputedStyle(document.body).backgroundColor")
     assert paper == {"light": "rgb(255, 255, 255)", "dark": "rgb(13, 17, 23)"}[scheme]
     browser.screenshot(tmp_path / "shot.png")

@@ -4,6 +4,7 @@ import hashlib
 import json
 import re
 from html.parser import HTMLParser
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -124,6 +125,16 @@ def test_a_plot_has_sf_and_ef_apart_and_a_way_to_every_frame():
     assert heights["frame 2, SF: 31.00"] < heights["frame 0, SF: 30.00"] < heights["frame 1, EF: 28.25"]
 
 
+def test_plots_of_one_page_have_one_axis():
+    """tPSNR begins a frame later; its frame 2 stands where the others' does all the same."""
+    early, late = PlotLine("SF", {0: 30.0, 2: 31.0}, "SF", 0), PlotLine("SF", {2: 31.0}, "SF", 0)
+    places = [
+        next(a["data-x"] for tag, a in tags(plot("x", [line], digits=2, frames=range(3))) if a.get("data-frame") == "2")
+        for line in (early, late)
+    ]
+    assert places[0] == places[1]
+
+
 @pytest.mark.parametrize("values", [[30.0], [5.0, 5.0], [float("inf")], [0.0, 1e-9], [-3.0, 2000.0]])
 def test_a_plot_of_any_numbers_stays_within_its_frame(values):
     drawn = plot("x", [PlotLine("SF", dict(enumerate(values)), "SF", 0)], digits=2)
@@ -216,6 +227,24 @@ def test_a_page_opens_from_disk_at_any_width_by_day_and_by_night(browser, shown,
     assert paper == {"light": "rgb(255, 255, 255)", "dark": "rgb(13, 17, 23)"}[scheme]
 
 
+@pytest.mark.parametrize("width", [390, 1280])
+def test_the_words_of_a_plot_can_be_read(browser, tmp_path, width):
+    """They are no smaller than the smallest print, lie within the plot, and apart from each other, long numbers too."""
+    lines = [PlotLine("SF", {n: 0.8112 + n / 1e5 for n in range(980, 1020)}, "SF", 0)]
+    (tmp_path / "p.html").write_text(page("t", plot("SSIM", lines, digits=4), styles=("viewer.css",)))
+    browser.open(tmp_path / "p.html", width=width)
+    edges = "e => (b => [b.left, b.top, b.right, b.bottom])(e.getBoundingClientRect())"
+    around = browser.do(f"({edges})(document.querySelector('svg'))")
+    boxes = browser.do(f"[...document.querySelectorAll('svg text')].map({edges})")
+    assert len(boxes) > 8
+    for left, top, right, bottom in boxes:
+        assert bottom - top >= 10
+        assert around[0] <= left < right <= around[2]
+        assert around[1] - 1 <= top < bottom <= around[3] + 1
+    for a, b in combinations(boxes, 2):
+        assert a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] + 1 or b[3] <= a[1] + 1, (a, b)
+
+
 def test_what_is_wrong_on_a_page_is_noticed(browser, tmp_path):
     """The three checks above can fail."""
     text = page(
@@ -258,7 +287,7 @@ def test_keys_lead_through_frames_views_and_zoom(browser, shown):
     browser.press("g")
     assert browser.do("getComputedStyle(document.querySelector('.frame.difference')).filter") == "brightness(8)"
     browser.press("b")
-    assert browser.do("document.querySelector('.tag').textContent") == "input / input"
+    assert browser.do("document.querySelector('.tag').textContent") == "difference of input and input"
     browser.press("p")
     browser.press("+")
     browser.press("ArrowRight", shift=True)
@@ -288,6 +317,17 @@ def test_a_difference_is_that_of_the_pixels(browser, tmp_path):
     scroll = browser.do("scrollY")
     pixel = read_rgb(tmp_path / "shot.png")[int(y + scroll + height / 2), int(x + width / 2)] * 255
     assert np.abs(pixel - 40).max() < 1.5
+
+
+def test_the_word_in_a_picture_says_what_is_shown(browser, shown):
+    browser.open(shown)
+    tags = "[...document.querySelectorAll('.frame .tag')].map(e => e.textContent)"
+    assert browser.do(tags) == ["input", "truth"]
+    browser.press("d")
+    assert browser.do(tags) == ["difference of input and truth"]
+    browser.press("r")  # the flicker stands still
+    browser.press("f")
+    assert browser.do(tags) == ["truth"]  # it lies on top
 
 
 def test_flicker_turns_with_the_display_and_stops(browser, shown):

@@ -101,7 +101,7 @@ def test_a_wrong_port_leaves_what_is_needed(here):
     assert "departs from the specification" in page
     assert "data:image/png;base64," in page
     assert "the test expects" in page
-    assert '<code>holes</code><td>valid<td class="n">not judged: the port lacks the stage' in page
+    assert '<code>holes</code><td>valid<td class="n wrap">not judged: the port lacks the stage' in page
     assert int(ElementTree.parse(here / "junit.xml").getroot()[0].get("failures", 0)) > 0
     found = json.loads((here / "found.json").read_text())
     assert {test["outcome"] for test in found["tests"] if test["stage"] == "holes"} == {"skipped"}
