@@ -155,7 +155,7 @@ def test_an_output_that_nothing_judged_says_so(here):
     )
     done = run("--port", "lost:Port", "--stages", "warp", "--fail-fast", "--report", "page.html")
     assert "warped not judged, inside not judged" in " ".join(done.output.split())
-    assert '<td>inside<td class="n">not judged</tr>' in (here / "page.html").read_text()
+    assert '<td>inside<td class="n wrap">not judged' in (here / "page.html").read_text()
 
 
 def test_the_picture_of_a_large_frame_shows_its_worst_part():
