@@ -70,7 +70,8 @@ class Frame:
             valid: (H, W) False in the warping holes of the newest colour frame.
 
         Raises:
-            ArrayError: shapes, dtypes or steps are not a frame's, or an array other than motions and positions is not finite.
+            ArrayError: shapes, dtypes or steps are not a frame's, or an array other than motions and positions is not finite. Planes
+                of the two older colour frames are looked at only if the weights read them.
         """
         stays = isinstance(colors, cla.Array)
         require_shape("gbuffer", gbuffer, (None, None, 9))

@@ -21,7 +21,7 @@ MOST_STEPS = 5
 
 @dataclass(frozen=True)
 class Sources:
-    """The planes that stage ``frame`` reads, float32, of one size (H, W).
+    """The planes that stage ``frame`` reads, float32, of one size (H, W); the last ones may be left out if nothing reads them.
 
     Attributes:
         steps: how many display frames back the three colour frames lie, newest first.
@@ -75,26 +75,26 @@ def upload(device: Device, name: str, source: Source, shape: tuple[int, ...]) ->
 
 
 def planes(
-    device: Device, name: str, source: Source, count: int, shape: tuple[int, ...], *, more: bool = False
+    device: Device, name: str, source: Source, count: int, shape: tuple[int, ...], *, stack: int | None
 ) -> tuple[cl.Buffer, ...]:
-    """The first ``count`` planes of a stack (count, ...), each a buffer.
+    """The first ``count`` planes of a stack, each a buffer; the others are not brought to the device.
 
     Args:
         device: to run on.
         name: for errors.
-        source: the stack.
+        source: the stack, (stack, ...).
         count: number of planes to take.
         shape: shape of a plane.
-        more: whether the stack may hold further planes.
+        stack: number of planes that the stack holds; None: any number from ``count`` on.
 
     Raises:
         ArrayError: shape, dtype or size differ.
     """
     size = int(np.prod(shape)) * 4
     if isinstance(source, cl.Buffer):
-        upload(device, name, source, (count, *shape))
+        upload(device, name, source, (stack or count, *shape))
         return tuple(part(device, source, i * size, size) for i in range(count))
-    require_shape(name, source, (None if more else count, *shape))
+    require_shape(name, source, (stack, *shape))
     if len(source) < count:
         raise ArrayError(f"{name}: expected at least {count}, got {len(source)}")
     return tuple(upload(device, name, source[i], shape) for i in range(count))

@@ -12,7 +12,7 @@ import pyopencl as cl
 from stss_cl.device.buffers import Inputs, inputs_for
 from stss_cl.device.discovery import Device
 from stss_cl.device.program import build
-from stss_cl.image_space.frame_planes import Source, Sources, check_steps, planes, upload
+from stss_cl.image_space.frame_planes import MOST_STEPS, Source, Sources, check_steps, planes, upload
 from stss_cl.image_space.stages import LIMITS, Gather, kernels, launch
 
 FINITE = ("colors", "gbuffer", "nov", "stencils", "normals")
@@ -31,6 +31,11 @@ def finite_kernel(device: Device) -> cl.Kernel:
 def scan(device: Device, finite: cl.Kernel, buffer: cl.Buffer, count: int, bad: cl.Buffer, which: int) -> None:
     """Enqueue a look at ``count`` values: ``bad[which]`` (int32) becomes 1 if one of them is not finite."""
     finite(device.queue, (SCANNERS[not device.is_cpu],), None, buffer, np.uint64(count), bad, np.int32(which))
+
+
+def _filled_up(buffers: tuple[cl.Buffer, ...], count: int) -> tuple[cl.Buffer, ...]:
+    """As many arguments as a kernel has: the last buffer stands for planes that this frame does not read."""
+    return (*buffers, *count * buffers[-1:])[:count]
 
 
 class Prepare:
@@ -110,7 +115,7 @@ class Prepare:
         ``strip`` then finishes each of the strips that begin at ``tops``. ``older``: see ``start``.
 
         On a CPU arrays are read in place: they must not change until the queue has finished this frame. All but motions and
-        positions must be finite: ``not_finite`` checks it afterwards.
+        positions must be finite: ``not_finite`` checks those that are read afterwards.
 
         Raises:
             ArrayError: shapes, dtypes or steps are not a frame's.
@@ -118,15 +123,16 @@ class Prepare:
         chosen, size, device = check_steps(steps), (self.height, self.width), self.device
         if self._done is not None:
             self._done.wait()  # until then the last frame's arrays are in use
+        read, far = (3, chosen[2]) if older else (1, chosen[0])
         sources = Sources(
             steps=chosen,
-            colors=planes(device, "colors", colors, 3, (*size, 3)),
-            motions=planes(device, "motions", motions, chosen[2], (*size, 2), more=True) if chosen[2] else (),
+            colors=planes(device, "colors", colors, read, (*size, 3), stack=3),
+            motions=planes(device, "motions", motions, far, (*size, 2), stack=None) if far else (),
             gbuffer=upload(device, "gbuffer", gbuffer, (*size, 9)),
             nov=upload(device, "nov", nov, size),
-            stencils=planes(device, "stencils", stencils, 4, size),
-            normals=planes(device, "normals", normals, 4, (*size, 3)),
-            positions=planes(device, "positions", positions, 4, (*size, 3)),
+            stencils=planes(device, "stencils", stencils, read + 1, size, stack=4),
+            normals=planes(device, "normals", normals, read + 1, (*size, 3), stack=4),
+            positions=planes(device, "positions", positions, read + 1, (*size, 3), stack=4),
         )
         scanned = zip(
             (sources.colors, (sources.gbuffer,), (sources.nov,), sources.stencils, sources.normals), (3, 9, 1, 1, 3), strict=True
@@ -161,7 +167,7 @@ class Prepare:
         newest, middle, oldest = sources.steps if older else (sources.steps[0], 0, 0)
         size, skip = (self.height, self.width), self._clear(newest > 0)
         if newest or oldest:
-            motions = (*sources.motions, *5 * [self._chained])[:5]
+            motions = _filled_up(sources.motions, MOST_STEPS)
             self._run("chain_steps", size, *motions, newest, middle, oldest, self._chained, *self._splat, *size, *skip)
         for top in self._tops:
             self._warp(top)
@@ -225,7 +231,9 @@ class Prepare:
         s, inputs = self._read, self.inputs
         assert s is not None
         place = (self.height, self.width, self.rows, self.columns, top)
-        read = *s.colors, *s.steps, self._chained, s.gbuffer, s.nov, *s.stencils, *s.normals, *s.positions, s.normal_stride
+        stencils, normals, positions = (_filled_up(of, 4) for of in (s.stencils, s.normals, s.positions))
+        colors = *_filled_up(s.colors, 3), *s.steps
+        read = *colors, self._chained, s.gbuffer, s.nov, *stencils, *normals, *positions, s.normal_stride
         written = self._splat[0], inputs.earlier.data, inputs.input.data, inputs.base, self.mask
         skip = (self.dirty, *self._maps[:2]) if self._looks else ()
         self._run("prepare", place[2:4], *read, *written, *place, *skip, planes=self._planes)

@@ -122,6 +122,38 @@ def test_what_is_not_finite_is_refused_as_by_the_reference(device, name, bad):
     np.testing.assert_array_equal(made(steps=(1, 3, 5), **arrays)[0], first)
 
 
+@pytest.mark.parametrize("on_device", [False, True])
+def test_what_the_weights_do_not_read_is_not_looked_at(device, on_device):
+    """Two older colour frames that would make any image non-finite, and motions that lead to them alone."""
+    import pyopencl.array as cla
+
+    size = (9, 11)
+    random = np.random.default_rng(6)
+    shapes = {"colors": (3, *size, 3), "gbuffer": (*size, 9), "nov": size, "stencils": (4, *size), "normals": (4, *size, 3)}
+    arrays = {n: random.random(shape, np.float32) for n, shape in shapes.items()}
+    arrays |= {"motions": np.full((5, *size, 2), 0.5, np.float32), "positions": np.zeros((4, *size, 3), np.float32)}
+    weights = random_weights(1)
+    without = weights | {
+        n: np.zeros_like(w) for n, w in weights.items() if n.startswith("lowlevelGated.") and n.endswith(".weight")
+    }
+    spoilt = {n: a.copy() for n, a in arrays.items()}
+    for name, first in {"colors": 1, "motions": 1, "stencils": 2, "normals": 2, "positions": 2}.items():
+        spoilt[name][first:] = np.nan
+
+    def given(arrays):
+        return {n: cla.to_device(device.queue, a) if on_device else a for n, a in arrays.items()}
+
+    made = Frame(without, device)
+    want, want_valid = frame(FrameInputs(steps=(1, 3, 5), **arrays), without)
+    image, valid = made(steps=(1, 3, 5), **given(spoilt))
+    assert ratio("network.cl.float32", image.get() if on_device else image, want.astype(np.float64)) <= 1
+    np.testing.assert_array_equal(valid, want_valid)
+    with pytest.raises(ArrayError, match="colors: expected"):
+        made(steps=(1, 3, 5), **given(arrays | {"colors": arrays["colors"][:1].copy()}))
+    with pytest.raises(ArrayError, match="colors: .* non-finite values"):
+        Frame(weights, device)(steps=(1, 3, 5), **given(spoilt))
+
+
 def test_errors_name_the_array(device):
     with pytest.raises(ArrayError, match="gbuffer"):
         Frame(zeros(), device)(*(np.zeros((1, 1, 1), np.float32),) * 1, (0, 0, 0), *(np.zeros((2, 2), np.float32),) * 6)
