@@ -150,7 +150,7 @@ def test_what_the_weights_do_not_read_is_not_looked_at(device, on_device):
     np.testing.assert_array_equal(valid, want_valid)
     with pytest.raises(ArrayError, match="colors: expected"):
         made(steps=(1, 3, 5), **given(arrays | {"colors": arrays["colors"][:1].copy()}))
-    with pytest.raises(ArrayError, match="colors: .* non-finite values"):
+    with pytest.raises(ArrayError, match=r"colors: .* non-finite values"):
         Frame(weights, device)(steps=(1, 3, 5), **given(spoilt))
 
 
