@@ -20,7 +20,7 @@ TEMPLATE = Path(__file__).parents[2] / "examples" / "farm" / "stss.openjd.yaml"
 def openjd():
     found = Path(sys.executable).with_name("openjd")
     if not found.exists():
-        pytest.skip("no openjd-cli: pip install openjd-cli")
+        pytest.skip("no openjd-cli: pip install '.[test]'")
     return found
 
 

@@ -91,7 +91,7 @@ def main() -> None:
         "stss run, with its start": ours,
     }
     for name, seconds in rows.items():
-        sys.stdout.write(f"{name:48} {seconds:8.1f} s {seconds / given.frames:8.2f} s a frame\n")
+        sys.stdout.write(f"{name:48} {seconds:8.3f} s {seconds / given.frames:8.3f} s a frame\n")
     sys.stdout.write(f"share of the full time: {(halves + ours) / full:.2f}\n")
 
 
