@@ -20,13 +20,15 @@ Kind = Literal["SF", "EF"]
 KINDS: tuple[Kind, Kind] = ("SF", "EF")
 
 
+TAUGHT = "taught.npy"
+"""What `training.teach` adds to a shard."""
 DRAWN = 3
 """Crops drawn for each crop taken, which is the one with the most detail: half of an average frame is flat, and teaches little."""
 
 
 @dataclass(frozen=True)
 class Shard:
-    """The samples of a sequence, memory-mapped; see `training.samples`."""
+    """The samples of a sequence, memory-mapped; see `training.samples`, and `training.teach` for ``taught``."""
 
     name: str
     scene: str
@@ -34,6 +36,7 @@ class Shard:
     kinds: tuple[str, ...]
     inputs: Array = field(repr=False)
     truth: Array = field(repr=False)
+    taught: Array | None = field(repr=False, default=None)
 
 
 @dataclass(frozen=True)
@@ -55,7 +58,9 @@ def load_shards(folder: Path) -> list[Shard]:
         index = json.loads(path.read_text())
         inputs, truth = (np.load(path.parent / f"{name}.npy", mmap_mode="r") for name in ("inputs", "truth"))
         name = str(path.parent.relative_to(folder))
-        shards.append(Shard(name, index["scene"], index["split"], tuple(index["kinds"]), inputs, truth))
+        pictures = path.parent / TAUGHT
+        taught = np.load(pictures, mmap_mode="r") if pictures.exists() else None
+        shards.append(Shard(name, index["scene"], index["split"], tuple(index["kinds"]), inputs, truth, taught))
     if not shards:
         raise InputError(f"{folder}: no samples; python -m training.samples makes them")
     splits: dict[str, str] = {}
@@ -105,9 +110,7 @@ class Batches:
         for i in range(self._batch):
             drawn = [self._draw(self._kinds[i % len(self._kinds)], random) for _ in range(DRAWN)]
             place, corner = max(drawn, key=lambda one: self._detail(*one))
-            inputs, truth = augment(
-                *crop(place.shard.inputs[place.index], place.shard.truth[place.index], corner, self._side), random
-            )
+            inputs, truth = augment(*crop(place.shard.inputs[place.index], targets(place), corner, self._side), random)
             mask = mask_at_random(inputs, random) if self._masking else inputs[..., MASK]
             made.append((inputs, mask, truth))
         inputs, masks, truth = (np.stack(arrays) for arrays in zip(*made, strict=True))
@@ -142,6 +145,12 @@ class Batches:
                 yield step, batch
 
 
+def targets(place: StoredSample) -> Array:
+    """The truth and what the teachers made of it, or the truth again, (2H, 2W, 6)."""
+    shard, i = place.shard, place.index
+    return np.concatenate([shard.truth[i], (shard.truth if shard.taught is None else shard.taught)[i]], axis=-1)
+
+
 def details(truth: Array) -> Array:
     """Detail that half the size loses, the distances of four pixels from their mean, as sums from the corner, (H + 1, W + 1)."""
     height, width, channels = truth.shape
@@ -156,7 +165,7 @@ def whole(place: StoredSample) -> Batch:
     truth = place.shard.truth[place.index].astype(np.float32)
     below, right = (-length % 8 for length in inputs.shape[:2])
     inputs = np.pad(inputs, ((0, below), (0, right), (0, 0)), mode="edge")
-    return collate(inputs[None], inputs[None, ..., MASK], truth[None])
+    return collate(inputs[None], inputs[None, ..., MASK], np.concatenate([truth, truth], axis=-1)[None])
 
 
 def spread(choice: list[StoredSample], most: int) -> list[StoredSample]:

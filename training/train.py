@@ -42,7 +42,8 @@ class Settings:
     """Options that change the numbers of a run, besides the data; a resumed run may have more steps. ``young``: see `infancy`.
 
     ``squares``: the share of the squared error in the loss that stays after it. ``history``: whether the history is used.
-    ``structure``: the perceptual distance is so many times 1 - SSIM. ``extrapolated``: the share of EFs in the squared error.
+    ``structure``: the perceptual distance is so many times 1 - SSIM. ``extrapolated``: the share of EFs in the squared error. ``taught``: the share of the
+    teachers' picture in what the squared error is taken against. ``masking``: Random Reshading Masking.
     """
 
     crop: int
@@ -56,6 +57,8 @@ class Settings:
     history: bool = True
     structure: float = STRUCTURE
     extrapolated: float = 0.5
+    taught: float = 0.0
+    masking: bool = True
 
 
 @dataclass(frozen=True)
@@ -124,14 +127,15 @@ def advance(
     squares: float = 0.0,
     similar: float = STRUCTURE,
     extrapolated: float = 0.5,
+    share: float = 0.0,
 ) -> Tensor:
     """One step; ``young`` is the share of what only helps a beginner, see `infancy`, ``similar`` what 1 - SSIM is multiplied by.
 
-    ``extrapolated``: see `training.loss.squared`.
+    ``extrapolated``: see `training.loss.squared`; ``share``: of the teachers' picture in the target of the squared error.
 
     Returns the loss, on the device.
     """
-    color, gbuffer, mask, history, truth = batch
+    color, gbuffer, mask, history, truth, taught = batch
     for optimiser, factor in zip(state.optimisers, (1.0, ADAM), strict=True):
         for group in optimiser.param_groups:
             group["lr"] = rate * factor
@@ -143,7 +147,7 @@ def advance(
     squares = max(young, squares)
     value = (1 - squares) * loss(output, truth, mask, similar * structure(output, truth))
     if squares:
-        value = value + squares * squared(output, truth, extrapolated)
+        value = value + squares * squared(output, truth.lerp(taught, share), extrapolated)
     if young:
         value = value + young * supervision([p.float() for p in pictures], truth)
     value.backward()
@@ -198,7 +202,7 @@ def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan
     log.cut(state.step)
     if state.step == 0:
         log(step=0, bilinear=validate(bilinear, shards, "validation", most=plan.most, device=device))
-    batches = Batches(shards, side=settings.crop, batch=settings.batch, seed=settings.seed)
+    batches = Batches(shards, side=settings.crop, batch=settings.batch, seed=settings.seed, masking=settings.masking)
     total, count, since = torch.zeros((), device=device), 0, time.perf_counter()
     for step, batch in batches.between(state.step, plan.steps):
         rate = rate_at(step, plan.steps, settings)
@@ -208,6 +212,7 @@ def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan
             "squares": settings.squares,
             "similar": settings.structure,
             "extrapolated": settings.extrapolated,
+            "share": settings.taught,
         }
         total += advance(state, tensors(batch, device), rate, half=settings.half, **shares)
         count += 1
@@ -240,6 +245,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--squares", type=float, default=0.0, help="share of the squared error in the loss, for PSNR's sake")
     parser.add_argument("--structure", type=float, default=STRUCTURE, help="the perceptual distance is so many times 1 - SSIM")
     parser.add_argument("--extrapolated", type=float, default=0.5, help="share of EFs in the squared error")
+    parser.add_argument("--taught", type=float, default=0.0, help="share of the pictures of training.teach in the squared error's target")
+    parser.add_argument("--no-masking", dest="masking", action="store_false", help="without Random Reshading Masking")
     parser.add_argument("--no-history", dest="history", action="store_false", help="weights that do not read the history")
     parser.add_argument("--validate", type=int, default=1000, metavar="STEPS")
     parser.add_argument("--log", type=int, default=100, metavar="STEPS")
@@ -265,6 +272,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         history=chosen.history,
         structure=chosen.structure,
         extrapolated=chosen.extrapolated,
+        taught=chosen.taught,
+        masking=chosen.masking,
     )
     state = start(settings, device, chosen.initial)
     path = chosen.out / "state.safetensors"

@@ -25,8 +25,9 @@ ROUND = 8
 """Of so many scenes one is for validation and one for the test."""
 
 
-KINDS = ("any", "clean", "woven")
-"""What `--kind` may choose: every scene, those with exact light, or of these those that patterns near the pixel's size cover."""
+KINDS = ("any", "clean", "woven", "level")
+"""What `--kind` may choose: every scene, those with exact light, of these those that patterns near the pixel's size cover, and of
+these those seen by a level camera before a wall."""
 
 
 def plan(scenes: int, kind: str = "any", frames: int = 1) -> list[tuple[str, int]]:

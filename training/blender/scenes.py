@@ -10,10 +10,12 @@ import math
 import random
 from typing import Any
 
+import level
+import slender
 from looks import CUTOUTS, PICTURES, WOVEN, lights, material, sky, woven
 from paths import add, camera, distance
 
-VERSION = 7
+VERSION = 8
 """Raise it when the same seed no longer gives the same scene."""
 
 SPLITS = ("train", "validation", "test")
@@ -44,6 +46,9 @@ class Scene:
         if self.clean:
             self.mood = "day"
         self.woven = self.clean and rng.random() < 0.75
+        self.level = self.woven and rng.random() < 0.5
+        if self.level:
+            self.layout = rng.choice(("field", "street"))
         self.fov = rng.uniform(0.7, 1.2)
         self.materials: list[Thing] = []
         self.objects: list[Thing] = []
@@ -74,6 +79,8 @@ class Scene:
             rate = rng.choice((-1, 1)) * self.speed() / self.focal * (self.away if move in ("truck", "dolly", "crane") else 1)
             shake = rng.choice((0, 0, 0, rng.uniform(0.3, 1), rng.uniform(1, 4))) / self.focal
             target = add(self.centre, [rng.uniform(-1, 1), rng.uniform(-1, 1), rng.uniform(-0.3, 0.3)], 0.12 * self.away)
+            if self.level:
+                eye, target = level.view(rng, self.centre, self.away, angle)
             shot = {"first": first, "move": move, "eye": eye, "target": target}
             shots.append(shot | {"rate": rate, "shake": shake, "phase": rng.uniform(0, 6)})
         return shots
@@ -127,7 +134,9 @@ def _ground(scene: Scene) -> None:
 def _walls(scene: Scene) -> None:
     """The walls of a hall, the houses of a street, or a few far things."""
     rng, far = scene.rng, scene.away + 4
-    if scene.layout == "hall":
+    if scene.level:
+        level.wall(scene)
+    elif scene.layout == "hall":
         for i in range(4):
             c, s = (1, 0, -1, 0)[i], (0, 1, 0, -1)[i]
             scene.put("cube", (c * far, s * far, 3), (0.4 if c else 2 * far, 0.4 if s else 2 * far, 6), scene.paint(metal=0.1))
@@ -153,13 +162,15 @@ def _furnish(scene: Scene) -> None:
         plants += 7
     if scene.clean:
         plants //= 3
-        _poles(scene)
+        slender.poles(scene)
     shapes = SOLIDS
     if scene.woven:
         solids, shapes = solids + 8, (*SOLIDS, "monkey", "monkey", "torus", "letters")
+    if scene.level:
+        level.words(scene)
     leaves = [scene.paint("leaves") for _ in range(2)]
-    _grass(scene)
-    _wires(scene)
+    slender.grass(scene)
+    slender.wires(scene)
     for shape in [rng.choice(shapes) for _ in range(solids)]:
         size = [unit * rng.uniform(0.5, 2.2) for _ in range(3)]
         size = size if shape in ("cube", "cylinder") else [size[0]] * 3
@@ -179,45 +190,6 @@ def _furnish(scene: Scene) -> None:
         tall = unit * rng.uniform(0.8, 3.5)
         if spot := scene.spot(tall / 2, 7 * unit):
             scene.put("bush", (*spot, tall / 2), [tall] * 3, rng.choice(leaves))
-
-
-def _grass(scene: Scene) -> None:
-    """Tufts of blades a pixel wide or less; on a field many, else in every third scene. Woven ones: meadows of blades up to three wide."""
-    rng, unit = scene.rng, scene.away / 9
-    paints = [scene.paint("plain", 0) for _ in range(3)]
-    for paint in paints:
-        bright = rng.uniform(0.15, 0.8)
-        green = [bright * rng.uniform(0.2, 0.8), bright, bright * rng.uniform(0.05, 0.4)]
-        scene.materials[paint] |= {"a": green, "b": green}
-    for _ in range(rng.randint(4, 10) if scene.layout == "field" or rng.random() < (0.8 if scene.woven else 0.33) else 0):
-        wide, tall = unit * (rng.uniform(3, 10) if scene.woven else rng.uniform(1, 4)), unit * rng.uniform(0.2, 1)
-        if spot := scene.spot(0 if scene.woven else wide / 3, 5 * unit):
-            scene.put("grass", (*spot, tall / 2), (wide, wide, tall), rng.choice(paints), (0, 0, rng.uniform(0, 6)))
-
-
-def _wires(scene: Scene) -> None:
-    """Wires across the picture, in front of and behind the things there, in every second scene."""
-    rng, unit = scene.rng, scene.away / 9
-    for _ in range(rng.choice((1, 1, 2) if scene.woven else (0, 0, 1, 2))):
-        angle, far, tall = rng.uniform(0, 2 * math.pi), rng.uniform(-4, 4) * unit, unit * rng.uniform(0.5, 3)
-        at = (
-            scene.centre[0] + far * math.cos(angle),
-            scene.centre[1] + far * math.sin(angle),
-            unit * rng.uniform(0.3, 3) + tall / 2,
-        )
-        scene.put("wires", at, (12 * unit, unit, tall), scene.paint("plain", 0.3), (0, 0, angle + math.pi / 2))
-
-
-def _poles(scene: Scene) -> None:
-    """A row of poles, mostly a pixel or two wide, at most as far apart as they are high."""
-    rng, unit = scene.rng, scene.away / 9
-    width, tall = unit * math.exp(rng.uniform(math.log(0.03), math.log(0.2))), unit * rng.uniform(1.5, 4)
-    angle, far, step = rng.uniform(0, 2 * math.pi), rng.uniform(-3, 4) * unit, tall * rng.uniform(0.25, 1)
-    paint = scene.paint("plain", 0.3)
-    for i in range(-4, 5):
-        x, y = far * math.cos(angle) - i * step * math.sin(angle), far * math.sin(angle) + i * step * math.cos(angle)
-        if scene.free((scene.centre[0] + x, scene.centre[1] + y, 1.0), width):
-            scene.put("cylinder", (scene.centre[0] + x, scene.centre[1] + y, tall / 2), (width, width, tall), paint)
 
 
 def _motion(scene: Scene) -> Thing:
@@ -287,7 +259,7 @@ def describe(seed: int, split: str, frames: int, path: int = 0) -> Thing:
     used = {scene.materials[thing["material"]]["texture"] for thing in scene.objects}
     contents = sorted({thing["shape"] for thing in scene.objects} | used)
     moves = [shot["move"] for shot in scene.shots] + ["shake"] * any(shot["shake"] for shot in scene.shots)
-    told = ("seed", "split", "frames", "layout", "mood", "clean", "woven", "moving", "fov", "shots", "materials", "objects")
+    told = ("seed", "split", "frames", "layout", "mood", "clean", "woven", "level", "moving", "fov", "shots", "materials", "objects")
     return {name: getattr(scene, name) for name in told} | {
         "version": VERSION,
         "path": path,
