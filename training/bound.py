@@ -58,18 +58,22 @@ class Twins:
             raise InputError(f"expected frames of {2 * BLOCK} x {2 * BLOCK} or more, got {planes.shape[1]} x {planes.shape[0]}")
         self.size, self._planes = (height, width), planes.astype(np.float32)
         half = BLOCK // 2
-        rows, columns = (np.arange(2 * n) * half for n in self.size)
-        sums = np.pad(self._planes[..., :3].astype(np.float64).cumsum(0).cumsum(1), ((1, 0), (1, 0), (0, 0)))
-        means = sums[half:, half:] - sums[:-half, half:] - sums[half:, :-half] + sums[:-half, :-half]
-        self._means, self._rows, self._columns = (means / half**2).astype(np.float32), rows, columns
+        self._rows, self._columns = (np.arange(2 * n) * half for n in self.size)
+        # A frame's ray lies in the middle of its pixel, so the pixels' edges go through the middle of rays: these count half on each side.
+        means = self._planes[..., :3].astype(np.float64)
+        for axis in (0, 1):
+            sums = np.moveaxis(np.pad(means.cumsum(axis), [(1, 0) if axis == a else (0, 0) for a in range(3)]), axis, 0)
+            windows = (sums[half:] - sums[:-half]) / half
+            means = np.moveaxis((windows[1:] + windows[:-1]) / 2, 0, axis)
+        self._means = means.astype(np.float32)
 
     def inputs(self, y: int, x: int) -> NDArray[np.float32]:
-        """The frame (h, w, 12) from place (``y``, ``x``); its pixels' centres are half a block from the edge of the picture, or more."""
+        """The frame (h, w, 12) from place (``y``, ``x``), its first ray half a block from the corner of the picture, or more."""
         (height, width), half = self.size, BLOCK // 2
         return self._planes[half + y :: BLOCK, half + x :: BLOCK][:height, :width]
 
     def truth(self, y: int, x: int) -> NDArray[np.float32]:
-        """Its truth (2h, 2w, 3), the mean of 16 rays a pixel. The frame's own ray is one of the four next to the middle of its pixel."""
+        """Its truth (2h, 2w, 3), the mean of 16 rays a pixel."""
         return self._means[self._rows + y][:, self._columns + x]
 
 
@@ -144,6 +148,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m training.bound", description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("frames", type=Path, nargs="*", help=f"folders of frames at {BLOCK} times the size, one ray a pixel")
     parser.add_argument("--profile", default="blender")
+    parser.add_argument("--camera", type=Path, help="of the frames, where the profile needs it")
     parser.add_argument("--analytic", type=int, default=0, metavar="N", help="the first frame of N analytic films as well")
     parser.add_argument("--first", type=int, default=0, help="number of the first film")
     parser.add_argument("--size", default="160x96", help="WxH of the films' small frames")
@@ -158,7 +163,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     size = BLOCK * int(width_height[1]), BLOCK * int(width_height[0])
     shown: list[tuple[str, Twins]] = []
     for folder in chosen.frames:
-        sequence = open_sequence(folder, chosen.profile)
+        sequence = open_sequence(folder, chosen.profile, camera=chosen.camera)
         shown.append((folder.name, Twins(planes_of(prepare(sequence.load(sequence.numbers[0]), curve, "scale")))))
     for seed in range(chosen.first, chosen.first + chosen.analytic):
         (buffers,) = film_frames(random_film(seed, "aliased"), size, 1)

@@ -104,6 +104,7 @@ def test_batches_are_half_and_half_and_depend_on_the_step_alone(data):
         (4, 1, 16, 16),
         (4, 3, 4, 16, 16),
         (4, 3, 32, 32),
+        (4, 3, 32, 32),
     ]
 
 
