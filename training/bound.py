@@ -164,7 +164,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     shown: list[tuple[str, Twins]] = []
     for folder in chosen.frames:
         sequence = open_sequence(folder, chosen.profile, camera=chosen.camera)
-        shown.append((folder.name, Twins(planes_of(prepare(sequence.load(sequence.numbers[0]), curve, "scale")))))
+        shown.append((str(folder), Twins(planes_of(prepare(sequence.load(sequence.numbers[0]), curve, "scale")))))
     for seed in range(chosen.first, chosen.first + chosen.analytic):
         (buffers,) = film_frames(random_film(seed, "aliased"), size, 1)
         shown.append((f"film {seed}", Twins(planes_of(prepare(buffers, curve, "scale")))))
