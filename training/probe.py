@@ -39,7 +39,7 @@ class Probe:
 
     def variants(self, place: StoredSample) -> tuple[Tensor, dict[str, Tensor]]:
         """The truth minus bilinear, (N, 12) for N pixels, and the features (N, F) of each variant, the last of which is 1."""
-        color, gbuffer, mask, history, truth = (torch.from_numpy(array) for array in whole(place))
+        color, gbuffer, mask, history, truth = (torch.from_numpy(array) for array in whole(place)[:5])
         (main, *others), batch = self.networks, (color, gbuffer, mask, history)
         with torch.no_grad():
             features = _features(main, *batch)

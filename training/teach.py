@@ -57,7 +57,7 @@ def teach(networks: Sequence[Network], inputs: Array, pictures: int, random: np.
         with torch.no_grad(), torch.autocast("cpu", torch.bfloat16):
             made = networks[i % len(networks)](*batch[:4])[0].float().numpy()
         total += turned_back(np.moveaxis(made, 0, -1)[: 2 * height, : 2 * width], way)
-    return total / pictures
+    return total / np.float32(pictures)
 
 
 def teach_shard(networks: Sequence[Network], folder: Path, shard: Shard, pictures: int) -> None:
@@ -82,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         torch.set_num_threads(chosen.threads)
     networks: list[Network] = []
     for name in chosen.weights:
-        network = Network().to(memory_format=torch.channels_last)
+        network = Network()
         load_weights(network, load(name).weights)
         networks.append(network.eval())
     for shard in load_shards(chosen.data):

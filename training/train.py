@@ -42,8 +42,8 @@ class Settings:
     """Options that change the numbers of a run, besides the data; a resumed run may have more steps. ``young``: see `infancy`.
 
     ``squares``: the share of the squared error in the loss that stays after it. ``history``: whether the history is used.
-    ``structure``: the perceptual distance is so many times 1 - SSIM. ``extrapolated``: the share of EFs in the squared error. ``taught``: the share of the
-    teachers' picture in what the squared error is taken against. ``masking``: Random Reshading Masking.
+    ``structure``: the perceptual distance is so many times 1 - SSIM. ``extrapolated``: the share of EFs in the squared error.
+    ``taught``: the share of the teachers' picture in what the squared error is taken against. ``masking``: Random Reshading Masking.
     """
 
     crop: int
@@ -245,7 +245,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--squares", type=float, default=0.0, help="share of the squared error in the loss, for PSNR's sake")
     parser.add_argument("--structure", type=float, default=STRUCTURE, help="the perceptual distance is so many times 1 - SSIM")
     parser.add_argument("--extrapolated", type=float, default=0.5, help="share of EFs in the squared error")
-    parser.add_argument("--taught", type=float, default=0.0, help="share of the pictures of training.teach in the squared error's target")
+    parser.add_argument(
+        "--taught", type=float, default=0.0, help="share of the pictures of training.teach in the squared error's target"
+    )
     parser.add_argument("--no-masking", dest="masking", action="store_false", help="without Random Reshading Masking")
     parser.add_argument("--no-history", dest="history", action="store_false", help="weights that do not read the history")
     parser.add_argument("--validate", type=int, default=1000, metavar="STEPS")

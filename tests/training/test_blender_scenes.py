@@ -93,6 +93,32 @@ def test_patterns_of_a_woven_scene_are_near_the_pixels_size(blender, many):
     assert fine >= 8 * len(woven)
 
 
+def test_a_level_scene_is_seen_straight_ahead_before_a_wall(blender, many):
+    """At most 0.2 radians up or down; the wall is behind the middle, and there is lettering, and wires lie across the view."""
+    level = [scene for scene in many if scene["level"]]
+    assert 5 <= len(level) < sum(scene["woven"] for scene in many)
+    steep = [s for scene in many if not scene["level"] for s in scene["shots"] if _pitch(s) > 0.2]
+    assert len(steep) >= 20
+    for scene in level:
+        assert max(_pitch(shot) for shot in scene["shots"]) < 0.2
+        eye, centre = scene["shots"][0]["eye"], (0.0, 0.0, 1.2)
+        towards = math.atan2(eye[1] - centre[1], eye[0] - centre[0])
+        (wall,) = [
+            thing for thing in scene["objects"] if thing["shape"] == "cube" and thing["size"][0] > 6 * thing["size"][2] / 2
+        ]
+        assert wall["at"][0] * math.cos(towards) + wall["at"][1] * math.sin(towards) < -1
+        across = [thing["turn"][2] - math.pi / 2 - towards for thing in scene["objects"] if thing["shape"] == "wires"]
+        assert min(abs(math.sin(angle)) for angle in across) < 0.6
+    lettering = [sum(thing["shape"] == "letters" for thing in scene["objects"]) for scene in level]
+    assert sum(lettering) >= 2 * len(level)
+
+
+def _pitch(shot):
+    """How far the camera looks up or down, radians."""
+    x, y, z = (b - a for a, b in zip(shot["eye"], shot["target"], strict=True))
+    return abs(math.atan2(z, math.hypot(x, y)))
+
+
 def test_another_path_is_another_way_through_the_same_scene(blender):
     first, second, third = (blender["scenes"].describe(6, "train", 8, path) for path in (0, 1, 2))
     different = [name for name in first if first[name] != second[name]]

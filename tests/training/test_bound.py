@@ -87,9 +87,7 @@ def test_bilinear_s_error_beside_a_network_s():
     truth = edge(24).truth(0, 0)[0, :, 0]
     seen = edge(24).inputs(0, 0)[0, :, 0]
     padded = np.pad(seen, 1, mode="edge")
-    between = [
-        0.75 * padded[1 + i // 2] + 0.25 * padded[2 * (i % 2) + i // 2] for i in range(len(truth))
-    ]
+    between = [0.75 * padded[1 + i // 2] + 0.25 * padded[2 * (i % 2) + i // 2] for i in range(len(truth))]
     assert round(base, 5) == round(float(np.square(np.array(between) - truth).mean()), 5)
     assert own != base
 

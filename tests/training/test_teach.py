@@ -87,7 +87,9 @@ def test_the_teachers_share_is_of_the_squared_error_s_target_alone(data):
     other = batch._replace(taught=batch.truth + np.float32(0.1))
 
     def value(batch, **options):
-        return advance(start(settings, torch.device("cpu")), tensors(batch, torch.device("cpu")), 0.0, half=False, **options).item()
+        return advance(
+            start(settings, torch.device("cpu")), tensors(batch, torch.device("cpu")), 0.0, half=False, **options
+        ).item()
 
     assert value(other, squares=0.5) == value(batch, squares=0.5) == value(batch, squares=0.5, share=0.5)
     assert value(other, squares=0.0, share=0.5) == value(batch, squares=0.0)

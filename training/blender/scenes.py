@@ -259,7 +259,21 @@ def describe(seed: int, split: str, frames: int, path: int = 0) -> Thing:
     used = {scene.materials[thing["material"]]["texture"] for thing in scene.objects}
     contents = sorted({thing["shape"] for thing in scene.objects} | used)
     moves = [shot["move"] for shot in scene.shots] + ["shake"] * any(shot["shake"] for shot in scene.shots)
-    told = ("seed", "split", "frames", "layout", "mood", "clean", "woven", "level", "moving", "fov", "shots", "materials", "objects")
+    told = (
+        "seed",
+        "split",
+        "frames",
+        "layout",
+        "mood",
+        "clean",
+        "woven",
+        "level",
+        "moving",
+        "fov",
+        "shots",
+        "materials",
+        "objects",
+    )
     return {name: getattr(scene, name) for name in told} | {
         "version": VERSION,
         "path": path,
