@@ -103,9 +103,7 @@ def test_a_level_scene_is_seen_straight_ahead_before_a_wall(blender, many):
         assert max(_pitch(shot) for shot in scene["shots"]) < 0.2
         eye, centre = scene["shots"][0]["eye"], (0.0, 0.0, 1.2)
         towards = math.atan2(eye[1] - centre[1], eye[0] - centre[0])
-        (wall,) = [
-            thing for thing in scene["objects"] if thing["shape"] == "cube" and thing["size"][0] > 6 * thing["size"][2] / 2
-        ]
+        (wall,) = [thing for thing in scene["objects"] if thing["shape"] == "cube" and thing["size"][0] > 40]
         assert wall["at"][0] * math.cos(towards) + wall["at"][1] * math.sin(towards) < -1
         across = [thing["turn"][2] - math.pi / 2 - towards for thing in scene["objects"] if thing["shape"] == "wires"]
         assert min(abs(math.sin(angle)) for angle in across) < 0.6
