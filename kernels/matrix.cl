@@ -1,22 +1,25 @@
-// Whether matrix units compute what mma.clh says: one product of 16 x 16 by 16 x 8.
+// Whether matrix units compute what mma.clh says: one product, four times.
 //
-//  buffer  dir  shape                content
-//  a       in   (32) of uint4        of each work-item, see mma.clh
-//  b       in   (32) of uint2        likewise
-//  d       out  (4, 32) of float4    likewise, of each of four times the same product: 1 + a b
+//  buffer  dir  shape                         content
+//  pixels  in   (2, UNIT) of uint4            of each pixel the first eight channels, then the others
+//  weight  in   (MATRIX) of uint              see mma.clh
+//  d       out  (WAVES, UNIT, PARTS * HELD)   1 + pixels x weights
 //
-// Build -D HALF, optionally -D EMULATE.  Launch (32, 4), one work-group.
+// Build as mma.clh says.  Launch (LANES, WAVES), one work-group.
 #include "common.clh"
 #include "mma.clh"
 
-kernel __attribute__((reqd_work_group_size(32, 4, 1)))
-void matrix(global const uint4 *restrict a, global const uint2 *restrict b, global float4 *restrict d)
+SUB_GROUPS kernel __attribute__((reqd_work_group_size(LANES, WAVES, 1)))
+void matrix(global const uint4 *restrict pixels, global const uint *restrict weight, global held *restrict d)
 {
+    local uint4 tile[2 * UNIT];
     EXCHANGE(exchange);
-    const int lane = get_local_id(0), warp = get_local_id(1);
-    const uint4 x = a[lane];
-    const uint2 y = b[lane];
-    float4 sum = 1.0f;
-    MULTIPLY_ADD(sum, x, y, exchange, warp, lane);
-    d[32 * warp + lane] = sum;
+    const int lane = get_local_id(0), wave = get_local_id(1);
+    for (int i = lane; i < 2 * UNIT; i += LANES) tile[i] = pixels[i];
+    barrier(CLK_LOCAL_MEM_FENCE);
+    const inputs v = read_inputs(tile, tile + UNIT, lane);
+    const weights w = WEIGHTS(weight, lane);
+    sums sum = 1.0f;
+    MULTIPLY_ADD(sum, v, w, exchange, wave, lane);
+    for (int k = 0; k < ITS; ++k) d[(wave * UNIT + PIXEL(lane, k)) * PARTS + PART(lane)] = OF_PIXEL(sum, k);
 }

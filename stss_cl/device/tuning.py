@@ -52,7 +52,7 @@ class Direct:
 
 @dataclass(frozen=True)
 class Local:
-    """conv_local.cl and conv_mma.cl: the most rows of pixels of a work-item, 1 or 2; whether half runs on matrix units."""
+    """conv_local.cl and conv_mma.cl: the most rows of pixels of a work-item, 1 or 2; whether half runs on matrix units where they are."""
 
     rows: int
     matrix_units: bool = False

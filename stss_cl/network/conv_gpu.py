@@ -7,13 +7,14 @@ from stss_cl.device import matrix_units
 from stss_cl.device.buffers import Padded
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div
+from stss_cl.device.matrix_units import Form
 from stss_cl.network.conv_shape import Shape
 from stss_cl.network.pack_weights import Packed, fragments
 from stss_cl.network.tiles import Tiling
 
 WIDE, TALL = 32, 4
 """Pixels of a work-group's tile: along a row, and rows for each that a work-item has."""
-EIGHTS, MOST_OUTPUTS, EMULATED = (4, 3, 2, 7), 32, 3072
+EIGHTS, MOST_OUTPUTS, EMULATED = (4, 3, 2, 7), 32, 4096
 """Of conv_mma.cl: eights of input channels in local memory at once, the first that divides them and fits; outputs whose sums fit the
 registers; bytes of local memory that emulated products take."""
 
@@ -33,11 +34,13 @@ def local(device: Device, packed: Packed, out: Padded, stride: int, most_rows: i
     )
 
 
-def on_matrix_units(device: Device, packed: Packed, out: Padded, stride: int, most_rows: int, images: int) -> Shape:
+def on_matrix_units(
+    device: Device, form: Form, packed: Packed, out: Padded, stride: int, most_rows: int, images: int
+) -> Shape:
     """The shape of conv_mma.cl for this layer; a work-item has at most ``most_rows`` rows of pixels."""
     inner, outputs = packed.direct.shape[2] // 8, packed.direct.shape[3]
     # Tiles of twice the side and eights of all channels would not fit into local memory together, nor seven at once into the registers.
-    rows = 1 if stride == 2 or inner % 7 == 0 else _rows(device, out, most_rows, images)
+    rows = 1 if stride == 2 or inner % 7 == 0 else _rows(device, out, min(most_rows, form.rows), images)
     plane = 16 * (34 * stride * (stride * (TALL * rows - 1) + 3) + 2)  # bytes of an eight in local memory
     eights = next((n for n in EIGHTS if inner % n == 0 and n * plane + EMULATED <= device.local_memory), 1)
     block = min(outputs, MOST_OUTPUTS)
@@ -49,14 +52,15 @@ def on_matrix_units(device: Device, packed: Packed, out: Padded, stride: int, mo
             "ROWS": rows,
             "BLOCK": block,
             "EIGHTS": eights,
-            "EMULATE": matrix_units.are_emulated(device),
             "IMAGES": images > 1,
+            **matrix_units.build_options(device, form),
         },
-        weight=fragments(packed, eights, block),
+        weight=fragments(packed, eights, block, form),
         gate=None,
         tiling=tiling,
-        size=(32 * tiling.most, 4 * (outputs // block)),
-        group=(32, 4),
+        size=(form.lanes * tiling.most, form.waves * (outputs // block)),
+        group=(form.lanes, form.waves),
+        flags=matrix_units.build_flags(device, form),
     )
 
 

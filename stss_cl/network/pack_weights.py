@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stss_cl.device.grid import ceil8
+from stss_cl.device.matrix_units import Form
 from stss_ref.weights import Weights
 
 POINTS = {4: (0.625, -0.625, 1.5, -1.5, 0.0), 2: (1.0, -1.0, 0.0)}
@@ -129,26 +130,27 @@ def winograd(kernels: NDArray[np.float32], side: int, block: int, stride: int = 
     return np.ascontiguousarray(blocks, np.float32)
 
 
-def fragments(packed: Packed, eights: int, block: int) -> NDArray[np.float16]:
+def fragments(packed: Packed, eights: int, block: int, form: Form) -> NDArray[np.float16]:
     """Kernels of 3 x 3 and their gate as conv_mma.cl reads them, in half.
 
     Args:
         packed: the layer; its channels are multiples of 8.
         eights: of input channels that are in local memory at once.
         block: outputs of a work-group.
+        form: of the matrix units.
 
     Returns:
-        (OUT / block, chunks, steps, matrices, 32, 4): for each product the four numbers of each of 32 work-items (kernels/mma.clh).
-        The inner dimension runs over channels within taps within chunks, 16 to a step; the gate is a last matrix of equal columns.
+        (OUT / block, chunks, steps, matrices, 16 * parts * held): for each product what `Form.arrange` makes. The inner dimension runs over
+        channels within taps within chunks, 16 to a step. Each part has block / parts outputs and the gate behind them, then zeros.
     """
     _, _, inner, outputs = packed.direct.shape
-    weight = packed.direct.reshape(9, inner, outputs // block, block)
+    weight = packed.direct.reshape(9, inner, outputs // block, form.parts, block // form.parts)
     if packed.gate_direct is not None:
-        gate = np.broadcast_to(packed.gate_direct.reshape(9, inner, 1, 1), (9, inner, outputs // block, 8))
-        weight = np.concatenate([weight, gate], axis=3)
-    weight = weight.reshape(9, -1, 8 * eights, *weight.shape[2:]).transpose(3, 1, 0, 2, 4)  # block, chunk, tap, channel, output
-    weight = weight.reshape(*weight.shape[:2], 9 * eights * 8, -1)
-    weight = np.pad(weight, ((0, 0), (0, 0), (0, 9 * eights % 2 * 8), (0, 0)))
-    steps = weight.reshape(*weight.shape[:2], -1, 16, weight.shape[-1] // 8, 8).swapaxes(-2, -3)
-    lane, number = np.arange(32)[:, None], np.arange(4)
-    return np.ascontiguousarray(steps[..., 2 * (lane % 4) + number % 2 + 8 * (number // 2), lane // 4], np.float16)
+        gate = np.broadcast_to(packed.gate_direct.reshape(9, inner, 1, 1, 1), (*weight.shape[:-1], 1))
+        weight = np.concatenate([weight, gate], axis=-1)
+    weight = np.pad(weight, (*4 * [(0, 0)], (0, -weight.shape[-1] % form.held)))
+    weight = weight.reshape(9, -1, 8 * eights, *weight.shape[2:]).transpose(3, 1, 0, 2, 4, 5)  # block, chunk, tap, channel, part, value
+    weight = weight.reshape(*weight.shape[:2], 9 * eights * 8, form.parts, -1)
+    weight = np.pad(weight, ((0, 0), (0, 0), (0, 9 * eights % 2 * 8), (0, 0), (0, 0)))
+    steps = weight.reshape(*weight.shape[:2], -1, 16, form.parts, weight.shape[-1] // form.held, form.held)
+    return np.ascontiguousarray(form.arrange(np.moveaxis(steps, 5, 3)), np.float16)
