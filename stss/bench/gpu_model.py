@@ -17,6 +17,7 @@ from typing import Any
 from stss_cl.device.buffers import Outgoing
 from stss_cl.device.discovery import Device, open_device
 from stss_cl.device.launch import enqueue
+from stss_cl.device.matrix_units import FORMS
 from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
 from stss_cl.network.layer import LayerLaunch
 from stss_cl.network.layers import Layers
@@ -31,16 +32,18 @@ class Gpu:
     Attributes:
         name: shown in tables.
         row: name of its row in ``tuning.toml``.
+        form: of its matrix units, a name in ``stss_cl.device.matrix_units.FORMS``.
         units: number of multiprocessors or compute units.
         ghz: boost clock; GHz.
         multiply_adds: float32 multiply-adds of a unit in a clock.
-        matrix: multiply-adds of a unit's matrix units in a clock, half with float32 sums; 0: it has none that our kernels use.
+        matrix: multiply-adds of a unit's matrix units in a clock, half with float32 sums.
         l2, memory: rates of the L2 cache and of the memory; GB/s.
         cache: size of L2 and of the cache behind it; MB.
     """
 
     name: str
     row: str
+    form: str
     units: int
     ghz: float
     multiply_adds: int
@@ -51,11 +54,12 @@ class Gpu:
 
 
 GPUS = {
-    "h100": Gpu("H100 SXM", "nvidia", 132, 1.83, 128, 1240, 5500, 3350, 50),  # mma.sync reaches 0.6 of what wgmma does
-    "a100": Gpu("A100 SXM", "nvidia", 108, 1.41, 64, 1024, 4000, 1555, 40),
-    "rtx4090": Gpu("RTX 4090", "nvidia", 128, 2.52, 128, 256, 5000, 1008, 72),
-    "rtx3090": Gpu("RTX 3090", "nvidia", 82, 1.695, 128, 256, 2300, 936, 6),
-    "rx7900xtx": Gpu("RX 7900 XTX", "amd", 96, 2.5, 128, 0, 3500, 960, 96),
+    "h100": Gpu("H100 SXM", "nvidia", "NVIDIA", 132, 1.83, 128, 1240, 5500, 3350, 50),  # mma.sync reaches 0.6 of what wgmma does
+    "a100": Gpu("A100 SXM", "nvidia", "NVIDIA", 108, 1.41, 64, 1024, 4000, 1555, 40),
+    "rtx4090": Gpu("RTX 4090", "nvidia", "NVIDIA", 128, 2.52, 128, 256, 5000, 1008, 72),
+    "rtx3090": Gpu("RTX 3090", "nvidia", "NVIDIA", 82, 1.695, 128, 256, 2300, 936, 6),
+    "rx7900xtx": Gpu("RX 7900 XTX", "amd", "RDNA3", 96, 2.5, 128, 256, 3500, 960, 96),
+    "a770": Gpu("Arc A770", "intel", "ARC", 32, 2.1, 128, 1024, 2000, 560, 16),
 }
 
 GAP = 1.5e-6
@@ -66,8 +70,11 @@ ISSUED = 0.92
 """Share of its issue slots that a unit with enough work fills."""
 ALONE = 1.3
 """Clocks per instruction of a group that has a unit to itself: no other group's work hides its loads."""
-SHARE = {"conv_local": 0.90, "conv_mma": 0.31, "conv": 0.70}
-"""Share of multiply-adds among all instructions of a kernel, inside and outside its hottest loop; compiled for sm_90."""
+SHARE = {"conv_local": 0.90, "conv": 0.70, "NVIDIA": 0.31, "RDNA3": 0.15, "ARC": 0.15}
+"""Share of multiply-adds among all instructions of a kernel, inside and outside its hottest loop; of conv_mma.cl by the form of matrix
+units. Compiled for sm_90, gfx1100 and dg2."""
+ISSUES = {"NVIDIA": 4, "RDNA3": 2, "ARC": 16}
+"""Instructions that a unit issues in a clock."""
 SHORTEST, ROUNDS, MOST_REPEATS = 5e-3, 5, 200
 """Least seconds of a timing, which repeats its launches until then; timings of each; most repetitions."""
 L1_LINES = 4
@@ -108,7 +115,12 @@ class Modelled(Device):
     def __init__(self, gpu: Gpu):
         opened = open_device(device_class="gpu")
         super().__init__(opened.handle, opened.context, opened.queue, opened.device_class)
-        self._units = gpu.units
+        self._units, self._form = gpu.units, gpu.form
+
+    @property
+    def matrix_units(self) -> str:
+        """Form of the modelled GPU's; here they are emulated."""
+        return self._form
 
     @property
     def compute_units(self) -> int:
@@ -172,7 +184,8 @@ def estimate(layer: LayerLaunch, gpu: Gpu) -> Estimate:
     written = _bytes(layer, ("out", "image", "reshaded"))
     rate = gpu.l2 if read + written < gpu.cache * 1e6 else gpu.memory
     seconds = {"memory" if rate == gpu.memory else "L2": (read + written) / rate / 1e9}
-    if source.kernel not in SHARE:
+    kernels = {"conv_local": _local, "conv_mma": _matrix, "conv": _plain}
+    if source.kernel not in kernels:
         return Estimate(layer.stage, layer.name, source.kernel, seconds, 0.0)
     options: dict[str, Any] = dict(source.options)
     shape = {key: int(options.get(key, 0)) for key in ("A", "B", "OUT", "STRIDE", "ROWS", "GATED", "KERNEL", "BLOCK")}
@@ -181,8 +194,8 @@ def estimate(layer: LayerLaunch, gpu: Gpu) -> Estimate:
     useful = products * (shape["OUT"] + shape["GATED"]) * height * width
     clock = gpu.units * gpu.ghz * 1e9
     peak = gpu.matrix if source.kernel == "conv_mma" else gpu.multiply_adds
-    ask = {"conv_local": _local, "conv_mma": _matrix, "conv": _plain}[source.kernel](shape, height, width, gpu)
-    seconds |= {key: cycles / gpu.ghz / 1e9 for key, cycles in ask.items()}
+    cycles = kernels[source.kernel](shape, height, width, gpu)
+    seconds |= {key: number / gpu.ghz / 1e9 for key, number in cycles.items()}
     return Estimate(layer.stage, layer.name, source.kernel, seconds, useful / peak / clock)
 
 
@@ -203,17 +216,20 @@ def _local(shape: dict[str, int], height: int, width: int, gpu: Gpu) -> dict[str
 
 
 def _matrix(shape: dict[str, int], height: int, width: int, gpu: Gpu) -> dict[str, float]:
-    """Cycles of conv_mma.cl: 2048 multiply-adds an instruction; fragments from local memory, weights from L1."""
+    """Cycles of conv_mma.cl: inputs from local memory, weights from the cache that shares its lines."""
+    form = next(form for form in FORMS if form.name == gpu.form)
     rows, inner, block = shape["ROWS"], shape["A"] + shape["B"], shape["BLOCK"]
     groups = math.ceil(width / 32) * math.ceil(height / (4 * rows)) * (shape["OUT"] // block)
-    matrices, steps = block // 8 + shape["GATED"], math.ceil(9 * inner / 16)
-    products = steps * matrices * 2 * rows  # of 32 work-items
-    busiest = math.ceil(groups / gpu.units)
+    matrices, steps = math.ceil((block // form.parts + shape["GATED"]) / form.held), math.ceil(9 * inner / 16)
+    products = steps * matrices * 2 * rows  # of a wave
+    size = form.unit * 16 * form.parts * form.held
+    busiest = math.ceil(groups / gpu.units) * form.waves
+    share, issues = SHARE[gpu.form], ISSUES[gpu.form]
     return {
-        "arithmetic": busiest * 4 * products * 2048 / max(gpu.matrix, 1) / ISSUED,
-        "issue": busiest * 4 * products / SHARE["conv_mma"] / 4,
-        "local memory": busiest * 4 * steps * (8 * rows + 2 * matrices),
-        "one group": products / SHARE["conv_mma"] * ALONE * 2,
+        "arithmetic": busiest * products * size / gpu.matrix / ISSUED,
+        "issue": busiest * products / share / issues,
+        "local memory": busiest * steps * (2 * rows * form.unit + matrices * form.parts * form.held) * 32 / LOCAL_BYTES,
+        "one group": products * max(ALONE * 2 / share, size * issues / gpu.matrix),
     }
 
 

@@ -29,6 +29,9 @@ KERNELS = _PACKAGE / "kernels" if (_PACKAGE / "kernels").is_dir() else _PACKAGE.
 MOST_BINARY = 64 << 20
 """Most bytes of a compiled program that is stored; ours have some 100 KiB."""
 
+MAKERS_OPTIONS = {"intel": "-D static="}
+"""Options for a maker's GPUs. Intel's compiler of 2022 ignores all `#pragma unroll` where a function is static, and so keeps arrays in memory."""
+
 _building = Lock()
 """One thread builds at a time: two would undo each other's filters of warnings."""
 _programs: WeakKeyDictionary[Device, dict[tuple[str, str], cl.Program]] = WeakKeyDictionary()
@@ -48,7 +51,7 @@ def build(device: Device, file: str, options: Mapping[str, object] | None = None
         DeviceError: it does not build; the message has the source line that the compiler's log names, ``log`` has the whole log.
     """
     given = [f"-D {k}" if v is True else f"-D {k}={v}" for k, v in (options or {}).items() if v is not None and v is not False]
-    key = (file, " ".join(["-cl-std=CL1.2", *given, flags]).strip())
+    key = (file, " ".join(["-cl-std=CL1.2", *given, MAKERS_OPTIONS.get(device.maker, ""), flags]).strip())
     device.require_same_process()
     with _building:
         built = _programs.setdefault(device, {})

@@ -1,6 +1,6 @@
 """``python -m tests.offline [TARGET ...]``: every program of the GPU rows compiled for GPUs that are not there, against budgets.
 
-Registers, stack, spills, local memory, and the share of multiply-adds in the hottest loop, from clang, libclc and ptxas. The
+Registers, stack, spills, local memory, and the share of multiply-adds in the hottest loop, from clang, libclc, ptxas and ocloc. The
 drivers' own compilers are others: the table shows what can be expected, not what they do.
 """
 
@@ -13,12 +13,13 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from stss_cl.device.matrix_units import ARC, NVIDIA, RDNA3
 from stss_cl.device.program import source
 from tests.offline.budgets import faults
 from tests.offline.compilers import CompileError, MissingError, compiled, require
 from tests.offline.programs import programs
 
-TARGETS = ("sm_80", "sm_90", "gfx1100", "gfx90a")
+TARGETS = ("sm_80", "sm_90", "gfx1100", "gfx90a", "dg2")
 TITLES = ("kernel", "options", "registers", "stack", "spilled", "local", "multiply-adds", "over budget")
 
 
@@ -44,7 +45,7 @@ def examine(target, *, network_only):
     """Print the table of one target; how many kernels exceed their budget."""
     wrong, table = 0, Table(*TITLES, title=target, box=None, pad_edge=False, title_justify="left")
     with tempfile.TemporaryDirectory() as folder:
-        for program in built_for(row_of(target), network_only=network_only):
+        for program in built_for(*row_of(target), network_only=network_only):
             try:
                 found = compiled(source(program.file), program.options, program.kernels, target, Path(folder))
             except CompileError as error:
@@ -62,14 +63,18 @@ def examine(target, *, network_only):
 
 
 @cache
-def built_for(row, *, network_only):
+def built_for(row, forms, *, network_only):
     """The programs of a row, found once: to build them for the device at hand takes minutes."""
-    return programs(row, network_only=network_only)
+    return programs(row, forms, network_only=network_only)
 
 
 def row_of(target):
-    """The row of ``tuning.toml`` that counts for a target."""
-    return "nvidia" if target.startswith("sm_") else "amd"
+    """The row of ``tuning.toml`` that counts for a target, and the forms of matrix units that it has."""
+    if target.startswith("sm_"):
+        return "nvidia", (NVIDIA,)
+    if target.startswith("gfx"):
+        return "amd", (RDNA3,) if target.startswith("gfx11") else ()
+    return "intel", (ARC,)
 
 
 if __name__ == "__main__":

@@ -2,15 +2,21 @@
 
 from dataclasses import dataclass
 
+from tests.offline.compilers import is_intel
+
 
 @dataclass(frozen=True)
 class Budget:
-    """Registers of a work-item, bytes of stack, bytes of local memory of a group; the least share of multiply-adds in the hottest loop."""
+    """Registers of a work-item, bytes of stack, bytes of local memory of a group; the least share of multiply-adds in the hottest loop.
+
+    ``elsewhere``: that share on GPUs of other makers than NVIDIA, whose products of matrices take 16 and 32 times as long as others.
+    """
 
     registers: int = 128
     stack: int = 0
     local: int = 0
     share: float = 0.0
+    elsewhere: float = 0.0
 
 
 DEFAULT = Budget()
@@ -18,7 +24,8 @@ BUDGETS = {
     # 64 sums and what a row of the tile holds; two groups and more on every unit.
     "conv_local": Budget(registers=240, local=31 << 10, share=0.85),
     # Sums of 64 pixels x 32 outputs for four times 32 work-items; what lies between products is loads, and indices of the epilogue.
-    "conv_mma": Budget(registers=224, local=40 << 10, share=0.25),
+    "conv_mma": Budget(registers=224, local=40 << 10, share=0.25, elsewhere=0.05),
+    "matrix": Budget(local=1 << 10),
     # The keys around a tile of 4 x 4, and 25 weights for each of its pixels.
     "attend_local": Budget(local=12 << 10),
     # A flag for each of 32 tiles.
@@ -31,9 +38,11 @@ BUDGETS = {
 def faults(kernel, compiled, target):
     """The figures that exceed the budget, in words."""
     budget = BUDGETS.get(kernel, DEFAULT)
-    share = budget.share if target.startswith("sm_") or kernel.endswith("_mma") else 0.0
+    share = budget.share if target.startswith("sm_") else budget.elsewhere
+    # Intel's compiler names all registers that there are: what does not fit is spilled.
+    registers = 0 if is_intel(target) else compiled.registers
     checks = (
-        ("registers", compiled.registers, budget.registers),
+        ("registers", registers, budget.registers),
         ("bytes of stack", compiled.stack, budget.stack),
         ("spilled", compiled.spilled, budget.stack),
         ("bytes of local memory", compiled.local, budget.local),

@@ -1,4 +1,4 @@
-"""Compilers for GPUs that run anywhere: clang with libclc; behind it ptxas and nvdisasm for NVIDIA. Drivers have others."""
+"""Compilers for GPUs that run anywhere: clang with libclc, behind it ptxas and nvdisasm for NVIDIA; Intel's ocloc. Drivers have others."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ import os
 import re
 import shutil
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from tests.offline import hottest_loop
+from stss_cl.device.program import MAKERS_OPTIONS
+from tests.offline import hottest_loop, intel
 from tests.offline.hottest_loop import Loop
 
 BUILTINS = Path(os.environ.get("LIBCLC", "/usr/lib/clc"))
@@ -87,12 +88,31 @@ def nvidia_tool(name: str) -> str:
     raise MissingError(f"{name}: pip install nvidia-cuda-nvcc nvidia-cuda-nvdisasm")
 
 
+def ocloc() -> str:
+    """Intel's compiler, ``$OCLOC`` or on the path.
+
+    Raises:
+        MissingError: it is not there.
+    """
+    if path := shutil.which(os.environ.get("OCLOC", "ocloc")):
+        return path
+    raise MissingError("ocloc: apt-get install intel-opencl-icd, or set OCLOC")
+
+
+def is_intel(target: str) -> bool:
+    """Whether it is one of Intel's, which ocloc compiles for."""
+    return not target.startswith(("sm_", "gfx"))
+
+
 def require(target: str) -> None:
-    """Ask for all that a target needs, ``sm_90`` or ``gfx1100``.
+    """Ask for all that a target needs: ``sm_90``, ``gfx1100``, or a device that ocloc knows, such as ``dg2``.
 
     Raises:
         MissingError: something is not there.
     """
+    if is_intel(target):
+        ocloc()
+        return
     clang()
     if target.startswith("sm_"):
         for name in ("ptxas", "nvdisasm"):
@@ -106,12 +126,14 @@ def compiled(source: str, options: Sequence[str], kernels: Sequence[str], target
         source: OpenCL C.
         options: of the build.
         kernels: whose code is looked at.
-        target: ``sm_90``, ``gfx1100`` or the like.
+        target: ``sm_90``, ``gfx1100``, ``dg2`` or the like.
         folder: for intermediate files.
 
     Raises:
         CompileError: with the compiler's first error.
     """
+    if is_intel(target):
+        return _intel(source, options, kernels, target, folder)
     triple, processor, builtins = SIGNATURE["sm" if target.startswith("sm_") else "gfx"]
     text, assembly = folder / "k.cl", folder / "k.s"
     text.write_text((SQUARE_ROOT if target.startswith("sm_") else "") + source, encoding="utf-8")
@@ -167,9 +189,26 @@ def _amd(told: str, code: str, kernel: str) -> Compiled:
     )
 
 
-def _run(command: list[str]) -> str:
+def _intel(source: str, options: Sequence[str], kernels: Sequence[str], target: str, folder: Path) -> dict[str, Compiled]:
+    text, listings = folder / "k.cl", folder / "listings"
+    text.write_text(source, encoding="utf-8")
+    told = " ".join([*options, MAKERS_OPTIONS["intel"]])
+    shutil.rmtree(listings, ignore_errors=True)
+    listings.mkdir()
+    _run(
+        [ocloc(), "compile", "-file", str(text), "-device", target, "-out_dir", str(folder), "-options", told],
+        {"IGC_ShaderDumpEnable": "1", "IGC_DumpToCustomDir": f"{listings}/"},
+    )
+    found = intel.listings(listings)
+    if missing := [kernel for kernel in kernels if kernel not in found]:
+        raise CompileError(f"ocloc: no listing of {', '.join(missing)}")
+    return {kernel: Compiled(**intel.figures(*found[kernel])) for kernel in kernels}
+
+
+def _run(command: list[str], more: Mapping[str, str] | None = None) -> str:
+    environment = {**os.environ, **(more or {})}
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=False, env=environment)
     except subprocess.TimeoutExpired:
         raise CompileError(f"{Path(command[0]).name}: no end after {LIMIT} s") from None
     told = done.stdout + done.stderr

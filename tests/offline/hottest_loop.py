@@ -7,9 +7,10 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-MULTIPLY_ADD = re.compile(r"FFMA|HFMA2|HMMA|v_(pk_)?fma|v_fmac|v_mac|v_wmma|v_mfma|v_dot2|v_dual_fmac")
-MATRICES = re.compile(r"HMMA|v_wmma|v_mfma")
-MEMORY = re.compile(r"LD|ST|global_|ds_|s_load|buffer_|scratch_|flat_")
+MULTIPLY_ADD = re.compile(r"FFMA|HFMA2|HMMA|v_(pk_)?fma|v_fmac|v_mac|v_wmma|v_mfma|v_dot2|v_dual_fmac|mad|dpas")
+MATRICES = re.compile(r"HMMA|v_wmma|v_mfma|dpas")
+MEMORY = re.compile(r"LD|ST|global_|ds_|s_load|buffer_|scratch_|flat_|load|store|send")
+BARRIER = re.compile(r"BAR|s_barrier|sync.bar")
 
 
 @dataclass(frozen=True)
@@ -38,21 +39,24 @@ class Loop:
 def hottest(code: Sequence[Instruction]) -> Loop:
     """The loop with most multiply-adds of its own, those of loops within it not counted; where there is no loop, the whole kernel.
 
-    Products of matrices are written out one behind the other: of what surrounds them only that counts which lies between them.
+    Products of matrices go before all others. Where they are written out one behind the other, between barriers, only what lies between
+    them counts.
     """
     at = {line.label: i for i, line in enumerate(code) if not line.name}
     jumps = sorted({(at[line.label], i) for i, line in enumerate(code) if line.name and at.get(line.label, i) < i})
-    loops: list[Loop] = []
+    loops: list[Sequence[Instruction]] = []
     for first, last in jumps:
         inner = [(a, b) for a, b in jumps if (a, b) != (first, last) and first <= a and b <= last]
-        loops.append(_counted(_between_products(_without(code, first, last, inner))))
-    return max(loops or [_counted(_between_products(code))], key=lambda loop: loop.multiply_adds)
+        loops.append(_without(code, first, last, inner))
+    products = [body for body in loops if any(MATRICES.match(line.name) for line in body)]
+    found = [_counted(_between_products(body)) for body in products or loops or [code]]
+    return max(found, key=lambda loop: loop.multiply_adds)
 
 
 def _between_products(code: Sequence[Instruction]) -> Sequence[Instruction]:
-    """The instructions from the first product of matrices to the last; all instructions if there is none."""
+    """The instructions from the first product of matrices to the last, if there are some, and barriers around them; else all."""
     at = [i for i, line in enumerate(code) if MATRICES.match(line.name)]
-    return code[at[0] : at[-1] + 1] if at else code
+    return code[at[0] : at[-1] + 1] if at and any(BARRIER.match(line.name) for line in code) else code
 
 
 def _without(code: Sequence[Instruction], first: int, last: int, inner: Sequence[tuple[int, int]]) -> list[Instruction]:

@@ -1,16 +1,18 @@
 """What the offline compilers say is read rightly, and the kernels for GPUs stay within their budgets."""
 
+import os
 from pathlib import Path
 
 import pytest
 
 from stss_cl.device.program import source
-from tests.offline import hottest_loop
+from tests.offline import hottest_loop, intel
+from tests.offline.__main__ import TARGETS, row_of
 from tests.offline.budgets import BUDGETS, faults
 from tests.offline.compilers import Compiled, CompileError, MissingError, compiled, require
 from tests.offline.hottest_loop import Instruction, Loop
 
-LAYER = ["-cl-std=CL1.2", "-cl-mad-enable", "-DA=24", "-DB=24", "-DOUT=24", "-DSTRIDE=1", "-DROWS=2", "-DRELU"]
+LAYER = ["-cl-std=CL1.2", "-cl-mad-enable", "-DA=24", "-DB=24", "-DOUT=24", "-DSTRIDE=1", "-DRELU"]
 CASES = [
     ("conv_local", LAYER),
     ("conv_local", [*LAYER, "-DGATED", "-DMARK"]),
@@ -43,6 +45,45 @@ conv_local:
 """
 
 
+LISTING = """
+//.kernel conv_mma
+//.thread_config numGRF=256, numAcc=8, numSWSB=16
+//.spill size 96
+
+L24:
+_0_025:
+(W)     sync.bar                             null
+        dpas.8x8 (8|M0)          r82:f         r82:f             r18:hf            r26.0:hf         {$2} // $267
+(W)     mad (1|M0)               r4.0<1>:d     r4.0<0;0>:d       r2.0<0;0>:d       6:w
+        mad (8|M0)               r5.0<1>:f     r4.0<0;0>:f       r2.0<0;0>:f       r7.0:f
+        dpas.8x8 (8|M0)          r82:f         r82:f             r18:hf            r26.0:hf         {$2} // $267
+(W)     send.dc0 (8|M0)          null     r3      r4:1    0x0            0x020F0000           {$4}
+(f1.1)  goto.b (8|M0)                        _0_025            _0_027                                // $1232
+_0_027:
+(f1.0)  goto.b (8|M0)                        _0_027            L24                                // $1232
+"""
+DESCRIPTION = "\tTotalInlineLocalMemorySize = 9888\n\tPerThreadPrivateMemorySize= 384\n"
+
+
+def test_what_intel_says(tmp_path):
+    """Integers' multiply-adds do not count; what is compiled last is what runs; products of matrices go before other loops."""
+    for name, text in (("a_1_simd8_entry_0001", LISTING.replace("size 96", "size 0")), ("a_simd8_entry_0001", LISTING)):
+        (tmp_path / f"{name}.asm").write_text(text)
+        (tmp_path / f"{name}.cos").write_text(DESCRIPTION)
+    later = (tmp_path / "a_simd8_entry_0001.asm").stat().st_mtime + 10
+    os.utime(tmp_path / "a_1_simd8_entry_0001.asm", (later, later))
+    found = intel.listings(tmp_path)
+    assert intel.figures(*found["conv_mma"])["spilled"] == 0
+    figures = intel.figures(LISTING, DESCRIPTION)
+    assert figures == {"registers": 256, "stack": 384, "spilled": 96, "local": 9888, "loop": Loop(4, 3, 0)}
+
+
+def test_products_of_matrices_go_before_other_loops():
+    other = [Instruction("", "a"), *3 * [Instruction("v_fma")], Instruction("branch", "a")]
+    products = [Instruction("", "b"), Instruction("v_wmma"), Instruction("ds_load"), Instruction("branch", "b")]
+    assert hottest_loop.hottest([*other, *products]) == Loop(instructions=3, multiply_adds=1, memory=1)
+
+
 def test_the_hottest_loop_of_nvidia():
     assert hottest_loop.hottest(hottest_loop.nvidia(SASS, "conv_local")) == Loop(instructions=4, multiply_adds=2, memory=0)
 
@@ -64,15 +105,22 @@ def test_what_exceeds_a_budget_is_told():
     assert [line.split()[1] for line in told] == ["registers,", "bytes", "spilled,", "multiply-adds"]
 
 
-@pytest.mark.parametrize("target", ["sm_80", "sm_90", "gfx1100", "gfx90a"])
+@pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize(("kernel", "options"), CASES, ids=["plain", "gated", "matrix"])
 def test_budgets(kernel, options, target, tmp_path: Path):
-    if kernel == "conv_mma" and not target.startswith("sm_"):
-        pytest.skip("conv_mma.cl is NVIDIA's")
     try:
         require(target)
     except MissingError as error:
         pytest.skip(str(error))
+    row, forms = row_of(target)
+    if kernel == "conv_mma":
+        if not forms:
+            pytest.skip(f"{target} has no matrix units that we use")
+        options = [*options, f"-D{forms[0].name}={forms[0].value:d}", *forms[0].flags.split()]
+    if row == "intel":
+        options = [*options, "-DROWS=1"]
+    else:
+        options = [*options, "-DROWS=2"]
     found = compiled(source(f"{kernel}.cl"), options, [kernel], target, tmp_path)[kernel]
     assert faults(kernel, found, target) == []
     assert found.local > 0
