@@ -108,9 +108,7 @@ def proved(device: Device) -> Form | None:
 
 def _product_is_right(device: Device, form: Form) -> bool:
     random = np.random.default_rng(0)
-    pixels, weight = (
-        random.integers(-8, 9, size).astype(np.float16) for size in ((form.unit, 16), (16, form.parts, form.held))
-    )
+    pixels, weight = (random.integers(-8, 9, size).astype(np.float16) for size in ((form.unit, 16), (16, form.parts, form.held)))
     want = 1 + pixels.astype(np.float32) @ weight.astype(np.float32).reshape(16, -1)
     got = np.empty((form.waves, *want.shape), np.float32)
     made = cl.Buffer(device.context, FLAGS.WRITE_ONLY, got.nbytes)

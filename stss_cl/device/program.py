@@ -30,7 +30,8 @@ MOST_BINARY = 64 << 20
 """Most bytes of a compiled program that is stored; ours have some 100 KiB."""
 
 MAKERS_OPTIONS = {"intel": "-D static="}
-"""Options for a maker's GPUs. Intel's compiler of 2022 ignores all `#pragma unroll` where a function is static, and so keeps arrays in memory."""
+"""Options for a maker's GPUs. Where a function is static, Intel's compiler of 2022 unrolls no loop as it is told, and keeps arrays in
+memory."""
 
 _building = Lock()
 """One thread builds at a time: two would undo each other's filters of warnings."""

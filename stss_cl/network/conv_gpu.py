@@ -34,9 +34,7 @@ def local(device: Device, packed: Packed, out: Padded, stride: int, most_rows: i
     )
 
 
-def on_matrix_units(
-    device: Device, form: Form, packed: Packed, out: Padded, stride: int, most_rows: int, images: int
-) -> Shape:
+def on_matrix_units(device: Device, form: Form, packed: Packed, out: Padded, stride: int, most_rows: int, images: int) -> Shape:
     """The shape of conv_mma.cl for this layer; a work-item has at most ``most_rows`` rows of pixels."""
     inner, outputs = packed.direct.shape[2] // 8, packed.direct.shape[3]
     # Tiles of twice the side and eights of all channels would not fit into local memory together, nor seven at once into the registers.

@@ -149,7 +149,8 @@ def fragments(packed: Packed, eights: int, block: int, form: Form) -> NDArray[np
         gate = np.broadcast_to(packed.gate_direct.reshape(9, inner, 1, 1, 1), (*weight.shape[:-1], 1))
         weight = np.concatenate([weight, gate], axis=-1)
     weight = np.pad(weight, (*4 * [(0, 0)], (0, -weight.shape[-1] % form.held)))
-    weight = weight.reshape(9, -1, 8 * eights, *weight.shape[2:]).transpose(3, 1, 0, 2, 4, 5)  # block, chunk, tap, channel, part, value
+    # block, chunk, tap, channel, part, value
+    weight = weight.reshape(9, -1, 8 * eights, *weight.shape[2:]).transpose(3, 1, 0, 2, 4, 5)
     weight = weight.reshape(*weight.shape[:2], 9 * eights * 8, form.parts, -1)
     weight = np.pad(weight, ((0, 0), (0, 0), (0, 9 * eights % 2 * 8), (0, 0), (0, 0)))
     steps = weight.reshape(*weight.shape[:2], -1, 16, form.parts, weight.shape[-1] // form.held, form.held)

@@ -1,6 +1,5 @@
 """Intel's offline compiler, ocloc: what it says about the kernels of a program. IGC, which it calls, writes a folder of listings."""
 
-import os
 import re
 from pathlib import Path
 
@@ -11,14 +10,14 @@ from tests.offline.hottest_loop import Instruction
 def listings(folder):
     """The listing and the description of each kernel: kernel -> (assembly, description).
 
-    A kernel that spilled is compiled once more, in another way; what is written last is what runs.
+    A kernel that spilled may be compiled once more, in another way: only what runs has a description.
     """
     found = {}
-    for path in sorted(Path(folder).glob("*.asm"), key=os.path.getmtime):
+    for path in sorted(Path(folder).glob("*.asm")):
         text = path.read_text(encoding="utf-8", errors="replace")
-        kernel = re.search(r"^//\.kernel (\w+)", text, re.MULTILINE)
-        if kernel and "entry" in path.name:
-            found[kernel[1]] = text, path.with_suffix(".cos").read_text(encoding="utf-8", errors="replace")
+        kernel, description = re.search(r"^//\.kernel (\w+)", text, re.MULTILINE), path.with_suffix(".cos")
+        if kernel and description.exists():
+            found[kernel[1]] = text, description.read_text(encoding="utf-8", errors="replace")
     return found
 
 
