@@ -189,7 +189,8 @@ def run_network(device, precision, height, width):
 
 
 def run_layers(device, precision):
-    """One convolution of either stride as GPUs have them, matrix units emulated: the whole network would take half an hour."""
+    """One convolution of either stride as GPUs have them, all matrix units emulated: the whole network would take half an hour."""
+    from stss_cl.device import matrix_units
     from stss_cl.device.buffers import padded, read, write
     from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
     from stss_cl.network.conv import conv
@@ -203,9 +204,11 @@ def run_layers(device, precision):
         for buffer in inputs:
             write(device, buffer, random.random((buffer.height, buffer.width, 8), np.float32))
         out = padded(device, *size, 24, dtype)
-        with trial(built_in_rows(BUILT_IN)[0]["nvidia"]):
-            conv(device, "test", "layer", packed, *inputs, out, stride=stride).enqueue(device.queue)
-        show(f"stride {stride}", read(device, out))
+        for form in matrix_units.FORMS if precision == "half" else (None,):
+            matrix_units.forms = lambda _, form=form: (form,)
+            with trial(built_in_rows(BUILT_IN)[0]["nvidia"]):
+                conv(device, "test", "layer", packed, *inputs, out, stride=stride).enqueue(device.queue)
+            show(f"stride {stride}, {form}", read(device, out))
     run_attention(device, precision)
     run_arrival(device)
 
