@@ -14,10 +14,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from stss_cl.device import matrix_units
 from stss_cl.device.buffers import Outgoing
 from stss_cl.device.discovery import Device, open_device
 from stss_cl.device.launch import enqueue
-from stss_cl.device.matrix_units import FORMS
+from stss_cl.device.matrix_units import ARC, NVIDIA, RDNA3, Form
 from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
 from stss_cl.network.layer import LayerLaunch
 from stss_cl.network.layers import Layers
@@ -32,7 +33,7 @@ class Gpu:
     Attributes:
         name: shown in tables.
         row: name of its row in ``tuning.toml``.
-        form: of its matrix units, a name in ``stss_cl.device.matrix_units.FORMS``.
+        form: of its matrix units.
         units: number of multiprocessors or compute units.
         ghz: boost clock; GHz.
         multiply_adds: float32 multiply-adds of a unit in a clock.
@@ -43,7 +44,7 @@ class Gpu:
 
     name: str
     row: str
-    form: str
+    form: Form
     units: int
     ghz: float
     multiply_adds: int
@@ -54,12 +55,12 @@ class Gpu:
 
 
 GPUS = {
-    "h100": Gpu("H100 SXM", "nvidia", "NVIDIA", 132, 1.83, 128, 1240, 5500, 3350, 50),  # mma.sync reaches 0.6 of what wgmma does
-    "a100": Gpu("A100 SXM", "nvidia", "NVIDIA", 108, 1.41, 64, 1024, 4000, 1555, 40),
-    "rtx4090": Gpu("RTX 4090", "nvidia", "NVIDIA", 128, 2.52, 128, 256, 5000, 1008, 72),
-    "rtx3090": Gpu("RTX 3090", "nvidia", "NVIDIA", 82, 1.695, 128, 256, 2300, 936, 6),
-    "rx7900xtx": Gpu("RX 7900 XTX", "amd", "RDNA3", 96, 2.5, 128, 256, 3500, 960, 96),
-    "a770": Gpu("Arc A770", "intel", "ARC", 32, 2.1, 128, 1024, 2000, 560, 16),
+    "h100": Gpu("H100 SXM", "nvidia", NVIDIA, 132, 1.83, 128, 1240, 5500, 3350, 50),  # mma.sync reaches 0.6 of what wgmma does
+    "a100": Gpu("A100 SXM", "nvidia", NVIDIA, 108, 1.41, 64, 1024, 4000, 1555, 40),
+    "rtx4090": Gpu("RTX 4090", "nvidia", NVIDIA, 128, 2.52, 128, 256, 5000, 1008, 72),
+    "rtx3090": Gpu("RTX 3090", "nvidia", NVIDIA, 82, 1.695, 128, 256, 2300, 936, 6),
+    "rx7900xtx": Gpu("RX 7900 XTX", "amd", RDNA3, 96, 2.5, 128, 256, 3500, 960, 96),
+    "a770": Gpu("Arc A770", "intel", ARC, 32, 2.1, 128, 1024, 2000, 560, 16),
 }
 
 GAP = 1.5e-6
@@ -115,12 +116,7 @@ class Modelled(Device):
     def __init__(self, gpu: Gpu):
         opened = open_device(device_class="gpu")
         super().__init__(opened.handle, opened.context, opened.queue, opened.device_class)
-        self._units, self._form = gpu.units, gpu.form
-
-    @property
-    def matrix_units(self) -> str:
-        """Form of the modelled GPU's; here they are emulated."""
-        return self._form
+        self._units = gpu.units
 
     @property
     def compute_units(self) -> int:
@@ -140,7 +136,7 @@ def predict(weights: Weights, height: int, width: int, gpu: Gpu, precision: Prec
     Returns:
         The estimates, in the order of the launches.
     """
-    with trial(built_in_rows(BUILT_IN)[0][gpu.row]):
+    with trial(built_in_rows(BUILT_IN)[0][gpu.row]), matrix_units.trial((gpu.form,)):
         return [estimate(layer, gpu) for layer in Layers(Modelled(gpu), weights, height, width, precision).launches]
 
 
@@ -217,14 +213,13 @@ def _local(shape: dict[str, int], height: int, width: int, gpu: Gpu) -> dict[str
 
 def _matrix(shape: dict[str, int], height: int, width: int, gpu: Gpu) -> dict[str, float]:
     """Cycles of conv_mma.cl: inputs from local memory, weights from the cache that shares its lines."""
-    form = next(form for form in FORMS if form.name == gpu.form)
-    rows, inner, block = shape["ROWS"], shape["A"] + shape["B"], shape["BLOCK"]
+    form, rows, inner, block = gpu.form, shape["ROWS"], shape["A"] + shape["B"], shape["BLOCK"]
     groups = math.ceil(width / 32) * math.ceil(height / (4 * rows)) * (shape["OUT"] // block)
     matrices, steps = math.ceil((block // form.parts + shape["GATED"]) / form.held), math.ceil(9 * inner / 16)
     products = steps * matrices * 2 * rows  # of a wave
     size = form.unit * 16 * form.parts * form.held
     busiest = math.ceil(groups / gpu.units) * form.waves
-    share, issues = SHARE[gpu.form], ISSUES[gpu.form]
+    share, issues = SHARE[form.name], ISSUES[form.name]
     return {
         "arithmetic": busiest * products * size / gpu.matrix / ISSUED,
         "issue": busiest * products / share / issues,

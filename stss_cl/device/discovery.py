@@ -94,15 +94,6 @@ class Properties:
         return next((name for name, told in MAKERS.items() if any(part in vendor for part in told)), "")
 
     @property
-    def matrix_units(self) -> str:
-        """The form of matrix units that it should have, by an option of ``kernels/mma.clh``, or ""; processors emulate NVIDIA's."""
-        if self.maker == "amd":
-            return "RDNA3" if re.search(r"\bgfx11\d\d", self.name) else ""
-        if self.maker == "intel":
-            return "ARC" if "cl_intel_subgroup_matrix_multiply_accumulate" in self.handle.extensions.split() else ""
-        return "" if self.is_gpu and not self.maker else "NVIDIA"
-
-    @property
     def has_fp16(self) -> bool:
         """Whether kernels may compute in ``half``; all devices can load and store it."""
         return "cl_khr_fp16" in self.handle.extensions.split()

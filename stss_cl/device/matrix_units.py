@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+import re
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -13,7 +16,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from stss_cl.device.buffers import FLAGS, constant
-from stss_cl.device.discovery import Device
+from stss_cl.device.discovery import Device, Properties
 from stss_cl.device.program import build
 from stss_cl.errors import DeviceError
 
@@ -73,9 +76,29 @@ FORMS = (NVIDIA, RDNA3, ARC, ARC_16)
 _proved: WeakKeyDictionary[cl.Context, dict[Form, bool]] = WeakKeyDictionary()
 
 
-def forms(device: Device) -> tuple[Form, ...]:
-    """The forms that the device may have, by what it says; which one it takes shows only when it is tried."""
-    return tuple(form for form in FORMS if form.name == device.matrix_units)
+_trial: ContextVar[tuple[Form, ...] | None] = ContextVar("_trial", default=None)
+
+
+@contextmanager
+def trial(forms: tuple[Form, ...]) -> Generator[None]:
+    """Within the block, and in this thread, every device has matrix units of these forms."""
+    token = _trial.set(forms)
+    try:
+        yield
+    finally:
+        _trial.reset(token)
+
+
+def forms(device: Properties) -> tuple[Form, ...]:
+    """The forms that a device may have, by what it says; which one it takes shows only when it is tried. Processors emulate NVIDIA's."""
+    tried = _trial.get()
+    if tried is not None:
+        return tried
+    if device.maker == "amd":
+        return (RDNA3,) if re.search(r"\bgfx11\d\d", device.name) else ()
+    if device.maker == "intel":
+        return (ARC, ARC_16) if "cl_intel_subgroup_matrix_multiply_accumulate" in device.handle.extensions.split() else ()
+    return () if device.is_gpu and not device.maker else (NVIDIA,)
 
 
 def are_emulated(device: Device) -> bool:

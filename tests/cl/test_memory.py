@@ -205,8 +205,7 @@ def run_layers(device, precision):
             write(device, buffer, random.random((buffer.height, buffer.width, 8), np.float32))
         out = padded(device, *size, 24, dtype)
         for form in matrix_units.FORMS if precision == "half" else (None,):
-            matrix_units.forms = lambda _, form=form: (form,)
-            with trial(built_in_rows(BUILT_IN)[0]["nvidia"]):
+            with trial(built_in_rows(BUILT_IN)[0]["nvidia"]), matrix_units.trial((form,)):
                 conv(device, "test", "layer", packed, *inputs, out, stride=stride).enqueue(device.queue)
             show(f"stride {stride}, {form}", read(device, out))
     run_attention(device, precision)

@@ -43,8 +43,7 @@ def programs(row, forms, *, network_only=False):
     """
     device = open_device(device_class="gpu")
     tuning = built_in_rows(BUILT_IN)[0][row]
-    with trial(tuning), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(matrix_units, "forms", lambda _: forms)
+    with trial(tuning), matrix_units.trial(forms), pytest.MonkeyPatch.context() as patch:
         matrix_units.proved(device)  # builds, and launches, what asks for them
         launch_nothing(patch)
         for precision in PRECISIONS:
