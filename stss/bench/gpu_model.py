@@ -9,6 +9,7 @@ work-group takes by itself.
 from __future__ import annotations
 
 import math
+import re
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from typing import Any
 
 from stss_cl.device import matrix_units
 from stss_cl.device.buffers import Outgoing
-from stss_cl.device.discovery import Device, open_device
+from stss_cl.device.discovery import Device, Properties, open_device
 from stss_cl.device.launch import enqueue
 from stss_cl.device.matrix_units import ARC, NVIDIA, RDNA3, Form
 from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
@@ -122,6 +123,13 @@ class Modelled(Device):
     def compute_units(self) -> int:
         """Number of units of the modelled GPU."""
         return self._units
+
+
+def most_like(device: Properties) -> str:
+    """The name in ``GPUS`` that the device's own has in it, or else the first of its maker, or else the first of all."""
+    name = re.sub(r"[^a-z0-9]", "", device.name.lower())
+    of_maker = (key for key, gpu in GPUS.items() if gpu.row == device.maker)
+    return next((key for key in GPUS if key in name), next(of_maker, next(iter(GPUS))))
 
 
 def predict(weights: Weights, height: int, width: int, gpu: Gpu, precision: Precision) -> list[Estimate]:

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Literal
 
 from conformance.protocol.own_session import run_alone
+from stss.bench.gpu_model import most_like
 from stss.bench.gpu_page import page
 from stss.errors import InputError
 from stss.machine import cpu_model, versions
@@ -144,13 +145,13 @@ def _driver() -> Step:
     return Step("driver", None, 0, f"none of {', '.join(asked)} is here")
 
 
-def gpu_report(folder: Path, device: str | None, model: str, *, tiny: bool, tell: Callable[[str], None]) -> bool:
+def gpu_report(folder: Path, device: str | None, model: str | None, *, tiny: bool, tell: Callable[[str], None]) -> bool:
     """Run every step.
 
     Args:
         folder: a new or an empty folder.
         device: part of the device's name; None: the first GPU, or else the first device.
-        model: see `steps`.
+        model: see `steps`; None: the one most like the device.
         tiny: see `steps`.
         tell: called with a line before each step.
 
@@ -165,11 +166,12 @@ def gpu_report(folder: Path, device: str | None, model: str, *, tiny: bool, tell
         raise InputError(f"{folder}: expected a new or an empty folder")
     fitting = matching(device if device is not None else os.environ.get("STSS_DEVICE"))
     name = next((each for each in fitting if is_gpu(fitting[each])), next(iter(fitting)))
+    properties = Properties(fitting[name])
     machine = {
         "stss": VERSION,
         "date": datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
         "device": name,
-        "treated as": Properties(fitting[name]).device_class,
+        "treated as": properties.device_class,
         "driver": str(fitting[name].driver_version),
         "cpu": cpu_model(),
         "system": f"{platform.system()} {platform.machine()}",
@@ -178,7 +180,9 @@ def gpu_report(folder: Path, device: str | None, model: str, *, tiny: bool, tell
     make_folder(folder)
     make_folder(folder / "logs")
     done: list[Done] = []
-    for step in (replace(each, limit=(PATIENCE if tiny else 1) * each.limit) for each in steps(folder, name, model, tiny=tiny)):
+    patience = PATIENCE if tiny else 1
+    planned = steps(folder, name, model or most_like(properties), tiny=tiny)
+    for step in (replace(each, limit=patience * each.limit) for each in planned):
         tell(f"{step.name}: up to {step.limit:.0f} s")
         done.append(_run(step, folder / "logs" / f"{step.name}.txt", name))
         _write(folder, machine, done, tiny=tiny)

@@ -112,9 +112,11 @@ def bench_command(
 @click.command("gpu-report")
 @click.option("-o", "--out", type=PATH, required=True, help="A new or an empty folder.")
 @click.option("--device", help="Part of the name of the OpenCL device  [default: the first GPU]")
-@click.option("--model", default="h100", show_default=True, help="The GPU whose predicted times stand beside the measured ones.")
+@click.option(
+    "--model", help="The GPU whose predicted times stand beside the measured ones  [default: the one most like the device]"
+)
 @click.option("--tiny", is_flag=True, help="Small sizes: show that every step runs, and nothing else.")
-def gpu_report_command(out: Path, device: str | None, model: str, tiny: bool) -> None:
+def gpu_report_command(out: Path, device: str | None, model: str | None, tiny: bool) -> None:
     """Test, judge and time a GPU; the report is a folder whose README.md begins with what is wrong.
 
     Runs self-tests, tests and the judge, compares times with other engines and with a model, and finds tile sizes. Takes 25 minutes at
@@ -123,7 +125,8 @@ def gpu_report_command(out: Path, device: str | None, model: str, tiny: bool) ->
     from stss.bench.gpu_model_report import gpu_named
     from stss.bench.gpu_report import gpu_report
 
-    gpu_named(model)
+    if model is not None:
+        gpu_named(model)
     good = gpu_report(out, device, model, tiny=tiny, tell=partial(echo, err=True))
     echo(f"{out / 'README.md'}")
     sys.exit(0 if good else 1)

@@ -3,13 +3,14 @@
 import json
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from stss.bench import gpu_report
-from stss.bench.gpu_model import GPUS, predict
+from stss.bench.gpu_model import GPUS, most_like, predict
 from stss.bench.gpu_page import page
 from stss.bench.gpu_report import Step
 from stss.cli.main import stss
@@ -29,7 +30,13 @@ def _a_device():
 
 def test_no_launch_beats_the_roof():
     weights = random_weights(0)
-    for name, precision in (("h100", "float32"), ("rtx3090", "float32"), ("h100", "half")):
+    for name, precision in (
+        ("h100", "float32"),
+        ("rtx3090", "float32"),
+        ("h100", "half"),
+        ("rx7900xtx", "half"),
+        ("a770", "half"),
+    ):
         rows = predict(weights, *SIZE, GPUS[name], precision)
         assert all(row.total > row.roof >= 0 for row in rows)
         assert {"conv_local", "attend_local", "image"} <= {row.kernel for row in rows}
@@ -40,6 +47,20 @@ def test_arithmetic_grows_with_the_frame():
     weights = random_weights(0)
     small, large = ([row.roof for row in predict(weights, n, n, GPUS["h100"], "float32")] for n in (32, 64))
     np.testing.assert_array_almost_equal_nulp(4 * np.array(small), np.array(large), 4)
+
+
+@pytest.mark.parametrize(
+    ("name", "maker", "model"),
+    [
+        ("NVIDIA CUDA: NVIDIA GeForce RTX 4090", "nvidia", "rtx4090"),
+        ("NVIDIA CUDA: NVIDIA H200", "nvidia", "h100"),
+        ("AMD Accelerated Parallel Processing: gfx1101", "amd", "rx7900xtx"),
+        ("Intel(R) OpenCL Graphics: Intel(R) Arc(TM) A750 Graphics", "intel", "a770"),
+        ("Portable Computing Language: cpu", "", "h100"),
+    ],
+)
+def test_the_model_most_like_a_device(name, maker, model):
+    assert most_like(SimpleNamespace(name=name, maker=maker)) == model
 
 
 def test_the_command_says_that_it_is_a_model(tmp_path):
