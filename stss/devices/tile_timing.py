@@ -25,6 +25,8 @@ SHORTEST = 2e-3
 CHECKED = (45, 75)
 """Output size (H, W) at which a candidate is compared with the plain kernel: no tile size divides it, and it has several strips."""
 PLAIN = Direct(1, 1, 1)
+INTEL = "Intel(R) OpenCL:"
+"""Its compiler takes minutes for one kernel of half storage with vectors of 16, which would be chosen here for all precisions."""
 
 Sizes = Winograd | Direct | Local
 
@@ -118,7 +120,7 @@ def winograd_candidates(device: Properties, outputs: int) -> list[Winograd]:
     by_block = {2: ((6, 6), (12, 6), (8, 4), (8, 8)), 3: ((8, 4), (4, 4), (12, 4), (6, 6), (8, 8)), 4: ((6, 3), (8, 4), (6, 6))}
     found = [Winograd(*pair, block, True) for block, pairs in by_block.items() if wide % block == 0 for pair in pairs]
     double = -(-wide // 2)
-    by_block = {2: ((8, 8), (6, 6), (12, 12)), 4: ((6, 6), (4, 4))}
+    by_block = {2: ((8, 8), (6, 6), (12, 12)), 4: ((6, 6), (4, 4))} if not device.name.startswith(INTEL) else {}
     found += [Winograd(*pair, block, True, 16) for block, pairs in by_block.items() if double % block == 0 for pair in pairs]
     return [*found, replace(found[0], prefetch=False)]
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -182,13 +183,20 @@ def on_device(device: Device, name: str, array: cla.Array) -> cl.Buffer:
     if not array.flags.c_contiguous:
         raise ArrayError(f"{name}: expected a C-contiguous array, got strides {array.strides}")
     buffer: Any = array.base_data
-    if buffer.get_info(cl.mem_info.CONTEXT) != device.context:
+    if _context(buffer) != device.context:
         raise ArrayError(f"{name}: expected an array in the device's context, got one of another")
     if array.offset + array.nbytes > buffer.size:
         raise ArrayError(f"{name}: expected a buffer of at least {array.offset + array.nbytes} bytes, got {buffer.size}")
     if array.events:
         cl.enqueue_barrier(device.queue, wait_for=array.events)
     return part(device, buffer, array.offset, array.nbytes) if array.offset else buffer
+
+
+def _context(buffer: cl.Buffer) -> Any:
+    """The buffer's context; None if only the buffer holds it: Intel's runtime then calls it invalid."""
+    with suppress(cl.LogicError):
+        return buffer.get_info(cl.mem_info.CONTEXT)
+    return None
 
 
 def part(device: Device, buffer: cl.Buffer, first: int, size: int) -> cl.Buffer:

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from stss.devices import tile_timing as trials
 from stss.devices import tune
-from stss.devices.tile_timing import SHAPES, Trials, direct_candidates, winograd_candidates
+from stss.devices.tile_timing import INTEL, SHAPES, Trials, direct_candidates, winograd_candidates
 from stss_cl.device import tuning
 from stss_cl.device.discovery import DeviceError, Properties
 from stss_cl.device.tuning import (
@@ -176,6 +176,7 @@ def test_a_wrong_row_is_named(old, new, message):
 @pytest.mark.parametrize("outputs", OUTPUTS)
 def test_every_candidate_could_be_kept(outputs, is_cpu):
     device = fake(is_cpu=is_cpu)
+    assert [{c.vector for c in winograd_candidates(fake(name), outputs)} for name in ("P: one", f"{INTEL} one")] == [{8, 16}, {8}]
     assert all(sizes.group <= device.max_work_group for sizes in direct_candidates(device, outputs))
     for sizes in [*direct_candidates(device, outputs), *winograd_candidates(device, outputs)]:
         key = "winograd" if isinstance(sizes, Winograd) else "direct"
