@@ -124,7 +124,8 @@ kernel void prepare8(PREPARE_ARGUMENTS)
     for (int lane = 0; lane < 8; ++lane) prepare_pixel(f, x + lane, y);
 }
 
-// Whether any pixel may look up a place that one of these eight pixels lands on; false only where surely none does.
+// Whether any pixel may look up a place that one of these eight pixels lands on; false only where surely none does. Others may lower the
+// keys meanwhile: none of them is UNWANTED before or after.
 INLINE bool is_wanted8(global const float2 *motion, volatile global const uint *keys, const int x, const int y,
                        const int height, const int width)
 {

@@ -13,7 +13,8 @@
 //  filled            out     (H, W, 3)  as color
 //
 // Two passes of 32-bit minima find the smallest (depth, raster index), which does not depend on the order of the writes.
-// Reading before the atomic is safe: a stale value is only larger.  Build: no options.  Launch (W, H) rounded up.
+// Reading before the atomic is safe: a stale value is only larger, and no depth's key is UNWANTED.
+// Build: no options.  Launch (W, H) rounded up.
 #include "sample.clh"
 
 #define FARTHEST 10.0f  // where the depth buffer starts: what lies deeper never splats
