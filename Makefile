@@ -33,7 +33,8 @@ fuzz: $(VENV)/.test
 gpu: $(VENV)/.test
 	$(BIN)/stss gpu-report --out gpu-report
 
-# Every program of the GPU rows by the compilers of GPUs that are not here; wants clang-22 and libclc-22 of the system.
+# Every program of the GPU rows by the compilers of GPUs that are not here; wants clang-22, libclc-22 and intel-opencl-icd of the
+# system; what is missing is skipped.
 offline: $(VENV)/.test $(VENV)/.offline
 	$(BIN)/python -m tests.offline
 

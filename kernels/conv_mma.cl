@@ -105,7 +105,7 @@ void conv_mma(global const ushort *restrict a, global const ushort *restrict b, 
     const int in_rows = (STRIDE * height + 3) / 4 * 4 + 2;
     // The wave's first pixel in the tile.
     const int across = wave % (WAVES / 4) * 2 * UNIT, down = wave / (WAVES / 4) * ROWS;
-    local const uint4 *under = tile + STRIDE * down * PITCH + across;
+    local const uint4 *under = tile + (STRIDE * down * PITCH + across);
     a += a_first;
 
     for (int t = get_group_id(0); t < count[0]; t += get_num_groups(0)) {
@@ -153,7 +153,7 @@ UNROLL
         for (int i = 0; i < 2 * ROWS * ITS; ++i) {
             const int x = left + across + i / ITS % 2 * UNIT + PIXEL(lane, i % ITS), y = top + down + i / ITS / 2;
             if (x >= width || y >= height) continue;
-            global ushort *pixel = to + ((y + 1) * out_columns + x + 1) * out_channels + out_first + from_output;
+            const int place = ((y + 1) * out_columns + x + 1) * out_channels + out_first + from_output;
             global uchar *mark = marks + y / 4 * ((out_columns - 2) / 4) + x / 4;
 #ifdef GATED
             const float open = opening(sum[i / ITS][EACH / HELD], i % ITS);
@@ -169,12 +169,12 @@ UNROLL
 #endif
                 const narrowed stored = narrow(value);
 #if HELD == 2
-                put(as_uint(stored), pixel + 2 * n, mark);
+                put(as_uint(stored), to + place + 2 * n, mark);
 #elif EACH % 8
-                put(as_uint2(stored.lo), pixel + 8 * n, mark);
-                if (8 * n + 4 < EACH) put(as_uint2(stored.hi), pixel + 8 * n + 4, mark);
+                put(as_uint2(stored.lo), to + place + 8 * n, mark);
+                if (8 * n + 4 < EACH) put(as_uint2(stored.hi), to + place + 8 * n + 4, mark);
 #else
-                put(as_uint4(stored), pixel + 8 * n, mark);
+                put(as_uint4(stored), to + place + 8 * n, mark);
 #endif
             }
         }

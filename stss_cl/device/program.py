@@ -29,7 +29,7 @@ KERNELS = _PACKAGE / "kernels" if (_PACKAGE / "kernels").is_dir() else _PACKAGE.
 MOST_BINARY = 64 << 20
 """Most bytes of a compiled program that is stored; ours have some 100 KiB."""
 
-MAKERS_OPTIONS = {"intel": "-D static="}
+MAKERS_OPTIONS = {"intel": "-D static= -D inline="}
 """Options for a maker's GPUs. Where a function is static, Intel's compiler of 2022 unrolls no loop as it is told, and keeps arrays in
 memory."""
 

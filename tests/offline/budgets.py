@@ -10,6 +10,7 @@ class Budget:
     """Registers of a work-item, bytes of stack, bytes of local memory of a group; the least share of multiply-adds in the hottest loop.
 
     ``elsewhere``: that share on GPUs of other makers than NVIDIA, whose products of matrices take 16 and 32 times as long as others.
+    ``intel``: bytes that Intel's compiler may spill.
     """
 
     registers: int = 128
@@ -17,14 +18,16 @@ class Budget:
     local: int = 0
     share: float = 0.0
     elsewhere: float = 0.0
+    intel: int = 0
 
 
 DEFAULT = Budget()
 BUDGETS = {
     # 64 sums and what a row of the tile holds; two groups and more on every unit.
-    "conv_local": Budget(registers=240, local=31 << 10, share=0.85),
+    # On Intel four registers, which no loop over channels reads.
+    "conv_local": Budget(registers=240, local=31 << 10, share=0.85, intel=128),
     # Sums of 64 pixels x 32 outputs for four times 32 work-items; what lies between products is loads, and indices of the epilogue.
-    "conv_mma": Budget(registers=224, local=40 << 10, share=0.25, elsewhere=0.05),
+    "conv_mma": Budget(registers=224, local=40 << 10, share=0.25, elsewhere=0.04),
     "matrix": Budget(local=1 << 10),
     # The keys around a tile of 4 x 4, and 25 weights for each of its pixels.
     "attend_local": Budget(local=12 << 10),
@@ -44,7 +47,7 @@ def faults(kernel, compiled, target):
     checks = (
         ("registers", registers, budget.registers),
         ("bytes of stack", compiled.stack, budget.stack),
-        ("spilled", compiled.spilled, budget.stack),
+        ("spilled", compiled.spilled, budget.intel if is_intel(target) else 0),
         ("bytes of local memory", compiled.local, budget.local),
     )
     found = [f"{got} {what}, allowed {most}" for what, got, most in checks if got > most]

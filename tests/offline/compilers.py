@@ -192,7 +192,7 @@ def _amd(told: str, code: str, kernel: str) -> Compiled:
 def _intel(source: str, options: Sequence[str], kernels: Sequence[str], target: str, folder: Path) -> dict[str, Compiled]:
     text, listings = folder / "k.cl", folder / "listings"
     text.write_text(source, encoding="utf-8")
-    told = " ".join([*options, MAKERS_OPTIONS["intel"]])
+    told = " ".join([*options, *MAKERS_OPTIONS["intel"].split()])
     shutil.rmtree(listings, ignore_errors=True)
     listings.mkdir()
     _run(
