@@ -184,6 +184,15 @@ def test_a_kernel_is_built_once(device, kernels):
     assert build(device, "demo.cl", {"THREE": 3}) is not build(device, "demo.cl", {"THREE": 4})
 
 
+def test_a_makers_options(monkeypatch):
+    """No function is static for Intel's compiler: the kernels build like that, too."""
+    opened = open_device()
+    monkeypatch.setitem(program.MAKERS_OPTIONS, opened.maker, program.MAKERS_OPTIONS["intel"])
+    build(opened, "finite.cl", {"APART": 1})
+    (_, options), *_ = program.built(opened)
+    assert " -D static= -D inline=" in options
+
+
 def test_includes_are_spelled_out_once(kernels):
     (kernels / "a.clh").write_text("float a;\n")
     (kernels / "two.cl").write_text('#include "a.clh"\n#include "a.clh"\nfloat b;\n')
