@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test check bench mutants alarms fuzz gpu offline portability judge-wheel clean
+.PHONY: demo test check bench mutants alarms fuzz gpu offline portability lowest judge-wheel clean
 
 demo: $(VENV)/.base
 	$(BIN)/stss demo demo --overwrite
@@ -42,6 +42,14 @@ offline: $(VENV)/.test $(VENV)/.offline
 portability: $(VENV)/.test
 	$(BIN)/python tests/portability.py
 
+# The tests with the oldest versions of everything that pyproject.toml allows, in an environment of its own.
+lowest: $(VENV)/.base
+	$(BIN)/python -m venv $(VENV)-lowest
+	$(BIN)/python tests/lowest.py > $(VENV)-lowest/requirements.txt
+	$(VENV)-lowest/bin/python -m pip install --quiet -r $(VENV)-lowest/requirements.txt pytest-xdist hatchling
+	$(VENV)-lowest/bin/python -m pip install --quiet --no-deps --editable .
+	$(VENV)-lowest/bin/python -m pytest -n 2 --dist worksteal --no-loadscope-reorder
+
 # The judge of ports alone, without OpenCL and image libraries: dist/spacetime_supersampling_judge-*.whl.
 judge-wheel: $(VENV)/.python
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist ./packaging/judge
@@ -62,4 +70,4 @@ $(VENV)/.test $(VENV)/.check $(VENV)/.bench $(VENV)/.offline: $(VENV)/.%: $(VENV
 	@touch $@
 
 clean:
-	rm -rf $(VENV) build dist demo
+	rm -rf $(VENV) $(VENV)-lowest build dist demo

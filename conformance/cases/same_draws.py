@@ -5,9 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from contextlib import contextmanager
+from importlib import import_module
 from typing import Any
 
-from hypothesis.internal.conjecture import providers
+_PROVIDERS = "hypothesis.internal.conjecture.providers"
 
 
 @contextmanager
@@ -18,7 +19,10 @@ def no_local_constants() -> Generator[None, None, None]:
     into what it draws, and keeps them in a folder ``.hypothesis`` where the judge was called. It has no setting for that. A version
     without these names has no such constants.
     """
-    hypothesis: Any = providers
+    try:
+        hypothesis: Any = import_module(_PROVIDERS)
+    except ModuleNotFoundError:
+        hypothesis = None
     if not hasattr(hypothesis, "_get_local_constants"):
         yield
         return

@@ -92,8 +92,9 @@ def _checked(image: Array, shape: tuple[int, ...]) -> Array:
 
 
 def _write(sheet: Array, text: str, at: tuple[int, int], scale: float, ink: float, *, room: int) -> None:
-    """Draw ``text`` with its base line at ``at`` (x, y), smaller where it would be wider than ``room``."""
+    """Draw ``text`` with its base line at ``at`` (x, y), smaller where it would be wider than ``room``, and never beyond that."""
     (width, _), _ = cv2.getTextSize(text, _FONT, scale, 1)
     cover = np.zeros(sheet.shape[:2], np.uint8)
     cv2.putText(cover, text, at, _FONT, scale * min(1.0, room / max(width, 1)), (255.0,), 1, cv2.LINE_AA)
+    cover[:, at[0] + room :] = 0  # OpenCV 4 measures small letters too narrow
     sheet += (ink - sheet) * (cover[..., None] / 255)
