@@ -29,6 +29,8 @@ from stss_ref.warp import warp
 
 COUNT = 1003
 GROUP = 64
+TURNS = 100_000
+"""Of a loop, at least: Mesa's llvmpipe ends a work-item's loops after 65,535, and leaves the rest of its tiles as they were."""
 
 # Largest errors in units in the last place that OpenCL 1.2, section 7.4, allows: not ours to choose.
 ULP = {"divide": 2.5, "exp": 3.0, "sqrt": 3.0}
@@ -82,6 +84,14 @@ def groups(device: Device, generator: np.random.Generator) -> None:
     _exact("local memory and barrier", got, given.sum(axis=1))
 
 
+def turns(device: Device, generator: np.random.Generator) -> None:
+    """A long loop runs to its end; its sums of whole numbers are exact."""
+    steps = generator.integers(TURNS, 2 * TURNS)
+    got = np.empty((1, 8), np.float32)
+    _launch(device, "speed", (1,), None, [np.ones((steps, 8), np.float32)], [got], steps)
+    _exact("turns of a loop", got / 6, np.full((1, 8), steps, np.float32))
+
+
 def nearest(device: Device, generator: np.random.Generator) -> None:
     """Of all keys written to one place, the smallest stays."""
     place = generator.integers(0, 50, 5000).astype(np.int32)
@@ -127,7 +137,9 @@ def network(device: Device, generator: np.random.Generator) -> None:
         raise MismatchError(f"network: {error:.3g} times the allowed error")
 
 
-CHECKS: tuple[Callable[[Device, np.random.Generator], None], ...] = (arithmetic, vectors, groups, nearest, image_stages, network)
+CHECKS: tuple[Callable[[Device, np.random.Generator], None], ...] = (
+    arithmetic, vectors, groups, turns, nearest, image_stages, network,
+)  # fmt: skip
 
 
 def gflops(device: Device) -> float:
