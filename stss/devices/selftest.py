@@ -86,7 +86,7 @@ def groups(device: Device, generator: np.random.Generator) -> None:
 
 def turns(device: Device, generator: np.random.Generator) -> None:
     """A long loop runs to its end; its sums of whole numbers are exact."""
-    steps = generator.integers(TURNS, 2 * TURNS)
+    steps = int(generator.integers(TURNS, 2 * TURNS))
     got = np.empty((1, 8), np.float32)
     _launch(device, "speed", (1,), None, [np.ones((steps, 8), np.float32)], [got], steps)
     _exact("turns of a loop", got / 6, np.full((1, 8), steps, np.float32))
