@@ -5,6 +5,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from conformance.cases.constants import constant_cases, pinned_by
+from conformance.cases.every_buffer import frame_cases
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, frame_inputs, scene_inputs, weights
 from conformance.judge import Judge
@@ -64,6 +65,12 @@ def test_a_rendered_frame_looks_for_no_other(judge: Judge, case: tuple[Inputs, W
 def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
     """The same buffers give the same bits again."""
     judge.same("frame.image", *(judge.run("frame", *case)["image"] for _ in range(2)))
+
+
+@made_cases(frame_cases())
+def test_every_buffer_of_every_frame_counts(judge: Judge, case: tuple[Inputs, Weights]):
+    """Frames agree, too, where each stencil, normal, position and motion decides about pixels of its own, at any steps."""
+    judge.agrees("frame", *case)
 
 
 @made_cases(constant_cases("frame"), about=pinned_by)

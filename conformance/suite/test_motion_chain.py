@@ -49,6 +49,18 @@ def test_one_speed_adds_up(judge: Judge, case: tuple[tuple[int, int], int, int, 
     judge.same("motion_chain.motion", got, want)
 
 
+def _almost_still(rng: np.random.Generator) -> Inputs:
+    """Two frames; the newer one moves by so little that adding it to a place would change nothing."""
+    little = -(2.0 ** rng.integers(-40, -26, (12, 40, 2)))
+    return {"motions": np.stack([little, rng.integers(1, 9, little.shape) / 4])}
+
+
+@made_cases([_almost_still])
+def test_a_motion_is_never_lost_in_a_sum(judge: Judge, inputs: Inputs):
+    """A tiny motion to the left and up leads to the pixels there, however far the place is from the frame's corner (decision 13)."""
+    judge.agrees("motion_chain", inputs)
+
+
 @made_cases(large_inputs("motion_chain"), large=True)
 def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs):
     """Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across and out of them."""

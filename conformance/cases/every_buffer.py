@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: MIT
+"""Stage frame where every buffer of every frame decides about pixels of its own, for each choice of steps.
+
+Drawn cases may have buffers that are alike, or steps of which a mistake is right: then it depends on the seed whether it shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from numpy.random import Generator
+
+from conformance.cases.stage_inputs import Inputs, made_weights
+from stss_ref.weights import Weights
+
+STEPS = ((0, 2, 4), (1, 3, 5), (0, 0, 0), (1, 1, 1), (0, 2, 2), (1, 3, 3), (0, 1, 2), (2, 3, 5), (1, 2, 4), (3, 4, 5))
+MOVES = (1, 0), (0, 2), (2, 0), (0, -3), (-5, 0)
+"""Pixels from each display frame to the one before it: from one frame on, every sum of them is another."""
+BLOCK = 8
+SIZE = 3 * BLOCK, 4 * BLOCK
+FAR = 256.0
+"""Cm: farther than any two points of one surface."""
+
+
+def frame_cases() -> tuple[Callable[[Generator], tuple[Inputs, Weights]], ...]:
+    """A case for each choice of steps."""
+    return tuple(partial(_frame, steps) for steps in STEPS)
+
+
+def _frame(steps: tuple[int, int, int], rng: Generator) -> tuple[Inputs, Weights]:
+    """Colour frame i has holes in the i-th block of three rows of blocks: by its stencil, its normal and its position."""
+    stencils, positions = np.zeros((4, *SIZE)), np.zeros((4, *SIZE, 3))
+    normals = np.broadcast_to([0.0, 0.0, 1.0], (4, *SIZE, 3)).copy()
+    by_stencil, by_normal, by_position = (slice(i * BLOCK, (i + 1) * BLOCK) for i in range(3))
+    stencils[:, by_normal] = 2  # normals count on what moves by itself
+    for i in range(3):
+        block = slice(i * BLOCK, (i + 1) * BLOCK)
+        stencils[i + 1, by_stencil, block] = 2
+        normals[i + 1, by_normal, block] *= -1
+        positions[i + 1, by_position, block, 0] = FAR
+    moves = np.array(MOVES, np.float64)[: max(1, *steps)]
+    inputs: Inputs = {
+        "colors": rng.random((3, *SIZE, 3)), "steps": np.array(steps, np.int32),
+        "motions": np.broadcast_to(moves[:, None, None], (len(moves), *SIZE, 2)), "gbuffer": rng.random((*SIZE, 9)),
+        "nov": rng.uniform(-1, 1, SIZE), "stencils": stencils, "normals": normals, "positions": positions,
+    }  # fmt: skip
+    return inputs, made_weights("random", 0)
