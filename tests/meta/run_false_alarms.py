@@ -41,6 +41,8 @@ def main():
     os.environ["OMP_NUM_THREADS"] = "1"
     start = perf_counter()
     names = sys.argv[1:] or list(PORTS)
+    if unknown := [name for name in names if name not in PORTS]:
+        sys.exit(f"{', '.join(unknown)}: expected some of {', '.join(PORTS)}")
     found = {}
     with ProcessPoolExecutor() as pool:
         for name, (alarms, worst, counts) in zip(names, pool.map(judged, names), strict=True):
