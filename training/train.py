@@ -86,9 +86,9 @@ def rate_at(step: int, steps: int, settings: Settings) -> float:
     return settings.rate * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * min(share, 1.0))))
 
 
-def infancy(step: int, steps: int) -> float:
-    """Falls linearly from 1 at the start to 0 at half the run: the share of leaky ReLUs, of the squared error, and of the heads."""
-    return max(0.0, 1 - 2 * step / steps)
+def infancy(step: int, steps: int, share: float = 0.5) -> float:
+    """Falls linearly from 1 at the start to 0 at ``share`` of the run: leaky ReLUs, the squared error, and the heads."""
+    return max(0.0, 1 - step / (share * steps))
 
 
 def start(settings: Settings, device: torch.device, initial: str | None = None, without: str = "") -> State:
@@ -242,6 +242,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--warm-up", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--initial", help="safetensors file to start from; default: bilinear and a random rest")
+    parser.add_argument("--aids", action="store_true", help="those of a beginner also with --initial: see training.revive")
     parser.add_argument("--squares", type=float, default=0.0, help="share of the squared error in the loss, for PSNR's sake")
     parser.add_argument("--structure", type=float, default=STRUCTURE, help="the perceptual distance is so many times 1 - SSIM")
     parser.add_argument("--extrapolated", type=float, default=0.5, help="share of EFs in the squared error")
@@ -269,7 +270,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         chosen.warm_up,
         chosen.seed,
         half,
-        young=chosen.initial is None,
+        young=chosen.initial is None or chosen.aids,
         squares=chosen.squares,
         history=chosen.history,
         structure=chosen.structure,

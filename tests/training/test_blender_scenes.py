@@ -99,6 +99,7 @@ def test_a_level_scene_is_seen_straight_ahead_before_a_wall(blender, many):
     assert 5 <= len(level) < sum(scene["woven"] for scene in many)
     steep = [s for scene in many if not scene["level"] for s in scene["shots"] if _pitch(s) > 0.2]
     assert len(steep) >= 20
+    askew = []
     for scene in level:
         assert max(_pitch(shot) for shot in scene["shots"]) < 0.2
         eye, centre = scene["shots"][0]["eye"], (0.0, 0.0, 1.2)
@@ -106,7 +107,8 @@ def test_a_level_scene_is_seen_straight_ahead_before_a_wall(blender, many):
         (wall,) = [thing for thing in scene["objects"] if thing["shape"] == "cube" and thing["size"][0] > 40]
         assert wall["at"][0] * math.cos(towards) + wall["at"][1] * math.sin(towards) < -1
         across = [thing["turn"][2] - math.pi / 2 - towards for thing in scene["objects"] if thing["shape"] == "wires"]
-        assert min(abs(math.sin(angle)) for angle in across) < 0.6
+        askew.append(min(abs(math.sin(angle)) for angle in across))
+    assert sum(angle < 0.3 for angle in askew) >= 0.6 * len(level)
     lettering = [sum(thing["shape"] == "letters" for thing in scene["objects"]) for scene in level]
     assert sum(lettering) >= 2 * len(level)
 

@@ -14,6 +14,13 @@ from typing import Any
 
 from paths import Vector, add
 
+FOV = 0.55, 0.95
+"""Angles of view: a part of what games show, so that things are as large as in a wider frame; radians."""
+SOLIDS = ("cube", "cube", "sphere", "cylinder", "cone", "torus", "torus", "monkey", "monkey", "letters")
+"""What stands before the wall."""
+WOVEN = ("checker", "checker", "checker", "checker", "wave", "wave", "voronoi", "noise", "brick", "stripes", "plain")
+"""Its textures."""
+
 
 def view(rng: random.Random, centre: Sequence[float], away: float, angle: float) -> tuple[Vector, Vector]:
     """The camera, and what it looks at, nearly as high as itself; from ``away`` metres, at ``angle`` about the vertical."""
@@ -30,10 +37,21 @@ def across(scene: Any) -> float:
     return angle + scene.rng.gauss(0, scene.rng.choice((0.02, 0.02, 0.3)))
 
 
+def shades(rng: random.Random, first: Sequence[float]) -> dict[str, Any]:
+    """Colours of most patterns: a bright one and a shade of it."""
+    if rng.random() < 0.3:
+        return {}
+    bright, shade = rng.uniform(0.5, 0.95) / max(first), rng.uniform(0.2, 0.6)
+    light = [min(1.0, bright * channel) for channel in first]
+    return {"a": light, "b": [shade * channel for channel in light]}
+
+
 def wall(scene: Any) -> None:
     """A wall behind everything, with large squares, a pattern, or plain."""
     rng, unit, angle = scene.rng, scene.away / 9, across(scene)
-    far, paint = rng.uniform(3, 9) * unit, scene.paint(rng.choice(("checker", "plain", None)))
+    far, paint = rng.uniform(3, 9) * unit, scene.paint(rng.choice(("checker", "checker", "plain", None)))
+    if scene.materials[paint]["texture"] == "checker":
+        scene.materials[paint]["scale"] *= rng.uniform(0.1, 1)
     at = (scene.centre[0] - far * math.cos(angle), scene.centre[1] - far * math.sin(angle), 7 * unit)
     scene.put("cube", at, (60 * unit, 0.2 * unit, 14 * unit), paint, (0, 0, angle + math.pi / 2))
 

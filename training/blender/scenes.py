@@ -15,7 +15,7 @@ import slender
 from looks import CUTOUTS, PICTURES, WOVEN, lights, material, sky, woven
 from paths import add, camera, distance
 
-VERSION = 8
+VERSION = 9
 """Raise it when the same seed no longer gives the same scene."""
 
 SPLITS = ("train", "validation", "test")
@@ -49,7 +49,7 @@ class Scene:
         self.level = self.woven and rng.random() < 0.5
         if self.level:
             self.layout = rng.choice(("field", "street"))
-        self.fov = rng.uniform(0.7, 1.2)
+        self.fov = rng.uniform(*level.FOV) if self.level else rng.uniform(0.7, 1.2)
         self.materials: list[Thing] = []
         self.objects: list[Thing] = []
         self.moving = 0
@@ -64,7 +64,9 @@ class Scene:
         return 0.5 * WIDTH / math.tan(0.5 * self.fov)
 
     def speed(self) -> float:
-        """Draw a speed, pixels a frame: mostly slow, sometimes fast."""
+        """Draw a speed, pixels a frame: mostly slow, sometimes fast; not in level scenes."""
+        if self.level:
+            return self.rng.choice((self.rng.uniform(0.1, 1), self.rng.uniform(0.5, 2), self.rng.uniform(1, 3)))
         return self.rng.choice((self.rng.uniform(0.2, 1), self.rng.uniform(1, 3), self.rng.uniform(1, 3), self.rng.uniform(3, 7)))
 
     def _shots(self) -> list[Thing]:
@@ -87,12 +89,15 @@ class Scene:
 
     def paint(self, texture: str | None = None, metal: float = 0.2) -> int:
         """A new material; its number."""
-        made = material(self.rng, texture or (self.rng.choice(WOVEN if self.woven else CLEAN) if self.clean else None), metal)
+        textures = level.WOVEN if self.level else WOVEN if self.woven else CLEAN
+        made = material(self.rng, texture or (self.rng.choice(textures) if self.clean else None), metal)
         if self.clean:
             made |= {"bump": 0.0, "glow": 0.0, "gloss": False, "metallic": [0.0, 0.0]}
         made["scale"] *= 9 / self.away
         if self.woven and texture is None:
             made |= woven(self.rng, made["texture"], made["a"], self.focal / self.away)
+            if self.level:
+                made |= level.shades(self.rng, made["a"])
         self.materials.append(made)
         return len(self.materials) - 1
 
@@ -124,6 +129,8 @@ def _ground(scene: Scene) -> None:
     if scene.clean:
         kind = rng.choice(("checker", "checker", "plain"))
     floor = scene.paint(kind or rng.choice(("checker", "brick", "noise", "voronoi", "wave", "text")), metal=0.05)
+    if scene.level:
+        scene.materials[floor]["scale"] *= rng.uniform(0.1, 1)
     if scene.layout == "table":
         scene.put("cube", (0, 0, -0.1), (6, 6, 0.2), floor)
         scene.put("plane", (0, 0, -1.5), (60, 60, 1), scene.paint("noise", 0))
@@ -167,12 +174,13 @@ def _furnish(scene: Scene) -> None:
     if scene.woven:
         solids, shapes = solids + 8, (*SOLIDS, "monkey", "monkey", "torus", "letters")
     if scene.level:
+        thin, signs, plants, shapes = thin // 3, signs // 3, plants // 5, level.SOLIDS
         level.words(scene)
     leaves = [scene.paint("leaves") for _ in range(2)]
     slender.grass(scene)
     slender.wires(scene)
     for shape in [rng.choice(shapes) for _ in range(solids)]:
-        size = [unit * rng.uniform(0.5, 2.2) for _ in range(3)]
+        size = [unit * rng.uniform(0.5, 1.6 if scene.level else 2.2) for _ in range(3)]
         size = size if shape in ("cube", "cylinder") else [size[0]] * 3
         if spot := scene.spot(max(size) / 2, 5 * unit):
             scene.put(shape, (*spot, size[2] / 2), size, scene.paint(), (0, 0, rng.uniform(0, 6)))
@@ -195,7 +203,7 @@ def _furnish(scene: Scene) -> None:
 def _motion(scene: Scene) -> Thing:
     """How something moves; half of all slide through the picture, one in six of them fast."""
     rng = scene.rng
-    speed = rng.uniform(7, 16) if rng.random() < 0.17 else scene.speed()
+    speed = rng.uniform(7, 16) if rng.random() < (0.05 if scene.level else 0.17) else scene.speed()
     metres, angle = speed * scene.away / scene.focal, rng.uniform(0, 2 * math.pi)
     kind = rng.choice(("slide", "slide", "slide", "circle", "bob", "swing", "spin"))
     spin = [rng.uniform(-0.15, 0.15) for _ in range(3)] if kind == "spin" or rng.random() < 0.4 else [0.0, 0.0, 0.0]

@@ -41,6 +41,7 @@ def poles(scene: Any) -> None:
     """A row of poles, mostly a pixel or two wide, at most as far apart as they are high."""
     rng, unit = scene.rng, scene.away / 9
     width, tall = unit * math.exp(rng.uniform(math.log(0.03), math.log(0.2))), unit * rng.uniform(1.5, 4)
+    width *= 0.6 if scene.level else 1
     angle = across(scene) if scene.level else rng.uniform(0, 2 * math.pi)
     far, step = rng.uniform(-3, 4) * unit, tall * rng.uniform(0.25, 1)
     paint = scene.paint("plain", 0.3)
