@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import pyopencl as cl
 import pyopencl.array as cla
 from numpy.typing import NDArray
 
@@ -93,8 +94,10 @@ class Frame:
             older=layers.reads_history,
             **{name: self._source(name, array, shape) for name, (array, shape) in given.items()},
         )
-        made = self._finish(prepare, layers, on_device=stays)
-        valid = mask_of(self.device, prepare.mask, (height, width), on_device=False)
+        image = Outgoing(self.device, (2 * height, 2 * width, 3), on_device=stays)
+        self._run(prepare, layers, image.data)
+        made = image.finish()
+        valid = mask_of(self.device, prepare.mask, (height, width), on_device=False).finish().view(np.bool_)
         name = prepare.not_finite()
         if name is not None:
             array = given[name][0]
@@ -102,19 +105,20 @@ class Frame:
         return made, valid
 
     def expect(self, size: tuple[int, int]) -> None:
-        """Build in advance what ``compute`` needs for planes of (height, width)."""
+        """Build in advance what ``start`` needs for planes of (height, width)."""
         self._preparation(self.network.layers(*size))
 
-    def compute(self, sources: Sources, size: tuple[int, int], *, on_device: bool = False) -> tuple[Any, Any]:
-        """Do the same for planes of (height, width) that are on the device and known to be finite.
+    def start(self, sources: Sources, size: tuple[int, int], image: cl.Buffer) -> cl.Buffer:
+        """Enqueue the same for planes of (height, width) that are on the device and known to be finite.
 
-        With ``on_device`` both results are a ``pyopencl.array``, ``valid`` as uint8.
+        Returns:
+            The mask (H, W), uint8, until the next frame begins.
         """
         layers = self.network.layers(*size)
         prepare = self._preparation(layers)
         prepare.start(sources, tops=[strip.top for strip in layers.strips], older=layers.reads_history)
-        image = self._finish(prepare, layers, on_device=on_device)
-        return image, mask_of(self.device, prepare.mask, size, on_device=on_device)
+        self._run(prepare, layers, image)
+        return prepare.mask
 
     def _source(self, name: str, array: Given, shape: tuple[int | None, ...]) -> Source:
         if not isinstance(array, cla.Array):
@@ -127,14 +131,11 @@ class Frame:
             self._prepare = Prepare(self.device, *layers.size, self._gather, inputs=layers.inputs)
         return self._prepare
 
-    def _finish(self, prepare: Prepare, layers: Layers, *, on_device: bool) -> Any:
-        height, width = layers.size
-        image = Outgoing(self.device, (2 * height, 2 * width, 3), on_device=on_device)
+    def _run(self, prepare: Prepare, layers: Layers, image: cl.Buffer) -> None:
         for strip in layers.strips:
             prepare.strip(strip.top)
             layers.place(strip)
-            layers.run(image.data)
-        return image.finish()
+            layers.run(image)
 
     def timings(self) -> dict[str, float]:
         """Seconds of the network's stages, as ``Network.timings``."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from stss_cl.device.discovery import Device
 from stss_cl.device.parts import Parts, zeroed
-from stss_cl.device.staging import staging
+from stss_cl.device.staging import so_far, staging
 from stss_ref.arrays import Array, ArrayError, require_dtype
 
 FLAGS = cl.mem_flags
@@ -171,15 +171,15 @@ def constant(device: Device, array: NDArray[Any]) -> cl.Buffer:
     return cl.Buffer(device.context, FLAGS.READ_ONLY | FLAGS.COPY_HOST_PTR, hostbuf=np.ascontiguousarray(array))
 
 
-def on_device(device: Device, name: str, array: cla.Array) -> cl.Buffer:
+def on_device(device: Device, name: str, array: cla.Array, dtype: type[np.floating[Any]] = np.float32) -> cl.Buffer:
     """The buffer of an array that is already on the device, or the part of a buffer that the array covers.
 
     What the array's own events wait for is waited for on the device.
 
     Raises:
-        ArrayError: it is not float32, not C-contiguous, of another context, or larger than its buffer.
+        ArrayError: it is not of this ``dtype``, not C-contiguous, of another context, or larger than its buffer.
     """
-    require_dtype(name, array, np.dtype(np.float32))
+    require_dtype(name, array, np.dtype(dtype))
     if not array.flags.c_contiguous:
         raise ArrayError(f"{name}: expected a C-contiguous array, got strides {array.strides}")
     buffer: Any = array.base_data
@@ -217,40 +217,56 @@ def incoming(device: Device, array: Array) -> cl.Buffer:
     return cl.Buffer(device.context, FLAGS.READ_ONLY | how, hostbuf=np.ascontiguousarray(array))
 
 
-def mask_of(device: Device, mask: cl.Buffer, size: tuple[int, int], *, on_device: bool) -> Any:
-    """A copy of a mask (H, W) uint8: a NumPy array of bool, for which the queue is waited for, or a ``pyopencl.array`` of uint8."""
-    if on_device:
-        made = cla.empty(device.queue, size, np.uint8, allocator=device.pool)
-        to: Any = made.base_data
-        cl.enqueue_copy(device.queue, to, mask, byte_count=made.nbytes)
-        return made
-    valid = np.empty(size, np.uint8)
-    cl.enqueue_copy(device.queue, valid, mask)
-    return valid.view(np.bool_)
+def mask_of(device: Device, mask: cl.Buffer, size: tuple[int, int], *, on_device: bool) -> Outgoing:
+    """A copy of a mask (H, W), uint8."""
+    made = Outgoing(device, size, np.uint8, on_device=on_device)
+    cl.enqueue_copy(device.queue, made.data, mask, byte_count=made.array.nbytes)
+    return made
 
 
 class Outgoing:
-    """An array that a kernel writes: a NumPy array, filled in place on a CPU, or a ``pyopencl.array``."""
+    """An array that a kernel writes: a NumPy array, filled in place on a CPU, or a ``pyopencl.array``.
 
-    def __init__(self, device: Device, shape: tuple[int, ...], *, on_device: bool):
+    Attributes:
+        array: complete after ``finish``.
+        data: the buffer to write to.
+    """
+
+    def __init__(self, device: Device, shape: tuple[int, ...], dtype: type[np.generic] = np.float32, *, on_device: bool):
         self._device, self._on_device = device, on_device
+        self._arriving: cl.Event | None = None
         self.data: Any
         if on_device:
-            self.array: Any = cla.empty(device.queue, shape, np.float32, allocator=device.pool)
+            self.array: Any = cla.empty(device.queue, shape, dtype, allocator=device.pool)
             self.data = self.array.base_data
         elif device.is_cpu:
-            self.array = np.empty(shape, np.float32)
+            self.array = np.empty(shape, dtype)
             self.data = cl.Buffer(device.context, FLAGS.READ_WRITE | FLAGS.USE_HOST_PTR, hostbuf=self.array)
         else:
-            self.array = staging(device).array(shape)
+            self.array = staging(device).array(shape, np.dtype(dtype))
             self.data = device.pool.allocate(self.array.nbytes)
 
+    def send(self) -> None:
+        """Enqueue the download, if there is one, behind the launches so far; does not wait."""
+        if self._on_device or self._device.is_cpu or self._arriving is not None:
+            return
+        queue = staging(self._device).downloads
+        launched = so_far(self._device.queue)
+        self._arriving = cl.enqueue_copy(queue, self.array, self.data, is_blocking=False, wait_for=[launched])
+        queue.flush()
+
+    def renew(self) -> None:
+        """Have the next ``send`` download anew: ``data`` is written again."""
+        self._arriving = None
+
     def finish(self) -> Any:
-        """The complete array. Waits for the queue, unless the array is on the device."""
+        """The complete array. Waits for what is enqueued, unless the array is on the device."""
         if self._on_device:
             return self.array
         if not self._device.is_cpu:
-            cl.enqueue_copy(self._device.queue, self.array, self.data)
+            self.send()
+            assert self._arriving is not None
+            self._arriving.wait()
             return self.array
         # Only mapping makes the device's writes visible in the host's memory.
         mapped, _ = cl.enqueue_map_buffer(self._device.queue, self.data, cl.map_flags.READ, 0, self.array.shape, self.array.dtype)

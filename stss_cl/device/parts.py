@@ -54,10 +54,10 @@ class Parts:
         """Enqueue setting all bytes to 0."""
         cl.enqueue_fill_buffer(self._device.queue, self._all, np.zeros(1, np.uint32), 0, self._firsts[-1])
 
-    def read(self) -> list[NDArray[np.uint8]]:
-        """The bytes of each; one read, which waits for the queue."""
+    def read(self, queue: cl.CommandQueue | None = None) -> list[NDArray[np.uint8]]:
+        """The bytes of each; one read, which waits for the ``queue``, or for the device's own."""
         held: NDArray[Any] = np.empty(self._firsts[-1], np.uint8)
-        cl.enqueue_copy(self._device.queue, held, self._all)
+        cl.enqueue_copy(self._device.queue if queue is None else queue, held, self._all)
         return [held[first : first + size] for first, size in self._places()]
 
     def _places(self) -> list[tuple[int, int]]:

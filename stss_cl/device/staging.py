@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 import weakref
-from collections import deque
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -24,16 +23,17 @@ class Staging:
     """The page-locked memory of one device.
 
     Attributes:
-        aside: a second queue, for what must not wait for all that is in the device's own; what it does wait for it must name.
+        uploads: a queue for what arrives, `downloads`: one for what leaves; the device's own has the launches. Only events order them.
     """
 
     def __init__(self, device: Device):
         # Not the context itself: ``_made`` forgets what no context but this holds.
         self._queue, self._pool = device.queue, device.pool
-        # A queue in order waits for all that is in it before it maps: new memory is mapped in one that is nearly empty.
-        self.aside = cl.CommandQueue(device.context)
+        self.uploads, self.downloads = cl.CommandQueue(device.context), cl.CommandQueue(device.context)
+        # A queue in order waits for all that is in it before it maps: new memory is mapped in one that is empty.
+        self._mapping = cl.CommandQueue(device.context)
         self._free: dict[int, list[NDArray[np.uint8]]] = {}
-        self._copying: deque[tuple[Any, NDArray[np.uint8]]] = deque()
+        self._copying: list[tuple[Any, NDArray[np.uint8]]] = []
 
     def upload(self, array: NDArray[Any]) -> cl.Buffer:
         """A buffer on the device with the content of ``array``, which may be written to at once; does not wait."""
@@ -41,21 +41,26 @@ class Staging:
         self.write(buffer, array)
         return buffer
 
-    def write(self, buffer: cl.Buffer, array: NDArray[Any]) -> None:
-        """Enqueue that ``buffer`` gets the content of ``array``, which may be written to at once."""
-        while self._copying and self._copying[0][0].command_execution_status == cl.command_execution_status.COMPLETE:
-            self._give_back(self._copying.popleft()[1])
+    def write(self, buffer: cl.Buffer, array: NDArray[Any], queue: cl.CommandQueue | None = None) -> None:
+        """Enqueue that ``buffer`` gets the content of ``array``, which may be written to at once; without a ``queue`` in the device's."""
+        copying, self._copying = self._copying, []
+        for event, locked in copying:
+            if event.command_execution_status == cl.command_execution_status.COMPLETE:
+                self._give_back(locked)
+            else:
+                self._copying.append((event, locked))  # an event that nobody holds waits for its end
         locked = self._take(array.nbytes)
         np.copyto(locked[: array.nbytes].view(array.dtype).reshape(array.shape), array)
-        event = cl.enqueue_copy(self._queue, buffer, locked[: array.nbytes], is_blocking=False)
-        self._copying.append((event, locked))  # an event that nobody holds waits for its end
+        where = self._queue if queue is None else queue
+        self._copying.append((cl.enqueue_copy(where, buffer, locked[: array.nbytes], is_blocking=False), locked))
+        where.flush()  # the device begins while the next array is brought into page-locked memory
 
-    def array(self, shape: tuple[int, ...]) -> NDArray[np.float32]:
-        """Page-locked float32 to be handed out: it serves again when nobody holds it, or a view of it, any more."""
-        size = 4 * math.prod(shape)
-        locked = self._take(size)
+    def array(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
+        """Page-locked memory to be handed out: it serves again when nobody holds it, or a view of it, any more."""
+        count = math.prod(shape)
+        locked = self._take(dtype.itemsize * count)
         held: Any = locked
-        made = np.frombuffer(memoryview(held), np.float32, math.prod(shape)).reshape(shape)
+        made = np.frombuffer(memoryview(held), dtype, count).reshape(shape)
         whole: Any = made.base
         weakref.finalize(whole, self._give_back, locked).atexit = False
         return made
@@ -67,7 +72,7 @@ class Staging:
         buffer = cl.Buffer(self._queue.context, FLAGS.READ_WRITE | FLAGS.ALLOC_HOST_PTR, size)
         how: Any = cl.map_flags.READ | cl.map_flags.WRITE
         bytes_: Any = np.uint8
-        return cl.enqueue_map_buffer(self.aside, buffer, how, 0, (size,), bytes_)[0]
+        return cl.enqueue_map_buffer(self._mapping, buffer, how, 0, (size,), bytes_)[0]
 
     def _give_back(self, locked: NDArray[np.uint8]) -> None:
         free = self._free[locked.nbytes]
@@ -76,6 +81,18 @@ class Staging:
 
 
 _made: WeakKeyDictionary[cl.Context, Staging] = WeakKeyDictionary()
+
+
+def after(queue: cl.CommandQueue, other: cl.CommandQueue) -> None:
+    """Have what is enqueued in ``queue`` from now on wait for what is in ``other`` by now."""
+    cl.enqueue_barrier(queue, wait_for=[so_far(other)])
+
+
+def so_far(queue: cl.CommandQueue) -> cl.Event:
+    """The end of what is in a queue by now, for another queue to wait for."""
+    event = cl.enqueue_marker(queue)
+    queue.flush()  # a queue may wait for events of another for ever if nobody sends that one's commands to the device
+    return event
 
 
 def staging(device: Device) -> Staging:

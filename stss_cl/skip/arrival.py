@@ -113,7 +113,8 @@ class ArrivalOnGpu:
         self._kernel = cl.Kernel(build(device, "arrive.cl"), "arrive")
         tiles = self._shape[0] * self._shape[1]
         self._found = Parts(device, (16, tiles, tiles))  # bad, changed, recolored
-        self._looked: cl.Event | None = None
+        self._queue = staging(device).uploads
+        self._unread = False
 
     def look(self, planes: Planes, color: cl.Buffer | None, before: Planes | None, color_before: cl.Buffer | None) -> Found:
         """See ``Arrival``."""
@@ -123,32 +124,29 @@ class ArrivalOnGpu:
         arguments = (*planes.values(), shown, *(earlier[name] for name in COMPARED), color_before if recolors else shown)
         numbers = *self._size, color is not None, compares, recolors
         size = ITEMS * ceil_div(self._shape[1], ACROSS), self._shape[0]
-        queue = self._device.queue
-        looked = self._kernel(queue, size, (ITEMS, 1), *arguments, *self._found.buffers, *map(np.int32, numbers))
-        queue.flush()  # the device begins while the frame's other launches are made
-        if not compares and not recolors:
-            self._looked = looked
+        # In the queue of what arrives: the host waits for what is found, and not for the frame before.
+        self._kernel(self._queue, size, (ITEMS, 1), *arguments, *self._found.buffers, *map(np.int32, numbers))
+        self._unread = not compares and not recolors
+        if self._unread:
             return None, None, None
-        self._looked = None
-        found, changed, recolored = self._found.read()
+        found, changed, recolored = self._found.read(self._queue)
         if bad := self._named(found.view(np.int32)):
             return bad, None, None
         return None, self._map(changed) if compares else None, self._map(recolored) if recolors else None
 
     def not_finite(self) -> str | None:
         """See ``Arrival``."""
-        if self._looked is None:
+        if not self._unread:
             return None
-        # Not in the queue of the launches, where a read would wait for the whole network.
         bad = np.empty(len(FINITE), np.int32)
-        cl.enqueue_copy(staging(self._device).aside, bad, self._found.buffers[0], wait_for=[self._looked])
-        self._looked = None
+        cl.enqueue_copy(self._queue, bad, self._found.buffers[0])
+        self._unread = False
         return self._named(bad)
 
     def _named(self, bad: NDArray[np.int32]) -> str | None:
         if not bad.any():
             return None
-        cl.enqueue_fill_buffer(self._device.queue, self._found.buffers[0], np.zeros(1, np.int32), 0, bad.nbytes)
+        cl.enqueue_fill_buffer(self._queue, self._found.buffers[0], np.zeros(1, np.int32), 0, bad.nbytes)
         return FINITE[int(bad.argmax())]
 
     def _map(self, tiles: NDArray[np.uint8]) -> Tiles:

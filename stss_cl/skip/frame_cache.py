@@ -9,6 +9,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from stss_cl.device.buffers import Outgoing
 from stss_cl.device.discovery import Device
 from stss_cl.device.staging import staging
 from stss_cl.image_space.frame_planes import Sources
@@ -38,13 +39,16 @@ class Report:
 
 @dataclass(frozen=True)
 class Last:
-    """The last frame of a kind: its number, the numbers of the oldest frame and of the colours that it read, and ``valid`` or None."""
+    """The last frame of a kind: its number, the numbers of the oldest frame and of the colours that it read, and ``valid``.
+
+    None: nobody asked for it on the host.
+    """
 
     number: int
     oldest: int
     steps: tuple[int, ...]
     colors: tuple[int, ...]
-    valid: NDArray[np.bool_] | None
+    valid: Outgoing | None
 
 
 class FrameCache:

@@ -20,7 +20,7 @@ Image = NDArray[np.float32]
 class LastImage:
     """An image in memory that belongs to the stream and that callers may hold.
 
-    ``show`` returns an array of that memory. As long as this array or a view of it exists, nothing is written there: the next image
+    ``lend`` returns an array of that memory. As long as this array or a view of it exists, nothing is written there: the next image
     goes to new memory, and the old memory lives as long as its arrays.
 
     Args:
@@ -33,15 +33,16 @@ class LastImage:
         self._image: Outgoing | None = None
         self._loan: weakref.ref[Image] | None = None
 
-    def show(self) -> Image:
-        """The image, complete and read-only; waits for the queue."""
+    def lend(self) -> tuple[Image, Outgoing]:
+        """The image, read-only; it is complete when the second value, whose download has begun, is finished."""
         assert self._image is not None, "no image was made yet"
-        array, lent = self._image.finish(), self._lent()
+        self._image.send()
+        lent = self._lent()
         if lent is None:
             # A view's base is the array it was made from, unless that is itself a view of an array; this one is a view of a buffer.
-            lent = np.asarray(memoryview(array).toreadonly())
+            lent = np.asarray(memoryview(self._image.array).toreadonly())
             self._loan = weakref.ref(lent)
-        return lent.view()
+        return lent.view(), self._image
 
     def copy_to(self, array: cla.Array) -> None:
         """Enqueue a copy of the image to an array on the device."""
@@ -57,6 +58,7 @@ class LastImage:
             if last is not None and not whole:
                 cl.enqueue_copy(self._device.queue, self._image.data, last.data)
         assert self._image is not None
+        self._image.renew()
         return self._image.data
 
     def _lent(self) -> Image | None:

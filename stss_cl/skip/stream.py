@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 from typing import Any, Literal
 
@@ -12,17 +12,18 @@ import pyopencl as cl
 import pyopencl.array as cla
 from numpy.typing import NDArray
 
-from stss_cl.device.buffers import mask_of, on_device
+from stss_cl.device.buffers import Outgoing, mask_of, on_device
 from stss_cl.device.discovery import Device, open_device
 from stss_cl.device.grid import ceil8
 from stss_cl.frame import Frame
-from stss_cl.image_space.frame_planes import MOST_STEPS, check_steps
+from stss_cl.image_space.frame_planes import MOST_STEPS, Sources, check_steps
 from stss_cl.image_space.stages import Gather
 from stss_cl.network.layer_builder import dtype_of
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import Precision
 from stss_cl.network.strips import bytes_for
 from stss_cl.skip.arrival import Tiles
+from stss_cl.skip.begun import Begun, Call, one_ahead
 from stss_cl.skip.change_control import ChangeControl
 from stss_cl.skip.display_frame import DisplayFrame
 from stss_cl.skip.frame_cache import FrameCache, Last, Report
@@ -97,36 +98,59 @@ class Stream:
             ArrayError: shapes, dtypes or steps are not a frame's, ``out`` is not an image's, or an array other than motion and position
                 is not finite.
         """
-        height, width = window[-1].nov.shape
-        shape = 2 * height, 2 * width, 3
         if out is None:
-            if not isinstance(window[-1].gbuffer, cla.Array):
-                return self._next(window, steps, None)
-            return self._next(window, steps, cla.empty(self.device.queue, shape, np.float32, allocator=self.device.pool))
-        require_shape("out", out, shape)
+            return self._begin(window, steps).finish()
+        height, width = window[-1].nov.shape
+        require_shape("out", out, (2 * height, 2 * width, 3))
         if isinstance(out, cla.Array):
             on_device(self.device, "out", out)
-            return self._next(window, steps, out)
+            return self._begin(window, steps, out).finish()
         require_dtype("out", out, np.dtype(np.float32))
         if not (out.flags.c_contiguous and out.flags.writeable):
             raise ArrayError("out: expected a C-contiguous array that can be written to")
-        image, valid = self._next(window, steps, None)
+        image, valid = self._begin(window, steps, on_host=True).finish()
         np.copyto(out, image)
         return out, valid
 
-    def _next(self, window: Sequence[DisplayFrame], steps: Sequence[int], out: cla.Array | None) -> tuple[Any, Any]:
-        """The frame's image, in ``out`` if that is given, and ``valid``."""
+    def frames(self, calls: Iterable[Call]) -> Iterator[tuple[Any, Any]]:
+        """Compute many frames: ``(image, valid)`` of each ``(window, steps)`` of ``calls`` in turn, with the bits of a call for each.
+
+        On a GPU each frame is begun before the one before it is handed out: while a frame is computed, the planes of the next one
+        arrive, and the image before it leaves. Thus ``calls`` are taken one ahead, and what is wrong with one is raised in its turn,
+        after all frames before it. Neither an error nor closing the iterator early harms the stream. ``report`` is that of the
+        frame handed out last, ``activity`` that of the frame begun last.
+
+        On a CPU nothing has to arrive or leave: each frame is computed when it is asked for, and its call taken then.
+        """
+        if self.device.is_cpu:
+            for window, steps in calls:
+                yield self(window, steps)
+            return
+        yield from one_ahead(calls, self._begin, self._finish)
+
+    def _begin(
+        self, window: Sequence[DisplayFrame], steps: Sequence[int], out: cla.Array | None = None, *, on_host: bool = False
+    ) -> Begun:
+        """Begin a frame, whose image comes to ``out`` if that is given, or lies where the frame's G-buffer does, unless ``on_host``."""
+        if out is None and not on_host and isinstance(window[-1].gbuffer, cla.Array):
+            height, width = window[-1].nov.shape
+            out = cla.empty(self.device.queue, (2 * height, 2 * width, 3), np.float32, allocator=self.device.pool)
         made = self._enqueue(window, steps, out)
         assert self._uploaded is not None
         try:
             self._uploaded.require_finite()
         except ArrayError:
+            made.finish()
             for cache in self._caches.values():
                 cache.last = None  # what is kept may come of what was not finite
             raise
         return made
 
-    def _enqueue(self, window: Sequence[DisplayFrame], steps: Sequence[int], out: cla.Array | None) -> tuple[Any, Any]:
+    def _finish(self, begun: Begun) -> tuple[Any, Any]:
+        self.report = begun.report
+        return begun.finish()
+
+    def _enqueue(self, window: Sequence[DisplayFrame], steps: Sequence[int], out: cla.Array | None) -> Begun:
         chosen = check_steps(steps)
         if len(window) <= chosen[2]:
             raise ArrayError(f"window: expected the {chosen[2] + 1} frames that the steps lead to, got {len(window)}")
@@ -142,12 +166,7 @@ class Stream:
         self._latest = cache
         if cache is None:
             self.report = Report(1.0, 1.0, "whole")
-            image, valid = self._whole.compute(sources(frames, chosen), size, on_device=out is not None)
-            if out is None:
-                return image, valid
-            to: Any = out.base_data
-            cl.enqueue_copy(self.device.queue, to, image.base_data, byte_count=out.nbytes, dst_offset=out.offset)
-            return out, valid
+            return self._compute_whole(sources(frames, chosen), size, out)
         dirty = self._dirty(uploaded, cache, frames, cache.read(chosen)) if looking else None
         return self._compute(cache, frames, chosen, dirty, looking, out)
 
@@ -177,7 +196,7 @@ class Stream:
         dirty: Tiles | None,
         looking: bool,
         out: cla.Array | None,
-    ) -> tuple[Any, Any]:
+    ) -> Begun:
         """Plan the frame, execute the plan, learn. ``dirty``, ``looking``: see ``FrameCache.prepare_inputs``."""
         if cache.last is not None and dirty is not None and not dirty.any():
             self.report = Report(0.0, 0.0, "none")
@@ -195,19 +214,35 @@ class Stream:
         frames: list[UploadedFrame],
         steps: tuple[int, int, int],
         out: cla.Array | None,
-        valid: NDArray[np.bool_] | None,
-    ) -> tuple[Any, Any]:
+        valid: Outgoing | None,
+    ) -> Begun:
         """The image and ``valid``, which is given if it is the last one and on the host; the frame becomes the last of its kind."""
-        if out is None:
-            image = cache.image.show()
-            if valid is None:
-                made: Any = mask_of(self.device, cache.prepare.mask, cache.layers.size, on_device=False)
-                made.flags.writeable, valid = False, made
+        if out is not None:
+            cache.image.copy_to(out)
             cache.last = _last(frames, cache.read(steps), valid)
-            return image, valid
-        cache.image.copy_to(out)
+            there = mask_of(self.device, cache.prepare.mask, cache.layers.size, on_device=True)
+            return Begun(out, there.array, (), self.report)
+        if valid is None:
+            valid = mask_of(self.device, cache.prepare.mask, cache.layers.size, on_device=False)
         cache.last = _last(frames, cache.read(steps), valid)
-        return out, mask_of(self.device, cache.prepare.mask, cache.layers.size, on_device=True)
+        shown, image = cache.image.lend()
+        valid.send()
+        mask = valid.array.view(np.bool_)
+        mask.flags.writeable = False
+        return Begun(shown, mask, (image, valid), self.report)
+
+    def _compute_whole(self, read: Sources, size: tuple[int, int], out: cla.Array | None) -> Begun:
+        """Compute a frame of which nothing is kept."""
+        there = out is not None
+        image = Outgoing(self.device, (2 * size[0], 2 * size[1], 3), on_device=there)
+        valid = mask_of(self.device, self._whole.start(read, size, image.data), size, on_device=there)
+        if out is not None:
+            to: Any = out.base_data
+            cl.enqueue_copy(self.device.queue, to, image.data, byte_count=out.nbytes, dst_offset=out.offset)
+            return Begun(out, valid.array, (), self.report)
+        image.send()
+        valid.send()
+        return Begun(image.array, valid.array.view(np.bool_), (image, valid), self.report)
 
     def _arriving(self, size: tuple[int, int]) -> UploadedFrames:
         if self._uploaded is None or self._uploaded.size != size:
@@ -256,7 +291,7 @@ class Stream:
         return moved
 
 
-def _last(frames: list[UploadedFrame], steps: tuple[int, ...], valid: NDArray[np.bool_] | None) -> Last:
+def _last(frames: list[UploadedFrame], steps: tuple[int, ...], valid: Outgoing | None) -> Last:
     return Last(frames[-1].number, frames[-1 - steps[-1]].number, steps, tuple(frames[-1 - step].number for step in steps), valid)
 
 

@@ -12,12 +12,12 @@ import numpy as np
 import pyopencl as cl
 import pyopencl.array as cla
 
-from stss_cl.device.buffers import on_device
 from stss_cl.device.discovery import Device
-from stss_cl.image_space.frame_planes import Sources, upload
+from stss_cl.image_space.frame_planes import Sources
 from stss_cl.skip.arrival import Arrival, ArrivalOnGpu, ArrivalOnProcessor, Tiles
 from stss_cl.skip.display_frame import DisplayFrame, Given
-from stss_ref.arrays import require_finite, require_shape
+from stss_cl.skip.planes import Planes
+from stss_ref.arrays import require_finite
 
 HELD = 9
 """Number of display frames that are remembered: an output's window, the window of the output before it of the same kind, and one more.
@@ -45,7 +45,7 @@ class UploadedFrame:
     recolored: Tiles | None = None
 
     def let_go(self) -> None:
-        """Drop its arrays: the caller may write to them again."""
+        """Drop its arrays: the caller may write to them again. ``Planes`` must hear of it."""
         self.frame, self.planes, self.color = None, {}, None
 
 
@@ -56,7 +56,8 @@ class UploadedFrames:
         self._device, self.size = device, (height, width)
         self._arrival: Arrival = (ArrivalOnProcessor if device.is_cpu else ArrivalOnGpu)(device, height, width)
         self._shape = -(-height // 4), -(-width // 4)
-        self._chain: deque[UploadedFrame] = deque(maxlen=HELD)
+        self._planes = Planes(device)  # whose first planes wait for the memory of ``_arrival`` to be filled, too
+        self._chain: deque[UploadedFrame] = deque()
         self._count = 0
 
     def take(self, window: Sequence[DisplayFrame], *, compare: bool) -> list[UploadedFrame]:
@@ -79,12 +80,12 @@ class UploadedFrames:
         for frame in window[len(known) :]:
             self._arrive(frame, known, compare=compare)
             known.append(self._chain[-1])
+        self._planes.arrived()
         if self._chain[-1] is not known[-1]:
             while self._chain[-1] is not known[-1]:
-                self._chain.pop()
+                self._drop(self._chain.pop())
             self._count += 1  # the next frame does not follow the last one
-        for held in takewhile(lambda held: held is not known[0], self._chain):
-            held.let_go()
+        self._drop(*takewhile(lambda held: held is not known[0], self._chain))
         return known
 
     def require_finite(self) -> None:
@@ -101,7 +102,15 @@ class UploadedFrames:
 
     def forget(self) -> None:
         """Forget all frames: the next one follows none."""
+        self._drop(*self._chain)
         self._chain.clear()
+
+    def _drop(self, *frames: UploadedFrame) -> None:
+        """Let go of the arrays of frames; launches that were enqueued may still read them."""
+        if any(held.planes for held in frames):
+            for held in frames:
+                held.let_go()
+            self._planes.dropped()
 
     def changed(self, first: int, last: int) -> Tiles | None:
         """Where something moves or differs in the frames numbered ``first`` + 1 .. ``last``; None: unknown, so possibly everywhere."""
@@ -120,8 +129,11 @@ class UploadedFrames:
         """Upload and compare a frame; ``window`` has the frames before it that its output also reads."""
         height, width = self.size
         shapes = {"motion": (2,), "gbuffer": (9,), "nov": (), "stencil": (), "position": (3,)}
-        planes = {name: plane(self._device, name, getattr(frame, name), (height, width, *more)) for name, more in shapes.items()}
-        color = None if frame.color is None else plane(self._device, "color", frame.color, (height, width, 3))
+        given: dict[str, tuple[Given, tuple[int, ...]]] = {n: (getattr(frame, n), (height, width, *c)) for n, c in shapes.items()}
+        if frame.color is not None:
+            given["color"] = frame.color, (height, width, 3)
+        planes = self._planes.bring(given)
+        color = planes.pop("color", None)
         before = window[-1].planes if window and compare else None
         color_before = next((held.color for held in reversed(window) if held.color is not None), None) if compare else None
         bad, changed, recolored = self._arrival.look(planes, color, before, color_before)
@@ -130,20 +142,10 @@ class UploadedFrames:
             refuse(bad, frame)
         if color is None and compare:
             recolored = np.zeros(self._shape, np.bool_)
+        if len(self._chain) == HELD:
+            self._drop(self._chain.popleft())
         self._chain.append(UploadedFrame(frame, self._count, planes, color, changed, recolored))
         self._count += 1
-
-
-def plane(device: Device, name: str, source: Given, shape: tuple[int, ...]) -> cl.Buffer:
-    """A plane of a display frame on the device: a copy, or where it lies.
-
-    Raises:
-        ArrayError: shape, dtype or context differ.
-    """
-    if not isinstance(source, cla.Array):
-        return upload(device, name, np.asarray(source), shape)
-    require_shape(name, source, shape)
-    return on_device(device, name, source)
 
 
 def refuse(name: str, frame: DisplayFrame) -> None:

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: MIT
+"""Frames that were begun and are not yet finished, and how a sequence of them is computed one ahead."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from stss_cl.device.buffers import Outgoing
+from stss_cl.skip.display_frame import DisplayFrame
+from stss_cl.skip.frame_cache import Report
+
+Call = tuple[Sequence[DisplayFrame], Sequence[int]]
+"""The first two arguments of a stream: window and steps."""
+
+
+@dataclass(frozen=True)
+class Begun:
+    """A frame whose launches and downloads are enqueued.
+
+    Attributes:
+        image, valid: see ``stss_cl.skip.stream.Stream.__call__``; not complete before ``finish``.
+        coming: what they wait for; to be finished before it is dropped, or dropping it waits, and all threads of Python with it.
+        report: the cost of the frame.
+    """
+
+    image: Any
+    valid: Any
+    coming: tuple[Outgoing, ...]
+    report: Report
+
+    def finish(self) -> tuple[Any, Any]:
+        """Wait for image and mask."""
+        for each in self.coming:
+            each.finish()
+        return self.image, self.valid
+
+
+def one_ahead(
+    calls: Iterable[Call], begin: Callable[..., Begun], finish: Callable[[Begun], tuple[Any, Any]]
+) -> Iterator[tuple[Any, Any]]:
+    """Begin each call before the one before it is finished and handed out.
+
+    What is wrong with a call, or with getting it, is raised when its turn comes. No frame is left unfinished when this ends, raises
+    or is closed.
+    """
+    left, waiting, begun = iter(calls), None, None
+    try:
+        while True:
+            fault = None
+            try:
+                if (call := next(left, None)) is not None:
+                    begun = begin(*call)
+            except Exception as error:
+                fault = error
+            if waiting is not None:
+                yield finish(waiting)
+            waiting, begun = begun, None  # nor is the image before held while the next frame begins
+            if fault is not None:
+                raise fault
+            if waiting is None:
+                return
+    finally:
+        for each in (waiting, begun):
+            if each is not None:
+                each.finish()

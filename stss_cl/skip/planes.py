@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: MIT
+"""Bring the planes of display frames to the device, while it computes the frames before them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+import pyopencl.array as cla
+from numpy.typing import NDArray
+from pyopencl.tools import ImmediateAllocator, MemoryPool
+
+from stss_cl.device.buffers import incoming, on_device
+from stss_cl.device.discovery import Device
+from stss_cl.device.grid import ceil_div
+from stss_cl.device.program import build
+from stss_cl.device.staging import after, so_far, staging
+from stss_cl.skip.display_frame import Given
+from stss_ref.arrays import require_dtype, require_shape
+
+HALF = ("color", "gbuffer", "nov", "stencil")
+"""Planes that may be half."""
+GROUP = 64
+"""Work-group of widen.cl: fixed, see ``stss_cl.device.grid.grid``."""
+
+
+class Planes:
+    """Brings planes to the device, float32.
+
+    On a processor arrays are read in place. Otherwise there is a queue for what arrives, so that a frame's planes may arrive while the
+    frame before it is computed. They go to memory that only planes have, which may have been that of a plane dropped before. Hence the
+    rule: what arrives waits for the launches that there were when planes were last dropped (``dropped``).
+
+    Attributes:
+        queue: has what arrives, and what looks at it.
+    """
+
+    def __init__(self, device: Device):
+        self._device = device
+        self.queue = device.queue if device.is_cpu else staging(device).uploads
+        # Not the device's pool: its allocator writes to new memory in the queue of the launches, perhaps after the plane has arrived.
+        self._pool = MemoryPool(ImmediateAllocator(self.queue))
+        self._readers: cl.Event | None = None
+        self._some_arrive = False
+        self.dropped()
+
+    def dropped(self) -> None:
+        """Planes were dropped, whose memory may serve again; the launches until now may read them."""
+        if not self._device.is_cpu:
+            self._readers = so_far(self._device.queue)
+
+    def bring(self, given: Mapping[str, tuple[Given, tuple[int, ...]]]) -> dict[str, cl.Buffer]:
+        """Enqueue bringing the planes of a frame, by name with their shapes: they are copied, or stay where they lie.
+
+        Raises:
+            ArrayError: a shape, dtype or context differs.
+        """
+        self._some_arrive = True
+        if self._readers is not None:
+            cl.enqueue_barrier(self.queue, wait_for=[self._readers])
+            self._readers = None
+        found = {name: self._found(name, array, shape) for name, (array, shape) in given.items()}
+        if not self._device.is_cpu and any(isinstance(array, cla.Array) for array, _ in given.values()):
+            after(self.queue, self._device.queue)  # there the caller, and ``on_device``, may have enqueued what makes them
+        return {n: self._widened(found[n], math.prod(shape)) if _is_half(x) else found[n] for n, (x, shape) in given.items()}
+
+    def arrived(self) -> None:
+        """Have launches from now on wait for what was brought."""
+        if self._some_arrive and not self._device.is_cpu:
+            after(self._device.queue, self.queue)
+        self._some_arrive = False
+
+    def _found(self, name: str, given: Given, shape: tuple[int, ...]) -> cl.Buffer:
+        array: Any = given if isinstance(given, cla.Array) else np.asarray(given)
+        require_shape(name, array, shape)
+        dtype = np.float16 if _is_half(array) and name in HALF else np.float32
+        if isinstance(array, cla.Array):
+            return on_device(self._device, name, array, dtype)
+        require_dtype(name, array, np.dtype(dtype))
+        return incoming(self._device, array) if self._device.is_cpu else self._uploaded(array)
+
+    def _uploaded(self, array: NDArray[Any]) -> cl.Buffer:
+        buffer: Any = self._pool.allocate(array.nbytes)
+        staging(self._device).write(buffer, array, self.queue)
+        return buffer
+
+    def _widened(self, half: cl.Buffer, count: int) -> cl.Buffer:
+        made: Any = self._pool.allocate(4 * count)
+        size = ceil_div(ceil_div(count, 4), GROUP) * GROUP
+        done = self._widen(self.queue, (size,), (GROUP,), half, made, np.uint64(count))
+        if self._device.is_cpu:
+            done.wait()  # the caller's array was read in place
+        return made
+
+    @cached_property
+    def _widen(self) -> cl.Kernel:
+        """Built when a plane of half comes."""
+        return cl.Kernel(build(self._device, "widen.cl"), "widen")
+
+
+def _is_half(array: Given) -> bool:
+    return array.dtype == np.float16
