@@ -42,6 +42,8 @@ class Contender(Protocol):
 
     Attributes:
         details: facts that the numbers depend on: package, precision, layout.
+
+    A contender whose ``run`` computes several frames says how many in ``frames``; the time of one is reported.
     """
 
     details: dict[str, str]

@@ -35,7 +35,7 @@ TESTS = tuple(
 )
 """Tests, in the order that shows a fault soonest; those that do not fit the time limit do not run."""
 
-OURS = "cl,cl-direct,cl-half,cl-host,cl-frame"
+OURS = "cl,cl-direct,cl-half,cl-host,cl-frame,cl-stream,cl-stream-ahead"
 PEERS = (
     ",".join(f"pytorch-cuda{n}{c}" for n in ("", "-float32") for c in ("", "-compiled"))
     + ",onnxruntime-cuda,onnxruntime-tensorrt"

@@ -251,7 +251,8 @@ def _serve(pipe: Connection, name: str, setup: Setup) -> None:
         while pipe.recv() == "time":
             start, used = time.perf_counter(), time.process_time()
             made.run()
-            pipe.send((True, (time.perf_counter() - start, time.process_time() - used)))
+            frames = getattr(made, "frames", 1)
+            pipe.send((True, ((time.perf_counter() - start) / frames, (time.process_time() - used) / frames)))
         pipe.send((True, (_peak_memory(), _stages(made))))
     except (KeyboardInterrupt, EOFError):
         return

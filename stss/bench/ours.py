@@ -4,14 +4,17 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
 from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from stss.bench.contender import Contender, Setup
 from stss.bench.peers import PEERS
+from stss.frames.display_frame import WINDOW
 from stss.machine import versions
 from stss.optional import installed
 from stss_ref.arrays import Image
@@ -87,6 +90,52 @@ class OpenCL:
         return image.get() if self._on_device else image
 
 
+class Streamed:
+    """``stss_cl.Stream`` on display frames, NumPy arrays of which each comes to the device once; SF and EF in turns, each computed whole.
+
+    Args:
+        setup: weights and device.
+        ahead: each frame is begun before the one before it is handed out; else one call a frame.
+    """
+
+    frames = 24
+    """Of a run: so many that the first one, which nothing precedes, hardly counts."""
+
+    def __init__(self, setup: Setup, *, ahead: bool):
+        device = importlib.import_module("stss_cl.device.discovery").open_device(setup.device)
+        self._stream: Any = importlib.import_module("stss_cl").Stream(setup.weights, device, skip="off")
+        self._ahead, self._window = ahead, deque[Any](maxlen=WINDOW)
+        timed = f"with transfers, {'one frame ahead' if ahead else 'frames one by one'}"
+        self.details = {**versions(("pyopencl",)), "device": device.name, "precision": "float32", "timed": timed}
+
+    def prepare(self, inputs: FrameInputs) -> None:
+        """See `Contender`: the last frame of each run is that of ``inputs``."""
+        arrays: dict[str, Any] = {"motion": inputs.motions[0], "gbuffer": inputs.gbuffer, "nov": inputs.nov}
+        arrays["stencil"] = inputs.stencils[0]
+        self._frames: list[dict[str, Any]] = []
+        for step in reversed(range(WINDOW)):
+            made = {name: array.copy() for name, array in arrays.items()}
+            made["position"] = inputs.positions[0] - np.array((step * MOTION[0], step * MOTION[1], 0), np.float32)
+            made["color"] = inputs.colors[inputs.steps.index(step)] if step in inputs.steps else None
+            self._frames.append(made)
+            self._window.append(SimpleNamespace(**made))
+
+    def run(self) -> None:
+        """See `Contender`."""
+        calls = self._calls()
+        for image, _ in self._stream.frames(calls) if self._ahead else (self._stream(*call) for call in calls):
+            self._image = image
+
+    def _calls(self) -> Iterator[tuple[tuple[Any, ...], tuple[int, int, int]]]:
+        for i in range(self.frames):
+            self._window.append(SimpleNamespace(**self._frames[i % WINDOW]))  # a new object is a new frame
+            yield tuple(self._window), (1, 3, 5) if i % 2 else (0, 2, 4)
+
+    def image(self) -> Image:
+        """See `Contender`."""
+        return self._image
+
+
 _NETWORK = partial(OpenCL, module="network", name="Network", on_device=True)
 
 OURS: dict[str, Callable[[Setup], Contender]] = {
@@ -95,11 +144,13 @@ OURS: dict[str, Callable[[Setup], Contender]] = {
     "cl-half": partial(_NETWORK, precision="half"),
     "cl-host": partial(_NETWORK, precision="float32", on_device=False),
     "cl-frame": partial(OpenCL, module="frame", name="Frame", precision="float32", on_device=False),
+    "cl-stream": partial(Streamed, ahead=False),
+    "cl-stream-ahead": partial(Streamed, ahead=True),
     "ref": Reference,
 }
 """Our contenders, by the name that ``--ours`` takes; ``cl-host`` is ``cl`` with the transfers from and to NumPy arrays."""
 
-FRAMES = frozenset({"cl-frame"})
+FRAMES = frozenset({"cl-frame", "cl-stream", "cl-stream-ahead"})
 """Contenders that compute whole frames; the others compute the network alone."""
 
 
@@ -133,6 +184,7 @@ def frame_inputs(height: int, width: int) -> FrameInputs:
     y, x = np.indices(size, np.float32)
     positions = [np.stack([x - step * MOTION[0], y - step * MOTION[1], 0 * x], axis=-1) for step in (0, *steps)]
     normals = np.full((4, *size, 3), (0, 0, -1), np.float32)
+    inputs.gbuffer[..., :3] = normals[0]
     ones = np.ones(size, np.float32)
     return FrameInputs(
         np.ascontiguousarray(inputs.history[..., :3]), steps, motions, inputs.gbuffer, ones, np.zeros((4, *size), np.float32), normals,

@@ -28,7 +28,11 @@ from stss_cl.network.network import Precision
     help="Size of the inputs; may be repeated.",
 )
 @click.option("--repeat", type=click.IntRange(1, MAX_COUNT), default=10, show_default=True, help="Timed runs of each engine.")
-@click.option("--ours", type=Names(), help="Our backends: ref, cl, cl-direct, cl-half, cl-frame  [default: cl, and cl-frame]")
+@click.option(
+    "--ours",
+    type=Names(),
+    help="Our backends: ref, cl, cl-direct, cl-half, cl-host, cl-frame, cl-stream, cl-stream-ahead  [default: cl]",
+)
 @click.option(
     "--peers",
     type=Names(),

@@ -103,4 +103,4 @@ class Planes:
 
 
 def _is_half(array: Given) -> bool:
-    return array.dtype == np.float16
+    return getattr(array, "dtype", None) == np.float16
