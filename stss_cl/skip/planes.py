@@ -42,7 +42,7 @@ class Planes:
     def __init__(self, device: Device):
         self._device = device
         self.queue = device.queue if device.is_cpu else staging(device).uploads
-        # Not the device's pool: its allocator writes to new memory in the queue of the launches, perhaps after the plane has arrived.
+        # The allocator touches new memory in its queue: in that of the launches perhaps after the plane has arrived.
         self._pool = MemoryPool(ImmediateAllocator(self.queue))
         self._readers: cl.Event | None = None
         self._some_arrive = False

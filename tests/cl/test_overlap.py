@@ -249,6 +249,22 @@ def test_planes_dropped_at_a_jump_are_read_to_the_end(gpu, monkeypatch, skip):
         assert_same(got, expected)
 
 
+def test_planes_have_memory_that_is_never_anything_else(gpu):
+    """Other memory is reused in the order of the launches, for which planes do not wait."""
+    calls = calls_of(film()[:4])
+    stream = begun(Stream(WEIGHTS, gpu), calls[:2])
+    content = np.arange(SIZE[0] * SIZE[1], dtype=np.float32).reshape(SIZE)  # as large as a plane
+    here, there = (cla.to_device(gpu.queue, content, allocator=gpu.pool) for _ in range(2))
+    there.fill(0)
+    gpu.queue.finish()
+    with held(gpu.queue):
+        cl.enqueue_copy(gpu.queue, there.base_data, here.base_data)
+        del here
+        made = stream._begin(*calls[2])
+    made.finish()
+    np.testing.assert_array_equal(there.get(), content)
+
+
 @pytest.mark.parametrize("queue", ["uploads", "downloads", "launches"])
 @pytest.mark.parametrize("looking", [True, False])
 @pytest.mark.parametrize("skip", SKIPS)
