@@ -45,5 +45,5 @@ kernel void pack_history(global const float4 *restrict history, global stored *r
     const int8 eight = not_finite8((float8)(v, v));
     if ((eight.s0 | eight.s1 | eight.s2 | eight.s3) != 0) bad[1] = 1;
     const int to = (i * rows + y + 1) * columns + x + 1;
-    STORE4(v, to, padded);
+    STREAM4(v, to, padded);
 }

@@ -39,12 +39,9 @@
         global const float2 *restrict motion3, global const float2 *restrict motion4
 
 static inline void chain_pixel(global const float2 *const *motions, const int newest, const int middle, const int oldest,
-                               global float2 *chained, global uint *keys, global uint *first,
-                               const int height, const int width, const int x, const int y)
+                               global float2 *chained, const int height, const int width, const int x, const int y)
 {
     const int pixel = y * width + x, plane = height * width;
-    keys[pixel] = UNWANTED;
-    first[pixel] = NOBODY;
     float2 motion = motions[0][pixel];
 #pragma unroll
     for (int j = 1; j <= 5; ++j) {  // unrolled: the choice of the motion must not depend on a number in a register
@@ -57,13 +54,12 @@ static inline void chain_pixel(global const float2 *const *motions, const int ne
 }
 
 kernel void chain_steps(MOTIONS, const int newest, const int middle, const int oldest, global float2 *restrict chained,
-                        global uint *restrict keys, global uint *restrict first, const int height, const int width
-                        DIRTY_ARGUMENT)
+                        const int height, const int width DIRTY_ARGUMENT)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     global const float2 *motions[] = {motion0, motion1, motion2, motion3, motion4};
     if (x < width && y < height && IS_DIRTY(x, y))
-        chain_pixel(motions, newest, middle, oldest, chained, keys, first, height, width, x, y);
+        chain_pixel(motions, newest, middle, oldest, chained, height, width, x, y);
 }
 
 kernel void prepare(PREPARE_ARGUMENTS)
@@ -74,24 +70,31 @@ kernel void prepare(PREPARE_ARGUMENTS)
 #ifdef MARK
     if (is_quiet(f, x, y, 1)) return;
 #endif
+    if (checks && x < width && top + y < height) note_all(f, nov, bad, (top + y) * width + x, 1);
     prepare_pixel(f, x, y);
 }
 
-// occlusion_warp where prepare left a hole; there colour * mask is 0 already.
-kernel void fill_holes(global const float *restrict color, global const float2 *restrict motion, global const uint *restrict first,
-                       global const uchar *restrict mask, global stored *restrict x0, global float4 *restrict color3,
-                       const int height, const int width, const int rows, const int columns, const int top
 #ifdef MARK
-                       , global uchar *restrict input_changes
+#define CHANGES_ARGUMENT , global uchar *restrict input_changes
+#define CHANGES , input_changes
+#else
+#define CHANGES_ARGUMENT
+#define CHANGES
 #endif
-                       )
+#define FILL_ARGUMENTS                                                                                                         \
+    global const float *restrict color, global const float2 *restrict motion, global uint *restrict keys,                      \
+        global const uint *restrict first, global const uchar *restrict mask, global stored *restrict x0,                      \
+        global float4 *restrict color3, const int height, const int width, const int rows, const int columns,                  \
+        const int top CHANGES_ARGUMENT
+
+// occlusion_warp where prepare left a hole; there colour * mask is 0 already. Nobody wants the place afterwards.
+static inline void fill_pixel(FILL_ARGUMENTS, const int x, const int y)
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= columns || y >= rows) return;
     const int shown_x = x < width ? x : width - 1, shown_y = top + y < height ? top + y : height - 1, pixel = shown_y * width + shown_x;
     if (mask[pixel]) return;
     const Taps at = taps(follow(motion[pixel], shown_x, shown_y, height, width), height, width);
     const float3 c = not_negative(look_instead(color, splatted(motion, first, at.nw), shown_x, shown_y, height, width));
+    keys[at.nw] = UNWANTED;
     const int padded = (y + 1) * (columns + 2) + x + 1;
 #ifdef MARK
     float8 eight = LOAD8(x0, padded * 3);
@@ -105,4 +108,11 @@ kernel void fill_holes(global const float *restrict color, global const float2 *
     STORE(c.z, 2, to);
     color3[y * columns + x] = (float4)(c, 0.0f);
 #endif
+}
+
+kernel void fill_holes(FILL_ARGUMENTS)
+{
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x < columns && y < rows)
+        fill_pixel(color, motion, keys, first, mask, x0, color3, height, width, rows, columns, top CHANGES, x, y);
 }

@@ -36,8 +36,7 @@ INLINE Pair8 gather_longest8(global const float2 *motion, const int8 corner, con
 
 // chain_steps for gather_longest, one work-item a row of eight pixels.
 kernel void chain_steps8(MOTIONS, const int newest, const int middle, const int oldest, global float2 *restrict chained,
-                         global uint *restrict keys, global uint *restrict first, const int height, const int width
-                         DIRTY_ARGUMENT)
+                         const int height, const int width DIRTY_ARGUMENT)
 {
     const int x = get_global_id(0) * 8, y = get_global_id(1);
     if (x >= width || y >= height || !(IS_DIRTY(x, y) || IS_DIRTY(x + 4, y))) return;
@@ -45,11 +44,9 @@ kernel void chain_steps8(MOTIONS, const int newest, const int middle, const int 
     const int pixel = y * width + x, plane = height * width;
     if (x + 8 > width) {
         for (int i = 0; x + i < width; ++i)
-            chain_pixel(motions, newest, middle, oldest, chained, keys, first, height, width, x + i, y);
+            chain_pixel(motions, newest, middle, oldest, chained, height, width, x + i, y);
         return;
     }
-    *(global uint8_anywhere *)(keys + pixel) = (uint8)(UNWANTED);
-    *(global uint8_anywhere *)(first + pixel) = (uint8)(NOBODY);
     const float8 left = read8((global const float *)(motion0 + pixel)), right = read8((global const float *)(motion0 + pixel + 4));
     float8 mx = (float8)(left.even, right.even), my = (float8)(left.odd, right.odd);
     for (int j = 1; j <= most(newest, oldest); ++j) {
@@ -89,6 +86,67 @@ INLINE Pair8 read_pairs8(global const float *image, const int8 at)
     return pairs;
 }
 
+// Three components of eight pixels in a row, as they lie in memory.
+typedef struct {
+    float8 a, b, c;
+} Triple8;
+
+INLINE Triple8 read_triple8(global const float *image)
+{
+    const Triple8 t = {read8(image), read8(image + 8), read8(image + 16)};
+    return t;
+}
+
+// The squared distances of eight points.
+INLINE float8 squared8(const Triple8 p, const Triple8 q)
+{
+    const float8 a = (p.a - q.a) * (p.a - q.a), b = (p.b - q.b) * (p.b - q.b), c = (p.c - q.c) * (p.c - q.c);
+    return (float8)(a.s036, b.s147, c.s25) + (float8)(a.s147, b.s25, c.s036) + (float8)(a.s25, b.s036, c.s147);
+}
+
+// Where surely no pixel of eight is a hole, by the test on positions; `nw`: the first one's upper left tap, the others follow it.
+INLINE bool surely_near8(const Frame f, const int pixel, const int nw, const float8 s, const float8 stencil, const float8 bias)
+{
+    const float8 change = 3.0f * (s - stencil), surely = bias > 1.0f && bias < 1e18f ? bias * bias * 0.99999f : (float8)(-1.0f);
+    global const float *upper = f.position_previous + nw * 3, *lower = upper + f.width * 3;
+    const Triple8 here = read_triple8(f.position + pixel * 3);
+    return all8(s == 0.0f && change <= MESH && change >= -(MESH) && squared8(read_triple8(upper), here) <= surely &&
+                squared8(read_triple8(upper + 3), here) <= surely && squared8(read_triple8(lower), here) <= surely &&
+                squared8(read_triple8(lower + 3), here) <= surely);
+}
+
+// bilinear3 of eight pixels in a row whose taps are in a row, too.
+INLINE Triple8 bilinear_triple8(global const float *upper, global const float *lower, const float8 fx, const float8 fy)
+{
+    const Triple8 nw = read_triple8(upper), ne = read_triple8(upper + 3), sw = read_triple8(lower), se = read_triple8(lower + 3);
+    const Triple8 between = {BILINEAR(nw.a, ne.a, sw.a, se.a, fx.s00011122, fy.s00011122),
+                             BILINEAR(nw.b, ne.b, sw.b, se.b, fx.s23334445, fy.s23334445),
+                             BILINEAR(nw.c, ne.c, sw.c, se.c, fx.s55666777, fy.s55666777)};
+    return between;
+}
+
+INLINE int8 larger8(const int8 largest, global const float *values)
+{
+    const int8 size = as_int8(read8(values)) & 0x7fffffff;
+    return size > largest ? size : largest;
+}
+
+// note_all for eight pixels.
+INLINE void note_all8(const Frame f, global const float *nov, global int *bad, const int pixel)
+{
+    int8 largest = larger8((int8)(0), f.stencil_previous + pixel);
+    for (int i = 0; i < 24; i += 8) {
+        largest = larger8(largest, f.color + pixel * 3 + i);
+        largest = larger8(largest, f.normal_previous + pixel * 3 + i);
+    }
+    if (f.i == 0) {
+        largest = larger8(larger8(largest, nov + pixel), f.stencil + pixel);
+        for (int i = 0; i < 24; i += 8) largest = larger8(largest, f.normal + pixel * 3 + i);
+        for (int i = 0; i < 72; i += 8) largest = larger8(largest, f.gbuffer + pixel * 9 + i);
+    }
+    if (!all8(largest < 0x7f800000)) note_all(f, nov, bad, pixel, 8);
+}
+
 kernel void prepare8(PREPARE_ARGUMENTS)
 {
     const int x = get_global_id(0) * 8, i = get_global_id(1), y = get_global_id(2);
@@ -98,7 +156,10 @@ kernel void prepare8(PREPARE_ARGUMENTS)
     if (is_quiet(f, x, y, 8)) return;
 #endif
     const int pixel = (top + y) * width + x;
-    if (f.step > 0 && x + 8 <= width && top + y < height) {
+    const bool whole = x + 8 <= width && top + y < height;
+    if (checks && whole) note_all8(f, nov, bad, pixel);
+    if (checks && !whole && x < width && top + y < height) note_all(f, nov, bad, pixel, width - x);
+    if (f.step > 0 && whole) {
         const float16 motion = *(global const float16_anywhere *)(f.chained + pixel);
         const Place8 place = follow8(motion.even, motion.odd, x, top + y);
         if (all_inside8(place, height, width)) {
@@ -109,6 +170,14 @@ kernel void prepare8(PREPARE_ARGUMENTS)
             global const float *g = f.gbuffer + pixel * 9 + 3;
             const float8 depth = (float8)(g[0], g[9], g[18], g[27], g[36], g[45], g[54], g[63]), v = read8(nov + pixel);
             const float8 bias = BIAS(v, depth);
+            if (in_a_row8(nw) && surely_near8(f, pixel, nw.s0, s, stencil, bias)) {
+                const Triple8 t = bilinear_triple8(f.color + nw.s0 * 3, f.color + (nw.s0 + width) * 3, fx, fy);
+#define WRITE(I, X, Y, Z) write_pixel(f, x + I, y, pixel + I, (float3)(t.X, t.Y, t.Z), true, 0);
+                WRITE(0, a.s0, a.s1, a.s2) WRITE(1, a.s3, a.s4, a.s5) WRITE(2, a.s6, a.s7, b.s0) WRITE(3, b.s1, b.s2, b.s3)
+                WRITE(4, b.s4, b.s5, b.s6) WRITE(5, b.s7, c.s0, c.s1) WRITE(6, c.s2, c.s3, c.s4) WRITE(7, c.s5, c.s6, c.s7)
+#undef WRITE
+                return;
+            }
 #define WRITE(I)                                                                                                               \
     {                                                                                                                          \
         const Taps at = {nw.s##I, 1, width, fx.s##I, fy.s##I};                                                                 \
@@ -165,4 +234,16 @@ kernel void splat_first8(global const float2 *restrict motion, global const floa
     if (x >= width || y >= height || !is_wanted8(motion, keys, x, y, height, width)) return;
     for (int pixel = y * width + x, i = x; i < x + 8 && i < width; ++i, ++pixel)
         splat_index(motion[pixel], i, y, depth + pixel * depth_stride + depth_offset, keys, first, height, width);
+}
+
+kernel void fill_holes8(FILL_ARGUMENTS)
+{
+    const int x = get_global_id(0) * 8, y = get_global_id(1);
+    if (x >= columns || y >= rows) return;
+    if (x + 8 <= width && top + y < height) {
+        global const uchar8_anywhere *eight = (global const uchar8_anywhere *)(mask + (top + y) * width + x);
+        if (as_ulong(*eight) == 0x0101010101010101ul) return;
+    }
+    for (int i = x; i < x + 8; ++i)
+        fill_pixel(color, motion, keys, first, mask, x0, color3, height, width, rows, columns, top CHANGES, i, y);
 }

@@ -17,20 +17,6 @@ from stss_cl.image_space.stages import LIMITS, Gather, kernels, launch
 
 FINITE = ("colors", "gbuffer", "nov", "stencils", "normals")
 """The arrays that must be finite: a ReLU could turn a NaN into 0 unnoticed."""
-SCANNERS = 64, 1 << 15
-"""Work-items that search for values that are not finite, on a processor and on a GPU."""
-NOBODY, UNWANTED = 0xFFFFFFFF, 0
-"""Content of the splat's two buffers where no motion is needed (kernels/occlusion_warp.cl)."""
-
-
-def finite_kernel(device: Device) -> cl.Kernel:
-    """What ``scan`` launches."""
-    return cl.Kernel(build(device, "finite.cl", {"APART": not device.is_cpu}), "finite")
-
-
-def scan(device: Device, finite: cl.Kernel, buffer: cl.Buffer, count: int, bad: cl.Buffer, which: int) -> None:
-    """Enqueue a look at ``count`` values: ``bad[which]`` (int32) becomes 1 if one of them is not finite."""
-    finite(device.queue, (SCANNERS[not device.is_cpu],), None, buffer, np.uint64(count), bad, np.int32(which))
 
 
 def _filled_up(buffers: tuple[cl.Buffer, ...], count: int) -> tuple[cl.Buffer, ...]:
@@ -76,8 +62,9 @@ class Prepare:
         self.mask = self._filled(height * width)
         self.dirty = self._filled(self.rows // 4 * (self.columns // 4), 1)
         self._chained = self._filled(3 * height * width * 2 * 4)
-        self._finite, self._bad = finite_kernel(device), self._filled(4 * len(FINITE))
-        self._splat = self._filled(height * width * 4), self._filled(height * width * 4)
+        self._bad = self._filled(4 * len(FINITE))
+        # Places that holes look up are wanted: ``prepare`` makes them so, and ``fill_holes`` unmakes them.
+        self._keys, self._first = self._filled(height * width * 4), self._filled(height * width * 4)
         self._read: Sources | None = None
         self._done: cl.Event | None = None
 
@@ -134,17 +121,7 @@ class Prepare:
             normals=planes(device, "normals", normals, read + 1, (*size, 3), stack=4),
             positions=planes(device, "positions", positions, read + 1, (*size, 3), stack=4),
         )
-        scanned = zip(
-            (sources.colors, (sources.gbuffer,), (sources.nov,), sources.stencils, sources.normals), (3, 9, 1, 1, 3), strict=True
-        )
-        for which, (buffers, floats) in enumerate(scanned):
-            for buffer in buffers:
-                self.look_for_non_finite(buffer, floats, which)
-        self.start(sources, tops, older=older)
-
-    def look_for_non_finite(self, buffer: cl.Buffer, floats: int, which: int) -> None:
-        """Have ``not_finite`` name ``FINITE[which]`` if one of the ``floats`` values of a pixel is not finite."""
-        scan(self.device, self._finite, buffer, self.height * self.width * floats, self._bad, which)
+        self.start(sources, tops, older=older, checks=True)
 
     def start(
         self,
@@ -153,6 +130,7 @@ class Prepare:
         *,
         older: bool = True,
         looking: bool = True,
+        checks: bool = False,
     ) -> None:
         """``begin`` for what is on the device already, and known to be finite.
 
@@ -161,19 +139,22 @@ class Prepare:
             tops: see ``begin``.
             older: False: the two older colour frames are not read, and ``inputs.earlier`` stays as it is.
             looking: use change maps; False: everything is computed, and nothing is marked.
+            checks: have ``not_finite`` tell what is not finite after all; normals are then three floats apart.
         """
         self._read, self._tops, self._planes = sources, tuple(tops), 3 if older else 1
         self._looks = looking and bool(self._maps)
         newest, middle, oldest = sources.steps if older else (sources.steps[0], 0, 0)
-        size, skip = (self.height, self.width), self._clear(newest > 0)
-        if newest or oldest:
+        size, skip = (self.height, self.width), self._clear()
+        # A chain of one motion is that motion. With change maps it is written all the same: a later frame may read it.
+        self._motion = sources.motions[0] if newest == 1 and not older and not self._maps else self._chained
+        if self._motion is self._chained and (newest or oldest):
             motions = _filled_up(sources.motions, MOST_STEPS)
-            self._run("chain_steps", size, *motions, newest, middle, oldest, self._chained, *self._splat, *size, *skip)
+            self._run("chain_steps", size, *motions, newest, middle, oldest, self._chained, *size, *skip)
         for top in self._tops:
-            self._warp(top)
+            self._warp(top, checks=checks, marks=True)
         if newest > 0:
-            self._run("splat_nearest", size, self._chained, sources.gbuffer, 9, 3, self._splat[0], *size)
-            self._run("splat_first", size, self._chained, sources.gbuffer, 9, 3, *self._splat, *size)
+            self._run("splat_nearest", size, self._motion, sources.gbuffer, 9, 3, self._keys, *size)
+            self._run("splat_first", size, self._motion, sources.gbuffer, 9, 3, self._keys, self._first, *size)
 
     def not_finite(self) -> str | None:
         """Name of an array of the frame begun last that must be finite and is not; None: all are. Waits for the queue."""
@@ -188,7 +169,7 @@ class Prepare:
         """Enqueue the rest of the work for the rows of ``inputs`` that begin at row ``top`` of the frame, one of ``begin``'s."""
         assert self._read is not None
         if len(self._tops) > 1:
-            self._warp(top)  # an earlier strip's values have been overwritten
+            self._warp(top, checks=False, marks=False)  # an earlier strip's values have been overwritten
         size, inputs = (self.height, self.width), self.inputs
         if self._read.steps[0]:
             place = (*size, self.rows, self.columns, top)
@@ -198,8 +179,9 @@ class Prepare:
                 "fill_holes",
                 place[2:4],
                 self._read.colors[0],
-                self._chained,
-                self._splat[1],
+                self._motion,
+                self._keys,
+                self._first,
                 self.mask,
                 *written,
                 *place,
@@ -216,27 +198,27 @@ class Prepare:
     def _now(self) -> dict[str, cl.Kernel]:
         return self._kernels if self._looks or not self._maps else self._unlooking
 
-    def _clear(self, splats: bool) -> tuple[cl.Buffer, ...]:
+    def _clear(self) -> tuple[cl.Buffer, ...]:
         """Unmark all inputs; the map that tells a kernel where to compute."""
         if not self._looks or self._changes is None:
             return ()
         self._changes.clear()
-        if splats:  # where nothing is dirty nobody clears them
-            for buffer, value in zip(self._splat, (UNWANTED, NOBODY), strict=True):
-                cl.enqueue_fill_buffer(self.device.queue, buffer, np.full(1, value, np.uint32), 0, buffer.size)
         return (self.dirty,)
 
-    def _warp(self, top: int) -> None:
-        """Warp the colour frames and find their holes; for the newest, mark the places that holes look up."""
+    def _warp(self, top: int, *, checks: bool, marks: bool) -> None:
+        """Warp the colour frames and find their holes; for the newest, mark the places that holes look up.
+
+        ``checks``: look for what is not finite; ``marks``: False if the places were marked before.
+        """
         s, inputs = self._read, self.inputs
         assert s is not None
         place = (self.height, self.width, self.rows, self.columns, top)
         stencils, normals, positions = (_filled_up(of, 4) for of in (s.stencils, s.normals, s.positions))
         colors = *_filled_up(s.colors, 3), *s.steps
-        read = *colors, self._chained, s.gbuffer, s.nov, *stencils, *normals, *positions, s.normal_stride
-        written = self._splat[0], inputs.earlier.data, inputs.input.data, inputs.base, self.mask
+        read = *colors, self._motion, s.gbuffer, s.nov, *stencils, *normals, *positions, s.normal_stride
+        written = self._keys, self._first, inputs.earlier.data, inputs.input.data, inputs.base, self.mask, self._bad
         skip = (self.dirty, *self._maps[:2]) if self._looks else ()
-        self._run("prepare", place[2:4], *read, *written, *place, *skip, planes=self._planes)
+        self._run("prepare", place[2:4], *read, *written, checks, marks, *place, *skip, planes=self._planes)
 
     def _run(
         self, name: str, size: tuple[int, int], *arguments: cl.Buffer | int | np.float32, planes: int | None = None

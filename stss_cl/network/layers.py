@@ -117,9 +117,9 @@ class Layers:
         """Built when it is first asked for: stage ``prepare`` fills ``inputs`` itself."""
         return PackInputs(self.device, self.inputs, *self.size)
 
-    def pack(self, color: cl.Buffer, gbuffer: cl.Buffer, mask: cl.Buffer, history: cl.Buffer) -> None:
-        """Enqueue copying the four inputs, plain arrays on the device, to the buffers of the first layers."""
-        self._packing(color, gbuffer, mask, history, self._top)
+    def pack(self, color: cl.Buffer, gbuffer: cl.Buffer, mask: cl.Buffer, history: cl.Buffer | None) -> None:
+        """Enqueue copying the inputs, plain arrays on the device, to the buffers of the first layers; ``history`` if it is read."""
+        self._packing(color, gbuffer, mask, history if self.reads_history else None, self._top)
 
     def all_finite(self) -> bool:
         """Whether all inputs packed since the last call are finite; waits for the queue."""

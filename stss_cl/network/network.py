@@ -58,23 +58,25 @@ class Network:
             image: (2H, 2W, 3) float32, an array of the kind given; not clipped.
 
         Raises:
-            ArrayError: shapes or dtypes differ, or an input is not finite (a NaN would spread over whole tiles).
+            ArrayError: shapes or dtypes differ, or an input is not finite (a NaN would spread over whole tiles). The history's values
+                are looked at only if the weights read them.
         """
         height, width = check(color, gbuffer, mask, history)
         layers = self.layers(height, width)
         given = {"color": color, "gbuffer": gbuffer, "mask": mask, "history": history}
-        held = [
-            on_device(self.device, name, array) if isinstance(array, cla.Array) else incoming(self.device, array)
-            for name, array in given.items()
-        ]
+        read = {name: array for name, array in given.items() if layers.reads_history or name != "history"}
+        held = {
+            name: on_device(self.device, name, array) if isinstance(array, cla.Array) else incoming(self.device, array)
+            for name, array in read.items()
+        }
         image = Outgoing(self.device, (2 * height, 2 * width, 3), on_device=isinstance(color, cla.Array))
         for strip in layers.strips:
             layers.place(strip)
-            layers.pack(*held)
+            layers.pack(held["color"], held["gbuffer"], held["mask"], held.get("history"))
             layers.run(image.data)
         made = image.finish()
         if not layers.all_finite():
-            for name, array in given.items():
+            for name, array in read.items():
                 require_finite(name, array.get() if isinstance(array, cla.Array) else array)
         return made
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Copy the network's four inputs, plain arrays on the device, to the buffers of its first layers."""
+"""Copy the network's inputs, plain arrays on the device, to the buffers of its first layers."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class PackInputs:
         self._eighth = cl.Kernel(eighth, "downsample_8")
         self._bad = cl.Buffer(device.context, FLAGS.READ_WRITE | FLAGS.COPY_HOST_PTR, hostbuf=np.zeros(2, np.int32))
 
-    def __call__(self, color: cl.Buffer, gbuffer: cl.Buffer, mask: cl.Buffer, history: cl.Buffer, top: int) -> None:
-        """Enqueue the copy; ``top`` is the row of the frame that is row 0 of ``inputs``."""
+    def __call__(self, color: cl.Buffer, gbuffer: cl.Buffer, mask: cl.Buffer, history: cl.Buffer | None, top: int) -> None:
+        """Enqueue the copy; ``top`` is the row of the frame that is row 0 of ``inputs``. ``history``: None where nothing reads it."""
         to, size, first = self._inputs, self._size, np.int32(top)
         full, eighth = (to.input.width, to.input.height), (to.eighth.width, to.eighth.height)
         queue, columns = self._device.queue, np.int32(to.input.columns)
@@ -38,8 +38,9 @@ class PackInputs:
         self._input(queue, full, group, color, gbuffer, mask, to.input.data, to.base, self._bad, *size, columns, first)
         place = np.int32(to.eighth.height), np.int32(to.eighth.width), np.int32(to.eighth.columns), first
         self._eighth(queue, *grid(self._device, *eighth), gbuffer, mask, to.eighth.data, *size, *place, to.eighth.data)
-        place = np.int32(to.earlier.rows), np.int32(to.earlier.columns), first
-        self._history(queue, (*full, 3), (*group, 1), history, to.earlier.data, self._bad, *size, *place)
+        if history is not None:
+            place = np.int32(to.earlier.rows), np.int32(to.earlier.columns), first
+            self._history(queue, (*full, 3), (*group, 1), history, to.earlier.data, self._bad, *size, *place)
 
     def all_finite(self) -> bool:
         """Whether all inputs packed since the last call are finite; waits for the queue."""

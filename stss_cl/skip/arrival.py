@@ -16,10 +16,11 @@ from stss_cl.device.grid import ceil_div
 from stss_cl.device.parts import Parts, zeroed
 from stss_cl.device.program import build
 from stss_cl.device.staging import staging
-from stss_cl.image_space.prepare import finite_kernel, scan
 
 Tiles = NDArray[np.bool_]
 """(ceil(H / 4), ceil(W / 4)): True where something changed in a tile of 4 x 4 pixels."""
+SCANNERS = 64
+"""Work-items of finite.cl."""
 SPAN = 256
 """Tiles of a work-item of changed_tiles.cl."""
 ITEMS, ACROSS = 128, 16
@@ -57,7 +58,7 @@ class ArrivalOnProcessor:
 
     def __init__(self, device: Device, height: int, width: int):
         self._device, self._size, self._shape = device, (height, width), (ceil_div(height, 4), ceil_div(width, 4))
-        self._finite = finite_kernel(device)
+        self._finite = cl.Kernel(build(device, "finite.cl"), "finite")
         self._map = cl.Buffer(device.context, cl.mem_flags.READ_WRITE, self._shape[0] * self._shape[1])
         self._bad = zeroed(device, 4 * len(FINITE))
 
@@ -97,7 +98,9 @@ class ArrivalOnProcessor:
         self._comparing[name](self._device.queue, size, (1, 1), *arguments, *map(np.int32, self._size))
 
     def _scan(self, buffer: cl.Buffer, floats: int, which: int) -> None:
-        scan(self._device, self._finite, buffer, self._size[0] * self._size[1] * floats, self._bad, which)
+        """Enqueue a look at all values of a plane: ``bad[which]`` becomes 1 if one of them is not finite."""
+        count = np.uint64(self._size[0] * self._size[1] * floats)
+        self._finite(self._device.queue, (SCANNERS,), None, buffer, count, self._bad, np.int32(which))
 
     def _read_map(self) -> Tiles:
         tiles = np.empty(self._shape, np.uint8)

@@ -188,7 +188,7 @@ def test_a_makers_options(monkeypatch):
     """No function is static for Intel's compiler: the kernels build like that, too."""
     opened = open_device()
     monkeypatch.setitem(program.MAKERS_OPTIONS, opened.maker, program.MAKERS_OPTIONS["intel"])
-    build(opened, "finite.cl", {"APART": 1})
+    build(opened, "finite.cl")
     (_, options), *_ = program.built(opened)
     assert " -D static= -D inline=" in options
 

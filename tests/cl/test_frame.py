@@ -61,24 +61,26 @@ def test_the_frame_is_the_references(made, data, size):
     assert ratio(f"network.cl.{made.precision}", image, want.astype(np.float64)) <= 1
 
 
-def test_without_a_residual_it_is_the_references_bits(device):
-    """The `bilinear` weights: warping, holes and upsampling alone, which are exact."""
+@pytest.mark.parametrize("size", [(13, 21), (33, 48)])
+def test_without_a_residual_it_is_the_references_bits(device, size):
+    """The `bilinear` weights: warping, holes and upsampling alone, which are exact; one frame after another in the same buffers."""
     random = np.random.default_rng(3)
-    size = (13, 21)
-    inputs = FrameInputs(
-        colors=random.random((3, *size, 3), dtype=np.float32),
-        steps=(1, 3, 5),
-        motions=random.uniform(-3, 3, (5, *size, 2)).astype(np.float32),
-        gbuffer=random.random((*size, 9), dtype=np.float32),
-        nov=random.random(size, dtype=np.float32),
-        stencils=np.zeros((4, *size), np.float32),
-        normals=random.random((4, *size, 3), dtype=np.float32),
-        positions=random.random((4, *size, 3), dtype=np.float32) * 40,
-    )
-    image, valid = Frame(zeros(), device)(**arguments(inputs))
-    want, want_valid = frame(inputs, zeros())
-    np.testing.assert_array_equal(image, want)
-    np.testing.assert_array_equal(valid, want_valid)
+    made = Frame(zeros(), device)
+    for steps in ((1, 3, 5), (2, 3, 5), (1, 1, 1), (0, 2, 4), (1, 3, 5)):
+        inputs = FrameInputs(
+            colors=random.random((3, *size, 3), dtype=np.float32),
+            steps=steps,
+            motions=random.uniform(-3, 3, (5, *size, 2)).astype(np.float32),
+            gbuffer=random.random((*size, 9), dtype=np.float32),
+            nov=random.random(size, dtype=np.float32),
+            stencils=(random.random((4, *size)) < 0.1).astype(np.float32),
+            normals=random.random((4, *size, 3), dtype=np.float32),
+            positions=random.random((4, *size, 3), dtype=np.float32) * 40,
+        )
+        image, valid = made(**arguments(inputs))
+        want, want_valid = frame(inputs, zeros())
+        np.testing.assert_array_equal(image, want)
+        np.testing.assert_array_equal(valid, want_valid)
     np.testing.assert_array_equal(run_stage("frame", arguments(inputs), zeros(), device)["image"], want)
 
 

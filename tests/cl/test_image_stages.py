@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conformance.cases.planes import SEEDS, frames, masks, motions, sizes
-from stss_cl.device.buffers import read
+from stss_cl.device.buffers import inputs_for, read
 from stss_cl.image_space.prepare import Prepare
 from stss_cl.image_space.stages import ImageStages
 from stss_ref.arrays import ArrayError
@@ -297,6 +297,67 @@ def test_prepare_in_wide_frames(device, eights):
     preparation.begin(*arguments(inputs))
     preparation.strip()
     assert_prepared(device, preparation, inputs, size)
+
+
+@pytest.mark.parametrize("eights", [False, True])
+@pytest.mark.parametrize("motion", [(1.5, 0.75), (-3.25, 0.0), (0.0, 0.0), (0.3, -2.9)])
+def test_prepare_where_hardly_anything_is_a_hole(device, eights, motion):
+    """A surface that slides past: eight pixels in a row are read at once and trusted, but where one of the eight is another surface."""
+    size = (24, 70)
+    random = np.random.default_rng(9)
+    steps = (1, 3, 5)
+    y, x = np.indices(size)
+    positions = np.stack([np.stack([x + s * motion[0], y + s * motion[1], 0 * x], -1) for s in (0, *steps)]).astype(np.float32)
+    stencils = np.zeros((4, *size), np.float32)
+    for plane in range(4):
+        for value in (400, np.nan, np.inf):
+            positions[plane, random.integers(24), random.integers(70), random.integers(3)] = value
+        stencils[plane, random.integers(24), random.integers(70)] = 1
+    inputs = FrameInputs(
+        colors=random.normal(0.5, 0.5, (3, *size, 3)).astype(np.float32),
+        steps=steps,
+        motions=(motion + random.uniform(0, 0.2, (5, *size, 2))).astype(np.float32),
+        gbuffer=random.random((*size, 9)).astype(np.float32),
+        nov=random.random(size).astype(np.float32),
+        stencils=stencils,
+        normals=random.normal(0, 1, (4, *size, 3)).astype(np.float32),
+        positions=positions,
+    )
+    preparation = Prepare(device, *size, eights=eights)
+    for _ in range(2):  # nothing that the first marked is left in the second
+        preparation.begin(*arguments(inputs))
+        preparation.strip()
+        assert_prepared(device, preparation, inputs, size)
+        assert not downloaded(device, preparation._keys, size, np.uint32).any()
+    assert 0 < np.mean(downloaded(device, preparation.mask, size, np.uint8) == 0) < 0.2
+
+
+@pytest.mark.parametrize("steps", [(0, 2, 4), (1, 3, 5), (1, 1, 1)])
+@pytest.mark.parametrize("eights", [False, True])
+def test_prepare_sees_what_is_not_finite(device, eights, steps):
+    """In each plane of each array, in whole rows of eight and behind the last one, in one strip and in three; and forgets it."""
+    size = (17, 21)
+    random = np.random.default_rng(3)
+    shapes = {"colors": (3, *size, 3), "gbuffer": (*size, 9), "nov": size, "stencils": (4, *size), "normals": (4, *size, 3)}
+    arrays = {name: random.random(shape).astype(np.float32) for name, shape in shapes.items()}
+    arrays |= {"motions": np.full((5, *size, 2), 0.5, np.float32), "positions": np.zeros((4, *size, 3), np.float32)}
+    for inputs, tops in ((None, (0,)), (inputs_for(device, 8, 24, np.dtype(np.float32)), (0, 8, 16))):
+        preparation = Prepare(device, *size, eights=eights, inputs=inputs)
+
+        def bad(preparation=preparation, tops=tops):
+            preparation.begin(steps=steps, tops=tops, **arrays)
+            for top in tops:
+                preparation.strip(top)
+            return preparation.not_finite()
+
+        assert bad() is None
+        for name, shape in shapes.items():
+            array = arrays[name]
+            for place in (0, array.size - 1, *random.integers(array.size, size=6)):
+                held, array.flat[place] = array.flat[place], random.choice([np.nan, np.inf, -np.inf])
+                assert bad() == name, (name, np.unravel_index(place, shape))
+                array.flat[place] = held
+        assert bad() is None
 
 
 @pytest.mark.parametrize("gather", GATHERS)

@@ -31,16 +31,16 @@ SIZES = ((1, 1), (3, 5), (8, 8), (9, 13))
 STEPS = ((1, 3, 5), (0, 2, 4), (1, 1, 1))
 
 NETWORK = {"pack_input", "pack_history", "downsample_8", "conv", "upsample_corners", "normalise", "attend"}
-FRAME = ("chain_steps", "prepare", "splat_nearest", "splat_first")
+FRAME = ("chain_steps", "prepare", "splat_nearest", "splat_first", "fill_holes")
 STREAM = {
-    *(NETWORK - {"pack_input", "pack_history"}), "finite", "differ", "differ_color", "fill_holes", "tile_list",
+    *(NETWORK - {"pack_input", "pack_history"}), "finite", "differ", "differ_color", "tile_list",
     *(f"{name}8" for name in FRAME),
 }  # fmt: skip
 KERNELS = {
     "network float32": NETWORK | {"winograd"},
     "network float32-direct": NETWORK | {"image"},
     "network half": NETWORK | {"winograd"},
-    "frame": {*FRAME, "finite", "fill_holes", "downsample_8"} | {f"{name}8" for name in FRAME},
+    "frame": {*FRAME, "downsample_8"} | {f"{name}8" for name in FRAME},
     "stream float32": {*STREAM, "winograd"},
     "stream float32-direct": {*STREAM, "image"},
     "stream half": {*STREAM, "winograd"},
