@@ -105,6 +105,7 @@ def methods_command(
     frames: tuple[int, int] | None,
     transfer: str | None,
     depth: Any,
+    planes: Any,
     overwrite: bool,
     html: Path | None,
     flip: bool,
@@ -127,7 +128,9 @@ def methods_command(
 
     files = open_sequence(sequence, profile, camera=camera, metallic=metallic, roughness=roughness, non_finite=non_finite)
     reads = [Path(weights), *([*truth.iterdir()] if truth.is_dir() else [])]
-    options = RunOptions.of(files.profile, transfer=transfer, depth=depth, rendered=rendered, frames=frames, overwrite=overwrite)
+    options = RunOptions.of(
+        files.profile, transfer=transfer, depth=depth, planes=planes, rendered=rendered, frames=frames, overwrite=overwrite
+    )
     chosen = method_table.choose_methods(methods, weights)
     loaded = choose_weights(weights, files, partial(echo, err=True), needed=NETWORK in chosen)
     with told(out):

@@ -13,6 +13,7 @@ from stss.cli.option_kinds import PATH, Number
 from stss.color import TRANSFERS
 from stss.frames.backends import BACKENDS
 from stss.frames.compute_options import PRECISIONS, SKIPS, ComputeOptions, Precision
+from stss.frames.display_frame import PLANE_TYPES
 from stss.images.headers import MAX_SIDE
 from stss.sequence.choose_weights import AUTO
 from stss.sequence.find_files import MAX_DIGITS
@@ -79,6 +80,13 @@ def frame_options(command: Command) -> Command:
             "  [default: srgb for scene-linear files, none for display-referred ones]",
         ),
         click.option("--depth", type=click.Choice(["clip", "scale"]), help="How depth is normalised  [default: the profile's]"),
+        click.option(
+            "--planes",
+            type=click.Choice(PLANE_TYPES),
+            default="float32",
+            show_default=True,
+            help="half: colour, G-buffer, NoV and stencil are rounded to half, so that fewer bytes go to a GPU.",
+        ),
     )
     for option in reversed(options):
         command = option(command)

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -15,6 +16,10 @@ from stss_ref.arrays import Array, Image, Mask, Plane
 from stss_ref.depth import DepthMode, normalise_depth
 from stss_ref.frame import FrameInputs
 
+PlaneType = Literal["float32", "half"]
+PLANE_TYPES: tuple[PlaneType, ...] = get_args(PlaneType)
+HALF = ("color", "gbuffer", "nov", "stencil")
+"""Planes that may be float16."""
 WINDOW = 6
 """An output depends on its own display frame and on the five before it, and on nothing else."""
 
@@ -24,7 +29,7 @@ class DisplayFrame:
     """A display frame as stage ``frame`` takes it, made once and used by up to six outputs.
 
     ``color`` (H, W, 3) display-referred or None, ``motion`` (H, W, 2), ``gbuffer`` (H, W, 9), ``nov`` and ``stencil`` (H, W),
-    ``position`` (H, W, 3) in cm.
+    ``position`` (H, W, 3) in cm; float32, or some of them float16 (``halved``).
     """
 
     number: int
@@ -36,8 +41,8 @@ class DisplayFrame:
     position: Image
 
 
-def prepare(buffers: Buffers, to_display: Transfer, depth: DepthMode) -> DisplayFrame:
-    """Make a display frame: colour through the transfer, depth normalised to [0, 1], G-buffer stacked."""
+def prepare(buffers: Buffers, to_display: Transfer, depth: DepthMode, dtype: PlaneType = "float32") -> DisplayFrame:
+    """Make a display frame: colour through the transfer, depth normalised to [0, 1], G-buffer stacked; with "half" then ``halved``."""
     planes = [
         buffers.normal,
         normalise_depth(buffers.depth, depth)[..., None],
@@ -45,7 +50,7 @@ def prepare(buffers: Buffers, to_display: Transfer, depth: DepthMode) -> Display
         buffers.metallic[..., None],
         buffers.base_color,
     ]
-    return DisplayFrame(
+    made = DisplayFrame(
         number=buffers.number,
         color=None if buffers.color is None else to_display.encode(buffers.color),
         motion=buffers.motion,
@@ -54,6 +59,26 @@ def prepare(buffers: Buffers, to_display: Transfer, depth: DepthMode) -> Display
         stencil=buffers.stencil,
         position=buffers.position,
     )
+    return made if dtype == "float32" else halved(made)
+
+
+def halved(frame: DisplayFrame) -> DisplayFrame:
+    """The frame with colour, G-buffer, NoV and stencil rounded to float16, nearest even.
+
+    Motion and position stay float32: a motion of 16 pixels would have steps of 1/64 pixel, a position of 1000 cm steps of 0.5 cm. So
+    does a plane with a value that is not finite in half, or a stencil with a number that half does not have.
+    """
+    planes = {name: getattr(frame, name) for name in HALF}
+    return replace(
+        frame, **{name: _halved(plane, exact=name == "stencil") for name, plane in planes.items() if plane is not None}
+    )
+
+
+def _halved(plane: Array, *, exact: bool) -> Array:
+    with np.errstate(over="ignore"):
+        made = plane.astype(np.float16)
+    fits = (made == plane).all() if exact else np.isfinite(made).all()
+    return made if fits else plane
 
 
 def window_at(frames: Sequence[DisplayFrame], position: int) -> Sequence[DisplayFrame]:
@@ -69,25 +94,29 @@ def frame_inputs(window: Sequence[DisplayFrame], steps: tuple[int, int, int]) ->
         steps: how many frames back the three colour frames lie, newest first.
 
     Returns:
-        The inputs, float32.
+        The inputs, float32 also where planes are float16.
     """
     back = window[::-1]
     colors = [back[step].color for step in steps]
     shown = (back[0], *(back[step] for step in steps))
 
     def stack(arrays: list[Array]) -> Array:
-        return np.stack(arrays) if arrays else np.empty((0, *back[0].motion.shape), np.float32)
+        return np.stack([_wide(array) for array in arrays]) if arrays else np.empty((0, *back[0].motion.shape), np.float32)
 
     return FrameInputs(
         colors=stack([color for color in colors if color is not None]),
         steps=steps,
         motions=stack([prepared.motion for prepared in back[: max(steps)]]),
-        gbuffer=back[0].gbuffer,
-        nov=back[0].nov,
+        gbuffer=_wide(back[0].gbuffer),
+        nov=_wide(back[0].nov),
         stencils=stack([prepared.stencil for prepared in shown]),
         normals=stack([prepared.gbuffer[..., :3] for prepared in shown]),
         positions=stack([prepared.position for prepared in shown]),
     )
+
+
+def _wide(plane: Array) -> Array:
+    return plane.astype(np.float32) if plane.dtype == np.float16 else plane
 
 
 class OnArrays(ABC):

@@ -106,7 +106,7 @@ def first_frames(sequence: Sequence, options: RunOptions) -> list[DisplayFrame]:
         if frames and number != frames[-1].number + 1:
             break
         if frames or number in rendered:
-            frames.append(prepare(sequence.load(number, color=number in rendered), curve, options.depth))
+            frames.append(prepare(sequence.load(number, color=number in rendered), curve, options.depth, options.planes))
         if len(frames) == budgeting.FRAMES:
             break
     return frames

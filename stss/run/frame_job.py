@@ -108,7 +108,7 @@ class FrameJob:
         metadata = describe(sequence, options, backend.method, backend.name, weights)
         keys = keys_of(sequence, rendered, options, metadata)
         return cls(
-            Window(sequence, rendered, curve, options.depth),
+            Window(sequence, rendered, curve, options.depth, options.planes),
             keys,
             backend,
             curve,
@@ -188,6 +188,7 @@ def describe(sequence: Sequence, options: RunOptions, method: str, backend: str,
         "stss:backend": backend,
         "stss:transfer": options.transfer,
         "stss:depth": options.depth,
+        "stss:planes": options.planes,
         "stss:profile": sequence.profile.name,
     }
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from stss.color import Transfer
 from stss.errors import InputError
-from stss.frames.display_frame import WINDOW, DisplayFrame, prepare
+from stss.frames.display_frame import WINDOW, DisplayFrame, PlaneType, prepare
 from stss.sequence.reader import Sequence
 from stss_ref.depth import DepthMode
 
@@ -17,9 +17,12 @@ from stss_ref.depth import DepthMode
 class Window:
     """The display frames that an output depends on, each read once and kept while needed."""
 
-    def __init__(self, sequence: Sequence, rendered: frozenset[int], curve: Transfer, depth: DepthMode):
+    def __init__(
+        self, sequence: Sequence, rendered: frozenset[int], curve: Transfer, depth: DepthMode, planes: PlaneType = "float32"
+    ):
         self._sequence, self._rendered, self._curve = sequence, rendered, curve
         self._depth: DepthMode = depth
+        self._planes: PlaneType = planes
         self._frames: dict[int, DisplayFrame | InputError] = {}
 
     def up_to(self, number: int, *, keep_going: bool) -> list[DisplayFrame]:
@@ -45,7 +48,7 @@ class Window:
         if number not in self._frames:
             try:
                 buffers = self._sequence.load(number, color=number in self._rendered)
-                self._frames[number] = prepare(buffers, self._curve, self._depth)
+                self._frames[number] = prepare(buffers, self._curve, self._depth, self._planes)
             except InputError as error:
                 self._frames[number] = error
         return self._frames[number]

@@ -15,7 +15,7 @@ from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div
 from stss_cl.device.parts import Parts, zeroed
 from stss_cl.device.program import build
-from stss_cl.device.staging import staging
+from stss_cl.device.staging import after, staging
 
 Tiles = NDArray[np.bool_]
 """(ceil(H / 4), ceil(W / 4)): True where something changed in a tile of 4 x 4 pixels."""
@@ -117,6 +117,7 @@ class ArrivalOnGpu:
         tiles = self._shape[0] * self._shape[1]
         self._found = Parts(device, (16, tiles, tiles))  # bad, changed, recolored
         self._queue = staging(device).uploads
+        after(self._queue, device.queue)  # which clears them
         self._unread = False
 
     def look(self, planes: Planes, color: cl.Buffer | None, before: Planes | None, color_before: cl.Buffer | None) -> Found:

@@ -10,11 +10,13 @@ import pyopencl.array as cla
 from stss_ref.arrays import Array
 
 Given = Array | cla.Array
-"""A NumPy array, or one on the device: ``pyopencl.array.Array(queue, shape, np.float32, data=buffer)`` wraps an engine's buffer."""
+"""A NumPy array, or one on the device: ``pyopencl.array.Array(queue, shape, dtype, data=buffer)`` wraps an engine's buffer."""
 
 
 class DisplayFrame(Protocol):
-    """The arrays of a display frame (spec 0), float32, on the host or on the device. None may change while it is in a call's window.
+    """The arrays of a display frame (spec 0), on the host or on the device. None may change while it is in a call's window.
+
+    All are float32; color, gbuffer, nov and stencil may each be float16 instead, with the bits of the same values in float32.
 
     Attributes:
         color: (H, W, 3) display-referred, in [0, 1]; None where the frame was not rendered.

@@ -56,7 +56,7 @@ class UploadedFrames:
         self._device, self.size = device, (height, width)
         self._arrival: Arrival = (ArrivalOnProcessor if device.is_cpu else ArrivalOnGpu)(device, height, width)
         self._shape = -(-height // 4), -(-width // 4)
-        self._planes = Planes(device)  # whose first planes wait for the memory of ``_arrival`` to be filled, too
+        self._planes = Planes(device)
         self._chain: deque[UploadedFrame] = deque()
         self._count = 0
 

@@ -44,8 +44,8 @@ KERNELS = {
     "stream float32": {*STREAM, "winograd"},
     "stream float32-direct": {*STREAM, "image"},
     "stream half": {*STREAM, "winograd"},
-    "gpu float32": {"conv_local", "attend_local", "arrive"},
-    "gpu half": {"conv_mma", "matrix", "attend_local", "arrive"},
+    "gpu float32": {"conv_local", "attend_local", "arrive", "widen"},
+    "gpu half": {"conv_mma", "matrix", "attend_local", "arrive", "widen"},
     "stages": {"motion_chain", "warp", "holes", "splat_clear", "splat_nearest", "splat_first", "occlusion_warp", "rrm"},
     "selftest": {"arithmetic", "vectors", "reduce_group", "nearest", "speed"},
 }
@@ -212,6 +212,7 @@ def run_layers(device, precision):
             show(f"stride {stride}, {form}", read(device, out))
     run_attention(device, precision)
     run_arrival(device)
+    run_planes(device)
 
 
 def run_attention(device, precision):
@@ -250,6 +251,19 @@ def run_arrival(device):
     assert bad is None
     assert (np.argwhere(changed).tolist(), np.argwhere(recolored).tolist()) == ([[1, 16]], [[0, 0]])
     show("arrival", np.stack([changed, recolored]))
+
+
+def run_planes(device):
+    """Planes of half: one whose values fill whole work-items, and one with a rest."""
+    from stss_cl.skip.planes import Planes
+
+    random, planes = np.random.default_rng(5), Planes(device)
+    given = {"nov": random.random((6, 70)).astype(np.float16), "color": random.random((3, 5, 3)).astype(np.float16)}
+    for name, buffer in planes.bring({name: (array, array.shape) for name, array in given.items()}).items():
+        made = np.empty(given[name].shape, np.float32)
+        cl.enqueue_copy(planes.queue, made, buffer)
+        np.testing.assert_array_equal(made, given[name])
+        show(name, made)
 
 
 def run_frame(device, height, width):

@@ -6,7 +6,7 @@ import numpy as np
 import pyopencl as cl
 import pytest
 
-from stss.frames.display_frame import window_at
+from stss.frames.display_frame import halved, window_at
 from stss.frames.supersample import plan
 from stss_cl.device import matrix_units, program
 from stss_cl.device.discovery import open_device
@@ -102,6 +102,7 @@ def _windows():
     frames = [first_frame(rng, SIZE, rendered=True)]
     for i in range(1, 8):
         frames.append(next_frame(rng, frames[-1], frames[0].color, "nothing", rendered=i % 2 == 0)[0])
+    frames[-1] = halved(frames[-1])
     for i in range(len(frames)):
         window = window_at(frames, i)
         yield window, plan(window).steps

@@ -1,0 +1,147 @@
+"""Planes that come as half: they are widened on the device, and everything behind that is as if they had come as float32."""
+
+from dataclasses import replace
+
+import numpy as np
+import pyopencl as cl
+import pyopencl.array as cla
+import pytest
+
+from conformance.tolerance import ratio
+from stss.frames.backends import ReferenceBackend
+from stss.frames.display_frame import HALF as HALF_IN_FRAMES
+from stss.frames.display_frame import frame_inputs, halved
+from stss_cl.device.discovery import open_device
+from stss_cl.network.network import PRECISIONS
+from stss_cl.skip.planes import HALF, Planes
+from stss_cl.skip.stream import SKIPS, Stream
+from stss_ref.arrays import ArrayError
+from stss_ref.frame import FrameInputs, frame
+from stss_ref.weights import astype
+from tests.cl.test_device_frames import SIZE, film
+from tests.cl.test_overlap import calls_of, here, right
+from tests.cl.test_stream import WEIGHTS, assert_same
+
+
+@pytest.fixture(scope="module", params=["cpu", "gpu"])
+def device(request):
+    return open_device(device_class=request.param)
+
+
+def widened(frame_):
+    """The same values in float32, by NumPy."""
+    planes = {name: getattr(frame_, name) for name in HALF}
+    return replace(frame_, **{name: plane.astype(np.float32) for name, plane in planes.items() if plane is not None})
+
+
+def on(device, frame_):
+    """The same frame on the device, each plane in its own type."""
+    names = (*HALF, "motion", "position")
+    arrays = {name: getattr(frame_, name) for name in names if getattr(frame_, name) is not None}
+    return replace(frame_, **{name: cla.to_device(device.queue, array) for name, array in arrays.items()})
+
+
+def test_both_packages_mean_the_same_planes():
+    assert HALF == HALF_IN_FRAMES
+
+
+@pytest.mark.parametrize("there", [False, True], ids=["host", "device"])
+@pytest.mark.parametrize("shape", [(65536,), (1,), (3,), (4,), (5,), (7, 37)], ids=str)
+def test_every_half_is_widened(device, shape, there):
+    """All that there are, with their signs, subnormals, infinities and NaN; counts that fill no work-item."""
+    half = np.arange(np.prod(shape), dtype=np.uint16).view(np.float16).reshape(shape)
+    planes = Planes(device)
+    found = planes.bring({"nov": (cla.to_device(device.queue, half) if there else half, shape)})
+    made = np.empty(shape, np.float32)
+    cl.enqueue_copy(planes.queue, made, found["nov"])
+    want = half.astype(np.float32)
+    number = ~np.isnan(want)
+    np.testing.assert_array_equal(np.isnan(made), ~number)
+    np.testing.assert_array_equal(made[number].view(np.uint32), want[number].view(np.uint32))
+
+
+@pytest.mark.parametrize("where", ["host", "device", "mixed"])
+@pytest.mark.parametrize("skip", SKIPS)
+def test_frames_of_half_have_the_bits_of_the_same_values_in_float32(device, skip, where):
+    """One by one and one ahead; mixed: every third frame comes in float32, though its values are those of half."""
+    frames = [halved(made) for made in film()]
+    want = right(device, calls_of([*map(widened, frames)]))
+    if where == "device":
+        frames = [on(device, made) for made in frames]
+    if where == "mixed":
+        frames = [widened(made) if i % 3 == 0 else made for i, made in enumerate(frames)]
+    assert frames[1].gbuffer.dtype == np.float16
+    stream, ahead = (Stream(WEIGHTS, device, skip=skip) for _ in range(2))
+    told = set()
+    for call, also, expected in zip(calls_of(frames), ahead.frames(calls_of(frames)), want, strict=True):
+        assert_same(here(stream(*call)), expected)
+        assert_same(here(also), expected)
+        told.add(stream.report.network)
+    assert skip == "off" or {"none", "changed", "whole"} <= told
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_the_error_is_that_of_the_rounded_planes(device, precision):
+    """Against the reference in float64 of the planes as they were rounded: the rows of the table that hold for float32."""
+    frames = [halved(made) for made in film(["moving"] * 6)]
+    stream, weights, judged = Stream(WEIGHTS, device, precision), astype(WEIGHTS, np.float64), 0
+    for window, steps in calls_of(frames):
+        inputs = vars(frame_inputs(window, steps))
+        exact = {name: x.astype(np.float64) if isinstance(x, np.ndarray) else x for name, x in inputs.items()}
+        image, valid = stream(window, steps)
+        want, want_valid = ReferenceBackend(WEIGHTS).compute(window, steps)
+        np.testing.assert_array_equal(valid, want_valid)
+        assert want.dtype == np.float32
+        right, holes = frame(FrameInputs(**exact), weights)
+        if (holes == valid).all():  # else rounding decides about a hole
+            assert ratio(f"network.cl.{precision}", image, right) <= 1
+            judged += 1
+    assert judged >= 4
+
+
+@pytest.mark.parametrize("there", [False, True], ids=["host", "device"])
+@pytest.mark.parametrize("name", ["motion", "position"])
+def test_motion_and_position_stay_float32(device, name, there):
+    frames = film(["moving"] * 4)
+    frames[4] = replace(frames[4], **{name: getattr(frames[4], name).astype(np.float16)})
+    shown = [on(device, made) for made in frames] if there else frames
+    with pytest.raises(ArrayError, match=f"^{name}: expected dtype float32, got float16$"):
+        Stream(WEIGHTS, device)(*calls_of(shown)[-1])
+
+
+@pytest.mark.parametrize("there", [False, True], ids=["host", "device"])
+@pytest.mark.parametrize("name", HALF)
+def test_what_is_not_finite_in_half_is_named(device, name, there):
+    frames = [halved(made) for made in film(["moving"] * 4)]
+    getattr(frames[4], name).reshape(-1)[77] = np.inf
+    shown = [on(device, made) for made in frames] if there else frames
+    with pytest.raises(ArrayError, match=f"^{name}: 1 non-finite values"):
+        Stream(WEIGHTS, device)(*calls_of(shown)[-1])
+
+
+def test_halved_rounds_what_half_can_hold():
+    made = film(["moving"])[0]
+    color = made.color.copy()
+    color[0, 0] = 1 + 2.0**-11, 1 + 3 * 2.0**-11, 2.0**-25  # ties go to the even neighbour
+    stencil = np.full(SIZE, 2048, np.float32)
+    rounded = halved(replace(made, color=color, stencil=stencil))
+    assert {name: getattr(rounded, name).dtype for name in HALF} == dict.fromkeys(HALF, np.float16)
+    np.testing.assert_array_equal(rounded.color[0, 0], [1, 1 + 2.0**-9, 0])
+    assert rounded.motion is made.motion
+    assert rounded.position is made.position
+    np.testing.assert_array_equal(rounded.stencil, stencil)
+    assert halved(replace(made, color=None)).color is None
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("stencil", 2049), ("stencil", 0.1), ("gbuffer", 65520), ("color", 1e5), ("nov", np.nan), ("stencil", 70000)],
+)
+def test_what_half_cannot_hold_stays_float32(name, value):
+    """Rounded, two objects could become one, and a bright colour infinite; what is not finite is left for the stream to refuse."""
+    made = film(["moving"])[0]
+    plane = getattr(made, name).copy()
+    plane[3, 4] = value
+    kept = halved(replace(made, **{name: plane}))
+    assert getattr(kept, name) is plane
+    assert sum(getattr(kept, each).dtype == np.float16 for each in HALF) == len(HALF) - 1
