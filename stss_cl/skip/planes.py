@@ -31,9 +31,9 @@ GROUP = 64
 class Planes:
     """Brings planes to the device. Those that are half are copied so, and widened there: behind this, all are float32.
 
-    On a processor arrays of float32 are read in place. Otherwise there is a queue for what arrives, so that a frame's planes may arrive while the
-    frame before it is computed. They go to memory that only planes have, which may have been that of a plane dropped before. Hence the
-    rule: what arrives waits for the launches that there were when planes were last dropped (``dropped``).
+    On a processor arrays of float32 are read in place. Otherwise there is a queue for what arrives, so that a frame's planes may arrive
+    while the frame before it is computed. They go to memory that only planes have, which may have been that of a plane dropped before.
+    Hence the rule: what arrives waits for the launches that there were when planes were last dropped (``dropped``).
 
     Attributes:
         queue: has what arrives, and what looks at it.
