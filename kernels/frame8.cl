@@ -3,6 +3,7 @@
 // arguments and the same results. Positions, stencils and limits are computed in vectors where all taps lie in the frame;
 // elsewhere, and where fewer than eight pixels are left, pixel by pixel as there.
 // Build as frame.cl; chain_steps8 is for GATHER=gather_longest.  Launch as there, an eighth of the columns.
+#define NOTE static __attribute__((noinline))
 #include "frame.cl"
 #include "lanes.clh"
 

@@ -129,6 +129,17 @@ def test_calls_are_taken_one_ahead(gpu):
         assert len(taken) == min(i + 2, 5)
 
 
+@pytest.mark.parametrize("skip", SKIPS)
+def test_calls_may_come_between(gpu, skip):
+    """Of frames that the iterator has begun, and of others."""
+    calls = calls_of(film())
+    stream, want = Stream(WEIGHTS, gpu, skip=skip), right(gpu, calls)
+    for i, made in enumerate(stream.frames(calls)):
+        between = (i * 3) % len(calls)
+        assert_same(stream(*calls[between]), want[between])
+        assert_same(made, want[i])
+
+
 # Errors, and leaving early
 
 
