@@ -24,7 +24,7 @@ from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
 from stss_cl.network.layer import LayerLaunch
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import Precision
-from stss_ref.weights import Weights
+from stss_ref.weights import Weights, reads_history
 
 
 @dataclass(frozen=True)
@@ -146,6 +146,35 @@ def predict(weights: Weights, height: int, width: int, gpu: Gpu, precision: Prec
     """
     with trial(built_in_rows(BUILT_IN)[0][gpu.row]), matrix_units.trial((gpu.form,)):
         return [estimate(layer, gpu) for layer in Layers(Modelled(gpu), weights, height, width, precision).launches]
+
+
+def predict_frame(weights: Weights, height: int, width: int, gpu: Gpu, precision: Precision) -> list[Estimate]:
+    """Estimate the launches of an extrapolated frame around the network; its planes are on the device, and each is read once.
+
+    Arguments are those of `predict`. All of them are limited by memory or L2.
+    """
+    frames, stored = 3 if reads_history(weights) else 1, 2 if precision == "half" else 4
+    surface = 9 + 1 + 1 + 3  # G-buffer, NoV, stencil, position
+    floats = {
+        "arrive": 2 + surface,
+        "chain_steps": 2 * (5 + 3) if frames > 1 else 2 * (1 + 1),
+        # Of each colour frame motion, colour, stencil, position; the decoder's base; normals are read where something moves.
+        "prepare": surface + frames * (2 + 3 + 1 + 3) + 4,
+        "splat_nearest": 2 + 1,
+        "splat_first": 2 + 1,
+        "fill_holes": 0,
+        "downsample_8": 9 * 2 / 8,  # two rows of eight
+    }
+    packed = 24 + (3 * 4 if frames > 1 else 0)
+    rows = []
+    for name, count in floats.items():
+        # A byte of the mask of holes, which all read or write that know of holes.
+        size = (
+            height * width * (4 * count + (stored * packed if name == "prepare" else 0) + (name not in ("arrive", "chain_steps")))
+        )
+        limit, rate = ("L2", gpu.l2) if size < gpu.cache * 1e6 else ("memory", gpu.memory)
+        rows.append(Estimate("frame", name, name, {limit: size / rate / 1e9}, 0.0))
+    return rows
 
 
 def measure(

@@ -11,7 +11,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from stss.bench.gpu_model import GPUS, Estimate, Gpu, measure, predict
+from stss.bench.gpu_model import GPUS, Estimate, Gpu, measure, predict, predict_frame
 from stss.errors import InputError
 from stss.output.write_whole import write_named
 from stss_cl.network.network import Precision
@@ -53,15 +53,18 @@ def bench_model(
         device: part of the name of that device; None: the default.
     """  # fmt: skip
     if measured:
-        rows, times, total = measure(weights, *size, gpu, precision, device)
+        (rows, times, total), around = measure(weights, *size, gpu, precision, device), []
     else:
         rows, times, total = predict(weights, *size, gpu, precision), None, None
-    console.print(_table(rows, times, total, f"{gpu.name}, {precision}, {size[1]} x {size[0]}: a model, not measured"))
+        around = predict_frame(weights, *size, gpu, precision)
+    console.print(_table(rows, around, times, total, f"{gpu.name}, {precision}, {size[1]} x {size[0]}: a model, not measured"))
     if json_file is not None:
-        write_named(json_file, json.dumps(_json(rows, times, total, gpu, precision, size), indent=1) + "\n")
+        write_named(json_file, json.dumps(_json(rows, around, times, total, gpu, precision, size), indent=1) + "\n")
 
 
-def _table(rows: Sequence[Estimate], times: Sequence[float] | None, total: float | None, title: str) -> Table:
+def _table(
+    rows: Sequence[Estimate], around: Sequence[Estimate], times: Sequence[float] | None, total: float | None, title: str
+) -> Table:
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
     for name in ("launch", "kernel", "limit"):
         table.add_column(name, no_wrap=True)
@@ -70,13 +73,27 @@ def _table(rows: Sequence[Estimate], times: Sequence[float] | None, total: float
     for i, row in enumerate(rows):
         shown = [f"{row.roof * 1e6:.1f}", f"{row.total * 1e6:.1f}", *([f"{times[i] * 1e6:.1f}"] if times else [])]
         table.add_row(f"{row.stage} {row.name}", row.kernel, row.limit, *shown)
-    shown = [f"{sum(row.roof for row in rows) * 1e6:.0f}", f"{sum(row.total for row in rows) * 1e6:.0f}"]
+    shown = [f"{sum(row.roof for row in rows) * 1e6:.0f}", f"{_total(rows) * 1e6:.0f}"]
     table.add_row(f"all {len(rows)}", "", "", *shown, *([f"{total * 1e6:.0f}"] if total is not None else []))
+    for row in around:
+        table.add_row(f"{row.stage} {row.name}", row.kernel, row.limit, "", f"{row.total * 1e6:.1f}")
+    if around:
+        table.add_row(f"whole frame {len(rows) + len(around)}", "", "", "", f"{_total([*rows, *around]) * 1e6:.0f}")
     return table
 
 
+def _total(rows: Sequence[Estimate]) -> float:
+    return sum(row.total for row in rows)
+
+
 def _json(
-    rows: Sequence[Estimate], times: Sequence[float] | None, total: float | None, gpu: Gpu, precision: str, size: tuple[int, int]
+    rows: Sequence[Estimate],
+    around: Sequence[Estimate],
+    times: Sequence[float] | None,
+    total: float | None,
+    gpu: Gpu,
+    precision: str,
+    size: tuple[int, int],
 ) -> dict[str, object]:
     return {
         "format": 1,
@@ -84,7 +101,8 @@ def _json(
         "precision": precision,
         "input": [size[1], size[0]],
         "roof_ms": sum(row.roof for row in rows) * 1e3,
-        "model_ms": sum(row.total for row in rows) * 1e3,
+        "model_ms": _total(rows) * 1e3,
+        "frame_model_ms": _total([*rows, *around]) * 1e3 if around else None,
         "measured_ms": None if total is None else total * 1e3,
         "launches": [
             {

@@ -10,12 +10,13 @@ import pytest
 from click.testing import CliRunner
 
 from stss.bench import gpu_report
-from stss.bench.gpu_model import GPUS, most_like, predict
+from stss.bench.gpu_model import GAP, GPUS, most_like, predict, predict_frame
 from stss.bench.gpu_page import page
 from stss.bench.gpu_report import Step
 from stss.cli.main import stss
 from stss_cl.device.discovery import DeviceError, open_device
 from stss_ref.weights import random as random_weights
+from stss_ref.weights import zeros
 
 SIZE = 48, 64
 
@@ -69,7 +70,27 @@ def test_the_command_says_that_it_is_a_model(tmp_path):
     assert "a model, not measured" in done.output
     data = json.loads((tmp_path / "m.json").read_text())
     assert data["measured_ms"] is None
-    assert data["model_ms"] > data["roof_ms"] > 0
+    assert data["frame_model_ms"] > data["model_ms"] > data["roof_ms"] > 0
+    assert "whole frame 45" in done.output
+
+
+def test_what_a_frame_adds_is_what_its_planes_weigh():
+    """At 2 x 2 pixels nothing but gaps; at a large size the bytes of a pixel: more with the history, fewer in half."""
+    gpu, weights = GPUS["rtx3090"], random_weights(0)
+    rows = predict_frame(weights, 2, 2, gpu, "float32")
+    assert [row.kernel for row in rows if row.total > 1.6e-6] == []
+    assert len(rows) == 7
+
+    def bytes_of_a_pixel(weights, precision):
+        rows = predict_frame(weights, 4000, 4000, gpu, precision)
+        assert {row.limit for row in rows} == {"memory"}
+        return round(sum(row.total - GAP for row in rows) * gpu.memory * 1e9 / 4000**2)
+
+    # arrive 64, chain 64, prepare 4 (14 + 3 * 9 + 4) + 36 stored + 1, splats 13 each, fill_holes 1, downsample_8 10
+    assert bytes_of_a_pixel(weights, "float32") == 490
+    assert bytes_of_a_pixel(weights, "half") == 490 - 72
+    # chain 16, prepare 4 (14 + 9 + 4) + 24 stored + 1
+    assert bytes_of_a_pixel(zeros(), "half") == 490 - 48 - 72 - 72 - 48 + 24
 
 
 def test_an_unknown_gpu_is_one_line():
