@@ -42,15 +42,19 @@ SQUARES = 20.0
 """Factor of the squared error: errors of about 0.002 squared then weigh as much as an L1 of 0.03."""
 
 
-def squared(output: Tensor, truth: Tensor, extrapolated: float = 0.5) -> Tensor:
+def squared(output: Tensor, truth: Tensor, extrapolated: float = 0.5, mask: Tensor | None = None, holes: float = 1.0) -> Tensor:
     """The mean squared error, for the start of a run, and for a high PSNR.
 
     The gradient of L1 does not shrink with the error: a residual that is right at edges and noise elsewhere shrinks to 0
     everywhere, and the network did not get away from 0. The reshading regions, mostly RRM's rectangle, count only once: as
     half of the gradient they were half of its noise. Arguments as for `loss`; every second sample, from the second on, is an
-    EF, and ``extrapolated`` is the share of EFs in the sum: 0.5 weighs all samples alike.
+    EF, and ``extrapolated`` is the share of EFs in the sum: 0.5 weighs all samples alike. Where ``mask`` is 0, errors count ``holes``
+    times: EFs lose a third of theirs there.
     """
-    errors = (output - truth).square().mean((1, 2, 3))
+    squares = (output - truth).square()
+    if mask is not None and holes != 1:
+        squares = squares * (holes + (1 - holes) * _trusted(mask, squares))
+    errors = squares.mean((1, 2, 3))
     if extrapolated != 0.5:
         errors = errors * errors.new_tensor([2 * (1 - extrapolated), 2 * extrapolated]).repeat(len(errors) // 2)
     return SQUARES * errors.mean()
@@ -64,9 +68,13 @@ def supervision(pictures: list[Tensor], truth: Tensor) -> Tensor:
 
 def _weighted(error: Tensor, mask: Tensor) -> Tensor:
     """``mean e + sum e (1 - M) / max(sum (1 - M), 1e-6)``, with the mask M (spec 6)."""
-    trusted = (nn.functional.interpolate(mask, scale_factor=2, mode="bilinear", align_corners=False) > 0).to(error.dtype)
-    masked = (1 - trusted).expand_as(error)
+    masked = (1 - _trusted(mask, error)).expand_as(error)
     return error.mean() + (error * masked).sum() / masked.sum().clamp(min=1e-6)
+
+
+def _trusted(mask: Tensor, like: Tensor) -> Tensor:
+    """Where the mask (N, 1, H, W) is not 0, at twice its size."""
+    return (nn.functional.interpolate(mask, scale_factor=2, mode="bilinear", align_corners=False) > 0).to(like.dtype)
 
 
 def structure(output: Tensor, truth: Tensor) -> Tensor:

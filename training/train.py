@@ -44,6 +44,7 @@ class Settings:
     ``squares``: the share of the squared error in the loss that stays after it. ``history``: whether the history is used.
     ``structure``: the perceptual distance is so many times 1 - SSIM. ``extrapolated``: the share of EFs in the squared error.
     ``taught``: the share of the teachers' picture in what the squared error is taken against. ``masking``: Random Reshading Masking.
+    ``holes``: how often errors in reshading regions count in the squared error.
     """
 
     crop: int
@@ -59,6 +60,7 @@ class Settings:
     extrapolated: float = 0.5
     taught: float = 0.0
     masking: bool = True
+    holes: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -128,10 +130,11 @@ def advance(
     similar: float = STRUCTURE,
     extrapolated: float = 0.5,
     share: float = 0.0,
+    holes: float = 1.0,
 ) -> Tensor:
     """One step; ``young`` is the share of what only helps a beginner, see `infancy`, ``similar`` what 1 - SSIM is multiplied by.
 
-    ``extrapolated``: see `training.loss.squared`; ``share``: of the teachers' picture in the target of the squared error.
+    ``extrapolated``, ``holes``: see `training.loss.squared`; ``share``: of the teachers' picture in the target of the squared error.
 
     Returns the loss, on the device.
     """
@@ -147,7 +150,7 @@ def advance(
     squares = max(young, squares)
     value = (1 - squares) * loss(output, truth, mask, similar * structure(output, truth))
     if squares:
-        value = value + squares * squared(output, truth.lerp(taught, share), extrapolated)
+        value = value + squares * squared(output, truth.lerp(taught, share), extrapolated, mask, holes)
     if young:
         value = value + young * supervision([p.float() for p in pictures], truth)
     value.backward()
@@ -213,6 +216,7 @@ def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan
             "similar": settings.structure,
             "extrapolated": settings.extrapolated,
             "share": settings.taught,
+            "holes": settings.holes,
         }
         total += advance(state, tensors(batch, device), rate, half=settings.half, **shares)
         count += 1
@@ -249,6 +253,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--taught", type=float, default=0.0, help="share of the pictures of training.teach in the squared error's target"
     )
+    parser.add_argument("--holes", type=float, default=1.0, help="how often reshading regions count in the squared error")
     parser.add_argument("--no-masking", dest="masking", action="store_false", help="without Random Reshading Masking")
     parser.add_argument("--no-history", dest="history", action="store_false", help="weights that do not read the history")
     parser.add_argument("--validate", type=int, default=1000, metavar="STEPS")
@@ -277,6 +282,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         extrapolated=chosen.extrapolated,
         taught=chosen.taught,
         masking=chosen.masking,
+        holes=chosen.holes,
     )
     state = start(settings, device, chosen.initial)
     path = chosen.out / "state.safetensors"

@@ -146,6 +146,9 @@ def test_the_aids_of_the_first_half():
     wrong[1::2] = 0.5  # in EFs alone
     assert squared(wrong, nothing, 0.75) == 1.5 * squared(wrong, nothing) > 0
     assert squared(nothing + 0.5, nothing, 0.75) == squared(nothing + 0.5, nothing)
+    half = torch.ones(len(nothing), 1, nothing.shape[2] // 2, nothing.shape[3] // 2)
+    assert squared(nothing + 0.5, nothing, 0.5, half, 3.0) == squared(nothing + 0.5, nothing)
+    assert squared(nothing + 0.5, nothing, 0.5, 0 * half, 3.0) == 3 * squared(nothing + 0.5, nothing)
     assert [infancy(step, 100) for step in (0, 25, 50, 99)] == [1, 0.5, 0, 0]
 
     network, heads, batch = Network(), Heads(), tensors(inputs(3))

@@ -9,7 +9,7 @@ torch.set_num_threads(1)
 from stss.weights.file import load, save  # noqa: E402
 from training.data import load_shards, places, whole  # noqa: E402
 from training.network import Network, initialise, load_weights, to_weights  # noqa: E402
-from training.revive import main, revive, share_of_dead  # noqa: E402
+from training.revive import main, revive, revive_units, share_of_dead  # noqa: E402
 
 
 @pytest.fixture
@@ -51,6 +51,24 @@ def test_what_is_drawn_anew_is_alive_and_the_image_stays(dead, data, monkeypatch
     revive(dead, shards)
     assert max(share_of_dead(dead, shards).values()) < 0.5
     assert np.abs(image(dead, shards) - before)[..., 12:-12, 12:-12].max() < 0.01 * change
+
+
+def test_dead_units_at_full_and_half_size_are_drawn_anew_and_the_others_stay(data):
+    network, shards, seed = Network().eval(), load_shards(data), 0
+    initialise(network, 1)
+    while found := revive_units(network, shards, seed):  # of random layers some units are dead by chance
+        assert found < 24
+        seed += 1
+    first = network.up3.conv.double_conv[0]
+    with torch.no_grad():
+        first.bias[[3, 5]] = -1e3
+        network.up3.conv.double_conv[2].bias.fill_(1.0)  # so that none of these dies with them
+    before = {name: tensor.clone() for name, tensor in network.named_parameters()}
+    assert revive_units(network, shards) == 2
+    changed = {name for name, tensor in network.named_parameters() if not torch.equal(tensor, before[name])}
+    assert changed == {f"up3.conv.double_conv.{name}" for name in ("0.weight", "0.bias", "2.weight")}
+    kept = [i for i in range(24) if i not in (3, 5)]
+    assert torch.equal(first.weight[kept], before["up3.conv.double_conv.0.weight"][kept])
 
 
 def test_the_command_says_what_is_dead_and_writes_weights(dead, data, tmp_path, capsys):
