@@ -95,10 +95,14 @@ class UploadedFrames:
             ArrayError: one was not. All frames are forgotten.
         """
         if bad := self._arrival.not_finite():
-            frames = [held.frame for held in self._chain if held.frame is not None]
-            self.forget()
-            for frame in frames:
-                refuse(bad, frame)
+            self._refuse(bad)
+
+    def _refuse(self, bad: str, *arriving: DisplayFrame) -> None:
+        """Forget all frames, and tell which one's plane ``bad`` is not finite: it may be an earlier one, for which nobody waited."""
+        frames = [held.frame for held in self._chain if held.frame is not None]
+        self.forget()
+        for frame in (*frames, *arriving):
+            refuse(bad, frame)
 
     def forget(self) -> None:
         """Forget all frames: the next one follows none."""
@@ -138,8 +142,7 @@ class UploadedFrames:
         color_before = next((held.color for held in reversed(window) if held.color is not None), None) if compare else None
         bad, changed, recolored = self._arrival.look(planes, color, before, color_before)
         if bad is not None:
-            self.forget()
-            refuse(bad, frame)
+            self._refuse(bad, frame)
         if color is None and compare:
             recolored = np.zeros(self._shape, np.bool_)
         if len(self._chain) == HELD:

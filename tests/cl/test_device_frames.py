@@ -118,6 +118,19 @@ def test_what_is_not_finite_is_named_and_leaves_nothing(device, skip, there):
     np.testing.assert_array_equal(image.get() if there else image, want)
 
 
+@pytest.mark.parametrize("skip", ["off", "exact"])
+@pytest.mark.parametrize("which", [0, 1, 5])
+def test_what_is_not_finite_is_named_in_any_frame_of_a_first_window(device, skip, which):
+    """On a GPU nobody waits for what is found of the first, which is compared with none; the next ones are."""
+    frames = film(["moving"] * 5)
+    broken = replace(frames[which], gbuffer=frames[which].gbuffer.copy())
+    broken.gbuffer[3, 4, 5] = np.nan
+    stream, steps = Stream(WEIGHTS, device, skip=skip), plan(frames).steps
+    with pytest.raises(ArrayError, match="gbuffer: 1 non-finite"):
+        stream([*frames[:which], broken, *frames[which + 1 :]], steps)
+    np.testing.assert_array_equal(stream(frames, steps)[0], Stream(WEIGHTS, device, skip="off")(frames, steps)[0])
+
+
 class Waits:
     """Notes every call that waits for the queue in which frames are computed, and which of them brought the image."""
 
