@@ -80,8 +80,8 @@ def run(
 
     Raises:
         InputError: a frame cannot be read (unless ``keep_going``), the options do not fit the sequence, a file that is read would be
-            written to, another process writes to ``out``, it holds frames of others, or those of an earlier run and neither
-            ``resume`` nor ``overwrite`` is set.
+            written to, ``out`` is the sequence's folder, another process writes there, it holds frames of others, or those of an
+            earlier run and neither ``resume`` nor ``overwrite`` is set.
     """
     planned = plan(sequence, out, options, accumulates=backend.accumulates)
     if backend.accumulates and options.resume:
@@ -124,9 +124,13 @@ def plan(sequence: Sequence, out: Path, options: RunOptions, *, accumulates: boo
 
 
 def require_unread(planned: RunPlan, sequence: Sequence, reads: Iterable[Path]) -> None:
-    """Raise InputError where the run would write to a file that it reads."""
-    with told(planned.folder.path):
+    """Raise InputError where the run would write to a file that it reads, or among the frames that it reads."""
+    out = planned.folder.path
+    with told(out):
         require_apart(planned.folder.present(), [*sequence.reads, *reads])
+        if out.resolve() in {file.parent.resolve() for frame in sequence.frames.values() for file in frame.files}:
+            # Two sequences in a folder: the same command would not know next time which one is meant.
+            raise InputError(f"{out}: the folder of the frames that are read; expected another one")
 
 
 def _numbers(sequence: Sequence, frames: tuple[int, int] | None) -> range:

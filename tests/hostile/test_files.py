@@ -129,6 +129,17 @@ def test_no_input_is_an_output(inputs, tmp_path, place, option):
     assert contents(tmp_path) == before
 
 
+@pytest.mark.parametrize("place", [same_folder, linked_folder])
+def test_no_output_lies_among_the_inputs(inputs, tmp_path, place):
+    """Not even under other names: the same command would find two sequences there the next time."""
+    for file in inputs.glob("*.exr"):
+        file.rename(file.with_name(file.name.replace("frame", "input")))
+    out = place(inputs, tmp_path / "out")
+    before = contents(tmp_path)
+    refused(stss("run", inputs, "-o", out, *PLAIN), "the folder of the frames that are read; expected another one")
+    assert contents(tmp_path) == before
+
+
 def test_no_input_is_an_output_even_of_an_earlier_run(finished, demo, tmp_path):
     """The frames of a run serve as inputs of the next: by their list they are its own, yet it reads them."""
     out = tmp_path / "out"
