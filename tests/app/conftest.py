@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from stss.images.read_write import write_channels
+from stss.weights.file import save
+from stss_ref.weights import random as random_weights
 from tests.app import browser as browsers
 
 VELOCITY = (1.5, 0.75)
@@ -63,6 +65,14 @@ def write_raw(path, channels, half=()):
         write_channels(path, channels, half=half)
     finally:
         encode.require_finite = finite
+
+
+@pytest.fixture(scope="session")
+def weights(tmp_path_factory):
+    """A file of random weights."""
+    path = tmp_path_factory.mktemp("weights") / "random.safetensors"
+    save(path, random_weights(3), {})
+    return path
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from stss.bench import report as bench_report
 from stss.bench.contender import Setup
 from stss.bench.measure import SUMMARY, SizeResult, Timing, bench
 from stss.bench.noise import Noise, processor_time
-from stss.bench.ours import FRAMES, OURS, contender, default_ours, frame_inputs, inputs_for, truth
+from stss.bench.ours import FRAMES, OURS, default_ours, frame_inputs, inputs_for, truth
 from stss.bench.peers import PEERS
 from stss.errors import InputError
 from stss.optional import require
@@ -216,20 +216,6 @@ def test_whole_frames_have_holes_only_where_the_plane_enters():
     want[:15, :22] = 1  # the newest frame is one step back: 1.5 to the right, 0.75 down
     np.testing.assert_array_equal(mask, want)
     assert truth(inputs, WEIGHTS).shape == (32, 48, 3)
-
-
-@pytest.mark.parametrize("device_class", ["cpu", "gpu"])
-def test_frames_in_sequence_end_with_that_of_the_inputs(monkeypatch, device_class):
-    """Else their error would be that of other frames."""
-    monkeypatch.setenv("STSS_DEVICE_CLASS", device_class)
-    inputs = frame_inputs(16, 24)
-    want = truth(inputs, WEIGHTS)
-    for name in ("cl-stream", "cl-stream-ahead"):
-        made = contender(name, setup(16, 24))
-        made.prepare(inputs)
-        for _ in range(2):
-            made.run()
-            assert np.abs(made.image() - want).max() < 1e-3
 
 
 def test_the_time_of_a_run_is_that_of_one_of_its_frames(monkeypatch):

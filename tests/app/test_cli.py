@@ -17,8 +17,6 @@ from stss.cli.main import main
 from stss.demo import demo_path, write_demo_sequence
 from stss.images.read_write import read_header, read_rgb
 from stss.optional import installed
-from stss.weights.file import save
-from stss_ref.weights import random as random_weights
 from tests.fuzz.harness import call
 
 SIZE = (18, 32)
@@ -43,13 +41,6 @@ def sequence(tmp_path_factory):
     out = tmp_path_factory.mktemp("demo")
     write_demo_sequence(out, FRAMES, SIZE)
     return out
-
-
-@pytest.fixture(scope="module")
-def weights(tmp_path_factory):
-    path = tmp_path_factory.mktemp("weights") / "random.safetensors"
-    save(path, random_weights(3), {})
-    return path
 
 
 @pytest.fixture(scope="module")

@@ -3,18 +3,12 @@
 import numpy as np
 import pytest
 
-from conformance.tolerance import ratio
 from stss.color import transfer
 from stss.demo import write_demo_sequence
-from stss.frames.backends import open_backend
-from stss.frames.compute_options import ComputeOptions
-from stss.frames.display_frame import HALF, prepare, window_at
-from stss.frames.supersample import plan
+from stss.frames.display_frame import HALF, prepare
 from stss.images.read_write import read_header, read_rgb
 from stss.optional import installed
 from stss.sequence.reader import open_sequence
-from stss.weights.file import save
-from stss_ref.weights import random as random_weights
 from tests.app.test_cli import frames_of, stss
 
 COUNT = 8
@@ -25,13 +19,6 @@ def frames(tmp_path_factory):
     out = tmp_path_factory.mktemp("demo")
     write_demo_sequence(out, COUNT, (18, 32))
     return out / "frames"
-
-
-@pytest.fixture(scope="module")
-def weights(tmp_path_factory):
-    path = tmp_path_factory.mktemp("weights") / "random.safetensors"
-    save(path, random_weights(3), {})
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -61,20 +48,6 @@ def test_planes_are_those_of_float32_rounded(frames):
         error = np.abs(getattr(rounded, name).astype(np.float64) - getattr(exact, name))
         assert (error <= 2.0**-11 * np.abs(getattr(exact, name)) + 2.0**-25).all()
     assert rounded.motion is exact.motion
-
-
-@pytest.mark.parametrize("device_class", ["cpu", "gpu"])
-def test_both_classes_and_the_reference_take_the_same_planes(frames, monkeypatch, device_class):
-    """Images are as near to the reference's as those of planes in float32 are."""
-    monkeypatch.setenv("STSS_DEVICE_CLASS", device_class)
-    sequence = open_sequence(frames, "stss")
-    shown = [prepare(sequence.load(n), transfer("srgb"), "scale", "half") for n in range(COUNT)]
-    cl, ref = (open_backend(name, random_weights(3), ComputeOptions()) for name in ("cl", "ref"))
-    for i in range(COUNT):
-        window = window_at(shown, i)
-        (image, valid), (want, want_valid) = (backend.compute(window, plan(window).steps) for backend in (cl, ref))
-        np.testing.assert_array_equal(valid, want_valid)
-        assert ratio("network.cl.float32", image, want.astype(np.float64)) <= 1
 
 
 def test_resume_makes_anew_what_other_planes_made(frames, weights, by_half, tmp_path):

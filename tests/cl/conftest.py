@@ -1,5 +1,6 @@
 """Every test of the backend runs on its device twice: treated as a processor, and as a GPU."""
 
+from functools import cache
 from weakref import WeakKeyDictionary
 
 import pytest
@@ -37,29 +38,35 @@ def processor():
 
 
 @pytest.fixture(scope="session")
+def gpu():
+    """The same, treated as a GPU."""
+    return opened_as("gpu")
+
+
+@pytest.fixture(scope="session")
 def few_units():
     """A GPU with few compute units, or the chosen device treated as one."""
-    opened = opened_as("gpu")
-    opened.__class__ = FewUnits
-    return opened
+    return opened_as("gpu", FewUnits)
 
 
-def opened_as(device_class):
+@cache
+def opened_as(device_class, like=None):
+    """Opened once: its programs stay built. ``like``: what the device is made, in place of `LikeGpu` for a processor."""
     try:
         opened = open_device(device_class=device_class)
     except DeviceError as error:
         pytest.skip(str(error))
     if device_class == "cpu" and opened.kind != "CPU":
         pytest.skip(f"{opened.name} is no processor")
-    if device_class == "gpu" and opened.kind == "CPU":
-        opened.__class__ = LikeGpu
+    if device_class == "gpu" and (like or opened.kind == "CPU"):
+        opened.__class__ = like or LikeGpu
     return opened
 
 
 @pytest.fixture
 def opened(device, monkeypatch):
     """`device`, also for the code that opens a device by itself: it then builds no program again."""
-    monkeypatch.setattr(discovery, "open_device", lambda: device)
+    monkeypatch.setattr(discovery, "open_device", lambda name="": device)
     return device
 
 

@@ -198,7 +198,7 @@ def test_other_tile_sizes(processor, unoptimised, precision, tuning, size, chang
             np.testing.assert_array_equal(bits(sequence.show()), bits(sequence.fresh(inputs)), kind)
 
 
-def test_work_items_of_two_rows(few_units):
+def test_work_items_of_two_rows(few_units, unoptimised):
     """Of conv_local.cl, in layers with enough tiles for all units; the other tests' layers have too few."""
     sequence = Sequence(few_units, (72, 40), "half")
     assert {launch.source.options.get("ROWS") for launch in sequence.layers.launches if launch.tiling.images > 1} == {1, 2}

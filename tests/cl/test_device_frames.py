@@ -22,11 +22,6 @@ SIZE = 24, 40
 CHANGES = (*5 * ["nothing"], "nothing", "pixel", "moving", "nothing", "rectangle")
 
 
-@pytest.fixture(scope="module", params=["cpu", "gpu"])
-def device(request):
-    return open_device(device_class=request.param)
-
-
 def film(changes=CHANGES):
     rng = np.random.default_rng(4)
     frames = [first_frame(rng, SIZE, rendered=True)]
@@ -174,9 +169,9 @@ class Waits:
 
 
 @pytest.mark.parametrize(("skip", "looking", "waits"), [("off", False, 0), ("exact", False, 0), ("exact", True, 2)])
-def test_nobody_waits_before_the_image(monkeypatch, skip, looking, waits):
+def test_nobody_waits_before_the_image(gpu, monkeypatch, skip, looking, waits):
     """Of a frame among others: nowhere where none are compared, else for what arrived and what then differs."""
-    device, frames = open_device(device_class="gpu"), film(["moving"] * 11)
+    device, frames = gpu, film(["moving"] * 11)
     stream = Stream(WEIGHTS, device, skip=skip)
     stream._control.frames_unlooked = 0 if looking else 100
     windows = [(window_at(frames, i), plan(window_at(frames, i)).steps) for i in range(len(frames))]
@@ -192,9 +187,9 @@ def test_nobody_waits_before_the_image(monkeypatch, skip, looking, waits):
 
 
 @pytest.mark.parametrize("skip", ["off", "exact"])
-def test_frames_on_the_device_do_not_wait_for_the_network(monkeypatch, skip):
+def test_frames_on_the_device_do_not_wait_for_the_network(gpu, monkeypatch, skip):
     """The call is over while the network stands still."""
-    device = open_device(device_class="gpu")
+    device = gpu
     frames = [on(device, frame) for frame in film(["moving"] * 7)]
     stream, windows = streaming(device, frames, skip)
     held = stopped_before(monkeypatch, device, "conv")
@@ -209,9 +204,9 @@ def test_frames_on_the_device_do_not_wait_for_the_network(monkeypatch, skip):
 
 
 @pytest.mark.parametrize("skip", ["off", "exact"])
-def test_they_wait_for_what_is_found_on_arrival(monkeypatch, skip):
+def test_they_wait_for_what_is_found_on_arrival(gpu, monkeypatch, skip):
     """Even where the look comes late."""
-    device, frames = open_device(device_class="gpu"), film(["moving"] * 7)
+    device, frames = gpu, film(["moving"] * 7)
     frames[-1].nov[3, 4] = np.inf
     stream, windows = streaming(device, [on(device, frame) for frame in frames], skip)
     held = stopped_before(monkeypatch, device, "arrive")

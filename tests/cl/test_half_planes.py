@@ -8,10 +8,14 @@ import pyopencl.array as cla
 import pytest
 
 from conformance.tolerance import ratio
-from stss.frames.backends import ReferenceBackend
+from stss.color import transfer
+from stss.demo import write_demo_sequence
+from stss.frames.backends import ReferenceBackend, open_backend
+from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import HALF as HALF_IN_FRAMES
-from stss.frames.display_frame import frame_inputs, halved
-from stss_cl.device.discovery import open_device
+from stss.frames.display_frame import frame_inputs, halved, prepare, window_at
+from stss.frames.supersample import plan
+from stss.sequence.reader import open_sequence
 from stss_cl.network.network import PRECISIONS
 from stss_cl.skip.planes import HALF, Planes
 from stss_cl.skip.stream import SKIPS, Stream
@@ -21,11 +25,6 @@ from stss_ref.weights import astype
 from tests.cl.test_device_frames import SIZE, film
 from tests.cl.test_overlap import calls_of, here, right
 from tests.cl.test_stream import WEIGHTS, assert_same
-
-
-@pytest.fixture(scope="module", params=["cpu", "gpu"])
-def device(request):
-    return open_device(device_class=request.param)
 
 
 def widened(frame_):
@@ -145,3 +144,16 @@ def test_what_half_cannot_hold_stays_float32(name, value):
     kept = halved(replace(made, **{name: plane}))
     assert getattr(kept, name) is plane
     assert sum(getattr(kept, each).dtype == np.float16 for each in HALF) == len(HALF) - 1
+
+
+def test_both_backends_take_the_same_planes(opened, tmp_path):
+    """Images of the application's frames are as near to the reference's as those of planes in float32 are."""
+    write_demo_sequence(tmp_path, 8, (18, 32))
+    sequence = open_sequence(tmp_path / "frames", "stss")
+    shown = [prepare(sequence.load(n), transfer("srgb"), "scale", "half") for n in sequence.numbers]
+    cl, ref = (open_backend(name, WEIGHTS, ComputeOptions()) for name in ("cl", "ref"))
+    for i in range(len(shown)):
+        window = window_at(shown, i)
+        (image, valid), (want, want_valid) = (backend.compute(window, plan(window).steps) for backend in (cl, ref))
+        np.testing.assert_array_equal(valid, want_valid)
+        assert ratio("network.cl.float32", image, want.astype(np.float64)) <= 1

@@ -18,7 +18,6 @@ from hypothesis import given, settings
 
 from stss.frames.display_frame import window_at
 from stss.frames.supersample import plan
-from stss_cl.device.discovery import open_device
 from stss_cl.device.staging import staging
 from stss_cl.skip.stream import SKIPS, Stream
 from stss_ref.arrays import ArrayError
@@ -29,11 +28,6 @@ MOMENT = 1.0
 """Seconds in which what may happen does, and what must wait is seen to."""
 LONG = 120.0
 """Seconds after which what should have happened is given up."""
-
-
-@pytest.fixture(scope="module")
-def gpu():
-    return open_device(device_class="gpu")
 
 
 def calls_of(frames, first=0):
@@ -86,10 +80,9 @@ def held_for_a_moment(*queues):
 
 @pytest.mark.parametrize("there", [False, True], ids=["host", "device"])
 @pytest.mark.parametrize("skip", SKIPS)
-@pytest.mark.parametrize("device_class", ["cpu", "gpu"])
-def test_frames_one_ahead_have_the_bits_of_calls(device_class, skip, there):
+def test_frames_one_ahead_have_the_bits_of_calls(device, skip, there):
     """SF and EF in turns, of which some change nowhere, some in part and some everywhere; every image is held to the end."""
-    device, frames = open_device(device_class=device_class), film()
+    frames = film()
     want = right(device, calls_of(frames))
     stream, plain = Stream(WEIGHTS, device, skip=skip), Stream(WEIGHTS, device, skip=skip)
     shown = [on(device, frame) for frame in frames] if there else frames

@@ -1,0 +1,18 @@
+"""The benchmark's frames in sequence, on each class of device."""
+
+import numpy as np
+
+from stss.bench.ours import contender, frame_inputs, truth
+from tests.app.test_bench import WEIGHTS, setup
+
+
+def test_frames_in_sequence_end_with_that_of_the_inputs(opened):
+    """Else their error would be that of other frames."""
+    inputs = frame_inputs(16, 24)
+    want = truth(inputs, WEIGHTS)
+    for name in ("cl-stream", "cl-stream-ahead"):
+        made = contender(name, setup(16, 24))
+        made.prepare(inputs)
+        for _ in range(2):
+            made.run()
+            assert np.abs(made.image() - want).max() < 1e-3
