@@ -270,7 +270,7 @@ def _path(name: str, handle: cl.Device) -> Path:
     settings = {
         k: v
         for k, v in os.environ.items()
-        if k.startswith(("POCL_", "CL_CONFIG_", "STSS_DEVICE_CLASS")) and k != "POCL_CACHE_DIR"
+        if k.startswith(("POCL_", "CL_CONFIG_", "STSS_DEVICE_CLASS", "STSS_LINKER")) and k != "POCL_CACHE_DIR"
     }
     what = [name, handle.driver_version, handle.platform.version, VERSION, _sources(), sorted(settings.items())]
     return private("verdicts") / f"{hashlib.sha256(json.dumps(what).encode()).hexdigest()[:32]}.json"

@@ -67,13 +67,15 @@ def private(*parts: str) -> Path:
     return folder
 
 
-def store(path: Path, data: bytes) -> None:
+def store(path: Path, data: bytes, *, executable: bool = False) -> None:
     """Write a file of a private folder, whole or not at all; if that fails (a full disk, ...) there is no file."""
     with suppress(OSError):
         handle, beside = tempfile.mkstemp(dir=path.parent, prefix=".")
         try:
             with os.fdopen(handle, "wb") as file:
                 file.write(data)
+            if executable:
+                Path(beside).chmod(stat.S_IRWXU)
             Path(beside).replace(path)
         except OSError:
             Path(beside).unlink()

@@ -15,6 +15,7 @@ from pyopencl.tools import ImmediateAllocator, MemoryPool
 
 from stss_cl.device.caches import pocl_cache
 from stss_cl.device.generated_code import generate_once
+from stss_cl.device.linker import provide
 from stss_cl.errors import DeviceError
 
 __all__ = [
@@ -210,11 +211,12 @@ def found() -> list[cl.Device]:
     """Every device of every platform, sorted by name: the loader's order is not stable.
 
     Raises:
-        DeviceError: the process is a fork of one that used OpenCL, or the kernel cache is not safe.
+        DeviceError: the process is a fork of one that used OpenCL, the kernel cache is not safe, or ``$STSS_LINKER`` means nothing.
     """
     if not _process:
         _process.append(os.getpid())
     _require_same_process(_process[0])
+    provide()
     with pocl_cache("unknown"):  # in case a version of PoCL looks for its devices this early
         try:
             platforms = cl.get_platforms()

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: MIT
+"""A linker for PoCL on machines that have none: those without a C compiler, like most containers.
+
+PoCL brings a compiler with it, but calls the system's ``ld``, and has it look for the C compiler's own libraries, which no kernel needs. If
+either is missing, it ends the process at the first kernel. Then a small program of ours is put into ``$PATH`` under that name.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import shlex
+import shutil
+import sys
+from pathlib import Path
+
+from stss_cl.device.caches import private, store
+from stss_cl.errors import DeviceError
+
+CHOICES = ("own", "system")
+COMPILERS = ("/usr/lib*/gcc*/*/*", "/opt/rh/*/root/usr/lib*/gcc*/*/*")
+"""Where PoCL looks for the libraries of a C compiler; patterns of folders."""
+LIBRARIES = ("/lib/*-linux-gnu", "/usr/lib/*-linux-gnu", "/lib64", "/usr/lib64", "/lib", "/usr/lib")
+PROGRAM = Path(__file__).with_name("shared_object.py")
+
+
+def provide() -> None:
+    """Put our linker before all others, if it is needed: PoCL looks for it in ``$PATH`` at a moment of its choice.
+
+    Raises:
+        DeviceError: ``$STSS_LINKER`` is neither ``own`` nor ``system``, or there is no place for the program.
+    """
+    if not needed():
+        return
+    text = f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -I -S {shlex.quote(str(PROGRAM))} "$@"\n'.encode()
+    folder = private("linker", hashlib.sha256(text).hexdigest()[:16])
+    path = folder / "ld"
+    if not path.exists():
+        store(path, text, executable=True)
+    if str(folder) not in os.environ.get("PATH", "").split(os.pathsep):
+        os.environ["PATH"] = os.pathsep.join(filter(None, (str(folder), os.environ.get("PATH"))))
+
+
+def needed() -> bool:
+    """Whether PoCL could not link: there is no ``ld``, or not what it asks ``ld`` for; ``$STSS_LINKER`` decides otherwise."""
+    named = os.environ.get("STSS_LINKER")
+    if named not in (None, *CHOICES):
+        raise DeviceError(f"STSS_LINKER: expected one of {', '.join(CHOICES)}, got {named!r}")
+    if named is not None:
+        return named == "own"
+    return possible() and (
+        shutil.which("ld") is None or not _there(COMPILERS, "libgcc.a") or not _there(LIBRARIES, "libc.so", "libc.a")
+    )
+
+
+def possible() -> bool:
+    """Whether ours can link for this system, and a program can be made of it."""
+    return sys.platform == "linux" and platform.machine() == "x86_64" and bool(sys.executable)
+
+
+def _there(folders: tuple[str, ...], *names: str) -> bool:
+    root = Path("/")
+    return any(next(root.glob(f"{folder[1:]}/{name}"), None) is not None for folder in folders for name in names)

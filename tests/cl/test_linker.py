@@ -1,0 +1,146 @@
+"""Machines without a linker: PoCL computes all the same, with the same bits, and what the linker cannot do it says."""
+
+import ctypes
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from stss_cl.device import linker
+from stss_cl.device.shared_object import LinkError, link
+from stss_cl.errors import DeviceError
+from tests.cl.conftest import opened_as
+
+pytestmark = pytest.mark.skipif(not linker.possible(), reason="PoCL links by itself on this system")
+
+COMPUTE = """
+import numpy as np, sys
+from stss_cl.device.discovery import open_device
+from stss_cl.image_space.stages import ImageStages
+random = np.random.default_rng(1)
+device = open_device("pocl")
+inputs = {"color": random.random((19, 33, 3), np.float32), "motion": 9 * random.random((19, 33, 2), np.float32) - 4}
+sys.stdout.buffer.write(b"".join(np.ascontiguousarray(array).tobytes() for array in ImageStages(device).run_stage("warp", inputs).values()))
+"""
+
+
+def compute(cache, path, **environment):
+    """What a process of its own gives that finds nothing compiled."""
+    here = {k: v for k, v in os.environ.items() if not k.startswith(("POCL_CACHE", "STSS_LINKER"))}
+    env = here | {"XDG_CACHE_HOME": str(cache), "PATH": str(path), "PYTHONPATH": str(Path(__file__).parents[2])} | environment
+    return subprocess.run([sys.executable, "-c", COMPUTE], env=env, capture_output=True, timeout=300, check=False)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def pocl():
+    if not opened_as("cpu").name.startswith("Portable Computing Language"):
+        pytest.skip("no PoCL")
+
+
+@pytest.fixture(scope="module")
+def objects(tmp_path_factory):
+    """What PoCL gives to its linker, kept by a linker that is ours with a copy before it."""
+    folder = tmp_path_factory.mktemp("objects")
+    ours = f'exec "{sys.executable}" -I -S "{linker.PROGRAM}" "$@"'
+    (folder / "ld").write_text(f'#!/bin/sh\nfor a in "$@"; do case "$a" in *.o) cp "$a" "{folder}";; esac; done\n{ours}\n')
+    (folder / "ld").chmod(0o700)
+    done = compute(tmp_path_factory.mktemp("cache"), f"{folder}:{os.environ['PATH']}", STSS_LINKER="system")
+    assert done.returncode == 0, done.stderr
+    return [path.read_bytes() for path in folder.glob("*.o")]
+
+
+def test_without_any_program_the_bits_are_the_same(tmp_path):
+    """No ``ld``, no compiler, nothing at all in PATH, against whatever this machine has."""
+    (tmp_path / "nothing").mkdir()
+    alone, usual = (compute(tmp_path / name, path) for name, path in (("a", tmp_path / "nothing"), ("b", os.environ["PATH"])))
+    assert alone.returncode == 0, alone.stderr
+    assert len(alone.stdout) == 19 * 33 * (3 * 4 + 1)
+    assert alone.stdout == usual.stdout
+    (program,) = (tmp_path / "a" / "stss" / "linker").glob("*/ld")
+    assert program.stat().st_mode & 0o777 == 0o700
+
+
+def test_the_functions_are_found(objects, tmp_path):
+    assert objects
+    for data in objects:
+        (tmp_path / "made.so").write_bytes(link(data))
+        made = ctypes.CDLL(str(tmp_path / "made.so"))
+        assert made._pocl_kernel_warp_workgroup
+        with pytest.raises(AttributeError):
+            _ = made.another
+        (tmp_path / "made.so").unlink()
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_a_damaged_object_is_an_error_or_none(objects, data):
+    """Never another exception."""
+    damaged = bytearray(data.draw(st.sampled_from(objects)))
+    for _ in range(data.draw(st.integers(1, 4))):
+        damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        made = link(bytes(damaged[: data.draw(st.integers(0, len(damaged)))] if data.draw(st.booleans()) else damaged))
+    except LinkError:
+        return
+    assert made.startswith(b"\x7fELF")
+    assert len(made) < 2 * len(damaged) + 2**16
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "-o"),
+        (("-o", "out.so"), "expected one object, got 0"),
+        (("-o", "out.so", "missing.o"), "missing.o"),
+        (("-o", "out.so", "text.o"), "expected a relocatable object of x86-64"),
+        (("-o", "out.so", "text.o", "text.o"), "expected one object, got 2"),
+    ],
+)
+def test_what_it_cannot_do_is_one_line(tmp_path, arguments, words):
+    (tmp_path / "text.o").write_bytes(b"text" * 40)
+    done = subprocess.run(
+        [sys.executable, "-I", "-S", linker.PROGRAM, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert not (tmp_path / "out.so").exists()
+
+
+@pytest.mark.parametrize("missing", ["ld", "libgcc.a", "libc.so"])
+def test_it_is_needed_where_something_is_missing(tmp_path, monkeypatch, missing):
+    monkeypatch.delenv("STSS_LINKER", raising=False)
+    for name in ("bin/ld", "gcc/libgcc.a", "lib/libc.so"):
+        path = tmp_path / name
+        path.parent.mkdir()
+        path.touch(0o700)
+    monkeypatch.setenv("PATH", str(tmp_path / "bin"))
+    monkeypatch.setattr(linker, "COMPILERS", (str(tmp_path / "gcc"),))
+    monkeypatch.setattr(linker, "LIBRARIES", (str(tmp_path / "lib"),))
+    assert not linker.needed()
+    next(tmp_path.glob(f"*/{missing}")).unlink()
+    assert linker.needed()
+    monkeypatch.setenv("STSS_LINKER", "system")
+    assert not linker.needed()
+
+
+def test_other_choices_are_refused(monkeypatch):
+    monkeypatch.setenv("STSS_LINKER", "gold")
+    with pytest.raises(DeviceError, match="STSS_LINKER: expected one of own, system, got 'gold'"):
+        linker.provide()
+
+
+def test_path_gets_it_once(tmp_path, monkeypatch):
+    monkeypatch.setenv("STSS_LINKER", "own")
+    monkeypatch.setenv("PATH", "/usr/bin")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    for _ in range(2):
+        linker.provide()
+    first, second = os.environ["PATH"].split(":")
+    assert second == "/usr/bin"
+    assert os.access(Path(first) / "ld", os.X_OK)
+    assert [path.name for path in Path(first).iterdir()] == ["ld"]
