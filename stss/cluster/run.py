@@ -128,7 +128,8 @@ class _Coordinator:
         self._employ()
         while self._lanes.left() or any(not self._is_done(task) for task in self._tasks.values()):
             for future in self._finished():
-                self._receive(future)
+                if future in self._tasks:  # else an error that came in just before has dropped it
+                    self._receive(future)
             self._again()
             self._employ()
         for future in self._tasks:

@@ -7,7 +7,7 @@ import hashlib
 import os
 import re
 from collections import Counter
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Literal, get_args
 
 import pyopencl as cl
@@ -36,8 +36,8 @@ __all__ = [
 NO_DEVICE = "no OpenCL device: pip install 'pyopencl[pocl]' gives one that runs on any CPU"
 
 generate_once()
-_process: list[int] = []
-"""The process that first used OpenCL, if any: a driver's threads do not survive a fork."""
+_first_process = cache(os.getpid)
+"""The process that first used OpenCL: a driver's threads do not survive a fork."""
 
 DeviceClass = Literal["cpu", "gpu"]
 CLASSES: tuple[DeviceClass, ...] = get_args(DeviceClass)
@@ -213,9 +213,7 @@ def found() -> list[cl.Device]:
     Raises:
         DeviceError: the process is a fork of one that used OpenCL, the kernel cache is not safe, or ``$STSS_LINKER`` means nothing.
     """
-    if not _process:
-        _process.append(os.getpid())
-    _require_same_process(_process[0])
+    _require_same_process(_first_process())
     provide()
     with pocl_cache("unknown"):  # in case a version of PoCL looks for its devices this early
         try:

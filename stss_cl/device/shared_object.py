@@ -34,7 +34,7 @@ LOAD, DYNAMIC, STACK = 1, 2, 0x6474E551
 READ, WRITE, EXECUTE = 4, 2, 1
 
 
-class LinkError(ValueError):
+class LinkError(Exception):
     """An object that is damaged, or needs more of a linker than this one does."""
 
 
@@ -64,7 +64,7 @@ class Symbol(NamedTuple):
     size: int
 
 
-class Object(NamedTuple):
+class Relocatable(NamedTuple):
     """A relocatable object; ``names``: of its sections, ``strings``: of its symbols."""
 
     data: bytes
@@ -90,11 +90,11 @@ def link(data: bytes) -> bytes:
     """
     try:
         return _link(_parse(data))
-    except (struct.error, IndexError, OverflowError, UnicodeDecodeError) as error:
+    except (struct.error, IndexError, ValueError, OverflowError) as error:
         raise LinkError(f"damaged object: {error}") from None
 
 
-def _parse(data: bytes) -> Object:
+def _parse(data: bytes) -> Relocatable:
     ident, kind, machine, _, _, _, table, _, _, _, _, entry, count, names = HEADER.unpack_from(data)
     if ident[:7] != IDENT[:7] or kind != RELOCATABLE or machine != X86_64 or entry != SECTION.size:
         raise LinkError("expected a relocatable object of x86-64")
@@ -103,11 +103,12 @@ def _parse(data: bytes) -> Object:
     if len(tables) != 1:
         raise LinkError(f"expected one table of symbols, got {len(tables)}")
     symbols = [Symbol(*SYMBOL.unpack_from(data, at)) for at in _entries(tables[0], SYMBOL)]
-    return Object(data, sections, _bytes(data, sections[names]), symbols, _bytes(data, sections[tables[0].link]))
+    return Relocatable(data, sections, _bytes(data, sections[names]), symbols, _bytes(data, sections[tables[0].link]))
 
 
-def _link(given: Object) -> bytes:
+def _link(given: Relocatable) -> bytes:
     kept = {i: section for i, section in enumerate(given.sections) if given.kept(section)}
+    contents = {i: _bytes(given.data, section) for i, section in kept.items()}
     for section in given.sections:
         if section.flags & ALLOCATED and section.flags & WRITABLE and section.size:
             raise LinkError("expected no data that can be written to")
@@ -128,8 +129,8 @@ def _link(given: Object) -> bytes:
     made = bytearray(places.dynamic)
     for at, part in ((places.symbols, table), (places.names, names), (places.chains, chains)):
         made[at : at + len(part)] = part
-    for i, section in kept.items():
-        made[places.sections[i] : places.sections[i] + section.size] = _bytes(given.data, section)
+    for i, content in contents.items():
+        made[places.sections[i] : places.sections[i] + len(content)] = content
     _relocate(made, given, places.sections)
     # The dynamic section is written to as it is loaded, so it gets a page of its own: a page further on than in the file.
     segments = (
@@ -157,7 +158,7 @@ class Places(NamedTuple):
     dynamic: int
 
 
-def _places(first: int, exported: Sequence[Symbol], given: Object, kept: dict[int, Section]) -> Places:
+def _places(first: int, exported: Sequence[Symbol], given: Relocatable, kept: dict[int, Section]) -> Places:
     count = len(exported) + 1
     names = 1 + sum(len(given.name(symbol).encode()) + 1 for symbol in exported)
     sizes = (SYMBOL.size * count, names + -names % 8, 4 * (3 + count))
@@ -172,7 +173,7 @@ def _places(first: int, exported: Sequence[Symbol], given: Object, kept: dict[in
     return Places(symbols, strings, chains, sections, end + -end % 16)
 
 
-def _relocate(made: bytearray, given: Object, places: dict[int, int]) -> None:
+def _relocate(made: bytearray, given: Relocatable, places: dict[int, int]) -> None:
     """Fill in the distances."""
     for section in given.sections:
         if section.kind != RELOCATIONS or section.info not in places:

@@ -220,6 +220,21 @@ def test_workers_of_different_kinds_are_refused_unless_asked_for(cluster, frames
         on_cluster(frames, tmp_path / "out2", cluster, mixed=True)
 
 
+def test_of_two_errors_at_once_the_first_frames_is_told(cluster, frames, tmp_path, monkeypatch):
+    """All chunks have come in, each with an error, as they are looked at."""
+    from stss.cluster import run as module
+    from stss.cluster.client import Crew
+    from stss.cluster.worker import Introduction
+
+    def together(self):
+        return sorted(module.distributed().wait(list(self._tasks)).done, key=lambda future: self._tasks[future].numbers[0])
+
+    monkeypatch.setattr(Crew, "introductions", lambda self: dict.fromkeys(self.addresses(), Introduction(VERSION, "another")))
+    monkeypatch.setattr(module._Coordinator, "_finished", together)
+    with pytest.raises(InputError, match="came later computes by ref; expected another"):
+        on_cluster(frames, tmp_path / "out", cluster)
+
+
 @pytest.mark.parametrize(
     ("address", "said"),
     [
