@@ -39,9 +39,10 @@ AVERAGE = 0.999
 
 @dataclass(frozen=True)
 class Settings:
-    """Options that change the numbers of a run, besides the data; a resumed run may have more steps. ``young``: see `infancy`.
+    """Options that change the numbers of a run, besides the data; a resumed run may have more steps.
 
-    ``squares``: the share of the squared error in the loss that stays after it. ``history``: whether the history is used.
+    ``young``: what `infancy` is multiplied by. ``squares``: the share of the squared error in the loss that stays after it.
+    ``history``: whether the history is used.
     ``structure``: the perceptual distance is so many times 1 - SSIM. ``extrapolated``: the share of EFs in the squared error.
     ``taught``: the share of the teachers' picture in what the squared error is taken against. ``masking``: Random Reshading Masking.
     ``holes``: how often errors in reshading regions count in the squared error.
@@ -53,7 +54,7 @@ class Settings:
     warm_up: int
     seed: int
     half: bool
-    young: bool = True
+    young: float = 1.0
     squares: float = 0.0
     history: bool = True
     structure: float = STRUCTURE
@@ -209,7 +210,7 @@ def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan
     total, count, since = torch.zeros((), device=device), 0, time.perf_counter()
     for step, batch in batches.between(state.step, plan.steps):
         rate = rate_at(step, plan.steps, settings)
-        young = infancy(step, plan.steps) if settings.young else 0.0
+        young = settings.young * infancy(step, plan.steps)
         shares = {
             "young": young,
             "squares": settings.squares,
@@ -246,7 +247,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--warm-up", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--initial", help="safetensors file to start from; default: bilinear and a random rest")
-    parser.add_argument("--aids", action="store_true", help="those of a beginner also with --initial: see training.revive")
+    parser.add_argument(
+        "--aids",
+        type=float,
+        metavar="SHARE",
+        help="a beginner's aids at the start; default 1, with --initial 0: see training.revive",
+    )
     parser.add_argument("--squares", type=float, default=0.0, help="share of the squared error in the loss, for PSNR's sake")
     parser.add_argument("--structure", type=float, default=STRUCTURE, help="the perceptual distance is so many times 1 - SSIM")
     parser.add_argument("--extrapolated", type=float, default=0.5, help="share of EFs in the squared error")
@@ -275,7 +281,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         chosen.warm_up,
         chosen.seed,
         half,
-        young=chosen.initial is None or chosen.aids,
+        young=float(chosen.initial is None) if chosen.aids is None else chosen.aids,
         squares=chosen.squares,
         history=chosen.history,
         structure=chosen.structure,
