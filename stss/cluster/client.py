@@ -141,12 +141,12 @@ def connected(address: str) -> Generator[Any, None, None]:
         raise InputError(f"--cluster: expected {LOCAL}N or a scheduler such as tcp://host:8786, got {address}")
     try:
         client = dask.Client(address, timeout=WAIT)
-    except (OSError, TimeoutError, ValueError) as error:
+    except (OSError, dask.TimeoutError, ValueError) as error:
         raise InputError(f"--cluster {address}: no scheduler answers: {str(error).splitlines()[0]}") from error
     with client:
         try:
             client.wait_for_workers(1, timeout=WAIT)
-        except TimeoutError as error:
+        except dask.TimeoutError as error:
             raise InputError(f"--cluster {address}: no worker within {WAIT} s") from error
         yield client
 

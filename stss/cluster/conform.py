@@ -96,7 +96,7 @@ class TestsElsewhere:
         future = self._futures.pop(test)
         while True:
             self._workers.require_some()
-            with suppress(TimeoutError):
+            with suppress(distributed().TimeoutError):
                 distributed().wait([future], timeout=1)
                 break
         try:

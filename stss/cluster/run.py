@@ -208,7 +208,7 @@ class _Coordinator:
         if not self._tasks:
             time.sleep(1)  # for a worker to come
             return ()
-        with suppress(TimeoutError):
+        with suppress(distributed().TimeoutError):  # asyncio's before Python 3.11
             return distributed().wait(list(self._tasks), timeout=1, return_when="FIRST_COMPLETED").done
         return ()
 

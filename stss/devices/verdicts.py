@@ -124,7 +124,7 @@ def known(name: str, handle: cl.Device) -> Verdict | None:
         if stored.pop("device") != name or stored["outcome"] not in _OUTCOMES or not isinstance(stored["why"], str):
             return None
         numbers = stored["gflops"], stored["seconds"]
-        if not all(type(number) in (int, float) and 0 <= number < math.inf for number in numbers):
+        if not all(type(number) in (int, float) and 0 <= number <= sys.float_info.max for number in numbers):
             return None
         return Verdict(**stored) if len(stored) == 4 else None  # outcome, why, gflops, seconds
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):

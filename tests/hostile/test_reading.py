@@ -3,6 +3,7 @@
 import os
 import re
 import struct
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +107,8 @@ def test_leading_zeros_do_not_count(tmp_path):
 
 
 HUGE = "9" * 5000
+LIMITED = hasattr(sys, "get_int_max_str_digits")
+"""Whether this Python refuses numbers with so many digits by itself: 3.11, and late versions of 3.10."""
 
 
 @pytest.mark.parametrize(
@@ -153,7 +156,11 @@ TOML = {
         "depth.background: expected a number > 0",
     ),
     "401 digits in a list": ("bias = [0, 0]", f"bias = [0, {'9' * 401}]", "motion.bias: expected 2 numbers"),
-    "5000 digits": ("units_per_cm = 1", f"units_per_cm = {'9' * 5000}", "cannot be read as TOML"),
+    "5000 digits": (
+        "units_per_cm = 1",
+        f"units_per_cm = {'9' * 5000}",
+        "cannot be read as TOML" if LIMITED else "found a whole number of",
+    ),
     "5000 hexadecimal digits": ("units_per_cm = 1", f"units_per_cm = 0x{'f' * 5000}", "found a whole number of 20000 bits"),
     "nested lists": ("units_per_cm = 1", f"units_per_cm = {'[' * 5000}{']' * 5000}", "nested too deeply"),
     "nested tables": ("units_per_cm = 1", f"units_per_cm = {'{a=' * 3000}1{'}' * 3000}", "nested too deeply"),
@@ -359,14 +366,17 @@ def test_a_size_has_a_limit_that_is_named(sequence, monkeypatch, place):
         ("", "found nothing"),
         ("frame,x,y\n", "expected the first line to be frame,x,y,z"),
         ("x" * 200000, "field larger than field limit"),
-        (f"frame,x,y,z\n{HUGE},0,0,0\n", "line 2: expected a frame number and three numbers"),
+        (
+            f"frame,x,y,z\n{HUGE},0,0,0\n",
+            "line 2: expected a frame number and three numbers" if LIMITED else "no line for frame 1",
+        ),
         ("frame,x,y,z\n1,nan,0,0\n", "line 2: expected a frame number and three numbers; found 1,nan,0,0"),
         ("frame,x,y,z\n1,1e999,0,0\n", "line 2"),
         ("frame,x,y,z\n1" + ",0" * 100000 + "\n", "line 2"),
         ("frame,x,y,z\n1,0,0,0\n1,0,0,0\n", "line 3: frame 1 appears twice"),
         ("frame,x,y,z\n1,\x1b[2J,0,0\n", "found 1,\\x1b[2J,0,0"),
         ('frame,x,y,z\n1,"\n\n",0,0\n', "found 1,\\n\\n,0,0"),
-        ("frame,x,y,z\n1,\0,0,0\n", "line 2"),
+        ("frame,x,y,z\n1,\0,0,0\n", "line 2" if sys.version_info >= (3, 11) else "line contains NUL"),
         ("frame,x,y,z\n" + "\n" * 3000000, "no line for frame 1"),
     ],
 )
