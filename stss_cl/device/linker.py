@@ -19,8 +19,8 @@ from stss_cl.device.caches import private, store
 from stss_cl.errors import DeviceError
 
 CHOICES = ("own", "system")
-COMPILERS = ("/usr/lib*/gcc*/*/*", "/opt/rh/*/root/usr/lib*/gcc*/*/*")
-"""Where PoCL looks for the libraries of a C compiler; patterns of folders."""
+COMPILERS = ("/usr/lib*/gcc*/*/*",)
+"""Where a system keeps the libraries of its C compiler, and PoCL looks for them; patterns of folders."""
 LIBRARIES = ("/lib/*-linux-gnu", "/usr/lib/*-linux-gnu", "/lib64", "/usr/lib64", "/lib", "/usr/lib")
 PROGRAM = Path(__file__).with_name("shared_object.py")
 
@@ -38,8 +38,9 @@ def provide() -> None:
     path = folder / "ld"
     if not path.exists():
         store(path, text, executable=True)
-    if str(folder) not in os.environ.get("PATH", "").split(os.pathsep):
-        os.environ["PATH"] = os.pathsep.join(filter(None, (str(folder), os.environ.get("PATH"))))
+    places = os.environ.get("PATH", os.defpath)
+    if str(folder) not in places.split(os.pathsep):
+        os.environ["PATH"] = f"{folder}{os.pathsep}{places}"
 
 
 def needed() -> bool:

@@ -26,7 +26,7 @@ SECTION, SYMBOL, RELOCATION = struct.Struct("<IIQQQQIIQQ"), struct.Struct("<IBBH
 IDENT = b"\x7fELF\x02\x01\x01".ljust(16, b"\0")
 """64 bits, least significant byte first, version 1."""
 RELOCATABLE, SHARED, X86_64 = 1, 3, 62
-PROGRAM_BITS, SYMBOLS, STRINGS, RELOCATIONS = 1, 2, 3, 4
+PROGRAM_BITS, SYMBOLS, RELOCATIONS = 1, 2, 4
 WRITABLE, ALLOCATED = 1, 2
 DISTANCES = (2, 4)
 """R_X86_64_PC32 and R_X86_64_PLT32: 32 bits, the symbol's address - the place's."""
