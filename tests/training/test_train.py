@@ -48,28 +48,27 @@ def test_a_resumed_run_is_the_same_run(data, tmp_path, monkeypatch):
 
 
 def test_options_reach_the_run(data, tmp_path):
-    """``--no-history``: weights that say so; ``--squares``, ``--structure``, ``--extrapolated``: another loss, and so other weights."""
-    run(data, tmp_path / "a", 4)
-    run(data, tmp_path / "b", 4, "--no-history")
-    run(data, tmp_path / "c", 4, "--squares", "0.9", "--initial", str(tmp_path / "a" / "weights.safetensors"))
-    run(data, tmp_path / "d", 4, "--initial", str(tmp_path / "a" / "weights.safetensors"))
-    run(data, tmp_path / "e", 4, "--structure", "90", "--initial", str(tmp_path / "a" / "weights.safetensors"))
-    run(
-        data,
-        tmp_path / "f",
-        4,
-        "--squares",
-        "0.9",
-        "--extrapolated",
-        "0.7",
-        "--initial",
-        str(tmp_path / "a" / "weights.safetensors"),
-    )
-    made = {name: load(tmp_path / name / "weights.safetensors").weights for name in "abcdef"}
-    assert [name for name, weights in made.items() if not reads_history(weights)] == ["b"]
-    assert (made["c"]["outc.weight"] != made["d"]["outc.weight"]).any()
-    assert (made["e"]["outc.weight"] != made["d"]["outc.weight"]).any()
-    assert (made["f"]["outc.weight"] != made["c"]["outc.weight"]).any()
+    """``--no-history``: weights that say so; the others: another loss, and so other weights, also other than each other's."""
+    run(data, tmp_path / "start", 4)
+    start = ("--initial", str(tmp_path / "start" / "weights.safetensors"))
+    squares = ("--squares", "0.9")
+    runs = {
+        "plain": (),
+        "squares": squares,
+        "structure": ("--structure", "90"),
+        "extrapolated": (*squares, "--extrapolated", "0.7"),
+        "aids": ("--aids", "0.3"),
+        "more aids": ("--aids", "1"),
+        "no aids": ("--aids", "0"),
+    }
+    for name, options in runs.items():
+        run(data, tmp_path / name, 4, *start, *options)
+    run(data, tmp_path / "no history", 4, "--no-history")
+    made = {name: load(tmp_path / name / "weights.safetensors") for name in (*runs, "no history")}
+    assert [name for name, loaded in made.items() if not reads_history(loaded.weights)] == ["no history"]
+    sums = {name: loaded.label for name, loaded in made.items()}
+    assert sums.pop("no aids") == sums["plain"]
+    assert len(set(sums.values())) == len(sums)
 
 
 def killed_after(step):
