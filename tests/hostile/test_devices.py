@@ -426,6 +426,7 @@ EDITED = {
     "deep": b"[" * 60000,
     "huge": json.dumps(GOOD).encode() + b" " * (1 << 20),
     "digits": json.dumps(GOOD).replace("5.0", "9" * 5000).encode(),
+    "more than a float holds": json.dumps(GOOD).replace("5.0", "9" * 400).encode(),
     "empty": b"",
 }
 
