@@ -2,6 +2,7 @@
 
 import ast
 import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -124,3 +125,11 @@ def test_the_table_of_kernels_has_the_options_that_they_take():
         )
         assert needed <= rows[path.name], path.name
         assert rows[path.name] <= set(re.findall(r"\w+", source(path.name))), path.name
+
+
+def test_no_large_file_is_kept():
+    """A clone stays small; weights, 1.7 MB each, are the largest."""
+    found = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=False)
+    if found.returncode:
+        pytest.skip("not a checkout of git")
+    assert not [name for name in filter(None, found.stdout.split("\0")) if (ROOT / name).stat().st_size > 3e6]
