@@ -13,7 +13,7 @@ import torch
 
 from training.command import command
 from training.data import KINDS, Batches, Kind, Shard, load_shards
-from training.train import Settings, advance, infancy, rate_at, start
+from training.train import Aims, Settings, advance, infancy, rate_at, start
 from training.validate import Means, bilinear, evaluating, tensors, validate
 
 
@@ -47,7 +47,7 @@ def run(variant: Variant, shards: list[Shard], settings: Settings, steps: int, d
     )
     for step, batch in batches.between(0, steps):
         young, rate = infancy(step, steps), rate_at(step, steps, settings)
-        advance(state, tensors(batch, device), rate, half=settings.half, young=young)
+        advance(state, tensors(batch, device), rate, Aims(half=settings.half, young=young))
     return state.average
 
 

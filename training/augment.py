@@ -53,20 +53,23 @@ def crop(inputs: Array, truth: Array, corner: tuple[int, int], side: int) -> tup
     return small.astype(np.float32), large.astype(np.float32)
 
 
-def augment(inputs: Array, truth: Array, random: Random) -> tuple[Array, Array]:
+def augment(inputs: Array, truth: Array, random: Random, *, upright: bool = False) -> tuple[Array, Array]:
     """Turn and mirror one crop, and change its exposure and colours; returns new float32 arrays.
+
+    ``upright`` leaves out what no renderer's frames show: a camera on its side or its head, and colours that changed places. They are
+    means against too few films; with enough of them, they cost what the network could learn in their place.
 
     Args:
         inputs: (H, W, 24).
         truth: (2H, 2W, 6), the truth and the teachers' picture; or the truth alone.
         random: where chance comes from.
     """
-    quarters, mirrored = int(random.integers(4)), bool(random.random() < 0.5)
+    quarters, mirrored = 0 if upright else int(random.integers(4)), bool(random.random() < 0.5)
     inputs, truth = np.rot90(inputs, quarters).copy(), np.rot90(truth, quarters).copy()
     if mirrored:
         inputs, truth = inputs[:, ::-1].copy(), truth[:, ::-1].copy()
     inputs[..., NORMAL] = inputs[..., NORMAL] @ turn_of_the_world(random.uniform(0, 2 * math.pi), mirrored=mirrored).T
-    order = random.permutation(3)
+    order = np.arange(3) if upright else random.permutation(3)
     # Display curves are nearly powers, so a factor on the light is nearly a factor on the display-referred value.
     exposure = np.float32(math.exp(random.uniform(-EXPOSURE, EXPOSURE)))
     for part in COLORS:

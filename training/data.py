@@ -86,13 +86,22 @@ def sets(choice: list[StoredSample]) -> list[list[StoredSample]]:
 class Batches:
     """Training batches, half SF and half EF. A batch depends only on the seed and its number, so a resumed run sees the same batches.
 
-    Ablations take other ``kinds`` than both in equal shares, or ``masking=False``, without Random Reshading Masking.
+    Ablations take other ``kinds`` than both in equal shares, or ``masking=False``, without Random Reshading Masking. ``upright``: see
+    `training.augment.augment`.
     """
 
     def __init__(
-        self, shards: list[Shard], *, side: int, batch: int, seed: int, kinds: Sequence[Kind] = KINDS, masking: bool = True
+        self,
+        shards: list[Shard],
+        *,
+        side: int,
+        batch: int,
+        seed: int,
+        kinds: Sequence[Kind] = KINDS,
+        masking: bool = True,
+        upright: bool = False,
     ):
-        self._kinds, self._masking = kinds, masking
+        self._kinds, self._masking, self._upright = kinds, masking, upright
         self._sets = {kind: sets(places(shards, "training", kind)) for kind in KINDS}
         if not all(self._sets.values()):
             raise InputError("the training split lacks SF or EF samples")
@@ -110,7 +119,7 @@ class Batches:
         for i in range(self._batch):
             drawn = [self._draw(self._kinds[i % len(self._kinds)], random) for _ in range(DRAWN)]
             place, corner = max(drawn, key=lambda one: self._detail(*one))
-            inputs, truth = augment(*crop(place.shard.inputs[place.index], targets(place), corner, self._side), random)
+            inputs, truth = augment(*cropped(place, corner, self._side), random, upright=self._upright)
             mask = mask_at_random(inputs, random) if self._masking else inputs[..., MASK]
             made.append((inputs, mask, truth))
         inputs, masks, truth = (np.stack(arrays) for arrays in zip(*made, strict=True))
@@ -145,10 +154,12 @@ class Batches:
                 yield step, batch
 
 
-def targets(place: StoredSample) -> Array:
-    """The truth and what the teachers made of it, or the truth again, (2H, 2W, 6)."""
+def cropped(place: StoredSample, corner: tuple[int, int], side: int) -> tuple[Array, Array]:
+    """A crop of the inputs (H, W, 24), and of the truth and what the teachers made of it, or the truth again, (2H, 2W, 6)."""
     shard, i = place.shard, place.index
-    return np.concatenate([shard.truth[i], (shard.truth if shard.taught is None else shard.taught)[i]], axis=-1)
+    inputs, truth = crop(shard.inputs[i], shard.truth[i], corner, side)
+    taught = truth if shard.taught is None else crop(shard.inputs[i], shard.taught[i], corner, side)[1]
+    return inputs, np.concatenate([truth, taught], axis=-1)
 
 
 def details(truth: Array) -> Array:

@@ -20,7 +20,12 @@ STRUCTURE = 25.0
 """The perceptual distance is so many times 1 - SSIM: with the 0.01 of spec 6, as much as L1 on aliased frames, SSIM about 0.8."""
 
 
-def loss(output: Tensor, truth: Tensor, mask: Tensor, perceptual: Tensor | float) -> Tensor:
+def trusted(mask: Tensor) -> Tensor:
+    """1 where the mask (N, 1, H, W), enlarged to (N, 1, 2H, 2W), is above 0, and 0 in reshading regions."""
+    return (nn.functional.interpolate(mask, scale_factor=2, mode="bilinear", align_corners=False) > 0).to(mask.dtype)
+
+
+def loss(output: Tensor, truth: Tensor, trust: Tensor, perceptual: Tensor | float) -> Tensor:
     """L1 over the pictures, once more over the reshading regions, and the perceptual term.
 
     ``mean |o - y| + sum |o - y| (1 - M) / max(sum (1 - M), 1e-6) + 0.01 perceptual``
@@ -32,28 +37,28 @@ def loss(output: Tensor, truth: Tensor, mask: Tensor, perceptual: Tensor | float
 
     Args:
         output, truth: (N, 3, 2H, 2W) display-referred.
-        mask: (N, 1, H, W) 1 = to be trusted, RRM's rectangle included.
+        trust: (N, 1, 2H, 2W), see `trusted`; RRM's rectangle is none of it.
         perceptual: the perceptual distance, `STRUCTURE` times `structure`.
     """
-    return _weighted((output - truth).abs(), mask) + PERCEPTUAL * perceptual
+    return _weighted((output - truth).abs(), trust) + PERCEPTUAL * perceptual
 
 
 SQUARES = 20.0
 """Factor of the squared error: errors of about 0.002 squared then weigh as much as an L1 of 0.03."""
 
 
-def squared(output: Tensor, truth: Tensor, extrapolated: float = 0.5, mask: Tensor | None = None, holes: float = 1.0) -> Tensor:
+def squared(output: Tensor, truth: Tensor, extrapolated: float = 0.5, trust: Tensor | None = None, holes: float = 1.0) -> Tensor:
     """The mean squared error, for the start of a run, and for a high PSNR.
 
     The gradient of L1 does not shrink with the error: a residual that is right at edges and noise elsewhere shrinks to 0
     everywhere, and the network did not get away from 0. The reshading regions, mostly RRM's rectangle, count only once: as
     half of the gradient they were half of its noise. Arguments as for `loss`; every second sample, from the second on, is an
-    EF, and ``extrapolated`` is the share of EFs in the sum: 0.5 weighs all samples alike. Where ``mask`` is 0, errors count ``holes``
+    EF, and ``extrapolated`` is the share of EFs in the sum: 0.5 weighs all samples alike. Where ``trust`` is 0, errors count ``holes``
     times: EFs lose a third of theirs there.
     """
     squares = (output - truth).square()
-    if mask is not None and holes != 1:
-        squares = squares * (holes + (1 - holes) * _trusted(mask, squares))
+    if trust is not None and holes != 1:
+        squares = squares * (holes + (1 - holes) * trust)
     errors = squares.mean((1, 2, 3))
     if extrapolated != 0.5:
         errors = errors * errors.new_tensor([2 * (1 - extrapolated), 2 * extrapolated]).repeat(len(errors) // 2)
@@ -66,15 +71,10 @@ def supervision(pictures: list[Tensor], truth: Tensor) -> Tensor:
     return SQUARES * torch.stack(errors).mean()
 
 
-def _weighted(error: Tensor, mask: Tensor) -> Tensor:
+def _weighted(error: Tensor, trust: Tensor) -> Tensor:
     """``mean e + sum e (1 - M) / max(sum (1 - M), 1e-6)``, with the mask M (spec 6)."""
-    masked = (1 - _trusted(mask, error)).expand_as(error)
+    masked = (1 - trust).expand_as(error)
     return error.mean() + (error * masked).sum() / masked.sum().clamp(min=1e-6)
-
-
-def _trusted(mask: Tensor, like: Tensor) -> Tensor:
-    """Where the mask (N, 1, H, W) is not 0, at twice its size."""
-    return (nn.functional.interpolate(mask, scale_factor=2, mode="bilinear", align_corners=False) > 0).to(like.dtype)
 
 
 def structure(output: Tensor, truth: Tensor) -> Tensor:

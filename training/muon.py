@@ -30,6 +30,7 @@ class Muon(torch.optim.Optimizer):
     def step(self, closure: None = None) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Move every parameter that has a gradient."""
         for group in self.param_groups:
+            alike: dict[tuple[int, int], tuple[list[Tensor], list[Tensor]]] = {}
             for parameter in group["params"]:
                 if parameter.grad is None:
                     continue
@@ -38,18 +39,22 @@ class Muon(torch.optim.Optimizer):
                     state["momentum"] = torch.zeros_like(parameter)
                 momentum = state["momentum"].lerp_(parameter.grad, 1 - MOMENTUM)
                 ahead = parameter.grad.lerp(momentum, MOMENTUM).flatten(1)
-                tall = max(1.0, ahead.shape[0] / ahead.shape[1]) ** 0.5
-                change = orthogonal(ahead).view(parameter.shape)
-                parameter.mul_(1 - group["lr"] * DECAY).add_(change, alpha=-group["lr"] * tall)
+                parameters, matrices = alike.setdefault((ahead.shape[0], ahead.shape[1]), ([], []))
+                parameters.append(parameter)
+                matrices.append(ahead)
+            for (rows, columns), (parameters, matrices) in alike.items():
+                tall = max(1.0, rows / columns) ** 0.5
+                for parameter, change in zip(parameters, orthogonal(torch.stack(matrices)), strict=True):
+                    parameter.mul_(1 - group["lr"] * DECAY).add_(change.view(parameter.shape), alpha=-group["lr"] * tall)
 
 
-def orthogonal(matrix: Tensor) -> Tensor:
-    """The matrix with the same singular vectors and with singular values near 1; 0 stays 0."""
+def orthogonal(matrices: Tensor) -> Tensor:
+    """Matrices (N, rows, columns) with the same singular vectors and with singular values near 1; 0 stays 0."""
     a, b, c = QUINTIC
-    wide = matrix.shape[0] <= matrix.shape[1]
-    x = matrix if wide else matrix.T
-    x = x / (x.norm() + 1e-12)
+    wide = matrices.shape[1] <= matrices.shape[2]
+    x = matrices if wide else matrices.mT
+    x = x / (x.flatten(1).norm(dim=1)[:, None, None] + 1e-12)
     for _ in range(ITERATIONS):
-        gram = x @ x.T
+        gram = x @ x.mT
         x = a * x + (b * gram + c * gram @ gram) @ x
-    return x if wide else x.T
+    return (x if wide else x.mT).contiguous()

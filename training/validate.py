@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from stss.errors import InputError
 from stss.quality.metrics import mean_scores, score, upsample_holes
@@ -19,7 +19,7 @@ from stss.weights.file import load
 from training.augment import Batch
 from training.command import command
 from training.data import KINDS, Shard, StoredSample, load_shards, places, spread, whole
-from training.network import Network, load_weights
+from training.network import Network, base, load_weights
 
 Model = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
 Means = dict[str, float]
@@ -28,7 +28,7 @@ Means = dict[str, float]
 
 def bilinear(color: Tensor, gbuffer: Tensor, mask: Tensor, history: Tensor) -> Tensor:
     """The network without its residual."""
-    return nn.functional.interpolate(color[:, :3], scale_factor=2, mode="bilinear", align_corners=False)
+    return base(color)
 
 
 def tensors(batch: Batch, device: torch.device) -> tuple[Tensor, ...]:

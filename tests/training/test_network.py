@@ -14,7 +14,7 @@ from stss_ref.weights import random as random_weights
 torch = pytest.importorskip("torch", reason="the package torch is not installed: pip install '.[train]'")
 torch.set_num_threads(1)
 
-from training.loss import loss, squared, structure, supervision  # noqa: E402
+from training.loss import loss, squared, structure, supervision, trusted  # noqa: E402
 from training.network import Heads, Network, hold_gates, hold_history, initialise, load_weights, to_weights  # noqa: E402
 from training.train import infancy  # noqa: E402
 from training.validate import bilinear  # noqa: E402
@@ -115,7 +115,7 @@ def test_loss_is_the_specification_s():
     for mask in ((random.random((8, 12)) < 0.6).astype(np.float64), np.ones((8, 12))):
         output, truth = random.random((2, 16, 24, 3))
         batch = [torch.from_numpy(np.moveaxis(a, -1, 0))[None] for a in (output, truth)]
-        got = loss(*batch, torch.from_numpy(mask)[None, None], 0.7).item()
+        got = loss(*batch, trusted(torch.from_numpy(mask)[None, None]), 0.7).item()
         want = reference_loss(output, truth, mask, 0.7)
         assert abs(got - want) <= sum_bound(output.size, abs(want), np.float64)
 
@@ -146,14 +146,14 @@ def test_the_aids_of_the_first_half():
     wrong[1::2] = 0.5  # in EFs alone
     assert squared(wrong, nothing, 0.75) == 1.5 * squared(wrong, nothing) > 0
     assert squared(nothing + 0.5, nothing, 0.75) == squared(nothing + 0.5, nothing)
-    half = torch.ones(len(nothing), 1, nothing.shape[2] // 2, nothing.shape[3] // 2)
-    assert squared(nothing + 0.5, nothing, 0.5, half, 3.0) == squared(nothing + 0.5, nothing)
-    assert squared(nothing + 0.5, nothing, 0.5, 0 * half, 3.0) == 3 * squared(nothing + 0.5, nothing)
+    trust = torch.ones(len(nothing), 1, *nothing.shape[2:])
+    assert squared(nothing + 0.5, nothing, 0.5, trust, 3.0) == squared(nothing + 0.5, nothing)
+    assert squared(nothing + 0.5, nothing, 0.5, 0 * trust, 3.0) == 3 * squared(nothing + 0.5, nothing)
     assert [infancy(step, 100) for step in (0, 25, 50, 99)] == [1, 0.5, 0, 0]
 
     network, heads, batch = Network(), Heads(), tensors(inputs(3))
     load_weights(network, random_weights(2))
-    _, features = network.with_features(*batch)
+    _, features = network.residual(*batch)
     pictures = heads(features)
     assert [tuple(p.shape[-2:]) for p in pictures] == [(3, 2), (3, 2), (6, 4), (12, 8)]
     truth = torch.rand(1, 3, 48, 32)

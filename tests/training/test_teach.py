@@ -9,10 +9,10 @@ torch.set_num_threads(1)
 from stss.weights.file import save  # noqa: E402
 from stss_ref.weights import random as random_weights  # noqa: E402
 from training.augment import augment  # noqa: E402
-from training.data import Batches, load_shards, places, targets, whole  # noqa: E402
+from training.data import Batches, cropped, load_shards, places, whole  # noqa: E402
 from training.network import Network, load_weights  # noqa: E402
 from training.teach import ORIENTATIONS, main, teach, turned, turned_back  # noqa: E402
-from training.train import Settings, advance, start  # noqa: E402
+from training.train import Aims, Settings, advance, start  # noqa: E402
 from training.validate import tensors  # noqa: E402
 
 
@@ -59,9 +59,10 @@ def test_pictures_of_several_networks_are_averaged_and_the_training_split_alone_
     main([str(data), "--weights", weights, "--pictures", "1", "--threads", "1"])
     assert capsys.readouterr().out == ""
     for place in (place for kind in ("SF", "EF") for place in places([*shards.values()], "training", kind)):
-        both = targets(place)
-        np.testing.assert_array_equal(both[..., :3], place.shard.truth[place.index])
-        np.testing.assert_array_equal(both[..., 3:], place.shard.taught[place.index])
+        inputs, both = cropped(place, (1, 2), 8)
+        np.testing.assert_array_equal(inputs, place.shard.inputs[place.index][1:9, 2:10])
+        np.testing.assert_array_equal(both[..., :3], place.shard.truth[place.index][2:18, 4:20])
+        np.testing.assert_array_equal(both[..., 3:], place.shard.taught[place.index][2:18, 4:20])
     (place,) = places([shards["validation"]], "validation", "SF")
     batch = whole(place)
     np.testing.assert_array_equal(batch.taught, batch.truth)
@@ -81,15 +82,27 @@ def test_augmentation_does_to_the_teachers_picture_what_it_does_to_the_truth():
         np.testing.assert_array_equal(made[..., :3], augment(inputs, truth, np.random.default_rng(seed))[1])
 
 
+def test_upright_crops_are_only_mirrored_and_exposed():
+    """Green stays green and above stays above, in the inputs and in both pictures; without it, both are mixed."""
+    inputs, truth = np.zeros((8, 8, 24), np.float32), np.zeros((16, 16, 6), np.float32)
+    inputs[:4, :, 1] = inputs[:4, :, 10] = truth[:8, :, 1] = truth[:8, :, 4] = 0.25
+    made = [augment(inputs, truth, np.random.default_rng(seed), upright=True) for seed in range(12)]
+    for turned_inputs, turned_truth in made:
+        assert (turned_inputs[..., 1] > 0).tolist() == (inputs[..., 1] > 0).tolist() == (turned_inputs[..., 10] > 0).tolist()
+        assert (turned_truth > 0).tolist() == (truth > 0).tolist()
+    assert len({float(turned_truth.max()) for _, turned_truth in made}) == len(made)
+    free = [augment(inputs, truth, np.random.default_rng(seed))[1] for seed in range(12)]
+    assert len({tuple(t.max(axis=(0, 1)) > 0) for t in free}) == 3
+    assert len({(bool(t[0, 0].any()), bool(t[0, -1].any()), bool(t[-1, 0].any())) for t in free}) == 4
+
+
 def test_the_teachers_share_is_of_the_squared_error_s_target_alone(data):
     settings = Settings(crop=16, batch=2, rate=0.0, warm_up=0, seed=0, half=False)
     batch = Batches(load_shards(data), side=16, batch=2, seed=0)[0]
     other = batch._replace(taught=batch.truth + np.float32(0.1))
 
     def value(batch, **options):
-        return advance(
-            start(settings, torch.device("cpu")), tensors(batch, torch.device("cpu")), 0.0, half=False, **options
-        ).item()
+        return advance(start(settings, torch.device("cpu")), tensors(batch, torch.device("cpu")), 0.0, Aims(**options)).item()
 
     assert value(other, squares=0.5) == value(batch, squares=0.5) == value(batch, squares=0.5, share=0.5)
     assert value(other, squares=0.0, share=0.5) == value(batch, squares=0.0)

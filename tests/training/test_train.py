@@ -15,7 +15,8 @@ torch = pytest.importorskip("torch", reason="the package torch is not installed:
 torch.set_num_threads(1)
 
 from training.data import Batches, details, load_shards  # noqa: E402
-from training.train import Settings, main, rate_at, start  # noqa: E402
+from training.train import Aims, Settings, advance, main, objective, rate_at, start  # noqa: E402
+from training.validate import tensors  # noqa: E402
 
 
 def run(data, out, steps, *more):
@@ -60,6 +61,7 @@ def test_options_reach_the_run(data, tmp_path):
         "aids": ("--aids", "0.3"),
         "more aids": ("--aids", "1"),
         "no aids": ("--aids", "0"),
+        "upright": ("--upright",),
     }
     for name, options in runs.items():
         run(data, tmp_path / name, 4, *start, *options)
@@ -156,13 +158,33 @@ def test_the_rate_rises_and_falls():
 
 
 def test_bfloat16_on_the_cpu_trains_too(data):
-    from training.train import advance, tensors
-
     settings = Settings(crop=16, batch=2, rate=1e-3, warm_up=1, seed=0, half=True)
     state = start(settings, torch.device("cpu"))
     batches = Batches(load_shards(data), side=16, batch=2, seed=0)
-    values = [advance(state, tensors(batches[i], torch.device("cpu")), 3e-3, half=True).item() for i in range(12)]
+    values = [advance(state, tensors(batches[i], torch.device("cpu")), 3e-3, Aims(half=True)).item() for i in range(12)]
     assert values[-1] < values[0]
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning:torch")
+def test_a_compiled_step_is_the_step(data, monkeypatch):
+    """Captured whole as one graph, and the same loss and gradients; what C++ compiler there is does not matter here."""
+    monkeypatch.setattr("training.train._compiled", lambda: torch.compile(objective, backend="aot_eager", fullgraph=True))
+    settings = Settings(crop=16, batch=2, rate=1e-3, warm_up=1, seed=0, half=False)
+    batch = tensors(Batches(load_shards(data), side=16, batch=2, seed=0)[0], torch.device("cpu"))
+    aims = Aims(squares=0.5, similar=90.0, extrapolated=0.6, share=0.5, holes=2.0)
+    states = [start(settings, torch.device("cpu")) for _ in range(2)]
+    plain, quick = (advance(s, batch, 1e-3, aims, compiled=compiled) for s, compiled in zip(states, (False, True), strict=True))
+    assert abs(plain - quick) < 1e-5 * abs(plain)
+    other = dict(states[1].network.named_parameters())
+    for name, tensor in states[0].network.named_parameters():
+        assert (tensor - other[name]).abs().max() < 1e-5, name
+
+
+def test_compiling_without_a_compiler_is_one_line(data, tmp_path, monkeypatch):
+    monkeypatch.setenv("CXX", "no-such-compiler")
+    with pytest.raises(InputError, match=r"--compile: expected a C\+\+ compiler, g\+\+ or what CXX names; found none"):
+        run(data, tmp_path / "run", 4, "--compile")
+    assert not (tmp_path / "run").exists()
 
 
 def test_the_average_of_runs(tmp_path):
