@@ -38,7 +38,7 @@ def loss(output: Tensor, truth: Tensor, trust: Tensor, perceptual: Tensor | floa
     Args:
         output, truth: (N, 3, 2H, 2W) display-referred.
         trust: (N, 1, 2H, 2W), see `trusted`; RRM's rectangle is none of it.
-        perceptual: the perceptual distance, `STRUCTURE` times `structure`.
+        perceptual: the perceptual distance, `STRUCTURE` times the mean of `structure`.
     """
     return _weighted((output - truth).abs(), trust) + PERCEPTUAL * perceptual
 
@@ -59,10 +59,7 @@ def squared(output: Tensor, truth: Tensor, extrapolated: float = 0.5, trust: Ten
     squares = (output - truth).square()
     if trust is not None and holes != 1:
         squares = squares * (holes + (1 - holes) * trust)
-    errors = squares.mean((1, 2, 3))
-    if extrapolated != 0.5:
-        errors = errors * errors.new_tensor([2 * (1 - extrapolated), 2 * extrapolated]).repeat(len(errors) // 2)
-    return SQUARES * errors.mean()
+    return SQUARES * by_kind(squares.mean((1, 2, 3)), 2 * (1 - extrapolated), 2 * extrapolated)
 
 
 def supervision(pictures: list[Tensor], truth: Tensor) -> Tensor:
@@ -78,7 +75,7 @@ def _weighted(error: Tensor, trust: Tensor) -> Tensor:
 
 
 def structure(output: Tensor, truth: Tensor) -> Tensor:
-    """``1 - SSIM`` of the luma, as `stss.quality.metrics.ssim` takes it but for its 8 bits; 0 for equal pictures.
+    """``1 - SSIM`` of the luma of each sample, (N,), as `stss.quality.metrics.ssim` takes it but for its 8 bits; 0 for equal pictures.
 
     Arguments as for `loss`; pictures of 11 x 11 or more.
     """
@@ -89,7 +86,14 @@ def structure(output: Tensor, truth: Tensor) -> Tensor:
     covariance = ab - mean_a * mean_b
     c1, c2 = C1 / PEAK**2, C2 / PEAK**2
     means = (2 * mean_a * mean_b + c1) / (mean_a * mean_a + mean_b * mean_b + c1)
-    return 1 - (means * (2 * covariance + c2) / (variances + c2)).mean()
+    return 1 - (means * (2 * covariance + c2) / (variances + c2)).mean((1, 2, 3))
+
+
+def by_kind(values: Tensor, rendered: float, extrapolated: float) -> Tensor:
+    """The mean of the samples' ``values`` (N,), those of SFs times ``rendered``, those of EFs, every second one, times the other."""
+    if rendered == extrapolated:
+        return rendered * values.mean()
+    return (values * values.new_tensor([rendered, extrapolated]).repeat(len(values) // 2)).mean()
 
 
 def _mean(planes: Tensor) -> Tensor:

@@ -24,7 +24,7 @@ from training import checkpoint
 from training.checkpoint import State
 from training.command import command
 from training.data import Batches, Shard, load_shards
-from training.loss import STRUCTURE, loss, squared, structure, supervision, trusted
+from training.loss import STRUCTURE, by_kind, loss, squared, structure, supervision, trusted
 from training.muon import Muon
 from training.network import Heads, Network, base, hold_gates, hold_history, initialise, leak, load_weights, to_weights
 from training.plot import plot
@@ -46,7 +46,8 @@ class Settings:
 
     ``young``: what `infancy` is multiplied by. ``squares``: the share of the squared error in the loss that stays after it.
     ``history``: whether the history is used.
-    ``structure``: the perceptual distance is so many times 1 - SSIM. ``extrapolated``: the share of EFs in the squared error.
+    ``structure``, ``structure_ef``: the perceptual distance is so many times 1 - SSIM, in SFs and in EFs.
+    ``extrapolated``: the share of EFs in the squared error.
     ``taught``: the share of the teachers' picture in what the squared error is taken against. ``masking``: Random Reshading Masking.
     ``holes``: how often errors in reshading regions count in the squared error. ``upright``: see `training.augment.augment`.
     ``compiled``: whether a step is compiled, which changes its rounding.
@@ -62,6 +63,7 @@ class Settings:
     squares: float = 0.0
     history: bool = True
     structure: float = STRUCTURE
+    structure_ef: float = STRUCTURE
     extrapolated: float = 0.5
     taught: float = 0.0
     masking: bool = True
@@ -134,7 +136,7 @@ class Aims:
         half: whether the network computes in bfloat16.
         young: the share of what only helps a beginner, see `infancy`.
         squares: the squared error's share of the loss.
-        similar: what 1 - SSIM is multiplied by.
+        similar: what 1 - SSIM is multiplied by, in SFs and in EFs.
         extrapolated, holes: see `training.loss.squared`.
         share: of the teachers' picture in the target of the squared error.
     """
@@ -142,7 +144,7 @@ class Aims:
     half: bool = False
     young: float = 0.0
     squares: float = 0.0
-    similar: float = STRUCTURE
+    similar: tuple[float, float] = (STRUCTURE, STRUCTURE)
     extrapolated: float = 0.5
     share: float = 0.0
     holes: float = 1.0
@@ -188,7 +190,7 @@ def objective(network: Network, heads: Heads, batch: tuple[Tensor, ...], enlarge
         residual, features = network.residual(color, gbuffer, mask, history)
         pictures = heads(features) if aims.young else []
     output, squares = residual.float() + enlarged, max(aims.young, aims.squares)
-    value = (1 - squares) * loss(output, truth, trust, aims.similar * structure(output, truth))
+    value = (1 - squares) * loss(output, truth, trust, by_kind(structure(output, truth), *aims.similar))
     if squares:
         value = value + squares * squared(output, truth.lerp(taught, aims.share), aims.extrapolated, trust, aims.holes)
     if aims.young:
@@ -246,7 +248,7 @@ def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan
     aims = Aims(
         half=settings.half,
         squares=settings.squares,
-        similar=settings.structure,
+        similar=(settings.structure, settings.structure_ef),
         extrapolated=settings.extrapolated,
         share=settings.taught,
         holes=settings.holes,
@@ -291,6 +293,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--squares", type=float, default=0.0, help="share of the squared error in the loss, for PSNR's sake")
     parser.add_argument("--structure", type=float, default=STRUCTURE, help="the perceptual distance is so many times 1 - SSIM")
+    parser.add_argument("--structure-ef", type=float, metavar="F", help="the same for EFs, where it is another")
     parser.add_argument("--extrapolated", type=float, default=0.5, help="share of EFs in the squared error")
     parser.add_argument(
         "--taught", type=float, default=0.0, help="share of the pictures of training.teach in the squared error's target"
@@ -327,6 +330,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         squares=chosen.squares,
         history=chosen.history,
         structure=chosen.structure,
+        structure_ef=chosen.structure if chosen.structure_ef is None else chosen.structure_ef,
         extrapolated=chosen.extrapolated,
         taught=chosen.taught,
         masking=chosen.masking,

@@ -14,7 +14,7 @@ from stss_ref.weights import random as random_weights
 torch = pytest.importorskip("torch", reason="the package torch is not installed: pip install '.[train]'")
 torch.set_num_threads(1)
 
-from training.loss import loss, squared, structure, supervision, trusted  # noqa: E402
+from training.loss import by_kind, loss, squared, structure, supervision, trusted  # noqa: E402
 from training.network import Heads, Network, hold_gates, hold_history, initialise, load_weights, to_weights  # noqa: E402
 from training.train import infancy  # noqa: E402
 from training.validate import bilinear  # noqa: E402
@@ -123,7 +123,17 @@ def test_loss_is_the_specification_s():
 def test_structure_sees_blur_and_not_equality():
     truth = torch.rand(2, 3, 32, 32, generator=torch.Generator().manual_seed(0))
     blurred = torch.nn.functional.avg_pool2d(truth, 3, 1, 1)
-    assert structure(truth, truth).abs() < structure(0.5 * truth + 0.5 * blurred, truth) < structure(blurred, truth)
+    same, near, far = (structure(picture, truth) for picture in (truth, 0.5 * truth + 0.5 * blurred, blurred))
+    assert (same.abs() < near).all()
+    assert (near < far).all()
+    assert torch.equal(structure(torch.cat([truth[:1], blurred[1:]]), truth), torch.stack([same[0], far[1]]))
+
+
+def test_a_loss_can_weigh_each_kind_of_frame():
+    values = torch.tensor([1.0, 10.0, 3.0, 30.0])
+    assert by_kind(values, 1.0, 1.0) == values.mean()
+    assert by_kind(values, 2.0, 0.0) == 2 * 4 / 4
+    assert by_kind(values, 0.5, 3.0) == (0.5 * 4 + 3 * 40) / 4
 
 
 def test_structure_is_that_of_compare():

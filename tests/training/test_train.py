@@ -57,6 +57,7 @@ def test_options_reach_the_run(data, tmp_path):
         "plain": (),
         "squares": squares,
         "structure": ("--structure", "90"),
+        "structure of EFs": ("--structure", "90", "--structure-ef", "20"),
         "extrapolated": (*squares, "--extrapolated", "0.7"),
         "aids": ("--aids", "0.3"),
         "more aids": ("--aids", "1"),
@@ -171,7 +172,7 @@ def test_a_compiled_step_is_the_step(data, monkeypatch):
     monkeypatch.setattr("training.train._compiled", lambda: torch.compile(objective, backend="aot_eager", fullgraph=True))
     settings = Settings(crop=16, batch=2, rate=1e-3, warm_up=1, seed=0, half=False)
     batch = tensors(Batches(load_shards(data), side=16, batch=2, seed=0)[0], torch.device("cpu"))
-    aims = Aims(squares=0.5, similar=90.0, extrapolated=0.6, share=0.5, holes=2.0)
+    aims = Aims(squares=0.5, similar=(90.0, 30.0), extrapolated=0.6, share=0.5, holes=2.0)
     states = [start(settings, torch.device("cpu")) for _ in range(2)]
     plain, quick = (advance(s, batch, 1e-3, aims, compiled=compiled) for s, compiled in zip(states, (False, True), strict=True))
     assert abs(plain - quick) < 1e-5 * abs(plain)
