@@ -13,7 +13,8 @@ import torch
 
 from training.command import command
 from training.data import KINDS, Batches, Kind, Shard, load_shards
-from training.train import Aims, Settings, advance, infancy, rate_at, start
+from training.step import Aims, advance
+from training.train import Settings, infancy, rate_at, start
 from training.validate import Means, bilinear, evaluating, tensors, validate
 
 

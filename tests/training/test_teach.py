@@ -11,8 +11,9 @@ from stss_ref.weights import random as random_weights  # noqa: E402
 from training.augment import augment  # noqa: E402
 from training.data import Batches, cropped, load_shards, places, whole  # noqa: E402
 from training.network import Network, load_weights  # noqa: E402
+from training.step import Aims, advance  # noqa: E402
 from training.teach import ORIENTATIONS, main, teach, turned, turned_back  # noqa: E402
-from training.train import Aims, Settings, advance, start  # noqa: E402
+from training.train import Settings, start  # noqa: E402
 from training.validate import tensors  # noqa: E402
 
 
