@@ -230,6 +230,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     chosen = parser.parse_args(arguments)
     if chosen.threads:
         torch.set_num_threads(chosen.threads)
+    torch.set_flush_denormal(True)  # the momentum of a dead unit becomes one, and then a step takes twice the time
     if chosen.compile and shutil.which(os.environ.get("CXX", "g++")) is None:
         raise InputError("--compile: expected a C++ compiler, g++ or what CXX names; found none")
     device = torch.device(chosen.device)
