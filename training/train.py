@@ -230,7 +230,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     chosen = parser.parse_args(arguments)
     if chosen.threads:
         torch.set_num_threads(chosen.threads)
-    torch.set_flush_denormal(True)  # the momentum of a dead unit becomes one, and then a step takes twice the time
     if chosen.compile and shutil.which(os.environ.get("CXX", "g++")) is None:
         raise InputError("--compile: expected a C++ compiler, g++ or what CXX names; found none")
     device = torch.device(chosen.device)
@@ -262,7 +261,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         checkpoint.read(path, state, device)
     chosen.out.mkdir(parents=True, exist_ok=True)
     plan = Plan(chosen.steps, chosen.validate, chosen.log, chosen.most)
-    train(chosen.out, load_shards(chosen.data), state, settings, plan, device)
+    torch.set_flush_denormal(True)  # the momentum of a dead unit becomes denormal, and then a step takes twice the time
+    try:
+        train(chosen.out, load_shards(chosen.data), state, settings, plan, device)
+    finally:
+        torch.set_flush_denormal(False)
 
 
 if __name__ == "__main__":
