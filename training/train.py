@@ -188,8 +188,8 @@ def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan
             since = time.perf_counter()
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """``python -m training.train``."""
+def options() -> argparse.ArgumentParser:
+    """The command line."""
     parser = argparse.ArgumentParser(prog="python -m training.train", description=__doc__)
     parser.add_argument("data", type=Path, help="folder of shards, made by python -m training.samples")
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder of the run")
@@ -227,7 +227,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--half", choices=("auto", "on", "off"), default="auto", help="bfloat16; auto: on GPUs")
     parser.add_argument("--threads", type=int, default=0, help="of the CPU; 0: PyTorch's choice")
     parser.add_argument("--resume", action="store_true", help="go on from the run's checkpoint, if there is one")
-    chosen = parser.parse_args(arguments)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """``python -m training.train``."""
+    chosen = options().parse_args(arguments)
     if chosen.threads:
         torch.set_num_threads(chosen.threads)
     if chosen.compile and shutil.which(os.environ.get("CXX", "g++")) is None:
