@@ -18,6 +18,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """``python -m training.average``."""
     parser = argparse.ArgumentParser(prog="python -m training.average", description=__doc__)
     parser.add_argument("weights", nargs="+", help="safetensors files")
+    parser.add_argument(
+        "--residual",
+        type=float,
+        default=1.0,
+        metavar="F",
+        help="multiply what the network adds to the enlarged picture; below 1 for frames unlike those of the training",
+    )
     parser.add_argument("-o", "--out", type=Path, required=True)
     chosen = parser.parse_args(arguments)
     loaded = [load(name) for name in chosen.weights]
@@ -25,7 +32,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         name: np.mean([each.weights[name] for each in loaded], axis=0, dtype=np.float64).astype(np.float32)
         for name in loaded[0].weights
     }
-    save(chosen.out, tensors, {"average_of": json.dumps([dict(each.metadata) for each in loaded])})
+    for name in ("outc.weight", "outc.bias"):
+        tensors[name] *= np.float32(chosen.residual)
+    save(
+        chosen.out,
+        tensors,
+        {"residual": str(chosen.residual), "average_of": json.dumps([dict(each.metadata) for each in loaded])},
+    )
 
 
 if __name__ == "__main__":

@@ -212,3 +212,19 @@ def test_the_average_of_runs(tmp_path):
         mean = (one[name].astype(np.float64) + two[name]) / 2
         np.testing.assert_array_equal(tensor, mean.astype(np.float32))
     assert [record["steps"] for record in json.loads(made.metadata["average_of"])] == ["3", "5"]
+
+
+def test_an_average_may_add_less_to_the_enlarged_picture(tmp_path):
+    from stss.weights.file import save
+    from stss_ref.weights import random
+    from training.average import main as average
+
+    weights = random(0)
+    save(tmp_path / "a.safetensors", weights, {})
+    average([str(tmp_path / "a.safetensors"), "--residual", "0.5", "-o", str(tmp_path / "b.safetensors")])
+    made = load(tmp_path / "b.safetensors")
+    for name, tensor in made.weights.items():
+        last = name.startswith("outc.")
+        np.testing.assert_array_equal(tensor, weights[name] * np.float32(0.5) if last else weights[name])
+        assert last == (name in {"outc.weight", "outc.bias"})
+    assert made.metadata["residual"] == "0.5"
