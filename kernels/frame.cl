@@ -11,16 +11,17 @@
 //  position, position0..2 in (H, W, 3)  likewise, cm
 //  chained    in/out  (3, H, W, 2)      px, current -> each colour frame; not written where its step is 0, or was given as 0: nobody reads it
 //  keys,first in/out  (H, W)            the splat's, occlusion_warp.cl; only places that a hole looks up are wanted
-//  history    out     (3, R+2, C+2, 4)  oldest, middle, newest; warped rgb >= 0, mask
-//  x0         out     (R+2, C+2, 24)    occlusion_warp, warped (both >= 0), the six * mask, gbuffer, 0 0 0
+//  history    in/out  (3, R+2, C+2, 4)  oldest, middle, newest; warped rgb >= 0, mask; written if `stores`
+//  x0         out     (R+2, C+2, 24)    occlusion_warp, second colour (both >= 0), the six * mask, gbuffer, 0 0 0
 //  color3     out     (R, C, 4)         rgb of occlusion_warp, 0
 //  mask       out     (H, W)            1 = newest frame to be trusted
 //
 // R, C = rows, columns = H, W rounded up to multiples of 8, filled by repeating the last row and column. Pixel (y, x) of history
 // and x0 is at (y + 1, x + 1); their border of zeros is never written.
 // history, x0 and color3 may be a strip of the frame: R rows whose row 0 is the frame's row `top`; mask and keys are of the whole.
-// Build: -D of motion_chain.cl and holes.cl, optionally -D HALF (history and x0).  Order: chain_steps, prepare, splat_nearest and splat_first (depth in gbuffer),
-// fill_holes; then erm.cl's downsample_8.  Launch (W, H); prepare (C, 3, R); fill_holes (C, R); all rounded up.
+// Build: -D of motion_chain.cl and holes.cl, optionally -D HALF (history and x0), and -D EARLIER where the second colour is the frame before's:
+// then prepare runs for the older frames, and after that for the newest, since it reads what was stored of the one before.  Order: chain_steps, prepare, splat_nearest and splat_first (depth in gbuffer),
+// fill_holes; then erm.cl's downsample_8.  Launch (W, H); prepare (C, frames, R), offset by the first frame; fill_holes (C, R); all rounded up.
 #include "motion_chain.cl"
 #include "prepare.clh"
 
@@ -45,7 +46,7 @@ static inline void chain_pixel(global const float2 *const *motions, const int ne
     float2 motion = motions[0][pixel];
 #pragma unroll
     for (int j = 1; j <= 5; ++j) {  // unrolled: the choice of the motion must not depend on a number in a register
-        if (j > most(newest, oldest)) break;
+        if (j > most(most(newest, middle), oldest)) break;
         if (j > 1) motion = chain_on(motion, motions[j - 1], x, y, height, width);
         if (j == newest) chained[pixel] = motion;
         if (j == middle) chained[plane + pixel] = motion;

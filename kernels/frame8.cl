@@ -50,7 +50,7 @@ kernel void chain_steps8(MOTIONS, const int newest, const int middle, const int 
     }
     const float8 left = read8((global const float *)(motion0 + pixel)), right = read8((global const float *)(motion0 + pixel + 4));
     float8 mx = (float8)(left.even, right.even), my = (float8)(left.odd, right.odd);
-    for (int j = 1; j <= most(newest, oldest); ++j) {
+    for (int j = 1; j <= most(most(newest, middle), oldest); ++j) {
         if (j > 1) {
             global const float2 *restrict earlier = motions[j - 1];
             const Place8 at = follow8(mx, my, x, y);

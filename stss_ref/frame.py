@@ -15,7 +15,7 @@ from stss_ref.network import network
 from stss_ref.occlusion_warp import occlusion_warp
 from stss_ref.warp import warp
 from stss_ref.watch import part
-from stss_ref.weights import Weights
+from stss_ref.weights import SecondColor, Weights, second_color
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def frame(inputs: FrameInputs, weights: Weights, gather: Gather = "longest") -> 
 
     Args:
         inputs: the buffers.
-        weights: the network's 92 tensors.
+        weights: the network's 92 tensors, and the second colour that they were trained with.
         gather: how the motion chain reads between pixels.
 
     Returns:
@@ -69,14 +69,20 @@ def frame(inputs: FrameInputs, weights: Weights, gather: Gather = "longest") -> 
     Raises:
         ArrayError: shapes or dtypes differ, or an array that must be finite is not.
     """
-    prepared = prepare(inputs, gather)
+    prepared = prepare(inputs, gather, second_color(weights))
     image = network(prepared.color, prepared.gbuffer, prepared.mask, prepared.history, weights)
     return image, prepared.mask.astype(bool)
 
 
 @part("color", "mask", "history")
-def prepare(inputs: FrameInputs, gather: Gather = "longest") -> NetworkInputs:
-    """Make the network's inputs: warp the three colour frames to the current one. Arguments and errors as in ``frame``."""
+def prepare(inputs: FrameInputs, gather: Gather = "longest", second: SecondColor = "newest") -> NetworkInputs:
+    """Make the network's inputs: warp the three colour frames to the current one. Other arguments and errors as in ``frame``.
+
+    ``color`` is two pictures: the newest colour frame with its holes filled, and a second one. With ``second`` "newest" that is the same
+    frame, its holes left as they are warped (spec 7); in an SF both are then the frame itself. With "earlier" it is the colour frame
+    before, where that is valid, and elsewhere as with "newest": at full size, the older frame shows what lies between the newest one's
+    samples (decision 35).
+    """
     _check(inputs)
     motions = _motion_by_step(inputs.motions, inputs.steps, gather)
 
@@ -89,9 +95,10 @@ def prepare(inputs: FrameInputs, gather: Gather = "longest") -> NetworkInputs:
         valids.append(np.zeros_like(valid) if missing else valid)
 
     newest, instead = warped[0], warped[0]
+    other = np.where(valids[1][..., None], warped[1], newest) if second == "earlier" else newest
     if (motion := motions.get(inputs.steps[0])) is not None:
         _, instead = occlusion_warp(inputs.colors[0], newest, motion, inputs.gbuffer[..., 3], valids[0])
-    color = np.maximum(np.concatenate([instead, newest], axis=-1), 0)
+    color = np.maximum(np.concatenate([instead, other], axis=-1), 0)
     masks = [valid[..., None].astype(color.dtype) for valid in valids]
     history = np.stack([np.concatenate([np.maximum(w, 0), m], axis=-1) for w, m in zip(warped, masks, strict=True)])
     return NetworkInputs(color, inputs.gbuffer, masks[0][..., 0], np.ascontiguousarray(history[::-1]))

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from math import prod, sqrt
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -20,6 +20,24 @@ Weights = Mapping[str, Array]
 """The array of each name in `TENSORS`: a convolution's weight is (out, in, kh, kw), its bias (out,)."""
 
 Component = Literal["backbone", "history", "erm"]
+
+SecondColor = Literal["newest", "earlier"]
+"""What the second of the network's two colours shows: the newest colour frame warped, as the authors' weights expect it, or the one
+before it where that is valid (`stss_ref.frame.prepare`)."""
+SECOND_COLORS: tuple[SecondColor, ...] = get_args(SecondColor)
+
+
+class Tensors(dict[str, Array]):
+    """The arrays by name, and the second colour that they were trained with."""
+
+    def __init__(self, arrays: Mapping[str, Array], second_color: SecondColor = "newest"):
+        super().__init__(arrays)
+        self.second_color: SecondColor = second_color
+
+
+def second_color(weights: Weights) -> SecondColor:
+    """The second colour that the weights were trained with: ``newest`` unless they are `Tensors` that say otherwise."""
+    return weights.second_color if isinstance(weights, Tensors) else "newest"
 
 
 class WeightsError(ValueError):
@@ -145,7 +163,7 @@ def multiply_adds(height: int, width: int) -> dict[str, int]:
     return {layer.name: layer.multiply_adds(height, width) for layer in LAYERS}
 
 
-def check(tensors: Mapping[str, NDArray[Any]]) -> Weights:
+def check(tensors: Mapping[str, NDArray[Any]], second_color: SecondColor = "newest") -> Tensors:
     """Check that ``tensors`` are weights of this network, and copy them.
 
     Args:
@@ -159,7 +177,7 @@ def check(tensors: Mapping[str, NDArray[Any]]) -> Weights:
             holds NaN or infinity. The message names it.
     """
     require_names(tensors)
-    return {name: _check_one(name, tensors[name]) for name in TENSORS}
+    return Tensors({name: _check_one(name, tensors[name]) for name in TENSORS}, second_color)
 
 
 def require_names(names: Collection[str]) -> None:
@@ -209,6 +227,11 @@ def reads_history(weights: Weights) -> bool:
     return any(np.any(weights[f"lowlevelGated.{name}.weight"]) for name in ("conv_feature", "conv_mask.0"))
 
 
+def colors_read(weights: Weights) -> int:
+    """How many of the three colour frames, from the newest on, the image depends on."""
+    return 3 if reads_history(weights) else 2 if second_color(weights) == "earlier" else 1
+
+
 def has_residual(weights: Weights) -> bool:
     """Whether the network adds anything: if its last layer is all zeros, the image is the upsampled frame, whatever else is computed."""
     return bool(np.any(weights["outc.weight"]) or np.any(weights["outc.bias"]))
@@ -230,4 +253,4 @@ def random(seed: int) -> Weights:
 
 def astype(weights: Weights, dtype: DTypeLike) -> Weights:
     """The same weights in another floating point ``dtype``; float64 for the truth."""
-    return {name: _frozen(tensor.astype(dtype)) for name, tensor in weights.items()}
+    return Tensors({name: _frozen(tensor.astype(dtype)) for name, tensor in weights.items()}, second_color(weights))

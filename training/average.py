@@ -10,7 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from stss.errors import InputError
 from stss.weights.file import load, save
+from stss_ref.weights import Tensors, second_color
 from training.command import command
 
 
@@ -28,6 +30,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("-o", "--out", type=Path, required=True)
     chosen = parser.parse_args(arguments)
     loaded = [load(name) for name in chosen.weights]
+    seconds = {second_color(each.weights) for each in loaded}
+    if len(seconds) > 1:
+        raise InputError(f"weights: expected one second colour, found {' and '.join(sorted(seconds))}")
     tensors = {
         name: np.mean([each.weights[name] for each in loaded], axis=0, dtype=np.float64).astype(np.float32)
         for name in loaded[0].weights
@@ -36,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         tensors[name] *= np.float32(chosen.residual)
     save(
         chosen.out,
-        tensors,
+        Tensors(tensors, *seconds),
         {"residual": str(chosen.residual), "average_of": json.dumps([dict(each.metadata) for each in loaded])},
     )
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from itertools import pairwise
 from typing import ClassVar, cast
 
@@ -11,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from stss_ref.weights import TENSORS, Weights, check
+from stss_ref.weights import TENSORS, SecondColor, Weights, check, second_color
 
 
 class Rectifier(nn.Module):
@@ -121,11 +120,14 @@ class Network(nn.Module):
     Args:
         without: the part left out: "gbuffer" (replaced by zeros), "history" (its features are the same everywhere, see `hold_history`),
             "erm" (the light is not weighted: a plain bottleneck).
+        second_color: see `stss_ref.frame.prepare`. The colours that the network is given are those of "newest"; "earlier" is made here
+            from the history.
     """
 
-    def __init__(self, without: str = ""):
+    def __init__(self, without: str = "", second_color: SecondColor = "newest"):
         super().__init__()
         self.without = without
+        self.second_color: SecondColor = second_color
         self.conv1, self.conv2 = Gated(21, 24), Gated(24, 24)
         self.down1, self.down2, self.down3 = Down(24, 24), Down(24, 32), Down(32, 32)
         self.convHis1, self.convHis2 = chain(4, 24, 24, 24, stride=2), chain(24, 32, 32, 32, stride=2)
@@ -152,6 +154,9 @@ class Network(nn.Module):
         """
         if self.without == "gbuffer":
             gbuffer = torch.zeros_like(gbuffer)
+        if self.second_color == "earlier":
+            earlier, valid = history[:, 1, :3], history[:, 1, 3:]
+            color = torch.cat([color[:, :3], torch.where(valid > 0, earlier, color[:, 3:])], 1)
         x1 = self.rectifier(self.conv2(self.rectifier(self.conv1(torch.cat([color, color * mask, gbuffer], 1)))))
         x2 = self.down1(x1)
         x3 = self.down2(x2)
@@ -223,64 +228,6 @@ class Heads(nn.ModuleDict):
         return [head(features[name]) for name, head in self.items()]
 
 
-OUTC = 0.05
-"""Gain of the last layer at the start."""
-
-
-def initialise(network: nn.Module, seed: int) -> None:
-    """He's initialisation with biases of 0, gates half open, and a small ``outc``: training starts near ``bilinear``.
-
-    ``outc`` does not start at 0: only noise would then reach the layers before it, and Adam scales noise up to full steps. The
-    history's gates shut for good that way, before there was anything to learn.
-    """
-    generator = torch.Generator().manual_seed(seed)
-    with torch.no_grad():
-        for name, tensor in network.named_parameters():
-            if name.endswith("bias"):
-                tensor.zero_()
-            else:
-                # A half-open gate halves its feature, so the feature's weights are doubled.
-                gain = (
-                    2.0
-                    if ".conv_feature." in name
-                    else 0.1
-                    if ".conv_mask." in name
-                    else OUTC
-                    if name.startswith("outc")
-                    else 1.0
-                )
-                deviation = gain * math.sqrt(2 / math.prod(tensor.shape[1:]))
-                tensor.copy_(torch.randn(tensor.shape, generator=generator) * deviation)
-
-
-def hold_gates(network: Network) -> None:
-    """Hold the gate of the history open (0.95 everywhere), and do not train it.
-
-    While the history's features are still noise, the quickest way to a smaller loss is to shut the one gate that they all pass. A
-    shut gate passes no gradient and never opens again. Three runs in a row lost the history that way.
-    """
-    mask = network.lowlevelGated.conv_mask[0]
-    with torch.no_grad():
-        mask.weight.zero_()
-        mask.bias.fill_(3.0)
-    mask.requires_grad_(False)
-
-
-def hold_history(network: Network) -> None:
-    """Make the features of the history independent of it: set its kernels to 0, and do not train them.
-
-    Weights that are trained this way give the same result with any history, and an implementation can tell from the zeros
-    that it need not read the history.
-    """
-    held = [network.convHis1, network.convHis2, network.convHis3, network.lowlevelGated.conv_feature]
-    with torch.no_grad():
-        for module in held:
-            for convolution in module.modules():
-                if isinstance(convolution, nn.Conv2d):
-                    convolution.weight.zero_()
-                    convolution.weight.requires_grad_(False)
-
-
 def leak(network: nn.Module, slope: float) -> None:
     """Let every ReLU of ``network`` multiply negative numbers by ``slope`` instead of 0.
 
@@ -293,11 +240,12 @@ def leak(network: nn.Module, slope: float) -> None:
             module.slope = slope
 
 
-def load_weights(network: nn.Module, weights: Weights) -> None:
-    """Copy the specification's 92 tensors into ``network``."""
+def load_weights(network: Network, weights: Weights) -> None:
+    """Copy the specification's 92 tensors into ``network``, which gets their second colour, too."""
     network.load_state_dict({name: torch.from_numpy(np.array(tensor)) for name, tensor in weights.items()})
+    network.second_color = second_color(weights)
 
 
-def to_weights(tensors: dict[str, Tensor]) -> Weights:
-    """The tensors of a state dict as the specification's 92 arrays, checked."""
-    return check({name: tensors[name].detach().float().cpu().contiguous().numpy() for name in TENSORS})
+def to_weights(tensors: dict[str, Tensor], second: SecondColor = "newest") -> Weights:
+    """The tensors of a state dict as the specification's 92 arrays, checked; ``second``: the second colour that they were trained with."""
+    return check({name: tensors[name].detach().float().cpu().contiguous().numpy() for name in TENSORS}, second)

@@ -22,7 +22,8 @@ from torch import Tensor, nn
 from stss.weights.file import load, save
 from training.command import command
 from training.data import KINDS, Shard, load_shards, places, spread, whole
-from training.network import Gated, Network, Rectifier, initialise, load_weights, to_weights
+from training.initial import initialise
+from training.network import Gated, Network, Rectifier, load_weights, to_weights
 
 ANEW = ("down3.", "latentEncoder.", "KEncoder.", "convHis", "lowlevelGated.", "up1.")
 """Layers that are drawn anew."""
@@ -145,7 +146,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.stdout.write(f"{name}: {share:.2f} dead\n")
     if chosen.out:
         (revive_units if chosen.units else revive)(network, shards, chosen.seed)
-        save(chosen.out, to_weights(network.state_dict()), {"revived": chosen.weights})
+        save(chosen.out, to_weights(network.state_dict(), network.second_color), {"revived": chosen.weights})
 
 
 if __name__ == "__main__":

@@ -19,13 +19,15 @@ from torch import nn
 
 from stss.errors import InputError
 from stss.weights.file import load, save
+from stss_ref.weights import SECOND_COLORS, SecondColor, second_color
 from training import checkpoint
 from training.checkpoint import State
 from training.command import command
 from training.data import Batches, Shard, load_shards
+from training.initial import forget_second_color, hold_gates, hold_history, initialise
 from training.loss import STRUCTURE
 from training.muon import Muon
-from training.network import Heads, Network, hold_gates, hold_history, initialise, load_weights, to_weights
+from training.network import Heads, Network, load_weights, to_weights
 from training.plot import plot
 from training.step import Aims, advance
 from training.validate import Means, bilinear, evaluating, tensors, validate
@@ -41,7 +43,7 @@ class Settings:
     ``extrapolated``: the share of EFs in the squared error.
     ``taught``: the share of the teachers' picture in what the squared error is taken against. ``masking``: Random Reshading Masking.
     ``holes``: how often errors in reshading regions count in the squared error. ``upright``: see `training.augment.augment`.
-    ``compiled``: whether a step is compiled, which changes its rounding.
+    ``compiled``: whether a step is compiled, which changes its rounding. ``second_color``: see `stss_ref.frame.prepare`.
     """
 
     crop: int
@@ -61,6 +63,7 @@ class Settings:
     holes: float = 1.0
     upright: bool = False
     compiled: bool = False
+    second_color: SecondColor = "newest"
 
 
 @dataclass(frozen=True)
@@ -102,6 +105,9 @@ def start(settings: Settings, device: torch.device, initial: str | None = None, 
         initialise(network, settings.seed)
     else:
         load_weights(network, load(initial).weights)
+        if network.second_color != settings.second_color:
+            forget_second_color(network)
+    network.second_color = settings.second_color
     hold_gates(network)
     if without == "history":
         hold_history(network)
@@ -142,7 +148,10 @@ class Log:
 
 def keep(out: Path, state: State, means: Means) -> None:
     """Write ``weights.safetensors``, also as ``best.safetensors`` if its score is the best, and last the checkpoint."""
-    weights, metadata = to_weights(state.average), {"steps": str(state.step), "validation": json.dumps(means)}
+    weights, metadata = (
+        to_weights(state.average, state.settings["second_color"]),
+        {"steps": str(state.step), "validation": json.dumps(means)},
+    )
     metadata["settings"] = json.dumps(state.settings)
     save(out / "weights.safetensors", weights, metadata)
     mean = (means["SF"] + means["EF"]) / 2
@@ -181,7 +190,9 @@ def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan
                 raise InputError(f"step {state.step}: the loss is {value}; resume with a smaller --rate in another run")
             total, count, since = torch.zeros((), device=device), 0, reached
         if state.step % plan.validate == 0 or state.step == plan.steps:
-            means = validate(evaluating(state.average), shards, "validation", most=plan.most, device=device)
+            means = validate(
+                evaluating(state.average, second_color=settings.second_color), shards, "validation", most=plan.most, device=device
+            )
             log(step=state.step, validation=means)
             keep(out, state, means)
             plot(log.path, out / "curves.png")
@@ -219,6 +230,11 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument(
         "--upright", action="store_true", help="crops are mirrored, but neither turned nor their colours exchanged"
     )
+    parser.add_argument(
+        "--second-color",
+        choices=SECOND_COLORS,
+        help="what the network's second colour shows; default: as in --initial, or newest",
+    )
     parser.add_argument("--compile", action="store_true", help="compile a step: a third faster, wants a C++ compiler")
     parser.add_argument("--validate", type=int, default=1000, metavar="STEPS")
     parser.add_argument("--log", type=int, default=100, metavar="STEPS")
@@ -238,6 +254,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if chosen.compile and shutil.which(os.environ.get("CXX", "g++")) is None:
         raise InputError("--compile: expected a C++ compiler, g++ or what CXX names; found none")
     device = torch.device(chosen.device)
+    before = "newest" if chosen.initial is None else second_color(load(chosen.initial).weights)
     half = chosen.half == "on" or (chosen.half == "auto" and device.type == "cuda")
     settings = Settings(
         chosen.crop,
@@ -257,6 +274,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         holes=chosen.holes,
         upright=chosen.upright,
         compiled=chosen.compile,
+        second_color=chosen.second_color or before,
     )
     state = start(settings, device, chosen.initial)
     path = chosen.out / "state.safetensors"

@@ -16,6 +16,7 @@ from torch import Tensor
 from stss.errors import InputError
 from stss.quality.metrics import mean_scores, score, upsample_holes
 from stss.weights.file import load
+from stss_ref.weights import SecondColor
 from training.augment import Batch
 from training.command import command
 from training.data import KINDS, Shard, StoredSample, load_shards, places, spread, whole
@@ -69,9 +70,9 @@ def _score(model: Model, place: StoredSample, device: torch.device):
     return score(np.moveaxis(image, 0, -1)[:height, :width], truth, upsample_holes(hole))
 
 
-def evaluating(state: dict[str, Tensor], without: str = "") -> Model:
+def evaluating(state: dict[str, Tensor], without: str = "", second_color: SecondColor = "newest") -> Model:
     """A network with the tensors of ``state``."""
-    copy = Network(without).to(next(iter(state.values())).device).to(memory_format=torch.channels_last)
+    copy = Network(without, second_color).to(next(iter(state.values())).device).to(memory_format=torch.channels_last)
     copy.load_state_dict(state)
     return copy.eval()
 

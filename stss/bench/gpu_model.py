@@ -24,7 +24,7 @@ from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
 from stss_cl.network.layer import LayerLaunch
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import Precision
-from stss_ref.weights import Weights, reads_history
+from stss_ref.weights import Weights, colors_read
 
 
 @dataclass(frozen=True)
@@ -153,11 +153,11 @@ def predict_frame(weights: Weights, height: int, width: int, gpu: Gpu, precision
 
     Arguments are those of `predict`. All of them are limited by memory or L2.
     """
-    frames, stored = 3 if reads_history(weights) else 1, 2 if precision == "half" else 4
+    frames, stored = colors_read(weights), 2 if precision == "half" else 4
     surface = 9 + 1 + 1 + 3  # G-buffer, NoV, stencil, position
     floats = {
         "arrive": 2 + surface,
-        "chain_steps": 2 * (5 + 3) if frames > 1 else 2 * (1 + 1),
+        "chain_steps": 2 * ((2 * frames - 1) + frames),
         # Of each colour frame motion, colour, stencil, position; the decoder's base; normals are read where something moves.
         "prepare": surface + frames * (2 + 3 + 1 + 3) + 4,
         "splat_nearest": 2 + 1,
@@ -165,7 +165,7 @@ def predict_frame(weights: Weights, height: int, width: int, gpu: Gpu, precision
         "fill_holes": 0,
         "downsample_8": 9 * 2 / 8,  # two rows of eight
     }
-    packed = 24 + (3 * 4 if frames > 1 else 0)
+    packed = 24 + (frames * 4 if frames > 1 else 0)
     rows = []
     for name, count in floats.items():
         # A byte of the mask of holes, which all read or write that know of holes.

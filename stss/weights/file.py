@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Read and write weights as files in the project's own format, and identify weights.
 
-The format is safetensors with the authors' 92 names (spec 10) and the metadata entry ``stss_weights_version``.
+The format is safetensors with the authors' 92 names (spec 10) and the metadata entry ``stss_weights_version``; in version 2 also
+``second_color``, see `stss_ref.weights.SecondColor`.
 """
 
 from __future__ import annotations
@@ -19,7 +20,18 @@ from safetensors import SafetensorError, safe_open
 from stss.errors import InputError
 from stss.output.write_whole import write_named
 from stss_ref.regular_file import require_regular
-from stss_ref.weights import TENSORS, Weights, WeightsError, check, require_names, require_shape, zeros
+from stss_ref.weights import (
+    SECOND_COLORS,
+    TENSORS,
+    SecondColor,
+    Weights,
+    WeightsError,
+    check,
+    require_names,
+    require_shape,
+    second_color,
+    zeros,
+)
 
 BILINEAR = "bilinear"
 """Name of the method without a network: `zeros`."""
@@ -30,7 +42,9 @@ SHIPPED = {name: Path(__file__).with_name(f"{name}.safetensors") for name in (RE
 DEFAULT = "default"
 """Weights for frames of which nothing is known: `REALTIME`, since engines give such frames. See also ``stss.sequence.choose_weights``."""
 VERSION_KEY = "stss_weights_version"
-VERSION = "1"
+VERSION, WITH_SECOND_COLOR = "1", "2"
+"""Of weights whose second colour is the newest frame, and of those whose metadata name another: who reads version 1 alone refuses them."""
+SECOND_COLOR_KEY = "second_color"
 MAX_BYTES = 64 * 2**20
 
 
@@ -39,10 +53,10 @@ class LoadedWeights:
     """Weights and where they come from.
 
     Attributes:
-        weights: the 92 tensors, checked.
+        weights: the 92 tensors, checked, and the second colour that they were trained with.
         source: file or name, as it was given.
         identity: `identity` of the weights.
-        metadata: the file's metadata, without the format's version.
+        metadata: the file's metadata, without the format's version and the second colour.
     """
 
     weights: Weights = field(repr=False)
@@ -57,8 +71,10 @@ class LoadedWeights:
 
 
 def identity(weights: Weights) -> str:
-    """SHA-256 of the names, shapes and numbers: equal for equal weights, whatever file they come from."""
+    """SHA-256 of names, shapes and numbers, and of a second colour that is not the newest frame's: equal for equal weights of any file."""
     digest = hashlib.sha256()
+    if second_color(weights) != "newest":
+        digest.update(f"{SECOND_COLOR_KEY} {second_color(weights)}\n".encode())
     for name in sorted(weights):
         digest.update(f"{name} {weights[name].shape}\n".encode())
         digest.update(weights[name].astype("<f4").tobytes())
@@ -99,17 +115,30 @@ def _read(path: Path) -> tuple[Weights, dict[str, str]]:
     try:
         with safe_open(path, "numpy") as file:
             metadata = dict(file.metadata() or {})
-            version = metadata.pop(VERSION_KEY, None)
-            if version != VERSION:
-                found = "no such entry" if version is None else repr(version[:20])
-                raise InputError(f"{path}: expected {VERSION_KEY} {VERSION} in the metadata, found {found}")
-            return check(_tensors(file)), metadata
+            return check(_tensors(file), _second_color(path, metadata)), metadata
     except SafetensorError as error:
         raise InputError(f"{path}: damaged safetensors file ({error})") from error
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
     except WeightsError as error:
         raise WeightsError(f"{path}: {error}") from error
+
+
+def _second_color(path: Path, metadata: dict[str, str]) -> SecondColor:
+    """Take version and second colour out of the metadata."""
+    version = metadata.pop(VERSION_KEY, None)
+    if version not in (VERSION, WITH_SECOND_COLOR):
+        found = "no such entry" if version is None else repr(version[:20])
+        raise InputError(f"{path}: expected {VERSION_KEY} {VERSION} or {WITH_SECOND_COLOR} in the metadata, found {found}")
+    if version == VERSION:
+        return "newest"
+    found = metadata.pop(SECOND_COLOR_KEY, "")
+    for known in SECOND_COLORS:
+        if found == known:
+            return known
+    raise InputError(
+        f"{path}: {SECOND_COLOR_KEY}: expected one of {', '.join(SECOND_COLORS)} in the metadata, found {found[:20]!r}"
+    )
 
 
 def _tensors(file: Any) -> dict[str, np.ndarray[Any, Any]]:
@@ -129,13 +158,15 @@ def save(path: str | Path, weights: Weights, metadata: Mapping[str, str]) -> Non
     Args:
         path: the file, ``.safetensors``.
         weights: checked before anything is written.
-        metadata: where they come from; the format's version is added.
+        metadata: where they come from; the format's version, and a second colour that is not the newest frame, are added.
 
     Raises:
         InputError: the file can't be written.
         WeightsError: ``weights`` are not of this network.
     """
-    write_named(Path(path), _serialised(check(weights), {**metadata, VERSION_KEY: VERSION}))
+    second = second_color(weights)
+    entries = {VERSION_KEY: VERSION} if second == "newest" else {VERSION_KEY: WITH_SECOND_COLOR, SECOND_COLOR_KEY: second}
+    write_named(Path(path), _serialised(check(weights), {**metadata, **entries}))
 
 
 def _serialised(weights: Weights, metadata: Mapping[str, str]) -> bytes:

@@ -14,6 +14,7 @@ from stss_cl.device.discovery import Device
 from stss_cl.device.program import build
 from stss_cl.image_space.frame_planes import MOST_STEPS, Source, Sources, check_steps, planes, upload
 from stss_cl.image_space.stages import LIMITS, Gather, kernels, launch
+from stss_ref.weights import SecondColor
 
 FINITE = ("colors", "gbuffer", "nov", "stencils", "normals")
 """The arrays that must be finite: a ReLU could turn a NaN into 0 unnoticed."""
@@ -33,6 +34,7 @@ class Prepare:
         gather: how the motion chain reads between pixels.
         eights: whether a work-item computes eight pixels in a row; None: on CPUs.
         inputs: buffers to write to; None: buffers of its own. If they have change maps, only ``dirty`` tiles are computed.
+        second: the network's second colour, see ``stss_ref.frame.prepare``.
 
     Attributes:
         inputs: the network's inputs on the device; every frame writes to the same buffers.
@@ -49,6 +51,7 @@ class Prepare:
         *,
         eights: bool | None = None,
         inputs: Inputs | None = None,
+        second: SecondColor = "newest",
     ) -> None:
         self.device, self.height, self.width = device, height, width
         self.rows, self.columns = -(-height // 8) * 8, -(-width // 8) * 8
@@ -57,7 +60,7 @@ class Prepare:
         self.rows = self.inputs.input.height  # of a strip, where the frame goes in strips
         self._changes = self.inputs.changes
         self._maps: tuple[cl.Buffer, ...] = () if self._changes is None else self._changes.buffers
-        self._file, self._gather = "frame8.cl" if eights else "frame.cl", gather
+        self._file, self._gather, self._earlier = "frame8.cl" if eights else "frame.cl", gather, second == "earlier"
         self._kernels = self._built(looking=bool(self._maps))
         self.mask = self._filled(height * width)
         self.dirty = self._filled(self.rows // 4 * (self.columns // 4), 1)
@@ -71,7 +74,7 @@ class Prepare:
     def _built(self, *, looking: bool) -> dict[str, cl.Kernel]:
         """The kernels by name; ``looking``: the kernels that compute only dirty tiles, and mark tiles that then differ."""
         options: dict[str, object] = {"HALF": self.inputs.input.dtype == np.float16, "MARK": looking}
-        own = {"GATHER": f"gather_{self._gather}", "STREAM": self.device.streams}
+        own = {"GATHER": f"gather_{self._gather}", "STREAM": self.device.streams, "EARLIER": self._earlier}
         made = kernels(self.device, self._file, {**own, **options, **LIMITS})
         if self._gather != "longest":
             made.pop("chain_steps8", None)  # its gather is that one
@@ -95,11 +98,11 @@ class Prepare:
         positions: Source,
         tops: Sequence[int] = (0,),
         *,
-        older: bool = True,
+        frames: int = 3,
     ) -> None:
         """Enqueue the frame's image-space stages up to the splat; the arguments are those of ``stss_ref.frame.FrameInputs``.
 
-        ``strip`` then finishes each of the strips that begin at ``tops``. ``older``: see ``start``.
+        ``strip`` then finishes each of the strips that begin at ``tops``. ``frames``: see ``start``.
 
         On a CPU arrays are read in place: they must not change until the queue has finished this frame. All but motions and
         positions must be finite: ``not_finite`` checks those that are read afterwards.
@@ -110,7 +113,7 @@ class Prepare:
         chosen, size, device = check_steps(steps), (self.height, self.width), self.device
         if self._done is not None:
             self._done.wait()  # until then the last frame's arrays are in use
-        read, far = (3, chosen[2]) if older else (1, chosen[0])
+        read, far = frames, chosen[frames - 1]
         sources = Sources(
             steps=chosen,
             colors=planes(device, "colors", colors, read, (*size, 3), stack=3),
@@ -121,14 +124,14 @@ class Prepare:
             normals=planes(device, "normals", normals, read + 1, (*size, 3), stack=4),
             positions=planes(device, "positions", positions, read + 1, (*size, 3), stack=4),
         )
-        self.start(sources, tops, older=older, checks=True)
+        self.start(sources, tops, frames=frames, checks=True)
 
     def start(
         self,
         sources: Sources,
         tops: Sequence[int] = (0,),
         *,
-        older: bool = True,
+        frames: int = 3,
         looking: bool = True,
         checks: bool = False,
     ) -> None:
@@ -137,17 +140,18 @@ class Prepare:
         Args:
             sources: the planes to read; kept until the next frame.
             tops: see ``begin``.
-            older: False: the two older colour frames are not read, and ``inputs.earlier`` stays as it is.
+            frames: how many of the three colour frames are read, from the newest on; 2 only for an earlier second colour. With less
+                than 3 not all of ``inputs.earlier`` is written.
             looking: use change maps; False: everything is computed, and nothing is marked.
             checks: have ``not_finite`` tell what is not finite after all; normals are then three floats apart.
         """
-        self._read, self._tops, self._planes = sources, tuple(tops), 3 if older else 1
+        self._read, self._tops, self._frames = sources, tuple(tops), frames
         self._looks = looking and bool(self._maps)
-        newest, middle, oldest = sources.steps if older else (sources.steps[0], 0, 0)
+        newest, middle, oldest = (*sources.steps[:frames], 0, 0)[:3]
         size, skip = (self.height, self.width), self._clear()
         # A chain of one motion is that motion. With change maps it is written all the same: a later frame may read it.
-        self._motion = sources.motions[0] if newest == 1 and not older and not self._maps else self._chained
-        if self._motion is self._chained and (newest or oldest):
+        self._motion = sources.motions[0] if newest == frames == 1 and not self._maps else self._chained
+        if self._motion is self._chained and any((newest, middle, oldest)):
             motions = _filled_up(sources.motions, MOST_STEPS)
             self._run("chain_steps", size, *motions, newest, middle, oldest, self._chained, *size, *skip)
         for top in self._tops:
@@ -218,10 +222,12 @@ class Prepare:
         read = *colors, self._motion, s.gbuffer, s.nov, *stencils, *normals, *positions, s.normal_stride
         written = self._keys, self._first, inputs.earlier.data, inputs.input.data, inputs.base, self.mask, self._bad
         skip = (self.dirty, *self._maps[:2]) if self._looks else ()
-        self._run("prepare", place[2:4], *read, *written, checks, marks, *place, *skip, planes=self._planes)
+        for chosen in (range(1, self._frames), range(1)) if self._earlier else (range(self._frames),):
+            stores = self._frames == 3 or chosen.start == 1
+            self._run("prepare", place[2:4], *read, *written, checks, stores, marks, *place, *skip, planes=chosen)
 
     def _run(
-        self, name: str, size: tuple[int, int], *arguments: cl.Buffer | int | np.float32, planes: int | None = None
+        self, name: str, size: tuple[int, int], *arguments: cl.Buffer | int | np.float32, planes: range | None = None
     ) -> cl.Event:
         """Enqueue a kernel over ``size`` (rows, columns), eight pixels to a work-item if there is one that does so."""
         kernel, (rows, columns) = self._now[name], size

@@ -42,17 +42,19 @@ def launch(
     width: int,
     height: int,
     *arguments: cl.Buffer | int | np.float32,
-    planes: int | None = None,
+    planes: range | None = None,
 ) -> cl.Event:
     """Enqueue one work-item for each of ``width`` x ``height`` places, rounded up to whole work-groups.
 
-    ``planes`` adds that number of planes as the second of three dimensions, with rows as the third: data that the planes read in
+    ``planes`` adds these planes as the second of three dimensions, with rows as the third: data that the planes read in
     common then stay in a cache.
     """
     (across, down), (columns, rows) = grid(device, width, height)
-    size, local = ((across, down), (columns, rows)) if planes is None else ((across, planes, down), (columns, 1, rows))
     typed = (np.int32(a) if isinstance(a, int) else a for a in arguments)
-    return kernel(device.queue, size, local, *typed)
+    if planes is None:
+        return kernel(device.queue, (across, down), (columns, rows), *typed)
+    size, first = (across, len(planes), down), (0, planes.start, 0)
+    return kernel(device.queue, size, (columns, 1, rows), *typed, global_offset=first)
 
 
 class ImageStages:

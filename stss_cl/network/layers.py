@@ -22,7 +22,7 @@ from stss_cl.network.pack_weights import pack_outc
 from stss_cl.network.strips import OVERLAP, Strip, bytes_for, rows_within, strips, together_bytes
 from stss_cl.network.tiles import Tiling, of_convolution, whole
 from stss_ref.arrays import Array
-from stss_ref.weights import Weights, reads_history
+from stss_ref.weights import SecondColor, Weights, colors_read, reads_history, second_color
 
 GBUFFER, MASK = 9, 1
 See = Callable[[LayerLaunch, tuple[Padded, int, int] | None], None]
@@ -54,6 +54,7 @@ class Layers:
         strips: the strips in which the frame goes.
         keep: whether every layer's output is kept.
         reads_history: whether the launches read the history; those that do are left out with weights that do not.
+        colors_read, second_color: of the weights, see ``stss_ref.weights``.
         marked: if all is kept, the output of each layer, with its change map.
         maps: those change maps.
 
@@ -79,7 +80,8 @@ class Layers:
         rows = rows_within(full, columns, dtype, limit, overlap)
         keep = keep and bytes_for(full, full, columns, dtype, keep=True) <= limit
         self.device, self.size, self.keep = device, (height, width), keep
-        self.reads_history = reads_history(weights)
+        self.reads_history, self.colors_read = reads_history(weights), colors_read(weights)
+        self.second_color: SecondColor = second_color(weights)
         self._weights, self._height, self._width = weights, rows, columns
         self._fused = winograd
         self._local = tuning_for(device).local is not None and not device.is_cpu
@@ -198,8 +200,7 @@ class Layers:
     def _history(self) -> None:
         joined = self._build.padded(8, 96)
         self.features["reshaded"] = self._build.padded(8, 96)
-        together = self._together
-        images = 3 if together else 1
+        images = 3 if (together := self._together) else 1
         for image in ((None,) if together else range(3)) if self.reads_history else ():
             x = self.inputs.earlier
             for name, channels, divisor in (("convHis1", 24, 2), ("convHis2", 32, 4), ("convHis3", 32, 8)):
@@ -266,8 +267,7 @@ class Layers:
             self._placed.append((launch, 2 * divisor))
             skip = self.features[f"x{4 - i}"]
             name = f"up{i}.conv.double_conv"
-            wide = self._build.scratch("two", divisor, middle)
-            x = self._build.conv("decoder", f"{name}.0", skip, wide, b=up)
+            x = self._build.conv("decoder", f"{name}.0", skip, self._build.scratch("two", divisor, middle), b=up)
             if i == 3:
                 self._last(f"{name}.2", x)
                 return

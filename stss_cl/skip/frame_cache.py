@@ -56,7 +56,7 @@ class FrameCache:
 
     def __init__(self, device: Device, layers: Layers, gather: Gather):
         self.layers, self.network = layers, PartialNetwork(layers)
-        self.prepare = Prepare(device, *layers.size, gather, inputs=layers.inputs)
+        self.prepare = Prepare(device, *layers.size, gather, inputs=layers.inputs, second=layers.second_color)
         self.last: Last | None = None
         self._is_first = True
         self._device = device
@@ -66,7 +66,7 @@ class FrameCache:
 
     def read(self, steps: tuple[int, int, int]) -> tuple[int, ...]:
         """The steps whose colour frames these weights read."""
-        return steps if self.layers.reads_history else steps[:1]
+        return steps[: self.layers.colors_read]
 
     def prepare_inputs(self, sources: Sources, dirty: Tiles | None, *, looking: bool) -> float:
         """Fill the network's inputs.
@@ -81,7 +81,7 @@ class FrameCache:
         """
         self._is_first, self.last = self.last is None, None  # if this fails half-way, the next frame must not use it
         self._mark(dirty)
-        self.prepare.start(sources, older=self.layers.reads_history, looking=looking)
+        self.prepare.start(sources, frames=self.layers.colors_read, looking=looking)
         self.prepare.strip()
         return 1.0 if self._is_first or not looking else self._changed()
 

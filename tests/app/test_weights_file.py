@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from rich.console import Console
 from safetensors import numpy as safetensors_numpy
+from safetensors import safe_open
 
 from stss.errors import InputError
 from stss.weights import file as files
 from stss.weights.file import identity, load, save
 from stss.weights.inspect import component_costs, inspect, print_inspection
 from stss_ref.checkpoint import read_checkpoint
-from stss_ref.weights import TENSORS, Weights, WeightsError, random, zeros
+from stss_ref.weights import TENSORS, Tensors, Weights, WeightsError, random, second_color, zeros
 
 VERSION = {"stss_weights_version": "1"}
 
@@ -37,6 +38,27 @@ def test_saved_weights_come_back_bit_for_bit(path: Path):
     assert loaded.metadata == {"made by": "test", "a": "ä"}
     assert loaded.source == str(path)
     assert loaded.identity == identity(random(1))
+
+
+def test_another_second_colour_is_in_the_file_and_in_the_identity(path: Path):
+    save(path, Tensors(random(1), "earlier"), {"made by": "test"})
+    loaded = load(path)
+    assert second_color(loaded.weights) == "earlier"
+    assert loaded.metadata == {"made by": "test"}
+    assert loaded.identity == identity(loaded.weights) != identity(random(1))
+    with safe_open(path, "numpy") as file:
+        assert file.metadata() == {"made by": "test", "second_color": "earlier", "stss_weights_version": "2"}
+
+
+@pytest.mark.parametrize(("metadata", "message"), [
+    ({"stss_weights_version": "2"}, r"second_color: expected one of newest, earlier in the metadata, found ''"),
+    ({"stss_weights_version": "2", "second_color": "later" * 99}, "second_color: expected one of newest, earlier .*, found 'later"),
+    ({"stss_weights_version": "3"}, "expected stss_weights_version 1 or 2 in the metadata, found '3'"),
+])  # fmt: skip
+def test_an_unknown_second_colour_is_refused(path: Path, metadata: dict[str, str], message: str):
+    safetensors_numpy.save_file(dict(random(1)), path, metadata)
+    with pytest.raises(InputError, match=message):
+        load(path)
 
 
 def test_the_safetensors_library_reads_the_file(path: Path):
@@ -112,10 +134,10 @@ def test_a_huge_file_is_refused_before_it_is_read(path: Path):
         load(path)
 
 
-@pytest.mark.parametrize("metadata", [None, {}, {"format": "pt"}, {"stss_weights_version": "2"}])
+@pytest.mark.parametrize("metadata", [None, {}, {"format": "pt"}, {"stss_weights_version": "3"}])
 def test_another_version_is_refused(path: Path, metadata: dict[str, str] | None):
     safetensors_numpy.save_file(dict(zeros()), path, metadata)
-    with pytest.raises(InputError, match=r"some\.safetensors: expected stss_weights_version 1 in the metadata, found"):
+    with pytest.raises(InputError, match=r"some\.safetensors: expected stss_weights_version 1 or 2 in the metadata, found"):
         load(path)
 
 

@@ -14,8 +14,8 @@ from stss_cl.frame import run_stage
 from stss_cl.network.network import PRECISIONS
 from stss_ref.arrays import ArrayError
 from stss_ref.frame import FrameInputs, frame
+from stss_ref.weights import Tensors, zeros
 from stss_ref.weights import random as random_weights
-from stss_ref.weights import zeros
 
 few = settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
@@ -154,6 +154,27 @@ def test_what_the_weights_do_not_read_is_not_looked_at(device, on_device):
         made(steps=(1, 3, 5), **given(arrays | {"colors": arrays["colors"][:1].copy()}))
     with pytest.raises(ArrayError, match=r"colors: .* non-finite values"):
         Frame(weights, device)(steps=(1, 3, 5), **given(spoilt))
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@few
+@given(data=st.data(), size=sizes(24))
+def test_with_an_earlier_second_colour_the_frame_is_the_references(device, precision, data, size):
+    """With weights that do not read the history, and with some that do; of those that do not, the oldest frame is not looked at."""
+    inputs, weights = data.draw(frame_inputs(size)), random_weights(5)
+    unread = {n: w * (not (n.startswith("lowlevelGated.") and n.endswith(".weight"))) for n, w in weights.items()}
+    if data.draw(st.booleans()):
+        weights, last = unread, 2
+    else:
+        last = 3
+    weights = Tensors(weights, "earlier")
+    want, want_valid = frame(inputs, weights)
+    spoilt = {n: a if n in ("steps", "gbuffer", "nov") else a.copy() for n, a in arguments(inputs).items()}
+    for name, first in {"colors": last, "stencils": last + 1, "normals": last + 1, "positions": last + 1}.items():
+        spoilt[name][first:] = np.nan
+    image, valid = Frame(weights, device, precision)(**spoilt)
+    np.testing.assert_array_equal(valid, want_valid)
+    assert ratio(f"network.cl.{precision}", image, want.astype(np.float64)) <= 1
 
 
 def test_errors_name_the_array(device):

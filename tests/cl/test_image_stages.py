@@ -214,18 +214,19 @@ def arguments(inputs):
     return [getattr(inputs, field.name) for field in dataclasses.fields(inputs)]
 
 
-def assert_prepared(device, preparation, inputs, size):
-    """All that the network is given, padding and borders too."""
+def assert_prepared(device, preparation, inputs, size, second="newest", frames=3):
+    """All that the network is given, padding and borders too; of the history what ``frames`` colour frames and ``second`` need."""
     rows, columns = preparation.rows, preparation.columns
     got = preparation.inputs
     with np.errstate(invalid="ignore", over="ignore"):
-        want = prepare(inputs)
+        want = prepare(inputs, second=second)
     color, gbuffer, mask = pad_to_8(want.color), pad_to_8(want.gbuffer), pad_to_8(want.mask[..., None])
     packed = np.concatenate([color, color * mask, gbuffer, np.zeros((rows, columns, 3), np.float32)], axis=-1)
     border = ((1, 1), (1, 1), (0, 0))
     assert_same(downloaded(device, got.input.data, (rows + 2, columns + 2, 24)), np.pad(packed, border))
     history = np.pad(pad_to_8(want.history), ((0, 0), *border))
-    assert_same(downloaded(device, got.earlier.data, (3, rows + 2, columns + 2, 4)), history)
+    needed = slice(0, 3) if frames == 3 else slice(1, 2)
+    assert_same(downloaded(device, got.earlier.data, (3, rows + 2, columns + 2, 4))[needed], history[needed])
     color3 = np.pad(color[..., :3], ((0, 0), (0, 0), (0, 1)))
     assert_same(downloaded(device, got.base, (rows, columns, 4)), color3)
     f = np.concatenate([downsample_8(gbuffer), downsample_8(mask), np.zeros((rows // 8, columns // 8, 6), np.float32)], axis=-1)
@@ -244,6 +245,29 @@ def test_prepare(device, eights, data, size):
         preparation.begin(*arguments(inputs))
         preparation.strip()
         assert_prepared(device, preparation, inputs, size)
+
+
+@pytest.mark.parametrize("frames", [2, 3])
+@pytest.mark.parametrize("eights", [False, True])
+@settings(max_examples=60)
+@given(data=st.data(), size=sizes(26))
+def test_prepare_with_an_earlier_second_colour(device, eights, frames, data, size):
+    """Where the colour frame before is valid, it is the second colour; in frames of one strip and of several."""
+    whole = Prepare(device, *size, eights=eights, second="earlier")
+    strip = inputs_for(device, 8, whole.columns, np.dtype(np.float32))
+    parts = Prepare(device, *size, eights=eights, inputs=strip, second="earlier")
+    for _ in range(2):
+        inputs = data.draw(frame_inputs(size))
+        whole.begin(*arguments(inputs), frames=frames)
+        whole.strip()
+        assert_prepared(device, whole, inputs, size, "earlier", frames)
+        tops = range(0, whole.rows, 8)
+        parts.begin(*arguments(inputs), tops=tops, frames=frames)
+        shape = whole.rows + 2, whole.columns + 2, 24
+        rows = downloaded(device, whole.inputs.input.data, shape)
+        for top in tops:
+            parts.strip(top)
+            assert_same(downloaded(device, strip.input.data, (10, *shape[1:]))[1:-1], rows[top + 1 : top + 9])
 
 
 @pytest.mark.parametrize("eights", [False, True])

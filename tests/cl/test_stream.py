@@ -22,6 +22,7 @@ from stss_cl.skip.change_control import RULES
 from stss_cl.skip.stream import SKIPS, Stream
 from stss_cl.skip.uploaded_frames import UploadedFrames
 from stss_ref.arrays import ArrayError
+from stss_ref.weights import Tensors
 from stss_ref.weights import random as random_weights
 
 CHANGES = ("nothing", "nothing", "pixel", "color", "rectangle", "moving", "everything")
@@ -31,6 +32,8 @@ UNREAD = WEIGHTS | {
     for name in ("conv_feature", "conv_mask.0")
 }
 """The same, but that do not read the history."""
+EARLIER = Tensors(UNREAD, "earlier")
+"""The same again, whose second colour is that of the frame before."""
 
 
 @dataclass(frozen=True)
@@ -110,8 +113,8 @@ def assert_same(got, want):
 
 @pytest.fixture(
     scope="module",
-    params=[*((precision, WEIGHTS) for precision in PRECISIONS), ("float32", UNREAD)],
-    ids=lambda p: p[0] + " unread" * (p[1] is UNREAD),
+    params=[*((precision, WEIGHTS) for precision in PRECISIONS), ("float32", UNREAD), ("float32", EARLIER), ("half", EARLIER)],
+    ids=lambda p: p[0] + " unread" * (p[1] is UNREAD) + " earlier" * (p[1] is EARLIER),
 )
 def pair(request, device):
     """What keeps nothing, and what keeps all it can."""
@@ -235,17 +238,21 @@ def test_one_pixel_that_moves_is_seen(device, x):
 
 
 def test_what_weights_do_not_read_is_not_computed(device):
-    """An older colour that changes costs weights that do not read it no more than a comparison, and those that do a part of the network."""
-    frames = list(still(14))
+    """An older colour that changes costs weights that do not read it no more than a comparison, and those that do a part of the network.
+
+    Of frame 8 the colour is another: SFs see it come and go in frames 8 and 10, 10 and 12, and 12 and 14, as far back as they read.
+    """
+    frames = list(still(16))
     color = frames[8].color.copy()
     color[:2, :3] += 0.1
     frames[8] = replace(frames[8], color=color)
-    for weights, network in ((UNREAD, "none"), (WEIGHTS, "changed")):
+    for weights, last in ((UNREAD, 10), (EARLIER, 12), (WEIGHTS, 14)):
         keeping, plain = Stream(weights, device), Stream(weights, device, skip="off")
-        for i in range(13):
+        for i in range(16):
             window = frames[max(0, i - 5) : i + 1]
             assert_same(keeping(window, plan(window).steps), plain(window, plan(window).steps))
-        assert keeping.report.network == network
+            if i >= 8 and i % 2 == 0:
+                assert keeping.report.network == ("changed" if i <= last else "none")
 
 
 def test_activity_says_where(device):

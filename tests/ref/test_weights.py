@@ -2,6 +2,7 @@
 """The table of the network's tensors, the check, and the weights to start from."""
 
 import math
+import pickle
 from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
@@ -13,13 +14,16 @@ from stss_ref.history import history_embedding
 from stss_ref.weights import (
     LAYERS,
     TENSORS,
+    Tensors,
     Weights,
     WeightsError,
     astype,
     check,
+    colors_read,
     multiply_adds,
     random,
     reads_history,
+    second_color,
     zeros,
 )
 
@@ -176,3 +180,22 @@ def test_weights_read_the_history_if_a_kernel_of_its_last_layer_is_not_zero(left
     rng = np.random.default_rng(0)
     first, second = (history_embedding(rng.random((3, 16, 16, 4), np.float32), made) for _ in range(2))
     assert np.array_equal(first, second) == (not left)
+
+
+def test_the_second_colour_stays_with_the_tensors():
+    """Checked, rounded, copied to another process; tensors alone mean the newest frame."""
+    made = Tensors(random(2), "earlier")
+    for same in (check(made, "earlier"), astype(made, np.float64), pickle.loads(pickle.dumps(made))):
+        assert second_color(same) == "earlier"
+    for other in (dict(made), check(made), random(2), zeros()):
+        assert second_color(other) == "newest"
+
+
+def test_how_many_colour_frames_the_image_depends_on():
+    unread = {name: tensor * (not name.startswith("lowlevelGated")) for name, tensor in random(2).items()}
+    assert [colors_read(w) for w in (unread, Tensors(unread, "earlier"), random(2), Tensors(random(2), "earlier"))] == [
+        1,
+        2,
+        3,
+        3,
+    ]

@@ -8,14 +8,15 @@ from conformance.answers.port_arithmetic import Arithmetic
 from conformance.tolerance import ratio, sum_bound
 from stss.quality.metrics import C2, PEAK, WINDOW, luma, ssim
 from stss_ref.loss import loss as reference_loss
-from stss_ref.weights import TENSORS, reads_history, zeros
+from stss_ref.weights import TENSORS, Tensors, reads_history, second_color, zeros
 from stss_ref.weights import random as random_weights
 
 torch = pytest.importorskip("torch", reason="the package torch is not installed: pip install '.[train]'")
 torch.set_num_threads(1)
 
+from training.initial import forget_second_color, hold_gates, hold_history, initialise  # noqa: E402
 from training.loss import by_kind, loss, squared, structure, supervision, trusted  # noqa: E402
-from training.network import Heads, Network, hold_gates, hold_history, initialise, load_weights, to_weights  # noqa: E402
+from training.network import Heads, Network, load_weights, to_weights  # noqa: E402
 from training.train import infancy  # noqa: E402
 from training.validate import bilinear  # noqa: E402
 
@@ -64,6 +65,35 @@ def test_a_network_without_history_is_one_whose_history_is_not_read():
     network(*tensors(arrays)).sum().backward()
     still = ("convHis", "lowlevelGated.conv_mask", "lowlevelGated.conv_feature.weight")
     assert all((p.grad is None) == name.startswith(still) for name, p in network.named_parameters())
+
+
+def test_an_earlier_second_colour_is_the_specification_s():
+    """Of the same inputs: it is in the history. Saved and loaded it stays."""
+    arrays = inputs(3)
+    arrays["history"][..., 3] = arrays["history"][..., 3] > 0.5
+    weights, network = Tensors(random_weights(3), "earlier"), Network()
+    load_weights(network, weights)
+    assert second_color(to_weights(network.state_dict(), network.second_color)) == "earlier"
+    with torch.no_grad():
+        got = np.moveaxis(network(*tensors(arrays))[0].numpy(), 0, -1)
+    middle = arrays["history"][1]
+    second = np.where(middle[..., 3:] > 0, middle[..., :3], arrays["color"][..., 3:])
+    arrays["color"] = np.concatenate([arrays["color"][..., :3], second], axis=-1)
+    arrays = {name: array.astype(np.float32).astype(np.float64) for name, array in arrays.items()}
+    assert expect_with_weights("network", arrays, weights, Arithmetic())["image"].ratios(got).max() <= 1
+
+
+def test_what_was_read_twice_is_read_once():
+    """Where both colours are the same, the image stays, whatever the second one is from then on."""
+    arrays = inputs(6)
+    arrays["color"][..., 3:] = arrays["color"][..., :3]
+    network = Network()
+    load_weights(network, random_weights(6))
+    with torch.no_grad():
+        want = network(*tensors(arrays)).numpy()
+        forget_second_color(network)
+        for network.second_color in ("newest", "earlier"):
+            assert ratio("network.float32", network(*tensors(arrays)).numpy(), want) <= 1
 
 
 def test_samples_of_a_batch_do_not_mix():

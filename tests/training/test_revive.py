@@ -8,7 +8,8 @@ torch.set_num_threads(1)
 
 from stss.weights.file import load, save  # noqa: E402
 from training.data import load_shards, places, whole  # noqa: E402
-from training.network import Network, initialise, load_weights, to_weights  # noqa: E402
+from training.initial import initialise  # noqa: E402
+from training.network import Network, load_weights, to_weights  # noqa: E402
 from training.revive import main, revive, revive_units, share_of_dead  # noqa: E402
 
 

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from stss.errors import InputError
-from stss.weights.file import load
+from stss.weights.file import load, save
 from stss_ref.schedule import FrameKind
-from stss_ref.weights import reads_history
+from stss_ref.weights import random, reads_history, second_color
 from training.samples import Sample, write
 
 torch = pytest.importorskip("torch", reason="the package torch is not installed: pip install '.[train]'")
 torch.set_num_threads(1)
 
+from training.average import main as average  # noqa: E402
 from training.data import Batches, details, load_shards  # noqa: E402
 from training.step import Aims, advance, objective  # noqa: E402
 from training.train import Settings, main, rate_at, start  # noqa: E402
@@ -64,11 +65,20 @@ def test_options_reach_the_run(data, tmp_path):
         "more aids": ("--aids", "1"),
         "no aids": ("--aids", "0"),
         "upright": ("--upright",),
+        "earlier": ("--second-color", "earlier"),
     }
     for name, options in runs.items():
         run(data, tmp_path / name, 4, *start, *options)
     run(data, tmp_path / "no history", 4, "--no-history")
-    made = {name: load(tmp_path / name / "weights.safetensors") for name in (*runs, "no history")}
+    earlier = tmp_path / "earlier" / "weights.safetensors"
+    run(data, tmp_path / "on", 4, "--initial", str(earlier))
+    run(data, tmp_path / "back", 4, "--initial", str(earlier), "--second-color", "newest")
+    made = {name: load(tmp_path / name / "weights.safetensors") for name in (*runs, "no history", "on", "back")}
+    assert [name for name, loaded in made.items() if second_color(loaded.weights) == "earlier"] == ["earlier", "on"]
+    with pytest.raises(InputError, match="weights: expected one second colour, found earlier and newest"):
+        average([str(earlier), str(tmp_path / "back" / "weights.safetensors"), "-o", str(tmp_path / "mean.safetensors")])
+    average([str(earlier), str(earlier), "-o", str(tmp_path / "mean.safetensors")])
+    assert second_color(load(tmp_path / "mean.safetensors").weights) == "earlier"
     assert [name for name, loaded in made.items() if not reads_history(loaded.weights)] == ["no history"]
     sums = {name: loaded.label for name, loaded in made.items()}
     assert sums.pop("no aids") == sums["plain"]
@@ -199,10 +209,6 @@ def test_compiling_without_a_compiler_is_one_line(data, tmp_path, monkeypatch):
 
 
 def test_the_average_of_runs(tmp_path):
-    from stss.weights.file import save
-    from stss_ref.weights import random
-    from training.average import main as average
-
     one, two = random(0), random(1)
     save(tmp_path / "a.safetensors", one, {"steps": "3"})
     save(tmp_path / "b.safetensors", two, {"steps": "5"})
@@ -215,10 +221,6 @@ def test_the_average_of_runs(tmp_path):
 
 
 def test_an_average_may_add_less_to_the_enlarged_picture(tmp_path):
-    from stss.weights.file import save
-    from stss_ref.weights import random
-    from training.average import main as average
-
     weights = random(0)
     save(tmp_path / "a.safetensors", weights, {})
     average([str(tmp_path / "a.safetensors"), "--residual", "0.5", "-o", str(tmp_path / "b.safetensors")])

@@ -16,7 +16,7 @@ WOVEN = ("checker", "checker", "checker", "wave", "wave", "voronoi", "noise", "b
 """Textures of the clean scenes whose surfaces are all pattern, with cells near the pixel's size."""
 CELL = {"checker": 1.0, "wave": 0.3, "voronoi": 1.0, "noise": 2.0, "brick": 0.5}
 """Metres of a cell, or of a period, at scale 1."""
-CELLS = 0.7, 6.0
+CELLS = 0.4, 5.0
 """The smallest and the largest cell in pixels at the middle of a woven scene."""
 
 

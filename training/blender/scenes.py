@@ -15,7 +15,7 @@ import slender
 from looks import CUTOUTS, PICTURES, WOVEN, lights, material, sky, woven
 from paths import add, camera, distance
 
-VERSION = 9
+VERSION = 10
 """Raise it when the same seed no longer gives the same scene."""
 
 SPLITS = ("train", "validation", "test")

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: MIT
+"""The weights that a run begins with, and which of them it holds."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import nn
+
+from training.network import Network
+
+OUTC = 0.05
+"""Gain of the last layer at the start."""
+
+
+def initialise(network: nn.Module, seed: int) -> None:
+    """He's initialisation with biases of 0, gates half open, and a small ``outc``: training starts near ``bilinear``.
+
+    ``outc`` does not start at 0: only noise would then reach the layers before it, and Adam scales noise up to full steps. The
+    history's gates shut for good that way, before there was anything to learn.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    with torch.no_grad():
+        for name, tensor in network.named_parameters():
+            if name.endswith("bias"):
+                tensor.zero_()
+            else:
+                # A half-open gate halves its feature, so the feature's weights are doubled.
+                gain = (
+                    2.0
+                    if ".conv_feature." in name
+                    else 0.1
+                    if ".conv_mask." in name
+                    else OUTC
+                    if name.startswith("outc")
+                    else 1.0
+                )
+                deviation = gain * math.sqrt(2 / math.prod(tensor.shape[1:]))
+                tensor.copy_(torch.randn(tensor.shape, generator=generator) * deviation)
+
+
+def hold_gates(network: Network) -> None:
+    """Hold the gate of the history open (0.95 everywhere), and do not train it.
+
+    While the history's features are still noise, the quickest way to a smaller loss is to shut the one gate that they all pass. A
+    shut gate passes no gradient and never opens again. Three runs in a row lost the history that way.
+    """
+    mask = network.lowlevelGated.conv_mask[0]
+    with torch.no_grad():
+        mask.weight.zero_()
+        mask.bias.fill_(3.0)
+    mask.requires_grad_(False)
+
+
+def hold_history(network: Network) -> None:
+    """Make the features of the history independent of it: set its kernels to 0, and do not train them.
+
+    Weights that are trained this way give the same result with any history, and an implementation can tell from the zeros
+    that it need not read the history.
+    """
+    held = [network.convHis1, network.convHis2, network.convHis3, network.lowlevelGated.conv_feature]
+    with torch.no_grad():
+        for module in held:
+            for convolution in module.modules():
+                if isinstance(convolution, nn.Conv2d):
+                    convolution.weight.zero_()
+                    convolution.weight.requires_grad_(False)
+
+
+def forget_second_color(network: Network) -> None:
+    """Have the first layer take from the first colour what it took from the second, while both are the same; kernels of the second are 0.
+
+    The image of an SF then stays as it is when the second colour becomes another; from there training goes on.
+    """
+    with torch.no_grad():
+        for convolution in (network.conv1.conv_feature, network.conv1.conv_mask[0]):
+            for first in (0, 6):  # the colours, and the colours times the mask
+                second = convolution.weight[:, first + 3 : first + 6]
+                convolution.weight[:, first : first + 3] += second
+                second.zero_()
