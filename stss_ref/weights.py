@@ -44,6 +44,33 @@ class WeightsError(ValueError):
     """Weights are not what the network takes; the message names the tensor, what was expected and what was found."""
 
 
+VERSION_KEY, SECOND_COLOR_KEY = "stss_weights_version", "second_color"
+NEWEST_ALONE, WITH_SECOND_COLOR = "1", "2"
+"""Versions of a weights file: with the newest frame as the second colour, and with the one that the metadata name. Who knows version 1
+alone thus refuses what it would compute wrongly."""
+
+
+def format_metadata(weights: Weights) -> dict[str, str]:
+    """The entries that the metadata of a weights file must have (spec 10)."""
+    second = second_color(weights)
+    return {VERSION_KEY: NEWEST_ALONE} if second == "newest" else {VERSION_KEY: WITH_SECOND_COLOR, SECOND_COLOR_KEY: second}
+
+
+def take_second_color(metadata: dict[str, str]) -> SecondColor:
+    """Take these entries out of a file's metadata; WeightsError if they are not those of a known version."""
+    version = metadata.pop(VERSION_KEY, None)
+    if version not in (NEWEST_ALONE, WITH_SECOND_COLOR):
+        found = "no such entry" if version is None else repr(str(version)[:20])
+        raise WeightsError(f"expected {VERSION_KEY} {NEWEST_ALONE} or {WITH_SECOND_COLOR} in the metadata, found {found}")
+    named = "newest" if version == NEWEST_ALONE else metadata.pop(SECOND_COLOR_KEY, "")
+    for known in SECOND_COLORS:
+        if named == known:
+            return known
+    raise WeightsError(
+        f"{SECOND_COLOR_KEY}: expected one of {', '.join(SECOND_COLORS)} in the metadata, found {str(named)[:20]!r}"
+    )
+
+
 def _padded(length: int) -> int:
     return -(-length // 8) * 8
 

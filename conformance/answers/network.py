@@ -22,7 +22,7 @@ from conformance.protocol.layers import reference_layers
 from conformance.protocol.port import Outputs
 from conformance.protocol.stages import STAGES
 from conformance.tolerance import BOUNDS, UNIT
-from stss_ref.weights import Weights, astype
+from stss_ref.weights import Tensors, Weights, astype, second_color
 
 OPEN = 100.0
 """A gate's bias at which its sigmoid is 1."""
@@ -101,10 +101,13 @@ def _changes(weights: Weights, arithmetic: Arithmetic) -> Weights:
 
 
 def _changed(weights: Weights, changes: Weights, random: np.random.Generator) -> Weights:
-    return {name: tensor + changes[name] * (2 * random.random(tensor.shape, np.float32) - 1) for name, tensor in weights.items()}
+    arrays = {
+        name: tensor + changes[name] * (2 * random.random(tensor.shape, np.float32) - 1) for name, tensor in weights.items()
+    }
+    return Tensors(arrays, second_color(weights))
 
 
 def _opened(weights: Weights) -> Weights:
     """The weights with all gates open: they give the features, which the rounding error of even a nearly closed gate multiplies."""
     gates = {name: tensor * 0 + (OPEN if name.endswith("bias") else 0) for name, tensor in weights.items() if "conv_mask" in name}
-    return {**weights, **gates}
+    return Tensors({**weights, **gates}, second_color(weights))

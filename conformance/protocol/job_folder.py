@@ -28,12 +28,11 @@ from conformance.protocol.npy import Claim, read_claim, read_numbers, write_arra
 from conformance.protocol.port import AnyArray, Arrays, Case, Outputs, Unsupported
 from conformance.protocol.stages import check_input_shapes, check_inputs, check_output_shapes, find, require_inputs
 from stss_ref.arrays import ArrayError
-from stss_ref.weights import Weights, WeightsError, check
+from stss_ref.weights import Weights, WeightsError, check, format_metadata, take_second_color
 
 LAYERS = "layers"
 """Folder of a case for the outputs of layers inside its stage; the judge makes it to ask for them."""
 WEIGHTS = "weights.safetensors"
-WEIGHTS_METADATA = {"stss_weights_version": "1"}
 DTYPE = "float32"
 """The dtype of every float in a job, whatever the port's arithmetic."""
 MOST_CASES = 100_000
@@ -81,7 +80,7 @@ def write_job(job: Path, cases: Sequence[Case], first: int = 0, *, layers: bool 
 
 
 def _serialised(weights: Weights) -> bytes:
-    return save({name: np.ascontiguousarray(tensor) for name, tensor in check(weights).items()}, WEIGHTS_METADATA)
+    return save({name: np.ascontiguousarray(tensor) for name, tensor in check(weights).items()}, format_metadata(weights))
 
 
 def link(source: Path, path: Path) -> None:
@@ -157,16 +156,15 @@ def read_weights(data: bytes, path: Path) -> Weights:
     try:
         tensors = dict(safetensors.deserialize(data))
         header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
-        version = header.get("__metadata__", {}).get("stss_weights_version")
-        if version != WEIGHTS_METADATA["stss_weights_version"]:
-            raise JobError(f"{path}: expected stss_weights_version 1 in the metadata, got {str(version)[:20]!r}")
+        second = take_second_color(dict(header.get("__metadata__", {})))
         for name, tensor in tensors.items():
             if tensor["dtype"] != "F32":
                 raise JobError(f"{path}: {name[:80]}: expected dtype F32, got {tensor['dtype']}")
-        return check({
+        arrays = {
             name: np.frombuffer(tensor["data"], "<f4").astype(np.float32).reshape(tensor["shape"])
             for name, tensor in tensors.items()
-        })  # fmt: skip
+        }
+        return check(arrays, second)
     except WeightsError as error:
         raise JobError(f"{path}: {error}") from error
     except (safetensors.SafetensorError, ValueError) as error:

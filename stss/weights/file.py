@@ -21,15 +21,16 @@ from stss.errors import InputError
 from stss.output.write_whole import write_named
 from stss_ref.regular_file import require_regular
 from stss_ref.weights import (
-    SECOND_COLORS,
+    SECOND_COLOR_KEY,
     TENSORS,
-    SecondColor,
     Weights,
     WeightsError,
     check,
+    format_metadata,
     require_names,
     require_shape,
     second_color,
+    take_second_color,
     zeros,
 )
 
@@ -41,10 +42,6 @@ SHIPPED = {name: Path(__file__).with_name(f"{name}.safetensors") for name in (RE
 """Name -> file."""
 DEFAULT = "default"
 """Weights for frames of which nothing is known: `REALTIME`, since engines give such frames. See also ``stss.sequence.choose_weights``."""
-VERSION_KEY = "stss_weights_version"
-VERSION, WITH_SECOND_COLOR = "1", "2"
-"""Of weights whose second colour is the newest frame, and of those whose metadata name another: who reads version 1 alone refuses them."""
-SECOND_COLOR_KEY = "second_color"
 MAX_BYTES = 64 * 2**20
 
 
@@ -73,8 +70,8 @@ class LoadedWeights:
 def identity(weights: Weights) -> str:
     """SHA-256 of names, shapes and numbers, and of a second colour that is not the newest frame's: equal for equal weights of any file."""
     digest = hashlib.sha256()
-    if second_color(weights) != "newest":
-        digest.update(f"{SECOND_COLOR_KEY} {second_color(weights)}\n".encode())
+    if (second := second_color(weights)) != "newest":
+        digest.update(f"{SECOND_COLOR_KEY} {second}\n".encode())
     for name in sorted(weights):
         digest.update(f"{name} {weights[name].shape}\n".encode())
         digest.update(weights[name].astype("<f4").tobytes())
@@ -115,30 +112,17 @@ def _read(path: Path) -> tuple[Weights, dict[str, str]]:
     try:
         with safe_open(path, "numpy") as file:
             metadata = dict(file.metadata() or {})
-            return check(_tensors(file), _second_color(path, metadata)), metadata
+            try:
+                second = take_second_color(metadata)
+            except WeightsError as error:
+                raise InputError(f"{path}: {error}") from error
+            return check(_tensors(file), second), metadata
     except SafetensorError as error:
         raise InputError(f"{path}: damaged safetensors file ({error})") from error
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
     except WeightsError as error:
         raise WeightsError(f"{path}: {error}") from error
-
-
-def _second_color(path: Path, metadata: dict[str, str]) -> SecondColor:
-    """Take version and second colour out of the metadata."""
-    version = metadata.pop(VERSION_KEY, None)
-    if version not in (VERSION, WITH_SECOND_COLOR):
-        found = "no such entry" if version is None else repr(version[:20])
-        raise InputError(f"{path}: expected {VERSION_KEY} {VERSION} or {WITH_SECOND_COLOR} in the metadata, found {found}")
-    if version == VERSION:
-        return "newest"
-    found = metadata.pop(SECOND_COLOR_KEY, "")
-    for known in SECOND_COLORS:
-        if found == known:
-            return known
-    raise InputError(
-        f"{path}: {SECOND_COLOR_KEY}: expected one of {', '.join(SECOND_COLORS)} in the metadata, found {found[:20]!r}"
-    )
 
 
 def _tensors(file: Any) -> dict[str, np.ndarray[Any, Any]]:
@@ -164,9 +148,7 @@ def save(path: str | Path, weights: Weights, metadata: Mapping[str, str]) -> Non
         InputError: the file can't be written.
         WeightsError: ``weights`` are not of this network.
     """
-    second = second_color(weights)
-    entries = {VERSION_KEY: VERSION} if second == "newest" else {VERSION_KEY: WITH_SECOND_COLOR, SECOND_COLOR_KEY: second}
-    write_named(Path(path), _serialised(check(weights), {**metadata, **entries}))
+    write_named(Path(path), _serialised(check(weights), {**metadata, **format_metadata(weights)}))
 
 
 def _serialised(weights: Weights, metadata: Mapping[str, str]) -> bytes:

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from stss.errors import InputError
-from stss_ref.weights import LAYERS, Layer, Weights, reads_history
+from stss_ref.weights import LAYERS, Layer, SecondColor, Weights, reads_history, second_color
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,7 @@ class Inspection:
     layers: tuple[LayerRow, ...]
     components: tuple[ComponentRow, ...]
     reads_history: bool
+    second_color: SecondColor
 
 
 def inspect(weights: Weights, height: int, width: int) -> Inspection:
@@ -55,7 +56,14 @@ def inspect(weights: Weights, height: int, width: int) -> Inspection:
         )
         for layer in LAYERS
     )
-    return Inspection(-(-height // 8) * 8, -(-width // 8) * 8, rows, component_costs(height, width), reads_history(weights))
+    return Inspection(
+        -(-height // 8) * 8,
+        -(-width // 8) * 8,
+        rows,
+        component_costs(height, width),
+        reads_history(weights),
+        second_color(weights),
+    )
 
 
 def component_costs(height: int, width: int) -> tuple[ComponentRow, ...]:
@@ -114,6 +122,8 @@ def print_inspection(inspection: Inspection, console: Console) -> None:
     console.print(layers, components)
     if not inspection.reads_history:
         console.print("history: not read; its last kernels are 0, so it is left out")
+    what = "the frame before, where it is valid" if inspection.second_color == "earlier" else "the newest frame"
+    console.print(f"second colour: {inspection.second_color}, {what}")
 
 
 def _table(title: str, words: tuple[str, ...], numbers: tuple[str, ...]) -> Table:

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import types
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from stss.conform import own_ports as ports
 from stss.errors import InputError
 from stss_cl.errors import DeviceError
 from stss_ref.arrays import ArrayError
-from stss_ref.weights import WeightsError
+from stss_ref.weights import Tensors, WeightsError
 from stss_ref.weights import random as random_weights
 from stss_ref.weights import zeros as zero_weights
 
@@ -100,11 +101,14 @@ def test_the_reference_as_a_program_has_the_bits_of_the_reference():
     cases += [random_case(stage, size, 9) for stage in STAGES if stage not in ANY_SIZE for size in [(8, 8), (8, 24), (16, 8)]]
     cases.append(random_case("motion_chain", (6, 5), k=1))
     cases.append(random_case("warp", (6, 5), channels=1))
+    last = random_case("frame", (8, 8), 9)
+    cases.append(replace(last, weights=Tensors(last.weights, "earlier")))
 
     results = FolderPort(command("ref"), timeout=120).run_many(cases)
 
     for case, got in zip(cases, results, strict=True):
         assert bits(got) == bits(reference(case.stage, case.inputs, case.weights)), case.stage
+    assert bits(results[-1]) != bits(reference("frame", last.inputs, last.weights))
 
 
 @pytest.mark.parametrize("stage", STAGES)

@@ -247,7 +247,11 @@ def test_inspection_says_whether_the_history_is_read(capsys):
     }
     for weights, said in ((random(1), False), (unread, True)):
         print_inspection(inspect(weights, 540, 960), Console())
-        assert ("history: not read" in capsys.readouterr().out) == said
+        out = capsys.readouterr().out
+        assert ("history: not read" in out) == said
+        assert "second colour: newest, the newest frame" in out
+    print_inspection(inspect(Tensors(unread, "earlier"), 540, 960), Console())
+    assert "second colour: earlier, the frame before" in capsys.readouterr().out
 
 
 def test_inspection_refuses_an_empty_frame():

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected, largest
 from conformance.answers.network import expect_layers
 from conformance.answers.port_arithmetic import Arithmetic
@@ -27,6 +29,7 @@ from stss.conform.own_ports import ReferencePort
 from stss.conform.picture import draw
 from stss.errors import InputError
 from stss.images.read_write import read_rgb
+from stss_ref.weights import Tensors
 from tests.fuzz.harness import call
 from tests.meta.samples import samples
 
@@ -317,3 +320,9 @@ def test_the_example_in_cpp_passes(tmp_path):
         assert max(largest(right[name], layers[name]) for name in names) <= 1
     results = run_suite(Judge(port, Tier("some", 12, 3)))
     assert not [f"{result.id}: {result.message}" for result in results if result.outcome != "passed"]
+    earlier = [replace(case, weights=Tensors(case.weights, "earlier")) for case in samples("frame")]
+    for case in earlier:
+        got = port.run(case.stage, case.inputs, case.weights)
+        exact = {name: a.astype(np.float64) if a.dtype.kind == "f" else a for name, a in case.inputs.items()}
+        for name, answer in expect("frame", exact, case.weights, Arithmetic(), got).items():
+            assert largest(answer, got[name]) <= 1

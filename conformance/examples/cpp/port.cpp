@@ -325,6 +325,7 @@ struct Layer {
 struct Weights {
     fs::path file;
     std::map<std::string, Layer> layers;  // by the tensors' names, less .weight and .bias
+    bool earlier = false;                 // the network's second colour is that of the frame before, where that is valid
 
     const Layer &layer(const std::string &name, int inputs) const {
         const auto found = layers.find(name);
@@ -605,6 +606,9 @@ static Image frame(const FrameInputs &in, const Weights &weights) {
             color = concat({&instead, &warped});
             mask = trust;
         }
+        if (i == 1 && weights.earlier)
+            for (size_t p = 0; p < trust.data.size(); ++p)
+                if (trust.data[p] != 0) std::copy_n(&warped.data[p * 3], 3, &color.data[p * 6 + 3]);
         frames.insert(frames.begin(), concat({&warped, &trust}));
     }
     seen("color", color);
@@ -758,7 +762,8 @@ struct Tensor {
 };
 
 // A safetensors file: the length of a JSON header, the header, the numbers. Their order is not fixed: we go by the names.
-static std::map<std::string, Tensor> read_safetensors(const fs::path &path, const std::string &bytes) {
+// `second_color` becomes what the metadata say of it, if they do.
+static std::map<std::string, Tensor> read_safetensors(const fs::path &path, const std::string &bytes, std::string &second_color) {
     const uint64_t length = bytes.size() < 8 ? UINT64_MAX : numbers_from<uint64_t>({bytes.data(), 8})[0];
     if (bytes.size() < 8 || length > bytes.size() - 8) refuse(path, "not a safetensors file, or truncated");
     const std::string_view header = std::string_view(bytes).substr(8, length), data = std::string_view(bytes).substr(8 + length);
@@ -771,6 +776,7 @@ static std::map<std::string, Tensor> read_safetensors(const fs::path &path, cons
             if (key == "shape") shape = text.sizes("[]");
             else if (key == "data_offsets") at = text.sizes("[]");
             else dtype = text.word();  // or, in __metadata__, any text
+            if (name == "__metadata__" && key == "second_color") second_color = dtype;
         });
         if (name == "__metadata__") return;
         if (dtype != "F32") refuse(path, name + ": expected dtype F32, got " + dtype);
@@ -789,8 +795,11 @@ static const Weights &read_weights(const fs::path &path) {
     std::string bytes = read_file(path);
     if (bytes == last) return weights;
     last.clear();
-    weights = {path, {}};
-    const std::map<std::string, Tensor> tensors = read_safetensors(path, bytes);
+    weights = {path, {}, false};
+    std::string second_color = "newest";
+    const std::map<std::string, Tensor> tensors = read_safetensors(path, bytes, second_color);
+    if (second_color != "newest" && second_color != "earlier") refuse(path, "second_color: expected newest or earlier, got " + second_color);
+    weights.earlier = second_color == "earlier";
     for (const auto &[name, weight] : tensors) {
         if (weight.shape.size() == 1) continue;  // a bias
         const std::string layer = name.substr(0, name.rfind('.'));
