@@ -10,7 +10,7 @@ from stss.frames.supersample import plan
 from stss_cl.network.layers import Layers
 from stss_cl.skip.stream import Stream
 from tests.cl.test_device_frames import film
-from tests.cl.test_stream import WEIGHTS
+from tests.cl.test_stream import EARLIER, UNREAD, WEIGHTS
 
 NETWORK = {"gpu": 38, "cpu": 56}
 AROUND = {
@@ -36,7 +36,7 @@ def launched(monkeypatch):
         return cl.enqueue_marker(queue)
 
     monkeypatch.setattr(cl, "enqueue_nd_range_kernel", noted)
-    monkeypatch.setattr(cl.Kernel, "__call__", lambda kernel, queue, *_: noted(queue, kernel))
+    monkeypatch.setattr(cl.Kernel, "__call__", lambda kernel, queue, *_, **__: noted(queue, kernel))
     return names
 
 
@@ -52,6 +52,23 @@ def test_launches_of_a_whole_frame(device, launched, skip):
     which = device.device_class
     counts = {kind: sum(names.values()) for kind, names in found.items()}
     assert counts == {kind: NETWORK[which] + AROUND[which, kind] for kind in ("SF", "EF")}, found
+
+
+def test_an_earlier_second_colour_costs_a_launch(device, launched):
+    """Its frame is prepared before the newest one; an SF has a chain of motion for it."""
+    frames, found = film(["moving"] * 7), {}
+    for weights in (UNREAD, EARLIER):
+        stream = Stream(weights, device, skip="off")
+        for i in range(len(frames)):
+            window = window_at(frames, i)
+            launched.clear()
+            stream(window, plan(window).steps)
+            found[weights is EARLIER, window[-1].color is None] = Counter(launched)
+    (preparing,) = {name for name in found[False, True] if name.startswith("prepare")}
+    for extrapolated in (False, True):
+        more = found[True, extrapolated] - found[False, extrapolated]
+        assert more.pop(preparing) == 1
+        assert all(name.startswith("chain_steps") for name in more)
 
 
 def test_launches_of_the_network(device):

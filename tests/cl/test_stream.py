@@ -356,9 +356,9 @@ def test_work_groups_do_not_follow_the_size(device, monkeypatch):
         note(kernel, group)
         return enqueue(queue, kernel, size, group, *more)
 
-    def called(kernel, queue, size, group, *arguments):
+    def called(kernel, queue, size, group, *arguments, **options):
         note(kernel, group)
-        return call(kernel, queue, size, group, *arguments)
+        return call(kernel, queue, size, group, *arguments, **options)
 
     monkeypatch.setattr(cl, "enqueue_nd_range_kernel", enqueued)
     monkeypatch.setattr(cl.Kernel, "__call__", called)
@@ -366,7 +366,7 @@ def test_work_groups_do_not_follow_the_size(device, monkeypatch):
     for size in ((24, 40), (37, 147)):
         frames = list(still(8, size))
         frames[6].gbuffer[3:7, 2:9] += 0.1
-        for skip, weights in (("off", WEIGHTS), ("exact", WEIGHTS), ("exact", UNREAD)):
+        for skip, weights in (("off", WEIGHTS), ("exact", WEIGHTS), ("exact", UNREAD), ("exact", EARLIER)):
             stream = Stream(weights, device, skip=skip)
             for i in range(8):
                 window = frames[max(0, i - 5) : i + 1]

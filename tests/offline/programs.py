@@ -1,6 +1,7 @@
 """The programs that the host's code builds for a row of tile sizes, as if it computed small frames on a GPU."""
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import pyopencl as cl
@@ -14,7 +15,7 @@ from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
 from stss_cl.frame import Frame
 from stss_cl.network.network import PRECISIONS, Network
 from stss_cl.skip.stream import SKIPS, Stream
-from tests.cl.test_stream import WEIGHTS, first_frame, next_frame
+from tests.cl.test_stream import EARLIER, WEIGHTS, first_frame, next_frame
 
 SIZE = 19, 45
 
@@ -49,8 +50,8 @@ def programs(row, forms, *, network_only=False):
         for precision in PRECISIONS:
             for size in ((32, 48), (544, 960)):  # of few tiles, and of many
                 Network(WEIGHTS, device, precision).layers(*size)
-            for skip in () if network_only else SKIPS:
-                stream = Stream(WEIGHTS, device, precision, skip=skip)
+            for weights, skip in () if network_only else product((WEIGHTS, EARLIER), SKIPS):
+                stream = Stream(weights, device, precision, skip=skip)
                 for window, steps in _windows():
                     stream(window, steps)
                 for cache in stream._caches.values():  # what only some frames build
@@ -78,7 +79,7 @@ def _real(options, forms):
 def launch_nothing(patch):
     """From now on, build kernels without running them: their results do not matter here, and processors take minutes for them."""
     patch.setattr(cl, "enqueue_nd_range_kernel", lambda queue, *_: cl.enqueue_marker(queue))
-    patch.setattr(cl.Kernel, "__call__", lambda kernel, queue, *_: cl.enqueue_marker(queue))
+    patch.setattr(cl.Kernel, "__call__", lambda kernel, queue, *_, **__: cl.enqueue_marker(queue))
 
 
 def one_frame():
