@@ -70,7 +70,7 @@ _CHAINED = "motions.get(step))"
 _STEPS = "enumerate(chained, start=1)"
 _MISSING = "missing = i > 0 and step == inputs.steps[i - 1]"
 _VALIDS = "valids.append(np.zeros_like(valid) if missing else valid)"
-_COLOR = "color = np.maximum(np.concatenate([instead, newest], axis=-1), 0)"
+_COLOR = "color = np.maximum(np.concatenate([instead, other], axis=-1), 0)"
 _STACK = "history = np.stack([np.concatenate([np.maximum(w, 0), m], axis=-1) for w, m in zip(warped, masks, strict=True)])"
 _FILL = "_, instead = occlusion_warp(inputs.colors[0], newest, motion, inputs.gbuffer[..., 3], valids[0])"
 _MASK_OUT = "masks[0][..., 0], "
@@ -177,12 +177,12 @@ FRAME = (
         "warped, inside = warp(inputs.colors[i], motion)",
         more=[(_FRAME, "return warped, valid", "return warped, inside | valid")],
     ),
-    _frame("warped_first", "warped before occlusion_warp", _COLOR, _COLOR.replace("[instead, newest]", "[newest, instead]")),
+    _frame("warped_first", "warped before occlusion_warp", _COLOR, _COLOR.replace("[instead, other]", "[newest, instead]")),
     _frame(
-        "warped_twice", "warped in the place of occlusion_warp", _COLOR, _COLOR.replace("[instead, newest]", "[newest, newest]")
+        "warped_twice", "warped in the place of occlusion_warp", _COLOR, _COLOR.replace("[instead, other]", "[newest, newest]")
     ),
     _frame(
-        "filled_twice", "occlusion_warp in the place of warped", _COLOR, _COLOR.replace("[instead, newest]", "[instead, instead]")
+        "filled_twice", "occlusion_warp in the place of warped", _COLOR, _COLOR.replace("[instead, other]", "[instead, instead]")
     ),
     _frame("filled_from_middle", "fills from the middle frame", _FILL, _FILL.replace("colors[0]", "colors[1]")),
     _frame(
@@ -213,10 +213,10 @@ FRAME = (
     _frame("mask_of_oldest", "the oldest mask as the network's", _MASK_OUT, "masks[2][..., 0], "),
     _frame("mask_of_all", "the network's mask: valid in all three", _MASK_OUT, "(masks[0] * masks[1] * masks[2])[..., 0], "),
     _frame("mask_all_valid", "the network's mask all 1", _MASK_OUT, "masks[0][..., 0] * 0 + 1, "),
-    _frame("negative_color", "colours below 0 stay", _COLOR, "color = np.concatenate([instead, newest], axis=-1)"),
+    _frame("negative_color", "colours below 0 stay", _COLOR, "color = np.concatenate([instead, other], axis=-1)"),
     _frame("negative_history", "colours below 0 stay in the history", _STACK, _STACK.replace("np.maximum(w, 0)", "w")),
     _frame(
-        "color_up_to_1", "colours above 1 become 1", _COLOR, "color = np.clip(np.concatenate([instead, newest], axis=-1), 0, 1)"
+        "color_up_to_1", "colours above 1 become 1", _COLOR, "color = np.clip(np.concatenate([instead, other], axis=-1), 0, 1)"
     ),
     _frame(
         "history_up_to_1",

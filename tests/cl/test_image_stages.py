@@ -249,7 +249,7 @@ def test_prepare(device, eights, data, size):
 
 @pytest.mark.parametrize("frames", [2, 3])
 @pytest.mark.parametrize("eights", [False, True])
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(data=st.data(), size=sizes(26))
 def test_prepare_with_an_earlier_second_colour(device, eights, frames, data, size):
     """Where the colour frame before is valid, it is the second colour; in frames of one strip and of several."""

@@ -113,7 +113,7 @@ def assert_same(got, want):
 
 @pytest.fixture(
     scope="module",
-    params=[*((precision, WEIGHTS) for precision in PRECISIONS), ("float32", UNREAD), ("float32", EARLIER), ("half", EARLIER)],
+    params=[*((precision, WEIGHTS) for precision in PRECISIONS), ("float32", UNREAD), ("float32", EARLIER)],
     ids=lambda p: p[0] + " unread" * (p[1] is UNREAD) + " earlier" * (p[1] is EARLIER),
 )
 def pair(request, device):

@@ -22,7 +22,7 @@ BOUNDS = 10
 SUM = "np.maximum(weight_sum, weight_sum.dtype.type(1e-6))"
 LENGTH = "np.maximum(np.sqrt((x * x).sum(axis=-1, keepdims=True)), x.dtype.type(1e-12))"
 NORMAL = "(length + length.dtype.type(1e-5))"
-FRAME = "color = np.maximum(np.concatenate([instead, newest], axis=-1), 0)"
+FRAME = "color = np.maximum(np.concatenate([instead, other], axis=-1), 0)"
 HISTORY = "np.maximum(w, 0)"
 PLANTS = {
     "distance head-on": [("constants.py", "facing: float = 7.5", f"facing: float = {x}") for x in (7.45, 7.55, 0.0)],
@@ -66,7 +66,7 @@ PLANTS = {
     ],
     "window": [("erm.py", "WINDOW = 5", f"WINDOW = {x}") for x in (3, 7)],
     "least colour": [
-        ("frame.py", FRAME, "color = np.concatenate([instead, newest], axis=-1)"),
+        ("frame.py", FRAME, "color = np.concatenate([instead, other], axis=-1)"),
         ("frame.py", HISTORY, "w"),
         ("frame.py", HISTORY, "np.abs(w)"),
     ],
