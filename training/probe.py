@@ -48,6 +48,8 @@ class Probe:
                 found[f"without {name}"] = _features(main, color, _blank(gbuffer, part), mask, history)
             found["without G-buffer"] = _features(main, color, torch.zeros_like(gbuffer), mask, history)
             found["without mask"] = _features(main, color, gbuffer, torch.ones_like(mask), history)
+            if main.second_color == "earlier":
+                found["without earlier colour"] = _features(main, color, gbuffer, mask, torch.zeros_like(history))
             found["without ERM"] = _features(self.without_erm, *batch)
             low, full = history_features(color, history)
             modulated = (features[:, :, None] * low[:, None]).flatten(1, 2)
