@@ -762,8 +762,8 @@ struct Tensor {
 };
 
 // A safetensors file: the length of a JSON header, the header, the numbers. Their order is not fixed: we go by the names.
-// `second_color` becomes what the metadata say of it, if they do.
-static std::map<std::string, Tensor> read_safetensors(const fs::path &path, const std::string &bytes, std::string &second_color) {
+static std::map<std::string, Tensor> read_safetensors(const fs::path &path, const std::string &bytes,
+                                                      std::map<std::string, std::string> &metadata) {
     const uint64_t length = bytes.size() < 8 ? UINT64_MAX : numbers_from<uint64_t>({bytes.data(), 8})[0];
     if (bytes.size() < 8 || length > bytes.size() - 8) refuse(path, "not a safetensors file, or truncated");
     const std::string_view header = std::string_view(bytes).substr(8, length), data = std::string_view(bytes).substr(8 + length);
@@ -776,7 +776,7 @@ static std::map<std::string, Tensor> read_safetensors(const fs::path &path, cons
             if (key == "shape") shape = text.sizes("[]");
             else if (key == "data_offsets") at = text.sizes("[]");
             else dtype = text.word();  // or, in __metadata__, any text
-            if (name == "__metadata__" && key == "second_color") second_color = dtype;
+            if (name == "__metadata__") metadata[key] = dtype;
         });
         if (name == "__metadata__") return;
         if (dtype != "F32") refuse(path, name + ": expected dtype F32, got " + dtype);
@@ -796,8 +796,9 @@ static const Weights &read_weights(const fs::path &path) {
     if (bytes == last) return weights;
     last.clear();
     weights = {path, {}, false};
-    std::string second_color = "newest";
-    const std::map<std::string, Tensor> tensors = read_safetensors(path, bytes, second_color);
+    std::map<std::string, std::string> metadata;
+    const std::map<std::string, Tensor> tensors = read_safetensors(path, bytes, metadata);
+    const std::string second_color = metadata["stss_weights_version"] == "2" ? metadata["second_color"] : "newest";
     if (second_color != "newest" && second_color != "earlier") refuse(path, "second_color: expected newest or earlier, got " + second_color);
     weights.earlier = second_color == "earlier";
     for (const auto &[name, weight] : tensors) {
