@@ -8,11 +8,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-SLOW = 2.0
-"""A launch is listed as slow if it takes more than this many times the model's estimate."""
-CLOSE = 0.05
-"""A launch is listed only if it takes more than this share of the network's time."""
-
 
 def page(folder: Path, report: Mapping[str, Any]) -> str:
     """The page as Markdown, without the figures of steps that have not run yet.
@@ -22,8 +17,8 @@ def page(folder: Path, report: Mapping[str, Any]) -> str:
         report: ``tiny``, ``machine`` and ``steps``, see ``stss.bench.gpu_report``.
     """
     machine, steps = report["machine"], report["steps"]
-    bench, launches, half = (_read(folder / name) for name in ("bench.json", "launches.json", "launches-half.json"))
-    wrong = [*_faults(steps), *_slower(bench), *_slow_launches("float32", launches), *_slow_launches("half", half)]
+    bench = _read(folder / "bench.json")
+    wrong = [*_faults(steps), *_slower(bench)]
     parts = [
         f"# {machine['device']}\n",
         *(["Small sizes, which show that every step runs. **The figures mean nothing.**\n"] if report["tiny"] else []),
@@ -38,9 +33,6 @@ def page(folder: Path, report: Mapping[str, Any]) -> str:
     ]
     if bench:
         parts += ["\n## Times\n", _times(bench), "\n![times](bench.png)" if (folder / "bench.png").exists() else ""]
-    for precision, data in (("float32", launches), ("half", half)):
-        if data:
-            parts += [f"\n## Launches, {precision}: the model beside what was measured\n", _launches(data)]
     if (folder / "pareto.png").exists():
         parts += ["\n## Time against error\n", "![time against error](pareto.png)"]
     return "\n".join(parts) + "\n"
@@ -72,17 +64,6 @@ def _slower(bench: Any) -> list[str]:
     return found
 
 
-def _slow_launches(precision: str, data: Any) -> list[str]:
-    if not data or data["measured_ms"] is None:
-        return []
-    worth = [row for row in data["launches"] if row["measured_us"] > CLOSE * 1e3 * data["measured_ms"]]
-    return [
-        f"{precision}, {row['stage']} {row['name']}: {row['measured_us']:.0f} us, by the model {row['model_us']:.0f} ({row['limit']})"
-        for row in worth
-        if row["measured_us"] > SLOW * row["model_us"]
-    ]
-
-
 def _times(bench: Any) -> str:
     rows = bench["sizes"][0]["rows"]
     return _table(
@@ -99,22 +80,6 @@ def _times(bench: Any) -> str:
             else (row["name"], "", "-", "-", _cell(row["fault"]))
             for row in rows
         ),
-    )
-
-
-def _launches(data: Any) -> str:
-    measured = data["measured_ms"] is not None
-    rows = [
-        (
-            f"{row['stage']} {row['name']}", row["kernel"], row["limit"], f"{row['roof_us']:.1f}", f"{row['model_us']:.1f}",
-            f"{row['measured_us']:.1f}" if measured else "-",
-        )
-        for row in data["launches"]
-    ]  # fmt: skip
-    total = f"{data['measured_ms'] * 1e3:.1f}" if measured else "-"
-    rows.append(("**all**", "", "", f"{data['roof_ms'] * 1e3:.1f}", f"{data['model_ms'] * 1e3:.1f}", total))
-    return f"The model is one of {data['gpu']}.\n\n" + _table(
-        ("launch", "kernel", "limit", "roof us", "model us", "measured us"), rows
     )
 
 

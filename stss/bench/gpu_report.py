@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Literal
 
 from conformance.protocol.own_session import run_alone
-from stss.bench.gpu_model import most_like
 from stss.bench.gpu_page import page
 from stss.errors import InputError
 from stss.machine import cpu_model, versions
@@ -81,18 +80,17 @@ class Done:
     last_line: str
 
 
-def steps(folder: Path, device: str, model: str, *, tiny: bool) -> list[Step]:
+def steps(folder: Path, device: str, *, tiny: bool) -> list[Step]:
     """All steps, in order: those that find faults come first, since figures of a faulty device mean nothing.
 
     Args:
         folder: the steps write their files there.
         device: full name of the device.
-        model: a name in ``stss.bench.gpu_model.GPUS``, shown beside the measured times.
         tiny: take sizes and counts that only show that every step runs.
     """
     size, few, tests = ("64x48", "2", TESTS[:1]) if tiny else ("960x544", "20", TESTS)
     here, to = ("--device", device, "--size", size), folder.absolute()
-    stss, model_of = (sys.executable, "-m", "stss"), ("bench", "--model", model, "--measure")
+    stss = sys.executable, "-m", "stss"
     return [
         Step("devices", (*stss, "devices", "--again"), 120),
         _driver(),
@@ -110,8 +108,6 @@ def steps(folder: Path, device: str, model: str, *, tiny: bool) -> list[Step]:
             ),
             240,
         ),
-        Step("launches", (*stss, *model_of, *here, "--json", f"{to / 'launches.json'}"), 90),
-        Step("launches-half", (*stss, *model_of, "--precision", "half", *here, "--json", f"{to / 'launches-half.json'}"), 60),
         Step(
             "bench",
             (
@@ -145,13 +141,12 @@ def _driver() -> Step:
     return Step("driver", None, 0, f"none of {', '.join(asked)} is here")
 
 
-def gpu_report(folder: Path, device: str | None, model: str | None, *, tiny: bool, tell: Callable[[str], None]) -> bool:
+def gpu_report(folder: Path, device: str | None, *, tiny: bool, tell: Callable[[str], None]) -> bool:
     """Run every step.
 
     Args:
         folder: a new or an empty folder.
         device: part of the device's name; None: the first GPU, or else the first device.
-        model: see `steps`; None: the one most like the device.
         tiny: see `steps`.
         tell: called with a line before each step.
 
@@ -181,7 +176,7 @@ def gpu_report(folder: Path, device: str | None, model: str | None, *, tiny: boo
     make_folder(folder / "logs")
     done: list[Done] = []
     patience = PATIENCE if tiny else 1
-    planned = steps(folder, name, model or most_like(properties), tiny=tiny)
+    planned = steps(folder, name, tiny=tiny)
     for step in (replace(each, limit=patience * each.limit) for each in planned):
         tell(f"{step.name}: up to {step.limit:.0f} s")
         done.append(_run(step, folder / "logs" / f"{step.name}.txt", name))

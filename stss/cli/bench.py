@@ -14,7 +14,6 @@ from stss.cli.options import MAX_COUNT, Size
 from stss.output.apart import require_places
 from stss.terminal import Terminal, echo
 from stss.weights.file import identity, load
-from stss_cl.network.network import Precision
 
 
 @click.command("bench")
@@ -53,11 +52,6 @@ from stss_cl.network.network import Precision
     type=Names(),
     help="With --pareto: the settings whose names contain one of these, such as float32,half off  [default: all]",
 )
-@click.option("--model", help="Print instead the times that a model predicts for a GPU: h100, ...")
-@click.option(
-    "--precision", type=click.Choice(["float32", "float32-direct", "half"]), default="float32", help="Precision for --model."
-)
-@click.option("--measure", "measured", is_flag=True, help="With --model: time the launches on --device, too.")
 @click.option(
     "--frames", type=click.IntRange(10, MAX_COUNT), default=20, show_default=True, help="With --pareto: frames a scene."
 )
@@ -73,9 +67,6 @@ def bench_command(
     pareto: bool,
     scenes: tuple[str, ...] | None,
     settings: tuple[str, ...] | None,
-    model: str | None,
-    precision: Precision,
-    measured: bool,
     frames: int,
 ) -> None:
     """Time the network on our backends and on other engines, and measure the errors of all against the float64 reference."""
@@ -88,12 +79,6 @@ def bench_command(
 
     require_places({"--json": json_file, "--plot": plot}, [None if weights is None else Path(weights)])
     tensors = random_weights(0) if weights is None else load(weights).weights
-    if model is not None:
-        from stss.bench.gpu_model_report import bench_model, gpu_named
-
-        gpu = gpu_named(model)
-        bench_model(tensors, sizes[0], gpu, precision, Terminal(), json_file, measured=measured, device=device)
-        return
     threads = available_threads()
     console = Terminal(stderr=True)
     setups = [Setup(tensors, *size, device=device, threads=threads) for size in sizes]
@@ -116,22 +101,16 @@ def bench_command(
 @click.command("gpu-report")
 @click.option("-o", "--out", type=PATH, required=True, help="A new or an empty folder.")
 @click.option("--device", help="Part of the name of the OpenCL device  [default: the first GPU]")
-@click.option(
-    "--model", help="The GPU whose predicted times stand beside the measured ones  [default: the one most like the device]"
-)
 @click.option("--tiny", is_flag=True, help="Small sizes: show that every step runs, and nothing else.")
-def gpu_report_command(out: Path, device: str | None, model: str | None, tiny: bool) -> None:
+def gpu_report_command(out: Path, device: str | None, tiny: bool) -> None:
     """Test, judge and time a GPU; the report is a folder whose README.md begins with what is wrong.
 
-    Runs self-tests, tests and the judge, compares times with other engines and with a model, and finds tile sizes. Takes 25 minutes at
-    most and needs no network. Ends with status 1 if something is wrong.
+    Runs self-tests, tests and the judge, compares times with other engines, and finds tile sizes. Takes 25 minutes at most and needs no
+    network. Ends with status 1 if something is wrong.
     """
-    from stss.bench.gpu_model_report import gpu_named
     from stss.bench.gpu_report import gpu_report
 
-    if model is not None:
-        gpu_named(model)
-    good = gpu_report(out, device, model, tiny=tiny, tell=partial(echo, err=True))
+    good = gpu_report(out, device, tiny=tiny, tell=partial(echo, err=True))
     echo(f"{out / 'README.md'}")
     sys.exit(0 if good else 1)
 
