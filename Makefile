@@ -15,6 +15,7 @@ check: $(VENV)/.check
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/codespell
+	$(BIN)/python tests/check_text.py
 	$(BIN)/pyright
 
 bench: $(VENV)/.bench

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Stage erm, the attention on GPUs: `normalise` and `attend` of erm.cl in one kernel, reference stss_ref/erm.py. A work-group computes a tile of 4 x 4
 // pixels: it loads the keys of the tile and around it into local memory, divides them by their lengths, computes 25 weights for each pixel, then the sums.
 //

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Building block conv, reference stss_ref/conv.py::conv and ::gated: 3 x 3 or 1 x 1, stride 1 or 2, one or two inputs side by side.
 //
 //  buffer       dir  shape                              content

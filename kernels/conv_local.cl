@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Building block conv for GPUs, reference stss_ref/conv.py::conv and ::gated: 3 x 3, stride 1 or 2. A work-group brings a tile of the input
 // and its weights into local memory; a work-item holds eight outputs of 4 x ROWS pixels in registers. Buffers and weights as in conv.cl.
 //

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Building block conv on matrix units, reference stss_ref/conv.py::conv and ::gated: 3 x 3, stride 1 or 2, activations and weights in half, sums
 // in float32. Eight channels of a pixel lie together in the buffers, which is the order that matrix units want. Arguments and buffers are conv.cl's, but
 //

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Stage decoder, the output: reference stss_ref/decoder.py (outc), stss_ref/resample.py::pixel_shuffle and ::upsample_centres.
 //
 //  buffer   dir  shape           content

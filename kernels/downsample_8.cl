@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Stage erm, its input at 1/8 size, reference stss_ref/resample.py::downsample_8 and ::pad_to_8.
 //
 //  buffer    dir  shape             content

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Stage encoder, the input: reference stss_ref/encoder.py (the concatenation) and stss_ref/resample.py::pad_to_8.
 //
 //  buffer   dir  shape              content

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Stage erm, reference stss_ref/erm.py: the attention; attend_local.cl is the same for GPUs. Its convolutions are conv.cl's.
 //
 //  buffer    dir  shape                     content

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Building block finite, reference stss_ref/arrays.py::require_finite: whether an array holds NaN or an infinity.
 //
 //  buffer  dir  shape     content

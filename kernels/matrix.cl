@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Whether matrix units compute what mma.clh says: one product, four times.
 //
 //  buffer  dir  shape                         content

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Building block resample: x2 with corners aligned, reference stss_ref/resample.py::upsample_corners.
 //
 //  buffer  dir  shape               content

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Small tests of what every other kernel assumes of a device; stss/devices/selftest.py has the right results.
 //
 //  buffer   dir  shape         meaning

@@ -1,0 +1,127 @@
+"""Checks of text for `make check`: licence lines; links of pages, and that what they and comments name is there."""
+
+import ast
+import io
+import re
+import sys
+import tokenize
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("stss_ref", "stss_cl", "conformance", "stss")
+FOLDERS = (*PACKAGES, "kernels", "training", "tests", "docs")
+FILES = [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*")) if path.is_file()]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"] + [path for path in FILES if path.suffix == ".md"]
+SOURCES = [path for path in FILES if path.suffix in (".py", ".cl", ".clh", ".cpp", ".sh")]
+ELSEWHERE = {"--nthreads", "--uninitialized", "--target", "eval.py", "stage.cl", "network.cl", "stss.sha256"}
+"""Options of Oclgrind, pip and dask; files of other projects, named without a folder; what a run leaves."""
+
+text = cache(Path.read_text)
+NAMES = {path.name for path in [*FILES, *ROOT.iterdir()]}
+OPTIONS = {name for path in SOURCES for name in re.findall(r"--[a-z][a-z-]+", text(path))}
+
+
+def prose(page):
+    """A page without its blocks of code, and without what a command wrote into it."""
+    whole = re.sub(r"^```.*?^```", "", text(page), flags=re.MULTILINE | re.DOTALL)
+    return re.sub(r"^<!-- (?!end).*?(?:^<!-- end -->|\Z)", "", whole, flags=re.MULTILINE | re.DOTALL)
+
+
+def comments(path):
+    """Comments and docstrings of a file."""
+    if path.suffix != ".py":
+        return "\n".join(re.findall(r"//.*", text(path)))
+    tokens = tokenize.generate_tokens(io.StringIO(text(path)).readline)
+    return "\n".join(token.string for token in tokens if token.string.startswith(("#", '"""')))
+
+
+def is_there(dotted):
+    """Whether a dotted name is a module of ours, or something that the longest beginning that is a module names."""
+    parts = dotted.replace(":", ".").split(".")
+    for count in range(len(parts), 0, -1):
+        place = ROOT.joinpath(*parts[:count])
+        for file in (place.with_suffix(".py"), place / "__init__.py"):
+            if file.is_file():
+                return count == len(parts) or re.search(rf"\b{parts[count]}\b", text(file)) is not None
+    return False
+
+
+def bad_links(page):
+    """Links to files and headings that are not there; anchors as GitHub makes them."""
+    for target in re.findall(r"\]\((?!https?:)([^)\s]+)\)", prose(page)):
+        file, _, anchor = target.partition("#")
+        there = (page.parent / file).resolve() if file else page
+        headings = re.findall(r"^#+ +(.+?)\s*$", prose(there), re.MULTILINE) if anchor and there.is_file() else []
+        anchors = {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+        if not there.exists() or (anchor and anchor not in anchors):
+            yield f"link {target} leads nowhere"
+
+
+def missing_names(page):
+    """Files, modules, options and imports that a page names and that are not there."""
+    named = set(re.findall(r"`([^`\n]+)`", prose(page))) - ELSEWHERE
+    for name in named:
+        if re.fullmatch(rf"(?:{'|'.join(FOLDERS)})/[\w./*<>-]+", name):
+            there = list(ROOT.glob(name.rstrip("/").replace("STAGE", "warp")))
+        elif re.fullmatch(r"[\w-]+\.(?:py|cl|clh|toml)", name):
+            there = name in NAMES
+        elif re.fullmatch(rf"(?:{'|'.join(PACKAGES)}|training)(?:\.\w+)+(?::\w+)?", name):
+            there = is_there(name)
+        else:
+            there = set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", name)) <= OPTIONS | ELSEWHERE
+        if not there:
+            yield f"`{name}` is not there"
+    for block in re.findall(r"^```python\n(.*?)^```", text(page), re.MULTILINE | re.DOTALL):
+        for node in ast.walk(ast.parse(block)):
+            if isinstance(node, ast.ImportFrom) and node.module.split(".")[0] in FOLDERS:
+                yield from (f"no {node.module}.{a.name}" for a in node.names if not is_there(f"{node.module}.{a.name}"))
+
+
+def bad_lines(page):
+    """Lines over 100 columns, without tables and the targets of links; tables over six columns."""
+    for line in prose(page).splitlines():
+        if line.startswith("|") and line.replace(r"\|", "").count("|") > 7:
+            yield f"more than six columns: {line}"
+        elif not line.lstrip().startswith("|") and len(re.sub(r"\]\([^)]*\)", "]", line)) > 100:
+            yield f"over 100 columns: {line}"
+
+
+def missing_modules(path):
+    """Modules that comments and docstrings name and that are not there."""
+    for name in re.findall(rf"(?<![\w./])(?:{'|'.join(PACKAGES)})(?:\.[a-z_]\w*)+(?!\.?\w)", comments(path)):
+        if name not in ELSEWHERE and not name.endswith(".md") and not is_there(name):
+            yield f"{name} is not there"
+
+
+def missing_licence(path):
+    """The first line of what is installed."""
+    ours = path.relative_to(ROOT).parts[0] in (*PACKAGES, "kernels") and path.suffix in (".py", ".cl", ".clh")
+    if ours and not re.match(r"(#|//) SPDX-License-Identifier: MIT\n", text(path)):
+        yield "the first line does not say the licence"
+
+
+def broken_promises(page):
+    """Rows of docs/promises.md without a test, or with one that is not there."""
+    for row in re.findall(r"^\| (?!promise)(.*)\|$", text(page), re.MULTILINE):
+        named = re.findall(r"`(tests/[\w/]+\.py)::(test_\w+)`", row)
+        if not named:
+            yield f"no test: {row}"
+        for file, name in named:
+            if not (ROOT / file).is_file() or f"\ndef {name}(" not in text(ROOT / file):
+                yield f"{file}::{name} is not there"
+
+
+def faults():
+    """Every fault with its file."""
+    for checks, paths in (
+        ((bad_links, missing_names, bad_lines), PAGES),
+        ((missing_modules, missing_licence), SOURCES),
+        ((broken_promises,), [ROOT / "docs" / "promises.md"]),
+    ):
+        for path in paths:
+            yield from (f"{path.relative_to(ROOT)}: {fault}" for check in checks for fault in check(path))
+
+
+if __name__ == "__main__":
+    sys.exit("\n".join(faults()) or 0)
