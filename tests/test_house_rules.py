@@ -30,21 +30,19 @@ FLOORS = {
 """The rooms of a package from top to bottom: a room imports those on the floors below it, and none beside it."""
 
 
-def sources(package):
-    return sorted((ROOT / package).rglob("*.py"))
-
-
-def imports(path):
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.level == 0:
-            yield node.module
+def imports_of(package):
+    """Every module that a file of the package imports, with the file."""
+    for path in sorted((ROOT / package).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                yield from ((path, alias.name) for alias in node.names)
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                yield path, node.module
 
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_imports_go_one_way(package):
-    for path, module in [(path, module) for path in sources(package) for module in imports(path)]:
+    for path, module in imports_of(package):
         top = module.split(".")[0]
         if top in PACKAGES:
             allowed = any(module == each or module.startswith(each + ".") for each in MAY_IMPORT[package])
@@ -57,12 +55,11 @@ def test_imports_go_one_way(package):
 def test_rooms_import_those_below(package):
     """Every room stands in the plan, and no import leads up or across; a package's ``__init__`` may import anything of its package."""
     floors = {room: i for i, floor in enumerate(FLOORS[package].split(" > ")) for room in floor.split()}
-    for path in sources(package):
+    for path, module in imports_of(package):
         room = path.relative_to(ROOT / package).with_suffix("").parts[0]
-        for module in imports(path) if room != "__init__" else ():
-            top, *below = module.split(".")
-            if top == package and below and below[0] != room:
-                assert floors[below[0]] > floors[room], f"{path} imports {module}"
+        top, *below = module.split(".")
+        if room != "__init__" and top == package and below and below[0] != room:
+            assert floors[below[0]] > floors[room], f"{path} imports {module}"
 
 
 def test_the_table_of_kernels_has_the_options_that_they_take():
