@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from conformance.findings import TestResult
-from stss_ref.regular_file import read_json
+from stss_ground.regular_file import read_json
 
 MOST_BYTES = 1 << 20
 FORMAT = 1

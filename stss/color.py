@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stss.errors import InputError
+from stss_ground.errors import InputError
 from stss_ref.arrays import Array, require_finite, require_shape
 
 TRANSFERS = ("none", "srgb", "hdr")

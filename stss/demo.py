@@ -16,9 +16,6 @@ from stss.frames.backends import DEFAULTS, open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.images.contact_sheet import COMPARISON, comparison, contact_sheet, magnify
 from stss.images.read_write import encode_channels, encode_rgb, read_rgb, write_rgb
-from stss.output.apart import require_apart
-from stss.output.folder import OutputFolder
-from stss.output.write_whole import told
 from stss.quality.compare import Comparison, compare, print_comparison
 from stss.quality.comparison_page import RenderedInputs, Version, write_comparison
 from stss.quality.output_and_truth import find_pairs
@@ -28,6 +25,9 @@ from stss.run.options import RunOptions
 from stss.sequence.choose_weights import AUTO, choose_weights
 from stss.sequence.reader import open_sequence
 from stss.weights.file import BILINEAR, load
+from stss_ground.output.apart import require_apart
+from stss_ground.output.folder import OutputFolder
+from stss_ground.output.write_whole import told
 from stss_ref.arrays import Array, Plane
 
 FRAMES = 16

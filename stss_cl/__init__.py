@@ -16,7 +16,7 @@ _HOMES = {"Frame": "stss_cl.frame", "Network": "stss_cl.network.network", "Strea
 
 
 def __getattr__(name: str) -> Any:
-    """Import the classes when they are asked for: ``stss_cl.errors`` alone must not open the OpenCL library."""
+    """Import the classes when they are asked for: ``stss_ground.errors`` alone must not open the OpenCL library."""
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module

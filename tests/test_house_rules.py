@@ -11,21 +11,23 @@ import pytest
 from stss_cl.device.program import source
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("stss_ref", "stss_cl", "conformance", "stss")
+PACKAGES = ("stss_ground", "stss_ref", "stss_cl", "conformance", "stss")
 
 MAY_IMPORT = {
+    "stss_ground": {"stss_ground"},
     "stss_ref": {"stss_ref"},
-    "conformance": {"conformance", "stss_ref"},
-    "stss_cl": {"stss_cl", *(f"stss_ref.{name}" for name in ("arrays", "constants", "regular_file", "weights"))},
-    "stss": {"stss", "stss_cl", "conformance", "stss_ref"},
+    "conformance": {"conformance", "stss_ref", "stss_ground"},
+    "stss_cl": {"stss_cl", "stss_ground", *(f"stss_ref.{name}" for name in ("arrays", "constants", "weights"))},
+    "stss": {"stss", "stss_cl", "conformance", "stss_ref", "stss_ground"},
 }
 
 FLOORS = {
     "stss": "__main__ > cli > demo bench > quality cluster > check run > port sequence baselines > conform stress frames"
-    " > pages > images weights devices color optional > output > errors terminal version machine",
+    " > pages > images weights devices color",
     "conformance": "run_suite stored_cases > suite > confirm diagnosis first_layer known_failures terms > rehearsal > judge"
     " > findings > answers mistakes cases > protocol scenes tolerance",
-    "stss_cl": "skip > frame > network image_space > device > toml_table errors",
+    "stss_cl": "skip > frame > network image_space > device",
+    "stss_ground": "guard > optional output pages toml_table option_kinds > errors terminal version machine regular_file",
 }
 """The rooms of a package from top to bottom: a room imports those on the floors below it, and none beside it."""
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from stss.errors import InputError
 from stss.weights.file import load, save
+from stss_ground.errors import InputError
 from stss_ref.weights import Tensors, second_color
 from training.command import command
 

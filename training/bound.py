@@ -23,10 +23,10 @@ import torch
 from numpy.typing import NDArray
 
 from stss.color import transfer
-from stss.errors import InputError
 from stss.frames.display_frame import DisplayFrame, prepare
 from stss.sequence.reader import open_sequence
 from stss.weights.file import load
+from stss_ground.errors import InputError
 from stss_ref.arrays import Array
 from training.augment import collate
 from training.command import command

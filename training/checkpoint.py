@@ -14,7 +14,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from stss.errors import InputError
+from stss_ground.errors import InputError
 
 ENTRY = "stss_training"
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from stss.errors import InputError
+from stss_ground.errors import InputError
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import WeightsError
 

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from stss.errors import InputError
+from stss_ground.errors import InputError
 from stss_ref.arrays import Array
 from training.augment import MASK, Batch, augment, collate, crop, mask_at_random
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from stss.errors import InputError
-from stss.optional import require
+from stss_ground.errors import InputError
+from stss_ground.optional import require
 
 
 def plot(log: Path, picture: Path) -> None:

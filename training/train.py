@@ -17,8 +17,8 @@ from pathlib import Path
 import torch
 from torch import nn
 
-from stss.errors import InputError
 from stss.weights.file import load, save
+from stss_ground.errors import InputError
 from stss_ref.weights import SECOND_COLORS, SecondColor, second_color
 from training import checkpoint
 from training.checkpoint import State

@@ -13,9 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from stss.errors import InputError
 from stss.quality.metrics import mean_scores, score, upsample_holes
 from stss.weights.file import load
+from stss_ground.errors import InputError
 from stss_ref.weights import SecondColor
 from training.augment import Batch
 from training.command import command

@@ -12,9 +12,9 @@ import numpy as np
 
 from stss.baselines.fxaa import fxaa
 from stss.baselines.taau import Taau
-from stss.errors import InputError
 from stss.frames.display_frame import OnArrays
 from stss.images.resample import lanczos_centres
+from stss_ground.errors import InputError
 from stss_ref.arrays import Image, Mask
 from stss_ref.frame import FrameInputs, NetworkInputs, prepare
 from stss_ref.resample import upsample_centres

@@ -23,7 +23,7 @@ from stss.bench.contender import Setup
 from stss.bench.noise import Noise, processor_time
 from stss.bench.ours import FRAMES, OURS, contender, inputs_for, truth
 from stss.bench.peers import PEERS
-from stss.errors import InputError
+from stss_ground.errors import InputError
 from stss_ref.arrays import Image
 
 SIZES = ((360, 640), (540, 960), (1080, 1920))

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stss.errors import InputError
-from stss.optional import require
-from stss.output.write_whole import write_named
-from stss.version import VERSION
 from stss.weights.file import identity
+from stss_ground.errors import InputError
+from stss_ground.optional import require
+from stss_ground.output.write_whole import write_named
+from stss_ground.version import VERSION
 from stss_ref.erm import WINDOW
 from stss_ref.weights import Weights
 

@@ -15,8 +15,8 @@ import numpy as np
 from stss.bench.contender import Contender, Setup
 from stss.bench.peers import PEERS
 from stss.frames.display_frame import WINDOW
-from stss.machine import versions
-from stss.optional import installed
+from stss_ground.machine import versions
+from stss_ground.optional import installed
 from stss_ref.arrays import Image
 from stss_ref.frame import FrameInputs, NetworkInputs, frame
 from stss_ref.network import network

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from conformance.scenes import SCENES
-from stss.errors import InputError
 from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import DisplayFrame, frame_inputs, window_at
 from stss.frames.supersample import plan
@@ -19,6 +18,7 @@ from stss.quality.metrics import psnr
 from stss.sequence.scenes import check_request, display_frames, truth
 from stss_cl.device.discovery import Device
 from stss_cl.skip.stream import Stream
+from stss_ground.errors import InputError
 from stss_ref.arrays import Array, Image
 from stss_ref.frame import FrameInputs, frame
 from stss_ref.weights import Weights, astype

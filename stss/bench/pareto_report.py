@@ -20,16 +20,16 @@ from stss.bench.contender import Setup
 from stss.bench.measure import Timing, bench
 from stss.bench.pareto import CANONICAL, JUDGED, WARM, Point, frontier, measure
 from stss.bench.report import PACKAGES
-from stss.errors import InputError
 from stss.frames.compute_options import ComputeOptions
-from stss.machine import cpu_model, versions
-from stss.optional import require
-from stss.output.write_whole import write_figure, write_named
 from stss.sequence.scenes import check_request
-from stss.terminal import Terminal
-from stss.version import VERSION
 from stss.weights.file import identity
 from stss_cl.device.discovery import open_device
+from stss_ground.errors import InputError
+from stss_ground.machine import cpu_model, versions
+from stss_ground.optional import require
+from stss_ground.output.write_whole import write_figure, write_named
+from stss_ground.terminal import Terminal
+from stss_ground.version import VERSION
 
 FORMAT = 1
 """Version of the JSON; raised when a field changes its meaning."""

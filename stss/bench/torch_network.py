@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from stss.optional import require
+from stss_ground.optional import require
 from stss_ref.weights import Weights
 
 

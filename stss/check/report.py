@@ -18,7 +18,6 @@ from rich.table import Table
 from stss.check.jitter import judge_jitter
 from stss.check.motion_convention import judge_motion
 from stss.check.value_statistics import Level, Values, motion_lines
-from stss.errors import InputError
 from stss.images.headers import read_header
 from stss.sequence.antialiasing import judge_sampling
 from stss.sequence.choose_weights import suited
@@ -26,7 +25,8 @@ from stss.sequence.find_files import find_frames
 from stss.sequence.profiles import BUFFERS, Profile, load_profile
 from stss.sequence.raw_frame import NonFinite
 from stss.sequence.reader import Sequence, open_sequence
-from stss.terminal import printable
+from stss_ground.errors import InputError
+from stss_ground.terminal import printable
 
 PAIRS = 3
 """Number of pairs of neighbouring frames that are read."""

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import click
 
-from stss.cli.option_kinds import PATH, Names
 from stss.cli.options import MAX_COUNT, Size
-from stss.output.apart import require_places
-from stss.terminal import Terminal, echo
 from stss.weights.file import identity, load
+from stss_ground.option_kinds import PATH, Names
+from stss_ground.output.apart import require_places
+from stss_ground.terminal import Terminal, echo
 
 
 @click.command("bench")
@@ -74,7 +74,7 @@ def bench_command(
     from stss.bench.contender import Setup
     from stss.bench.measure import bench as run_bench
     from stss.bench.ours import default_ours
-    from stss.machine import available_threads
+    from stss_ground.machine import available_threads
     from stss_ref.weights import random as random_weights
 
     require_places({"--json": json_file, "--plot": plot}, [None if weights is None else Path(weights)])

@@ -12,12 +12,12 @@ from typing import Any
 
 import click
 
-from stss.cli.option_kinds import MAX_SECONDS, MAX_SEED, PATH, Names, Number
-from stss.errors import InputError
-from stss.optional import require as require_package
-from stss.output.apart import require_places
-from stss.output.write_whole import by_name
-from stss.terminal import echo
+from stss_ground.errors import InputError
+from stss_ground.option_kinds import MAX_SECONDS, MAX_SEED, PATH, Names, Number
+from stss_ground.optional import require as require_package
+from stss_ground.output.apart import require_places
+from stss_ground.output.write_whole import by_name
+from stss_ground.terminal import echo
 
 MAX_REPEAT = 1000
 

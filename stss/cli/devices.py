@@ -8,7 +8,7 @@ from functools import partial
 import click
 
 from stss.cli.options import Size
-from stss.terminal import Terminal, echo
+from stss_ground.terminal import Terminal, echo
 
 
 @click.command()

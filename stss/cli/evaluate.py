@@ -9,7 +9,6 @@ from typing import Any
 
 import click
 
-from stss.cli.option_kinds import PATH, Names
 from stss.cli.options import (
     MAX_COUNT,
     FrameRange,
@@ -20,14 +19,15 @@ from stss.cli.options import (
     sequence_options,
     weights_option,
 )
-from stss.errors import InputError
 from stss.frames.backends import NETWORK
 from stss.frames.compute_options import ComputeOptions
-from stss.output.apart import require_apart
-from stss.output.write_whole import told
 from stss.pages.viewer import require_page
 from stss.sequence.reader import open_sequence
-from stss.terminal import Terminal, echo
+from stss_ground.errors import InputError
+from stss_ground.option_kinds import PATH, Names
+from stss_ground.output.apart import require_apart
+from stss_ground.output.write_whole import told
+from stss_ground.terminal import Terminal, echo
 
 
 @click.command("compare")

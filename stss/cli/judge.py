@@ -6,9 +6,11 @@ from __future__ import annotations
 import click
 
 from stss.cli.conform import badge, conform, port
-from stss.cli.guard import run_guarded
-from stss.optional import require_own_conformance
-from stss.version import VERSION
+from stss_ground.guard import run_guarded
+from stss_ground.optional import require_own_conformance
+from stss_ground.version import VERSION
+from stss_ref.arrays import ArrayError
+from stss_ref.weights import WeightsError
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120})
@@ -24,4 +26,4 @@ for command in (badge, conform, port):
 
 def main() -> None:
     """Run the command."""
-    run_guarded(judge)
+    run_guarded(judge, ArrayError, WeightsError)

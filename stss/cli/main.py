@@ -19,8 +19,6 @@ from stss.cli.bench import bench_command, export, gpu_report_command
 from stss.cli.conform import badge, conform, port
 from stss.cli.devices import devices, tune
 from stss.cli.evaluate import compare_command, flicker_command, flicker_scenes_command, methods_command
-from stss.cli.guard import run_guarded
-from stss.cli.option_kinds import PATH
 from stss.cli.options import (
     SIDE,
     FrameRange,
@@ -33,11 +31,8 @@ from stss.cli.options import (
 from stss.cli.progress import shown_progress
 from stss.cli.stress import stress_command
 from stss.cluster.run import Cluster, require_independent, run_on_cluster
-from stss.errors import InputError
 from stss.frames.backends import NETWORK
 from stss.frames.compute_options import ComputeOptions, Skip
-from stss.optional import installed, require_own_conformance
-from stss.output.apart import require_places
 from stss.run.choose_backend import first_frames, open_method, with_skipping, within_budget
 from stss.run.frame_job import FrameReport
 from stss.run.job import Summary
@@ -47,14 +42,20 @@ from stss.run.preview import Preview, require_preview
 from stss.run.skip_report import told
 from stss.sequence.choose_weights import choose_weights
 from stss.sequence.reader import open_sequence
-from stss.terminal import Terminal, echo, printable
-from stss.version import VERSION
 from stss.weights import inspect as inspection
+from stss.weights.checkpoint import read_checkpoint
 from stss.weights.file import load, save
 from stss_cl.device.caches import private
-from stss_cl.errors import DeviceError
-from stss_ref.checkpoint import read_checkpoint
+from stss_ground.errors import DeviceError, InputError
+from stss_ground.guard import run_guarded
+from stss_ground.option_kinds import PATH
+from stss_ground.optional import installed, require_own_conformance
+from stss_ground.output.apart import require_places
+from stss_ground.terminal import Terminal, echo, printable
+from stss_ground.version import VERSION
+from stss_ref.arrays import ArrayError
 from stss_ref.schedule import FrameKind
+from stss_ref.weights import WeightsError
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120})
@@ -229,4 +230,4 @@ def main() -> None:
         # stop a command that needs no device.
         with suppress(DeviceError):
             os.environ.setdefault("MPLCONFIGDIR", str(private("matplotlib")))
-    run_guarded(stss)
+    run_guarded(stss, ArrayError, WeightsError)

@@ -9,7 +9,6 @@ from typing import Any, TypeVar
 
 import click
 
-from stss.cli.option_kinds import PATH, Number
 from stss.color import TRANSFERS
 from stss.frames.backends import BACKENDS
 from stss.frames.compute_options import PRECISIONS, SKIPS, ComputeOptions, Precision
@@ -17,6 +16,7 @@ from stss.frames.display_frame import PLANE_TYPES
 from stss.images.headers import MAX_SIDE
 from stss.sequence.choose_weights import AUTO
 from stss.sequence.find_files import MAX_DIGITS
+from stss_ground.option_kinds import PATH, Number
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 

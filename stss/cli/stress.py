@@ -11,12 +11,12 @@ import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from stss.cli.option_kinds import PATH, Names
-from stss.errors import InputError
 from stss.frames.backends import BACKENDS
-from stss.output.apart import require_places
-from stss.terminal import Terminal, echo
 from stss.weights.file import load
+from stss_ground.errors import InputError
+from stss_ground.option_kinds import PATH, Names
+from stss_ground.output.apart import require_places
+from stss_ground.terminal import Terminal, echo
 
 
 @click.command("stress")
@@ -37,10 +37,10 @@ def stress_command(
     page: Path | None,
 ) -> None:
     """Measure where digits are lost: with magnitude, depth, size, order of summation, and in the worst places."""
-    from stss.optional import require
     from stss.stress import plot as stress_plot
     from stss.stress import report as stress_report
     from stss.stress.measure import MEASUREMENTS, Results, check_names, make_plan, stress
+    from stss_ground.optional import require
 
     check_names(only)
     require_places({"--json": json_file, "--write": page}, [None if weights is None else Path(weights)])

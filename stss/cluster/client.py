@@ -13,8 +13,8 @@ from contextlib import contextmanager, suppress
 from threading import Thread
 from typing import Any
 
-from stss.errors import InputError
-from stss.optional import require
+from stss_ground.errors import InputError
+from stss_ground.optional import require
 
 LOCAL = "local:"
 MAX_LOCAL = 256

@@ -17,7 +17,7 @@ from conformance.run_suite import run_test
 from stss.cluster.client import Crew, connected, crew, distributed
 from stss.conform.load_port import Judging
 from stss.conform.versions import versions_of_cases
-from stss.errors import InputError
+from stss_ground.errors import InputError
 from stss_ref.weights import Weights
 
 

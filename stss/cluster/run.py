@@ -16,16 +16,16 @@ from stss.baselines.registry import ACCUMULATING
 from stss.cluster.chunks import Lanes
 from stss.cluster.client import Crew, connected, crew, distributed
 from stss.cluster.worker import Chunk, File, Introduction, Work, Worker
-from stss.errors import InputError
 from stss.frames.compute_options import ComputeOptions
-from stss.output.folder import OutputFolder
-from stss.output.lock import LOCK
 from stss.run.frame_job import FrameReport, already_written, describe, keys_of
 from stss.run.job import REFUSAL, RunPlan, Summary, plan, require_unread
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence as Frames
-from stss.version import VERSION
 from stss.weights.file import LoadedWeights
+from stss_ground.errors import InputError
+from stss_ground.output.folder import OutputFolder
+from stss_ground.output.lock import LOCK
+from stss_ground.version import VERSION
 
 PATIENCE = 10.0
 """How many times as long as the slowest chunk so far a chunk may take before another worker gets it as well."""

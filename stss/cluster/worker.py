@@ -11,18 +11,17 @@ from pathlib import Path
 from threading import Lock
 from typing import TYPE_CHECKING
 
-from stss.errors import InputError
 from stss.frames.backends import Backend
 from stss.frames.compute_options import ComputeOptions
-from stss.output.lock import LOCK
-from stss.output.write_whole import make_folder, write_part
 from stss.run.choose_backend import open_method
 from stss.run.frame_job import FrameJob, FrameReport, frame_name
 from stss.run.options import RunOptions
 from stss.run.pipeline import AHEAD
-from stss.version import VERSION
 from stss.weights.file import LoadedWeights
-from stss_cl.errors import DeviceError
+from stss_ground.errors import DeviceError, InputError
+from stss_ground.output.lock import LOCK
+from stss_ground.output.write_whole import make_folder, write_part
+from stss_ground.version import VERSION
 from stss_ref.arrays import ArrayError
 from stss_ref.schedule import FrameKind
 

@@ -10,8 +10,8 @@ from typing import Any
 
 from conformance.run_suite import SUITE
 from stss.conform.certificate import read_certificate
-from stss.errors import InputError
-from stss.output.write_whole import write_named
+from stss_ground.errors import InputError
+from stss_ground.output.write_whole import write_named
 
 WIDE = 6.6
 """Approximate width of a letter at size 11, pixels; the picture states the length of each text, so that any font fits."""

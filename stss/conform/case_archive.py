@@ -19,8 +19,8 @@ from conformance.judge import Tier
 from conformance.protocol.job_folder import WEIGHTS, link, write_job
 from conformance.stored_cases import StoredCase, StoredTest, stored_tests
 from stss.conform.versions import versions_of_cases
-from stss.errors import InputError
-from stss.output.write_whole import told
+from stss_ground.errors import InputError
+from stss_ground.output.write_whole import told
 
 FORMAT = 1
 """Version of the archive; raised when a field of the index, or a file, changes its meaning."""

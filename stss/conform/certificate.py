@@ -15,9 +15,9 @@ from conformance.judge import Judge
 from conformance.run_suite import SUITE
 from stss.conform.report import by_stage, worst_of
 from stss.conform.versions import versions_of_cases
-from stss.errors import InputError
-from stss.output.write_whole import write_named
-from stss_ref.regular_file import read_json
+from stss_ground.errors import InputError
+from stss_ground.output.write_whole import write_named
+from stss_ground.regular_file import read_json
 
 FORMAT = 1
 """Version of the certificate; raised when a field changes its meaning."""

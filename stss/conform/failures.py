@@ -32,8 +32,8 @@ from conformance.protocol.stages import STAGES
 from conformance.rehearsal import prepare
 from conformance.suite.properties import find_property
 from stss.conform.picture import draw, png
-from stss.errors import InputError
-from stss.output.write_whole import make_folder, told, write_whole
+from stss_ground.errors import InputError
+from stss_ground.output.write_whole import make_folder, told, write_whole
 
 CASE = "0000"
 DRAWN = "property"

@@ -15,7 +15,7 @@ from conformance.protocol.port import Port, PortError
 from conformance.protocol.program_port import FolderPort
 from conformance.protocol.stages import STAGES
 from conformance.rehearsal import PreparedPort
-from stss.errors import InputError
+from stss_ground.errors import InputError
 
 
 @dataclass(frozen=True)

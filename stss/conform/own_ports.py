@@ -27,8 +27,7 @@ from conformance.protocol.job_tree import Folder, JobError, open_folder
 from conformance.protocol.layers import reference_layers
 from conformance.protocol.port import Arrays, Outputs
 from conformance.protocol.stages import STAGES, reference
-from stss.errors import InputError
-from stss_cl.errors import DeviceError
+from stss_ground.errors import DeviceError, InputError
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
 

@@ -19,10 +19,10 @@ from conformance.findings import TestResult, tallied
 from conformance.judge import Judge
 from conformance.protocol.stages import STAGES
 from conformance.run_suite import JUDGED, REQUIRED, SEQUENCE, SUITE
-from stss.output.write_whole import write_named
-from stss.pages.page import page
-from stss.terminal import printable
-from stss.version import VERSION
+from stss_ground.output.write_whole import write_named
+from stss_ground.pages.page import page
+from stss_ground.terminal import printable
+from stss_ground.version import VERSION
 
 FORMAT = 1
 """Version of the JSON; raised when a field changes its meaning."""

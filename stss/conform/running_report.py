@@ -11,7 +11,7 @@ from conformance.judge import Judge
 from stss.conform.certificate import refused, write_certificate
 from stss.conform.failures import keep_failure
 from stss.conform.report import passed, print_results, to_json, write_json, write_page
-from stss.terminal import Terminal, echo
+from stss_ground.terminal import Terminal, echo
 
 
 class RunningReport:

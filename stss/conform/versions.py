@@ -6,8 +6,8 @@ from __future__ import annotations
 import platform
 
 import stss_ref
-from stss.machine import versions
-from stss.version import VERSION
+from stss_ground.machine import versions
+from stss_ground.version import VERSION
 
 
 def versions_of_cases() -> dict[str, str | int]:

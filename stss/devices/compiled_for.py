@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from stss.machine import cpu_flags
 from stss_cl.device.discovery import Properties
+from stss_ground.machine import cpu_flags
 
 BASELINE = frozenset({"generic", "x86-64", "x86-64-v2"})
 """What LLVM calls x86-64 processors that it does not know, and its levels without AVX2."""

@@ -23,10 +23,10 @@ import pyopencl as cl
 import stss_cl
 import stss_ref
 from conformance import tolerance
-from stss.version import VERSION
 from stss_cl.device import program
 from stss_cl.device.caches import home, is_temporary, private, read, store
-from stss_cl.errors import DeviceError
+from stss_ground.errors import DeviceError
+from stss_ground.version import VERSION
 
 try:
     import fcntl

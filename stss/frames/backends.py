@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from stss.errors import InputError
 from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import DisplayFrame, OnArrays
+from stss_ground.errors import InputError
 from stss_ref.arrays import Array, Image, Mask
 from stss_ref.frame import FrameInputs, frame, prepare
 from stss_ref.motion_chain import Gather
@@ -145,7 +145,7 @@ def open_backend(
 
     Raises:
         InputError: there is no such backend, or it does not take these options.
-        stss_cl.errors.DeviceError: there is no such device.
+        stss_ground.errors.DeviceError: there is no such device.
     """
     if name not in BACKENDS:
         raise InputError(f"backend: expected one of {', '.join(BACKENDS)}, got {name!r}")

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from stss.errors import InputError
+from stss_ground.errors import InputError
 
 Precision = Literal["float32", "float32-direct", "half"]
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)

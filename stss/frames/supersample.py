@@ -8,10 +8,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from stss.color import Transfer, transfer
-from stss.errors import InputError
 from stss.frames.backends import Backend
 from stss.frames.buffers import Buffers
 from stss.frames.display_frame import WINDOW, DisplayFrame, prepare
+from stss_ground.errors import InputError
 from stss_ref.arrays import Image, Mask
 from stss_ref.depth import DepthMode
 from stss_ref.schedule import FrameKind, Schedule, schedule

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 
-from stss.errors import InputError
 from stss.images.headers import last_error, whole_png
+from stss_ground.errors import InputError
 from stss_ref.arrays import Array
 
 HALF_MAX = 65504.0

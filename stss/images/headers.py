@@ -18,8 +18,8 @@ from typing import Any, BinaryIO
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 
-from stss.errors import InputError
-from stss_ref.regular_file import require_regular
+from stss_ground.errors import InputError
+from stss_ground.regular_file import require_regular
 
 MAX_SIDE = 16384
 MAX_CHANNELS = 1024

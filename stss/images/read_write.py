@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from stss.errors import InputError
 from stss.images.encode import encode_exr, encode_png, require_finite
 from stss.images.headers import Header, last_error, locate, opened, read_header
-from stss.output.write_whole import write_whole
+from stss_ground.errors import InputError
+from stss_ground.output.write_whole import write_whole
 from stss_ref.arrays import Image, Mask, Plane
 
 __all__ = ["Header", "read_channels", "read_header", "read_rgb", "write_channels", "write_mask", "write_rgb"]

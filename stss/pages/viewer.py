@@ -15,13 +15,13 @@ from string import Template
 import cv2
 import numpy as np
 
-from stss.errors import InputError
 from stss.images.encode import encode_png
-from stss.output.apart import require_apart
-from stss.output.folder import OutputFolder
-from stss.output.write_whole import told, write_named
-from stss.pages.page import asset, page
-from stss.terminal import printable
+from stss_ground.errors import InputError
+from stss_ground.output.apart import require_apart
+from stss_ground.output.folder import OutputFolder
+from stss_ground.output.write_whole import told, write_named
+from stss_ground.pages.page import asset, page
+from stss_ground.terminal import printable
 from stss_ref.arrays import Array, Image
 
 WITHIN = 64 << 20
@@ -64,8 +64,8 @@ class Viewer:
         notes: lines below the title.
         views: the versions, in the order in which they are offered.
         pair: the two that are shown first, left and right.
-        plots: figures, markup of `stss.pages.plot`.
-        tables: markup of `stss.pages.page`.
+        plots: figures, markup of `stss_ground.pages.plot`.
+        tables: markup of `stss_ground.pages.page`.
     """
 
     title: str
@@ -106,7 +106,7 @@ def write_viewer(path: Path, viewer: Viewer, frames: Iterable[ShownFrame], *, wi
             "frames": shown,
             "pictures": store.places,
         }
-        body = Template(asset("viewer.html")).substitute(
+        body = Template(asset("stss.pages", "viewer.html")).substitute(
             title=escape(printable(viewer.title)),
             notes="".join(f"<p>{escape(printable(note))}</p>" for note in viewer.notes),
             views="".join(f"<option>{escape(view.name)}</option>" for view in viewer.views),
@@ -116,8 +116,8 @@ def write_viewer(path: Path, viewer: Viewer, frames: Iterable[ShownFrame], *, wi
             tables="".join(viewer.tables),
         )
         store.finish()
-        scripts = ("vendor/image-compare.min.js", "viewer.js")
-        write_named(path, page(viewer.title, body, styles=("viewer.css",), scripts=scripts, data=data))
+        scripts = [asset("stss.pages", name) for name in ("vendor/image-compare.min.js", "viewer.js")]
+        write_named(path, page(viewer.title, body, styles=[asset("stss.pages", "viewer.css")], scripts=scripts, data=data))
 
 
 class _Store:

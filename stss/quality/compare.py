@@ -14,15 +14,15 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from stss.errors import InputError
 from stss.images.read_write import read_rgb, write_rgb
-from stss.output.apart import require_apart
-from stss.output.write_whole import make_folder
 from stss.quality.flip_vmaf import require_packages, vmaf_scores
 from stss.quality.metrics import REGIONS, Scores, mean_scores, score, to_8bit, upsample_holes
 from stss.quality.output_and_truth import FALLBACK, KINDS, MADE_WITH, Pair, find_pairs, listed, require_size
 from stss.quality.tables import print_whole
 from stss.quality.temporal_psnr import Shown, recurrent_psnr, temporal_psnr
+from stss_ground.errors import InputError
+from stss_ground.output.apart import require_apart
+from stss_ground.output.write_whole import make_folder
 
 __all__ = ["Comparison", "FrameScores", "Mean", "cells", "compare", "facts", "listed", "print_comparison"]
 

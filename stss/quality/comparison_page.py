@@ -9,13 +9,13 @@ from html import escape
 from pathlib import Path
 
 from stss.color import transfer
-from stss.pages.page import definitions, folded, table
-from stss.pages.plot import PlotLine, plot
 from stss.pages.viewer import Pane, ShownFrame, Viewer, write_viewer
 from stss.quality.compare import BELOW, METRICS, Comparison, cells, facts
 from stss.quality.output_and_truth import FALLBACK, Pair
 from stss.sequence.reader import Sequence as Frames
-from stss.terminal import printable
+from stss_ground.pages.page import definitions, folded, table
+from stss_ground.pages.plot import PlotLine, plot
+from stss_ground.terminal import printable
 from stss_ref.arrays import Image
 from stss_ref.resample import upsample_centres
 

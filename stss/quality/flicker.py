@@ -14,13 +14,13 @@ from rich.console import Console
 from rich.table import Table
 
 from stss.color import transfer
-from stss.errors import InputError
 from stss.frames.display_frame import DisplayFrame, prepare
 from stss.images.resample import enlarged
 from stss.quality.metrics import PEAK
 from stss.quality.output_and_truth import KINDS, Pair, find_pairs, require_size
 from stss.quality.tables import print_whole
 from stss.sequence.reader import Sequence as Frames
+from stss_ground.errors import InputError
 from stss_ref.arrays import Image, Mask
 from stss_ref.holes import holes
 from stss_ref.sample import follow, leads_inside

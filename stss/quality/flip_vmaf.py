@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stss.errors import InputError
-from stss.optional import require
-from stss.output.write_whole import told
+from stss_ground.errors import InputError
+from stss_ground.optional import require
+from stss_ground.output.write_whole import told
 from stss_ref.arrays import Image, Plane, require_shape
 
 EXTRA = "metrics"

@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from stss.pages.page import table
 from stss.quality.comparison_page import RenderedInputs, Version, write_comparison
 from stss.quality.methods_table import MethodResult, cells, meant
 from stss.quality.output_and_truth import find_pairs
 from stss.sequence.reader import Sequence as Frames
+from stss_ground.pages.page import table
 
 
 def methods_page(

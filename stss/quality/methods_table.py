@@ -13,10 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from stss.baselines.registry import METHODS
-from stss.errors import InputError
 from stss.frames.backends import NETWORK, Backend
-from stss.output.lock import locked
-from stss.output.write_whole import make_folder
 from stss.quality.compare import Comparison, compare
 from stss.quality.flicker import Flicker, flicker
 from stss.quality.flip_vmaf import require_packages
@@ -25,6 +22,9 @@ from stss.run.job import require_near, run
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence as Frames
 from stss.weights.file import BILINEAR
+from stss_ground.errors import InputError
+from stss_ground.output.lock import locked
+from stss_ground.output.write_whole import make_folder
 
 COLUMNS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
     "PSNR\nRGB": (("SF", "all", "psnr_rgb"), ("EF", "all", "psnr_rgb")),

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stss.color import TRANSFERS, transfer
-from stss.errors import InputError
 from stss.images.read_write import read_header, read_rgb
 from stss.sequence.find_files import frame_number
+from stss_ground.errors import InputError
 from stss_ref.arrays import Image
 
 KINDS = ("SF", "EF")

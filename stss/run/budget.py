@@ -7,11 +7,11 @@ import statistics
 import time
 from collections.abc import Callable, Sequence
 
-from stss.errors import InputError
 from stss.frames.backends import Backend
 from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import DisplayFrame, window_at
 from stss.frames.supersample import plan
+from stss_ground.errors import InputError
 
 FRAMES = 16
 """Display frames that each setting is tried on."""

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 from stss.baselines.registry import MethodBackend
 from stss.color import transfer
-from stss.errors import InputError
 from stss.frames.backends import DEFAULTS, NETWORK, Backend, open_backend
 from stss.frames.compute_options import ComputeOptions, Skip
 from stss.frames.display_frame import DisplayFrame, prepare
@@ -17,6 +16,7 @@ from stss.run import budget as budgeting
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence
 from stss.weights.file import LoadedWeights
+from stss_ground.errors import InputError
 
 NO_WEIGHTS = "none"
 """The label of the weights in the files of a method without a network."""

@@ -10,18 +10,18 @@ from pathlib import Path
 from typing import Literal, Protocol
 
 from stss.color import Transfer, transfer
-from stss.errors import InputError
 from stss.frames.backends import Backend, Cost
 from stss.frames.display_frame import DisplayFrame
 from stss.frames.supersample import Output, compute, decoded
 from stss.images.read_write import encode_mask, encode_rgb, read_header
-from stss.output.folder import OutputFolder
 from stss.run.options import RunOptions
 from stss.run.pipeline import overlap
 from stss.run.skip_report import picture
 from stss.run.window import Keys, Window
 from stss.sequence.reader import Sequence
-from stss.version import VERSION
+from stss_ground.errors import InputError
+from stss_ground.output.folder import OutputFolder
+from stss_ground.version import VERSION
 from stss_ref import SPEC_VERSION
 from stss_ref.arrays import Array, Image
 from stss_ref.schedule import FrameKind, schedule
@@ -44,7 +44,7 @@ class FrameReport:
 
 
 class Sink(Protocol):
-    """Where files go, such as ``stss.output.folder.OutputFolder``."""
+    """Where files go, such as ``stss_ground.output.folder.OutputFolder``."""
 
     @property
     def path(self) -> Path:

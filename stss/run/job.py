@@ -14,15 +14,15 @@ from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
-from stss.errors import InputError
 from stss.frames.backends import Backend
 from stss.frames.supersample import choose_rendered
-from stss.output.apart import require_apart
-from stss.output.folder import OutputFolder
-from stss.output.write_whole import told
 from stss.run.frame_job import HOLES, SKIPPED, FrameJob, FrameReport, Outcome, already_written
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence
+from stss_ground.errors import InputError
+from stss_ground.output.apart import require_apart
+from stss_ground.output.folder import OutputFolder
+from stss_ground.output.write_whole import told
 from stss_ref.schedule import FrameKind
 
 MAX_GAP = 1000
@@ -67,7 +67,7 @@ def run(
 ) -> Summary:
     """Write ``out/frame.NNNN.exr`` (or ``.png``) for every display frame, and ``out/holes/frame.NNNN.png`` for every EF.
 
-    A file is complete or not there: see ``stss.output``.
+    A file is complete or not there: see ``stss_ground.output``.
 
     Args:
         sequence: what to read.

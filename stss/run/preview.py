@@ -8,12 +8,12 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from stss.color import transfer
-from stss.errors import InputError
 from stss.images.read_write import encode_rgb, read_rgb
-from stss.output.apart import require_places
-from stss.output.write_whole import write_named
 from stss.run.frame_job import FrameReport, frame_name
 from stss.run.options import RunOptions
+from stss_ground.errors import InputError
+from stss_ground.output.apart import require_places
+from stss_ground.output.write_whole import write_named
 
 EVERY = 10.0
 """Seconds between pictures: often enough for a viewer that reloads, seldom enough not to slow the run down."""

@@ -8,9 +8,9 @@ import json
 from pathlib import Path
 
 from stss.color import Transfer
-from stss.errors import InputError
 from stss.frames.display_frame import WINDOW, DisplayFrame, PlaneType, prepare
 from stss.sequence.reader import Sequence
+from stss_ground.errors import InputError
 from stss_ref.depth import DepthMode
 
 

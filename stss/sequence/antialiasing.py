@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from stss.color import transfer
-from stss.errors import InputError
 from stss.frames.buffers import Buffers
 from stss.sequence.reader import Sequence
+from stss_ground.errors import InputError
 from stss_ref.arrays import Array
 
 LOOKED_AT = 3

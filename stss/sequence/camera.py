@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from stss.errors import InputError
 from stss.images.headers import Header
 from stss.sequence.profiles import Profile
+from stss_ground.errors import InputError
+from stss_ground.regular_file import read_regular
 from stss_ref.arrays import Array
-from stss_ref.regular_file import read_regular
 
 MAX_BYTES = 64 << 20
 """Largest size of a table; a line takes about 40 bytes."""

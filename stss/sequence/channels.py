@@ -7,9 +7,9 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from stss.errors import InputError
 from stss.images.headers import Header
 from stss.sequence.profiles import Channels, Profile
+from stss_ground.errors import InputError
 
 LAYERS = ("ViewLayer", "View Layer", "RenderLayer")
 """Blender's names for the only layer of a new scene; they differ between its versions."""

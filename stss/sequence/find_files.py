@@ -7,7 +7,7 @@ import re
 from collections.abc import Collection
 from pathlib import Path
 
-from stss.errors import InputError
+from stss_ground.errors import InputError
 
 _SEPARATORS = "._- "
 _STEM = re.compile(r"(.*?)(\d+)(\D*)", re.DOTALL)

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from stss.errors import InputError
-from stss_cl.toml_table import Table, read_toml
+from stss_ground.errors import InputError
+from stss_ground.toml_table import Table, read_toml
 
 BUFFERS = {
     "color": 3,

@@ -10,10 +10,10 @@ from typing import Literal
 
 import numpy as np
 
-from stss.errors import InputError
 from stss.images.read_write import read_channels
 from stss.sequence.camera import CameraPose
 from stss.sequence.channels import Source
+from stss_ground.errors import InputError
 from stss_ref.arrays import Array
 
 NonFinite = Literal["refuse", "mask"]

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from stss.errors import InputError
 from stss.frames.buffers import Buffers
 from stss.images.headers import Header, read_header
 from stss.sequence.camera import CameraPose, camera_of, read_cameras
@@ -18,6 +17,7 @@ from stss.sequence.conventions import linear_depth, motion_in_pixels, normal_dot
 from stss.sequence.find_files import find_frames
 from stss.sequence.profiles import BUFFERS, CONSTANTS, Profile, load_profile
 from stss.sequence.raw_frame import UNIT_RANGE, NonFinite, RawFrame, read_stored, settle_non_finite
+from stss_ground.errors import InputError
 from stss_ref.arrays import Array, Plane
 
 BACKGROUND_POSITION = 1e7

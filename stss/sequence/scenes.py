@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from conformance.scenes import SCENES, Scene, render
 from stss.color import transfer
-from stss.errors import InputError
 from stss.frames.buffers import Buffers
 from stss.frames.display_frame import DisplayFrame, prepare
 from stss.sequence.reader import BACKGROUND_POSITION
+from stss_ground.errors import InputError
 from stss_ref.arrays import Image
 
 TRANSFER = "srgb"

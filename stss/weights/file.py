@@ -17,9 +17,9 @@ from typing import Any, cast
 import numpy as np
 from safetensors import SafetensorError, safe_open
 
-from stss.errors import InputError
-from stss.output.write_whole import write_named
-from stss_ref.regular_file import require_regular
+from stss_ground.errors import InputError
+from stss_ground.output.write_whole import write_named
+from stss_ground.regular_file import require_regular
 from stss_ref.weights import (
     SECOND_COLOR_KEY,
     TENSORS,

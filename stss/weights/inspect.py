@@ -10,7 +10,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from stss.errors import InputError
+from stss_ground.errors import InputError
 from stss_ref.weights import LAYERS, Layer, SecondColor, Weights, reads_history, second_color
 
 

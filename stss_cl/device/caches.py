@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 
-from stss_cl.errors import DeviceError
+from stss_ground.errors import DeviceError
 
 LEAST_FREE = 32 << 20
 """Bytes that must be free in the cache: all of our kernels take about 10 MiB, and compilers crash on a full disk."""

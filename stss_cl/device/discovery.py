@@ -16,7 +16,7 @@ from pyopencl.tools import ImmediateAllocator, MemoryPool
 from stss_cl.device.caches import pocl_cache
 from stss_cl.device.generated_code import generate_once
 from stss_cl.device.linker import provide
-from stss_cl.errors import DeviceError
+from stss_ground.errors import DeviceError
 
 __all__ = [
     "CLASSES",

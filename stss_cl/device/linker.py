@@ -16,7 +16,7 @@ import sys
 from pathlib import Path
 
 from stss_cl.device.caches import private, store
-from stss_cl.errors import DeviceError
+from stss_ground.errors import DeviceError
 
 CHOICES = ("own", "system")
 COMPILERS = ("/usr/lib*/gcc*/*/*",)

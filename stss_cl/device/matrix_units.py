@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from stss_cl.device.buffers import FLAGS, constant
 from stss_cl.device.discovery import Device, Properties
 from stss_cl.device.program import build
-from stss_cl.errors import DeviceError
+from stss_ground.errors import DeviceError
 
 
 @dataclass(frozen=True)

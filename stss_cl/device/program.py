@@ -20,7 +20,7 @@ from pyopencl.characterize import has_src_build_cache
 
 from stss_cl.device.caches import private, read, store
 from stss_cl.device.discovery import Device
-from stss_cl.errors import DeviceError
+from stss_ground.errors import DeviceError
 
 _PACKAGE = Path(__file__).parents[1]
 KERNELS = _PACKAGE / "kernels" if (_PACKAGE / "kernels").is_dir() else _PACKAGE.parent / "kernels"

@@ -10,7 +10,7 @@ from numpy.typing import DTypeLike
 
 from stss_cl.device.buffers import padded_bytes
 from stss_cl.device.parts import whole_pages
-from stss_cl.errors import DeviceError
+from stss_ground.errors import DeviceError
 
 OVERLAP = {False: 128, True: 256}
 """Rows on either side of a strip that are computed with it, without and with Winograd.

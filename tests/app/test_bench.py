@@ -17,8 +17,8 @@ from stss.bench.measure import SUMMARY, SizeResult, Timing, bench
 from stss.bench.noise import Noise, processor_time
 from stss.bench.ours import FRAMES, OURS, default_ours, frame_inputs, inputs_for, truth
 from stss.bench.peers import PEERS
-from stss.errors import InputError
-from stss.optional import require
+from stss_ground.errors import InputError
+from stss_ground.optional import require
 from stss_ref.frame import FrameInputs, prepare
 from stss_ref.weights import random as random_weights
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from stss.images.read_write import read_channels, read_header
-from stss.version import VERSION
+from stss_ground.version import VERSION
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -10,7 +10,6 @@ import pytest
 
 from conformance.scenes import SCENES
 from stss.bench.pareto import frontier
-from stss.errors import InputError
 from stss.frames.backends import ReferenceBackend
 from stss.frames.compute_options import ComputeOptions
 from stss.run import budget
@@ -18,6 +17,7 @@ from stss.run.budget import SETTINGS, choose
 from stss.run.choose_backend import open_method, with_skipping
 from stss.sequence.scenes import display_frames, truth
 from stss.weights.file import BILINEAR, load
+from stss_ground.errors import InputError
 
 
 class Sleeper:

@@ -10,8 +10,8 @@ from rich.console import Console
 
 from stss.check.motion_convention import CHOICES
 from stss.check.report import check, print_report
-from stss.errors import InputError
 from stss.sequence.profiles import load_profile
+from stss_ground.errors import InputError
 
 
 def texts(report, level):

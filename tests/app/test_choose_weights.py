@@ -9,12 +9,12 @@ import pytest
 from conformance.scenes import DEMO, render
 from stss.check.report import check
 from stss.demo import demo_path, frame_channels
-from stss.errors import InputError
 from stss.images.read_write import read_header, write_channels
 from stss.sequence.antialiasing import judge_sampling
 from stss.sequence.choose_weights import AUTO, choose_weights
 from stss.sequence.reader import open_sequence
 from stss.weights.file import load
+from stss_ground.errors import InputError
 
 SIZE = (72, 128)
 

@@ -8,11 +8,11 @@ from stss.cluster.chunks import CHUNK, Lanes
 from stss.cluster.worker import Work, Worker
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
-from stss.output.lock import LOCK
 from stss.run.job import run
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence, open_sequence
 from stss.weights.file import BILINEAR, load
+from stss_ground.output.lock import LOCK
 
 
 @pytest.mark.parametrize("count", [0, 1, 7, 8, 9, 100, 1000, 172_800])

@@ -16,7 +16,7 @@ import pytest
 from stss.cli.main import main
 from stss.demo import demo_path, write_demo_sequence
 from stss.images.read_write import read_header, read_rgb
-from stss.optional import installed
+from stss_ground.optional import installed
 from tests.fuzz.harness import call
 
 SIZE = (18, 32)
@@ -211,8 +211,8 @@ def test_weights_import_is_what_the_checkpoint_holds(reference_data, tmp_path):
     checkpoint = reference_data / "checkpoints" / "arena.pkl"
     result = stss("weights", "import", checkpoint, "-o", tmp_path / "w.safetensors")
     assert result.returncode == 0, result.stderr
+    from stss.weights.checkpoint import read_checkpoint
     from stss.weights.file import load
-    from stss_ref.checkpoint import read_checkpoint
 
     expected = read_checkpoint(checkpoint)
     for name, array in load(tmp_path / "w.safetensors").weights.items():

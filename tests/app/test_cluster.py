@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stss.errors import InputError
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
-from stss.output.folder import OutputFolder
-from stss.output.write_whole import write_part
 from stss.run.job import run
 from stss.run.options import RunOptions
 from stss.sequence.reader import open_sequence
-from stss.version import VERSION
 from stss.weights.file import BILINEAR, load
+from stss_ground.errors import InputError
+from stss_ground.output.folder import OutputFolder
+from stss_ground.output.write_whole import write_part
+from stss_ground.version import VERSION
 
 FRAMES = range(20)
 SIZE = (8, 8)

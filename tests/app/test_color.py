@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from stss.color import BLOCK, LARGEST, TRANSFERS, transfer
-from stss.errors import InputError
+from stss_ground.errors import InputError
 from stss_ref.arrays import ArrayError
 
 quick = settings(deadline=None, max_examples=50)  # the first call imports colour-science: a second

@@ -13,9 +13,9 @@ import pytest
 from rich.console import Console
 
 from stss.color import transfer
-from stss.errors import InputError
 from stss.images.read_write import read_header, read_rgb, write_mask, write_rgb
 from stss.quality.compare import compare, listed, print_comparison
+from stss_ground.errors import InputError
 
 SIZE = (24, 32)
 LEVEL = 1 / 255

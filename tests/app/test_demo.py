@@ -6,9 +6,9 @@ import pytest
 
 from conformance.scenes import DEMO, render
 from stss.demo import BACKGROUND, INPUT_SAMPLES, demo_path, demo_sheet, frame_channels, write_demo_sequence
-from stss.errors import InputError
 from stss.images.contact_sheet import COMPARISON, comparison, contact_sheet, magnify
 from stss.images.read_write import read_channels, read_header, read_rgb, write_rgb
+from stss_ground.errors import InputError
 from stss_ref.arrays import ArrayError
 from stss_ref.resample import upsample_centres
 

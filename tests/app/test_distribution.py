@@ -8,7 +8,7 @@ import zipfile
 
 import pytest
 
-from stss.version import DISTRIBUTION, VERSION
+from stss_ground.version import DISTRIBUTION, VERSION
 from tests.app.wheels import ROOT, build_wheel, unpack_wheel
 
 DATA = (
@@ -58,7 +58,7 @@ def test_the_wheel_overwrites_nothing_of_others(wheel):
 
 
 def test_what_is_installed_finds_its_judge(site):
-    done = run(site, "import conformance, stss.version; print(conformance.__file__, stss.version.VERSION)")
+    done = run(site, "import conformance, stss_ground.version; print(conformance.__file__, stss_ground.version.VERSION)")
     assert done.stdout.split() == [str(site / "stss_judge/conformance/__init__.py"), VERSION], done.stderr
 
 

@@ -12,11 +12,11 @@ import pytest
 from rich.console import Console
 
 from stss.baselines.registry import MethodBackend
-from stss.errors import InputError
 from stss.images.read_write import write_rgb
 from stss.quality import flicker_scenes
 from stss.quality.flicker import Change, change_between, display_motion, flicker
 from stss.sequence.reader import open_sequence
+from stss_ground.errors import InputError
 
 SIZE = (16, 24)
 

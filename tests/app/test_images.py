@@ -9,9 +9,9 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 import pytest
 
-from stss.errors import InputError
 from stss.images import headers
 from stss.images import read_write as images
+from stss_ground.errors import InputError
 
 
 def exr_bytes(channels, *, window=None, display=None, extra=b""):
@@ -94,7 +94,7 @@ def test_no_truncated_file_is_read_and_nothing_is_printed(tmp_path, suffix):
     for length in lengths:
         (tmp_path / f"cut{length}{suffix}").write_bytes(data[:length])
     code = (
-        "import sys, pathlib\nfrom stss.errors import InputError\nfrom stss.images.read_write import read_rgb\n"
+        "import sys, pathlib\nfrom stss_ground.errors import InputError\nfrom stss.images.read_write import read_rgb\n"
         "for path in pathlib.Path(sys.argv[1]).glob('cut*'):\n"
         "    try:\n        read_rgb(path)\n        print('read', path)\n    except InputError as error:\n"
         "        assert str(error).startswith(str(path)) and '\\n' not in str(error), error\n"

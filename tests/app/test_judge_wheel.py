@@ -14,7 +14,7 @@ from conformance.run_suite import run_suite
 from stss.conform.certificate import certificate
 from stss.conform.own_ports import ReferencePort
 from stss.images.read_write import read_rgb
-from stss.version import VERSION
+from stss_ground.version import VERSION
 from tests.app.wheels import ROOT, build_wheel, unpack_wheel
 
 ABSENT = ("pyopencl", "cv2", "OpenImageIO", "colour", "scipy", "torch", "matplotlib", "onnx", "distributed")

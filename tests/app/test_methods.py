@@ -16,7 +16,6 @@ import pytest
 from stss.baselines.fxaa import fxaa
 from stss.baselines.registry import ACCUMULATING, METHODS, MethodBackend
 from stss.demo import write_demo_sequence
-from stss.errors import InputError
 from stss.frames.backends import ReferenceBackend
 from stss.frames.display_frame import frame_inputs
 from stss.frames.supersample import plan, supersample
@@ -27,6 +26,7 @@ from stss.run.job import run
 from stss.run.options import RunOptions
 from stss.sequence.reader import open_sequence
 from stss.weights.file import BILINEAR, load
+from stss_ground.errors import InputError
 from stss_ref.frame import FrameInputs
 from stss_ref.resample import upsample_centres
 

@@ -8,7 +8,7 @@ from stss.bench import onnx_export
 from stss.bench.contender import Setup
 from stss.bench.ours import network_inputs
 from stss.bench.peers import PEERS, OnnxRuntime, OpenVino, PyTorch
-from stss.errors import InputError
+from stss_ground.errors import InputError
 from stss_ref.network import network
 from stss_ref.weights import astype
 from stss_ref.weights import random as random_weights

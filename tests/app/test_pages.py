@@ -11,11 +11,11 @@ import pytest
 from click.testing import CliRunner
 
 from stss.cli.main import stss
-from stss.errors import InputError
 from stss.images.read_write import read_rgb, write_mask, write_rgb
-from stss.pages.page import asset, page, table
-from stss.pages.plot import PlotLine, plot
 from stss.pages.viewer import Pane, ShownFrame, Viewer, require_page, write_viewer
+from stss_ground.errors import InputError
+from stss_ground.pages.page import asset, page, table
+from stss_ground.pages.plot import PlotLine, plot
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)>&\"'`${1}\u202e\n\x1b"
 SIZE = (24, 40)
@@ -54,9 +54,9 @@ def tags(text):
 
 
 def test_the_slider_is_the_one_that_was_published():
-    found = hashlib.sha256(asset("vendor/image-compare.min.js").encode()).hexdigest()
-    assert f"`{found}`" in asset("vendor/README.md")
-    assert "MIT License" in asset("vendor/image-compare.LICENSE")
+    found = hashlib.sha256(asset("stss.pages", "vendor/image-compare.min.js").encode()).hexdigest()
+    assert f"`{found}`" in asset("stss.pages", "vendor/README.md")
+    assert "MIT License" in asset("stss.pages", "vendor/image-compare.LICENSE")
 
 
 def test_text_of_strangers_stays_text(tmp_path):
@@ -192,7 +192,7 @@ def test_a_page_that_cannot_be_written_is_said_before_the_work(compared):
 
 
 def test_a_page_forbids_what_is_not_its_own():
-    text = page("t", "<p>b</p>", scripts=("viewer.js",))
+    text = page("t", "<p>b</p>", scripts=[asset("stss.pages", "viewer.js")])
     policy = re.search(r'Content-Security-Policy" content="([^"]*)"', text)[1]
     assert policy.startswith("default-src 'none';")
     assert "'unsafe-inline'" not in policy.split("script-src")[1]
@@ -231,7 +231,7 @@ def test_a_page_opens_from_disk_at_any_width_by_day_and_by_night(browser, shown,
 def test_the_words_of_a_plot_can_be_read(browser, tmp_path, width):
     """They are no smaller than the smallest print, lie within the plot, and apart from each other, long numbers too."""
     lines = [PlotLine("SF", {n: 0.8112 + n / 1e5 for n in range(980, 1020)}, "SF", 0)]
-    (tmp_path / "p.html").write_text(page("t", plot("SSIM", lines, digits=4), styles=("viewer.css",)))
+    (tmp_path / "p.html").write_text(page("t", plot("SSIM", lines, digits=4), styles=[asset("stss.pages", "viewer.css")]))
     browser.open(tmp_path / "p.html", width=width)
     edges = "e => (b => [b.left, b.top, b.right, b.bottom])(e.getBoundingClientRect())"
     around = browser.do(f"({edges})(document.querySelector('svg'))")

@@ -7,8 +7,8 @@ from stss.color import transfer
 from stss.demo import write_demo_sequence
 from stss.frames.display_frame import HALF, prepare
 from stss.images.read_write import read_header, read_rgb
-from stss.optional import installed
 from stss.sequence.reader import open_sequence
+from stss_ground.optional import installed
 from tests.app.test_cli import frames_of, stss
 
 COUNT = 8

@@ -18,8 +18,7 @@ from conformance.protocol.port import Case, PortError, Unsupported
 from conformance.protocol.program_port import FolderPort, smallest_case
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs, reference
 from stss.conform import own_ports as ports
-from stss.errors import InputError
-from stss_cl.errors import DeviceError
+from stss_ground.errors import DeviceError, InputError
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Tensors, WeightsError
 from stss_ref.weights import random as random_weights

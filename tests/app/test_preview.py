@@ -5,12 +5,12 @@ import pytest
 
 from stss.cli.progress import Tally
 from stss.color import transfer
-from stss.errors import InputError
 from stss.frames.backends import Cost
 from stss.images.read_write import read_header, read_rgb, write_rgb
 from stss.run.frame_job import FrameReport
 from stss.run.options import RunOptions
 from stss.run.preview import EVERY, Preview, require_preview
+from stss_ground.errors import InputError
 from stss_ref.schedule import FrameKind
 
 

@@ -5,9 +5,9 @@ import re
 import numpy as np
 import pytest
 
-from stss.errors import InputError
 from stss.sequence.conventions import linear_depth, motion_in_pixels
 from stss.sequence.profiles import BUFFERS, DepthRule, MotionRule, load_profile, profile_names
+from stss_ground.errors import InputError
 
 BUILT_IN = ("blender", "mitsuba", "stss", "unreal", "unreal-mrq")
 

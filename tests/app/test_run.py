@@ -8,7 +8,6 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from stss.errors import InputError
 from stss.frames.backends import ReferenceBackend
 from stss.images.read_write import read_rgb
 from stss.run.job import run
@@ -16,6 +15,7 @@ from stss.run.options import RunOptions
 from stss.run.pipeline import AHEAD, overlap
 from stss.sequence.reader import Sequence, open_sequence
 from stss.weights.file import BILINEAR, load
+from stss_ground.errors import InputError
 from stss_ref.arrays import ArrayError
 
 SOON = 30

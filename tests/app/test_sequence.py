@@ -7,11 +7,11 @@ import shutil
 import numpy as np
 import pytest
 
-from stss.errors import InputError
 from stss.frames.buffers import Buffers
 from stss.images.read_write import read_channels, write_channels
 from stss.sequence.profiles import load_profile
 from stss.sequence.reader import BACKGROUND_POSITION, open_sequence
+from stss_ground.errors import InputError
 
 
 def set_pixels(name, *values):

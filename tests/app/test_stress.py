@@ -10,8 +10,6 @@ from click.testing import CliRunner
 from conformance.protocol.stages import reference
 from conformance.tolerance import BOUNDS, UNIT, ratio
 from stss.cli.stress import stress_command
-from stss.errors import InputError
-from stss.optional import require
 from stss.stress import plot as stress_plot
 from stss.stress import report as stress_report
 from stss.stress.engines import NETWORK, OpenCLEngine, ReferenceEngine
@@ -19,6 +17,8 @@ from stss.stress.inputs import exact, image_noise, permuted, scaled, stage_input
 from stss.stress.measure import MEASUREMENTS, Results, make_plan, stress
 from stss.stress.monte_carlo import StochasticRounding, Trace, Watcher, digits_of, samples, significant_digits, watched
 from stss.stress.table import StressPlan, StressTable, relative_error, short
+from stss_ground.errors import InputError
+from stss_ground.optional import require
 from stss_ref.weights import LAYERS
 from stss_ref.weights import random as random_weights
 

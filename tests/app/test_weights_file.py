@@ -12,11 +12,11 @@ from rich.console import Console
 from safetensors import numpy as safetensors_numpy
 from safetensors import safe_open
 
-from stss.errors import InputError
 from stss.weights import file as files
+from stss.weights.checkpoint import read_checkpoint
 from stss.weights.file import identity, load, save
 from stss.weights.inspect import component_costs, inspect, print_inspection
-from stss_ref.checkpoint import read_checkpoint
+from stss_ground.errors import InputError
 from stss_ref.weights import TENSORS, Tensors, Weights, WeightsError, random, second_color, zeros
 
 VERSION = {"stss_weights_version": "1"}

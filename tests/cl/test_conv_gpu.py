@@ -15,11 +15,11 @@ from stss_cl.device.discovery import Properties, open_device
 from stss_cl.device.matrix_units import Form
 from stss_cl.device.program import build
 from stss_cl.device.tuning import Local, built_in, trial
-from stss_cl.errors import DeviceError
 from stss_cl.network.conv import conv
 from stss_cl.network.layers import Layers
 from stss_cl.network.pack_weights import fragments, pack
 from stss_cl.network.tiles import TileList
+from stss_ground.errors import DeviceError
 from stss_ref import conv as reference
 from stss_ref.weights import astype
 from stss_ref.weights import random as random_weights

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from stss_cl.device import linker
 from stss_cl.device.shared_object import HEADER, RELOCATION, SECTION, LinkError, Section, link
-from stss_cl.errors import DeviceError
+from stss_ground.errors import DeviceError
 from tests.cl.conftest import opened_as
 
 pytestmark = pytest.mark.skipif(not linker.possible(), reason="PoCL links by itself on this system")

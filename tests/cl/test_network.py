@@ -286,7 +286,7 @@ def test_the_image_with_vectors_of_16(processor):
 def test_the_image_is_the_authors(reference_data, device, name):
     from safetensors.numpy import load_file
 
-    from stss_ref.checkpoint import read_checkpoint
+    from stss.weights.checkpoint import read_checkpoint
 
     data = load_file(reference_data / "network" / f"{name}.safetensors")
     inputs = [np.ascontiguousarray(np.moveaxis(data[f"input.{key}"], -3, -1)) for key in ("color", "gbuffer", "mask", "history")]

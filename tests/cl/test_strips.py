@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from stss.frames.supersample import plan
 from stss_cl.device.grid import ceil8
-from stss_cl.errors import DeviceError
 from stss_cl.frame import Frame
 from stss_cl.network.layer_builder import dtype_of
 from stss_cl.network.network import PRECISIONS, Network
 from stss_cl.network.strips import OVERLAP, STEP, bytes_for, rows_within, strips
 from stss_cl.skip.stream import Stream
+from stss_ground.errors import DeviceError
 from stss_ref.frame import FrameInputs
 from stss_ref.frame import frame as reference_frame
 from stss_ref.weights import LAYERS

@@ -20,7 +20,7 @@ from conformance.protocol.job_tree import open_folder
 from conformance.protocol.program_port import smallest_case
 from conformance.protocol.stages import STAGES, check_inputs
 from stss.conform.own_ports import run_job
-from stss.errors import InputError
+from stss_ground.errors import InputError
 
 SECONDS = 20
 """Most seconds of a case; a longer one counts as a hang."""

@@ -2,7 +2,7 @@
 
 from stss.sequence.profiles import load_profile, profile_names
 from stss_cl.device.tuning import BUILT_IN, built_in_rows
-from stss_cl.errors import DeviceError
+from stss_ground.errors import DeviceError
 from tests.fuzz.harness import HangError, exchanged, fuzz, judge, mutated, watchdog
 
 TUNING = b"# tuning\n"

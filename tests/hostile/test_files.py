@@ -16,13 +16,13 @@ import pytest
 
 from stss.cli.main import main
 from stss.demo import write_demo_sequence
-from stss.errors import InputError
 from stss.images.read_write import write_rgb
-from stss.output import lock as locks
-from stss.output.folder import SUMS, OutputFolder
-from stss.output.lock import LOCK, locked
-from stss.output.write_whole import write_named, write_whole
 from stss.weights.file import save
+from stss_ground.errors import InputError
+from stss_ground.output import lock as locks
+from stss_ground.output.folder import SUMS, OutputFolder
+from stss_ground.output.lock import LOCK, locked
+from stss_ground.output.write_whole import write_named, write_whole
 from stss_ref.weights import random as random_weights
 from tests.hostile.cases import refused
 
@@ -468,7 +468,7 @@ def test_the_second_run_says_who_has_the_folder(demo, finished, tmp_path):
 
 def test_a_lock_ends_with_its_process(tmp_path):
     code = (
-        "import os, pathlib, sys; from stss.output.lock import locked\n"
+        "import os, pathlib, sys; from stss_ground.output.lock import locked\n"
         "lock = locked(pathlib.Path(sys.argv[1])); lock.__enter__(); os._exit(9)"
     )
     subprocess.run([sys.executable, "-c", code, tmp_path], check=False)

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from stss.frames.display_frame import WINDOW
 from stss.frames.supersample import plan
-from stss_cl.errors import DeviceError
 from stss_cl.network.network import Network
 from stss_cl.skip.stream import Stream
+from stss_ground.errors import DeviceError
 from stss_ref.arrays import ArrayError
 from tests.cl.test_stream import CHANGES, UNREAD, WEIGHTS, assert_same, first_frame, next_frame
 

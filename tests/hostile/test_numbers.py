@@ -7,7 +7,6 @@ import pytest
 
 from stss.cli.main import stss
 from stss.color import transfer
-from stss.errors import InputError
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.frames.supersample import supersample
@@ -16,6 +15,7 @@ from stss.sequence.reader import open_sequence
 from stss.weights.file import load
 from stss_cl.network.network import PRECISIONS, Network
 from stss_cl.skip.stream import SKIPS
+from stss_ground.errors import InputError
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import random as random_weights
 from tests.app.conftest import write_frames  # noqa: F401 - a fixture

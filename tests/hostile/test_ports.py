@@ -28,7 +28,7 @@ from conformance.run_suite import run_suite
 from stss.cli.main import stss as command
 from stss.conform.failures import replay
 from stss.conform.own_ports import ReferencePort, run_job
-from stss.errors import InputError
+from stss_ground.errors import InputError
 from stss_ref.weights import random as random_weights
 from tests.fuzz import job_folders
 from tests.hostile.cases import refused, stss

@@ -9,15 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stss import terminal as printing
-from stss.errors import InputError
 from stss.images.read_write import write_rgb
 from stss.sequence.profiles import load_profile
 from stss.sequence.reader import open_sequence
-from stss.terminal import MOST, printable
 from stss.weights.file import save
 from stss_cl.device import tuning
-from stss_cl.errors import DeviceError
+from stss_ground import terminal as printing
+from stss_ground.errors import DeviceError, InputError
+from stss_ground.terminal import MOST, printable
 from stss_ref.weights import zeros
 from tests.app.conftest import frame_channels, write_raw
 from tests.fuzz.harness import Result, call
@@ -273,7 +272,7 @@ def test_what_a_table_shows_is_printable(tmp_path):
 
 
 def test_nothing_is_printed_past_the_one_place():
-    """``stss/terminal.py``; JSON has escapes of its own."""
+    """``stss_ground/terminal.py``; JSON has escapes of its own."""
     for path in sorted(Path(printing.__file__).parent.rglob("*.py")):
         found = re.findall(r"(?<![\w.])Console\(\S*\)|click\.s?echo\((?!.*json).*", path.read_text())
         assert not found or path.name == "terminal.py", f"{path}: {found}"

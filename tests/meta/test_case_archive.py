@@ -16,7 +16,7 @@ from conformance.protocol.job_folder import read_weights
 from stss.cli.main import stss
 from stss.conform.case_archive import write_cases
 from stss.conform.own_ports import ReferencePort, run_job
-from stss.errors import InputError
+from stss_ground.errors import InputError
 
 PAGE = Path(__file__).parents[2] / "docs" / "ports.md"
 FEW = Tier("few", 12, 3, 1)

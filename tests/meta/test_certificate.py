@@ -15,7 +15,7 @@ from conformance.run_suite import SUITE, run_suite
 from stss.cli.main import stss
 from stss.conform.certificate import certificate, read_certificate
 from stss.conform.own_ports import ReferencePort
-from stss.errors import InputError
+from stss_ground.errors import InputError
 from tests.meta import right_ports
 
 FEW = Tier("quick", 12, 3, 1)

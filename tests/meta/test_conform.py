@@ -27,8 +27,8 @@ from stss.cli.main import stss
 from stss.conform.load_port import load_port
 from stss.conform.own_ports import ReferencePort
 from stss.conform.picture import draw
-from stss.errors import InputError
 from stss.images.read_write import read_rgb
+from stss_ground.errors import InputError
 from stss_ref.weights import Tensors
 from tests.fuzz.harness import call
 from tests.meta.samples import samples

@@ -21,7 +21,7 @@ from stss.cluster.client import ANY_PORT
 from stss.cluster.conform import PortIntroduction, judged_on_cluster
 from stss.conform.load_port import GivenPort, Judging
 from stss.conform.versions import versions_of_cases
-from stss.errors import InputError
+from stss_ground.errors import InputError
 
 distributed = pytest.importorskip("distributed", reason="the extra cluster is not installed")
 

@@ -5,7 +5,7 @@ import pytest
 from safetensors.numpy import load_file
 
 from conformance.tolerance import ratio
-from stss_ref.checkpoint import read_checkpoint
+from stss.weights.checkpoint import read_checkpoint
 from stss_ref.conv import conv_chain, gated, relu
 from stss_ref.decoder import decoder
 from stss_ref.encoder import encoder

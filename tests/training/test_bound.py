@@ -6,8 +6,8 @@ import pytest
 torch = pytest.importorskip("torch", reason="the package torch is not installed: pip install '.[train]'")
 torch.set_num_threads(1)
 
-from stss.errors import InputError  # noqa: E402
 from stss.weights.file import save  # noqa: E402
+from stss_ground.errors import InputError  # noqa: E402
 from stss_ref.weights import random as random_weights  # noqa: E402
 from training.bound import BLOCK, PLACES, Twins, alike, errors, main, spread_of_truths  # noqa: E402
 from training.network import Network, load_weights  # noqa: E402

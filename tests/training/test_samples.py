@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from conformance.scenes import SCENES
-from stss.errors import InputError
 from stss.frames.display_frame import OnArrays, prepare
 from stss.frames.supersample import supersample
+from stss_ground.errors import InputError
 from stss_ref.frame import NetworkInputs
 from stss_ref.resample import upsample_centres
 from stss_ref.schedule import FrameKind

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from stss.errors import InputError
 from stss.weights.file import load, save
+from stss_ground.errors import InputError
 from stss_ref.schedule import FrameKind
 from stss_ref.weights import random, reads_history, second_color
 from training.samples import Sample, write

@@ -11,9 +11,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from stss.errors import InputError
-from stss.output.lock import locked
-from stss.output.write_whole import UNFINISHED, make_folder, sync, told, write_whole
+from stss_ground.errors import InputError
+from stss_ground.output.lock import locked
+from stss_ground.output.write_whole import UNFINISHED, make_folder, sync, told, write_whole
 
 SUMS = "stss.sha256"
 """Name of the list in the folder: the SHA-256 of every file written into it, in the form of ``sha256sum``."""
@@ -83,7 +83,7 @@ class OutputFolder:
         self._written.add(name)
 
     def adopt(self, name: str, part: Path, digest: str) -> None:
-        """Take a file that another process wrote beside its place, whole, by `stss.output.write_whole.write_part`.
+        """Take a file that another process wrote beside its place, whole, by `stss_ground.output.write_whole.write_part`.
 
         Args:
             name: the file's place below the folder.

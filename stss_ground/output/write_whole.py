@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from stss.errors import InputError
+from stss_ground.errors import InputError
 
 UNFINISHED = re.compile(r"\.stss-[0-9a-f]{12}\.part")
 """The name of a file while it is written; a process that is killed leaves one behind."""

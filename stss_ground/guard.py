@@ -10,18 +10,18 @@ from typing import Any
 
 import click
 
-from stss.errors import InputError
-from stss.terminal import accept_any_text, echo
-from stss_cl.errors import DeviceError
-from stss_ref.arrays import ArrayError
-from stss_ref.weights import WeightsError
+from stss_ground.errors import UserError
+from stss_ground.terminal import accept_any_text, echo
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 """Errors of a write to standard output where no more data fits."""
 
 
-def run_guarded(command: click.Command) -> None:
-    """Run the command and end with its status; a mistake of the user is one line on standard error and status 2."""
+def run_guarded(command: click.Command, *mistakes: type[Exception]) -> None:
+    """Run the command and end with its status.
+
+    A mistake of the user is one line on standard error and status 2: `UserError`, and the errors that ``mistakes`` adds.
+    """
     status: Any = 0
     accept_any_text()
     try:
@@ -29,7 +29,7 @@ def run_guarded(command: click.Command) -> None:
         status = command.main(standalone_mode=False)
     except click.ClickException as error:
         _fail(" ".join(error.format_message().split()))
-    except (InputError, ArrayError, WeightsError, DeviceError) as error:
+    except (UserError, *mistakes) as error:
         _fail(str(error))
     except (KeyboardInterrupt, click.exceptions.Abort):
         status = 130
@@ -47,12 +47,12 @@ def run_guarded(command: click.Command) -> None:
 
 
 def _require_utf8(words: list[str]) -> None:
-    """Raise InputError for a word that is not UTF-8: neither OpenImageIO nor JSON can take it as a name."""
+    """Raise UserError for a word that is not UTF-8: neither OpenImageIO nor JSON can take it as a name."""
     for word in words:
         try:
             word.encode()
         except UnicodeEncodeError:
-            raise InputError(f"{word}: expected a name in UTF-8") from None
+            raise UserError(f"{word}: expected a name in UTF-8") from None
 
 
 def _fail(message: str) -> None:

@@ -11,8 +11,8 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from stss.errors import InputError
-from stss.output.write_whole import told
+from stss_ground.errors import InputError
+from stss_ground.output.write_whole import told
 
 try:
     import fcntl

@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any, cast
 
-from stss_ref.regular_file import read_regular
+from stss_ground.regular_file import read_regular
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stss_ref import checkpoint
-from stss_ref.checkpoint import read_checkpoint
+from stss.weights import checkpoint
+from stss.weights.checkpoint import read_checkpoint
 from stss_ref.weights import TENSORS, Weights, WeightsError, random
 
 # A small assembler of pickles: what PyTorch writes, and what it never would.

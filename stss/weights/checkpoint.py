@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
+from stss.weights.tensor_pickle import describe, short, tensor
+from stss_ground.regular_file import read_regular
 from stss_ref.arrays import Array
-from stss_ref.regular_file import read_regular
-from stss_ref.tensor_pickle import describe, short, tensor
 from stss_ref.weights import TENSORS, Weights, WeightsError, check, require_names, require_shape
 
 MAX_BYTES = 64 * 2**20

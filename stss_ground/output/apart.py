@@ -7,8 +7,8 @@ import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from stss.errors import InputError
-from stss.output.write_whole import told
+from stss_ground.errors import InputError
+from stss_ground.output.write_whole import told
 
 
 def require_apart(writes: Iterable[Path], reads: Iterable[Path | None]) -> None:

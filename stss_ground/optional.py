@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from stss.errors import InputError
+from stss_ground.errors import InputError
 
 
 def installed(name: str) -> bool:

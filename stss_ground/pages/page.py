@@ -16,7 +16,7 @@ from importlib.resources import files
 from string import Template
 from typing import Any
 
-from stss.terminal import printable
+from stss_ground.terminal import printable
 
 _PAGE = Template("""<!doctype html>
 <html lang="en">
@@ -36,9 +36,9 @@ $body
 """)
 
 
-def asset(name: str) -> str:
-    """A file of this room, as text."""
-    return files("stss.pages").joinpath(name).read_text(encoding="utf-8")
+def asset(package: str, name: str) -> str:
+    """A file that lies in a package, as text."""
+    return files(package).joinpath(name).read_text(encoding="utf-8")
 
 
 def page(title: str, html: str, *, styles: Sequence[str] = (), scripts: Sequence[str] = (), data: Any = None) -> str:
@@ -47,21 +47,20 @@ def page(title: str, html: str, *, styles: Sequence[str] = (), scripts: Sequence
     Args:
         title: text.
         html: the body, markup.
-        styles: names of further files of this room, after ``style.css``.
-        scripts: likewise; they run at the end of the body, in this order.
+        styles: further style sheets, after ``style.css``.
+        scripts: their text; they run at the end of the body, in this order.
         data: what scripts find as JSON in the element ``data``; None: no such element.
     """
-    sources = [asset(name) for name in scripts]
-    hashes = " ".join(f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'" for text in sources)
+    hashes = " ".join(f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'" for text in scripts)
     body = [html]
     if data is not None:
         # "</script>" within a text would end the element.
         text = json.dumps(data, allow_nan=False).replace("<", "\\u003c")
         body.append(f'<script type="application/json" id="data">{text}</script>')
-    body += [f"<script>{text}</script>" for text in sources]
+    body += [f"<script>{text}</script>" for text in scripts]
     return _PAGE.substitute(
         title=escape(printable(title)),
-        style="".join(asset(name) for name in ("style.css", *styles)),
+        style="".join((asset("stss_ground.pages", "style.css"), *styles)),
         body="\n".join(body),
         scripts="script-src " + (hashes or "'none'"),
     )

@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: MIT
+"""The user's mistakes: what the command line prints in one line, with status 2."""
+
+
+class UserError(Exception):
+    """Something that the user gave or has is not what it must be; the message is one line."""
+
+
+class InputError(UserError):
+    """A file, channel, option or sequence is not what it must be.
+
+    The message says what it is about, what was expected and what was found.
+    """
+
+
+class DeviceError(UserError):
+    """There is no such device, or a device cannot do its task.
+
+    Attributes:
+        log: the compiler's log where a kernel did not build, else empty.
+    """
+
+    def __init__(self, message: str, log: str = ""):
+        super().__init__(message)
+        self.log = log
+        if log and hasattr(self, "add_note"):  # Python 3.11: shown in a traceback, not part of the message
+            self.add_note(log)  # pyright: ignore[reportAttributeAccessIssue]

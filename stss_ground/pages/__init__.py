@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: MIT
+"""HTML pages in one file: style, tables, plots."""
