@@ -7,7 +7,7 @@
 //  gate_weight       not read
 //
 // Build -D HALF -D A -D B -D OUT -D BLOCK (outputs of a work-group) -D EIGHTS (of channels at once, a divisor of (A + B) / 8) -D STRIDE -D ROWS (1 or 2),
-// all channels multiples of 8, and what mma.clh wants; optionally -D GATED -D RELU -D MARK.
+// all channels multiples of 8; optionally -D EMULATE (mma.clh) -D GATED -D RELU -D MARK.
 // -D IMAGES: see conv_local.cl.
 // Work-group (LANES, WAVES): 32 x 4 ROWS pixels, a tile of the list; launch (LANES tiles, WAVES OUT / BLOCK).
 //
@@ -27,7 +27,7 @@
 #ifdef GATED
 #define MATRICES (EACH / HELD + 1)
 #else
-#define MATRICES ((EACH + HELD - 1) / HELD)
+#define MATRICES (EACH / HELD)
 #endif
 #define READ_WIDE (STRIDE * 31 + 3)
 #define READ_TALL (STRIDE * (4 * ROWS - 1) + 3)
@@ -49,48 +49,27 @@ static inline void fetch(global const ushort *a, global const ushort *b, local u
 }
 
 // What a work-item's sums of product n begin with; `bias` is that of its outputs.
-static inline sums begin(global const float *bias, const float gate_bias, const int n)
+static inline float4 begin(global const float *bias, const float gate_bias, const int n)
 {
-#if HELD == 2
     const float2 v = 2 * n < EACH ? vload2(n, bias) : (float2)(gate_bias);
     return (float4)(v, v);
-#else
-    return (float8)(8 * n < EACH ? vload4(2 * n, bias) : (float4)(gate_bias), 8 * n + 4 < EACH ? vload4(2 * n + 1, bias) : (float4)(gate_bias));
-#endif
 }
 
 // The gate of a work-item's k-th pixel: the value behind its outputs.
-static inline float opening(const sums sum, const int k)
+static inline float opening(const float4 sum, const int k)
 {
-#if HELD == 2
-    const float gate = k ? sum.z : sum.x;
-#else
-    const float gate = EACH % 8 ? sum.s4 : sum.s0;
-#endif
-    return 1.0f / (1.0f + exp(-gate));
+    return 1.0f / (1.0f + exp(-(k ? sum.z : sum.x)));
 }
 
-// How many of a work-item's outputs are stored at once: as many as lie in words as long as that.
-#if HELD == 2
-typedef uint packet;
-#define DIFFER(x, y) ((x) != (y))
-#elif EACH % 8
-typedef uint2 packet;
-#define DIFFER(x, y) any((x) != (y))
-#else
-typedef uint4 packet;
-#define DIFFER(x, y) any((x) != (y))
-#endif
-
-static inline void put(const packet after, global ushort *to, global uchar *changed)
+static inline void put(const uint after, global ushort *to, global uchar *changed)
 {
 #ifdef MARK
-    if (DIFFER(*(global const packet *)to, after)) *changed = 1;
+    if (*(global const uint *)to != after) *changed = 1;
 #endif
-    *(global packet *)to = after;
+    *(global uint *)to = after;
 }
 
-SUB_GROUPS kernel __attribute__((reqd_work_group_size(LANES, WAVES, 1)))
+kernel __attribute__((reqd_work_group_size(LANES, WAVES, 1)))
 void conv_mma(global const ushort *restrict a, global const ushort *restrict b, global const uint *restrict weight,
               global const uint *restrict gate_weight, global const float *restrict bias, const float gate_bias,
               global ushort *restrict out, const int a_first, const int height, const int width, const int in_columns,
@@ -122,10 +101,10 @@ void conv_mma(global const ushort *restrict a, global const ushort *restrict b, 
         global uchar *marks = changes;
 #endif
         const int left = TILE_COLUMN(tiles[t]) * 32;
-        sums sum[2 * ROWS][MATRICES];  // of pixels UNIT (i % 2) .. of row i / 2
+        float4 sum[2 * ROWS][MATRICES];  // of pixels UNIT (i % 2) .. of row i / 2
 UNROLL
         for (int n = 0; n < MATRICES; ++n) {
-            const sums v = begin(bias + from_output, gate_bias, n);
+            const float4 v = begin(bias + from_output, gate_bias, n);
 UNROLL
             for (int i = 0; i < 2 * ROWS; ++i) sum[i][n] = v;
         }
@@ -134,17 +113,17 @@ UNROLL
             fetch(from_a, b, tile, wave * LANES + lane, chunk * EIGHTS, STRIDE * top, STRIDE * left, in_rows, in_columns);
             barrier(CLK_LOCAL_MEM_FENCE);
             global const uint *matrices = weight + (block * CHUNKS + chunk) * STEPS * MATRICES * MATRIX;
-UNROLL_STEPS
+UNROLL
             for (int step = 0; step < STEPS; ++step) {
                 // The last eight may have no partner: the other half is multiplied by weights of 0.
                 const int from = TAP_AT(2 * step), then = TAP_AT(2 * step + 1 < 9 * EIGHTS ? 2 * step + 1 : 2 * step);
-                weights w[MATRICES];
+                uint2 w[MATRICES];
 UNROLL
-                for (int n = 0; n < MATRICES; ++n) w[n] = WEIGHTS(matrices + (step * MATRICES + n) * MATRIX, lane);
+                for (int n = 0; n < MATRICES; ++n) w[n] = read_weights(matrices + (step * MATRICES + n) * MATRIX, lane);
 UNROLL
                 for (int i = 0; i < 2 * ROWS; ++i) {
                     local const uint4 *p = under + STRIDE * (i / 2) * PITCH + i % 2 * UNIT;
-                    const inputs v = read_inputs(p + from, p + then, lane);
+                    const uint4 v = read_inputs(p + from, p + then, lane);
 UNROLL
                     for (int n = 0; n < MATRICES; ++n) MULTIPLY_ADD(sum[i][n], v, w[n], exchange, wave, lane);
                 }
@@ -161,22 +140,14 @@ UNROLL
 #endif
 UNROLL
             for (int n = 0; n * HELD < EACH; ++n) {
-                held value = OF_PIXEL(sum[i / ITS][n], i % ITS);
+                float2 value = OF_PIXEL(sum[i / ITS][n], i % ITS);
 #ifdef GATED
                 value *= open;
 #endif
 #ifdef RELU
                 value = fmax(value, 0.0f);
 #endif
-                const narrowed stored = narrow(value);
-#if HELD == 2
-                put(as_uint(stored), to + place + 2 * n, mark);
-#elif EACH % 8
-                put(as_uint2(stored.lo), to + place + 8 * n, mark);
-                if (8 * n + 4 < EACH) put(as_uint2(stored.hi), to + place + 8 * n + 4, mark);
-#else
-                put(as_uint4(stored), to + place + 8 * n, mark);
-#endif
+                put(as_uint(narrow(value)), to + place + HELD * n, mark);
             }
         }
     }

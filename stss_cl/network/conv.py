@@ -150,7 +150,7 @@ def _source(shape: Shape, packed: Packed, a: Padded, b: Padded | None, out: Padd
         shape.file,
         shape.file.removesuffix(".cl"),
         {**shape.options, **options},
-        f"{FAST_MULTIPLY_ADD} {shape.flags}".strip(),
+        FAST_MULTIPLY_ADD,
     )
 
 
@@ -164,9 +164,8 @@ def _shape(
     if tuning.winograd is not None and whole_eights:
         return _winograd(device, packed, out, side if stride == 1 else 2, stride, final)
     if tuning.local is not None:
-        wanted = tuning.local.matrix_units and half(out.dtype) and whole_eights
-        if wanted and (form := matrix_units.proved(device)) is not None:
-            return conv_gpu.on_matrix_units(device, form, packed, out, stride, tuning.local.rows, images)
+        if tuning.local.matrix_units and half(out.dtype) and whole_eights and matrix_units.proved(device):
+            return conv_gpu.on_matrix_units(device, packed, out, stride, tuning.local.rows, images)
         return conv_gpu.local(device, packed, out, stride, tuning.local.rows, images)
     return _direct(device, packed, out, stride, final)
 

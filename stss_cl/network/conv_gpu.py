@@ -7,14 +7,13 @@ from stss_cl.device import matrix_units
 from stss_cl.device.buffers import Padded
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div
-from stss_cl.device.matrix_units import Form
 from stss_cl.network.conv_shape import Shape
 from stss_cl.network.pack_weights import Packed, fragments
 from stss_cl.network.tiles import Tiling
 
 WIDE, TALL = 32, 4
 """Pixels of a work-group's tile: along a row, and rows for each that a work-item has."""
-EIGHTS, MOST_OUTPUTS, EMULATED = (4, 3, 2, 7), 32, 4096
+EIGHTS, MOST_OUTPUTS, EMULATED = (4, 3, 2, 7), 32, 3072
 """Of conv_mma.cl: eights of input channels in local memory at once, the first that divides them and fits; outputs whose sums fit the
 registers; bytes of local memory that emulated products take."""
 
@@ -34,11 +33,11 @@ def local(device: Device, packed: Packed, out: Padded, stride: int, most_rows: i
     )
 
 
-def on_matrix_units(device: Device, form: Form, packed: Packed, out: Padded, stride: int, most_rows: int, images: int) -> Shape:
+def on_matrix_units(device: Device, packed: Packed, out: Padded, stride: int, most_rows: int, images: int) -> Shape:
     """The shape of conv_mma.cl for this layer; a work-item has at most ``most_rows`` rows of pixels."""
     inner, outputs = packed.direct.shape[2] // 8, packed.direct.shape[3]
     # Tiles of twice the side and eights of all channels would not fit into local memory together, nor seven at once into the registers.
-    rows = 1 if stride == 2 or inner % 7 == 0 else _rows(device, out, min(most_rows, form.rows), images)
+    rows = 1 if stride == 2 or inner % 7 == 0 else _rows(device, out, most_rows, images)
     plane = 16 * (34 * stride * (stride * (TALL * rows - 1) + 3) + 2)  # bytes of an eight in local memory
     eights = next((n for n in EIGHTS if inner % n == 0 and n * plane + EMULATED <= device.local_memory), 1)
     block = min(outputs, MOST_OUTPUTS)
@@ -51,14 +50,13 @@ def on_matrix_units(device: Device, form: Form, packed: Packed, out: Padded, str
             "BLOCK": block,
             "EIGHTS": eights,
             "IMAGES": images > 1,
-            **matrix_units.build_options(device, form),
+            "EMULATE": matrix_units.are_emulated(device),
         },
-        weight=fragments(packed, eights, block, form),
+        weight=fragments(packed, eights, block),
         gate=None,
         tiling=tiling,
-        size=(form.lanes * tiling.most, form.waves * (outputs // block)),
-        group=(form.lanes, form.waves),
-        flags=matrix_units.build_flags(device, form),
+        size=(matrix_units.LANES * tiling.most, matrix_units.WAVES * (outputs // block)),
+        group=(matrix_units.LANES, matrix_units.WAVES),
     )
 
 

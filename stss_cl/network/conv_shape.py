@@ -22,7 +22,6 @@ class Shape:
         weight, gate: the tensors as the kernel reads them; gate None: there is none, or it is part of ``weight``.
         tiling: the tiles of the output.
         size, group: global size and work-group of the launch.
-        flags: further options of the compiler.
     """
 
     file: str
@@ -32,4 +31,3 @@ class Shape:
     tiling: Tiling
     size: tuple[int, ...]
     group: tuple[int, ...]
-    flags: str = ""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stss_cl.device.grid import ceil8
-from stss_cl.device.matrix_units import Form
+from stss_cl.device.matrix_units import HELD, PARTS, arrange
 from stss_ref.weights import Weights
 
 POINTS = {4: (0.625, -0.625, 1.5, -1.5, 0.0), 2: (1.0, -1.0, 0.0)}
@@ -130,28 +130,27 @@ def winograd(kernels: NDArray[np.float32], side: int, block: int, stride: int = 
     return np.ascontiguousarray(blocks, np.float32)
 
 
-def fragments(packed: Packed, eights: int, block: int, form: Form) -> NDArray[np.float16]:
+def fragments(packed: Packed, eights: int, block: int) -> NDArray[np.float16]:
     """Kernels of 3 x 3 and their gate as conv_mma.cl reads them, in half.
 
     Args:
         packed: the layer; its channels are multiples of 8.
         eights: of input channels that are in local memory at once.
         block: outputs of a work-group.
-        form: of the matrix units.
 
     Returns:
-        (OUT / block, chunks, steps, matrices, 16 * parts * held): for each product what `Form.arrange` makes. The inner dimension runs over
-        channels within taps within chunks, 16 to a step. Each part has block / parts outputs and the gate behind them, then zeros.
+        (OUT / block, chunks, steps, matrices, 16 * PARTS * HELD): for each product what `arrange` makes. The inner dimension runs over
+        channels within taps within chunks, 16 to a step. Each part has block / PARTS outputs and the gate behind them, then zeros.
     """
     _, _, inner, outputs = packed.direct.shape
-    weight = packed.direct.reshape(9, inner, outputs // block, form.parts, block // form.parts)
+    weight = packed.direct.reshape(9, inner, outputs // block, PARTS, block // PARTS)
     if packed.gate_direct is not None:
         gate = np.broadcast_to(packed.gate_direct.reshape(9, inner, 1, 1, 1), (*weight.shape[:-1], 1))
         weight = np.concatenate([weight, gate], axis=-1)
-    weight = np.pad(weight, (*4 * [(0, 0)], (0, -weight.shape[-1] % form.held)))
+    weight = np.pad(weight, (*4 * [(0, 0)], (0, -weight.shape[-1] % HELD)))
     # block, chunk, tap, channel, part, value
     weight = weight.reshape(9, -1, 8 * eights, *weight.shape[2:]).transpose(3, 1, 0, 2, 4, 5)
-    weight = weight.reshape(*weight.shape[:2], 9 * eights * 8, form.parts, -1)
+    weight = weight.reshape(*weight.shape[:2], 9 * eights * 8, PARTS, -1)
     weight = np.pad(weight, ((0, 0), (0, 0), (0, 9 * eights % 2 * 8), (0, 0), (0, 0)))
-    steps = weight.reshape(*weight.shape[:2], -1, 16, form.parts, weight.shape[-1] // form.held, form.held)
-    return np.ascontiguousarray(form.arrange(np.moveaxis(steps, 5, 3)), np.float16)
+    steps = weight.reshape(*weight.shape[:2], -1, 16, PARTS, weight.shape[-1] // HELD, HELD)
+    return np.ascontiguousarray(arrange(np.moveaxis(steps, 5, 3)), np.float16)

@@ -12,8 +12,6 @@ from conformance.tolerance import sum_bound, worst
 from stss_cl.device import matrix_units
 from stss_cl.device.buffers import constant, padded, read, write
 from stss_cl.device.discovery import Properties, open_device
-from stss_cl.device.matrix_units import Form
-from stss_cl.device.program import build
 from stss_cl.device.tuning import Local, built_in, trial
 from stss_cl.network.conv import conv
 from stss_cl.network.layers import Layers
@@ -26,8 +24,7 @@ from stss_ref.weights import random as random_weights
 from tests.cl.test_network import tensors
 
 pytestmark = pytest.mark.usefixtures("unoptimised")
-FORMS = matrix_units.FORMS
-NAMES = [form.name + str(form.value) * (form.name == "ARC") for form in FORMS]
+MATRIX = Local(2, matrix_units=True)
 FLOAT, HALF = np.dtype(np.float32), np.dtype(np.float16)
 LAYERS = [
     # size, channels of both inputs, outputs, gated, stride
@@ -46,13 +43,6 @@ LAYERS = [
 @pytest.fixture(scope="module")
 def device():
     return open_device(device_class="gpu")
-
-
-@pytest.fixture(params=FORMS, ids=NAMES)
-def form(request):
-    """The device has matrix units of this form, and no others."""
-    with matrix_units.trial((request.param,)):
-        yield request.param
 
 
 class Case:
@@ -122,104 +112,63 @@ def test_local(device, layer, dtype, rows):
 
 
 @pytest.mark.parametrize("layer", [layer for layer in LAYERS if layer[1] % 8 == 0], ids=str)
-def test_matrix_units(device, layer, form):
+def test_matrix_units(device, layer):
     case = Case(device, layer, HALF)
-    made = case.layer(Local(2, matrix_units=True))
+    made = case.layer(MATRIX)
     assert made.source.file == "conv_mma.cl"
-    assert made.source.options[form.name] == form.value
     want, allowed = case.bounds(HALF)
     assert worst(np.abs(case.run(made) - want), allowed) <= 1
 
 
 def test_which_kernel(device):
     """Float32 needs float32's products; four channels are no eight; the plain kernel on request."""
-    matrix = Local(2, matrix_units=True)
-    assert Case(device, LAYERS[0], FLOAT).layer(matrix).source.file == "conv_local.cl"
-    assert Case(device, LAYERS[-1], HALF).layer(matrix).source.file == "conv_local.cl"
-    assert Case(device, LAYERS[0], HALF).layer(matrix, side=0).source.file == "conv.cl"
+    assert Case(device, LAYERS[0], FLOAT).layer(MATRIX).source.file == "conv_local.cl"
+    assert Case(device, LAYERS[-1], HALF).layer(MATRIX).source.file == "conv_local.cl"
+    assert Case(device, LAYERS[0], HALF).layer(MATRIX, side=0).source.file == "conv.cl"
     assert Case(device, LAYERS[0], HALF).layer(None).source.file == "conv.cl"
 
 
-def test_matrix_units_are_asked_first(device, monkeypatch):
-    monkeypatch.setattr(matrix_units, "proved", lambda device: None)
-    assert Case(device, LAYERS[0], HALF).layer(Local(2, matrix_units=True)).source.file == "conv_local.cl"
-
-
-def test_what_is_not_proved_is_not_used(device, form, monkeypatch):
+def test_what_is_not_proved_is_not_used(device, monkeypatch):
     def not_built(*_):
         raise DeviceError("unknown instruction")
 
     for name, fault in (("constant", lambda device, array: constant(device, array * 2)), ("build", not_built)):
         with monkeypatch.context() as patch:
             patch.setattr(matrix_units, "_proved", WeakKeyDictionary())
-            assert matrix_units.proved(device) is form
+            assert matrix_units.proved(device)
             patch.setattr(matrix_units, "_proved", WeakKeyDictionary())
             patch.setattr(matrix_units, name, fault)
-            assert matrix_units.proved(device) is None
-            assert Case(device, LAYERS[0], HALF).layer(Local(2, matrix_units=True)).source.file == "conv_local.cl"
+            assert not matrix_units.proved(device)
+            assert Case(device, LAYERS[0], HALF).layer(MATRIX).source.file == "conv_local.cl"
 
 
-def test_weights_in_another_order_are_found(device, form, monkeypatch):
-    """Two outputs, two channels, or two parts changed places: the product is wrong, so the form is not used."""
-    right = Form.arrange
-    for swapped in ([..., [1, 0, *range(2, form.held)]], [..., [1, 0, *range(2, 16)], slice(None), slice(None)]):
+def test_weights_in_another_order_are_found(device, monkeypatch):
+    """Two outputs or two channels changed places: the product is wrong, so it is not used."""
+    right = matrix_units.arrange
+    for swapped in ([..., [1, 0]], [..., [1, 0, *range(2, 16)], slice(None), slice(None)]):
         with monkeypatch.context() as patch:
             patch.setattr(matrix_units, "_proved", WeakKeyDictionary())
-            patch.setattr(Form, "arrange", lambda form, weight, at=tuple(swapped): right(form, weight[at]))
-            assert matrix_units.proved(device) is None
-
-
-def test_the_second_form_is_tried(device, monkeypatch):
-    """Sub-groups of 8 do not build on newer Intel devices, those of 16 do."""
-
-    def sixteen(device, file, options, flags):
-        if options.get("ARC") == 8:
-            raise DeviceError("no such sub-groups")
-        return build(device, file, options, flags)
-
-    monkeypatch.setattr(matrix_units, "_proved", WeakKeyDictionary())
-    monkeypatch.setattr(matrix_units, "build", sixteen)
-    with matrix_units.trial((matrix_units.ARC, matrix_units.ARC_16)):
-        assert matrix_units.proved(device) is matrix_units.ARC_16
+            patch.setattr(matrix_units, "arrange", lambda weight, at=tuple(swapped): right(weight[at]))
+            assert not matrix_units.proved(device)
 
 
 @pytest.mark.parametrize(
-    ("vendor", "name", "extensions", "forms"),
+    ("vendor", "kind", "expected"),
     [
-        ("NVIDIA Corporation", "NVIDIA H100", "", (matrix_units.NVIDIA,)),
-        ("Advanced Micro Devices, Inc.", "gfx1100", "", (matrix_units.RDNA3,)),
-        ("AMD", "AMD Radeon 780M (radeonsi, gfx1103_r1)", "", (matrix_units.RDNA3,)),
-        ("Advanced Micro Devices, Inc.", "gfx90a:sramecc+:xnack-", "", ()),
-        ("Advanced Micro Devices, Inc.", "gfx1201", "", ()),
-        (
-            "Intel(R) Corporation",
-            "Intel(R) Arc(TM) A770",
-            "a cl_intel_subgroup_matrix_multiply_accumulate",
-            (matrix_units.ARC, matrix_units.ARC_16),
-        ),
-        ("Intel(R) Corporation", "Intel(R) UHD 770", "cl_intel_subgroups", ()),
-        ("Imagination", "another", "", ()),
+        ("NVIDIA Corporation", cl.device_type.GPU, True),
+        ("Advanced Micro Devices, Inc.", cl.device_type.GPU, False),
+        ("Imagination", cl.device_type.GPU, False),
+        ("Intel(R) Corporation", cl.device_type.CPU, True),
     ],
 )
-def test_which_matrix_units_a_device_says_it_has(vendor, name, extensions, forms):
-    handle = SimpleNamespace(
-        type=cl.device_type.GPU, vendor=vendor, name=name, extensions=extensions, platform=SimpleNamespace(name="p")
-    )
-    assert matrix_units.forms(Properties(handle, "gpu")) == forms
+def test_which_devices_may_have_matrix_units(vendor, kind, expected):
+    handle = SimpleNamespace(type=kind, vendor=vendor, name="a device", platform=SimpleNamespace(name="p"))
+    assert matrix_units.may_have(Properties(handle, "gpu")) == expected
 
 
-@pytest.mark.parametrize("local", [Local(1), Local(2)], ids=str)
+@pytest.mark.parametrize("local", [Local(1), Local(2), MATRIX], ids=str)
 @pytest.mark.parametrize("layer", [LAYERS[0], LAYERS[6]], ids=str)
 def test_tiles_of_a_list(device, layer, local):
-    listed_tiles(device, layer, local)
-
-
-@pytest.mark.parametrize("layer", [LAYERS[0], LAYERS[6]], ids=str)
-def test_tiles_of_a_list_on_matrix_units(device, layer, form):
-    listed_tiles(device, layer, Local(2, matrix_units=True))
-
-
-def listed_tiles(device, layer, local):
     """Only the listed tiles are written, whatever the number of work-groups; a tile is marked if its bits now differ."""
     case = Case(device, layer, HALF)
     made = case.layer(local)
@@ -245,7 +194,7 @@ def test_fragments_hold_every_weight_where_mma_wants_it():
     """Lane 5 of the second step's first matrix: taps 0 and 1 of output 1, channels 2 and 3 of an eight."""
     weights = tensors(np.random.default_rng(0), "layer", 24, 32, False)
     packed = pack(weights, "layer", ((24, 24),))
-    made = fragments(packed, 3, 32, matrix_units.NVIDIA)
+    made = fragments(packed, 3, 32)
     assert made.shape == (1, 1, 14, 4, 128)
     made = made.reshape(1, 1, 14, 4, 32, 4)
     kernel = packed.direct.reshape(9, 24, 32)
@@ -263,18 +212,9 @@ def test_launches_of_a_frame(device, precision):
     assert len(Layers(device, random_weights(5), 24, 40, "float32-direct").launches) == 56
 
 
-@pytest.mark.parametrize("local", [Local(1), Local(2)], ids=str)
+@pytest.mark.parametrize("local", [Local(1), Local(2), MATRIX], ids=str)
 @pytest.mark.parametrize("joined", [False, True])
 def test_three_images_in_one_launch(device, local, joined):
-    three_images(device, local, joined)
-
-
-@pytest.mark.parametrize("joined", [False, True])
-def test_three_images_on_matrix_units(device, form, joined):
-    three_images(device, Local(2, matrix_units=True), joined)
-
-
-def three_images(device, local, joined):
     """The same bits as one after the other, into images or into channels."""
     case = Case(device, ((9, 35), 24, 0, 24, True, 1), HALF)
     inputs = padded(device, *case.size, 24, HALF, images=3)

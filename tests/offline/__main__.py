@@ -13,7 +13,6 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from stss_cl.device.matrix_units import ARC, NVIDIA, RDNA3
 from stss_cl.device.program import source
 from tests.offline.budgets import faults
 from tests.offline.compilers import CompileError, MissingError, compiled, require
@@ -45,7 +44,7 @@ def examine(target, *, network_only):
     """Print the table of one target; how many kernels exceed their budget."""
     wrong, table = 0, Table(*TITLES, title=target, box=None, pad_edge=False, title_justify="left")
     with tempfile.TemporaryDirectory() as folder:
-        for program in built_for(*row_of(target), network_only=network_only):
+        for program in built_for(row_of(target), network_only=network_only):
             try:
                 found = compiled(source(program.file), program.options, program.kernels, target, Path(folder))
             except CompileError as error:
@@ -63,18 +62,14 @@ def examine(target, *, network_only):
 
 
 @cache
-def built_for(row, forms, *, network_only):
+def built_for(row, *, network_only):
     """The programs of a row, found once: to build them for the device at hand takes minutes."""
-    return programs(row, forms, network_only=network_only)
+    return programs(row, network_only=network_only)
 
 
 def row_of(target):
-    """The row of ``tuning.toml`` that counts for a target, and the forms of matrix units that it has."""
-    if target.startswith("sm_"):
-        return "nvidia", (NVIDIA,)
-    if target.startswith("gfx"):
-        return "amd", (RDNA3,) if target.startswith("gfx11") else ()
-    return "intel", (ARC,)
+    """The row of ``tuning.toml`` that counts for a target."""
+    return "nvidia" if target.startswith("sm_") else "amd" if target.startswith("gfx") else "intel"
 
 
 if __name__ == "__main__":

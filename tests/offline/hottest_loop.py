@@ -7,8 +7,8 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-MULTIPLY_ADD = re.compile(r"FFMA|HFMA2|HMMA|v_(pk_)?fma|v_fmac|v_mac|v_wmma|v_mfma|v_dot2|v_dual_fmac|mad|dpas")
-MATRICES = re.compile(r"HMMA|v_wmma|v_mfma|dpas")
+MULTIPLY_ADD = re.compile(r"FFMA|HFMA2|HMMA|v_(pk_)?fma|v_fmac|v_mac|v_dot2|v_dual_fmac|mad")
+MATRICES = re.compile(r"HMMA")
 MEMORY = re.compile(r"LD|ST|global_|ds_|s_load|buffer_|scratch_|flat_|load|store|send")
 BARRIER = re.compile(r"BAR|s_barrier|sync.bar")
 

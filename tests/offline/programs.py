@@ -34,17 +34,16 @@ class Program:
         return " ".join(option for option in self.options if option != "-D" and not option.startswith("-cl-"))
 
 
-def programs(row, forms, *, network_only=False):
+def programs(row, *, network_only=False):
     """The programs of one row of ``tuning.toml``, such as ``nvidia`` or ``amd``, in the order in which they are built.
 
     Args:
         row: its name.
-        forms: of matrix units, of which the first is used; none: there are none.
         network_only: leave out what surrounds the network.
     """
     device = open_device(device_class="gpu")
     tuning = built_in_rows(BUILT_IN)[0][row]
-    with trial(tuning), matrix_units.trial(forms), pytest.MonkeyPatch.context() as patch:
+    with trial(tuning), matrix_units.trial(row == "nvidia"), pytest.MonkeyPatch.context() as patch:
         matrix_units.proved(device)  # builds, and launches, what asks for them
         launch_nothing(patch)
         for precision in PRECISIONS:
@@ -62,18 +61,11 @@ def programs(row, forms, *, network_only=False):
     return [
         Program(
             file,
-            tuple(_real(options, forms).split()),
+            tuple(options.replace(" -D EMULATE", "").split()),
             tuple(sorted(kernel.function_name for kernel in built.all_kernels())),
         )
         for (file, options), built in program.built(device).items()
     ]
-
-
-def _real(options, forms):
-    """The options for a device that has the matrix units."""
-    if " -D EMULATE" not in options:
-        return options
-    return f"{options.replace(' -D EMULATE', '')} {forms[0].flags}"
 
 
 def launch_nothing(patch):
