@@ -3,13 +3,17 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test check bench mutants alarms fuzz gpu offline portability lowest judge-wheel clean
+.PHONY: demo test test-training check bench mutants alarms fuzz gpu offline portability lowest judge-wheel clean
 
 demo: $(VENV)/.base
 	$(BIN)/stss demo demo --overwrite
 
 test: $(VENV)/.test
 	$(BIN)/python -m pytest -n 2 --dist worksteal --no-loadscope-reorder
+
+# The tests that need PyTorch, some gigabytes.
+test-training: $(VENV)/.test $(VENV)/.train
+	$(BIN)/python -m pytest -n 2 tests/training tests/app/test_onnx_export.py tests/app/test_bench.py
 
 check: $(VENV)/.check
 	$(BIN)/ruff check .
@@ -66,7 +70,7 @@ $(VENV)/.base: $(VENV)/.python pyproject.toml
 	$(BIN)/python -m pip install --quiet --editable .
 	@touch $@
 
-$(VENV)/.test $(VENV)/.check $(VENV)/.bench $(VENV)/.offline: $(VENV)/.%: $(VENV)/.base
+$(VENV)/.test $(VENV)/.check $(VENV)/.train $(VENV)/.bench $(VENV)/.offline: $(VENV)/.%: $(VENV)/.base
 	$(BIN)/python -m pip install --quiet --editable '.[$*]'
 	@touch $@
 

@@ -2,6 +2,7 @@
 
 import gc
 import os
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -29,6 +30,17 @@ def pytest_collection_finish():
     """Collecting garbage skips what lives until the end: thousands of tests and all modules, 0.2 s each time."""
     gc.collect()
     gc.freeze()
+
+
+def pytest_terminal_summary(terminalreporter):
+    """The last lines say what was left out, and why."""
+    reasons = {
+        (report.nodeid, report.longrepr[2].removeprefix("Skipped: ")) for report in terminalreporter.stats.get("skipped", [])
+    }
+    if reasons:
+        terminalreporter.section("left out")
+    for reason, count in Counter(reason for _, reason in reasons).most_common():
+        terminalreporter.line(f"{count:4} {reason}")
 
 
 @pytest.fixture(scope="session")

@@ -102,7 +102,7 @@ def test_wrong_names_are_one_line(ours, peers, repeat, said):
 
 
 def test_the_peers_run_in_turns_with_ours():
-    pytest.importorskip("torch", reason="the package torch is not installed: pip install '.[bench]'")
+    pytest.importorskip("torch", reason="PyTorch is not installed: make test-training")
     (result,) = bench([setup()], ["ref"], ["pytorch", "pytorch-tuned"], repeat=2)
     assert [(row.name, row.fault, len(row.times)) for row in result.rows] == [
         ("ref", None, 2),

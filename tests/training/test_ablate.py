@@ -2,7 +2,7 @@
 
 import pytest
 
-torch = pytest.importorskip("torch", reason="the package torch is not installed: pip install '.[train]'")
+torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test-training")
 torch.set_num_threads(1)
 
 from stss_ref.weights import random as random_weights  # noqa: E402

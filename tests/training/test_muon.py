@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-torch = pytest.importorskip("torch", reason="the package torch is not installed: pip install '.[train]'")
+torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test-training")
 torch.set_num_threads(1)
 
 from training.muon import Muon, orthogonal  # noqa: E402

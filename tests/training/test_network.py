@@ -11,7 +11,7 @@ from stss_ref.loss import loss as reference_loss
 from stss_ref.weights import TENSORS, Tensors, reads_history, second_color, zeros
 from stss_ref.weights import random as random_weights
 
-torch = pytest.importorskip("torch", reason="the package torch is not installed: pip install '.[train]'")
+torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test-training")
 torch.set_num_threads(1)
 
 from training.initial import forget_second_color, hold_gates, hold_history, initialise  # noqa: E402

@@ -11,7 +11,7 @@ from stss_ref.schedule import FrameKind
 from stss_ref.weights import random, reads_history, second_color
 from training.samples import Sample, write
 
-torch = pytest.importorskip("torch", reason="the package torch is not installed: pip install '.[train]'")
+torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test-training")
 torch.set_num_threads(1)
 
 from training.average import main as average  # noqa: E402
