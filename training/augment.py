@@ -4,7 +4,7 @@
 Motion is not an input of the network: the pictures are warped already, so crops and turns need not change it. Normals are in
 world space. Turning the picture by 90 degrees is rolling the camera, which changes no normal. A mirrored picture shows a
 mirrored world, so normals are mirrored, too, in x. Nothing defines north, so the normals of a sample are turned about the
-vertical axis, z, by any angle; up stays up.
+vertical axis, z, by any angle. Up stays up, but half of the samples call it y, as half of the engines do.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from stss_ref.rrm import draw_rectangle, rrm
 
 Random = np.random.Generator
 NORMAL = slice(3, 6)
+Y_UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32)
+"""Turns vectors of a world with z up into one with y up."""
 DEPTH = 6
 BASE_COLOR = slice(9, 12)
 COLORS = (slice(0, 3), slice(12, 15), slice(16, 19), slice(20, 23))
@@ -69,6 +71,8 @@ def augment(inputs: Array, truth: Array, random: Random, *, upright: bool = Fals
     if mirrored:
         inputs, truth = inputs[:, ::-1].copy(), truth[:, ::-1].copy()
     inputs[..., NORMAL] = inputs[..., NORMAL] @ turn_of_the_world(random.uniform(0, 2 * math.pi), mirrored=mirrored).T
+    if random.random() < 0.5:
+        inputs[..., NORMAL] = inputs[..., NORMAL] @ Y_UP.T
     order = np.arange(3) if upright else random.permutation(3)
     # Display curves are nearly powers, so a factor on the light is nearly a factor on the display-referred value.
     exposure = np.float32(math.exp(random.uniform(-EXPOSURE, EXPOSURE)))

@@ -86,7 +86,7 @@ def test_a_scene_is_in_one_split():
 
 
 def test_augmentation_keeps_what_belongs_together():
-    """Where all pictures are one picture, they still are; normals keep their length and their up; masks stay masks."""
+    """Where all pictures are one picture, they still are; normals keep their length and their up, y or z; masks stay masks."""
     random = np.random.default_rng(3)
     inputs = np.zeros((16, 16, 24), np.float32)
     picture = random.random((16, 16, 3)).astype(np.float32)
@@ -94,15 +94,18 @@ def test_augmentation_keeps_what_belongs_together():
         inputs[..., first : first + 3] = picture
     inputs[..., [15, 19, 23]] = random.integers(0, 2, (16, 16, 1))
     inputs[..., NORMAL] = [0.6, 0, 0.8]
-    truth = picture.repeat(2, 0).repeat(2, 1)
+    truth, ups = picture.repeat(2, 0).repeat(2, 1), list[int | None]()
     for seed in range(8):
         new, large = augment(inputs, truth, np.random.default_rng(seed))
         for first in (12, 16, 20):
             np.testing.assert_array_equal(new[..., first : first + 3], new[..., :3])
         np.testing.assert_array_equal(large[::2, ::2], new[..., :3])
         np.testing.assert_array_equal(np.unique(new[..., [15, 19, 23]]), [0, 1])
-        np.testing.assert_array_equal(new[..., 5], np.float32(0.8))
-        assert np.abs(np.hypot(new[..., 3], new[..., 4]) - 0.6).max() < 1e-6
+        normal = new[0, 0, NORMAL]
+        ups.append(int(normal.argmax()) if normal.max() == np.float32(0.8) else None)
+        np.testing.assert_array_equal(new[..., NORMAL], np.broadcast_to(normal, (16, 16, 3)))
+        assert abs(np.linalg.norm(normal) - 1) < 1e-6
+    assert {*ups} == {1, 2}
 
 
 @pytest.mark.parametrize("between", [(0.01, 0.05), (0.6, 0.95)])

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: MIT
+"""The rasteriser's clips: which are drawn, and how they are written. No browser."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from stss.images.read_write import read_rgb
+from stss.sequence.reader import open_sequence
+from training.raster.make import TRACKS, VALIDATION, draw_clip, write_clip
+
+HELD_OUT = {"candela_city", "black_forest"}
+
+
+def test_no_clip_shows_what_is_measured():
+    """Every track has clips, the held-out ones have none, and a number always draws the same clip."""
+    clips = [draw_clip(n) for n in range(64)]
+    assert {c["track"] for c in clips} == {*TRACKS, *VALIDATION}
+    assert not HELD_OUT & {*TRACKS, *VALIDATION}
+    assert not {*TRACKS} & {*VALIDATION}
+    assert clips[7] == draw_clip(7)
+    assert {c["camera"] for c in clips} == {"fly", "pan", "still"}
+    assert {c["bias"] for c in clips} == {0, -1}
+
+
+def test_planes_arrive_in_the_conventions_of_the_profile(tmp_path: Path):
+    """Rows go down, y up becomes z up, metres become centimetres, the sky is far; the exposure is the truth's too."""
+    clip = draw_clip(0) | {"size": (4, 2), "frames": 1, "truths": (0,), "exposed": 0.5, "name": "c"}
+    color = np.zeros((2, 4, 4), np.float32)
+    color[..., :3] = 0.25
+    color[0, 0] = 1.0  # the lowest row comes first
+    base, normal, position, motion = (np.zeros((2, 4, 4), np.float32) for _ in range(4))
+    base[:] = (0.1, 0.2, 0.3, 0.9)
+    normal[:] = (0, 2, 0, 0.5)
+    position[:] = (1, 2, 3, 5)
+    position[1, 3] = 0
+    motion[:] = (0.5, -1.5, 2, 0.75)
+    for i, plane in enumerate((color, base, normal, position, motion)):
+        plane.tofile(tmp_path / f"c.0.{i}")
+    np.full((4, 8, 4), 0.125, np.float32).tofile(tmp_path / "c.0.truth")
+    (tmp_path / "c.eyes.json").write_text(json.dumps([[0, 1, -2]]))
+
+    write_clip(tmp_path, clip, tmp_path / "out")
+
+    frame = open_sequence(tmp_path / "out" / "lr", "stss").load(0)
+    assert frame.color is not None
+    assert frame.color[:, 0, 0].tolist() == [0.5, 2]
+    assert frame.normal[0, ::3].tolist() == [[0, 0, 1], [0, 0, 0]]
+    assert frame.position[0, 0].tolist() == [100, -300, 200]
+    assert frame.depth[0].tolist() == [5, 5, 5, np.inf]
+    assert frame.motion[0, 0].tolist() == [0.5, -1.5]
+    assert frame.stencil[0].tolist() == [2, 2, 2, 0]
+    assert (tmp_path / "out" / "camera.csv").read_text() == "frame,x,y,z\n0,0.0000,200.0000,100.0000\n"
+    assert (read_rgb(tmp_path / "out" / "hr" / "frame.0000.exr") == 0.25).all()

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: MIT
+"""Make clips of a rasteriser: draw them from their numbers, render them in headless Chromium, write them as profile `stss`."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import shutil
+import subprocess
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stss.images.read_write import write_channels, write_rgb
+from training.command import command
+
+Clip = dict[str, Any]
+Plane = NDArray[np.float32]
+
+TRACKS = (
+    "abyss", "cocoa_temple", "cornfield_crossing", "gran_paradiso_island", "hacienda", "lighthouse", "mines", "olivermath",
+    "ravenbridge_mansion", "sandtrack", "snowmountain", "stk_enterprise", "volcano_island", "xr591",
+)  # fmt: skip
+VALIDATION = ("scotland", "zengarden")
+"""No clip of candela_city or black_forest is made: views of them are measured."""
+KARTS = ("tux", "konqi", "gnu", "kiki", "suzanne", "wilber", "puffy", "nolok", "pidgin", "xue")
+DAY, DUSK, NIGHT = ("park", "sky", "esplanade", "bridge", "venice"), ("dawn", "sunset", "sunrise"), ("night",)
+FRAMES, TRUTHS, SIZE = 6, (5,), (256, 144)
+SAMPLES = 4
+"""The truth has SAMPLES x SAMPLES samples a pixel."""
+FAR = 1e7
+"""Position of the sky, cm."""
+FAR_DEPTH = 1e10
+"""Its depth: profile `stss` takes 1e9 and more for the background."""
+
+
+def draw_clip(number: int) -> Clip:
+    """The clip with this number: four of each track in turn, the rest is chance."""
+    random = np.random.default_rng(number)
+    track = (*TRACKS, *VALIDATION)[number // 4 % (len(TRACKS) + len(VALIDATION))]
+    camera = ("fly", "pan", "fly", "still")[number % 4]
+    height = float(random.choice((0.7, 1.7, 3.5, 7.0)))
+    skies, power, color, lift = (
+        (DAY, 3.0, "#fff0dd", (0.4, 1.2)),
+        (DUSK, 2.0, "#ffc080", (0.1, 0.4)),
+        (DAY, 0.5, "#e8f0ff", (0.5, 1.2)),
+        (NIGHT, 0.4, "#90a8ff", (0.4, 1.2)),
+    )[random.choice(4, p=(0.5, 0.2, 0.15, 0.15))]
+    angle = random.uniform(0, 2 * math.pi)
+    karts = [
+        {
+            "name": str(random.choice(KARTS)),
+            "ahead": float(random.uniform(3 + 4 * i, 8 + 5 * i)),
+            "speed": float(random.choice((0, 12, 18, 25, -10))),
+            "aside": float(random.uniform(-2.5, 2.5)),
+            "spin": float(random.choice((0, 0, -2, 3))),
+        }
+        for i in range(int(random.integers(1, 4)))
+    ]
+    return {
+        "name": f"{track}_{number:03}",
+        "track": track,
+        "start": float(random.random()),
+        "camera": camera,
+        "speed": float(random.uniform(5, 25)),
+        "turn": float(random.choice((-1, 1)) * random.uniform(0.1, 0.6)),
+        "aside": float(random.uniform(-2, 2)),
+        "height": height,
+        "yaw": float(random.uniform(-0.4, 0.4) if camera == "fly" else random.uniform(-1.2, 1.2)),
+        "pitch": float(random.uniform(-0.15, 0.12) - 0.03 * height),
+        "fov": float(random.choice((40, 55, 65, 75))),
+        "karts": karts,
+        "sky": str(random.choice(skies)),
+        "skyGain": float(random.choice((1.0, 0.5, 0.15))),
+        "sun": [math.cos(angle), float(random.uniform(*lift)), math.sin(angle)],
+        "sunColor": color,
+        "sunPower": power,
+        "bias": float(random.choice((-1, -1, 0))),
+        "exposed": float(random.uniform(0.08, 0.25)),
+        "size": SIZE,
+        "frames": FRAMES,
+        "truths": TRUTHS,
+        "samples": SAMPLES,
+    }
+
+
+def write_clip(raw: Path, clip: Mapping[str, Any], out: Path) -> None:
+    """Write ``out/lr``, ``out/hr`` and ``out/camera.csv`` of a rendered clip: centimetres, z up, colours exposed alike."""
+    name, (width, height) = clip["name"], clip["size"]
+    partial = out.with_name(f".{out.name}")
+    shutil.rmtree(partial, ignore_errors=True)
+    for folder in ("lr", "hr"):
+        (partial / folder).mkdir(parents=True)
+
+    def read(what: str, scale: int = 1) -> Plane:
+        return np.fromfile(raw / f"{name}.{what}", np.float32).reshape(scale * height, scale * width, 4)[::-1]
+
+    exposure = clip["exposed"] / max(float(np.median(read("0.0")[..., :3].mean(-1))), 1e-4)
+    lines = ["frame,x,y,z"]
+    for frame, eye in enumerate(json.loads((raw / f"{name}.eyes.json").read_text())):
+        planes = [read(f"{frame}.{i}") for i in range(5)]
+        write_channels(partial / "lr" / f"frame.{frame:04}.exr", _channels(planes, exposure))
+        if frame in clip["truths"]:
+            write_rgb(partial / "hr" / f"frame.{frame:04}.exr", exposure * read(f"{frame}.truth", 2)[..., :3])
+        lines.append(f"{frame}," + ",".join(f"{v:.4f}" for v in 100 * _upright(np.array(eye))))
+    (partial / "camera.csv").write_text("\n".join(lines) + "\n")
+    partial.rename(out)
+
+
+def _channels(planes: Sequence[Plane], exposure: float) -> dict[str, Plane]:
+    color, base, normal, position, motion = planes
+    sky = position[..., 3] <= 0
+    length = np.linalg.norm(normal[..., :3], axis=-1, keepdims=True)
+    normals = np.where(sky[..., None], 0, _upright(normal[..., :3]) / np.maximum(length, 1e-6))
+    places = np.where(sky[..., None], FAR, 100 * _upright(position[..., :3]))
+    channels = {c: exposure * color[..., i] for i, c in enumerate("RGB")}
+    channels |= {f"basecolor.{c}": base[..., i] for i, c in enumerate("RGB")}
+    channels |= {f"normal.{c}": normals[..., i] for i, c in enumerate("XYZ")}
+    channels |= {f"position.{c}": places[..., i] for i, c in enumerate("XYZ")}
+    channels |= {"motion.X": motion[..., 0], "motion.Y": motion[..., 1], "depth.Z": np.where(sky, FAR_DEPTH, position[..., 3])}
+    return channels | {
+        "roughness.X": base[..., 3],
+        "metallic.X": np.where(sky, 0, normal[..., 3]),
+        "stencil.X": np.where(sky, 0, motion[..., 2]),
+        "nov.X": np.where(sky, 0, motion[..., 3]),
+    }
+
+
+def _upright(vectors: NDArray[Any]) -> NDArray[Any]:
+    """three.js has y up; the other training frames have z up."""
+    return np.stack([vectors[..., 0], -vectors[..., 2], vectors[..., 1]], -1)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """``python -m training.raster.make``."""
+    parser = argparse.ArgumentParser(prog="python -m training.raster.make", description=__doc__)
+    parser.add_argument("--assets", type=Path, required=True, help="folder with node_modules/ and SuperTuxKart's data in stk/")
+    parser.add_argument("--clips", type=int, default=64)
+    parser.add_argument("--first", type=int, default=0, help="number of the first clip")
+    parser.add_argument("-o", "--out", type=Path, required=True, help="a folder for each clip; an existing one is not made again")
+    chosen = parser.parse_args(arguments)
+    clips = [draw_clip(n) for n in range(chosen.first, chosen.first + chosen.clips)]
+    raw = chosen.out / f".raw{chosen.first}"
+    wanted = [c for c in clips if not (chosen.out / c["name"]).exists()]
+    raw.mkdir(parents=True, exist_ok=True)
+    (raw / "clips.json").write_text(json.dumps(wanted))
+    subprocess.run(["node", Path(__file__).with_name("drive.mjs"), chosen.assets, raw / "clips.json", raw], check=True)
+    for clip in wanted:
+        write_clip(raw, clip, chosen.out / clip["name"])
+    shutil.rmtree(raw)
+
+
+if __name__ == "__main__":
+    command(main)
