@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""The authors' checkpoint, read without PyTorch and without executing it.
+"""The authors' checkpoint, read without PyTorch and without executing anything that it asks for.
 
-A checkpoint is a zip archive of one pickle, ``data.pkl``, and the numbers of each storage, ``data/0``, ``data/1``, ...
-What the pickle describes is compared with the table of the network before any array is made.
+A checkpoint is a zip archive of one pickle, ``data.pkl``, and the numbers of each storage, ``data/0``, ``data/1``, ... Its pickle gets
+a dictionary of descriptions and nothing else: no class or function of Python.
 
 Source: spec 10.
 """
@@ -10,22 +10,31 @@ Source: spec 10.
 from __future__ import annotations
 
 import io
+import pickle
 import re
 import zipfile
 from pathlib import Path
+from typing import Any, ClassVar, NamedTuple, NoReturn
 
 import numpy as np
 
-from stss.weights.tensor_pickle import describe, short, tensor
 from stss_ground.regular_file import read_regular
 from stss_ref.arrays import Array
 from stss_ref.weights import TENSORS, Weights, WeightsError, check, require_names, require_shape
 
-MAX_BYTES = 64 * 2**20
-MAX_ENTRIES = 1000
-MAX_PICKLE_BYTES = 256 * 2**10
+MAX_BYTES, MAX_ENTRIES, MAX_PICKLE_BYTES = 64 * 2**20, 1000, 256 * 2**10
+"""Bounds of the file and of what its entries claim, of their number, and of ``data.pkl``."""
 
-_LEGACY_MAGIC = b"\x80\x02\x8a\x0al\xfc\x9cF\xf9 j\xa8P\x19"
+_DICT, _TENSOR, _FLOATS = "collections.OrderedDict", "torch._utils._rebuild_tensor_v2", "torch.FloatStorage"
+_BEFORE_1_6 = b"\x80\x02\x8a\x0al\xfc\x9cF\xf9 j\xa8P\x19"
+_INSTRUCTIONS = (
+    b"\x80\x95.("  # PROTO, FRAME, STOP, MARK
+    b"NX\x8cJKM\x8aG\x88\x89"  # NONE, text, whole numbers, a float, True, False
+    b")t\x85\x86\x87}su]ae"  # tuples, dictionaries, lists
+    b"qr\x94hj"  # to and from the memo
+    b"c\x93RbQ"  # GLOBAL, STACK_GLOBAL, REDUCE, BUILD, BINPERSID
+)
+"""The instructions of a pickle that PyTorch writes."""
 
 
 def read_checkpoint(path: str | Path) -> Weights:
@@ -42,113 +51,159 @@ def read_checkpoint(path: str | Path) -> Weights:
             is not what the network takes. The message names the file and the tensor.
     """
     try:
-        return _Archive(_read_file(Path(path))).weights()
+        return _weights(_entries(read_regular(Path(path), MAX_BYTES)))
     except WeightsError as error:
         raise WeightsError(f"{path}: {error}") from error
     except OSError as error:
         raise WeightsError(f"{path}: {error.strerror or error}") from error
 
 
-def _read_file(path: Path) -> bytes:
-    data = read_regular(path, MAX_BYTES)
+def _short(text: str) -> str:
+    """Text from a file of unknown origin, cut and escaped for a message of one line."""
+    return repr(text[:80])[1:-1]
+
+
+def _entries(data: bytes) -> dict[str, bytes]:
+    """The files of the archive, without the folder that they lie in."""
+    if data.startswith(_BEFORE_1_6):
+        raise WeightsError("the format of PyTorch before 1.6; load it there and save it again with a newer PyTorch")
     if not data.startswith(b"PK\x03\x04"):
-        raise WeightsError(f"not a PyTorch checkpoint: {_kind(data)}")
-    return data
-
-
-def _kind(data: bytes) -> str:
-    if not data:
-        return "the file is empty"
-    if data.startswith(_LEGACY_MAGIC):
-        return "the format of PyTorch before 1.6; load it there and save it again with a newer PyTorch"
-    if data.startswith(b"\x80"):
-        return "a bare pickle, not a zip archive"
-    if data[8:9] == b"{":
-        return "it looks like safetensors, which needs no import"
-    if data[257:262] == b"ustar":
-        return "a tar archive"
-    return f"expected a zip archive, the file begins with {data[:8]!r}"
-
-
-class _Archive:
-    """A checkpoint's zip archive; its bounds are checked before anything of it is unpacked."""
-
-    def __init__(self, data: bytes) -> None:
-        # No archive has more entries than signatures of one, so this comes before the directory is read.
-        if data.count(b"PK\x01\x02") > MAX_ENTRIES:
-            raise WeightsError(f"more than {MAX_ENTRIES} entries in the zip archive")
-        try:
-            self._zip = zipfile.ZipFile(io.BytesIO(data))
-        except Exception as error:
-            # The bytes may be anything: zipfile lets struct.error, ValueError and others through.
-            raise WeightsError(f"damaged or truncated zip archive ({short(str(error))})") from error
-        entries = self._zip.infolist()
-        self._entries = {entry.filename: entry for entry in entries}
-        if len(self._entries) < len(entries):
-            raise WeightsError("the zip archive has two entries of one name")
-        for entry in entries:
-            if entry.compress_type != zipfile.ZIP_STORED or entry.file_size != entry.compress_size:
-                raise WeightsError(f"{short(entry.filename)} is compressed, which PyTorch never does")
+        raise WeightsError(f"not a PyTorch checkpoint: expected a zip archive, the file begins with {data[:8]!r}")
+    # No archive has more entries than signatures of one, so this comes before the directory is read.
+    if data.count(b"PK\x01\x02") > MAX_ENTRIES:
+        raise WeightsError(f"more than {MAX_ENTRIES} entries in the zip archive")
+    try:
+        archive = zipfile.ZipFile(io.BytesIO(data))
+        entries = archive.infolist()
+        # Only what is compressed, or lies at the same place as another entry, is more than the file.
+        if any(entry.compress_type != zipfile.ZIP_STORED or entry.file_size != entry.compress_size for entry in entries):
+            raise WeightsError("an entry of the zip archive is compressed, which PyTorch never does")
         if sum(entry.file_size for entry in entries) > MAX_BYTES:
             raise WeightsError(f"the entries of the zip archive claim more than {MAX_BYTES >> 20} MiB")
-        pickles = [name for name in self._entries if re.fullmatch(r"([^/]+/)?data\.pkl", name)]
-        if len(pickles) != 1:
-            raise WeightsError(f"not a PyTorch checkpoint: {len(pickles)} entries named data.pkl in the zip archive")
-        self._prefix = pickles[0].removesuffix("data.pkl")
-        if f"{self._prefix}constants.pkl" in self._entries:
-            raise WeightsError("a TorchScript program, not a checkpoint")
-        self._storages: dict[str, bytes] = {}
+        files = {entry.filename: archive.read(entry) for entry in entries}
+    except WeightsError:
+        raise
+    except Exception as error:
+        # The bytes may be anything: zipfile lets struct.error, ValueError and others through.
+        raise WeightsError(f"damaged or truncated zip archive ({_short(str(error))})") from error
+    pickles = [name for name in files if re.fullmatch(r"([^/]+/)?data\.pkl", name)]
+    if len(pickles) != 1 or len(files) < len(entries):
+        raise WeightsError("not a PyTorch checkpoint: expected one entry data.pkl in the zip archive, and no two of one name")
+    prefix = pickles[0].removesuffix("data.pkl")
+    return {name.removeprefix(prefix): content for name, content in files.items()}
 
-    def _read(self, name: str) -> bytes:
-        entry = self._entries[self._prefix + name]
-        try:
-            data = self._zip.read(entry)
-        except Exception as error:
-            # As above; a wrong checksum is BadZipFile.
-            raise WeightsError(f"{name}: damaged zip archive ({short(str(error))})") from error
-        if len(data) != entry.file_size:
-            raise WeightsError(f"{name}: damaged zip archive, {len(data)} of {entry.file_size} bytes")
-        return data
 
-    def _byte_order(self) -> str:
-        if f"{self._prefix}byteorder" not in self._entries:
-            return "<"  # before PyTorch 2.1
-        order = self._read("byteorder")
-        if order not in {b"little", b"big"}:
-            raise WeightsError(f"byteorder: expected little or big, got {order[:20]!r}")
-        return "<" if order == b"little" else ">"
+def _weights(files: dict[str, bytes]) -> Weights:
+    if len(files["data.pkl"]) > MAX_PICKLE_BYTES:
+        raise WeightsError(f"data.pkl is larger than {MAX_PICKLE_BYTES >> 10} KiB")
+    try:
+        described = _Reader(io.BytesIO(files["data.pkl"])).load()
+    except WeightsError:
+        raise
+    except Exception as error:
+        # A stranger's bytes: an empty stack, an instruction without a method, text that isn't UTF-8, ...
+        raise WeightsError(f"data.pkl: damaged pickle ({type(error).__name__}: {_short(str(error))})") from error
+    if not isinstance(described, _Dict):
+        raise WeightsError(f"data.pkl: expected a dictionary of tensors, got {type(described).__name__}")
+    names = [str(name) for name in described]
+    if not set(names) & set(TENSORS):
+        found = ", ".join(_short(name) for name in names[:5]) + (", ..." if len(names) > 5 else "")
+        raise WeightsError(f"no tensor of this network in it; its keys: {found or 'none'}")
+    require_names(names)
+    order = files.get("byteorder", b"little")  # before PyTorch 2.1 there is none
+    if order not in {b"little", b"big"}:
+        raise WeightsError(f"byteorder: expected little or big, got {order[:20]!r}")
+    dtype = np.dtype("<f4" if order == b"little" else ">f4")
+    return check({name: _tensor(name, described[name], files, dtype) for name in TENSORS})
 
-    def weights(self) -> Weights:
-        """Compare what the pickle describes with the network, and read that."""
-        if self._entries[f"{self._prefix}data.pkl"].file_size > MAX_PICKLE_BYTES:
-            raise WeightsError(f"data.pkl is larger than {MAX_PICKLE_BYTES >> 10} KiB")
-        described = describe(self._read("data.pkl"))
-        names = [str(name) for name in described]
-        if not set(names) & set(TENSORS):
-            found = ", ".join(short(name) for name in names[:5]) + (", ..." if len(names) > 5 else "")
-            raise WeightsError(f"no tensor of this network in it; its keys: {found or 'none'}")
-        require_names(names)
-        order = self._byte_order()
-        return check({name: self._tensor(name, described[name], order) for name in TENSORS})
 
-    def _tensor(self, name: str, value: object, order: str) -> Array:
-        view = tensor(name, value)
-        require_shape(name, view.shape)
-        if view.dtype != "float32":
-            raise WeightsError(f"{name}: expected dtype float32, got {view.dtype}")
-        data = self._storage(name, view.storage)
-        if len(data) != 4 * view.length:
-            raise WeightsError(f"{name}: storage of {view.length} numbers has {len(data)} bytes")
-        strides = tuple(4 * step for step in view.strides)
-        numbers = np.ndarray(view.shape, f"{order}f4", data, 4 * view.offset, strides)
-        return numbers.astype(np.float32, order="C")
+def _tensor(name: str, value: object, files: dict[str, bytes], dtype: np.dtype[Any]) -> Array:
+    match value:
+        case _View((_Storage(kind, key, length), int(offset), tuple(shape), tuple(strides), *_)):
+            pass
+        case _:
+            raise WeightsError(f"{name}: expected a tensor as PyTorch writes it, got {type(value).__name__}")
+    require_shape(name, shape)
+    if kind != _FLOATS:
+        raise WeightsError(f"{name}: expected {_FLOATS}, got {_short(kind)}")
+    data = files.get(f"data/{key}")
+    if data is None or len(data) != length * dtype.itemsize:
+        raise WeightsError(f"{name}: expected data/{_short(key)} of {length} numbers in the zip archive")
+    try:
+        return np.ndarray(shape, dtype, data, offset * dtype.itemsize, [step * dtype.itemsize for step in strides]).astype(
+            np.float32, "C"
+        )
+    except (TypeError, ValueError, OverflowError) as error:
+        raise WeightsError(f"{name}: offset or strides do not fit its storage ({_short(str(error))})") from error
 
-    def _storage(self, name: str, storage: str) -> bytes:
-        if storage not in self._storages:
-            if f"{self._prefix}data/{storage}" not in self._entries:
-                raise WeightsError(f"{name}: data/{short(storage)} is missing from the zip archive")
-            try:
-                self._storages[storage] = self._read(f"data/{storage}")
-            except WeightsError as error:
-                raise WeightsError(f"{name}: {error}") from error
-        return self._storages[storage]
+
+class _Storage(NamedTuple):
+    """A storage: its type, the file ``data/KEY``, and how many numbers it holds."""
+
+    kind: str
+    key: str
+    length: int
+
+
+class _View(NamedTuple):
+    """A tensor: the arguments of the function that PyTorch makes it with."""
+
+    arguments: tuple[object, ...]
+
+
+class _Dict(dict[str | int, Any]):
+    """A dictionary of the pickle; its attributes, the versions of PyTorch's modules, are not needed."""
+
+    def __setitem__(self, key: object, value: object) -> None:
+        if not isinstance(key, str | int):  # the hash of a tuple of tuples of tuples ... would overflow the stack
+            raise WeightsError(f"data.pkl: a {type(key).__name__} as a name")
+        super().__setitem__(key, value)
+
+    def __setstate__(self, state: object) -> None:
+        pass
+
+
+class _Global(NamedTuple):
+    """What the name of a class or a function stands for; nothing in a pickle can change it."""
+
+    name: str
+
+    def __call__(self, *arguments: object) -> object:
+        if self.name == _DICT and not arguments:
+            return _Dict()
+        if self.name == _TENSOR:
+            return _View(arguments)
+        return _refuse(f"{self.name} with arguments")
+
+
+def _refuse(what: str) -> NoReturn:
+    raise WeightsError(f"data.pkl asks for {_short(what)}: a checkpoint may hold tensors only; nothing was executed")
+
+
+_Machine: Any = pickle._Unpickler  # type: ignore[attr-defined]  # the machine in Python: its memo grows with the pickle, not with its numbers
+
+
+class _Reader(_Machine):
+    """Python's machine for pickles, with the instructions of tensors alone, which find nothing to import."""
+
+    dispatch: ClassVar[dict[int, Any]] = {code: _Machine.dispatch[code] for code in _INSTRUCTIONS}
+
+    def load_empty_dictionary(self) -> None:
+        self.append(_Dict())
+
+    dispatch[ord("}")] = load_empty_dictionary
+
+    def find_class(self, module: str, name: str) -> _Global:
+        """The inert `_Global` of a name that tensors need."""
+        full = f"{module}.{name}"
+        if full not in {_DICT, _TENSOR} and not re.fullmatch(r"torch\.[A-Za-z0-9]+Storage", full):
+            _refuse(full)
+        return _Global(full)
+
+    def persistent_load(self, pid: object) -> _Storage:
+        """The description of a storage."""
+        match pid:
+            case ("storage", _Global(kind), str(key), str(), int(length)):
+                return _Storage(kind, key, length)
+            case _:
+                _refuse("a storage that PyTorch never writes")

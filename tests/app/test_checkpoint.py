@@ -4,6 +4,7 @@
 import os
 import pickle
 import random as stdlib_random
+import re
 import struct
 import zipfile
 from collections import OrderedDict
@@ -64,6 +65,16 @@ def contiguous(shape: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(int(np.prod(shape[axis + 1 :])) for axis in range(len(shape)))
 
 
+TOUCH = text("touch executed")
+
+
+class Attack:
+    """An object whose pickle runs a command."""
+
+    def __reduce__(self) -> Any:
+        return os.system, ("touch executed",)
+
+
 class Craft:
     """A checkpoint of random weights, to be spoilt."""
 
@@ -108,17 +119,14 @@ def craft(tmp_path: Path) -> Craft:
     return Craft(tmp_path / "some.pkl")
 
 
-# What is read
-
-
-@pytest.mark.parametrize("scene", ["arena", "lewis"])
-def test_the_authors_checkpoints_are_read_as_pytorch_reads_them(reference_data: Path, scene: str):
+def test_the_authors_checkpoints_are_read_as_pytorch_reads_them(reference_data: Path):
     torch = pytest.importorskip("torch")
-    path = reference_data / "checkpoints" / f"{scene}.pkl"
-    expected = torch.load(path, weights_only=True, map_location="cpu")
-    weights = read_checkpoint(path)
-    assert set(weights) == set(expected)
-    assert same(weights, {name: value.numpy() for name, value in expected.items()})
+    for scene in ("arena", "lewis"):
+        path = reference_data / "checkpoints" / f"{scene}.pkl"
+        expected = torch.load(path, weights_only=True, map_location="cpu")
+        weights = read_checkpoint(path)
+        assert set(weights) == set(expected)
+        assert same(weights, {name: value.numpy() for name, value in expected.items()})
 
 
 @pytest.mark.parametrize("protocol", [2, 3, 4, 5])
@@ -126,28 +134,21 @@ def test_what_pytorch_saves_today_is_read(tmp_path: Path, protocol: int):
     torch = pytest.importorskip("torch")
     state = OrderedDict((name, torch.from_numpy(value.copy())) for name, value in random(1).items())
     state._metadata = OrderedDict({"": {"version": 1}})  # type: ignore[attr-defined]
-    path = tmp_path / "some.pth"
-    torch.save(state, path, pickle_protocol=protocol)
-    assert same(read_checkpoint(path), random(1))
-
-
-def test_views_of_a_shared_storage_are_read(tmp_path: Path):
-    torch = pytest.importorskip("torch")
-    state = {name: torch.from_numpy(value.copy()) for name, value in random(1).items()}
     flat = torch.arange(2 * 24 * 12 + 5, dtype=torch.float32)
     state["outc.weight"] = flat[5:].view(24, 12, 2)[:, :, 1].t().reshape(12, 24).t().t().view(12, 24, 1, 1)
     state["outc.bias"] = flat[3::7][:12]
     state["up3.conv.double_conv.2.bias"] = flat[7].expand(24)
-    torch.save(state, tmp_path / "some.pth")
-    weights = read_checkpoint(tmp_path / "some.pth")
-    assert same(weights, {name: value.numpy() for name, value in state.items()})
+    path = tmp_path / "some.pth"
+    torch.save(state, path, pickle_protocol=protocol)
+    assert same(read_checkpoint(path), {name: value.numpy() for name, value in state.items()})
+    torch.save(state, path, _use_new_zipfile_serialization=False)
+    assert "the format of PyTorch before 1.6" in refusal(path)
 
 
 def test_the_handmade_checkpoint_is_read(craft: Craft):
     assert same(read_checkpoint(craft.write()), random(1))
-
-
-def test_the_attributes_of_the_dictionary_are_ignored(craft: Craft):
+    # Python's machine in C would make an array of as many places as the number says.
+    assert same(read_checkpoint(craft.write(program(craft.items, b"r\xff\xff\xff\xff"))), random(1))
     metadata = b"}" + text("_metadata") + EMPTY + b"sb"
     assert same(read_checkpoint(craft.write(program(craft.items, metadata))), random(1))
 
@@ -158,226 +159,99 @@ def test_big_endian_numbers_are_read(craft: Craft):
     weights = read_checkpoint(craft.write())
     assert same(weights, random(1))
     assert all(value.dtype == np.float32 for value in weights.values())
+    craft.files["archive/byteorder"] = b"middle"
+    assert craft.refused() == "byteorder: expected little or big, got b'middle'"
 
 
-# Tensors that are not the network's
-
-
-def test_a_missing_tensor_is_named(craft: Craft):
-    del craft.items["outc.bias"]
-    assert craft.refused() == "outc.bias: missing, of 92 tensors"
-
-
-def test_an_extra_tensor_is_named(craft: Craft):
-    craft.items["fc.bias"] = craft.items["outc.bias"]
-    assert craft.refused() == "'fc.bias': not a tensor of this network"
-
-
-def test_a_misshapen_tensor_is_named_and_not_made(craft: Craft):
-    """Each number of the storage repeated a million million times would not fit into any memory."""
-    craft.items["outc.bias"] = tensor(storage("91", 12), (10**6, 10**6), (0, 0))
-    assert craft.refused() == "outc.bias: expected shape (12,), got (1000000, 1000000)"
-
-
-@pytest.mark.parametrize(("kind", "dtype"), [("DoubleStorage", "float64"), ("HalfStorage", "float16")])
-def test_another_type_is_named(craft: Craft, kind: str, dtype: str):
-    craft.items["outc.bias"] = tensor(storage("91", 12, kind), (12,), (1,))
-    assert craft.refused() == f"outc.bias: expected dtype float32, got {dtype}"
-
-
-def test_a_number_that_is_none_is_named(craft: Craft):
-    name = "archive/data/" + craft.key("outc.bias")
-    craft.files[name] = craft.files[name][:-4] + np.float32(np.nan).tobytes()
-    assert craft.refused() == "outc.bias: 1 non-finite values, first at index (11,)"
-
-
-@pytest.mark.parametrize("value", [text("x"), b"N", b"}", b")", b"]", integer(3), REBUILD, storage("91", 12)])
-def test_a_name_without_a_tensor_is_named(craft: Craft, value: bytes):
-    craft.items["outc.bias"] = value
-    assert craft.refused().startswith("outc.bias: expected a tensor, got ")
-
-
-def test_another_dictionary_shows_its_keys(craft: Craft):
+def test_names_that_are_not_the_network_s(craft: Craft):
     nested = {"epoch": integer(3), "state_dict": program(craft.items)[2:-1], "optimizer": b"}" + integer(0) + b"]s"}
     assert craft.refused(program(nested)) == "no tensor of this network in it; its keys: epoch, state_dict, optimizer"
     assert craft.refused(program({})) == "no tensor of this network in it; its keys: none"
+    assert craft.refused(program({"b\nc\x00": b"N"})) == r"no tensor of this network in it; its keys: b\nc\x00"
+    craft.items["a\n\x1b[31m\u202e" + "x" * 10_000] = b"N"
+    assert len(craft.refused()) < 200
 
 
+TWELVE = tensor(storage("91", 12), (12,), (1,))
 SENSELESS = [
-    tensor(storage("91", 12), (12,), (1,), offset=1),
-    tensor(storage("91", 12), (12,), (2,)),
-    tensor(storage("91", 12), (12,), (2**62,)),
-    tensor(storage("91", 12), (12,), (-1,), offset=11),
-    tensor(storage("91", 12), (12,), (1,), offset=-1),
-    tensor(storage("91", 12), (-12,), (1,)),
-    tensor(storage("91", 12), (12,), ()),
-    tensor(storage("91", 12), (12,), (1, 1)),
-    tensor(storage("91", 12), (2**80,), (1,)),
-    tensor(storage("91", 12), (2**62,) * 1000, (0,) * 1000),
-    tensor(storage("91", -12), (12,), (1,)),
-    tensor(storage("91", 2**80), (12,), (1,)),
-    tensor(storage("91", 13), (12,), (1,)),
-    tensor(storage("91", 11), (12,), (1,)),
-    tensor(storage("4711", 12), (12,), (1,)),
-    tensor(storage("../data.pkl", 12), (12,), (1,)),
-    tensor(text("no storage") + b"Q", (12,), (1,)),
-    tensor(text("no storage"), (12,), (1,)),
-    tensor(tupled(text("storage"), text("FloatStorage"), text("91"), text("cpu"), integer(12)) + b"Q", (12,), (1,)),
-    tensor(tupled(text("storage"), REBUILD, text("91"), text("cpu"), integer(12)) + b"Q", (12,), (1,)),
-    tensor(tupled(text("storage"), named("torch", "FloatStorage")) + b"Q", (12,), (1,)),
-    REBUILD + b")R",
-    REBUILD + text("no tuple") + b"R",
-    REBUILD + tupled(storage("91", 12), text("0"), tupled(integer(12)), tupled(integer(1))) + b"R",
-    REBUILD + tupled(storage("91", 12), b"\x89", tupled(integer(12)), tupled(integer(1))) + b"R",
-    REBUILD + tupled(storage("91", 12), integer(0), text("12"), tupled(integer(1))) + b"R",
+    # A number of the storage, repeated a million million times, would not fit into any memory.
+    (tensor(storage("91", 12), (10**6, 10**6), (0, 0)), "expected shape (12,), got (1000000, 1000000)"),
+    (tensor(storage("91", 12), (2**80,), (1,)), "expected shape (12,)"),
+    (tensor(storage("91", 12), (-12,), (1,)), "expected shape (12,)"),
+    (tensor(storage("91", 12, "DoubleStorage"), (12,), (1,)), "expected torch.FloatStorage, got torch.DoubleStorage"),
+    *((tensor(storage("91", 12), (12,), steps), "offset or strides") for steps in ((2,), (2**62,), (2**80,), (-1,), (), (1, 1))),
+    *((tensor(storage("91", 12), (12,), (1,), offset), "offset or strides") for offset in (1, -1, 2**80)),
+    *((tensor(storage("91", n), (12,), (1,)), "expected data/91 of") for n in (11, 13, -12, 2**80)),
+    (tensor(storage("4711", 12), (12,), (1,)), "expected data/4711 of 12 numbers"),
+    (tensor(storage("../data.pkl", 12), (12,), (1,)), "expected data/../data.pkl of 12 numbers"),
+    *((value, "expected a tensor") for value in (text("x"), b"N", b"}", b")", b"]", integer(3), REBUILD, storage("91", 12))),
+    *((value, "expected a tensor") for value in (REBUILD + b")R", tensor(text("no storage"), (12,), (1,)))),
+    (REBUILD + tupled(storage("91", 12), integer(0), text("12"), tupled(integer(1))) + b"R", "expected a tensor"),
+    (tupled(b")q\x00", b"h\x00h\x00\x86q\x00" * 10_000), "expected a tensor"),  # twice as long each time
 ]
 
 
-@pytest.mark.parametrize("value", SENSELESS, ids=range(len(SENSELESS)))
-def test_a_description_that_makes_no_sense_is_named(craft: Craft, value: bytes):
+@pytest.mark.parametrize(("value", "message"), SENSELESS, ids=range(len(SENSELESS)))
+def test_a_tensor_that_is_none_is_named(craft: Craft, value: bytes, message: str):
     craft.items["outc.bias"] = value
-    assert craft.refused().startswith("outc.bias: ")
+    assert craft.refused().startswith(f"outc.bias: {message}")
 
 
-# Pickles that ask for more than tensors
+ATTACKS = [
+    (named("os", "system") + TOUCH + b"\x85R", "os.system"),
+    (named("builtins", "eval") + TOUCH + b"\x85R", "builtins.eval"),
+    (text("os") + text("system") + b"\x93" + TOUCH + b"\x85R", "os.system"),
+    (named("collections", "OrderedDict.__init__"), "collections.OrderedDict.__init__"),
+    (named("torch", "load"), "torch.load"),
+    (named("torch", "os.Storage"), "torch.os.Storage"),
+    (ORDERED_DICT + tupled(b"]") + b"R", "collections.OrderedDict with arguments"),
+    (named("torch", "FloatStorage") + tupled(integer(2**40)) + b"R", "torch.FloatStorage with arguments"),
+    (tensor(text("no storage") + b"Q", (12,), (1,)), "a storage that PyTorch never writes"),
+    (tupled(text("storage"), text("FloatStorage"), text("91"), text("cpu"), integer(12)) + b"Q", "a storage that"),
+    # instructions that no checkpoint has: INST, OBJ, NEWOBJ, NEWOBJ_EX, EXT1, PERSID, EMPTY_SET, DUP
+    *((b"(" + TOUCH + b"ios\nsystem\n", "KeyError"), (b"(" + ORDERED_DICT + b"o", "KeyError")),
+    *((ORDERED_DICT + code, "KeyError") for code in (b")\x81", b")}\x92", b"\x82\x01", b"Pname\n", b"\x8f", b"2")),
+    (text("x") + b")R", "TypeError"),
+    (ORDERED_DICT + b"}" + text("__init__") + REBUILD + b"sb", "AttributeError"),
+    (REBUILD + b"N}" + text("__code__") + text("x") + b"s\x86b", "AttributeError"),
+    *((pickle.dumps(Attack(), protocol)[2 if protocol else 0 : -1], "KeyError|posix.system|nt.system") for protocol in (0, 2)),
+]
 
-SYSTEM = text("touch executed")
 
-
-@pytest.mark.parametrize(
-    ("attack", "asks_for"),
-    [
-        (named("os", "system") + SYSTEM + b"\x85R", "os.system"),
-        (named("posix", "system") + SYSTEM + b"\x85R", "posix.system"),
-        (named("builtins", "eval") + SYSTEM + b"\x85R", "builtins.eval"),
-        (named("__builtin__", "exec") + SYSTEM + b"\x85R", "__builtin__.exec"),
-        (b"(" + SYSTEM + b"ios\nsystem\n", "os.system"),
-        (b"(" + b"icollections\nOrderedDict\n", "collections.OrderedDict"),
-        (text("os") + text("system") + b"\x93" + SYSTEM + b"\x85R", "os.system"),
-        (named("collections", "OrderedDict.__init__"), "collections.OrderedDict.__init__"),
-        (named("collections", "abc.sys.modules"), "collections.abc.sys.modules"),
-        (named("torch._utils", "_rebuild_parameter"), "torch._utils._rebuild_parameter"),
-        (named("torch", "load"), "torch.load"),
-        (named("numpy", "load"), "numpy.load"),
-        (b"(" + named("os", "system") + SYSTEM + b"o", "os.system"),
-        (ORDERED_DICT + b")\x81", "the instruction NEWOBJ"),
-        (ORDERED_DICT + b")}\x92", "the instruction NEWOBJ_EX"),
-        (b"(" + ORDERED_DICT + b"o", "the instruction OBJ"),
-        (b"\x82\x01", "the instruction EXT1"),
-        (b"\x83\x01\x00", "the instruction EXT2"),
-        (b"\x84\x01\x00\x00\x00", "the instruction EXT4"),
-        (b"Pname\n", "the instruction PERSID"),
-        (b"\x8f", "the instruction EMPTY_SET"),
-        (b"2" * 9, "the instruction DUP"),
-        (ORDERED_DICT + tupled(b"]") + b"R", "collections.OrderedDict with arguments"),
-        (named("torch", "FloatStorage") + tupled(integer(2**40)) + b"R", "torch.FloatStorage with arguments"),
-        (text("x") + b")R", "a call of a str"),
-        (ORDERED_DICT + b"}" + text("__init__") + REBUILD + b"sb", "attributes of a global"),
-        (REBUILD + b"N}" + text("__code__") + text("x") + b"s\x86b", "attributes of a global"),
-    ],
-)
+@pytest.mark.parametrize(("attack", "message"), ATTACKS, ids=range(len(ATTACKS)))
 @pytest.mark.parametrize("nested", [False, True])
 def test_nothing_is_imported_called_or_changed(
-    craft: Craft, monkeypatch: pytest.MonkeyPatch, attack: bytes, asks_for: str, nested: bool
+    craft: Craft, monkeypatch: pytest.MonkeyPatch, attack: bytes, message: str, nested: bool
 ):
     monkeypatch.chdir(craft.path.parent)
-    if nested:
-        craft.items["outc.bias"] = attack
-        pickled = program(craft.items)
-    else:
-        pickled = b"\x80\x02" + attack + b"."
-    message = f"data.pkl asks for {asks_for}: a checkpoint may hold tensors only; nothing was executed"
-    assert craft.refused(pickled) == message
-    assert os.listdir() == ["some.pkl"]  # noqa: PTH208
-
-
-@pytest.mark.parametrize("protocol", range(6))
-def test_an_object_that_runs_a_command_does_not(craft: Craft, monkeypatch: pytest.MonkeyPatch, protocol: int):
-    class Attack:
-        def __reduce__(self) -> Any:
-            return os.system, ("touch executed",)
-
-    monkeypatch.chdir(craft.path.parent)
-    message = craft.refused(pickle.dumps({"outc.bias": Attack()}, protocol))
-    assert "nothing was executed" in message
+    refused = craft.refused(program({**craft.items, "outc.bias": attack}) if nested else b"\x80\x02" + attack + b".")
+    assert re.match(rf"data\.pkl(: damaged pickle \(| asks for )({message})", refused)
     assert os.listdir() == ["some.pkl"]  # noqa: PTH208
 
 
 DAMAGED = [
-    b"",
-    b".",
-    b"\x80\x02.",
-    b"\x80\x02}",
-    b"\x80\x63}.",
-    b"\xff\xff",
-    b"\x80\x02s.",
-    b"\x80\x02Ns.",
-    b"\x80\x02t.",
-    b"\x80\x02NNNs.",
-    b"\x80\x02NNe.",
-    b"\x80\x02}(Nu.",
-    b"\x80\x02]N(Na.",
-    b"\x80\x02R.",
-    b"\x80\x02Q.",
-    b"\x80\x02b.",
-    b"\x80\x02q\x00.",
-    b"\x80\x02h\x07.",
-    b"\x80\x02j\xff\xff\xff\xff.",
-    b"\x80\x02}r\xff\xff\xff\xff0.",
-    b"\x80\x02X\xff\xff\xff\x7fabc.",
-    b"\x80\x02X\x02\x00\x00\x00\xff\xfe.",
-    b"\x80\x02B\xff\xff\xff\x7fabc.",
-    b"\x80\x04\x95\xff\xff\xff\xff\xff\xff\xff\x7f.",
-    b"\x80\x02\x8b\xff\xff\xff\x7f.",
-    b"\x80\x02\x8b\xff\xff\xff\xff.",
-    b"\x80\x02cos",
-    b"\x80\x02I" + b"9" * 10_000 + b"\n.",
-    b"\x80\x02S'\\q'\n.",
-    b"\x80\x02N.",
-    b"\x80\x02].",
-    b"\x80\x02}" + tupled(text("a")) + b"Ns.",
-    b"\x80\x02)" + b"\x85" * 200_000 + b".",
-    b"\x80\x02})" + b"\x85" * 200_000 + b"Ns.",
-    b"\x80\x02" + b"(" * 200_000 + b".",
-    b"\x80\x02" + b"]q\x00" + b"h\x00" * 50_000 + b".",
-    b"\x80\x02]q\x00h\x00a.",
-    b"\x80\x02}q\x00" + text("a") + b"h\x00s.",
-    b"\x80\x02" + b")" + b"\x85" * 100_000 + b"N\x93.",
-    b"\x80\x02" + text("os") + b")" + b"\x85" * 100_000 + b"\x93.",
-]
+    b"", b".", b"\xff\xff", *(b"\x80\x02" + code for code in (
+        b".", b"}", b"s.", b"Ns.", b"t.", b"NNNs.", b"NNe.", b"}(Nu.", b"]N(Na.", b"R.", b"Q.", b"b.", b"q\x00.", b"h\x07.",
+        b"j\xff\xff\xff\xff.", b"}r\xff\xff\xff\xff0.", b"X\xff\xff\xff\x7fabc.", b"X\x02\x00\x00\x00\xff\xfe.",
+        b"B\xff\xff\xff\x7fabc.", b"\x8b\xff\xff\xff\x7f.", b"cos", b"I" + b"9" * 10_000 + b"\n.", b"N.", b"].",
+        b"}" + tupled(text("a")) + b"Ns.", b")" + b"\x85" * 200_000 + b".", b"})" + b"\x85" * 200_000 + b"Ns.",
+        b"(" * 200_000 + b".", b"]q\x00" + b"h\x00" * 50_000 + b".", b"]q\x00h\x00a.", b"}q\x00" + text("a") + b"h\x00s.",
+    )),
+    b"\x80\x04\x95\xff\xff\xff\xff\xff\xff\xff\x7f.", b"N" * (checkpoint.MAX_PICKLE_BYTES + 1),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("pickled", DAMAGED, ids=range(len(DAMAGED)))
-def test_a_damaged_pickle_is_an_error(craft: Craft, pickled: bytes):
-    assert craft.refused(pickled)
-
-
-def test_the_memo_is_bounded_by_the_pickle_not_by_its_numbers(craft: Craft):
-    """Python's own machine would make an array of as many places as the number says."""
-    assert same(read_checkpoint(craft.write(program(craft.items, b"r\xff\xff\xff\xff"))), random(1))
-
-
-def test_tuples_that_double_cost_nothing(craft: Craft):
-    craft.items["outc.bias"] = tupled(b")q\x00", b"h\x00h\x00\x86q\x00" * 10_000)
-    assert craft.refused() == "outc.bias: expected a tensor, got tuple"
-
-
-def test_text_of_a_stranger_stays_on_one_line(craft: Craft):
-    craft.items["a\n\x1b[31m\u202e" + "x" * 10_000] = b"N"
-    assert len(craft.refused()) < 200
-    message = craft.refused(program({"b\nc\x00": b"N"}))
-    assert message == r"no tensor of this network in it; its keys: b\nc\x00"
-
-
-def test_a_large_pickle_is_refused_before_it_is_read(craft: Craft):
-    assert craft.refused(b"N" * (checkpoint.MAX_PICKLE_BYTES + 1)) == "data.pkl is larger than 256 KiB"
+def test_a_damaged_pickle_is_an_error(craft: Craft):
+    craft.files = {}
+    for pickled in DAMAGED:
+        assert craft.refused(pickled)
 
 
 def test_any_byte_may_be_wrong(craft: Craft):
     """A changed byte gives weights or a WeightsError; no other exception, and no warning."""
     good = program(craft.items)
     generator = stdlib_random.Random(1)
-    for _ in range(150):
+    for _ in range(50):
         spoilt = bytearray(good)
         for _ in range(generator.choice((1, 1, 3))):
             spoilt[generator.randrange(len(spoilt))] = generator.randrange(256)
@@ -385,46 +259,22 @@ def test_any_byte_may_be_wrong(craft: Craft):
             read_checkpoint(craft.write(bytes(spoilt)))
 
 
-# Archives
-
-
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (b"", "the file is empty"),
-        (pickle.dumps({"a": 1}, 2), "a bare pickle, not a zip archive"),
+        (b"", "not a PyTorch checkpoint: expected a zip archive"),
+        (pickle.dumps({"a": 1}, 2), "not a PyTorch checkpoint: expected a zip archive"),
         (pickle.dumps(0x1950A86A20F9469CFC6C, 2) + b"\x80\x02M\xe9\x03.", "the format of PyTorch before 1.6"),
-        (struct.pack("<Q", 2) + b"{}", "it looks like safetensors"),
-        (bytes(257) + b"ustar" + bytes(250), "a tar archive"),
-        (b"\x7fELF\x02\x01\x01\x00rest", r"expected a zip archive, the file begins with b'\x7fELF\x02\x01\x01\x00'"),
+        (b"PK\x03\x04" + b"PK\x01\x02" * 1001, "more than 1000 entries"),
+        (bytes(checkpoint.MAX_BYTES + 1), "expected at most 64 MiB, found more"),
     ],
+    ids=["empty", "pickle", "old", "entries", "huge"],
 )
-def test_another_format_is_recognised(tmp_path: Path, data: bytes, message: str):
+def test_another_format_is_refused(tmp_path: Path, data: bytes, message: str):
     path = tmp_path / "some.pkl"
     path.write_bytes(data)
-    assert refusal(path).startswith(f"not a PyTorch checkpoint: {message}")
-
-
-def test_pytorch_s_own_old_format_is_recognised(tmp_path: Path):
-    torch = pytest.importorskip("torch")
-    path = tmp_path / "old.pkl"
-    torch.save({"a": torch.zeros(2)}, path, _use_new_zipfile_serialization=False)
-    assert "the format of PyTorch before 1.6" in refusal(path)
-
-
-def test_what_can_not_be_opened_is_named(tmp_path: Path):
-    assert refusal(tmp_path / "absent.pkl") == "No such file or directory"
+    assert refusal(path).startswith(message)
     assert refusal(tmp_path) == "expected a regular file, found a folder"
-    if hasattr(os, "mkfifo"):
-        os.mkfifo(tmp_path / "pipe")
-        assert refusal(tmp_path / "pipe") == "expected a regular file, found a pipe"
-
-
-def test_a_huge_file_is_refused(tmp_path: Path):
-    path = tmp_path / "huge.pkl"
-    with path.open("wb") as file:
-        file.truncate(checkpoint.MAX_BYTES + 1)
-    assert refusal(path) == "expected at most 64 MiB, found more"
 
 
 @pytest.mark.parametrize("share", [0.0001, 0.3, 0.9, 0.999, 0.99999])
@@ -434,74 +284,34 @@ def test_a_truncated_archive_is_refused(craft: Craft, share: float):
     assert "damaged or truncated zip archive" in refusal(craft.path)
 
 
-def test_a_wrong_checksum_names_the_tensor(craft: Craft):
-    data = bytearray(craft.write().read_bytes())
-    values = random(1)["outc.weight"].astype("<f4").tobytes()
-    data[data.index(values) + 5] ^= 1
-    craft.path.write_bytes(data)
-    assert refusal(craft.path).startswith("outc.weight: data/90: damaged zip archive (Bad CRC-32")
+def test_a_damaged_archive_is_refused(craft: Craft):
+    good = craft.write().read_bytes()
+    entry, header = good.index(b"PK\x01\x02"), good.index(b"PK\x03\x04")
 
+    def changed(*places: tuple[int, bytes]) -> str:
+        data = bytearray(good)
+        for at, new in places:
+            data[at : at + len(new)] = new
+        craft.path.write_bytes(data)
+        return refusal(craft.path)
 
-def test_a_missing_storage_names_the_tensor(craft: Craft):
-    del craft.files["archive/data/91"]
-    assert craft.refused() == "outc.bias: data/91 is missing from the zip archive"
-
-
-def test_a_short_storage_names_the_tensor(craft: Craft):
-    craft.files["archive/data/91"] = bytes(44)
-    assert craft.refused() == "outc.bias: storage of 12 numbers has 44 bytes"
-
-
-def test_an_unknown_byte_order_is_refused(craft: Craft):
-    craft.files["archive/byteorder"] = b"middle"
-    assert craft.refused() == "byteorder: expected little or big, got b'middle'"
-
-
-def test_a_compressed_entry_is_refused(craft: Craft):
-    """A zip bomb must be compressed."""
+    numbers = good.index(random(1)["outc.weight"].astype("<f4").tobytes())
+    assert "archive (Bad CRC-32 for file 'archive/data/90')" in changed((numbers + 5, bytes([good[numbers + 5] ^ 1])))
+    claim = struct.pack("<I", 2**31)
+    assert "compressed" in changed((entry + 24, claim))
+    assert "claim more than 64 MiB" in changed((entry + 24, claim), (entry + 20, claim))
+    assert "damaged" in changed((header + 6, b"\1"), (entry + 8, b"\1"))
     craft.write(compression=zipfile.ZIP_DEFLATED)
-    assert refusal(craft.path) == "archive/data.pkl is compressed, which PyTorch never does"
+    assert "compressed, which PyTorch never does" in refusal(craft.path)
 
 
-def test_an_entry_that_lies_about_its_size_is_refused(craft: Craft):
-    data = bytearray(craft.write().read_bytes())
-    entry = data.index(b"PK\x01\x02")
-    data[entry + 24 : entry + 28] = struct.pack("<I", 2**31)
-    craft.path.write_bytes(data)
-    assert "compressed" in refusal(craft.path)
-    data[entry + 20 : entry + 24] = struct.pack("<I", 2**31)
-    craft.path.write_bytes(data)
-    assert "claim more than 64 MiB" in refusal(craft.path)
-
-
-def test_an_encrypted_entry_is_refused(craft: Craft):
-    data = bytearray(craft.write().read_bytes())
-    for signature, flags in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
-        data[data.index(signature) + flags] |= 1
-    craft.path.write_bytes(data)
-    assert "data.pkl: damaged zip archive" in refusal(craft.path)
-
-
-def test_many_entries_are_refused(craft: Craft):
-    craft.files |= {f"archive/data/{key}": b"" for key in range(1000, 2000)}
-    assert craft.refused() == "more than 1000 entries in the zip archive"
-
-
-def test_two_entries_of_one_name_are_refused(craft: Craft):
+def test_one_pickle_and_no_two_entries_of_one_name(craft: Craft):
     craft.write()
     with zipfile.ZipFile(craft.path, "a") as file, pytest.warns(UserWarning, match="Duplicate name"):
-        file.writestr("archive/data.pkl", b"N.")
-    assert refusal(craft.path) == "the zip archive has two entries of one name"
-
-
-def test_an_archive_without_a_pickle_or_with_two_is_refused(craft: Craft):
+        file.writestr("archive/data/0", b"")
+    assert "no two of one name" in refusal(craft.path)
     craft.files["other/data.pkl"] = b"N."
-    assert "2 entries named data.pkl" in craft.refused()
+    assert "expected one entry data.pkl" in craft.refused()
     with zipfile.ZipFile(craft.path, "w") as file:
         file.writestr("readme.txt", b"hello")
-    assert "0 entries named data.pkl" in refusal(craft.path)
-
-
-def test_a_torchscript_program_is_recognised(craft: Craft):
-    craft.files["archive/constants.pkl"] = b"N."
-    assert craft.refused() == "a TorchScript program, not a checkpoint"
+    assert "expected one entry data.pkl" in refusal(craft.path)
