@@ -34,7 +34,7 @@ FRAMES = 16
 SIZE = (90, 160)
 """H, W of the frames; the truth has twice that."""
 INPUT_SAMPLES = 9
-"""Rays for each pixel of a rendered frame, as in an engine with antialiasing; docs/model-card.md has scores without it."""
+"""Rays for each pixel of a rendered frame, as in an engine with antialiasing."""
 SAMPLES = 16
 """Rays for each pixel of the truth."""
 BACKGROUND = 1e10
