@@ -17,13 +17,24 @@ settings.register_profile("dev", deadline=None)
 settings.load_profile("ci" if os.environ.get("CI") else "dev")
 
 
-LATE = "test_numbers.py"
-"""Tests of another folder than `tests/cl` that need the kernels of every precision."""
+GPU_TESTS = {"gpu", "few_units", "device-gpu"}
+"""Fixtures of tests that compile the kernels of GPUs, and the parameter of tests/cl/conftest.py."""
 
 
+@pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items):
-    """Those come last: by then another test has compiled the kernels. Two workers that want the same ones at once both compile them."""
-    items.sort(key=lambda item: item.path.name == LATE)
+    """Of two workers, one begins with what compiles the kernels of processors, the other with those of GPUs: each compiles them once.
+
+    A worker begins with its half, and takes from the end of the other's when it is through: tests that compile nothing are last.
+    """
+    kinds = {"cpu": [], "gpu": [], "": []}
+    for item in items:
+        compiles = item.path.parent.name in ("cl", "app", "hostile")
+        params = getattr(getattr(item, "callspec", None), "params", {})
+        gpu = item.path.name == "test_conv_gpu.py" or GPU_TESTS & {*item.fixturenames, f"device-{params.get('device')}"}
+        kinds["" if not compiles else "gpu" if gpu else "cpu"].append(item)
+    first = max(0, len(items) // 2 - len(kinds["cpu"]))
+    items[:] = [*kinds["cpu"], *kinds[""][:first], *kinds["gpu"], *kinds[""][first:]]
 
 
 def pytest_collection_finish():

@@ -171,7 +171,7 @@ def test_small_tiles_at_an_eighth(device):
     assert not fast or sides == {(4, 32 // 4), (4, 16 // 4), (4, 8 // 4), (2, 4 // 2)}
 
 
-@few
+@settings(few, max_examples=6)  # each compiles two kernels
 @given(
     size=sizes(13),
     shape=st.sampled_from([(4, 24), (24, 24), (24, 32), (32, 32)]),
@@ -271,7 +271,7 @@ def test_the_image_is_the_references(net, size, seed, share):
     assert ratio(f"network.cl.{net.precision}", image, want) <= 1
 
 
-def test_the_image_with_vectors_of_16(processor):
+def test_the_image_with_vectors_of_16(processor, unoptimised):
     """From half storage: the stores and the image's own layer, too, know them. Those of 8: test_changed_tiles.py, other tile sizes."""
     if processor.name.startswith(INTEL):
         pytest.skip("its compiler takes minutes for one of these kernels")

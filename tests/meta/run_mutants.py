@@ -13,7 +13,7 @@ from time import perf_counter
 
 from conformance.judge import TIERS, Judge
 from conformance.mistakes import MISTAKES, find
-from conformance.run_suite import run_suite
+from conformance.run_suite import run_suite, run_test
 
 PAGE = Path(__file__).parents[2] / "docs" / "mutants.md"
 MARK = "<!-- written by make mutants -->"
@@ -22,7 +22,11 @@ MARK = "<!-- written by make mutants -->"
 def failed(name, seed=0):
     """The results of its stage's quick tier that a mutant fails; the first one only, unshrunken."""
     mutant = find(name)
-    results = run_suite(Judge(mutant.port(), TIERS["quick"], seed, shrink=False), [mutant.stage], first_only=True)
+    judge = Judge(mutant.port(), TIERS["quick"], seed, shrink=False)
+    if mutant.large:  # nothing before the large frames can find it
+        results = [run_test(judge, f"{mutant.stage}.large_frames_agree_with_the_reference")]
+    else:
+        results = run_suite(judge, [mutant.stage], first_only=True)
     return [result for result in results if result.outcome in ("failed", "error")]
 
 
