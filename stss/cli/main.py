@@ -123,17 +123,24 @@ def run(
     if cluster is None and mixed_devices:
         raise InputError("--mixed-devices: expected --cluster as well")
     first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
-    with shown_progress(console, last - first + 1, preview and Preview(preview, out, options)) as on_frame:
-        if cluster is not None:
-            require_independent(method, budget)
-            where = Cluster(cluster, mixed_devices)
-            summary = run_on_cluster(frames, out, where, method, loaded, backend, compute, options, on_frame, reads)
-        else:
-            if budget is None:
-                engine, label = open_method(method, loaded, backend, compute, tell=_tell)
+    try:
+        with shown_progress(console, last - first + 1, preview and Preview(preview, out, options)) as on_frame:
+            if cluster is not None:
+                require_independent(method, budget)
+                where = Cluster(cluster, mixed_devices)
+                summary = run_on_cluster(frames, out, where, method, loaded, backend, compute, options, on_frame, reads)
             else:
-                engine, label = within_budget(loaded, compute, budget, first_frames(frames, options), tell=_tell)
-            summary = run_sequence(frames, out, engine, label, options, on_frame, reads)
+                if budget is None:
+                    engine, label = open_method(method, loaded, backend, compute, tell=_tell)
+                else:
+                    engine, label = within_budget(loaded, compute, budget, first_frames(frames, options), tell=_tell)
+                summary = run_sequence(frames, out, engine, label, options, on_frame, reads)
+    except KeyboardInterrupt:
+        echo(
+            f"stss: stopped; to go on, give the same command with --resume{' in place of --overwrite' if options.overwrite else ''}",
+            err=True,
+        )
+        sys.exit(130)
     _report(summary, out, console)
     sys.exit(1 if any(frame.fault for frame in summary.frames) else 0)
 

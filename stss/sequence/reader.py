@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from copy import copy
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +78,12 @@ class Sequence:
     def reads(self) -> tuple[Path, ...]:
         """Every file that the sequence reads."""
         return (*self.tables, *(path for frame in self.frames.values() for path in frame.files))
+
+    def part(self, numbers: Collection[int]) -> Sequence:
+        """The sequence without the frames that ``numbers`` does not name."""
+        found = copy(self)
+        found.frames = {number: frame for number, frame in self.frames.items() if number in numbers}
+        return found
 
     def load(self, number: int, *, color: bool = True) -> Buffers:
         """Read one display frame.

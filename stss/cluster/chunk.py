@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: MIT
+"""What a worker computes: some frames of a run, as bytes for the process that writes them."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Iterable
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import Lock
+
+from stss_cl.errors import DeviceError
+
+from stss.frames.backends import Backend
+from stss.frames.compute_options import ComputeOptions
+from stss.frames.display_frame import WINDOW
+from stss.run.choose_backend import open_method
+from stss.run.frame_job import FrameJob, FrameReport, frame_name
+from stss.run.options import RunOptions
+from stss.sequence.reader import Sequence
+from stss.weights.file import LoadedWeights
+from stss_ground.errors import InputError
+from stss_ground.version import VERSION
+from stss_ref.arrays import ArrayError
+
+
+@dataclass(frozen=True)
+class Work:
+    """A run, or the part of it that a chunk needs.
+
+    Attributes:
+        version: of the process that writes; a worker of another one would make other files.
+        sequence: the sequence; the worker reads the same paths.
+        rendered: the display frames that count as rendered.
+        out: the run's folder, for messages and suffixes; the worker writes nothing.
+        options, method, loaded, backend, compute: as for a run in one process.
+    """
+
+    version: str
+    sequence: Sequence
+    rendered: frozenset[int]
+    out: Path
+    options: RunOptions
+    method: str
+    loaded: LoadedWeights
+    backend: str
+    compute: ComputeOptions
+
+    def part(self, numbers: Iterable[int]) -> Work:
+        """The work without the frames that those of ``numbers`` do not depend on."""
+        ordered = sorted(numbers)
+        needed = {self.sequence.numbers[0], *range(ordered[0] - WINDOW + 1, ordered[-1] + 1)}
+        return replace(self, sequence=self.sequence.part(needed))
+
+
+@dataclass(frozen=True)
+class Introduction:
+    """A worker's backend and the label of its weights, or the reason why it cannot work."""
+
+    backend: str
+    weights: str
+    error: str = ""
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """What a worker made.
+
+    Attributes:
+        frames: the reports of its frames, each with its files in the order to write them.
+        backend: the worker's; "": it could not be opened.
+        seconds: the time it took.
+        error: why it ended early, or "".
+    """
+
+    frames: list[tuple[FrameReport, dict[str, bytes]]]
+    backend: str
+    seconds: float
+    error: str = ""
+
+
+class _Files:
+    """Takes the files of frames; see ``stss.run.frame_job.Sink``."""
+
+    def __init__(self, path: Path):
+        self.path, self._files = path, dict[str, dict[str, bytes]]()
+
+    def write(self, name: str, data: bytes) -> None:
+        self._files.setdefault(Path(name).stem, {})[name] = data
+
+    def take(self, number: int) -> dict[str, bytes]:
+        return self._files.pop(Path(frame_name(number, "exr")).stem, {})
+
+
+_lock = Lock()
+"""Chunks come one at a time, whatever number of threads the worker has."""
+_opened: dict[str, tuple[Backend, str]] = {}
+"""What the last run's backend was opened with -> the backend, and the label of its weights."""
+
+
+def introduce(work: Work) -> Introduction:
+    """Open the backend; returns what it is, or why it cannot be opened."""
+    try:
+        for path in work.sequence.files(work.sequence.numbers[0]):
+            if not path.is_file():
+                raise InputError(f"{path}: not there; workers read the same paths, from shared storage")
+        with _lock:
+            backend, label = _open(work)
+            return Introduction(backend.name, label)
+    except (InputError, DeviceError, OSError) as error:
+        return Introduction("", "", str(error))
+
+
+def compute_chunk(work: Work, numbers: list[int]) -> Chunk:
+    """Compute display frames, given in order."""
+    frames: list[tuple[FrameReport, dict[str, bytes]]] = []
+    name, error, start = "", "", time.monotonic()
+    with _lock:
+        try:
+            backend, label = _open(work)
+            name, files = backend.name, _Files(work.out)
+            job = FrameJob.of(work.sequence, work.rendered, work.options, backend, label, files, _nothing_written)
+            with closing(job.run(deque(numbers), work.sequence.size)) as reports:
+                for report in reports:
+                    frames.append((report, files.take(report.number)))
+        except (InputError, ArrayError, DeviceError) as caught:
+            error = str(caught)
+    return Chunk(frames, name, time.monotonic() - start, error)
+
+
+def _open(work: Work) -> tuple[Backend, str]:
+    if work.version != VERSION:
+        raise InputError(f"a worker has stss {VERSION}; expected {work.version}, as where the run was started")
+    key = f"{work.method} {work.loaded.label} {work.backend} {work.compute}"
+    if key not in _opened:
+        _opened.clear()
+        _opened[key] = open_method(work.method, work.loaded, work.backend, work.compute)
+    return _opened[key]
+
+
+def _nothing_written(number: int, key: str) -> None:
+    """The process that writes knows what is kept, and asks only for the rest."""
+    del number, key

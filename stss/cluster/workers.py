@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: MIT
+"""The workers of an address: processes started here, or those of a dask.distributed scheduler."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Generator
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from threading import Thread
+from typing import Any, Protocol
+
+from stss_ground.errors import InputError
+from stss_ground.optional import require
+
+LOCAL = "local:"
+MAX_LOCAL = 256
+WAIT = 60.0
+"""Seconds for a scheduler to answer, and for a worker to come."""
+
+
+class Workers(Protocol):
+    """The workers of an address, as one executor at a time."""
+
+    def deaths(self) -> tuple[type[BaseException], ...]:
+        """What a call raises whose worker died."""
+        ...
+
+    def count(self) -> int:
+        """How many there are now; 1 at least."""
+        ...
+
+    def start(self) -> Executor:
+        """An executor of all workers that do not hang."""
+        ...
+
+    def end(self, executor: Executor, *, hangs: bool) -> None:
+        """Drop all that the executor has to do; ``hangs``: its workers that have something to do will never answer."""
+        ...
+
+
+class LocalWorkers:
+    """Processes started here. They talk through pipes, so no other user of the machine can reach them."""
+
+    def __init__(self, count: int):
+        self._count = count
+
+    def deaths(self) -> tuple[type[BaseException], ...]:
+        """See `Workers`."""
+        return (BrokenExecutor,)
+
+    def count(self) -> int:
+        """See `Workers`."""
+        return self._count
+
+    def start(self) -> Executor:
+        """See `Workers`."""
+        context = multiprocessing.get_context("spawn")  # a fork would copy the drivers' locks, but not the threads that hold them
+        return _Uninterrupted(self._count, context, _begin, (self._count,))
+
+    def end(self, executor: Executor, *, hangs: bool) -> None:
+        """See `Workers`; the processes end with it, and the next executor has others."""
+        del hangs
+        for process in multiprocessing.active_children():
+            process.kill()
+        executor.shutdown(cancel_futures=True)
+
+
+class _Uninterrupted(ProcessPoolExecutor):
+    """Ctrl-C reaches all processes of a terminal. These are started with the signal blocked: the process that writes ends them."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        if not hasattr(signal, "pthread_sigmask"):
+            return super().submit(fn, *args, **kwargs)
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            return super().submit(fn, *args, **kwargs)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin(count: int) -> None:
+    """Runs first in a process that was started here."""
+    Thread(target=_end_with, args=(multiprocessing.parent_process(),), daemon=True).start()
+    if count > 1:  # PoCL would use every processor in each process, and pin their threads to the same ones
+        os.environ.update(POCL_MAX_PTHREAD_COUNT=str(max(1, (os.cpu_count() or 1) // count)), POCL_AFFINITY="0")
+
+
+def _end_with(parent: Any) -> None:
+    parent.join()
+    os._exit(1)
+
+
+class DaskWorkers:
+    """The workers of a scheduler. They may come and go; the scheduler gives what a dead one had to another."""
+
+    def __init__(self, client: Any):
+        self._client, self._hung = client, set[str]()
+
+    def deaths(self) -> tuple[type[BaseException], ...]:
+        """See `Workers`."""
+        return (CancelledError, require("distributed", "cluster").KilledWorker)
+
+    def count(self) -> int:
+        """See `Workers`."""
+        return max(1, len(self._names()))
+
+    def start(self) -> Executor:
+        """See `Workers`."""
+        names = self._names()
+        if not names:
+            raise InputError("--cluster: no worker is left; --resume goes on")
+        return self._client.get_executor(pure=False, **({"workers": names} if self._hung else {}))
+
+    def end(self, executor: Executor, *, hangs: bool) -> None:
+        """See `Workers`; a chunk that a worker has begun it computes to its end."""
+        if hangs:
+            self._hung |= {name for name, keys in self._client.processing().items() if keys}
+        executor.shutdown(wait=False)
+
+    def _names(self) -> list[str]:
+        try:
+            return [name for name in self._client.scheduler_info(n_workers=-1)["workers"] if name not in self._hung]
+        except (OSError, ValueError) as error:
+            raise InputError(f"--cluster: the scheduler is gone: {error}; --resume goes on") from error
+
+
+@contextmanager
+def connected(address: str) -> Generator[Workers, None, None]:
+    """Start processes, or connect to a scheduler.
+
+    Args:
+        address: ``local:N`` for N processes here, or a scheduler's, such as ``tcp://host:8786``.
+
+    Raises:
+        InputError: the address has another form, or no scheduler or worker answers there.
+    """
+    if address.startswith(LOCAL):
+        count = address.removeprefix(LOCAL)
+        if not (count.isascii() and count.isdecimal() and 1 <= int(count[:9]) <= MAX_LOCAL):
+            raise InputError(f"--cluster: expected {LOCAL}N with N from 1 to {MAX_LOCAL}, got {address}")
+        yield LocalWorkers(int(count))
+        return
+    if "://" not in address:
+        raise InputError(f"--cluster: expected {LOCAL}N or a scheduler such as tcp://host:8786, got {address}")
+    dask = require("distributed", "cluster")
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what a lost worker means is said by us, in one line
+    try:
+        client = dask.Client(address, timeout=WAIT)
+    except (OSError, dask.TimeoutError, ValueError) as error:
+        raise InputError(f"--cluster {address}: no scheduler answers: {str(error).splitlines()[0]}") from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=WAIT)
+        except dask.TimeoutError as error:
+            raise InputError(f"--cluster {address}: no worker within {WAIT:g} s") from error
+        yield DaskWorkers(client)
