@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
 
-from stss_cl.errors import DeviceError
-
 from stss.frames.backends import Backend
 from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import WINDOW
@@ -21,7 +19,7 @@ from stss.run.frame_job import FrameJob, FrameReport, frame_name
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence
 from stss.weights.file import LoadedWeights
-from stss_ground.errors import InputError
+from stss_ground.errors import DeviceError, InputError
 from stss_ground.version import VERSION
 from stss_ref.arrays import ArrayError
 

@@ -113,23 +113,25 @@ class _Run:
         self._errors: dict[int, str] = {}
         """Display frame -> why it ended its chunk."""
         self._backend = ""
+        self._failures = 0
+        """How many times in a row workers died or hung."""
         self._slowest: float | None = None
         """Seconds of a chunk."""
 
     def run(self) -> Summary:
         """All frames; raises the error of the first frame that has one, after all before it are written."""
-        failures = 0
         while self._chunks is None or self._chunks:
-            left, hangs = list(self._chunks or ()), False
-            executor = self._workers.start()
+            executor, hangs = self._workers.start(), False
             try:
                 self._attempt(executor)
             except (*self._workers.deaths(), Timeout) as error:
                 hangs = isinstance(error, Timeout)
-                failures = failures + 1 if left == self._chunks or not left else 0
-                if failures > MOST_FAILURES:
-                    what = f"frames {left[0][0]} to {left[0][-1]}" if left else "as they began"
-                    raise InputError(f"--cluster: workers died or hung {failures} times, {what}; --resume goes on") from error
+                self._failures += 1
+                if self._failures > MOST_FAILURES:
+                    what = f"frames {self._chunks[0][0]} to {self._chunks[0][-1]}" if self._chunks else "as they began"
+                    raise InputError(
+                        f"--cluster: workers died or hung {self._failures} times, {what}; --resume goes on"
+                    ) from error
             finally:
                 self._workers.end(executor, hangs=hangs)
         if self._errors:
@@ -137,12 +139,12 @@ class _Run:
         return Summary([self._reports[number] for number in sorted(self._reports)])
 
     def _attempt(self, executor: Executor) -> None:
-        """Go on until all is done, or a worker dies or hangs."""
+        """Go on until all is done, or a worker dies or hangs. After that one chunk goes alone, so that it is known which one does it."""
         if self._chunks is None:
             self._begin(executor.submit(introduce, self._work.part(self._planned.numbers[:1])).result(FIRST))
         waiting, tasks = list(self._chunks or ()), dict[Future[Chunk], list[int]]()
         while self._chunks:
-            while waiting and len(tasks) < AHEAD * self._workers.count():
+            while waiting and len(tasks) < (1 if self._failures else AHEAD * self._workers.count()):
                 numbers = waiting.pop(0)
                 tasks[executor.submit(compute_chunk, self._work.part(numbers), numbers)] = numbers
             limit = FIRST if self._slowest is None else max(SHORTEST, PATIENCE * self._slowest)
@@ -185,6 +187,7 @@ class _Run:
                 self._planned.folder.write(name, data)
             self._report(report)
         self._chunks.remove(numbers)
+        self._failures = 0
         if chunk.error:
             first = numbers[len(chunk.frames)]
             self._errors[first] = chunk.error

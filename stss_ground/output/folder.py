@@ -68,7 +68,7 @@ class OutputFolder:
             with self._log:
                 try:
                     yield
-                finally:  # of processes that wrote here for this one, see `adopt`
+                finally:
                     with suppress(OSError):
                         self._remove_unfinished()
 
@@ -80,22 +80,6 @@ class OutputFolder:
         """
         self._list(name, hashlib.sha256(data).hexdigest())
         write_whole(self.path / name, data)
-        self._written.add(name)
-
-    def adopt(self, name: str, part: Path, digest: str) -> None:
-        """Take a file that another process wrote beside its place, whole, by `stss_ground.output.write_whole.write_part`.
-
-        Args:
-            name: the file's place below the folder.
-            part: what is renamed.
-            digest: its SHA-256.
-
-        Raises:
-            InputError: it can't be put in place.
-        """
-        self._list(name, digest)
-        with told(self.path / name):
-            part.replace(self.path / name)
         self._written.add(name)
 
     def _list(self, name: str, digest: str) -> None:

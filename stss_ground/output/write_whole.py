@@ -107,23 +107,6 @@ def told(path: Path) -> Generator[None, None, None]:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-def write_part(path: Path, data: bytes) -> Path:
-    """Write ``data`` beside ``path`` and wait until it is on the disk; the process that holds the folder renames it into place.
-
-    Raises:
-        InputError: it can't be written.
-    """
-    temporary = _beside(path)
-    with told(path):
-        try:
-            _write(temporary, data)
-        except BaseException:
-            with suppress(OSError):
-                temporary.unlink()
-            raise
-    return temporary
-
-
 def _beside(path: Path) -> Path:
     return path.with_name(f".stss-{secrets.token_hex(6)}.part")
 

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from concurrent.futures import BrokenExecutor, CancelledError, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
@@ -161,7 +162,7 @@ def test_a_bad_frame_is_reported_as_in_one_process(threads, write_frames, tmp_pa
 @pytest.mark.parametrize("how", ["dies", "hangs"])
 def test_a_chunk_whose_worker_ends_is_computed_again(threads, frames, tmp_path, monkeypatch, how):
     def becomes(handed, arguments):
-        if handed == 2 or set(arguments[1]) & doomed:
+        if handed in (2, 3) or set(arguments[1]) & doomed:
             future = Future()
             if how == "dies":
                 future.set_exception(DiedError())
@@ -177,7 +178,7 @@ def test_a_chunk_whose_worker_ends_is_computed_again(threads, frames, tmp_path, 
     doomed = {9}
     with pytest.raises(InputError, match=r"workers died or hung 4 times, frames 8 to 11; --resume goes on"):
         on_cluster(frames, tmp_path / "doomed")
-    assert (tmp_path / "doomed" / "frame.0019.exr").exists()
+    assert (tmp_path / "doomed" / "frame.0007.exr").exists()
 
 
 def test_workers_of_different_kinds_are_refused_unless_asked_for(threads, frames, tmp_path):
@@ -245,8 +246,18 @@ def test_an_interrupt_is_one_line_that_says_how_to_go_on(frames, tmp_path, where
         said = process.communicate(timeout=60)[1]
     assert (process.returncode, said) == (130, "stss: stopped; to go on, give the same command with --resume\n")
     assert not [path for path in out.rglob("*") if path.name.startswith(".")]
-    with pytest.raises(ProcessLookupError):
-        os.killpg(process.pid, 0)
+    ends = time.monotonic() + 30  # multiprocessing's own helper ends a moment later
+    while is_there(process.pid) and time.monotonic() < ends:
+        time.sleep(0.1)
+    assert not is_there(process.pid)
+
+
+def is_there(group):
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True
 
 
 @pytest.fixture
