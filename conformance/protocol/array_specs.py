@@ -6,7 +6,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
@@ -19,25 +19,6 @@ Sizes = dict[str, int]
 """Size of each letter."""
 Label = Callable[[str], str]
 """Turns an array's name into the name that an error shows, such as its file."""
-
-
-class Described(Protocol):
-    """An array, or the header of a file: enough to check shape and dtype."""
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Its sizes."""
-        ...
-
-    @property
-    def ndim(self) -> int:
-        """How many."""
-        ...
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Of its numbers."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -72,7 +53,7 @@ class ArraySpec:
     def __str__(self) -> str:
         return "(" + ", ".join(map(str, self.dims)) + ("," if len(self.dims) == 1 else "") + ")"
 
-    def check(self, name: str, array: Described, sizes: Sizes) -> None:
+    def check(self, name: str, array: AnyArray, sizes: Sizes) -> None:
         """Raise ArrayError unless shape and kind fit; letters it is the first to have go into ``sizes``."""
         bound = dict(sizes)
         if array.ndim == len(self.dims):
@@ -110,14 +91,12 @@ def _dim(word: str) -> Dim:
     return Dim(int(match[1] or 1), match[2], int(match[3] or 1))
 
 
-def check_shapes(
-    specs: Mapping[str, ArraySpec], arrays: Mapping[str, Described], sizes: Sizes, dtype: str | None, label: Label
-) -> Sizes:
+def check_shapes(specs: Mapping[str, ArraySpec], arrays: Arrays, sizes: Sizes, dtype: str | None, label: Label) -> Sizes:
     """Check shape and dtype of every array of ``specs``; other arrays and all numbers are ignored.
 
     Args:
         specs: the arrays expected; sizes become known in this order.
-        arrays: the arrays found, or the headers of their files.
+        arrays: the arrays found.
         sizes: the sizes of letters that are already known.
         dtype: the dtype of all floats; None: the dtype of the first one, float32 or float64.
         label: turns an array's name into the name that an error shows.
@@ -135,9 +114,10 @@ def check_shapes(
         array = arrays[name]
         spec.check(label(name), array, sizes)
         if spec.kind == "float":
-            if array.dtype not in ([dtype] if dtype else ["float32", "float64"]):
+            native = array.dtype.newbyteorder("=")
+            if native not in ([dtype] if dtype else ["float32", "float64"]):
                 raise ArrayError(f"{label(name)}: expected dtype {dtype or 'float32 or float64'}, got {array.dtype}")
-            dtype = array.dtype.name
+            dtype = native.name
     return sizes
 
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from conformance.protocol.job_folder import read_array
-from conformance.protocol.job_tree import Folder, JobError
+from conformance.protocol.job_folder import JobError, read_array, read_bytes
 from conformance.protocol.port import AnyArray
 
 PROPERTY = "property.json"
@@ -36,7 +36,7 @@ def fingerprint(drawn: Any) -> bytes:
     return digest.digest()
 
 
-def write_drawn(folder: Folder, test: str, drawn: Any) -> None:
+def write_drawn(folder: Path, test: str, drawn: Any) -> None:
     """Write the case of a test into ``folder``.
 
     Raises:
@@ -49,11 +49,9 @@ def write_drawn(folder: Folder, test: str, drawn: Any) -> None:
         return name
 
     text = json.dumps({"test": test, "drawn": _written(drawn, noted)}, indent=1)
-    with folder.written(PROPERTY) as file:
-        file.write(text.encode())
+    (folder / PROPERTY).write_text(text, encoding="utf-8")
     for name, array in arrays.values():
-        with folder.written(name) as file:
-            np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False)
+        np.save(folder / name, np.ascontiguousarray(array), allow_pickle=False)
 
 
 def _written(value: Any, noted: Callable[[AnyArray], str]) -> Any:
@@ -70,15 +68,15 @@ def _written(value: Any, noted: Callable[[AnyArray], str]) -> Any:
     raise TypeError(f"expected numbers, words, lists and arrays, got {type(value).__name__}")
 
 
-def read_drawn(folder: Folder) -> tuple[str, Any]:
+def read_drawn(folder: Path) -> tuple[str, Any]:
     """Read the test's id and its case.
 
     Raises:
         JobError: it is damaged.
     """
-    path = folder.path / PROPERTY
+    path = folder / PROPERTY
     try:
-        found = json.loads(folder.read(PROPERTY, MOST_BYTES))
+        found = json.loads(read_bytes(path, MOST_BYTES))
         return str(found["test"]), _read(found["drawn"], folder, {})
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         if isinstance(error, JobError):
@@ -86,7 +84,7 @@ def read_drawn(folder: Folder) -> tuple[str, Any]:
         raise JobError(f"{path}: damaged ({type(error).__name__})") from error
 
 
-def _read(value: Any, folder: Folder, arrays: dict[str, AnyArray]) -> Any:
+def _read(value: Any, folder: Path, arrays: dict[str, AnyArray]) -> Any:
     if not isinstance(value, dict):
         return value
     ((kind, held),) = value.items()  # pyright: ignore[reportUnknownVariableType]
@@ -95,7 +93,7 @@ def _read(value: Any, folder: Folder, arrays: dict[str, AnyArray]) -> Any:
         if "/" in name or "\\" in name:
             raise ValueError(name)
         if name not in arrays:
-            arrays[name] = read_array(folder, name)
+            arrays[name] = read_array(folder / name)
         return arrays[name]
     if kind == "float":
         return float(held)

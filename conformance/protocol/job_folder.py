@@ -2,8 +2,8 @@
 """Read and write the job folder of spec 11: the inputs of a port that is a program, and the outputs that it leaves.
 
 ``JOB/0000/stage``, ``JOB/0000/in/NAME.npy``, ``JOB/0000/in/weights.safetensors``; then ``JOB/0000/out/NAME.npy`` or an empty file
-``JOB/0000/unsupported``. A job may come from anybody: it is refused unless it is a tree of real files, and shapes and sizes are checked
-against the stage before memory is allocated.
+``JOB/0000/unsupported``. A job may come from anybody: it is refused if it has links, and shapes and sizes are checked against the stage
+before numbers are read.
 """
 
 from __future__ import annotations
@@ -13,19 +13,15 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 import safetensors
 from safetensors.numpy import save
 
 from conformance.protocol.array_specs import ArraySpec, Sizes, check_numbers
-from conformance.protocol.job_tree import Folder, JobError
 from conformance.protocol.layers import LAYERS_OF, check_layers
-from conformance.protocol.npy import Claim, read_claim, read_numbers, write_array
-from conformance.protocol.port import AnyArray, Arrays, Case, Outputs, Unsupported
+from conformance.protocol.port import AnyArray, Arrays, Case, Outputs, Unsupported, printable
 from conformance.protocol.stages import check_input_shapes, check_inputs, check_output_shapes, find, require_inputs
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights, WeightsError, check, format_metadata, take_second_color
@@ -41,6 +37,13 @@ MOST_BYTES = 2 * 2**30
 """Most bytes of a case's inputs; stage frame for an image of 7680 x 4320 has 1.9 GiB."""
 MOST_WEIGHTS_BYTES = 64 * 2**20
 """Most bytes of a weights file; this network's has 1.7 MiB."""
+
+
+class JobError(ValueError):
+    """A job folder breaks the protocol; the message names the file, what was expected and what was found, in one line."""
+
+    def __init__(self, message: str):
+        super().__init__(printable(message))
 
 
 def write_job(job: Path, cases: Sequence[Case], first: int = 0, *, layers: bool = False) -> None:
@@ -65,8 +68,7 @@ def write_job(job: Path, cases: Sequence[Case], first: int = 0, *, layers: bool 
         if layers:
             (folder / LAYERS).mkdir()
         for name, array in case.inputs.items():
-            with (folder / "in" / f"{name}.npy").open("xb") as file:
-                write_array(name, file, array)
+            write_array(folder / "in" / f"{name}.npy", array)
         if not find(case.stage).weights:
             continue
         if case.weights is None:
@@ -91,56 +93,93 @@ def link(source: Path, path: Path) -> None:
         shutil.copyfile(source, path)
 
 
-def case_names(job: Folder) -> list[str]:
-    """Names of the folders of a job's cases, in order; other files beside them are ignored.
+def require_real(job: Path) -> None:
+    """Raise JobError unless a job is a folder whose cases have real files and folders only: no links, no pipes, no devices."""
+    if not job.is_dir():
+        raise JobError(f"{job}: {'not a folder' if job.exists() else 'no such folder'}")
+    try:
+        with os.scandir(job) as entries:
+            for entry in entries:
+                _require_real(entry)
+    except OSError as error:
+        raise JobError(f"{error.filename}: {error.strerror}") from error
+
+
+def _require_real(entry: os.DirEntry[str]) -> None:
+    if entry.is_symlink():
+        raise JobError(f"{entry.path}: a link; a job is a tree of real files")
+    if entry.is_dir():
+        with os.scandir(entry) as entries:
+            for inner in entries:
+                _require_real(inner)
+    elif not entry.is_file():
+        raise JobError(f"{entry.path}: not a file")
+
+
+def case_folders(job: Path) -> list[Path]:
+    """The folders of a job's cases, in order; other files beside them are ignored.
 
     Raises:
-        JobError: there is no case, there are more than ``MOST_CASES``, or one is a link.
+        JobError: the job is not a tree of real files, there is no case, or there are more than ``MOST_CASES``.
     """
-    numbered = [name for name in job.names() if re.fullmatch(r"[0-9]{4,9}", name) and job.kind(name) != "file"]
+    require_real(job)
+    numbered = [path for path in job.iterdir() if re.fullmatch(r"[0-9]{4,9}", path.name) and path.is_dir()]
     if not numbered:
-        raise JobError(f"{job.path}: no case in it; the first is a folder named 0000")
+        raise JobError(f"{job}: no case in it; the first is a folder named 0000")
     if len(numbered) > MOST_CASES:
-        raise JobError(f"{job.path}: expected up to {MOST_CASES} cases, got {len(numbered)}")
-    for name in numbered:
-        job.require(name, "folder")
-    return sorted(numbered, key=int)
+        raise JobError(f"{job}: expected up to {MOST_CASES} cases, got {len(numbered)}")
+    return sorted(numbered, key=lambda path: int(path.name))
 
 
-def read_stage(case: Folder) -> str:
+def read_stage(case: Path) -> str:
     """The case's stage, which need not be in the table: a later version of the project may have more."""
-    with case.file("stage") as file:
-        text = file.read(100)
+    text = read_bytes(case / "stage", 1 << 16)
     if not re.fullmatch(rb"[a-z0-9_]{1,64}\s*", text):
-        raise JobError(f"{case.path / 'stage'}: expected one line, the name of a stage, got {text[:40]!r}")
+        raise JobError(f"{case / 'stage'}: expected one line, the name of a stage, got {text[:40]!r}")
     return text.decode().strip()
 
 
-def read_inputs(case: Folder, stage: str) -> Outputs:
+def read_bytes(path: Path, most: int) -> bytes:
+    """All bytes of a file; JobError if it cannot be read or has more than ``most`` bytes."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(most + 1)
+    except OSError as error:
+        raise JobError(f"{path}: {'missing' if isinstance(error, FileNotFoundError) else error.strerror}") from error
+    if len(data) > most:
+        raise JobError(f"{path}: larger than {most} bytes")
+    return data
+
+
+def read_inputs(case: Path, stage: str) -> Outputs:
     """Read the arrays of ``case/in``, checked against the table.
 
     Raises:
         JobError: an array is missing, damaged, of another stage, or not as the table says; or together they exceed ``MOST_BYTES``.
     """
-    taken = find(stage).inputs
-    with case.folder("in") as folder:
-        # Hidden files are those of file managers.
-        found = [name.removesuffix(".npy") for name in folder.names() if name.endswith(".npy") and not name.startswith(".")]
+    folder = case / "in"
 
-        def fits(claims: Mapping[str, Claim]) -> None:
-            check_input_shapes(stage, claims, DTYPE, label)
-            if sum(claim.nbytes for claim in claims.values()) > MOST_BYTES:
-                largest = max(claims, key=lambda name: claims[name].nbytes)
-                raise ArrayError(f"{label(largest)}: expected inputs of up to {MOST_BYTES >> 30} GiB in a case")
+    def label(name: str) -> str:
+        return f"{folder / name}.npy"
 
-        def label(name: str) -> str:
-            return f"{folder.path / name}.npy"
+    def fits(arrays: Arrays) -> None:
+        check_input_shapes(stage, arrays, DTYPE, label)
+        if sum(array.nbytes for array in arrays.values()) > MOST_BYTES:
+            largest = max(arrays, key=lambda name: arrays[name].nbytes)
+            raise ArrayError(f"{label(largest)}: expected inputs of up to {MOST_BYTES >> 30} GiB in a case")
 
-        try:
-            require_inputs(stage, found, label)
-            return _read_arrays(folder, taken, fits)
-        except ArrayError as error:
-            raise JobError(str(error)) from error
+    try:
+        require_inputs(stage, _names(folder), label)
+        return _read_arrays(folder, find(stage).inputs, fits)
+    except ArrayError as error:
+        raise JobError(str(error)) from error
+
+
+def _names(folder: Path) -> list[str]:
+    """Names of the arrays in a folder; hidden files are those of file managers."""
+    if not folder.is_dir():
+        raise JobError(f"{folder}: {'not a folder' if folder.exists() else 'no such folder'}")
+    return sorted(path.stem for path in folder.iterdir() if path.suffix == ".npy" and not path.name.startswith("."))
 
 
 def read_weights(data: bytes, path: Path) -> Weights:
@@ -173,119 +212,141 @@ def read_weights(data: bytes, path: Path) -> Weights:
         raise JobError(f"{path}: damaged safetensors file ({error})") from error
 
 
-def clear(case: Folder) -> None:
+def clear(case: Path) -> None:
     """Remove the outputs of an earlier run, so that results of two runs are never mixed.
 
     Raises:
-        JobError: something there is not a real file; then nothing was removed.
+        JobError: something there cannot be removed.
     """
-    if case.kind("unsupported") is not None:
-        case.require("unsupported", "file")
-    for folder in (kept for kept in ("out", LAYERS) if case.kind(kept) is not None):
-        with case.folder(folder) as out:
-            old = [name for name in out.names() if name.endswith(".npy")]
-            for name in old:
-                out.require(name, "file")
-            for name in old:
-                out.remove(name)
-    case.remove("unsupported")
+    try:
+        (case / "unsupported").unlink(missing_ok=True)
+        for path in [*(case / "out").glob("*.npy"), *(case / LAYERS).glob("*.npy")]:
+            path.unlink()
+    except OSError as error:
+        raise JobError(f"{error.filename}: {error.strerror}") from error
 
 
-def write_outputs(case: Folder, outputs: Arrays, into: str = "out") -> None:
-    """Write ``case/out``, or layers into ``case/layers``; a file is there only when it is whole."""
-    with case.made(into) as out:
+def write_outputs(case: Path, outputs: Arrays, into: str = "out") -> None:
+    """Write ``case/out``, or layers into ``case/layers``."""
+    try:
+        (case / into).mkdir(exist_ok=True)
         for name, array in outputs.items():
-            with out.written(f"{name}.npy") as file:
-                write_array(name, file, array)
+            write_array(case / into / f"{name}.npy", array)
+    except OSError as error:
+        raise JobError(f"{error.filename}: {error.strerror}") from error
 
 
-def write_unsupported(case: Folder) -> None:
+def write_array(path: Path, array: AnyArray) -> None:
+    """Write an array into a new file in version 1.0, little-endian, C order; integers as int32.
+
+    Raises:
+        ArrayError: an integer has more than 32 bits.
+    """
+    narrow = array.astype(np.int32) if array.dtype.kind in "iu" and array.dtype != np.uint8 else array
+    if narrow is not array and (narrow != array).any():
+        raise ArrayError(f"{path.stem}: expected integers of 32 bits")
+    plain = narrow.astype(narrow.dtype.newbyteorder("<"), order="C", copy=False)
+    with path.open("xb") as file:
+        np.lib.format.write_array(file, plain, version=(1, 0), allow_pickle=False)
+
+
+def write_unsupported(case: Path) -> None:
     """Write the file that says that the port lacks the stage."""
-    with case.written("unsupported"):
-        pass
+    try:
+        (case / "unsupported").touch()
+    except OSError as error:
+        raise JobError(f"{error.filename}: {error.strerror}") from error
 
 
-def read_outputs(case: Folder, stage: str, sizes: Sizes) -> Outputs | Unsupported:
+def read_outputs(case: Path, stage: str, sizes: Sizes) -> Outputs | Unsupported:
     """Read the outputs that a program left in ``case``; files that the table does not name are ignored.
 
     Args:
-        case: the case's folder.
+        case: the case's folder, a tree of real files.
         stage: the stage's name.
         sizes: the result of `check_inputs` for its inputs.
 
     Raises:
-        JobError: an output is missing, damaged, not a real file, or not as the table says.
+        JobError: an output is missing, damaged, or not as the table says.
     """
-    given = find(stage).outputs
-    unsupported = case.kind("unsupported") is not None
-    if unsupported:
-        case.require("unsupported", "file")
-    if case.kind("out") is None:
-        if unsupported:
-            return Unsupported(stage)
-        raise JobError(f"{case.path / 'out' / next(iter(given))}.npy: missing")
-    with case.folder("out") as out:
-        there = [name for name in given if out.kind(f"{name}.npy") is not None]
-        if unsupported and there:
-            claimed = case.path / "unsupported"
-            raise JobError(f"{out.path / there[0]}.npy: written, although {claimed} says that there is no such stage")
-        if unsupported:
-            return Unsupported(stage)
+    given, out = find(stage).outputs, case / "out"
+    if (claimed := case / "unsupported").exists():
+        if there := [name for name in given if (out / f"{name}.npy").exists()]:
+            raise JobError(f"{out / there[0]}.npy: written, although {claimed} says that there is no such stage")
+        return Unsupported(stage)
 
-        def label(name: str) -> str:
-            return f"{out.path / name}.npy"
+    def label(name: str) -> str:
+        return f"{out / name}.npy"
 
-        try:
-            return _read_arrays(out, given, lambda claims: check_output_shapes(stage, claims, sizes, DTYPE, label))
-        except ArrayError as error:
-            raise JobError(str(error)) from error
+    try:
+        return _read_arrays(out, given, lambda arrays: check_output_shapes(stage, arrays, sizes, DTYPE, label))
+    except ArrayError as error:
+        raise JobError(str(error)) from error
 
 
-def read_layers(case: Folder, stage: str, inputs: Arrays) -> Outputs:
+def read_layers(case: Path, stage: str, inputs: Arrays) -> Outputs:
     """Read the layers that a program left: all, some or none.
 
     Raises:
-        JobError: a file is not a layer of the stage, is damaged, not a real file, or misshapen.
+        JobError: a file is not a layer of the stage, is damaged, or misshapen.
     """
-    if case.kind(LAYERS) is None:
+    folder = case / LAYERS
+    if not folder.exists():
         return {}
-    with case.folder(LAYERS) as folder:
-        found = [name.removesuffix(".npy") for name in folder.names() if name.endswith(".npy") and not name.startswith(".")]
 
-        def label(name: str) -> str:
-            return f"{folder.path / name}.npy"
+    def label(name: str) -> str:
+        return f"{folder / name}.npy"
 
-        try:
-            specs = LAYERS_OF.get(stage, {})
-            if unknown := [name for name in found if name not in specs]:
-                raise ArrayError(f"{label(unknown[0])}: not a layer of stage {stage}")
-            some = {name: specs[name] for name in specs if name in found}
-            return _read_arrays(folder, some, lambda claims: check_layers(stage, claims, inputs, label))
-        except ArrayError as error:
-            raise JobError(str(error)) from error
+    try:
+        specs, found = LAYERS_OF.get(stage, {}), _names(folder)
+        if unknown := [name for name in found if name not in specs]:
+            raise ArrayError(f"{label(unknown[0])}: not a layer of stage {stage}")
+        some = {name: specs[name] for name in specs if name in found}
+        return _read_arrays(folder, some, lambda arrays: check_layers(stage, arrays, inputs, label))
+    except ArrayError as error:
+        raise JobError(str(error)) from error
 
 
-def read_array(folder: Folder, name: str) -> AnyArray:
+def read_array(path: Path) -> AnyArray:
     """Read one array of numbers; the result is C-contiguous in the machine's byte order.
 
     Raises:
-        JobError: it is missing, it is an array of objects, its size does not fit its header, or it exceeds ``MOST_BYTES``.
+        JobError: it is missing or damaged, holds anything but numbers, or exceeds ``MOST_BYTES``.
     """
-    path = folder.path / name
-    with folder.file(name) as file:
-        claim = read_claim(path, file)
-        if claim.nbytes > MOST_BYTES:
-            raise JobError(f"{path}: expected up to {MOST_BYTES >> 30} GiB")
-        return read_numbers(path, file, claim)
+    array = _mapped(path)
+    if array.nbytes > MOST_BYTES:
+        raise JobError(f"{path}: expected up to {MOST_BYTES >> 30} GiB")
+    return _loaded(array)
 
 
-def _read_arrays(folder: Folder, specs: Mapping[str, ArraySpec], fits: Callable[[Mapping[str, Claim]], None]) -> Outputs:
+def _mapped(path: Path) -> AnyArray:
+    """A file's array, whose numbers are not yet read: only its header was."""
+    if not path.is_file():
+        raise JobError(f"{path}: {'not a file' if path.exists() else 'missing'}")
+    try:
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except Exception as error:
+        # A stranger's text, which NumPy evaluates as a literal: more than ValueError comes out.
+        raise JobError(f"{path}: not a .npy file of numbers: {_first_line(error)}") from error
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf" or array.dtype.subdtype is not None:
+        raise JobError(f"{path}: expected an array of numbers, got {_first_line(getattr(array, 'dtype', 'an archive'))}")
+    return array
+
+
+def _loaded(array: AnyArray) -> AnyArray:
+    return np.array(array, array.dtype.newbyteorder("="), order="C", subok=False)
+
+
+def _first_line(value: object) -> str:
+    """The first line of its text, cut off."""
+    lines = str(value).splitlines()
+    return lines[0][:100] if lines else type(value).__name__
+
+
+def _read_arrays(folder: Path, specs: Mapping[str, ArraySpec], fits: Callable[[Arrays], None]) -> Outputs:
     """The arrays of these names; ``fits`` is asked before the first number is read. It raises ArrayError."""
-    with ExitStack() as opened:
-        paths = {name: folder.path / f"{name}.npy" for name in specs}
-        files: dict[str, BinaryIO] = {name: opened.enter_context(folder.file(path.name)) for name, path in paths.items()}
-        claims = {name: read_claim(paths[name], file) for name, file in files.items()}
-        fits(claims)
-        arrays = {name: read_numbers(paths[name], file, claims[name]) for name, file in files.items()}
-    check_numbers(specs, arrays, lambda name: str(paths[name]))
+    mapped = {name: _mapped(folder / f"{name}.npy") for name in specs}
+    fits(mapped)
+    arrays = {name: _loaded(array) for name, array in mapped.items()}
+    check_numbers(specs, arrays, lambda name: f"{folder / name}.npy")
     return arrays

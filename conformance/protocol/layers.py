@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 
 import numpy as np
 
-from conformance.protocol.array_specs import ArraySpec, Described, Label, array_spec, check_shapes
+from conformance.protocol.array_specs import ArraySpec, Label, array_spec, check_shapes
 from conformance.protocol.port import Arrays, Outputs
 from conformance.protocol.stages import check_inputs, reference
 from stss_ref.arrays import ArrayError
@@ -72,7 +72,7 @@ def chosen(stage: str, seen: Seen) -> Outputs:
     return found
 
 
-def check_layers(stage: str, layers: Mapping[str, Described], inputs: Arrays, label: Label = str) -> None:
+def check_layers(stage: str, layers: Arrays, inputs: Arrays, label: Label = str) -> None:
     """Say that ``layers`` are some of a stage's, of the right shapes, in float32.
 
     Raises:

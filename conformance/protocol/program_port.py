@@ -12,8 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from conformance.protocol.job_folder import DTYPE, read_layers, read_outputs, write_job
-from conformance.protocol.job_tree import Folder, JobError, open_folder
+from conformance.protocol.job_folder import DTYPE, JobError, read_layers, read_outputs, require_real, write_job
 from conformance.protocol.own_session import MOST_SAID, Ending, described, run_alone
 from conformance.protocol.port import Arrays, Case, Outputs, PortError, Unsupported
 from conformance.protocol.stages import STAGES, check_inputs
@@ -82,12 +81,12 @@ class FolderPort:
 
         Raises:
             ArrayError: inputs are not those of the stage.
-            PortError: the program is not there, fails, takes or says too much, leaves processes behind, removes its job, or leaves
-                an output missing, damaged, misshapen or of another dtype.
+            PortError: the program is not there, fails, takes or says too much, or leaves an
+                output missing, damaged, misshapen or of another dtype.
         """
         sizes = [check_inputs(case.stage, case.inputs, DTYPE) for case in cases]
 
-        def read(folder: Folder, number: int) -> Outputs | Unsupported:
+        def read(folder: Path, number: int) -> Outputs | Unsupported:
             return read_outputs(folder, cases[number].stage, sizes[number])
 
         return self._computed(cases, read) if cases else []
@@ -99,43 +98,33 @@ class FolderPort:
         )
         return found
 
-    def _computed(self, cases: Sequence[Case], read: Callable[[Folder, int], T], *, layers: bool = False) -> list[T]:
+    def _computed(self, cases: Sequence[Case], read: Callable[[Path, int], T], *, layers: bool = False) -> list[T]:
         """Start the program on a job of ``cases``, and ``read`` what it left in the folder of each."""
         job = Path(tempfile.mkdtemp(prefix="stss-job-", dir=place_for(cases)))
-        with open_folder(job) as folder:
-            failed = False
-            try:
-                write_job(job, cases, layers=layers)
-                self._start(folder)
-                results: list[T] = []
-                for number in range(len(cases)):
-                    with folder.folder(f"{number:04d}") as given:
-                        results.append(read(given, number))
-                return results
-            except JobError as error:
-                failed, self.kept = True, job
-                raise PortError(f"{self.name}: {error}{self._said()}") from error
-            except _FailedError as error:
-                failed, self.kept = True, job
-                where = f"its job is kept: {job}" if folder.in_place() else f"and removed its job {job}"
-                raise PortError(f"{self.name}: {error}; {where}{self._said()}") from error
-            finally:
-                # What lies there by now may be somebody else's.
-                if not failed and folder.in_place():
-                    self.remove(job)
+        try:
+            write_job(job, cases, layers=layers)
+            self._start(job)
+            require_real(job)
+            results = [read(job / f"{number:04d}", number) for number in range(len(cases))]
+        except JobError as error:
+            self.kept = job
+            raise PortError(f"{self.name}: {error}; its job is kept: {job}{self._said()}") from error
+        except BaseException:
+            self.remove(job)
+            raise
+        self.remove(job)
+        return results
 
-    def _start(self, job: Folder) -> None:
+    def _start(self, job: Path) -> None:
         """Run the program on ``job`` to its end."""
-        with (job.path / "stdout.txt").open("w+b") as out, (job.path / "stderr.txt").open("w+b") as err:
+        with (job / "stdout.txt").open("w+b") as out, (job / "stderr.txt").open("w+b") as err:
             try:
-                ending = run_alone([*self._command, str(job.path)], out, err, self._timeout)
+                ending = run_alone([*self._command, str(job)], out, err, self._timeout)
             except OSError as error:
                 raise PortError(f"{self._command[0]}: cannot be started: {error.strerror or error}") from error
             self.stderr = ending.stderr
         if failed := _failed(ending, self._timeout):
-            raise _FailedError(failed)
-        if not job.in_place():
-            raise JobError(f"{job.path}: the program removed or replaced its job folder")
+            raise JobError(failed)
 
     def _said(self) -> str:
         return f"\n{self.stderr}" if self.stderr else ""
@@ -159,22 +148,11 @@ def remove_tree(job: Path) -> None:
     shutil.rmtree(job, ignore_errors=True)
 
 
-class _FailedError(Exception):
-    """How a program failed as a whole."""
-
-
 def _failed(ending: Ending, timeout: float) -> str:
     """The reason why none of the program's outputs counts; "" if there is none."""
     if ending.status is None:
         return f"stopped after {timeout:g} s" if not ending.talked else f"stopped: more than {MOST_SAID >> 20} MiB on its output"
-    if ending.status != 0:
-        return described(ending.status)
-    if ending.left_behind:
-        count = ending.left_behind
-        return (
-            f"ended and left {count} process{'es' if count > 1 else ''} running, which {'were' if count > 1 else 'was'} stopped"
-        )
-    return ""
+    return described(ending.status) if ending.status != 0 else ""
 
 
 def smallest_case(stage: str, size: tuple[int, int] = PROBED[0]) -> Case:

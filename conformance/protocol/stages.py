@@ -14,7 +14,6 @@ import numpy as np
 
 from conformance.protocol.array_specs import (
     ArraySpec,
-    Described,
     Label,
     Sizes,
     array_spec,
@@ -225,8 +224,8 @@ def check_inputs(stage: str, inputs: Arrays, dtype: str | None = None, label: La
     return sizes
 
 
-def check_input_shapes(stage: str, inputs: Mapping[str, Described], dtype: str | None = None, label: Label = str) -> Sizes:
-    """Check shapes and dtypes only: of arrays, or of the headers of files before their numbers are read."""
+def check_input_shapes(stage: str, inputs: Arrays, dtype: str | None = None, label: Label = str) -> Sizes:
+    """Check shapes and dtypes only, as of files whose numbers are not yet read."""
     row = find(stage)
     require_inputs(stage, inputs, label)
     sizes = check_shapes(row.inputs, inputs, {}, dtype, label)
@@ -248,9 +247,7 @@ def check_outputs(stage: str, outputs: Arrays, sizes: Sizes, dtype: str = "float
     check_numbers(find(stage).outputs, outputs, label)
 
 
-def check_output_shapes(
-    stage: str, outputs: Mapping[str, Described], sizes: Sizes, dtype: str = "float32", label: Label = str
-) -> None:
+def check_output_shapes(stage: str, outputs: Arrays, sizes: Sizes, dtype: str = "float32", label: Label = str) -> None:
     """Check shapes and dtypes of outputs only, as `check_input_shapes` does of inputs."""
     check_shapes(find(stage).outputs, outputs, sizes, dtype, label)
 

@@ -20,13 +20,14 @@ from conformance.protocol.drawn_case import read_drawn, write_drawn
 from conformance.protocol.job_folder import (
     MOST_WEIGHTS_BYTES,
     WEIGHTS,
-    case_names,
+    JobError,
+    case_folders,
+    read_bytes,
     read_inputs,
     read_stage,
     read_weights,
     write_job,
 )
-from conformance.protocol.job_tree import Folder, JobError, open_folder
 from conformance.protocol.port import Case, Port, PortError
 from conformance.protocol.stages import STAGES
 from conformance.rehearsal import prepare
@@ -56,8 +57,8 @@ def keep_failure(folder: Path, name: str, failure: Failure, replay: str) -> Path
     try:
         with told(place):
             _write_failure(made, failure.finding, f"{replay} --replay {shlex.quote(str(place))}")
-            with open_folder(made) as opened, opened.made(DRAWN) as drawn:
-                write_drawn(drawn, name, [*failure.before, failure.drawn])
+            (made / DRAWN).mkdir()
+            write_drawn(made / DRAWN, name, [*failure.before, failure.drawn])
             made.chmod(0o755)
             if place.is_symlink():
                 place.unlink()
@@ -101,16 +102,15 @@ def replay(port: Port, folder: Path) -> Record:
     """
     judge = Judge(port)
     try:
-        with open_folder(folder) as failure:
-            case = _only_case(failure)
-            if case.stage not in judge.stages:
-                raise InputError(f"{port.name} has no stage {case.stage}")
-            body, cases = _property(failure) or (_agrees, [case])
-            prepare(judge, cases, body)
-            for drawn in cases:
-                judge.record = Record()
-                with suppress(DepartureError):
-                    judge.check(body, drawn)
+        case = _only_case(folder)
+        if case.stage not in judge.stages:
+            raise InputError(f"{port.name} has no stage {case.stage}")
+        body, cases = _property(folder) or (_agrees, [case])
+        prepare(judge, cases, body)
+        for drawn in cases:
+            judge.record = Record()
+            with suppress(DepartureError):
+                judge.check(body, drawn)
     except (JobError, PortError) as error:
         raise InputError(str(error)) from error
     except (LookupError, ValueError, TypeError, AttributeError) as error:
@@ -119,33 +119,27 @@ def replay(port: Port, folder: Path) -> Record:
     return judge.record
 
 
-def _only_case(failure: Folder) -> Case:
-    name, *more = case_names(failure)
+def _only_case(folder: Path) -> Case:
+    case, *more = case_folders(folder)
     if more:
-        raise JobError(f"{failure.path}: expected the folder of one failure, got {len(more) + 1} cases")
-    with failure.folder(name) as opened:
-        return _case(opened)
+        raise JobError(f"{folder}: expected the folder of one failure, got {len(more) + 1} cases")
+    stage = read_stage(case)
+    if stage not in STAGES:
+        raise JobError(f"{case / 'stage'}: not a stage: {stage}")
+    inputs = read_inputs(case, stage)
+    if not STAGES[stage].weights:
+        return Case(stage, inputs)
+    path = case / "in" / WEIGHTS
+    return Case(stage, inputs, read_weights(read_bytes(path, MOST_WEIGHTS_BYTES), path))
 
 
 def _agrees(judge: Judge, case: Case) -> None:
     judge.agrees(case.stage, case.inputs, case.weights)
 
 
-def _property(failure: Folder) -> tuple[Body, list[Any]] | None:
+def _property(folder: Path) -> tuple[Body, list[Any]] | None:
     """The property and its cases: those before the failing one, then that one; None: the folder has no property."""
-    if failure.kind(DRAWN) is None:
+    if not (folder / DRAWN).exists():
         return None
-    with failure.folder(DRAWN) as opened:
-        test, cases = read_drawn(opened)
+    test, cases = read_drawn(folder / DRAWN)
     return find_property(test), [*cases]
-
-
-def _case(folder: Folder) -> Case:
-    stage = read_stage(folder)
-    if stage not in STAGES:
-        raise JobError(f"{folder.path / 'stage'}: not a stage: {stage}")
-    inputs = read_inputs(folder, stage)
-    if not STAGES[stage].weights:
-        return Case(stage, inputs)
-    with folder.folder("in") as given:
-        return Case(stage, inputs, read_weights(given.read(WEIGHTS, MOST_WEIGHTS_BYTES), given.path / WEIGHTS))

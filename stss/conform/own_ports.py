@@ -15,15 +15,16 @@ from conformance.protocol.job_folder import (
     LAYERS,
     MOST_WEIGHTS_BYTES,
     WEIGHTS,
-    case_names,
+    JobError,
+    case_folders,
     clear,
+    read_bytes,
     read_inputs,
     read_stage,
     read_weights,
     write_outputs,
     write_unsupported,
 )
-from conformance.protocol.job_tree import Folder, JobError, open_folder
 from conformance.protocol.layers import reference_layers
 from conformance.protocol.port import Arrays, Outputs
 from conformance.protocol.stages import STAGES, reference
@@ -149,15 +150,14 @@ def run_job(job: Path, backend: str, *, dump: bool = False) -> None:
     weights = _WeightsFiles()
     try:
         # A job may have any numbers: if they overflow, that is the answer and needs no warning.
-        with open_folder(job) as folder, np.errstate(all="ignore"):
-            for name in case_names(folder):
-                with folder.folder(name) as case:
-                    _run_case(case, port, weights, dump=dump)
+        with np.errstate(all="ignore"):
+            for case in case_folders(job):
+                _run_case(case, port, weights, dump=dump)
     except JobError as error:
         raise InputError(str(error)) from error
 
 
-def _run_case(case: Folder, port: ReferencePort | OpenCLPort, weights: _WeightsFiles, *, dump: bool) -> None:
+def _run_case(case: Path, port: ReferencePort | OpenCLPort, weights: _WeightsFiles, *, dump: bool) -> None:
     clear(case)
     stage = read_stage(case)
     if stage not in STAGES or stage not in port.stages():
@@ -167,12 +167,12 @@ def _run_case(case: Folder, port: ReferencePort | OpenCLPort, weights: _WeightsF
         inputs = read_inputs(case, stage)
         given = weights.read(case) if STAGES[stage].weights else None
         outputs = port.run(stage, inputs, given)
-        asked = dump or case.kind(LAYERS) is not None
+        asked = dump or (case / LAYERS).exists()
         layers = port.layers(stage, inputs, given) if asked and given is not None else {}
     except (ArrayError, DeviceError) as error:
-        raise JobError(f"{case.path}: {error}") from error
+        raise JobError(f"{case}: {error}") from error
     except MemoryError as error:
-        raise JobError(f"{case.path}: stage {stage} needs more memory than there is") from error
+        raise JobError(f"{case}: stage {stage} needs more memory than there is") from error
     write_outputs(case, outputs)
     if layers:
         write_outputs(case, layers, LAYERS)
@@ -184,9 +184,9 @@ class _WeightsFiles:
     def __init__(self):
         self._read: dict[str, Weights] = {}
 
-    def read(self, case: Folder) -> Weights:
-        with case.folder("in") as folder:
-            data, path = folder.read(WEIGHTS, MOST_WEIGHTS_BYTES), folder.path / WEIGHTS
+    def read(self, case: Path) -> Weights:
+        path = case / "in" / WEIGHTS
+        data = read_bytes(path, MOST_WEIGHTS_BYTES)
         digest = hashlib.sha256(data).hexdigest()
         if digest not in self._read:
             if len(self._read) == CACHED_WEIGHTS:

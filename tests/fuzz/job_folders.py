@@ -15,8 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conformance.protocol.job_folder import case_names, read_outputs, read_stage, write_job
-from conformance.protocol.job_tree import open_folder
+from conformance.protocol.job_folder import case_folders, read_outputs, read_stage, write_job
 from conformance.protocol.program_port import smallest_case
 from conformance.protocol.stages import STAGES, check_inputs
 from stss.conform.own_ports import run_job
@@ -96,15 +95,13 @@ def _one(random, folder, damage):
 
 def _whole(job):
     """An accepted job has no link that would be followed, and its answers can be judged."""
-    with open_folder(job) as folder:
-        for name in case_names(folder):
-            with folder.folder(name) as case:
-                stage = read_stage(case)
-                if stage in STAGES:
-                    inputs = {key: np.load(case.path / "in" / f"{key}.npy") for key in STAGES[stage].inputs}
-                    read_outputs(case, stage, check_inputs(stage, inputs))
-                else:
-                    case.require("unsupported", "file")
+    for case in case_folders(job):
+        stage = read_stage(case)
+        if stage in STAGES:
+            inputs = {key: np.load(case / "in" / f"{key}.npy") for key in STAGES[stage].inputs}
+            read_outputs(case, stage, check_inputs(stage, inputs))
+        else:
+            assert (case / "unsupported").is_file()
 
 
 def _damage(random, job, outside, stages, damage):

@@ -15,8 +15,7 @@ from conformance.first_layer import first_departure
 from conformance.judge import Judge, Tier
 from conformance.mistakes.variants import load
 from conformance.protocol import FolderPort, PortError
-from conformance.protocol.job_folder import read_layers, write_job
-from conformance.protocol.job_tree import JobError, open_folder
+from conformance.protocol.job_folder import JobError, read_layers, write_job
 from conformance.protocol.layers import LAYERS_OF, check_layers, reference_layers
 from conformance.run_suite import run_suite
 from stss.conform.own_ports import ReferencePort, run_job
@@ -161,14 +160,14 @@ def test_dump(tmp_path):
 def test_what_a_program_leaves_there_is_checked(tmp_path):
     case = samples("history")[0]
     write_job(tmp_path, [case], layers=True)
-    with open_folder(tmp_path) as job, job.folder("0000") as folder:
-        assert read_layers(folder, "history", case.inputs) == {}
-        np.save(tmp_path / "0000" / "layers" / "convHis1.0.npy", np.zeros((3, 2, 2, 24), np.float32))
-        with pytest.raises(JobError, match="expected shape"):
-            read_layers(folder, "history", case.inputs)
-        np.save(tmp_path / "0000" / "layers" / "conv1.npy", np.zeros(3, np.float32))
-        with pytest.raises(JobError, match="not a layer of stage history"):
-            read_layers(folder, "history", case.inputs)
+    folder = tmp_path / "0000"
+    assert read_layers(folder, "history", case.inputs) == {}
+    np.save(folder / "layers" / "convHis1.0.npy", np.zeros((3, 2, 2, 24), np.float32))
+    with pytest.raises(JobError, match="expected shape"):
+        read_layers(folder, "history", case.inputs)
+    np.save(folder / "layers" / "conv1.npy", np.zeros(3, np.float32))
+    with pytest.raises(JobError, match="not a layer of stage history"):
+        read_layers(folder, "history", case.inputs)
 
 
 def test_a_program_that_fails_then_is_told_of():

@@ -104,9 +104,9 @@ def test_nan_is_left_to_be_judged(program):
         ("write(warped=warped.astype('f2'), inside=inside)", ["warped.npy: expected dtype float32, got float16"]),
         ("write(warped=warped, inside=inside == 1)", ["inside.npy: expected dtype uint8, got bool"]),
         ("write(warped=warped, inside=inside * 255)", ["inside.npy: expected 0 and 1, got 255"]),
-        ("write(warped=warped.astype(object), inside=inside)", ["warped.npy: an array of objects"]),
+        ("write(warped=warped.astype(object), inside=inside)", ["warped.npy: not a .npy file"]),
         ("write(inside=inside); (out / 'warped.npy').write_bytes(b'P6 4 3 255')", ["warped.npy: not a .npy file"]),
-        ("write(inside=inside, warped=warped); os.truncate(out / 'warped.npy', 200)", ["warped.npy: expected 368 bytes"]),
+        ("write(inside=inside, warped=warped); os.truncate(out / 'warped.npy', 200)", ["warped.npy: not a .npy file"]),
         ("write(warped=warped, inside=inside); (case / 'unsupported').touch()", ["warped.npy", "unsupported"]),
     ],
 )
