@@ -74,7 +74,6 @@ class Record:
         failure: the failure of the test, in its smallest form.
         first: the first failure of the test.
         largest: the largest height and width among the cases.
-        drawn: digest of the test's cases; empty where the judge takes none.
         about: words on the case that is checked now, for the message of its failure.
     """
 
@@ -85,7 +84,6 @@ class Record:
     failure: Failure | None = None
     first: Failure | None = None
     largest: tuple[int, int] = (0, 0)
-    drawn: bytes = b""
     about: str = ""
 
     def met(self, sizes: Mapping[str, int]) -> None:

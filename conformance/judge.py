@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from hashlib import sha256
 from time import monotonic
 from typing import Any
 
@@ -20,7 +19,6 @@ from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected, largest
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.answers.sums import expected_rounding, rounding
-from conformance.cases.same_draws import no_local_constants
 from conformance.findings import DepartureError, Failure, Finding, Record, said
 from conformance.protocol.drawn_case import fingerprint
 from conformance.protocol.port import Arrays, Case, Outputs, Port, PortError
@@ -62,7 +60,6 @@ class Judge:
         seed: of the cases; the same seed gives the same cases.
         shrink: make a failing case smaller.
         repeat: number of times that each case is computed; different bits in any of them are a departure.
-        certified: make cases that everybody can draw again: they do not depend on answers, and their digest is recorded.
 
     Attributes:
         record: of the test that runs now; the runner sets a new one before each test.
@@ -76,9 +73,8 @@ class Judge:
         *,
         shrink: bool = True,
         repeat: int = 1,
-        certified: bool = False,
     ):
-        self.port, self.tier, self.seed, self.shrink, self.repeat, self.certified = port, tier, seed, shrink, repeat, certified
+        self.port, self.tier, self.seed, self.shrink, self.repeat = port, tier, seed, shrink, repeat
         self.arithmetic = Arithmetic(port.dtype, bool(getattr(port, "winograd", False)))
         self.stages = port.stages()
         self.record = Record()
@@ -103,7 +99,7 @@ class Judge:
         """
         if drawn is not None and self._all_right(body, drawn):
             return
-        steered = not hasattr(self.port, "prepare") and not self.certified
+        steered = not hasattr(self.port, "prepare")
         phases = [Phase.explicit, Phase.generate, *([Phase.target] if steered else []), *([Phase.shrink] if self.shrink else [])]
         failed_at, failing = 0.0, set[bytes]()
 
@@ -137,8 +133,6 @@ class Judge:
     def check(self, body: Body, case: Any) -> None:
         """Run a property on one of its cases; DepartureError if it does not hold, with the failure in ``record``."""
         self._near = {}
-        if self.certified:
-            self.record.drawn = sha256(self.record.drawn + fingerprint(case)).digest()
         try:
             body(self, case)
         except DepartureError as error:
@@ -163,8 +157,7 @@ class Judge:
         def run(case: Any) -> None:
             take(case)
 
-        with no_local_constants():
-            run()
+        run()
 
     def run(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Outputs:
         """Run the port on a case.

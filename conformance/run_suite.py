@@ -7,12 +7,9 @@ import contextlib
 import io
 import os
 import sys
-import warnings
 from collections.abc import Callable, Generator, Iterable, Sequence
-from dataclasses import replace
 from pathlib import Path
-from time import perf_counter
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +18,7 @@ from conformance.findings import DepartureError, Record, TestResult
 from conformance.judge import Judge
 from conformance.known_failures import KnownFailure, KnownFailuresError
 from conformance.protocol.stages import STAGES
-from conformance.suite.properties import find_property, find_test
+from conformance.suite.properties import find_property
 
 SUITE_FOLDER = Path(__file__).with_name("suite")
 SEQUENCE = "sequence"
@@ -35,18 +32,6 @@ REQUIRED = "suite.required_stages_are_there"
 """Id of the result that is added where the port lacks one."""
 
 
-class Elsewhere(Protocol):
-    """Who runs tests in place of this process."""
-
-    def begin(self, tests: Sequence[str]) -> None:
-        """Start all tests that will be asked for, by their ids."""
-        ...
-
-    def result(self, test: str) -> TestResult:
-        """Wait for what `run_test` returns there."""
-        ...
-
-
 def run_suite(
     judge: Judge,
     stages: Iterable[str] = SUITE,
@@ -56,7 +41,6 @@ def run_suite(
     required: Iterable[str] = (),
     first_only: bool = False,
     on_result: Callable[[TestResult, int], None] | None = None,
-    elsewhere: Elsewhere | None = None,
 ) -> list[TestResult]:
     """Run the properties of some stages.
 
@@ -68,7 +52,6 @@ def run_suite(
         required: stages that the port must have.
         first_only: stop at the first failure.
         on_result: called after every test with its result and the number of tests.
-        elsewhere: runs the tests, by a judge like this one; None: this process does.
 
     Returns:
         One for each test, in the order of the stages, up to where it was interrupted; and a failure, ``JUDGED``, if none of them held
@@ -86,7 +69,7 @@ def run_suite(
             find_property(each.test)
         except LookupError as error:
             raise KnownFailuresError(f"known failures: {error}") from error
-    plugin = _Plugin(judge, known, required, on_result, elsewhere)
+    plugin = _Plugin(judge, known, required, on_result)
     files = [str(SUITE_FOLDER / f"test_{stage}.py") for stage in SUITE if stage in stages]
     arguments = [
         *files,
@@ -109,33 +92,6 @@ def run_suite(
     if status not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED) or plugin.broken:
         raise RuntimeError(plugin.broken or f"pytest ended with {status}")
     return plugin.results
-
-
-def run_test(judge: Judge, test: str) -> TestResult:
-    """Run one test, for a `run_suite` elsewhere: see `Elsewhere`.
-
-    Args:
-        judge: has the port, which has the test's stage.
-        test: its id, ``stage.test``.
-    """
-    function, outcome, message = find_test(test), "passed", ""
-    judge.begin()
-    start = perf_counter()
-    with _undisturbed(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            function(judge)
-        except DepartureError as error:
-            outcome, message = "failed", str(error)
-        except Exception as error:
-            outcome, message = "error", f"{type(error).__name__}: {error}"
-    # The first failure has served: it has found the smallest one.
-    record = replace(judge.record, first=None)
-    return TestResult(test, test.partition(".")[0], "", outcome, message, perf_counter() - start, record)
-
-
-class _ElsewhereError(Exception):
-    """An error of a test that ran elsewhere, in its words."""
 
 
 @contextlib.contextmanager
@@ -166,12 +122,10 @@ class _Plugin:
         known: Sequence[KnownFailure],
         required: Iterable[str],
         on_result: Callable[[TestResult, int], None] | None,
-        elsewhere: Elsewhere | None,
     ):
-        self._judge, self._required, self._on_result, self._elsewhere = judge, set(required), on_result, elsewhere
+        self._judge, self._required, self._on_result = judge, set(required), on_result
         self._known = {each.test: each for each in known}
         self._total = 0
-        self._seconds = 0.0
         self._stdout = sys.stdout
         self.results: list[TestResult] = []
         self.broken = ""
@@ -193,21 +147,6 @@ class _Plugin:
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
         self._total = len(items)
-        if self._elsewhere is not None:
-            self._elsewhere.begin([_id(item) for item in items if _needs(item) in self._judge.stages])
-
-    @pytest.hookimpl(tryfirst=True)
-    def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> bool | None:
-        """True: the test is done."""
-        if self._elsewhere is None:
-            return None
-        done = self._elsewhere.result(_id(pyfuncitem))
-        self._judge.record, self._seconds = done.record, done.seconds
-        if done.outcome == "failed" and done.record.failure is not None:
-            raise DepartureError(done.record.failure.finding)
-        if done.outcome != "passed":
-            raise _ElsewhereError(done.message)
-        return True
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
@@ -242,8 +181,6 @@ class _Plugin:
         self, item: pytest.Item, call: pytest.CallInfo[None]
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
         report = yield
-        if self._elsewhere is not None and call.when == "call":
-            report.duration = self._seconds
         if call.when == "call" or report.skipped or report.failed:
             result = self._take(item, call, report)
             if result.outcome == "known":  # to pytest, which writes JUnit and stops at a failure
@@ -261,8 +198,6 @@ class _Plugin:
         elif report.failed:
             if isinstance(error, DepartureError):
                 result.message = str(error)
-            elif isinstance(error, _ElsewhereError):
-                result.outcome, result.message = "error", str(error)
             else:
                 result.outcome, result.message = "error", f"{type(error).__name__}: {error}"
             if result.id in self._known:

@@ -14,7 +14,7 @@ from pathlib import Path
 from threading import Event, Thread
 from typing import BinaryIO
 
-from conformance.protocol.port import printable
+from stss_ground.terminal import printable
 
 TAIL_BYTES = 2000
 """Bytes of the end of stderr that are shown."""

@@ -19,11 +19,6 @@ Outputs = dict[str, AnyArray]
 """Outputs likewise."""
 
 
-def printable(text: str) -> str:
-    """``text`` with control characters, and characters that a terminal cannot show, escaped as in Python."""
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
-
-
 class PortError(RuntimeError):
     """A port failed or broke the protocol; the message names the port, the stage, and what was expected and found."""
 

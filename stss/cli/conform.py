@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""``stss conform``, ``badge`` and ``port``: the judge of ports, and our own as ports."""
+"""``stss conform`` and ``port``: the judge of ports, and our own as ports."""
 
 from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Generator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -46,11 +44,10 @@ MAX_REPEAT = 1000
 )
 @click.option("--replay", type=PATH, help="Run only the case of one such folder again.")
 @click.option("--write-cases", type=PATH, help="Write cases with right answers and bounds into a new folder, and judge nothing.")
-@click.option("--certificate", type=PATH, help="File that says on what the port was judged; written only if it conforms.")
+@click.option("--list-mistakes", is_flag=True, help="Print the mistakes that wrong answers are compared with, and judge nothing.")
 @click.option("--json", "json_file", type=PATH, help="File for every result, written as it comes.")
 @click.option("--junit", type=PATH, help="File for JUnit XML.")
 @click.option("--report", type=PATH, help="File for an HTML page with pictures.")
-@click.option("--cluster", help="Run the tests on local:N processes, or on the workers of a scheduler: tcp://host:8786.")
 def conform(
     spec: str | None,
     program: str | None,
@@ -67,11 +64,10 @@ def conform(
     failures: Path,
     replay: Path | None,
     write_cases: Path | None,
-    certificate: Path | None,
+    list_mistakes: bool,
     json_file: Path | None,
     junit: Path | None,
     report: Path | None,
-    cluster: str | None,
 ) -> None:
     """Judge a port: say which stage departs from the specification, by how much, and on which smallest input.
 
@@ -79,57 +75,41 @@ def conform(
     """
     for package in ("pytest", "hypothesis"):
         require_package(package, "conform")
-    from conformance.judge import TIERS
+    from conformance.judge import TIERS, Judge
     from conformance.known_failures import KnownFailuresError, read_known
     from conformance.run_suite import SUITE, run_suite
-    from stss.conform.load_port import GivenPort, Judging
+    from stss.conform.load_port import load_port
     from stss.conform.running_report import RunningReport
 
-    places = {"--certificate": certificate, "--json": json_file, "--junit": junit, "--report": report}
-    require_places(places, [known_failures])
+    require_places({"--json": json_file, "--junit": junit, "--report": report}, [known_failures])
     _require_folder(failures)
     _require_stages({"--stages": stages, "--require": require})
-    if cluster is not None and (replay is not None or write_cases is not None):
-        raise InputError("--cluster: expected neither --replay nor --write-cases")
+    if list_mistakes:
+        _print_mistakes(stages)
+        return
     if write_cases is not None:
         if spec is not None or program is not None:
             raise InputError("--write-cases: expected neither --port nor --exec: what is right depends on no port")
         asked = [stage for stage in SUITE if stages is None or stage in stages]
         _write_cases(write_cases, asked, dtype or "float32", winograd, tier, seed)
         return
-    given = GivenPort(spec, program, timeout, dtype, winograd)
+    port = load_port(spec, program, timeout, dtype, winograd)
     if replay is not None:
-        sys.exit(_replay(given.load(), replay))
-    judging = Judging(given, TIERS[tier], seed, repeat, certificate is not None)
+        sys.exit(_replay(port, replay))
+    judge = Judge(port, TIERS[tier], seed, repeat=repeat)
     try:
         known = read_known(known_failures) if known_failures is not None else ()
-        with _judge(judging, cluster) as (judge, elsewhere):
-            running = RunningReport(judge, failures, _command(given), json_file)
-            with running, by_name(junit) as junit_file:
-                run_suite(
-                    judge, stages or SUITE, known=known, required=require or (), junit=junit_file, first_only=fail_fast,
-                    on_result=running.take, elsewhere=elsewhere,
-                )  # fmt: skip
+        running = RunningReport(judge, failures, _command(spec, program, dtype, winograd=winograd), json_file)
+        with running, by_name(junit) as junit_file:
+            run_suite(
+                judge, stages or SUITE, known=known, required=require or (), junit=junit_file, first_only=fail_fast,
+                on_result=running.take,
+            )  # fmt: skip
     except KnownFailuresError as error:
         raise InputError(str(error)) from error
     except OSError as error:
         raise InputError(f"{error.filename or known_failures}: {error.strerror or error}") from error
-    passed = running.finish(report)
-    if certificate is not None:
-        passed &= running.certify(certificate)
-    sys.exit(0 if passed else 1)
-
-
-@click.command()
-@click.argument("certificate", type=PATH)
-@click.option("-o", "--out", type=PATH, required=True, help="The .svg, or the .json that shields.io draws a badge from.")
-def badge(certificate: Path, out: Path) -> None:
-    """Make a badge of the CERTIFICATE that stss conform has written for a port."""
-    require_package("pytest", "conform")
-    from stss.conform.badge import write_badge
-
-    require_places({"--out": out}, [certificate])
-    echo(f"{out}: {write_badge(certificate, out)}")
+    sys.exit(0 if running.finish(report) else 1)
 
 
 @click.command()
@@ -166,23 +146,18 @@ def _require_folder(failures: Path) -> None:
         raise InputError(f"{failures}: expected a folder, found a file")
 
 
-@contextmanager
-def _judge(judging: Any, cluster: str | None) -> Generator[tuple[Any, Any]]:
-    """The judge of this process, and who runs the tests in its place, if anybody."""
-    if cluster is None:
-        yield judging.judge(), None
-        return
-    require_package("distributed", "cluster")
-    from stss.cluster.conform import judged_on_cluster
-
-    with judged_on_cluster(cluster, judging) as both:
-        yield both
+def _command(spec: str | None, program: str | None, dtype: str | None, *, winograd: bool) -> str:
+    words = ["stss", "conform", *(("--port", spec) if spec is not None else ("--exec", program or ""))]
+    words += ["--dtype", dtype] if dtype is not None else []
+    return shlex.join([*words, *(["--winograd"] if winograd else [])])
 
 
-def _command(port: Any) -> str:
-    words = ["stss", "conform", *(("--port", port.spec) if port.spec is not None else ("--exec", port.program or ""))]
-    words += ["--dtype", port.dtype] if port.dtype is not None else []
-    return shlex.join([*words, *(["--winograd"] if port.winograd else [])])
+def _print_mistakes(stages: tuple[str, ...] | None) -> None:
+    from conformance.mistakes import MISTAKES
+
+    for mistake in MISTAKES:
+        if stages is None or mistake.stage in stages:
+            echo(f"{mistake.id}: {mistake.what}")
 
 
 def _replay(port: Any, folder: Path) -> int:

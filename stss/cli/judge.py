@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import click
 
-from stss.cli.conform import badge, conform, port
+from stss.cli.conform import conform, port
 from stss_ground.guard import run_guarded
 from stss_ground.optional import require_own_conformance
 from stss_ground.version import VERSION
@@ -20,7 +20,7 @@ def judge() -> None:
     require_own_conformance()
 
 
-for command in (badge, conform, port):
+for command in (conform, port):
     judge.add_command(command)
 
 

@@ -7,48 +7,13 @@ import importlib
 import shlex
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
-from conformance.judge import Judge, Tier
 from conformance.protocol.port import Port, PortError
 from conformance.protocol.program_port import FolderPort
 from conformance.protocol.stages import STAGES
 from conformance.rehearsal import PreparedPort
 from stss_ground.errors import InputError
-
-
-@dataclass(frozen=True)
-class GivenPort:
-    """A port as the user names it; see `load_port`."""
-
-    spec: str | None
-    program: str | None
-    timeout: float
-    dtype: str | None
-    winograd: bool
-
-    def __post_init__(self):
-        _require_one(self.spec, self.program)
-
-    def load(self) -> Port:
-        """Open it; see `load_port`."""
-        return load_port(self.spec, self.program, self.timeout, self.dtype, self.winograd)
-
-
-@dataclass(frozen=True)
-class Judging:
-    """A port, and how it is judged: see ``conformance.judge.Judge``."""
-
-    port: GivenPort
-    tier: Tier
-    seed: int
-    repeat: int
-    certified: bool
-
-    def judge(self) -> Judge:
-        """Open the port and give it to a judge."""
-        return Judge(self.port.load(), self.tier, self.seed, repeat=self.repeat, certified=self.certified)
 
 
 def load_port(spec: str | None, program: str | None, timeout: float, dtype: str | None, winograd: bool) -> Port:
@@ -64,7 +29,8 @@ def load_port(spec: str | None, program: str | None, timeout: float, dtype: str 
     Raises:
         InputError: not exactly one of ``spec`` and ``program`` is given, or there is no such port.
     """
-    _require_one(spec, program)
+    if (spec is None) == (program is None):
+        raise InputError("expected either --port package.module:factory or --exec PROGRAM")
     try:
         port: Any = _imported(spec) if spec is not None else PreparedPort(FolderPort(_command(program or ""), timeout))
         lacking = [name for name in ("name", "dtype", "stages", "run") if not hasattr(port, name)]
@@ -82,11 +48,6 @@ def load_port(spec: str | None, program: str | None, timeout: float, dtype: str 
     if unknown:
         raise InputError(f"{spec or program}: stages: not in the table: {', '.join(sorted(unknown))}")
     return port
-
-
-def _require_one(spec: str | None, program: str | None) -> None:
-    if (spec is None) == (program is None):
-        raise InputError("expected either --port package.module:factory or --exec PROGRAM")
 
 
 def _imported(spec: str) -> Any:

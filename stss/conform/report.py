@@ -19,6 +19,7 @@ from conformance.findings import TestResult, tallied
 from conformance.judge import Judge
 from conformance.protocol.stages import STAGES
 from conformance.run_suite import JUDGED, REQUIRED, SEQUENCE, SUITE
+from stss.conform.versions import versions_of_cases
 from stss_ground.output.write_whole import write_named
 from stss_ground.pages.page import page
 from stss_ground.terminal import printable
@@ -96,16 +97,19 @@ def to_json(
     """
     return {
         "format": FORMAT,
-        "stss": VERSION,
+        "versions": versions_of_cases(),
         "port": judge.port.name,
         "dtype": judge.arithmetic.dtype,
         "winograd": judge.arithmetic.winograd,
         "tier": judge.tier.name,
         "seed": judge.seed,
+        "repeat": judge.repeat,
         "complete": complete,
         "tests_in_all": total,
         "passed": complete and passed(results),
         "judged": JUDGED not in {r.id for r in results},
+        "stages": {stage: _stage(some) for stage, some in judged_by_stage(results).items()},
+        "not_judged": [stage for stage in SUITE if stage not in judged_by_stage(results)],
         "tests": [
             {
                 "id": r.id,
@@ -122,6 +126,26 @@ def to_json(
             }
             for r in results
         ],
+    }
+
+
+def judged_by_stage(results: Sequence[TestResult]) -> dict[str, list[TestResult]]:
+    """Stage -> the results of its tests that ran, without the stages that the port lacks."""
+    ran = [r for r in results if r.stage in SUITE and r.outcome != "skipped"]
+    return by_stage(ran)
+
+
+def _stage(results: Sequence[TestResult]) -> dict[str, Any]:
+    """What a stage was judged on."""
+    counted = tallied([r.record for r in results])
+    return {
+        "tests": len(results),
+        "cases": counted["cases"],
+        "largest_height": max(r.record.largest[0] for r in results),
+        "largest_width": max(r.record.largest[1] for r in results),
+        "undecided": counted["undecided"],
+        "unjudged": counted["unjudged"],
+        "error_over_bound": {name: ratio if math.isfinite(ratio) else None for name, ratio in worst_of(results).items()},
     }
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from conformance.findings import TestResult
 from conformance.judge import Judge
-from stss.conform.certificate import refused, write_certificate
 from stss.conform.failures import keep_failure
 from stss.conform.report import passed, print_results, to_json, write_json, write_page
 from stss_ground.terminal import Terminal, echo
@@ -67,7 +66,7 @@ class RunningReport:
         Returns:
             Whether the port passes.
         """
-        complete = self._complete()
+        complete = len(self.results) >= self._total > 0
         self.write(complete=complete)
         print_results(self.results, Terminal())
         if page is not None:
@@ -75,17 +74,6 @@ class RunningReport:
         if not complete:
             echo(f"stopped after {len(self.results)} of {self._total} tests")
         return complete and passed(self.results)
-
-    def certify(self, path: Path) -> bool:
-        """Write the certificate, or print why there is none; returns whether there is one."""
-        if why := refused(self.results, complete=self._complete()):
-            echo(f"no certificate: {why}")
-            return False
-        echo(f"{path}: cases {write_certificate(path, self._judge, self.results)[:16]}")
-        return True
-
-    def _complete(self) -> bool:
-        return len(self.results) >= self._total > 0
 
     def write(self, *, complete: bool = False) -> None:
         """Write the JSON of the results so far; ``complete``: the run came to its end."""

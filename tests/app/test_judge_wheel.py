@@ -9,15 +9,11 @@ import zipfile
 
 import pytest
 
-from conformance.judge import Judge
-from conformance.run_suite import run_suite
-from stss.conform.certificate import certificate
-from stss.conform.own_ports import ReferencePort
 from stss.images.read_write import read_rgb
 from stss_ground.version import VERSION
 from tests.app.wheels import ROOT, build_wheel, unpack_wheel
 
-ABSENT = ("pyopencl", "cv2", "OpenImageIO", "colour", "scipy", "torch", "matplotlib", "onnx", "distributed")
+ABSENT = ("pyopencl", "cv2", "OpenImageIO", "colour", "scipy", "torch", "matplotlib", "onnx")
 START = """
 import site, sys
 class Absent:
@@ -74,7 +70,7 @@ def test_it_is_what_runs(stss, installed):
     assert places == [str(installed / place / "__init__.py") for place in ("stss", "stss_judge/conformance", "stss_ref")]
 
 
-@pytest.mark.parametrize("words", [["--help"], ["conform", "--help"], ["badge", "--help"], ["port", "--help"]])
+@pytest.mark.parametrize("words", [["--help"], ["conform", "--help"], ["port", "--help"]])
 def test_help(stss, words):
     done = stss(*words)
     assert done.returncode == 0, done.stderr
@@ -82,20 +78,9 @@ def test_help(stss, words):
 
 
 def test_a_right_port(stss):
-    done = stss("conform", "--port", "ours:Port", "--certificate", "c.json", "--json", "f.json", "--report", "p.html")
+    done = stss("conform", "--port", "ours:Port", "--json", "f.json", "--report", "p.html")
     assert done.returncode == 0, done.stdout + done.stderr
-    assert json.loads((stss.folder / "c.json").read_text())["stages"]["rrm"]["cases"] > 600
-    assert stss("badge", "c.json", "-o", "b.svg").returncode == 0
-
-
-def test_cases_are_those_of_a_checkout(stss):
-    """Whatever is installed where, and whatever numbers stand in the port's source; nothing else is left in the folder."""
-    (stss.folder / "ours.py").write_text(PORT + "numbers = [*range(3, 20)]; more = 4, 5, 7, 11, 13, 17, 19\n")
-    assert stss("conform", "--port", "ours:Port", "--certificate", "c.json").returncode == 0
-    assert {path.name for path in stss.folder.iterdir()} <= {"ours.py", "c.json", "__pycache__"}
-    judge = Judge(ReferencePort(), certified=True)
-    ours = certificate(judge, run_suite(judge, ["rrm"]))
-    assert json.loads((stss.folder / "c.json").read_text())["cases_sha256"] == ours["cases_sha256"]
+    assert json.loads((stss.folder / "f.json").read_text())["stages"]["rrm"]["cases"] > 600
 
 
 def test_a_wrong_port(stss):
@@ -108,15 +93,6 @@ def test_a_wrong_port(stss):
     assert read_rgb(kept / "picture.png").shape[2] == 3
     assert stss("conform", "--port", "ours:Wrong", "--replay", str(kept)).returncode == 1
     assert stss("conform", "--port", "ours:Port", "--replay", str(kept)).returncode == 0
-
-
-def test_a_cluster_needs_its_extra(stss):
-    """The wheel has all of stss that it imports: it fails only at the package that is not installed here."""
-    done = stss("conform", "--port", "ours:Port", "--cluster", "local:1")
-    assert done.returncode == 2
-    assert "distributed is not installed" in done.stderr
-    done = stss(code="import stss.cluster.conform; print('whole')")
-    assert done.stdout == "whole\n", done.stderr
 
 
 def test_a_program_and_golden_vectors(stss):

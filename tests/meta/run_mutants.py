@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""``make mutants``: which test of the quick tier finds out each planted fault; the table of docs/mutants.md.
+"""``make mutants``: which test of the quick tier finds out each planted fault.
 
 ``python -m tests.meta.run_mutants SEED`` tries other cases than a user's default ones.
 """
@@ -8,15 +8,11 @@ import os
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from itertools import repeat
-from pathlib import Path
 from time import perf_counter
 
 from conformance.judge import TIERS, Judge
 from conformance.mistakes import MISTAKES, find
 from conformance.run_suite import run_suite, run_test
-
-PAGE = Path(__file__).parents[2] / "docs" / "mutants.md"
-MARK = "<!-- written by make mutants -->"
 
 
 def failed(name, seed=0):
@@ -36,16 +32,6 @@ def killers(name, seed=0):
     return [result.id for result in failed(name, seed)], perf_counter() - start
 
 
-def table(found):
-    """Markdown: a row for each mutant."""
-    rows = ["| stage | fault | found out by |", "|---|---|---|"]
-    for mutant in MISTAKES:
-        by, _ = found[mutant.id]
-        tests = ", ".join(f"`{test.partition('.')[2]}`" for test in by) or "**nothing**"
-        rows.append(f"| `{mutant.stage}` | {mutant.what} | {tests} |")
-    return "\n".join(rows)
-
-
 def main():
     os.environ["OMP_NUM_THREADS"] = "1"
     names, seed = [mutant.id for mutant in MISTAKES], int(sys.argv[1]) if sys.argv[1:] else 0
@@ -56,9 +42,6 @@ def main():
     for name, (by, seconds) in found.items():
         print(f"{name:42s} {seconds:5.1f} s  {', '.join(by) or 'SURVIVES'}")
     print(f"{len(names) - len(survivors)} of {len(names)} found out, {perf_counter() - start:.0f} s")
-    if seed == 0:
-        head = PAGE.read_text(encoding="utf-8").split(MARK)[0]
-        PAGE.write_text(f"{head}{MARK}\n\n{table(found)}\n", encoding="utf-8")
     sys.exit(1 if survivors else 0)
 
 
