@@ -5,9 +5,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from conformance.findings import DepartureError, Failure
+from conformance.findings import Failure
 from conformance.judge import Body, Judge
-from conformance.rehearsal import prepare
 
 UNSTABLE = "differs from run to run"
 
@@ -42,15 +41,9 @@ def confirm(judge: Judge, body: Body) -> Failure:
 
 def fails(judge: Judge, body: Body, failure: Failure) -> Failure | None:
     """The failure as it is now, after the cases before it, at one start of a program; None: it passes."""
-    prepare(judge, [*failure.before, failure.drawn], body)
-    for case in (*failure.before, failure.drawn):
-        judge.record.failure = None
-        try:
-            judge.check(body, case)
-        except DepartureError:
-            continue
-    found = judge.record.failure
-    return None if found is None else replace(found, before=failure.before)
+    cases = [*failure.before, failure.drawn]
+    error = dict(judge.departures(body, cases)).get(len(cases) - 1)
+    return None if error is None else replace(failure, finding=error.finding)
 
 
 def _with_words(failure: Failure, words: str) -> Failure:

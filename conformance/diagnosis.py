@@ -15,8 +15,7 @@ from conformance.findings import DepartureError, Finding
 from conformance.judge import Judge
 from conformance.mistakes import Mistake, of_stage
 from conformance.mistakes.variants import Variant
-from conformance.protocol.port import Case, Outputs
-from conformance.rehearsal import prepare
+from conformance.protocol.port import Outputs
 
 MOST_SECONDS = 20.0
 """Most computing time of one diagnosis; seconds."""
@@ -37,7 +36,6 @@ def diagnose(judge: Judge, finding: Finding) -> str:
     if finding.expected is None:
         return ""
     case = finding.case
-    prepare(judge, [case], _asked)
     try:
         got = judge.run(case.stage, case.inputs, case.weights)
     except DepartureError:
@@ -55,10 +53,6 @@ def diagnose(judge: Judge, finding: Finding) -> str:
         if (share := explained(got, made, right, wrong)) >= ALIKE:
             found.append((share, mistake))
     return _named(found, len(known))
-
-
-def _asked(judge: Judge, case: Case) -> None:
-    judge.run(case.stage, case.inputs, case.weights)
 
 
 def _shown_by(stage: str) -> tuple[Mistake, ...]:

@@ -9,6 +9,7 @@ from conformance.findings import Finding, said
 from conformance.judge import Judge
 from conformance.protocol.layers import LAYERS_OF, check_layers
 from conformance.protocol.port import Outputs, PortError
+from conformance.questions import copied
 from stss_ref.arrays import ArrayError
 
 ASKED_FOR = ("network", "frame")
@@ -44,7 +45,7 @@ def _handed_over(judge: Judge, finding: Finding) -> Outputs:
         return {}
     inputs = {name: array.copy() for name, array in case.inputs.items()}
     try:
-        got: Outputs = ask(case.stage, inputs, {name: tensor.copy() for name, tensor in case.weights.items()})
+        got: Outputs = ask(case.stage, inputs, copied(case.weights))
         check_layers(case.stage, got, case.inputs)
     except (ArrayError, PortError):
         raise

@@ -4,15 +4,11 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from time import monotonic
 from typing import Any
 
-import hypothesis
 import numpy as np
-from hypothesis import HealthCheck, Phase, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from conformance.answers.by_stage import expect
@@ -20,18 +16,15 @@ from conformance.answers.expected import Expected, largest
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.answers.sums import expected_rounding, rounding
 from conformance.findings import DepartureError, Failure, Finding, Record, said
-from conformance.protocol.drawn_case import fingerprint
 from conformance.protocol.port import Arrays, Case, Outputs, Port, PortError
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs
+from conformance.questions import BATCH, Answer, Dialogue, Talk, answers_of, ask, repeated
 from stss_ref.arrays import ArrayError
-from stss_ref.weights import Weights
+from stss_ref.weights import Tensors, Weights, second_color
 
-EVERY_CHECK: list[HealthCheck] = [*HealthCheck]  # pyright: ignore[reportAssignmentType]
 MOST_FLOAT16 = 1.0
-MOST_BEFORE = 63
+MOST_BEFORE = BATCH - 1
 """Most cases that are remembered as those before a failure; together with the failing case they fill one run of a program."""
-SHRINK_SECONDS = 60.0
-"""Most time for making a failing case smaller; seconds."""
 MOST_WEIGHTS = 128
 """Most sets of weights that are remembered in the form that the port gets; one test has fewer."""
 
@@ -47,8 +40,8 @@ class Tier:
 
 
 TIERS = {"quick": Tier("quick", 200, 24, 4), "full": Tier("full", 500, 150, 99)}
-Body = Callable[["Judge", Any], None]
-"""A property: it runs the port on a case, and raises DepartureError if the property does not hold."""
+Body = Callable[["Judge", Any], Talk]
+"""A property: it asks the port about a case, and raises DepartureError if the property does not hold."""
 
 
 class Judge:
@@ -63,6 +56,8 @@ class Judge:
 
     Attributes:
         record: of the test that runs now; the runner sets a new one before each test.
+        tell: called with a failure that takes long to be made smaller.
+        near: largest error / bound of each output in the last case.
     """
 
     def __init__(
@@ -78,8 +73,9 @@ class Judge:
         self.arithmetic = Arithmetic(port.dtype, bool(getattr(port, "winograd", False)))
         self.stages = port.stages()
         self.record = Record()
+        self.tell: Callable[[Finding], None] = lambda _: None
         self._last: Case | None = None
-        self._near: dict[str, float] = {}  # largest error / bound in the last case, which steers Hypothesis
+        self.near: dict[str, float] = {}
         self._before: deque[Any] = deque(maxlen=MOST_BEFORE)
         self._weights: dict[int, tuple[Weights, Weights]] = {}
 
@@ -88,84 +84,127 @@ class Judge:
         self.record = Record()
         self._before.clear()
 
-    def for_all(
-        self, strategy: st.SearchStrategy[Any], body: Body, *, slow: bool = False, drawn: Sequence[Any] | None = None
-    ) -> None:
-        """Run ``body`` on cases of ``strategy``, steered towards larger errors.
+    @property
+    def is_program(self) -> bool:
+        """Whether the port computes many cases at one start."""
+        return hasattr(self.port, "run_many")
 
-        The cases of a port that computes them beforehand (``conformance.rehearsal``) are not steered, since they must not depend on
-        its answers. They are ``drawn`` already, and are drawn again only if one of them fails, to make it smaller. Of ``slow``
-        cases fewer are drawn. Raises DepartureError as ``check``.
-        """
-        if drawn is not None and self._all_right(body, drawn):
-            return
-        steered = not hasattr(self.port, "prepare")
-        phases = [Phase.explicit, Phase.generate, *([Phase.target] if steered else []), *([Phase.shrink] if self.shrink else [])]
-        failed_at, failing = 0.0, set[bytes]()
-
-        def run(case: Any) -> None:
-            nonlocal failed_at
-            if failed_at and monotonic() - failed_at > SHRINK_SECONDS and fingerprint(case) not in failing:
-                return
-            try:
-                self.check(body, case)
-            except DepartureError:
-                failed_at = failed_at or monotonic()
-                failing.add(fingerprint(case))
-                raise
-            if steered:
-                for output, worst in self._near.items():
-                    hypothesis.target(worst, label=output)
-
-        self.draw(strategy, run, phases, slow=slow)
-
-    def _all_right(self, body: Body, drawn: Sequence[Any]) -> bool:
-        try:
-            for case in drawn:
-                self.check(body, case)
-        except DepartureError:
-            if not self.shrink:
-                raise
-            self.begin()
-            return False
-        return True
+    def check_all(self, body: Body, drawn: Sequence[Any]) -> None:
+        """Run a property on some of its cases; DepartureError if it does not hold, with the failure in ``record``."""
+        if self.first_wrong(body, drawn) is not None:
+            raise DepartureError(self.failure().finding)
 
     def check(self, body: Body, case: Any) -> None:
-        """Run a property on one of its cases; DepartureError if it does not hold, with the failure in ``record``."""
-        self._near = {}
+        """Run a property on one of its cases, as ``check_all``."""
+        self.near = {}
+        self.check_all(body, [case])
+
+    def failure(self) -> Failure:
+        """The failure of the test that runs now."""
+        assert self.record.failure is not None
+        return self.record.failure
+
+    def first_wrong(self, body: Body, drawn: Sequence[Any]) -> int | None:
+        """Number of the first case that is found wrong, whose failure is then in ``record``; None: all are right."""
+        for number, error in self.departures(body, drawn):
+            if error is not None:
+                before = [*self._before, *drawn[:number]][-MOST_BEFORE:]
+                self.record.failure = Failure(error.finding, drawn[number], tuple(before))
+                self.record.first = self.record.first or self.record.failure
+                self._before.extend(drawn[: number + 1])
+                return number
+        self._before.extend(drawn)
+        return None
+
+    def departures(self, body: Body, drawn: Sequence[Any]) -> Iterator[tuple[int, DepartureError | None]]:
+        """The number of each case as it ends, with its departure if it is wrong.
+
+        A program computes the questions of all cases together, round by round; an object answers one case after the other.
+        """
+        dialogues = [(number, Dialogue(body(self, case), case)) for number, case in enumerate(drawn)]
+        for group in [dialogues] if self.is_program else [[each] for each in dialogues]:
+            waiting: list[tuple[int, Dialogue]] = []
+            for number, dialogue in group:
+                if (error := self._advance(dialogue, None)) is not None or not dialogue.asked:
+                    yield number, error
+                else:
+                    waiting.append((number, dialogue))
+            while waiting:
+                answers = self._ask([dialogue for _, dialogue in waiting])
+                going = []
+                for (number, dialogue), given in zip(waiting, answers, strict=True):
+                    if given is None:
+                        continue
+                    error = given if isinstance(given, DepartureError) else self._advance(dialogue, given)
+                    if error is not None or not dialogue.asked:
+                        yield number, error
+                    else:
+                        going.append((number, dialogue))
+                waiting = going
+
+    def _advance(self, dialogue: Dialogue, answers: Sequence[Outputs] | None) -> DepartureError | None:
+        """Let a property go on to its next questions."""
         try:
-            body(self, case)
+            if answers is None:
+                dialogue.begin()
+            else:
+                last = dialogue.asked[-1]
+                self._last = self.asked(last.stage, last.inputs, last.weights)
+                dialogue.go_on(answers)
         except DepartureError as error:
-            failure = Failure(error.finding, case, tuple(self._before))
-            self.record.failure = failure
-            self.record.first = self.record.first or failure
-            raise
-        finally:
-            self._before.append(case)
+            return error
+        return None
 
-    def draw(
-        self, strategy: st.SearchStrategy[Any], take: Callable[[Any], None], phases: list[Phase], *, slow: bool = False
-    ) -> None:
-        """Call ``take`` with as many cases as the tier says; the same seed gives the same cases, unless ``take`` raises."""
+    def _ask(self, dialogues: Sequence[Dialogue]) -> list[list[Outputs] | DepartureError | None]:
+        """The port's answers to all that these wait for; a departure where one is none; None where nobody was asked."""
+        asked = [question for dialogue in dialogues for question in repeated(dialogue.asked, self.repeat)]
+        order = sorted(range(len(asked)), key=lambda i: asked[i].again)
+        cases = [self.asked(question.stage, question.inputs, question.weights) for question in asked]
+        found = dict(zip(order, answers_of(self.port, [cases[i] for i in order]), strict=True))
+        answers = [self._checked(case, found[i]) for i, case in enumerate(cases)]
+        result: list[list[Outputs] | DepartureError | None] = []
+        for dialogue in dialogues:
+            count = len(dialogue.asked) * self.repeat
+            some, answers = answers[:count], answers[count:]
+            result.append(self._together(dialogue, some))
+        return result
 
-        @hypothesis.seed(self.seed)
-        @settings(
-            max_examples=self.tier.slow if slow else self.tier.fast, phases=phases, database=None, deadline=None,
-            report_multiple_bugs=False, suppress_health_check=EVERY_CHECK, print_blob=False,
-        )  # fmt: skip
-        @hypothesis.given(strategy)
-        def run(case: Any) -> None:
-            take(case)
+    def _together(self, dialogue: Dialogue, answers: Sequence[Outputs | DepartureError | None]) -> Any:
+        """The answers to the questions of one case, each computed as often as the others with the same bits."""
+        wrong = next((each for each in answers if isinstance(each, DepartureError)), None)
+        if wrong is not None or any(each is None for each in answers):
+            return wrong
+        first = [*answers[:: self.repeat]]
+        try:
+            for i, outputs in enumerate(answers):
+                question = dialogue.asked[i // self.repeat]
+                if i % self.repeat:
+                    self._last = self.asked(question.stage, question.inputs, question.weights)
+                    self._same_bits(question.stage, outputs, first[i // self.repeat])
+        except DepartureError as error:
+            return error
+        return first
 
-        run()
+    def _same_bits(self, stage: str, outputs: Any, first: Any) -> None:
+        for name, array in outputs.items():
+            self.same(f"{stage}.{name}", np.nan_to_num(array), np.nan_to_num(first[name]))
+
+    def _checked(self, case: Case, answer: Answer) -> Outputs | DepartureError | None:
+        """The outputs, if they have the shapes and dtypes that they must have."""
+        sizes = check_inputs(case.stage, case.inputs, "float32")
+        if answer is None:
+            return None
+        self.record.met(sizes)
+        try:
+            if isinstance(answer, PortError):
+                raise answer
+            check_outputs(case.stage, answer, sizes)
+        except (ArrayError, PortError) as error:
+            return DepartureError(Finding(f"{case.stage}: {error}", case, "", None, None))
+        return answer
 
     def run(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Outputs:
-        """Run the port on a case.
-
-        Args:
-            stage: name of the stage.
-            inputs: any floats; the port gets them rounded to its arithmetic, see ``given``.
-            weights: for a stage that takes them.
+        """Run the port on one case, outside of a property.
 
         Returns:
             The port's outputs, with the right shapes and dtypes.
@@ -174,19 +213,13 @@ class Judge:
             DepartureError: the port fails, or an output is missing or has the wrong shape or dtype.
         """
         case = self.asked(stage, inputs, weights)
+        (found,) = answers_of(self.port, [case])
+        got = self._checked(case, found)
+        if isinstance(got, DepartureError):
+            raise got
         self._last = case
-        sizes = check_inputs(stage, case.inputs, "float32")
-        self.record.met(sizes)
-        try:
-            outputs = self._answer(case)
-            check_outputs(stage, outputs, sizes)
-            again = [self._answer(case) for _ in range(self.repeat - 1)]
-        except (ArrayError, PortError) as error:
-            raise DepartureError(Finding(f"{stage}: {error}", case, "", None, None)) from error
-        for other in again:
-            for name, array in other.items():
-                self.same(f"{stage}.{name}", np.nan_to_num(array), np.nan_to_num(outputs[name]))
-        return outputs
+        assert got is not None
+        return got
 
     def asked(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Case:
         """The case that the port gets for these inputs."""
@@ -197,22 +230,8 @@ class Judge:
         if id(weights) not in self._weights:
             if len(self._weights) == MOST_WEIGHTS:
                 self._weights.clear()
-            self._weights[id(weights)] = weights, self.given(weights)
+            self._weights[id(weights)] = weights, Tensors(self.given(weights), second_color(weights))
         return self._weights[id(weights)][1]
-
-    def _answer(self, case: Case) -> Outputs:
-        """The port's answer. Arrays are copied, since a port in this process may write to its inputs, or later to its outputs."""
-        if hasattr(self.port, "prepare"):
-            return self.port.run(case.stage, case.inputs, case.weights)
-        weights = None if case.weights is None else {name: tensor.copy() for name, tensor in case.weights.items()}
-        try:
-            outputs = self.port.run(case.stage, {name: array.copy() for name, array in case.inputs.items()}, weights)
-        except (PortError, ArrayError):
-            raise
-        except Exception as error:
-            # The port is foreign code: anything that it raises is a failure on this case.
-            raise PortError(f"{type(error).__name__}: {error}") from error
-        return {name: array.copy() for name, array in outputs.items()}
 
     def given(self, arrays: Arrays, stage: str = "") -> dict[str, NDArray[Any]]:
         """``arrays`` as the port gets them: float32, rounded to numbers that its arithmetic has.
@@ -234,30 +253,33 @@ class Judge:
         given = None if weights is None else self._given_weights(weights)
         return expect(stage, self.exactly(inputs, stage), given, self.arithmetic, got or {})
 
-    def agrees(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Outputs:
-        """Run the port, and raise DepartureError unless every output is within its bound of the float64 reference."""
-        outputs = self.run(stage, inputs, weights)
+    def agrees(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Talk:
+        """Ask the port, and raise DepartureError unless every output is within its bound of the float64 reference."""
+        self.compare(stage, inputs, weights, (yield ask(stage, inputs, weights)))
+
+    def compare(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None, outputs: Outputs) -> None:
+        """Raise DepartureError unless every output is within its bound of the float64 reference."""
+        self._last = self.asked(stage, inputs, weights)
         expected = self.right(stage, inputs, weights, outputs)
         if not expected:
             self._finite(stage, outputs)
         for name, right in expected.items():
             self.holds(f"{stage}.{name}", outputs[name], right)
-        return outputs
 
-    def agrees_exactly(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights) -> None:
+    def agrees_exactly(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights) -> Talk:
         """Run a case that needs no rounding, and expect the right bits; a Winograd port has its bounds, since its matrices have thirds."""
         if self.arithmetic.winograd:
-            self.agrees(stage, inputs, weights)
+            yield from self.agrees(stage, inputs, weights)
             return
-        outputs = self.run(stage, inputs, weights)
+        outputs = yield ask(stage, inputs, weights)
         for name, right in self.right(stage, inputs, weights).items():
             self.same(f"{stage}.{name}", outputs[name], right.want)
 
     def rounds_either_way(
         self, stage: str, output: str, inputs: Mapping[str, NDArray[Any]], weights: Weights, layer: str
-    ) -> None:
+    ) -> Talk:
         """Compare all errors of an output with those of sums that round either way; the sums' terms, of ``layer``, have one sign."""
-        got = self.run(stage, inputs, weights)[output]
+        got = (yield ask(stage, inputs, weights))[output]
         want = self.right(stage, inputs, weights)[output].want
         sums = want != 0
         terms = int(np.prod(weights[f"{layer}.weight"].shape[1:]))
@@ -285,4 +307,9 @@ class Judge:
             assert self._last is not None
             message = said(output, got, expected, worst)
             raise DepartureError(Finding(message, self._last, output.rsplit(".", maxsplit=1)[-1], got, expected))
-        self._near[output] = max(worst, self._near.get(output, 0.0))
+        self.near[output] = max(worst, self.near.get(output, 0.0))
+
+
+def agreement(judge: Judge, case: Case) -> Talk:
+    """The property of a case that has no other: it agrees with the reference."""
+    yield from judge.agrees(case.stage, case.inputs, case.weights)

@@ -3,22 +3,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from types import ModuleType
 from typing import Any
 
-from hypothesis import Phase
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
 from conformance.answers.port_arithmetic import Arithmetic
-from conformance.judge import Body, Judge, Tier
+from conformance.judge import Judge, Tier
+from conformance.protocol.drawn_case import fingerprint
 from conformance.protocol.port import Arrays, Case, Outputs
 from conformance.protocol.stages import STAGES
-from conformance.rehearsal import digest
+from conformance.questions import Talk
 from stss_ref.weights import Weights
 
 
@@ -71,7 +70,7 @@ class _PropertyError(Exception):
 
 
 class _NoPort:
-    """In the place of a port: nobody is asked. Cases do not depend on answers, as a program's do not."""
+    """In the place of a port: nobody is asked."""
 
     name = "none"
 
@@ -81,11 +80,8 @@ class _NoPort:
     def stages(self) -> frozenset[str]:
         return frozenset(STAGES)
 
-    def prepare(self, cases: Iterable[Case]) -> None:
-        """It marks a port that is not steered by."""
-
     def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
-        raise _PropertyError
+        raise NotImplementedError
 
 
 class _Collector(Judge):
@@ -99,42 +95,29 @@ class _Collector(Judge):
 
     def collect(self, name: str, test: Any) -> StoredTest:
         """The cases of one test."""
-        self.begin()
         self._found, self._undecided = [], 0
         words = " ".join((test.__doc__ or "").split())
         try:
-            test(self)
+            for case in test.some(self):
+                for _ in test.property(self, case):
+                    raise _PropertyError
         except _PropertyError:
             return StoredTest(name, words, None, 0)
         return StoredTest(name, words, self._found, self._undecided)
 
-    def for_all(
-        self, strategy: st.SearchStrategy[Any], body: Body, *, slow: bool = False, drawn: Sequence[Any] | None = None
-    ) -> None:
-        """Drawn first, so that the first case that no answer can be stored of ends the test."""
-        some: list[Any] = [*(drawn or ())]
-        if drawn is None:
-            self.draw(strategy, some.append, [Phase.generate], slow=slow)
-        for case in some:
-            self.check(body, case)
-
-    def agrees(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Outputs:
+    def agrees(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Talk:
         """Right is what the reference computes in float64, within the bound."""
-        return self._take(stage, inputs, weights, exactly=False)
+        self._take(stage, inputs, weights, exactly=False)
+        yield from ()
 
-    def agrees_exactly(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights) -> None:
+    def agrees_exactly(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights) -> Talk:
         """Right are the same bits, but with Winograd."""
         self._take(stage, inputs, weights, exactly=not self.arithmetic.winograd)
+        yield from ()
 
-    def rounds_either_way(
-        self, stage: str, output: str, inputs: Mapping[str, NDArray[Any]], weights: Weights, layer: str
-    ) -> None:
-        """The errors of thousands of numbers together: no bound of each says that."""
-        raise _PropertyError
-
-    def _take(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None, *, exactly: bool) -> Outputs:
+    def _take(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None, *, exactly: bool) -> None:
         case = self.asked(stage, inputs, weights)
-        key = digest(case)
+        key = fingerprint([stage, dict(case.inputs), None if case.weights is None else dict(case.weights)])
         expected = self.right(stage, inputs, weights)
         if key not in self._seen:
             self._seen.add(key)
@@ -145,4 +128,3 @@ class _Collector(Judge):
                 flushed = self.arithmetic.flushed
                 exact = {name: Expected(right.want, flushed(right.want)) for name, right in expected.items()}
                 self._found.append(StoredCase(case, exact if exactly else expected))
-        return {name: right.want for name, right in expected.items()}

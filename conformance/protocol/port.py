@@ -20,7 +20,15 @@ Outputs = dict[str, AnyArray]
 
 
 class PortError(RuntimeError):
-    """A port failed or broke the protocol; the message names the port, the stage, and what was expected and found."""
+    """A port failed or broke the protocol; the message names the port, the stage, and what was expected and found.
+
+    Attributes:
+        at: number of the case of a job at which it failed, as far as that can be seen.
+    """
+
+    def __init__(self, message: str, at: int | None = None):
+        super().__init__(message)
+        self.at = at
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,6 @@ class FolderPort:
         dtype: the program's arithmetic; the files are float32 in any case.
         stderr: the end of the stderr of the program's last run.
         kept: the job folder of its last run that failed, if any.
-        remove: the function that removes a job folder, now or later.
     """
 
     def __init__(self, command: Sequence[str], timeout: float, dtype: str = DTYPE):
@@ -52,7 +51,6 @@ class FolderPort:
         self.dtype = dtype
         self.stderr = ""
         self.kept: Path | None = None
-        self.remove: Callable[[Path], object] = remove_tree
         self._command = list(command)
         self._timeout = timeout
         self._stages: frozenset[str] | None = None
@@ -69,8 +67,7 @@ class FolderPort:
         """Compute one case at a start of its own. Errors as ``run_many``; an unsupported stage is an error too."""
         (result,) = self.run_many([Case(stage, inputs, weights)])
         if isinstance(result, Unsupported):
-            sizes = ", ".join(f"{name} {array.shape}" for name, array in inputs.items())
-            raise PortError(f"{self.name}: stage {stage} is unsupported with {sizes}, though not with others")
+            raise PortError(f"{self.name}: stage {stage} is unsupported")
         return result
 
     def run_many(self, cases: Sequence[Case]) -> list[Outputs | Unsupported]:
@@ -101,18 +98,26 @@ class FolderPort:
     def _computed(self, cases: Sequence[Case], read: Callable[[Path, int], T], *, layers: bool = False) -> list[T]:
         """Start the program on a job of ``cases``, and ``read`` what it left in the folder of each."""
         job = Path(tempfile.mkdtemp(prefix="stss-job-", dir=place_for(cases)))
+        results: list[T] = []
+        ran = False
         try:
             write_job(job, cases, layers=layers)
             self._start(job)
+            ran = True
             require_real(job)
-            results = [read(job / f"{number:04d}", number) for number in range(len(cases))]
+            for number in range(len(cases)):
+                results.append(read(job / f"{number:04d}", number))
         except JobError as error:
+            # Of many starts that fail while a case is made smaller, only the last job is kept.
+            if self.kept is not None:
+                shutil.rmtree(self.kept, ignore_errors=True)
             self.kept = job
-            raise PortError(f"{self.name}: {error}; its job is kept: {job}{self._said()}") from error
+            at = len(results) if ran else _first_unanswered(job, len(cases))
+            raise PortError(f"{self.name}: {error}; its job is kept: {job}{self._said()}", at) from error
         except BaseException:
-            self.remove(job)
+            shutil.rmtree(job, ignore_errors=True)
             raise
-        self.remove(job)
+        shutil.rmtree(job, ignore_errors=True)
         return results
 
     def _start(self, job: Path) -> None:
@@ -143,9 +148,12 @@ def place_for(cases: Sequence[Case]) -> Path | None:
         return None
 
 
-def remove_tree(job: Path) -> None:
-    """Remove a job folder, as far as that can be done."""
-    shutil.rmtree(job, ignore_errors=True)
+def _first_unanswered(job: Path, count: int) -> int | None:
+    """Number of the first case of a job that a program has not begun to answer: as a rule that is where it failed."""
+    names = (f"{number:04d}" for number in range(count))
+    return next(
+        (n for n, name in enumerate(names) if not any((job / name / left).exists() for left in ("out", "unsupported"))), None
+    )
 
 
 def _failed(ending: Ending, timeout: float) -> str:

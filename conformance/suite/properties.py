@@ -19,7 +19,7 @@ from conformance.diagnosis import diagnose
 from conformance.findings import DepartureError, Failure, Record
 from conformance.first_layer import first_departure
 from conformance.judge import Body, Judge
-from conformance.rehearsal import prepare, rehearse
+from conformance.search import drawn_cases, for_all
 from conformance.terms import terms_at_worst
 
 
@@ -34,11 +34,10 @@ def cases(strategy: st.SearchStrategy[Any], *, slow: bool = False) -> Callable[[
     def decorate(body: Body) -> Callable[[Judge], None]:
         @wraps(body)
         def test(judge: Judge) -> None:
-            drawn = rehearse(judge, strategy, body, slow=slow)
             with _confirmed(judge, body):
-                judge.for_all(strategy, body, slow=slow, drawn=drawn)
+                for_all(judge, strategy, body, slow=slow)
 
-        return _as_test(test, body)
+        return _as_test(test, body, lambda judge: drawn_cases(judge, strategy, slow=slow))
 
     return decorate
 
@@ -58,16 +57,18 @@ def made_cases(
     """
 
     def decorate(body: Body) -> Callable[[Judge], None]:
+        def some(judge: Judge) -> list[Any]:
+            return [make(np.random.default_rng(judge.seed)) for make in made[: judge.tier.large if large else None]]
+
         @wraps(body)
         def test(judge: Judge) -> None:
-            some = [make(np.random.default_rng(judge.seed)) for make in made[: judge.tier.large if large else None]]
-            prepare(judge, some, body)
             with _confirmed(judge, body):
-                for case, make in zip(some, made, strict=False):
-                    judge.record.about = about(make)
-                    judge.check(body, case)
+                wrong = judge.first_wrong(body, some(judge))
+                if wrong is not None:
+                    judge.record.about = about(made[wrong])
+                    raise DepartureError(judge.failure().finding)
 
-        return _as_test(test, body)
+        return _as_test(test, body, some)
 
     return decorate
 
@@ -100,10 +101,10 @@ def _diagnosed(judge: Judge, failure: Failure, first: Failure | None) -> Failure
     return replace(failure, finding=replace(failure.finding, message=message, terms=terms_at_worst(failure.finding)))
 
 
-def _as_test(test: Any, body: Body) -> Callable[[Judge], None]:
+def _as_test(test: Any, body: Body, some: Callable[[Judge], list[Any]]) -> Callable[[Judge], None]:
     # pytest looks for fixtures in the signature, and the case is no fixture.
     del test.__wrapped__
-    test.property = body
+    test.property, test.some = body, some
     return test
 
 

@@ -8,6 +8,7 @@ from conformance.cases.exact_weights import LAST, exact_inputs, rounded_sums
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judge import Judge
+from conformance.questions import Talk, ask
 from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
 
@@ -15,49 +16,50 @@ CASES = st.tuples(network_inputs("decoder"), weights())
 
 
 @cases(CASES, slow=True)
-def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """The image is the float64 reference's, within the error that rounding can cause."""
-    judge.agrees("decoder", *case)
+    yield from judge.agrees("decoder", *case)
 
 
 @cases(CASES, slow=True)
-def test_each_output_channel_has_its_place(judge: Judge, case: tuple[Inputs, Weights]):
+def test_each_output_channel_has_its_place(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """With a black colour and all weights 0, bias 4c + 2i + j is channel c of the pixels (2y + i, 2x + j), bit for bit."""
     inputs, given = case
     still = {name: tensor if name == "outc.bias" else tensor * 0 for name, tensor in given.items()}
-    got = judge.run("decoder", {**inputs, "color": inputs["color"] * 0}, still)["image"]
+    got = (yield ask("decoder", {**inputs, "color": inputs["color"] * 0}, still))["image"]
     bias = judge.given(still)["outc.bias"].reshape(3, 2, 2).transpose(1, 2, 0)
     judge.same("decoder.image", got, np.tile(bias, (got.shape[0] // 2, got.shape[1] // 2, 1)))
 
 
 @cases(st.tuples(network_inputs("decoder", color="flat"), weights()), slow=True)
-def test_one_colour_stays_one_colour(judge: Judge, case: tuple[Inputs, Weights]):
+def test_one_colour_stays_one_colour(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Without a residual a flat frame is upsampled to the same colour bit for bit."""
     inputs, given = case
     still = {name: tensor * 0 for name, tensor in given.items()}
-    got = judge.run("decoder", inputs, still)["image"]
+    got = (yield ask("decoder", inputs, still))["image"]
     judge.same("decoder.image", got, np.broadcast_to(judge.given(inputs, "decoder")["color"][:1, :1, :3], got.shape))
 
 
 @cases(CASES, slow=True)
-def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
+def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """The same features give the same bits again."""
-    judge.same("decoder.image", *(judge.run("decoder", *case)["image"] for _ in range(2)))
+    first, second = yield ask("decoder", *case), ask("decoder", *case, again=True)
+    judge.same("decoder.image", second["image"], first["image"])
 
 
 @cases(exact_inputs("decoder", multiples()), slow=True)
-def test_what_needs_no_rounding_is_exact(judge: Judge, case: tuple[Inputs, Weights]):
+def test_what_needs_no_rounding_is_exact(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Sums of eighths and few weights of 1 over flat features need no rounding in any order: the image is right bit for bit."""
-    judge.agrees_exactly("decoder", *case)
+    yield from judge.agrees_exactly("decoder", *case)
 
 
 @cases(rounded_sums("decoder"), slow=True)
-def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]):
+def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Thousands of sums of one layer are off by no more than rounding to nearest causes on average, and not all to one side."""
-    judge.rounds_either_way("decoder", "image", *case, LAST["decoder"])
+    yield from judge.rounds_either_way("decoder", "image", *case, LAST["decoder"])
 
 
 @made_cases(large_inputs("decoder"), large=True)
-def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
-    judge.agrees("decoder", *case)
+    yield from judge.agrees("decoder", *case)

@@ -9,6 +9,7 @@ from conformance.cases.exact_weights import LAST, exact_inputs, rounded_sums
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judge import Judge
+from conformance.questions import Talk, ask
 from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
 
@@ -18,13 +19,13 @@ REACH = {"x1": 2, "x2": 7, "x3": 17, "x4": 37}
 
 
 @cases(CASES, slow=True)
-def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """All four features are the float64 reference's, within the error that rounding can cause."""
-    judge.agrees("encoder", *case)
+    yield from judge.agrees("encoder", *case)
 
 
 @cases(CASES, slow=True)
-def test_what_is_masked_is_read_once(judge: Judge, case: tuple[Inputs, Weights]):
+def test_what_is_masked_is_read_once(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Where the mask is 0 everywhere, the weights of ``color * mask`` do not matter."""
     inputs, given = case
     closed = {**inputs, "mask": inputs["mask"] * 0}
@@ -33,13 +34,13 @@ def test_what_is_masked_is_read_once(judge: Judge, case: tuple[Inputs, Weights])
         other[name] = given[name].copy()
         other[name][:, 6:12] = 0
     right = judge.right("encoder", closed, given)
-    first, second = (judge.run("encoder", closed, w) for w in (given, other))
+    first, second = yield [ask("encoder", closed, w) for w in (given, other)]
     for name, expected in right.items():
         judge.holds(f"encoder.{name}", second[name], Expected(first[name], 2 * np.asarray(expected.allowed)))
 
 
 @cases(st.tuples(network_inputs("encoder", multiples(48)), weights(), st.integers(0, 47), st.integers(0, 47)), slow=True)
-def test_a_pixel_is_seen_from_nearby_only(judge: Judge, case: tuple[Inputs, Weights, int, int]):
+def test_a_pixel_is_seen_from_nearby_only(judge: Judge, case: tuple[Inputs, Weights, int, int]) -> Talk:
     """Changing one pixel changes nothing beyond the layers' radius; bit for bit, except in a Winograd port."""
     inputs, given, y, x = case
     height, width, _ = inputs["color"].shape
@@ -48,7 +49,7 @@ def test_a_pixel_is_seen_from_nearby_only(judge: Judge, case: tuple[Inputs, Weig
     changed["color"][y, x] = 0.75 - changed["color"][y, x] / 2
     changed["gbuffer"][y, x, 4:] = 0.75 - changed["gbuffer"][y, x, 4:] / 2
     right = judge.right("encoder", inputs, given)
-    first, second = (judge.run("encoder", i, given) for i in (inputs, changed))
+    first, second = yield [ask("encoder", i, given) for i in (inputs, changed)]
     for name, expected in right.items():
         side = height // first[name].shape[0]
         rows, columns = (np.arange(n) * side for n in first[name].shape[:2])
@@ -58,26 +59,26 @@ def test_a_pixel_is_seen_from_nearby_only(judge: Judge, case: tuple[Inputs, Weig
 
 
 @cases(CASES, slow=True)
-def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
+def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """The same frame gives the same bits again."""
-    first, second = (judge.run("encoder", *case) for _ in range(2))
+    first, second = yield ask("encoder", *case), ask("encoder", *case, again=True)
     for name in first:
         judge.same(f"encoder.{name}", second[name], first[name])
 
 
 @cases(exact_inputs("encoder", multiples()), slow=True)
-def test_what_needs_no_rounding_is_exact(judge: Judge, case: tuple[Inputs, Weights]):
+def test_what_needs_no_rounding_is_exact(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Sums of eighths and few weights of 1 need no rounding in any order: all four features are right bit for bit."""
-    judge.agrees_exactly("encoder", *case)
+    yield from judge.agrees_exactly("encoder", *case)
 
 
 @cases(rounded_sums("encoder"), slow=True)
-def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]):
+def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Thousands of sums of one layer are off by no more than rounding to nearest causes on average, and not all to one side."""
-    judge.rounds_either_way("encoder", "x1", *case, LAST["encoder"])
+    yield from judge.rounds_either_way("encoder", "x1", *case, LAST["encoder"])
 
 
 @made_cases(large_inputs("encoder"), large=True)
-def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
-    judge.agrees("encoder", *case)
+    yield from judge.agrees("encoder", *case)

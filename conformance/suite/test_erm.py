@@ -10,6 +10,7 @@ from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import SEEDS
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judge import Judge
+from conformance.questions import Talk, ask
 from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
 
@@ -17,21 +18,21 @@ CASES = st.tuples(network_inputs("erm", multiples(48)), weights())
 
 
 @cases(CASES, slow=True)
-def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """The reshaded light is the float64 reference's, within the error that rounding can cause."""
-    judge.agrees("erm", *case)
+    yield from judge.agrees("erm", *case)
 
 
 @cases(CASES, slow=True)
-def test_nothing_to_be_trusted_gives_nothing(judge: Judge, case: tuple[Inputs, Weights]):
+def test_nothing_to_be_trusted_gives_nothing(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Where the whole window is masked, the result is 0, and not 0 / 0."""
     inputs, given = case
-    got = judge.run("erm", {**inputs, "mask": inputs["mask"] * 0}, given)["reshaded"]
+    got = (yield ask("erm", {**inputs, "mask": inputs["mask"] * 0}, given))["reshaded"]
     judge.same("erm.reshaded", got, np.zeros_like(got))
 
 
 @cases(CASES, slow=True)
-def test_a_masked_value_influences_nobody(judge: Judge, case: tuple[Inputs, Weights]):
+def test_a_masked_value_influences_nobody(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Light where the mask is 0 changes no result, not even at its own place: layers of one tap keep it from spreading by itself.
 
     The material is left as it is, since the query at its place does read it.
@@ -41,12 +42,12 @@ def test_a_masked_value_influences_nobody(judge: Judge, case: tuple[Inputs, Weig
     closed = _quarter(inputs)
     changed = {**closed, "x4": np.where(_eighth(closed["mask"])[..., None] == 0, 3 - closed["x4"], closed["x4"])}
     right = judge.right("erm", closed, taps)["reshaded"]
-    first, second = (judge.run("erm", i, taps)["reshaded"] for i in (closed, changed))
-    judge.holds("erm.reshaded", second, Expected(first, 2 * np.asarray(right.allowed)))
+    first, second = yield [ask("erm", i, taps) for i in (closed, changed)]
+    judge.holds("erm.reshaded", second["reshaded"], Expected(first["reshaded"], 2 * np.asarray(right.allowed)))
 
 
 @cases(CASES, slow=True)
-def test_equal_light_stays_equal(judge: Judge, case: tuple[Inputs, Weights]):
+def test_equal_light_stays_equal(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """The average of equal values is that value, whatever their weights: if the light is the same everywhere, so is the result."""
     inputs, given = case
     dark = {n: t * 0 if n.startswith("latentEncoder") and not n.endswith("4.bias") else t for n, t in given.items()}
@@ -54,7 +55,7 @@ def test_equal_light_stays_equal(judge: Judge, case: tuple[Inputs, Weights]):
         dark["KEncoder.4.bias"] = given["KEncoder.4.bias"] + np.float32(1)
     open_ = {**inputs, "mask": np.ones_like(inputs["mask"])}
     right = judge.right("erm", open_, dark)["reshaded"]
-    got = judge.run("erm", open_, dark)["reshaded"]
+    got = (yield ask("erm", open_, dark))["reshaded"]
     light = judge.given(dark)["latentEncoder.4.bias"].astype(np.float64)
     faint = (
         np.abs(right.want - light).max(axis=-1, keepdims=True) > np.abs(light).max() / 2
@@ -63,32 +64,33 @@ def test_equal_light_stays_equal(judge: Judge, case: tuple[Inputs, Weights]):
 
 
 @cases(st.tuples(CASES, SEEDS), slow=True)
-def test_opposite_materials_share_no_light(judge: Judge, case: tuple[tuple[Inputs, Weights], int]):
+def test_opposite_materials_share_no_light(judge: Judge, case: tuple[tuple[Inputs, Weights], int]) -> Talk:
     """If a key is the sign of the first normal component, each place averages the light of its own sign: negative weights count as 0."""
     (inputs, given), seed = case
     height, width, _ = inputs["x4"].shape
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (height, width))
     signed = {**inputs, "gbuffer": inputs["gbuffer"].copy()}
     signed["gbuffer"][..., 0] = signs.repeat(8, axis=0).repeat(8, axis=1)
-    judge.agrees("erm", signed, {**given, **_sign_of_the_first(given)})
+    yield from judge.agrees("erm", signed, {**given, **_sign_of_the_first(given)})
 
 
 @cases(CASES, slow=True)
-def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
+def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """The same frame gives the same bits again."""
-    judge.same("erm.reshaded", *(judge.run("erm", *case)["reshaded"] for _ in range(2)))
+    first, second = yield ask("erm", *case), ask("erm", *case, again=True)
+    judge.same("erm.reshaded", second["reshaded"], first["reshaded"])
 
 
 @made_cases(constant_cases("erm"), about=pinned_by)
-def test_constants_are_those_of_the_specification(judge: Judge, case: tuple[Inputs, Weights]):
+def test_constants_are_those_of_the_specification(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Cases agree, too, in which a constant shows: just beside a limit, or near a small number that is added or is a least value."""
-    judge.agrees("erm", *case)
+    yield from judge.agrees("erm", *case)
 
 
 @made_cases(large_inputs("erm"), large=True)
-def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
-    judge.agrees("erm", *case)
+    yield from judge.agrees("erm", *case)
 
 
 def _centre(weight: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ from conformance.cases.every_buffer import frame_cases
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, frame_inputs, scene_inputs, weights
 from conformance.judge import Judge
+from conformance.questions import Talk, ask
 from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
 
@@ -17,28 +18,28 @@ STANDS = frame_inputs().map(lambda inputs: {**inputs, "motions": inputs["motions
 
 
 @cases(CASES, slow=True)
-def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """The image of SF and EF, also with missing frames, is the float64 reference's; cases are counted where rounding decides a hole."""
-    judge.agrees("frame", *case)
+    yield from judge.agrees("frame", *case)
 
 
 STARTS = st.sampled_from([(0, 0, 0), (1, 1, 1), (0, 2, 2), (1, 3, 3)])
 
 
 @cases(st.tuples(STARTS.flatmap(lambda steps: frame_inputs(steps=steps)), weights()), slow=True)
-def test_agrees_at_the_start_of_a_sequence(judge: Judge, case: tuple[Inputs, Weights]):
+def test_agrees_at_the_start_of_a_sequence(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Frames agree, too, where older frames are missing: the oldest existing frame stands in, with all of it masked."""
-    judge.agrees("frame", *case)
+    yield from judge.agrees("frame", *case)
 
 
 @cases(st.tuples(scene_inputs(), weights()), slow=True)
-def test_agrees_on_rendered_scenes(judge: Judge, case: tuple[Inputs, Weights]):
+def test_agrees_on_rendered_scenes(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Frames agree, too, on scenes whose motion, geometry and holes come from a renderer."""
-    judge.agrees("frame", *case)
+    yield from judge.agrees("frame", *case)
 
 
 @cases(st.tuples(STANDS, weights()), slow=True)
-def test_without_a_residual_a_still_frame_is_upsampled(judge: Judge, case: tuple[Inputs, Weights]):
+def test_without_a_residual_a_still_frame_is_upsampled(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """If nothing moves and nothing is a hole, with weights of 0 an extrapolated frame has the same bits as a rendered one."""
     inputs, given = case
     still = {name: tensor * 0 for name, tensor in given.items()}
@@ -46,40 +47,41 @@ def test_without_a_residual_a_still_frame_is_upsampled(judge: Judge, case: tuple
     same["stencils"] = np.zeros_like(inputs["stencils"])
     frames = [{**same, "steps": np.array(steps, np.int32)} for steps in ((0, 0, 0), (1, 1, 1))]
     frames[1]["motions"] = np.zeros((1, *inputs["motions"].shape[1:]))
-    rendered, extrapolated = (judge.run("frame", f, still)["image"] for f in frames)
-    judge.same("frame.image", extrapolated, rendered)
+    rendered, extrapolated = yield [ask("frame", f, still) for f in frames]
+    judge.same("frame.image", extrapolated["image"], rendered["image"])
 
 
 @cases(st.tuples(frame_inputs(steps=(0, 2, 4)), weights()), slow=True)
-def test_a_rendered_frame_looks_for_no_other(judge: Judge, case: tuple[Inputs, Weights]):
+def test_a_rendered_frame_looks_for_no_other(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """With weights of 0 a rendered frame depends on its own colour alone."""
     inputs, given = case
     still = {name: tensor * 0 for name, tensor in given.items()}
     other = {**inputs, "colors": inputs["colors"].copy(), "motions": -inputs["motions"], "positions": inputs["positions"] * 2}
     other["colors"][1:] = 0.5
-    first, second = (judge.run("frame", i, still)["image"] for i in (inputs, other))
-    judge.same("frame.image", second, first)
+    first, second = yield [ask("frame", i, still) for i in (inputs, other)]
+    judge.same("frame.image", second["image"], first["image"])
 
 
 @cases(CASES, slow=True)
-def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
+def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """The same buffers give the same bits again."""
-    judge.same("frame.image", *(judge.run("frame", *case)["image"] for _ in range(2)))
+    first, second = yield ask("frame", *case), ask("frame", *case, again=True)
+    judge.same("frame.image", second["image"], first["image"])
 
 
 @made_cases(frame_cases())
-def test_every_buffer_of_every_frame_counts(judge: Judge, case: tuple[Inputs, Weights]):
+def test_every_buffer_of_every_frame_counts(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Frames agree, too, where each stencil, normal, position and motion decides about pixels of its own, at any steps."""
-    judge.agrees("frame", *case)
+    yield from judge.agrees("frame", *case)
 
 
 @made_cases(constant_cases("frame"), about=pinned_by)
-def test_constants_are_those_of_the_specification(judge: Judge, case: tuple[Inputs, Weights]):
+def test_constants_are_those_of_the_specification(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Cases agree, too, in which a constant shows: just beside a limit, or near a small number that is added or is a least value."""
-    judge.agrees("frame", *case)
+    yield from judge.agrees("frame", *case)
 
 
 @made_cases(large_inputs("frame"), large=True)
-def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across and out of them."""
-    judge.agrees("frame", *case)
+    yield from judge.agrees("frame", *case)

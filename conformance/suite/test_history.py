@@ -9,6 +9,7 @@ from conformance.cases.exact_weights import LAST, exact_inputs, rounded_sums
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judge import Judge
+from conformance.questions import Talk, ask
 from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
 
@@ -16,53 +17,54 @@ CASES = st.tuples(network_inputs("history"), weights())
 
 
 @cases(CASES, slow=True)
-def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """The feature is the float64 reference's, within the error that rounding can cause."""
-    judge.agrees("history", *case)
+    yield from judge.agrees("history", *case)
 
 
 @cases(st.tuples(CASES, st.permutations(range(3))), slow=True)
-def test_the_three_frames_share_their_weights(judge: Judge, case: tuple[tuple[Inputs, Weights], list[int]]):
+def test_the_three_frames_share_their_weights(judge: Judge, case: tuple[tuple[Inputs, Weights], list[int]]) -> Talk:
     """Permuting the frames, and the last layer's inputs from each, changes the result only by rounding."""
     (inputs, given), order = case
     blocks = np.concatenate([np.arange(32) + 32 * i for i in order])
     read = {name: tensor[:, blocks] for name, tensor in given.items() if name.startswith("lowlevelGated") and tensor.ndim == 4}
-    whole = judge.run("history", inputs, given)["feature"]
+    turned = {"history": inputs["history"][order]}
+    whole, got = yield ask("history", inputs, given), ask("history", turned, {**given, **read})
     right = judge.right("history", inputs, given)["feature"]
-    got = judge.run("history", {"history": inputs["history"][order]}, {**given, **read})["feature"]
-    judge.holds("history.feature", got, Expected(whole, 2 * np.asarray(right.allowed)))
+    judge.holds("history.feature", got["feature"], Expected(whole["feature"], 2 * np.asarray(right.allowed)))
 
 
 @cases(CASES, slow=True)
-def test_without_weights_the_bias_is_left(judge: Judge, case: tuple[Inputs, Weights]):
+def test_without_weights_the_bias_is_left(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """If all weights are 0, the feature is the last layer's bias, times a gate of one half: no ReLU follows the gate."""
     inputs, given = case
     still = {name: tensor if name == "lowlevelGated.conv_feature.bias" else tensor * 0 for name, tensor in given.items()}
     bias = judge.given(still)["lowlevelGated.conv_feature.bias"].astype(np.float64)
     right = judge.right("history", inputs, still)["feature"]
-    got = judge.run("history", inputs, still)["feature"]
+    got = (yield ask("history", inputs, still))["feature"]
     judge.holds("history.feature", got, Expected(np.broadcast_to(bias / 2, got.shape), right.allowed))
 
 
 @cases(CASES, slow=True)
-def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
+def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """The same history gives the same bits again."""
-    judge.same("history.feature", *(judge.run("history", *case)["feature"] for _ in range(2)))
+    first, second = yield ask("history", *case), ask("history", *case, again=True)
+    judge.same("history.feature", second["feature"], first["feature"])
 
 
 @cases(exact_inputs("history", multiples(32)), slow=True)
-def test_what_needs_no_rounding_is_exact(judge: Judge, case: tuple[Inputs, Weights]):
+def test_what_needs_no_rounding_is_exact(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Sums of eighths and few weights of 1 need no rounding in any order: the feature is right bit for bit."""
-    judge.agrees_exactly("history", *case)
+    yield from judge.agrees_exactly("history", *case)
 
 
 @cases(rounded_sums("history"), slow=True)
-def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]):
+def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Thousands of sums of one layer are off by no more than rounding to nearest causes on average, and not all to one side."""
-    judge.rounds_either_way("history", "feature", *case, LAST["history"])
+    yield from judge.rounds_either_way("history", "feature", *case, LAST["history"])
 
 
 @made_cases(large_inputs("history"), large=True)
-def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
-    judge.agrees("history", *case)
+    yield from judge.agrees("history", *case)

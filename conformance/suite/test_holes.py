@@ -11,31 +11,32 @@ from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import SEEDS, Size, sizes
 from conformance.cases.stage_inputs import Inputs, holes_inputs, thresholds
 from conformance.judge import Judge
+from conformance.questions import Talk, ask
 from conformance.suite.properties import cases, made_cases
 
 
 @cases(holes_inputs())
-def test_agrees_with_the_reference(judge: Judge, inputs: Inputs):
+def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
     """The mask is the float64 reference's; either answer is right where a comparison is within rounding of its threshold."""
-    judge.agrees("holes", inputs)
+    yield from judge.agrees("holes", inputs)
 
 
 @cases(thresholds())
-def test_agrees_near_the_thresholds(judge: Judge, inputs: Inputs):
+def test_agrees_near_the_thresholds(judge: Judge, inputs: Inputs) -> Talk:
     """Masks agree, too, where one comparison decides: the distance or angle of a surface near its limit, or another object's edge."""
-    judge.agrees("holes", inputs)
+    yield from judge.agrees("holes", inputs)
 
 
 @cases(holes_inputs())
-def test_what_is_valid_is_in_the_frame(judge: Judge, inputs: Inputs):
+def test_what_is_valid_is_in_the_frame(judge: Judge, inputs: Inputs) -> Talk:
     """A place off screen is always a hole."""
-    valid = judge.run("holes", inputs)["valid"]
+    valid = (yield ask("holes", inputs))["valid"]
     inside, edge = within_frame(reach(judge.exactly(inputs, "holes")["motion"], judge.arithmetic))
     judge.same("holes.valid", np.where(inside | edge, 0, valid), np.zeros_like(valid))
 
 
 @cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS, st.sampled_from([np.nan, np.inf]))))
-def test_a_lost_position_is_a_hole(judge: Judge, case: tuple[Size, int, float]):
+def test_a_lost_position_is_a_hole(judge: Judge, case: tuple[Size, int, float]) -> Talk:
     """If nothing moves, a pixel is a hole where any of the four positions that it reads, its own, right and below, is not finite."""
     size, seed, lost = case
     rng = np.random.default_rng(seed)
@@ -46,59 +47,62 @@ def test_a_lost_position_is_a_hole(judge: Judge, case: tuple[Size, int, float]):
     gone = ~np.asarray(np.isfinite(previous).all(axis=-1))
     down, right = (np.minimum(np.arange(n) + 1, n - 1) for n in size)
     holes = gone | gone[down] | gone[:, right] | gone[down][:, right]
-    got = judge.run("holes", {**inputs, "position": position, "position_previous": previous})["valid"]
+    got = (yield ask("holes", {**inputs, "position": position, "position_previous": previous}))["valid"]
     judge.same("holes.valid", got, (~holes).astype(np.uint8))
 
 
 @cases(holes_inputs())
-def test_the_view_has_no_sign(judge: Judge, inputs: Inputs):
+def test_the_view_has_no_sign(judge: Judge, inputs: Inputs) -> Talk:
     """The sign of NoV does not matter: a normal that points away from the camera counts as one that points to it."""
-    first, second = (judge.run("holes", {**inputs, "nov": nov})["valid"] for nov in (inputs["nov"], -inputs["nov"]))
-    judge.same("holes.valid", second, first)
+    first, second = yield [ask("holes", {**inputs, "nov": nov}) for nov in (inputs["nov"], -inputs["nov"])]
+    judge.same("holes.valid", second["valid"], first["valid"])
 
 
 @cases(holes_inputs())
-def test_another_object_is_a_hole(judge: Judge, inputs: Inputs):
+def test_another_object_is_a_hole(judge: Judge, inputs: Inputs) -> Talk:
     """If every stencil differs from the current one, every pixel is a hole."""
     inputs = {**inputs, "stencil_previous": inputs["stencil"] * 0 + 5, "stencil": inputs["stencil"]}
-    valid = judge.run("holes", inputs)["valid"]
+    valid = (yield ask("holes", inputs))["valid"]
     judge.same("holes.valid", valid, np.zeros_like(valid))
 
 
 @cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS, st.sampled_from([-512.0, 0.25, 64.0]))))
-def test_the_origin_does_not_matter(judge: Judge, case: tuple[Size, int, float]):
+def test_the_origin_does_not_matter(judge: Judge, case: tuple[Size, int, float]) -> Talk:
     """Moving the whole world changes no hole; positions are multiples of 1/4, so that nothing is rounded."""
     size, seed, shift = case
     inputs = _quarters(size, seed)
     moved = {name: array + shift if name.startswith("position") else array for name, array in inputs.items()}
-    judge.same("holes.valid", judge.run("holes", moved)["valid"], judge.run("holes", inputs)["valid"])
+    first, second = yield ask("holes", inputs), ask("holes", moved)
+    judge.same("holes.valid", second["valid"], first["valid"])
 
 
 @cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS, st.permutations(range(3)))))
-def test_no_axis_is_special(judge: Judge, case: tuple[Size, int, list[int]]):
+def test_no_axis_is_special(judge: Judge, case: tuple[Size, int, list[int]]) -> Talk:
     """Permuting the world's axes changes no hole."""
     size, seed, order = case
     inputs = _quarters(size, seed)
     turned = {name: array[..., order] if array.ndim == 3 and array.shape[-1] == 3 else array for name, array in inputs.items()}
-    judge.same("holes.valid", judge.run("holes", turned)["valid"], judge.run("holes", inputs)["valid"])
+    first, second = yield ask("holes", inputs), ask("holes", turned)
+    judge.same("holes.valid", second["valid"], first["valid"])
 
 
 @cases(holes_inputs())
-def test_the_same_twice(judge: Judge, inputs: Inputs):
+def test_the_same_twice(judge: Judge, inputs: Inputs) -> Talk:
     """The same frame gives the same mask again."""
-    judge.same("holes.valid", judge.run("holes", inputs)["valid"], judge.run("holes", inputs)["valid"])
+    first, second = yield ask("holes", inputs), ask("holes", inputs, again=True)
+    judge.same("holes.valid", second["valid"], first["valid"])
 
 
 @made_cases(constant_cases("holes"), about=pinned_by)
-def test_constants_are_those_of_the_specification(judge: Judge, inputs: Inputs):
+def test_constants_are_those_of_the_specification(judge: Judge, inputs: Inputs) -> Talk:
     """Cases agree, too, in which a constant shows: just beside a limit, or near a small number that is added or is a least value."""
-    judge.agrees("holes", inputs)
+    yield from judge.agrees("holes", inputs)
 
 
 @made_cases(large_inputs("holes"), large=True)
-def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs):
+def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
     """Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across and out of them."""
-    judge.agrees("holes", inputs)
+    yield from judge.agrees("holes", inputs)
 
 
 def _quarters(size: Size, seed: int) -> Inputs:

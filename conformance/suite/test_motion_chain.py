@@ -8,37 +8,39 @@ from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import Float64, dyadic_motions, motions, sizes
 from conformance.cases.stage_inputs import Inputs, chain_inputs
 from conformance.judge import Judge
+from conformance.questions import Talk, ask
 from conformance.suite.properties import cases, made_cases
 
 
 @cases(chain_inputs())
-def test_agrees_with_the_reference(judge: Judge, inputs: Inputs):
+def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
     """The chained motion is the float64 reference's; where rounding picks the pixel or the longest motion, either pick is right."""
-    judge.agrees("motion_chain", inputs)
+    yield from judge.agrees("motion_chain", inputs)
 
 
 @cases(sizes().flatmap(lambda size: st.tuples(motions(size, broken=True), st.integers(1, 4))))
-def test_over_still_frames_it_is_the_newest(judge: Judge, case: tuple[Float64, int]):
+def test_over_still_frames_it_is_the_newest(judge: Judge, case: tuple[Float64, int]) -> Talk:
     """If only the newest frame moves, the chained motion is that frame's, bit for bit, over any number of frames."""
     newest, more = case
     given = judge.given({"motions": np.concatenate([newest[None], np.zeros((more, *newest.shape))])})["motions"]
-    got = judge.run("motion_chain", {"motions": given})["motion"]
+    got = (yield ask("motion_chain", {"motions": given}))["motion"]
     finite = np.isfinite(given[0]).all(axis=-1, keepdims=True)
     judge.same("motion_chain.motion", np.where(finite, got, 0), np.where(finite, given[0], 0))
 
 
 @cases(sizes().flatmap(lambda size: dyadic_motions(size, "short")))
-def test_one_frame_is_itself(judge: Judge, motion: Float64):
+def test_one_frame_is_itself(judge: Judge, motion: Float64) -> Talk:
     """The chained motion of one frame is that frame's motion, bit for bit."""
-    judge.same("motion_chain.motion", judge.run("motion_chain", {"motions": motion[None]})["motion"], motion.astype(np.float32))
+    got = yield ask("motion_chain", {"motions": motion[None]})
+    judge.same("motion_chain.motion", got["motion"], motion.astype(np.float32))
 
 
 @cases(st.tuples(sizes(20), st.integers(2, 5), st.integers(-3, 3), st.integers(-3, 3)))
-def test_one_speed_adds_up(judge: Judge, case: tuple[tuple[int, int], int, int, int]):
+def test_one_speed_adds_up(judge: Judge, case: tuple[tuple[int, int], int, int, int]) -> Talk:
     """If all pixels move alike, the motion over k frames is k times as long, as long as the way stays in the frame."""
     (height, width), count, dx, dy = case
     motion = np.broadcast_to(np.array([dx, dy], np.float64), (count, height, width, 2))
-    got = judge.run("motion_chain", {"motions": motion})["motion"]
+    got = (yield ask("motion_chain", {"motions": motion}))["motion"]
     y, x = np.indices((height, width))
     inside = np.ones((height, width), bool)
     for step in range(1, count):
@@ -56,12 +58,12 @@ def _almost_still(rng: np.random.Generator) -> Inputs:
 
 
 @made_cases([_almost_still])
-def test_a_motion_is_never_lost_in_a_sum(judge: Judge, inputs: Inputs):
+def test_a_motion_is_never_lost_in_a_sum(judge: Judge, inputs: Inputs) -> Talk:
     """A tiny motion to the left and up leads to the pixels there, however far the place is from the frame's corner (decision 13)."""
-    judge.agrees("motion_chain", inputs)
+    yield from judge.agrees("motion_chain", inputs)
 
 
 @made_cases(large_inputs("motion_chain"), large=True)
-def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs):
+def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
     """Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across and out of them."""
-    judge.agrees("motion_chain", inputs)
+    yield from judge.agrees("motion_chain", inputs)

@@ -9,6 +9,7 @@ from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import sizes
 from conformance.cases.stage_inputs import Inputs, network_inputs, weights
 from conformance.judge import Judge
+from conformance.questions import Talk, ask
 from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
 
@@ -16,13 +17,13 @@ CASES = st.tuples(network_inputs("network", sizes(20)), weights())
 
 
 @cases(CASES, slow=True)
-def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """The image is the float64 reference's, also at sizes that are not multiples of 8."""
-    judge.agrees("network", *case)
+    yield from judge.agrees("network", *case)
 
 
 @cases(CASES, slow=True)
-def test_padding_repeats_the_last_row_and_column(judge: Judge, case: tuple[Inputs, Weights]):
+def test_padding_repeats_the_last_row_and_column(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """A frame that is padded beforehand gives the same image after cropping."""
     inputs, given = case
     height, width = inputs["mask"].shape
@@ -32,30 +33,32 @@ def test_padding_repeats_the_last_row_and_column(judge: Judge, case: tuple[Input
         for name, array in inputs.items()
     }
     right = judge.right("network", inputs, given)["image"]
-    got, whole = judge.run("network", inputs, given)["image"], judge.run("network", padded, given)["image"]
-    judge.holds("network.image", got, Expected(whole[: 2 * height, : 2 * width], 2 * np.asarray(right.allowed)))
+    got, whole = yield ask("network", inputs, given), ask("network", padded, given)
+    judge.holds("network.image", got["image"], Expected(whole["image"][: 2 * height, : 2 * width], 2 * np.asarray(right.allowed)))
 
 
 @cases(CASES, slow=True)
-def test_without_a_residual_it_is_bilinear(judge: Judge, case: tuple[Inputs, Weights]):
+def test_without_a_residual_it_is_bilinear(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """With weights of 0 the image is the first three colours upsampled, within their own range."""
     inputs, given = case
     still = {name: tensor * 0 for name, tensor in given.items()}
-    got, color = judge.run("network", inputs, still)["image"], judge.exactly(inputs, "network")["color"][..., :3]
+    got = (yield ask("network", inputs, still))["image"]
+    color = judge.exactly(inputs, "network")["color"][..., :3]
     right = judge.right("network", inputs, still)["image"]
     judge.holds("network.image", got, Expected(np.clip(got, color.min(axis=(0, 1)), color.max(axis=(0, 1))), right.allowed))
 
 
 @cases(CASES, slow=True)
-def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]):
+def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """The same frame gives the same bits again."""
-    judge.same("network.image", *(judge.run("network", *case)["image"] for _ in range(2)))
+    first, second = yield ask("network", *case), ask("network", *case, again=True)
+    judge.same("network.image", second["image"], first["image"])
 
 
 @made_cases(large_inputs("network"), large=True)
-def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]):
+def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
-    judge.agrees("network", *case)
+    yield from judge.agrees("network", *case)
 
 
 def _pad(array: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -8,27 +8,29 @@ from conformance.cases.constants import constant_cases, pinned_by
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, occlusion_inputs
 from conformance.judge import Judge
+from conformance.questions import Talk, ask
 from conformance.suite.properties import cases, made_cases
 
 
 @cases(occlusion_inputs())
-def test_agrees_with_the_reference(judge: Judge, inputs: Inputs):
+def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
     """The looked-up motion is a copy, bit for bit; the colour read by it is right within rounding."""
-    judge.agrees("occlusion_warp", inputs)
+    yield from judge.agrees("occlusion_warp", inputs)
 
 
 @cases(occlusion_inputs())
-def test_what_is_valid_is_left_alone(judge: Judge, inputs: Inputs):
+def test_what_is_valid_is_left_alone(judge: Judge, inputs: Inputs) -> Talk:
     """Outside the holes the warped colour comes back bit for bit."""
-    got, given = judge.run("occlusion_warp", inputs)["occlusion_warp"], judge.given(inputs, "occlusion_warp")
+    got = (yield ask("occlusion_warp", inputs))["occlusion_warp"]
+    given = judge.given(inputs, "occlusion_warp")
     valid = given["valid"][..., None] == 1
     judge.same("occlusion_warp.occlusion_warp", np.where(valid, got, 0), np.where(valid, given["warped"], 0))
 
 
 @cases(st.sampled_from(["still", "whole", "half", "short"]).flatmap(lambda kind: occlusion_inputs(motion=kind)))
-def test_as_one_pixel_after_the_other(judge: Judge, inputs: Inputs):
+def test_as_one_pixel_after_the_other(judge: Judge, inputs: Inputs) -> Talk:
     """The splat gives the same map as a loop over the pixels in raster order, also where depths tie."""
-    got = judge.run("occlusion_warp", inputs)["occlusion_motion"]
+    got = (yield ask("occlusion_warp", inputs))["occlusion_motion"]
     judge.same(
         "occlusion_warp.occlusion_motion",
         got,
@@ -37,58 +39,58 @@ def test_as_one_pixel_after_the_other(judge: Judge, inputs: Inputs):
 
 
 @cases(occlusion_inputs(motion="half"))
-def test_only_the_order_of_depths_counts(judge: Judge, inputs: Inputs):
+def test_only_the_order_of_depths_counts(judge: Judge, inputs: Inputs) -> Talk:
     """Halving all depths that splat, which is exact, changes no motion: only their order counts."""
     near = {**inputs, "depth": np.minimum(judge.exactly(inputs, "occlusion_warp")["depth"], 1)}
     halved = {**near, "depth": near["depth"] / 2}
-    first, second = (judge.run("occlusion_warp", i)["occlusion_motion"] for i in (near, halved))
-    judge.same("occlusion_warp.occlusion_motion", second, first)
+    first, second = yield [ask("occlusion_warp", i) for i in (near, halved)]
+    judge.same("occlusion_warp.occlusion_motion", second["occlusion_motion"], first["occlusion_motion"])
 
 
 @cases(occlusion_inputs())
-def test_one_colour_fills_with_itself(judge: Judge, inputs: Inputs):
+def test_one_colour_fills_with_itself(judge: Judge, inputs: Inputs) -> Talk:
     """In a frame of one colour every hole is filled with that colour, bit for bit."""
     flat = np.broadcast_to(judge.given(inputs, "occlusion_warp")["color"][:1, :1], inputs["color"].shape)
-    got = judge.run("occlusion_warp", {**inputs, "color": flat, "warped": flat})["occlusion_warp"]
+    got = (yield ask("occlusion_warp", {**inputs, "color": flat, "warped": flat}))["occlusion_warp"]
     judge.same("occlusion_warp.occlusion_warp", got, flat)
 
 
 @cases(occlusion_inputs(motion="short"))
-def test_what_is_too_far_writes_nothing(judge: Judge, inputs: Inputs):
+def test_what_is_too_far_writes_nothing(judge: Judge, inputs: Inputs) -> Talk:
     """Pixels of depth 10 or more splat nothing: no motion is found anywhere."""
-    got = judge.run("occlusion_warp", {**inputs, "depth": inputs["depth"] + 10})["occlusion_motion"]
+    got = (yield ask("occlusion_warp", {**inputs, "depth": inputs["depth"] + 10}))["occlusion_motion"]
     judge.same("occlusion_warp.occlusion_motion", got, np.zeros_like(got))
 
 
 @cases(occlusion_inputs(motion="whole").flatmap(lambda inputs: st.tuples(st.just(inputs), st.sampled_from([np.nan, np.inf]))))
-def test_lost_motion_writes_nothing(judge: Judge, case: tuple[Inputs, float]):
+def test_lost_motion_writes_nothing(judge: Judge, case: tuple[Inputs, float]) -> Talk:
     """A pixel whose motion is not finite splats nothing, not even a 0, and looks up the map at its own place."""
     inputs, lost = case
     motion = inputs["motion"].copy()
     motion[np.random.default_rng(0).random(motion.shape[:2]) < 0.5, 0] = lost
-    got = judge.run("occlusion_warp", {**inputs, "motion": motion})["occlusion_motion"]
+    got = (yield ask("occlusion_warp", {**inputs, "motion": motion}))["occlusion_motion"]
     want = _looped(motion, judge.given(inputs, "occlusion_warp")["depth"]).astype(np.float32)
     judge.same("occlusion_warp.occlusion_motion", got, want)
 
 
 @cases(occlusion_inputs())
-def test_the_same_twice(judge: Judge, inputs: Inputs):
+def test_the_same_twice(judge: Judge, inputs: Inputs) -> Talk:
     """The same frame gives the same bits again, unlike a splat that depends on the order of writes."""
-    first, second = judge.run("occlusion_warp", inputs), judge.run("occlusion_warp", inputs)
+    first, second = yield ask("occlusion_warp", inputs), ask("occlusion_warp", inputs, again=True)
     for name in first:
         judge.same(f"occlusion_warp.{name}", np.nan_to_num(second[name]), np.nan_to_num(first[name]))
 
 
 @made_cases(constant_cases("occlusion_warp"), about=pinned_by)
-def test_constants_are_those_of_the_specification(judge: Judge, inputs: Inputs):
+def test_constants_are_those_of_the_specification(judge: Judge, inputs: Inputs) -> Talk:
     """Cases agree, too, in which a constant shows: just beside a limit, or near a small number that is added or is a least value."""
-    judge.agrees("occlusion_warp", inputs)
+    yield from judge.agrees("occlusion_warp", inputs)
 
 
 @made_cases(large_inputs("occlusion_warp"), large=True)
-def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs):
+def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
     """Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across and out of them."""
-    judge.agrees("occlusion_warp", inputs)
+    yield from judge.agrees("occlusion_warp", inputs)
 
 
 def _looped(motion: np.ndarray, depth: np.ndarray) -> np.ndarray:

@@ -6,31 +6,33 @@ import numpy as np
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, rrm_inputs
 from conformance.judge import Judge
+from conformance.questions import Talk, ask
 from conformance.suite.properties import cases, made_cases
 
 
 @cases(rrm_inputs())
-def test_agrees_with_the_reference(judge: Judge, inputs: Inputs):
+def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
     """The rectangle, and nothing else, is masked."""
-    judge.agrees("rrm", inputs)
+    yield from judge.agrees("rrm", inputs)
 
 
 @cases(rrm_inputs())
-def test_twice_is_once(judge: Judge, inputs: Inputs):
+def test_twice_is_once(judge: Judge, inputs: Inputs) -> Talk:
     """Masking what is masked changes nothing."""
-    once = judge.run("rrm", inputs)["valid"]
-    judge.same("rrm.valid", judge.run("rrm", {**inputs, "valid": once})["valid"], once)
+    once = (yield ask("rrm", inputs))["valid"]
+    twice = yield ask("rrm", {**inputs, "valid": once})
+    judge.same("rrm.valid", twice["valid"], once)
 
 
 @cases(rrm_inputs())
-def test_as_many_as_the_rectangle_has(judge: Judge, inputs: Inputs):
+def test_as_many_as_the_rectangle_has(judge: Judge, inputs: Inputs) -> Talk:
     """In a frame that is all valid, exactly height times width pixels are masked."""
-    valid = judge.run("rrm", {**inputs, "valid": np.ones_like(inputs["valid"])})["valid"]
+    valid = (yield ask("rrm", {**inputs, "valid": np.ones_like(inputs["valid"])}))["valid"]
     _, _, height, width = inputs["rectangle"]
     judge.same("rrm.valid", np.array(valid.size - int(valid.sum())), np.array(int(height * width)))
 
 
 @made_cases(large_inputs("rrm"), large=True)
-def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs):
+def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
     """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
-    judge.agrees("rrm", inputs)
+    yield from judge.agrees("rrm", inputs)

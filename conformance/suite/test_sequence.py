@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from conformance.cases.stage_inputs import Inputs, frame_inputs, weights
 from conformance.judge import Judge
+from conformance.questions import Talk, ask
 from conformance.suite.properties import cases
 from stss_ref.weights import Weights
 
@@ -43,19 +44,20 @@ def sequences(draw: st.DrawFn) -> list[tuple[str, Inputs, Weights]]:
 
 
 @cases(sequences(), slow=True)
-def test_every_frame_is_as_if_it_were_the_only_one(judge: Judge, calls: list[tuple[str, Inputs, Weights]]):
+def test_every_frame_is_as_if_it_were_the_only_one(judge: Judge, calls: list[tuple[str, Inputs, Weights]]) -> Talk:
     """A frame agrees with the reference, which keeps nothing between frames, whatever the port computed before."""
-    for _, frame, given in calls:
-        judge.agrees("frame", frame, given)
+    answers = yield [ask("frame", frame, given) for _, frame, given in calls]
+    for (_, frame, given), outputs in zip(calls, answers, strict=True):
+        judge.compare("frame", frame, given, outputs)
 
 
 @cases(sequences(), slow=True)
-def test_the_order_does_not_matter(judge: Judge, calls: list[tuple[str, Inputs, Weights]]):
+def test_the_order_does_not_matter(judge: Judge, calls: list[tuple[str, Inputs, Weights]]) -> Talk:
     """Computing the frames in the reverse order gives the same bits."""
-    forth = [judge.run("frame", frame, given)["image"] for _, frame, given in calls]
-    back = [judge.run("frame", frame, given)["image"] for _, frame, given in reversed(calls)][::-1]
-    for first, second in zip(forth, back, strict=True):
-        judge.same("frame.image", second, first)
+    forth = yield [ask("frame", frame, given) for _, frame, given in calls]
+    back = yield [ask("frame", frame, given) for _, frame, given in reversed(calls)]
+    for first, second in zip(forth, reversed(back), strict=True):
+        judge.same("frame.image", second["image"], first["image"])
 
 
 def _next(draw: st.DrawFn, frame: Inputs, steps: tuple[int, int, int]) -> dict[str, Any]:

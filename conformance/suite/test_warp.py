@@ -9,39 +9,42 @@ from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import Float64, colors, dyadic_motions, sizes
 from conformance.cases.stage_inputs import Inputs, warp_inputs, wide_warp_inputs
 from conformance.judge import Judge
+from conformance.questions import Talk, ask
 from conformance.suite.properties import cases, made_cases
 
 
 @cases(warp_inputs())
-def test_agrees_with_the_reference(judge: Judge, inputs: Inputs):
+def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
     """The warped colour is the float64 reference's, also far outside the frame and where motion is not finite."""
-    judge.agrees("warp", inputs)
+    yield from judge.agrees("warp", inputs)
 
 
 @cases(wide_warp_inputs())
-def test_wide_frames_lose_nothing(judge: Judge, inputs: Inputs):
+def test_wide_frames_lose_nothing(judge: Judge, inputs: Inputs) -> Talk:
     """Thousands of pixels from the corner, a fraction has all the bits of its motion, since it is not taken from a rounded sum."""
-    judge.agrees("warp", inputs)
+    yield from judge.agrees("warp", inputs)
 
 
 @cases(warp_inputs(color="flat"))
-def test_one_colour_stays_one_colour(judge: Judge, inputs: Inputs):
+def test_one_colour_stays_one_colour(judge: Judge, inputs: Inputs) -> Talk:
     """A flat frame comes back bit for bit: no weight is lost, nothing leaks in at the border."""
-    judge.same("warp.warped", judge.run("warp", inputs)["warped"], judge.given(inputs, "warp")["color"])
+    got = yield ask("warp", inputs)
+    judge.same("warp.warped", got["warped"], judge.given(inputs, "warp")["color"])
 
 
 @cases(warp_inputs(motion="still"))
-def test_nothing_moves(judge: Judge, inputs: Inputs):
+def test_nothing_moves(judge: Judge, inputs: Inputs) -> Talk:
     """Without motion the warped colour is the frame, bit for bit, and every pixel is inside."""
-    got = judge.run("warp", inputs)
+    got = yield ask("warp", inputs)
     judge.same("warp.warped", got["warped"], judge.given(inputs, "warp")["color"])
     judge.same("warp.inside", got["inside"], np.ones_like(got["inside"]))
 
 
 @cases(warp_inputs(motion="whole"))
-def test_whole_pixels_move_exactly(judge: Judge, inputs: Inputs):
+def test_whole_pixels_move_exactly(judge: Judge, inputs: Inputs) -> Talk:
     """Motion of whole pixels copies pixels; outside the frame, it copies the nearest border pixel."""
-    got, color, motion = judge.run("warp", inputs), judge.given(inputs, "warp")["color"], inputs["motion"].astype(int)
+    got = yield ask("warp", inputs)
+    color, motion = judge.given(inputs, "warp")["color"], inputs["motion"].astype(int)
     height, width, _ = color.shape
     y, x = np.indices((height, width))
     x, y = x + motion[..., 0], y + motion[..., 1]
@@ -50,19 +53,20 @@ def test_whole_pixels_move_exactly(judge: Judge, inputs: Inputs):
 
 
 @cases(warp_inputs())
-def test_no_colour_is_made_up(judge: Judge, inputs: Inputs):
+def test_no_colour_is_made_up(judge: Judge, inputs: Inputs) -> Talk:
     """No result is darker or brighter than all inputs, except by rounding."""
-    got, color = judge.run("warp", inputs)["warped"], judge.exactly(inputs, "warp")["color"]
+    got = (yield ask("warp", inputs))["warped"]
+    color = judge.exactly(inputs, "warp")["color"]
     allowed = judge.right("warp", inputs)["warped"].allowed
     judge.holds("warp.warped", got, Expected(np.clip(got, color.min(axis=(0, 1)), color.max(axis=(0, 1))), allowed))
 
 
 @cases(warp_inputs().flatmap(lambda inputs: st.tuples(st.just(inputs), st.permutations(range(inputs["color"].shape[-1])))))
-def test_channels_do_not_mix(judge: Judge, case: tuple[Inputs, list[int]]):
+def test_channels_do_not_mix(judge: Judge, case: tuple[Inputs, list[int]]) -> Talk:
     """Permuting the channels permutes the result, bit for bit."""
     inputs, order = case
-    whole = judge.run("warp", inputs)["warped"]
-    judge.same("warp.warped", judge.run("warp", {**inputs, "color": inputs["color"][..., order]})["warped"], whole[..., order])
+    whole, turned = yield ask("warp", inputs), ask("warp", {**inputs, "color": inputs["color"][..., order]})
+    judge.same("warp.warped", turned["warped"], whole["warped"][..., order])
 
 
 @cases(
@@ -76,27 +80,27 @@ def test_channels_do_not_mix(judge: Judge, case: tuple[Inputs, list[int]]):
         )
     )
 )
-def test_a_part_is_as_the_whole(judge: Judge, case: tuple[tuple[int, int], Float64, Float64, int, int]):
+def test_a_part_is_as_the_whole(judge: Judge, case: tuple[tuple[int, int], Float64, Float64, int, int]) -> Talk:
     """Warping a crop gives the crop of the warped frame, where all pixels that are read lie in the crop: no result depends on its place."""
     (height, width), color, motion, top, left = case
-    whole = judge.run("warp", {"color": color, "motion": motion})["warped"]
-    part = judge.run("warp", {"color": color[top:, left:].copy(), "motion": motion[top:, left:].copy()})["warped"]
+    crop = {"color": color[top:, left:].copy(), "motion": motion[top:, left:].copy()}
+    whole, part = yield ask("warp", {"color": color, "motion": motion}), ask("warp", crop)
     y, x = np.indices((height - top, width - left))
     x, y = x + motion[top:, left:, 0], y + motion[top:, left:, 1]
     read = ((x >= 0) & (y >= 0))[..., None]
-    judge.same("warp.warped", np.where(read, part, 0), np.where(read, whole[top:, left:], 0))
+    judge.same("warp.warped", np.where(read, part["warped"], 0), np.where(read, whole["warped"][top:, left:], 0))
 
 
 @cases(
     sizes(12).flatmap(lambda size: st.tuples(colors(size, 3), dyadic_motions(size, "short"), st.sampled_from([np.nan, np.inf])))
 )
-def test_lost_motion_is_off_screen(judge: Judge, case: tuple[Float64, Float64, float]):
+def test_lost_motion_is_off_screen(judge: Judge, case: tuple[Float64, Float64, float]) -> Talk:
     """A pixel with non-finite motion, in either component, is off screen and copies its own colour; it spoils no other pixel."""
     color, motion, lost = case
     broken = motion.copy()
     broken[::2, ::3, 1] = lost
     broken[1::2, ::3, 0] = -lost
-    got, clean = (judge.run("warp", {"color": color, "motion": m}) for m in (broken, motion))
+    got, clean = yield [ask("warp", {"color": color, "motion": m}) for m in (broken, motion)]
     finite = np.isfinite(broken).all(axis=-1)
     judge.same("warp.inside", got["inside"], np.where(finite, clean["inside"], 0))
     own = judge.given({"color": color})["color"]
@@ -104,13 +108,13 @@ def test_lost_motion_is_off_screen(judge: Judge, case: tuple[Float64, Float64, f
 
 
 @cases(warp_inputs())
-def test_the_same_twice(judge: Judge, inputs: Inputs):
+def test_the_same_twice(judge: Judge, inputs: Inputs) -> Talk:
     """The same frame gives the same bits again."""
-    first, second = judge.run("warp", inputs), judge.run("warp", inputs)
+    first, second = yield ask("warp", inputs), ask("warp", inputs, again=True)
     judge.same("warp.warped", second["warped"], first["warped"])
 
 
 @made_cases(large_inputs("warp"), large=True)
-def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs):
+def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
     """Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across and out of them."""
-    judge.agrees("warp", inputs)
+    yield from judge.agrees("warp", inputs)

@@ -6,7 +6,6 @@ from __future__ import annotations
 import shlex
 import shutil
 import tempfile
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
-from conformance.findings import DepartureError, Failure, Finding, Record
-from conformance.judge import Body, Judge
+from conformance.findings import Failure, Finding, Record
+from conformance.judge import Body, Judge, agreement
 from conformance.protocol.drawn_case import read_drawn, write_drawn
 from conformance.protocol.job_folder import (
     MOST_WEIGHTS_BYTES,
@@ -30,7 +29,6 @@ from conformance.protocol.job_folder import (
 )
 from conformance.protocol.port import Case, Port, PortError
 from conformance.protocol.stages import STAGES
-from conformance.rehearsal import prepare
 from conformance.suite.properties import find_property
 from stss.conform.picture import draw, png
 from stss_ground.errors import InputError
@@ -105,12 +103,10 @@ def replay(port: Port, folder: Path) -> Record:
         case = _only_case(folder)
         if case.stage not in judge.stages:
             raise InputError(f"{port.name} has no stage {case.stage}")
-        body, cases = _property(folder) or (_agrees, [case])
-        prepare(judge, cases, body)
-        for drawn in cases:
-            judge.record = Record()
-            with suppress(DepartureError):
-                judge.check(body, drawn)
+        body, cases = _property(folder) or (agreement, [case])
+        for number, error in judge.departures(body, cases):
+            if number == len(cases) - 1 and error is not None:
+                judge.record.failure = Failure(error.finding, cases[number], tuple(cases[:number]))
     except (JobError, PortError) as error:
         raise InputError(str(error)) from error
     except (LookupError, ValueError, TypeError, AttributeError) as error:
@@ -131,10 +127,6 @@ def _only_case(folder: Path) -> Case:
         return Case(stage, inputs)
     path = case / "in" / WEIGHTS
     return Case(stage, inputs, read_weights(read_bytes(path, MOST_WEIGHTS_BYTES), path))
-
-
-def _agrees(judge: Judge, case: Case) -> None:
-    judge.agrees(case.stage, case.inputs, case.weights)
 
 
 def _property(folder: Path) -> tuple[Body, list[Any]] | None:

@@ -12,7 +12,6 @@ from typing import Any
 from conformance.protocol.port import Port, PortError
 from conformance.protocol.program_port import FolderPort
 from conformance.protocol.stages import STAGES
-from conformance.rehearsal import PreparedPort
 from stss_ground.errors import InputError
 
 
@@ -32,7 +31,7 @@ def load_port(spec: str | None, program: str | None, timeout: float, dtype: str 
     if (spec is None) == (program is None):
         raise InputError("expected either --port package.module:factory or --exec PROGRAM")
     try:
-        port: Any = _imported(spec) if spec is not None else PreparedPort(FolderPort(_command(program or ""), timeout))
+        port: Any = _imported(spec) if spec is not None else FolderPort(_command(program or ""), timeout)
         lacking = [name for name in ("name", "dtype", "stages", "run") if not hasattr(port, name)]
         if lacking:
             raise InputError(f"{spec}: expected a port, got a {type(port).__name__} without {', '.join(lacking)}")

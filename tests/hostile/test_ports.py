@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from conformance.cases import stage_inputs as drawn
 from conformance.findings import DepartureError
-from conformance.judge import Judge
+from conformance.judge import Judge, agreement
 from conformance.protocol import job_folder, own_session
 from conformance.protocol.job_folder import MOST_WEIGHTS_BYTES, write_job
 from conformance.protocol.port import Case, PortError
@@ -348,6 +348,10 @@ STRATEGIES = {
 }  # fmt: skip
 
 
+def agrees(judge, stage, inputs, weights=None):
+    judge.check(agreement, Case(stage, inputs, weights))
+
+
 class Planted(ReferencePort):
     """The reference, but for what ``change`` does to its outputs."""
 
@@ -381,7 +385,7 @@ def test_one_number_that_is_none_fails(stage, output):
         planted = []
         found = ""
         try:
-            Judge(Planted(plant)).agrees(stage, inputs, weights)
+            agrees(Judge(Planted(plant)), stage, inputs, weights)
         except DepartureError as error:
             found = str(error)
         assert bool(planted) == (f"{stage}.{output}: " in found)
@@ -405,7 +409,7 @@ def test_one_wrong_pixel_of_a_mask_fails(stage, output):
 
         found, judge = "", Judge(Planted(plant))
         try:
-            judge.agrees(stage, inputs)
+            agrees(judge, stage, inputs)
         except DepartureError as error:
             found = str(error)
         assert f"{stage}.{output}: wrong at " in found or judge.record.undecided
@@ -423,10 +427,10 @@ def test_an_answer_that_is_not_judged_is_a_number_all_the_same(monkeypatch, numb
         outputs["image"][3, 4, 1] = number
 
     judge = Judge(ReferencePort())
-    judge.agrees("frame", case.inputs, case.weights)
+    agrees(judge, "frame", case.inputs, case.weights)
     assert (judge.record.unjudged, judge.record.worst) == (1, {})
     with pytest.raises(DepartureError, match=r"frame.image: wrong at \[3, 4, 1\]"):
-        Judge(Planted(plant)).agrees("frame", case.inputs, case.weights)
+        agrees(Judge(Planted(plant)), "frame", case.inputs, case.weights)
 
 
 @pytest.mark.parametrize("stage", STAGES)
@@ -442,7 +446,7 @@ def test_zeros_of_either_sign_and_lost_small_numbers_pass(stage):
     @settings(max_examples=3 if weights else 15, database=None)
     @given(STRATEGIES[stage])
     def one(inputs):
-        Judge(Planted(change)).agrees(stage, inputs, weights)
+        agrees(Judge(Planted(change)), stage, inputs, weights)
 
     one()
 
@@ -458,10 +462,10 @@ def test_a_port_that_writes_into_what_it_was_given_is_found_out():
 
     case = smallest_case("rrm").inputs
     with pytest.raises(DepartureError):
-        Judge(Careless()).agrees("rrm", {**case, "valid": np.ones((8, 8), np.uint8)})
+        agrees(Judge(Careless()), "rrm", {**case, "valid": np.ones((8, 8), np.uint8)})
     history = np.ones((3, 8, 8, 4), np.float32)
     with pytest.raises(DepartureError):
-        Judge(Careless()).agrees("history", {"history": history}, random_weights(0))
+        agrees(Judge(Careless()), "history", {"history": history}, random_weights(0))
 
 
 def test_a_port_that_answers_in_one_buffer_is_found_out():

@@ -19,9 +19,10 @@ from conformance.answers.expected import Expected, largest
 from conformance.answers.network import expect_layers
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.findings import DepartureError
-from conformance.judge import Judge, Tier
+from conformance.judge import Judge, Tier, agreement
 from conformance.mistakes import find
 from conformance.protocol.layers import LAYERS_OF
+from conformance.protocol.port import Case
 from conformance.run_suite import run_suite
 from stss.cli.main import stss
 from stss.conform.load_port import load_port
@@ -302,7 +303,7 @@ def test_the_nearest_right_answer_counts():
 def test_a_departure_says_where():
     judge = Judge(find("rrm_filled").port())
     with pytest.raises(DepartureError, match=r"rrm\.valid: wrong at \[\d+, \d+\]: got"):
-        judge.agrees("rrm", {"valid": np.ones((4, 4), np.uint8), "rectangle": np.array([1, 1, 2, 2], np.int32)})
+        judge.check(agreement, Case("rrm", {"valid": np.ones((4, 4), np.uint8), "rectangle": np.array([1, 1, 2, 2], np.int32)}))
 
 
 @pytest.mark.skipif(not shutil.which("make") or not shutil.which("g++"), reason="needs make and g++")

@@ -12,7 +12,7 @@ from conformance.answers.network import expect_layers
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.findings import DepartureError
 from conformance.first_layer import first_departure
-from conformance.judge import Judge, Tier
+from conformance.judge import Judge, Tier, agreement
 from conformance.mistakes.variants import load
 from conformance.protocol import FolderPort, PortError
 from conformance.protocol.job_folder import JobError, read_layers, write_job
@@ -51,7 +51,7 @@ class Mangled(ReferencePort):
 def words(port, stage="network", sample=0):
     case, judge = samples(stage)[sample], Judge(port)
     with pytest.raises(DepartureError) as caught:
-        judge.agrees(stage, case.inputs, case.weights)
+        judge.check(agreement, case)
     return first_departure(judge, caught.value.finding)
 
 

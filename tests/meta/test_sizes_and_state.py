@@ -7,12 +7,11 @@ from conformance.cases.large_inputs import large_inputs
 from conformance.findings import DepartureError
 from conformance.judge import TIERS, Judge, Tier
 from conformance.protocol.stages import STAGES
-from conformance.rehearsal import PreparedPort
 from conformance.run_suite import run_suite
 from conformance.suite.properties import find_property
 from stss.conform.failures import keep_failure, replay
 from stss.conform.own_ports import ReferencePort
-from tests.meta.test_rehearsal import Program
+from tests.meta.test_questions import Program
 
 NETWORKS = ("history", "encoder", "erm", "decoder", "network", "frame")
 
@@ -144,7 +143,7 @@ def test_a_program_that_remembers_is_kept_with_the_case_that_it_needs(tmp_path):
             return outputs
         return {"valid": np.ones_like(outputs["valid"])} if number and job[number - 1].inputs["valid"].all() else outputs
 
-    port = PreparedPort(Program(stale))
+    port = Program(stale)
     judge = Judge(port, Tier("some", 60, 5))
     failed = next(r for r in run_suite(judge, ["rrm"], first_only=True) if r.outcome == "failed")
     assert "depends on the" in failed.message

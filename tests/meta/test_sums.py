@@ -10,6 +10,7 @@ from conformance.cases.stage_inputs import multiples
 from conformance.findings import DepartureError
 from conformance.judge import Judge, Tier
 from conformance.mistakes.variants import load
+from conformance.search import for_all
 from conformance.suite.properties import find_property
 from tests.meta import right_ports as others
 
@@ -39,7 +40,7 @@ def port(add):
 
 def judged(port, stage, name, strategy):
     judge = Judge(port, FEW, shrink=False)
-    judge.for_all(strategy, find_property(f"{stage}.{name}"), slow=True)
+    for_all(judge, strategy, find_property(f"{stage}.{name}"), slow=True)
     return judge.record.worst
 
 
@@ -54,7 +55,7 @@ def test_a_sum_that_rounds_to_one_side_is_found(stage, direction):
 def test_each_number_of_it_is_within_its_bound(stage):
     """So that nothing but the sums together tells."""
     judge = Judge(port(partial(one_way, "zero")), FEW, shrink=False)
-    judge.for_all(rounded_sums(stage), lambda judge, case: judge.agrees(stage, *case), slow=True)
+    for_all(judge, rounded_sums(stage), lambda judge, case: judge.agrees(stage, *case), slow=True)
 
 
 @pytest.mark.parametrize("stage", ["history", "encoder", "decoder"])

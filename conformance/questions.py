@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: MIT
+"""What a property asks a port, and who answers: an object at once, a program by one job for the questions of many cases."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from numpy.typing import NDArray
+
+from conformance.protocol.port import Case, Outputs, PortError, Unsupported
+from stss_ref.arrays import ArrayError
+from stss_ref.weights import Tensors, Weights, second_color
+
+Talk = Generator[Any, Any, None]
+"""A property on one of its cases: it yields a question, or several, gets their answers, and says that they are wrong or asks on."""
+BATCH = 256
+"""Most cases in one start of a program."""
+BATCH_BYTES = 256 * 2**20
+"""Most bytes of inputs in one start of a program."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """One call of a stage: ``inputs`` are any floats, which the port gets rounded to its arithmetic.
+
+    Attributes:
+        again: the question is asked a second time: after all others, so that a program has computed something else between.
+    """
+
+    stage: str
+    inputs: Mapping[str, NDArray[Any]]
+    weights: Weights | None = None
+    again: bool = False
+
+
+def ask(stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None, *, again: bool = False) -> Question:
+    """Make a question for a property to yield: ``got = yield ...``."""
+    return Question(stage, inputs, weights, again)
+
+
+Answer = Outputs | PortError | None
+"""None: nobody was asked, since the start that would have answered failed at another case."""
+
+
+def answers_of(port: Any, cases: Sequence[Case]) -> list[Answer]:
+    """A port's answers: outputs, or an error.
+
+    Args:
+        port: an object, or a program that has ``run_many``.
+        cases: in this order.
+    """
+    if not hasattr(port, "run_many"):
+        return [_answer(port, case) for case in cases]
+    return [answer for some in _batches(cases) for answer in _computed(port, some)]
+
+
+def _answer(port: Any, case: Case) -> Answer:
+    """The answer of an object. Arrays are copied, since it may write to its inputs, or later to its outputs."""
+    inputs = {name: array.copy() for name, array in case.inputs.items()}
+    try:
+        outputs = port.run(case.stage, inputs, None if case.weights is None else copied(case.weights))
+    except PortError as error:
+        return error
+    except ArrayError as error:
+        return PortError(str(error))
+    except Exception as error:
+        # The port is foreign code: anything that it raises is a failure on this case.
+        return PortError(f"{type(error).__name__}: {error}")
+    return {name: array.copy() for name, array in outputs.items()}
+
+
+def copied(weights: Weights) -> Weights:
+    """Weights that a port may write to, with the same second colour."""
+    return Tensors({name: tensor.copy() for name, tensor in weights.items()}, second_color(weights))
+
+
+def _computed(port: Any, cases: Sequence[Case]) -> list[Answer]:
+    """The answers of one start. If it fails, the case at which it did is asked alone."""
+    try:
+        given = port.run_many(cases)
+    except PortError as error:
+        if len(cases) == 1:
+            return [error]
+        at = len(cases) - 1 if error.at is None else error.at
+        (alone,) = _computed(port, [cases[at]])
+        if not isinstance(alone, PortError):
+            alone = PortError(f"depends on the cases before: passes alone, but not as one of {len(cases)} in a job: {error}")
+        return [alone if number == at else None for number in range(len(cases))]
+    return [_lacking(port, case) if isinstance(each, Unsupported) else each for case, each in zip(cases, given, strict=True)]
+
+
+def _lacking(port: Any, case: Case) -> PortError:
+    sizes = ", ".join(f"{name} {array.shape}" for name, array in case.inputs.items())
+    return PortError(f"{port.name}: stage {case.stage} is unsupported with {sizes}, though not with others")
+
+
+def _batches(cases: Sequence[Case]) -> list[list[Case]]:
+    batches: list[list[Case]] = []
+    room = 0
+    for case in cases:
+        size = sum(array.nbytes for array in case.inputs.values())
+        if not batches or len(batches[-1]) == BATCH or size > room:
+            batches.append([])
+            room = BATCH_BYTES
+        batches[-1].append(case)
+        room -= size
+    return batches
+
+
+class Dialogue:
+    """A property on one of its cases, up to the answers that it waits for.
+
+    Args:
+        talk: the property.
+        drawn: its case.
+
+    Attributes:
+        drawn: its case.
+        asked: what it waits for; empty: it has ended.
+    """
+
+    def __init__(self, talk: Talk, drawn: Any):
+        self.drawn = drawn
+        self.asked: tuple[Question, ...] = ()
+        self._talk = talk
+        self._alone = False
+
+    def begin(self) -> None:
+        """Run up to the first questions."""
+        self._take(None)
+
+    def go_on(self, answers: Sequence[Outputs]) -> None:
+        """Hand over the answers to what it asked. What the property raises comes out here."""
+        self._take(answers[0] if self._alone else tuple(answers))
+
+    def _take(self, sent: Any) -> None:
+        self.asked = ()
+        try:
+            wanted = self._talk.send(sent)
+        except StopIteration:
+            return
+        self._alone = isinstance(wanted, Question)
+        self.asked = (wanted,) if isinstance(wanted, Question) else tuple(wanted)
+
+
+def repeated(questions: Sequence[Question], times: int) -> list[Question]:
+    """Each question as often as it is computed; the repetitions come after all others."""
+    return [question if time == 0 else replace(question, again=True) for question in questions for time in range(times)]

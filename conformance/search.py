@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: MIT
+"""Draws the cases of a property, looks for large errors, and makes a case that fails smaller; Hypothesis does the work."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from time import monotonic
+from typing import Any
+
+import hypothesis
+import numpy as np
+from hypothesis import HealthCheck, Phase, settings
+from hypothesis import strategies as st
+
+from conformance.findings import DepartureError, Failure
+from conformance.judge import Body, Judge
+
+EVERY_CHECK: list[HealthCheck] = [*HealthCheck]  # pyright: ignore[reportAssignmentType]
+SHRINK_SECONDS = 60.0
+"""Most time for making a failing case smaller; seconds."""
+TELL_SECONDS = 5.0
+"""A failure that has been made smaller for so long is told before it is as small as it gets; seconds."""
+
+
+def draw(
+    judge: Judge, strategy: st.SearchStrategy[Any], take: Callable[[Any], None], phases: list[Phase], *, slow: bool = False
+) -> None:
+    """Call ``take`` with as many cases as the tier says; the same seed gives the same cases, unless ``take`` raises."""
+
+    @hypothesis.seed(judge.seed)
+    @settings(
+        max_examples=judge.tier.slow if slow else judge.tier.fast, phases=phases, database=None, deadline=None,
+        report_multiple_bugs=False, suppress_health_check=EVERY_CHECK, print_blob=False,
+    )  # fmt: skip
+    @hypothesis.given(strategy)
+    def run(case: Any) -> None:
+        take(case)
+
+    run()
+
+
+def drawn_cases(judge: Judge, strategy: st.SearchStrategy[Any], *, slow: bool = False) -> list[Any]:
+    """The cases of a tier, without a port: those that a program is judged on."""
+    drawn: list[Any] = []
+    draw(judge, strategy, drawn.append, [Phase.generate], slow=slow)
+    return drawn
+
+
+def for_all(judge: Judge, strategy: st.SearchStrategy[Any], body: Body, *, slow: bool = False) -> None:
+    """Run ``body`` on cases of ``strategy``, and make a case that fails smaller.
+
+    The cases of a port in this process are steered towards larger errors. Those of a program are drawn first and computed together; they
+    are drawn again only if one of them fails. Of ``slow`` cases fewer are drawn.
+
+    Raises:
+        DepartureError: the property does not hold; the failure is in the judge's ``record``.
+    """
+    right = None
+    if judge.is_program:
+        right = judge.first_wrong(body, drawn_cases(judge, strategy, slow=slow))
+        if right is None:
+            return
+        if not judge.shrink:
+            raise DepartureError(judge.failure().finding)
+    search = _Search(judge, body, right)
+    phases = [Phase.generate, *([] if judge.is_program else [Phase.target]), *([Phase.shrink] if judge.shrink else [])]
+    try:
+        draw(judge, strategy, search.run, phases, slow=slow)
+    except _EnoughError:
+        judge.record.failure = search.smallest or judge.failure()
+        raise DepartureError(judge.failure().finding) from None
+
+
+class _EnoughError(BaseException):
+    """Ends a run of Hypothesis, which takes no notice of it."""
+
+
+class _Search:
+    """Looks for a case that fails, and then for smaller ones, until the time for that is over.
+
+    Args:
+        judge: checks the cases.
+        body: the property.
+        right: number of cases that have been judged already; the next one fails. None: nothing is known.
+
+    Attributes:
+        smallest: the failure of the case with the fewest numbers.
+    """
+
+    def __init__(self, judge: Judge, body: Body, right: int | None):
+        self.smallest: Failure | None = None
+        self._judge, self._body, self._right = judge, body, right
+        self._count, self._failed_at, self._told = 0, 0.0, False
+
+    def run(self, case: Any) -> None:
+        """Check a case; DepartureError if it is wrong."""
+        self._count += 1
+        if self._right is not None and self._count <= self._right:
+            return
+        self._look_at_the_time()
+        try:
+            self._judge.check(self._body, case)
+        except DepartureError:
+            self._failed_at = self._failed_at or monotonic()
+            failure = self._judge.failure()
+            if self.smallest is None or _numbers(failure.drawn) <= _numbers(self.smallest.drawn):
+                self.smallest = failure
+            raise
+        if self._right is None:
+            for output, worst in self._judge.near.items():
+                hypothesis.target(worst, label=output)
+        elif self._count == self._right + 1:  # it failed among others, and passes alone
+            raise _EnoughError
+
+    def _look_at_the_time(self) -> None:
+        if not self._failed_at or self.smallest is None:
+            return
+        seconds = monotonic() - self._failed_at
+        if seconds > SHRINK_SECONDS:
+            raise _EnoughError
+        if seconds > TELL_SECONDS and not self._told:
+            self._told = True
+            self._judge.tell(self.smallest.finding)
+
+
+def _numbers(drawn: Any) -> int:
+    """How many numbers a case has."""
+    if isinstance(drawn, np.ndarray):
+        return drawn.size
+    if isinstance(drawn, Mapping):
+        return sum(map(_numbers, drawn.values()))
+    return sum(map(_numbers, drawn)) if isinstance(drawn, (list, tuple)) else 1

@@ -1,0 +1,152 @@
+"""A program is started for many cases at once, whatever its properties ask for next; a Python port is judged as before."""
+
+import numpy as np
+import pytest
+from hypothesis import strategies as st
+
+from conformance.findings import DepartureError
+from conformance.judge import Judge, Tier
+from conformance.protocol.port import Case, PortError
+from conformance.protocol.stages import reference
+from conformance.questions import ask
+from conformance.run_suite import run_suite
+from conformance.suite.properties import cases, find_property
+
+
+class Program:
+    """In the place of a FolderPort: counts its starts, and answers ``change``d."""
+
+    name, dtype, kept = "program", "float32", None
+
+    def __init__(self, change=lambda job, number, outputs: outputs):
+        self.starts, self._change = [], change
+
+    def stages(self):
+        return frozenset({"rrm", "warp"})
+
+    def run_many(self, cases):
+        self.starts.append(len(cases))
+        outputs = [reference(case.stage, case.inputs, case.weights) for case in cases]
+        return [self._change(cases, number, output) for number, output in enumerate(outputs)]
+
+    def run(self, stage, inputs, weights=None):
+        return self.run_many([Case(stage, inputs, weights)])[0]
+
+
+def judged(program, stage="rrm"):
+    return run_suite(Judge(program, Tier("some", 40, 5)), [stage])
+
+
+def test_a_case_that_depends_on_an_answer_costs_no_start_of_its_own():
+    program = Program()
+    assert all(result.outcome == "passed" for result in judged(program))
+    assert len(program.starts) <= 10
+
+
+def test_the_same_twice_is_asked_twice():
+    """One wrong bit at the second time shows, in the program's own second answer."""
+
+    def second(job, number, outputs):
+        seen = [case.inputs["color"].tobytes() + case.inputs["motion"].tobytes() for case in job[:number]]
+        again = job[number].inputs["color"].tobytes() + job[number].inputs["motion"].tobytes() in seen
+        return {**outputs, "warped": np.nextafter(outputs["warped"], np.float32(9))} if again else outputs
+
+    failed = {result.id for result in judged(Program(second), "warp") if result.outcome == "failed"}
+    assert "warp.the_same_twice" in failed
+    assert "warp.agrees_with_the_reference" not in failed
+
+
+def still(columns):
+    return {"color": np.full((2, columns, 1), columns / 64), "motion": np.zeros((2, columns, 2))}
+
+
+def test_a_job_that_fails_as_a_whole_is_a_failure_though_its_cases_pass():
+    def crash(job, number, outputs):
+        if len(job) > 30:
+            raise PortError("ended by SIGSEGV", 20)
+        return outputs
+
+    program = Program(crash)
+    with pytest.raises(DepartureError, match=r"depends on the cases before: .* one of 40 in a job: ended by SIGSEGV"):
+        Judge(program).check_all(find_property("warp.nothing_moves"), [still(i + 1) for i in range(40)])
+    assert program.starts == [40, 1]
+
+
+def test_the_case_at_which_a_job_failed_is_found_at_one_more_start():
+    def crash(job, number, outputs):
+        if outputs["warped"].shape[1] == 8:
+            raise PortError("ended by SIGSEGV", number)
+        return outputs
+
+    program = Program(crash)
+    judge = Judge(program)
+    with pytest.raises(DepartureError, match="warp: ended by SIGSEGV"):
+        judge.check_all(find_property("warp.nothing_moves"), [still(i + 1) for i in range(40)])
+    assert program.starts == [40, 1]
+    assert judge.record.failure.drawn["color"].shape == (2, 8, 1)
+
+
+def test_what_is_asked_together_is_computed_together():
+    """Calls of a sequence stay one after the other; what is asked again comes after all others."""
+    asked = []
+
+    def note(job, number, outputs):
+        asked.append(job[number].inputs["color"].shape[1])
+        return outputs
+
+    def body(judge, columns):
+        yield ask("warp", still(columns)), ask("warp", still(columns + 1)), ask("warp", still(columns), again=True)
+        yield ask("warp", still(columns + 5))
+
+    program = Program(note)
+    Judge(program).check_all(body, [10, 20])
+    assert program.starts == [6, 2]
+    assert asked == [10, 11, 20, 21, 10, 20, 15, 25]
+
+
+def test_making_a_case_smaller_ends_in_time_and_says_so(monkeypatch):
+    """With the smallest failure so far, which has been told before."""
+    clock = iter(range(10**6))
+    monkeypatch.setattr("conformance.search.monotonic", lambda: float(next(clock)))
+    monkeypatch.setattr("conformance.search.SHRINK_SECONDS", 12.0)
+
+    def wrong(job, number, outputs):
+        if outputs["warped"].shape[1] == 5:
+            raise PortError("no frames of 5 columns", number)
+        return outputs
+
+    program, told = Program(wrong), []
+    judge = Judge(program)
+    judge.tell = told.append
+    results = run_suite(judge, ["warp"], first_only=True)
+    assert "no frames of 5 columns" in results[-1].message
+    assert [finding.message for finding in told] == ["warp: no frames of 5 columns"]
+    assert len(program.starts) < 30
+
+
+def test_cases_are_drawn_once_unless_one_fails():
+    """Drawing takes as long as judging."""
+    draws = []
+
+    def counted(shape):
+        draws.append(shape)
+        return {"color": np.full((*shape, 1), 0.5), "motion": np.zeros((*shape, 2))}
+
+    strategy = st.tuples(st.integers(1, 9), st.integers(1, 9)).map(counted)
+
+    @cases(strategy)
+    def test(judge, case):
+        """Its frame has few columns."""
+        yield ask("warp", case)
+        if fails and case["color"].shape[1] > 5:
+            judge.same("warp.warped", case["color"], case["color"] + 1)
+
+    fails = False
+    test(Judge(Program(), Tier("some", 40, 5)))
+    once = len(draws)
+    assert 30 <= once <= 60
+    fails = True
+    with pytest.raises(DepartureError):
+        test(Judge(Program(), Tier("some", 40, 5)))
+    assert len(draws) > 2 * once
+    assert draws[-1] == (1, 6)
