@@ -88,12 +88,7 @@ class Frame:
             "normals": (normals, (4, height, width, 3)),
             "positions": (positions, (4, height, width, 3)),
         }
-        prepare.begin(
-            steps=steps,
-            tops=[strip.top for strip in layers.strips],
-            frames=layers.colors_read,
-            **{name: self._source(name, array, shape) for name, (array, shape) in given.items()},
-        )
+        prepare.begin(steps=steps, **{name: self._source(name, array, shape) for name, (array, shape) in given.items()})
         image = Outgoing(self.device, (2 * height, 2 * width, 3), on_device=stays)
         self._run(prepare, layers, image.data)
         made = image.finish()
@@ -116,7 +111,7 @@ class Frame:
         """
         layers = self.network.layers(*size)
         prepare = self._preparation(layers)
-        prepare.start(sources, tops=[strip.top for strip in layers.strips], frames=layers.colors_read)
+        prepare.start(sources)
         self._run(prepare, layers, image)
         return prepare.mask
 
@@ -128,7 +123,15 @@ class Frame:
 
     def _preparation(self, layers: Layers) -> Prepare:
         if self._prepare is None or self._prepare.inputs is not layers.inputs:
-            self._prepare = Prepare(self.device, *layers.size, self._gather, inputs=layers.inputs, second=layers.second_color)
+            self._prepare = Prepare(
+                self.device,
+                *layers.size,
+                self._gather,
+                inputs=layers.inputs,
+                second=layers.second_color,
+                frames=layers.colors_read,
+                tops=[strip.top for strip in layers.strips],
+            )
         return self._prepare
 
     def _run(self, prepare: Prepare, layers: Layers, image: cl.Buffer) -> None:

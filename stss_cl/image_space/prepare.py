@@ -4,29 +4,63 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
 
 from stss_cl.device.buffers import Inputs, inputs_for
 from stss_cl.device.discovery import Device
+from stss_cl.device.grid import ceil_div, grid
+from stss_cl.device.launch import Launch, kernel
+from stss_cl.device.parts import Parts
 from stss_cl.device.program import build
 from stss_cl.image_space.frame_planes import MOST_STEPS, Source, Sources, check_steps, planes, upload
-from stss_cl.image_space.stages import LIMITS, Gather, kernels, launch
+from stss_cl.image_space.stages import LIMITS, Gather, program
 from stss_ref.weights import SecondColor
 
 FINITE = ("colors", "gbuffer", "nov", "stencils", "normals")
 """The arrays that must be finite: a ReLU could turn a NaN into 0 unnoticed."""
 
+MOTIONS = tuple(f"motion{i}" for i in range(MOST_STEPS))
+CHAINED = ("to_newest", "to_middle", "to_oldest")
+PLANES = (
+    "color", "motion", "gbuffer", "nov", "stencil", "normal", "position",
+    "stencil_previous", "normal_previous", "position_previous", "normal_stride",
+)  # fmt: skip
+COLOR_FRAME = (*PLANES, "history", "history_changes", "bad", "is_warped", "checks", "strip", "dirty")
+ARGUMENTS = {
+    "chain_steps": (*MOTIONS, "newest", "middle", "oldest", *CHAINED, "height", "width", "dirty"),
+    "prepare_older": (*COLOR_FRAME, "image", "is_missing"),
+    "prepare_newest": (
+        *COLOR_FRAME, "x0", "color3", "mask", "keys", "first", "input_changes", "stores", "takes_earlier", "marks_wanted",
+    ),
+    "splat_nearest": ("motion", "gbuffer", "keys", "height", "width"),
+    "splat_first": ("motion", "gbuffer", "keys", "first", "height", "width"),
+    "fill_holes": ("color", "motion", "keys", "first", "mask", "x0", "color3", "input_changes", "strip"),
+    "downsample_8": (
+        "gbuffer", "mask", "eighth", "height", "width", "eighth_height", "eighth_width", "eighth_columns", "top", "eighth_changes",
+    ),
+}  # fmt: skip
+"""The arguments of each kernel of frame.cl and downsample_8.cl, in order."""
 
-def _filled_up(buffers: tuple[cl.Buffer, ...], count: int) -> tuple[cl.Buffer, ...]:
-    """As many arguments as a kernel has: the last buffer stands for planes that this frame does not read."""
-    return (*buffers, *count * buffers[-1:])[:count]
+
+@dataclass(frozen=True)
+class _Launches:
+    """Those of one frame; ``colors``: of the colour frames, newest first."""
+
+    chain: Launch
+    colors: tuple[Launch, ...]
+    splat: tuple[Launch, Launch]
+    fill: Launch
+    eighth: Launch
 
 
 class Prepare:
-    """The kernels and buffers of one size of frame; the same values as ``stss_ref.frame.prepare`` in float32.
+    """The launches and buffers of one size of frame; the same values as ``stss_ref.frame.prepare`` in float32.
 
     Args:
         device: to run on.
@@ -35,6 +69,9 @@ class Prepare:
         eights: whether a work-item computes eight pixels in a row; None: on CPUs.
         inputs: buffers to write to; None: buffers of its own. If they have change maps, only ``dirty`` tiles are computed.
         second: the network's second colour, see ``stss_ref.frame.prepare``.
+        frames: how many of the three colour frames are read, from the newest on; 2 only for an earlier second colour. With less than 3
+            not all of ``inputs.earlier`` is written.
+        tops: the rows of the frame at which the strips of ``inputs`` begin.
 
     Attributes:
         inputs: the network's inputs on the device; every frame writes to the same buffers.
@@ -52,39 +89,68 @@ class Prepare:
         eights: bool | None = None,
         inputs: Inputs | None = None,
         second: SecondColor = "newest",
+        frames: int = 3,
+        tops: Sequence[int] = (0,),
     ) -> None:
-        self.device, self.height, self.width = device, height, width
-        self.rows, self.columns = -(-height // 8) * 8, -(-width // 8) * 8
-        eights = device.is_cpu if eights is None else eights
-        self.inputs = inputs_for(device, self.rows, self.columns, np.dtype(np.float32)) if inputs is None else inputs
-        self.rows = self.inputs.input.height  # of a strip, where the frame goes in strips
-        self._changes = self.inputs.changes
-        self._maps: tuple[cl.Buffer, ...] = () if self._changes is None else self._changes.buffers
-        self._file, self._gather, self._earlier = "frame8.cl" if eights else "frame.cl", gather, second == "earlier"
-        self._kernels = self._built(looking=bool(self._maps))
+        self.device, self.height, self.width, self._gather = device, height, width, gather
+        self._eights = device.is_cpu if eights is None else eights
+        self._frames, self._tops, self._takes_earlier = frames, tuple(tops), second == "earlier"
+        rows, columns = ceil_div(height, 8) * 8, ceil_div(width, 8) * 8
+        self.inputs = inputs_for(device, rows, columns, np.dtype(np.float32)) if inputs is None else inputs
+        self.rows, self.columns = self.inputs.input.height, columns  # of a strip, where the frame goes in strips
         self.mask = self._filled(height * width)
-        self.dirty = self._filled(self.rows // 4 * (self.columns // 4), 1)
-        self._chained = self._filled(3 * height * width * 2 * 4)
+        self.dirty = self._filled(self.rows // 4 * (columns // 4), 1)
+        self._chained = Parts(device, 3 * [height * width * 8])
         self._bad = self._filled(4 * len(FINITE))
-        # Places that holes look up are wanted: ``prepare`` makes them so, and ``fill_holes`` unmakes them.
+        # Places that holes look up are wanted: ``prepare_newest`` makes them so, and ``fill_holes`` unmakes them.
         self._keys, self._first = self._filled(height * width * 4), self._filled(height * width * 4)
+        self._launches = self._whole if self.inputs.changes is None else self._marking
         self._read: Sources | None = None
         self._done: cl.Event | None = None
 
-    def _built(self, *, looking: bool) -> dict[str, cl.Kernel]:
-        """The kernels by name; ``looking``: the kernels that compute only dirty tiles, and mark tiles that then differ."""
-        options: dict[str, object] = {"HALF": self.inputs.input.dtype == np.float16, "MARK": looking}
-        own = {"GATHER": f"gather_{self._gather}", "STREAM": self.device.streams, "EARLIER": self._earlier}
-        made = kernels(self.device, self._file, {**own, **options, **LIMITS})
-        if self._gather != "longest":
-            made.pop("chain_steps8", None)  # its gather is that one
-        eighth = build(self.device, "downsample_8.cl", {"MASK": "uchar", **options})
-        return made | {"downsample_8": cl.Kernel(eighth, "downsample_8")}
+    @cached_property
+    def _whole(self) -> _Launches:
+        """The launches that compute everything."""
+        return self._made(marks=False)
 
     @cached_property
-    def _unlooking(self) -> dict[str, cl.Kernel]:
-        """Built at its first use."""
-        return self._built(looking=False)
+    def _marking(self) -> _Launches:
+        """The launches that compute only dirty tiles, and mark those that then differ."""
+        return self._made(marks=True)
+
+    def _made(self, *, marks: bool) -> _Launches:
+        inputs, (height, width) = self.inputs, (self.height, self.width)
+        options = {"HALF": inputs.input.dtype == np.float16, "MARK": marks}
+        gather = {"GATHER": f"gather_{self._gather}", "LONGEST": self._gather == "longest", "EIGHTS": self._eights}
+        frame = program(self.device, "frame.cl", {**gather, **options, **LIMITS, "STREAM": self.device.streams})
+        eighth = build(self.device, "downsample_8.cl", {"MASK": "uchar", **options})
+        input_changes, history_changes, eighth_changes = self._maps if marks else 3 * (self.mask,)
+        known: dict[str, Any] = {
+            **dict(zip(CHAINED, self._chained.buffers, strict=True)),
+            "history": inputs.earlier.data, "x0": inputs.input.data, "color3": inputs.base, "eighth": inputs.eighth.data,
+            "mask": self.mask, "keys": self._keys, "first": self._first, "bad": self._bad, "dirty": self.dirty,
+            "input_changes": input_changes, "history_changes": history_changes, "eighth_changes": eighth_changes,
+            "height": height, "width": width, "eighth_height": inputs.eighth.height, "eighth_width": inputs.eighth.width,
+            "eighth_columns": inputs.eighth.columns, "stores": self._frames == 3, "takes_earlier": self._takes_earlier,
+        }  # fmt: skip
+        across = 8 if self._eights else 1
+
+        def made(name: str, columns: int, rows: int, of: cl.Program = frame, **own: int) -> Launch:
+            # What a frame brings stands open until then: of a kernel's numbers those must come first.
+            brought = {"strip": self._strip(0), "normal_stride": 3, "top": 0, "is_warped": 0, "is_missing": 0, "checks": 0}
+            brought |= {"marks_wanted": 0, "newest": 0, "middle": 0, "oldest": 0}
+            arguments = {each: (own | known | brought).get(each, self.mask) for each in ARGUMENTS[name]}
+            return Launch(name, kernel(of, name, arguments), *grid(self.device, columns, rows), arguments)
+
+        whole, strip = (ceil_div(width, across), height), (ceil_div(self.columns, across), self.rows)
+        older = (made("prepare_older", *strip, image=2 - i) for i in range(1, self._frames))
+        return _Launches(
+            chain=made("chain_steps", *whole),
+            colors=(made("prepare_newest", *strip), *older),
+            splat=(made("splat_nearest", *whole), made("splat_first", *whole)),
+            fill=made("fill_holes", self.columns, self.rows),
+            eighth=made("downsample_8", inputs.eighth.width, inputs.eighth.height, eighth),
+        )
 
     def begin(
         self,
@@ -96,24 +162,19 @@ class Prepare:
         stencils: Source,
         normals: Source,
         positions: Source,
-        tops: Sequence[int] = (0,),
-        *,
-        frames: int = 3,
     ) -> None:
         """Enqueue the frame's image-space stages up to the splat; the arguments are those of ``stss_ref.frame.FrameInputs``.
 
-        ``strip`` then finishes each of the strips that begin at ``tops``. ``frames``: see ``start``.
-
-        On a CPU arrays are read in place: they must not change until the queue has finished this frame. All but motions and
-        positions must be finite: ``not_finite`` checks those that are read afterwards.
+        ``strip`` then finishes each of the strips. On a CPU arrays are read in place: they must not change until the queue has
+        finished this frame. All but motions and positions must be finite: ``not_finite`` checks those that are read afterwards.
 
         Raises:
             ArrayError: shapes, dtypes or steps are not a frame's.
         """
-        chosen, size, device = check_steps(steps), (self.height, self.width), self.device
+        chosen, size, device, read = check_steps(steps), (self.height, self.width), self.device, self._frames
         if self._done is not None:
             self._done.wait()  # until then the last frame's arrays are in use
-        read, far = frames, chosen[frames - 1]
+        far = chosen[read - 1]
         sources = Sources(
             steps=chosen,
             colors=planes(device, "colors", colors, read, (*size, 3), stack=3),
@@ -124,41 +185,43 @@ class Prepare:
             normals=planes(device, "normals", normals, read + 1, (*size, 3), stack=4),
             positions=planes(device, "positions", positions, read + 1, (*size, 3), stack=4),
         )
-        self.start(sources, tops, frames=frames, checks=True)
+        self.start(sources, checks=True)
 
-    def start(
-        self,
-        sources: Sources,
-        tops: Sequence[int] = (0,),
-        *,
-        frames: int = 3,
-        looking: bool = True,
-        checks: bool = False,
-    ) -> None:
+    def start(self, sources: Sources, *, looking: bool = True, checks: bool = False) -> None:
         """``begin`` for what is on the device already, and known to be finite.
 
         Args:
             sources: the planes to read; kept until the next frame.
-            tops: see ``begin``.
-            frames: how many of the three colour frames are read, from the newest on; 2 only for an earlier second colour. With less
-                than 3 not all of ``inputs.earlier`` is written.
             looking: use change maps; False: everything is computed, and nothing is marked.
             checks: have ``not_finite`` tell what is not finite after all; normals are then three floats apart.
         """
-        self._read, self._tops, self._frames = sources, tuple(tops), frames
-        self._looks = looking and bool(self._maps)
-        newest, middle, oldest = (*sources.steps[:frames], 0, 0)[:3]
-        size, skip = (self.height, self.width), self._clear()
+        self._read, s, changes = sources, sources, self.inputs.changes
+        self._launches = launches = self._marking if looking and changes is not None else self._whole
+        if looking and changes is not None:
+            changes.clear()
+        steps = dict(zip(("newest", "middle", "oldest"), (*s.steps[: self._frames], 0, 0), strict=False))
         # A chain of one motion is that motion. With change maps it is written all the same: a later frame may read it.
-        self._motion = sources.motions[0] if newest == frames == 1 and not self._maps else self._chained
-        if self._motion is self._chained and any((newest, middle, oldest)):
-            motions = _filled_up(sources.motions, MOST_STEPS)
-            self._run("chain_steps", size, *motions, newest, middle, oldest, self._chained, *size, *skip)
+        is_chain = changes is not None or self._frames > 1 or s.steps[0] > 1
+        if any(steps.values()) and is_chain:
+            held = (*s.motions, *MOST_STEPS * s.motions[-1:])  # the last stands for those that no step needs
+            launches.chain.set(**dict(zip(MOTIONS, held, strict=False)), **steps)
+            launches.chain.enqueue(self.device.queue)
+        motions = self._chained.buffers if is_chain or not s.steps[0] else s.motions[:1]
+        for i, launch in enumerate(launches.colors):
+            launch.set(
+                color=s.colors[i], motion=motions[i], gbuffer=s.gbuffer, nov=s.nov, is_warped=s.steps[i] > 0,
+                stencil=s.stencils[0], normal=s.normals[0], position=s.positions[0], normal_stride=s.normal_stride,
+                stencil_previous=s.stencils[i + 1], normal_previous=s.normals[i + 1], position_previous=s.positions[i + 1],
+            )  # fmt: skip
+        for launch, (newer, older) in zip(launches.colors[1:], pairwise(s.steps), strict=False):
+            launch.set(is_missing=newer == older)
         for top in self._tops:
-            self._warp(top, checks=checks, marks=True)
-        if newest > 0:
-            self._run("splat_nearest", size, self._motion, sources.gbuffer, 9, 3, self._keys, *size)
-            self._run("splat_first", size, self._motion, sources.gbuffer, 9, 3, self._keys, self._first, *size)
+            self._warp(top, checks=checks, marks_wanted=True)
+        for launch in launches.splat if s.steps[0] else ():
+            launch.set(motion=motions[0], gbuffer=s.gbuffer)
+            launch.enqueue(self.device.queue)
+        launches.fill.set(color=s.colors[0], motion=motions[0])
+        launches.eighth.set(gbuffer=s.gbuffer)
 
     def not_finite(self) -> str | None:
         """Name of an array of the frame begun last that must be finite and is not; None: all are. Waits for the queue."""
@@ -170,70 +233,34 @@ class Prepare:
         return FINITE[int(bad.argmax())]
 
     def strip(self, top: int = 0) -> None:
-        """Enqueue the rest of the work for the rows of ``inputs`` that begin at row ``top`` of the frame, one of ``begin``'s."""
+        """Enqueue the rest of the work for the rows of ``inputs`` that begin at row ``top`` of the frame, one of ``tops``."""
         assert self._read is not None
         if len(self._tops) > 1:
-            self._warp(top, checks=False, marks=False)  # an earlier strip's values have been overwritten
-        size, inputs = (self.height, self.width), self.inputs
+            self._warp(top, checks=False, marks_wanted=False)  # an earlier strip's values have been overwritten
         if self._read.steps[0]:
-            place = (*size, self.rows, self.columns, top)
-            changes = (self._maps[0],) if self._looks else ()
-            written = inputs.input.data, inputs.base
-            self._run(
-                "fill_holes",
-                place[2:4],
-                self._read.colors[0],
-                self._motion,
-                self._keys,
-                self._first,
-                self.mask,
-                *written,
-                *place,
-                *changes,
-            )
-        eighth = inputs.eighth
-        shape = eighth.height, eighth.width
-        place = (*size, *shape, eighth.columns, top)
-        changes = self._maps[2:] if self._looks else (eighth.data,)
-        read = self._read.gbuffer, self.mask
-        self._done = self._run("downsample_8", shape, *read, eighth.data, *place, *changes)
+            self._launches.fill.set(strip=self._strip(top))
+            self._launches.fill.enqueue(self.device.queue)
+        self._launches.eighth.set(top=top)
+        self._done = self._launches.eighth.enqueue(self.device.queue)
 
-    @property
-    def _now(self) -> dict[str, cl.Kernel]:
-        return self._kernels if self._looks or not self._maps else self._unlooking
-
-    def _clear(self) -> tuple[cl.Buffer, ...]:
-        """Unmark all inputs; the map that tells a kernel where to compute."""
-        if not self._looks or self._changes is None:
-            return ()
-        self._changes.clear()
-        return (self.dirty,)
-
-    def _warp(self, top: int, *, checks: bool, marks: bool) -> None:
+    def _warp(self, top: int, *, checks: bool, marks_wanted: bool) -> None:
         """Warp the colour frames and find their holes; for the newest, mark the places that holes look up.
 
-        ``checks``: look for what is not finite; ``marks``: False if the places were marked before.
+        ``checks``: look for what is not finite; ``marks_wanted``: False if the places were marked before.
         """
-        s, inputs = self._read, self.inputs
-        assert s is not None
-        place = (self.height, self.width, self.rows, self.columns, top)
-        stencils, normals, positions = (_filled_up(of, 4) for of in (s.stencils, s.normals, s.positions))
-        colors = *_filled_up(s.colors, 3), *s.steps
-        read = *colors, self._motion, s.gbuffer, s.nov, *stencils, *normals, *positions, s.normal_stride
-        written = self._keys, self._first, inputs.earlier.data, inputs.input.data, inputs.base, self.mask, self._bad
-        skip = (self.dirty, *self._maps[:2]) if self._looks else ()
-        for chosen in (range(1, self._frames), range(1)) if self._earlier else (range(self._frames),):
-            stores = self._frames == 3 or chosen.start == 1
-            self._run("prepare", place[2:4], *read, *written, checks, stores, marks, *place, *skip, planes=chosen)
+        self._launches.colors[0].set(marks_wanted=marks_wanted)
+        for launch in reversed(self._launches.colors):  # the newest may read what is written of the one before it
+            launch.set(strip=self._strip(top), checks=checks)
+            launch.enqueue(self.device.queue)
 
-    def _run(
-        self, name: str, size: tuple[int, int], *arguments: cl.Buffer | int | np.float32, planes: range | None = None
-    ) -> cl.Event:
-        """Enqueue a kernel over ``size`` (rows, columns), eight pixels to a work-item if there is one that does so."""
-        kernel, (rows, columns) = self._now[name], size
-        if eight := self._now.get(f"{name}8"):
-            kernel, columns = eight, -(-columns // 8)
-        return launch(self.device, kernel, columns, rows, *arguments, planes=planes)
+    @property
+    def _maps(self) -> tuple[cl.Buffer, ...]:
+        assert self.inputs.changes is not None
+        return self.inputs.changes.buffers
+
+    def _strip(self, top: int) -> Any:
+        """The struct of kernels/prepare.clh."""
+        return np.array([self.height, self.width, self.rows, self.columns, top], np.int32)
 
     def _filled(self, size: int, value: int = 0) -> cl.Buffer:
         buffer = cl.Buffer(self.device.context, cl.mem_flags.READ_WRITE, size)

@@ -17,6 +17,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import grid
+from stss_cl.device.launch import typed
 from stss_cl.device.program import build
 from stss_ref.arrays import Array, ArrayError, require_dtype, require_finite, require_shape
 from stss_ref.constants import HoleLimits
@@ -29,32 +30,19 @@ LIMITS = {name.upper(): f"{value}f" for name, value in asdict(HoleLimits()).item
 """The constants of the hole test (spec 4), as options of its kernel."""
 
 
+def program(device: Device, file: str, options: Mapping[str, object] | None = None) -> cl.Program:
+    """The program of an image-space ``file``, with correctly rounded division and roots where the device has them."""
+    return build(device, file, options, "-cl-fp32-correctly-rounded-divide-sqrt" if device.correctly_rounded_divide else "")
+
+
 def kernels(device: Device, file: str, options: Mapping[str, object] | None = None) -> dict[str, cl.Kernel]:
-    """The kernels of an image-space ``file`` by name, with correctly rounded division and roots where the device has them."""
-    rounded = device.correctly_rounded_divide
-    program = build(device, file, options, "-cl-fp32-correctly-rounded-divide-sqrt" if rounded else "")
-    return {kernel.function_name: kernel for kernel in program.all_kernels()}
+    """The kernels of an image-space ``file`` by name."""
+    return {kernel.function_name: kernel for kernel in program(device, file, options).all_kernels()}
 
 
-def launch(
-    device: Device,
-    kernel: cl.Kernel,
-    width: int,
-    height: int,
-    *arguments: cl.Buffer | int | np.float32,
-    planes: range | None = None,
-) -> cl.Event:
-    """Enqueue one work-item for each of ``width`` x ``height`` places, rounded up to whole work-groups.
-
-    ``planes`` adds these planes as the second of three dimensions, with rows as the third: data that the planes read in
-    common then stay in a cache.
-    """
-    (across, down), (columns, rows) = grid(device, width, height)
-    typed = (np.int32(a) if isinstance(a, int) else a for a in arguments)
-    if planes is None:
-        return kernel(device.queue, (across, down), (columns, rows), *typed)
-    size, first = (across, len(planes), down), (0, planes.start, 0)
-    return kernel(device.queue, size, (columns, 1, rows), *typed, global_offset=first)
+def launch(device: Device, kernel: cl.Kernel, width: int, height: int, *arguments: cl.Buffer | int | np.float32) -> cl.Event:
+    """Enqueue one work-item for each of ``width`` x ``height`` places, rounded up to whole work-groups."""
+    return kernel(device.queue, *grid(device, width, height), *map(typed, arguments))
 
 
 class ImageStages:
@@ -108,8 +96,8 @@ class ImageStages:
         occlusion_motion, filled = (self._buffer(height * width * n, np.float32) for n in (2, 3))
         size = (height, width)
         launch(self.device, steps["splat_clear"], width, height, keys, first, *size)
-        launch(self.device, steps["splat_nearest"], width, height, motion, depth, 1, 0, keys, *size)
-        launch(self.device, steps["splat_first"], width, height, motion, depth, 1, 0, keys, first, *size)
+        launch(self.device, steps["splat_nearest"], width, height, motion, depth, keys, *size)
+        launch(self.device, steps["splat_first"], width, height, motion, depth, keys, first, *size)
         buffers = (color, warped, motion, first, valid, occlusion_motion, filled)
         launch(self.device, steps["occlusion_warp"], width, height, *buffers, *size)
         return occlusion_motion, filled

@@ -56,7 +56,9 @@ class FrameCache:
 
     def __init__(self, device: Device, layers: Layers, gather: Gather):
         self.layers, self.network = layers, PartialNetwork(layers)
-        self.prepare = Prepare(device, *layers.size, gather, inputs=layers.inputs, second=layers.second_color)
+        self.prepare = Prepare(
+            device, *layers.size, gather, inputs=layers.inputs, second=layers.second_color, frames=layers.colors_read
+        )
         self.last: Last | None = None
         self._is_first = True
         self._device = device
@@ -81,7 +83,7 @@ class FrameCache:
         """
         self._is_first, self.last = self.last is None, None  # if this fails half-way, the next frame must not use it
         self._mark(dirty)
-        self.prepare.start(sources, frames=self.layers.colors_read, looking=looking)
+        self.prepare.start(sources, looking=looking)
         self.prepare.strip()
         return 1.0 if self._is_first or not looking else self._changed()
 

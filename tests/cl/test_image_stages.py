@@ -253,16 +253,16 @@ def test_prepare(device, eights, data, size):
 @given(data=st.data(), size=sizes(26))
 def test_prepare_with_an_earlier_second_colour(device, eights, frames, data, size):
     """Where the colour frame before is valid, it is the second colour; in frames of one strip and of several."""
-    whole = Prepare(device, *size, eights=eights, second="earlier")
+    whole = Prepare(device, *size, eights=eights, second="earlier", frames=frames)
     strip = inputs_for(device, 8, whole.columns, np.dtype(np.float32))
-    parts = Prepare(device, *size, eights=eights, inputs=strip, second="earlier")
+    tops = range(0, whole.rows, 8)
+    parts = Prepare(device, *size, eights=eights, inputs=strip, second="earlier", frames=frames, tops=tops)
     for _ in range(2):
         inputs = data.draw(frame_inputs(size))
-        whole.begin(*arguments(inputs), frames=frames)
+        whole.begin(*arguments(inputs))
         whole.strip()
         assert_prepared(device, whole, inputs, size, "earlier", frames)
-        tops = range(0, whole.rows, 8)
-        parts.begin(*arguments(inputs), tops=tops, frames=frames)
+        parts.begin(*arguments(inputs))
         shape = whole.rows + 2, whole.columns + 2, 24
         rows = downloaded(device, whole.inputs.input.data, shape)
         for top in tops:
@@ -366,10 +366,10 @@ def test_prepare_sees_what_is_not_finite(device, eights, steps):
     arrays = {name: random.random(shape).astype(np.float32) for name, shape in shapes.items()}
     arrays |= {"motions": np.full((5, *size, 2), 0.5, np.float32), "positions": np.zeros((4, *size, 3), np.float32)}
     for inputs, tops in ((None, (0,)), (inputs_for(device, 8, 24, np.dtype(np.float32)), (0, 8, 16))):
-        preparation = Prepare(device, *size, eights=eights, inputs=inputs)
+        preparation = Prepare(device, *size, eights=eights, inputs=inputs, tops=tops)
 
         def bad(preparation=preparation, tops=tops):
-            preparation.begin(steps=steps, tops=tops, **arrays)
+            preparation.begin(steps=steps, **arrays)
             for top in tops:
                 preparation.strip(top)
             return preparation.not_finite()

@@ -31,16 +31,15 @@ SIZES = ((1, 1), (3, 5), (8, 8), (9, 13))
 STEPS = ((1, 3, 5), (0, 2, 4), (1, 1, 1))
 
 NETWORK = {"pack_input", "pack_history", "downsample_8", "conv", "upsample_corners", "normalise", "attend"}
-FRAME = ("chain_steps", "prepare", "splat_nearest", "splat_first", "fill_holes")
+FRAME = {"chain_steps", "prepare_older", "prepare_newest", "splat_nearest", "splat_first", "fill_holes"}
 STREAM = {
-    *(NETWORK - {"pack_input", "pack_history"}), "finite", "differ", "differ_color", "tile_list",
-    *(f"{name}8" for name in FRAME),
+    *(NETWORK - {"pack_input", "pack_history"}), *FRAME, "finite", "differ", "differ_color", "tile_list",
 }  # fmt: skip
 KERNELS = {
     "network float32": NETWORK | {"winograd"},
     "network float32-direct": NETWORK | {"image"},
     "network half": NETWORK | {"winograd"},
-    "frame": {*FRAME, "downsample_8"} | {f"{name}8" for name in FRAME},
+    "frame": FRAME | {"downsample_8"},
     "stream float32": {*STREAM, "winograd"},
     "stream float32-direct": {*STREAM, "image"},
     "stream half": {*STREAM, "winograd"},
@@ -68,7 +67,7 @@ def library():
 
 
 def is_harmless(report):
-    """Whether it is the splat's look at a key or eight before its atomic minimum: an old one is larger (kernels/occlusion_warp.cl)."""
+    """Whether it is the splat's look at a key or eight before its atomic minimum: an old one is larger (kernels/occlusion_warp.clh)."""
     accesses = re.findall(r"entity:.*\n\s*(.*)", report)
     kinds = ["atomic" if "atomic_min" in access else "look" if LOOK.search(access) else "other" for access in accesses]
     return report.startswith("Read-write data race") and sorted(kinds) == ["atomic", "look"]
@@ -276,15 +275,14 @@ def run_frame(device, height, width):
         for eights in (False, True):
             random = np.random.default_rng(1)
             inputs = inputs_for(device, 8, columns, np.dtype(np.float16 if gather == "nearest" else np.float32))
-            preparation = Prepare(device, *size, gather, eights=eights, inputs=inputs)
+            preparation = Prepare(device, *size, gather, eights=eights, inputs=inputs, tops=range(0, height, 8))
             shapes = (3, *size, 3), (*size, 9), size, (4, *size), (4, *size, 3), (4, *size, 3)
             speed = 0.2 if gather == "longest" else 2  # where all eight stay in the frame, and where some leave it
             motions = cla.to_device(device.queue, random.normal(0, speed, (max(steps), *size, 2)).astype(np.float32))
             color, *others = (on_device(device, random, shape).base_data for shape in shapes)
-            tops = range(0, height, 8)
-            preparation.begin(color, steps, motions.base_data, *others, tops=tops)
+            preparation.begin(color, steps, motions.base_data, *others)
             made[eights] = {}
-            for top in tops:
+            for top in range(0, height, 8):
                 preparation.strip(top)
                 for name in ("input", "earlier", "eighth"):
                     made[eights][f"{gather} {top} {name}"] = read(device, getattr(inputs, name))
