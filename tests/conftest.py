@@ -14,6 +14,7 @@ os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 # CI runs the same cases every time; a developer's machine looks for new ones.
 settings.register_profile("ci", derandomize=True, deadline=None)
 settings.register_profile("dev", deadline=None)
+settings.register_profile("fuzz", deadline=None, max_examples=2500)
 settings.load_profile("ci" if os.environ.get("CI") else "dev")
 
 

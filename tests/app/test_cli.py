@@ -17,7 +17,7 @@ from stss.cli.main import main
 from stss.demo import demo_path, write_demo_sequence
 from stss.images.read_write import read_header, read_rgb
 from stss_ground.optional import installed
-from tests.fuzz.harness import call
+from tests.hostile.cases import call
 
 SIZE = (18, 32)
 FRAMES = 8

@@ -1,17 +1,53 @@
-"""What every hostile test needs: ``stss`` as a user types it, and what a refusal looks like."""
+"""``stss`` as a user types it, in this process or in one of its own, and what a refusal looks like."""
 
+import contextlib
+import io
 import os
+import signal
 import subprocess
 import sys
+import warnings
+
+from stss.cli.main import main
 
 
 def stss(*arguments, cwd=None, env=None, timeout=120, **more):
-    """Run ``stss``; ``env`` is added to the environment."""
-    command = [sys.executable, "-m", "stss", *map(os.fspath, map(_text, arguments))]
+    """Run ``stss`` in a process of its own; ``env`` is added to the environment."""
+    command = [sys.executable, "-m", "stss", *map(_text, arguments)]
     environment = {**os.environ, **(env or {})}
     return subprocess.run(
         command, capture_output=True, text=True, errors="replace", timeout=timeout, cwd=cwd, env=environment, check=False, **more
     )
+
+
+def call(*arguments, seconds=60):
+    """Call ``stss`` in this process, with a limit of its time; warnings are errors. Most of a process's time is its start."""
+    out, err = (io.TextIOWrapper(io.BytesIO(), "utf-8") for _ in range(2))
+    argv, status = sys.argv, 0
+    signal.signal(signal.SIGALRM, _hangs)
+    signal.alarm(seconds)
+    try:
+        with warnings.catch_warnings(), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            warnings.simplefilter("error")
+            warnings.filterwarnings("ignore", module=r"colour\.")  # see stss.color
+            sys.argv = ["stss", *map(os.fsdecode, map(_text, arguments))]
+            main()
+    except SystemExit as ended:
+        status = ended.code
+    finally:
+        signal.alarm(0)
+        sys.argv = argv
+    out.flush(), err.flush()
+    printed = (stream.buffer.getvalue().decode() for stream in (out, err))
+    return subprocess.CompletedProcess(arguments, status, *printed)
+
+
+class HangError(BaseException):
+    """A call takes too long. No ``Exception``, since the called code must not catch it."""
+
+
+def _hangs(*_):
+    raise HangError("no end in time")
 
 
 def refused(result, *words):

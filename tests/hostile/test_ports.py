@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import shutil
 import socket
 import sys
@@ -31,7 +30,6 @@ from stss.conform.failures import replay
 from stss.conform.own_ports import ReferencePort, run_job
 from stss_ground.errors import InputError
 from stss_ref.weights import random as random_weights
-from tests.fuzz import job_folders
 from tests.hostile.cases import refused, stss
 
 
@@ -484,7 +482,7 @@ def test_a_port_that_answers_in_one_buffer_is_found_out():
         judge.same("rrm.valid", second, first)
 
 
-# Replay, and job folders at random.
+# Replay
 
 
 def test_a_replay_is_judged_or_says_so(tmp_path):
@@ -501,15 +499,3 @@ def test_a_replay_is_judged_or_says_so(tmp_path):
         (kept / "property" / "property.json").write_text(text)
         with pytest.raises(InputError, match=r"damaged|expected the folder of one failure"):
             replay(wrong, kept)
-
-
-def test_damaged_job_folders_are_answered_or_refused():
-    """A fixed slice of ``make fuzz``."""
-    assert job_folders.run(seed=1, seconds=3) > 20
-
-
-def test_a_damaged_job_folder_is_named_by_its_seed(monkeypatch):
-    """The fuzzer can fail."""
-    monkeypatch.setattr(job_folders, "run_job", lambda job, backend: 1 / 0)
-    with pytest.raises(AssertionError, match=re.compile("seed 5, case 0: .*ZeroDivisionError", re.DOTALL)):
-        job_folders.run(seed=5, seconds=5)

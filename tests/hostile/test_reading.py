@@ -3,6 +3,7 @@
 import os
 import re
 import struct
+import subprocess
 import sys
 from pathlib import Path
 
@@ -19,8 +20,7 @@ from stss_ground.errors import DeviceError, InputError
 from stss_ground.terminal import MOST, printable
 from stss_ref.weights import zeros
 from tests.app.conftest import frame_channels, write_raw
-from tests.fuzz.harness import Result, call
-from tests.hostile.cases import refused, stss
+from tests.hostile.cases import call, refused, stss
 
 SIZE = (8, 16)
 PLAIN = ("--weights", "bilinear", "--backend", "ref")
@@ -43,7 +43,7 @@ def sequence(tmp_path):
 def said(result, *words):
     """Status 2, and what is wrong: on stderr, or as a finding of ``stss check``."""
     if result.stdout:
-        result = Result(result.returncode, "", f"stss: {result.stdout.splitlines()[0]}")
+        result = subprocess.CompletedProcess((), result.returncode, "", f"stss: {result.stdout.splitlines()[0]}")
     refused(result, *words)
 
 

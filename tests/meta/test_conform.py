@@ -31,7 +31,7 @@ from stss.conform.picture import draw
 from stss.images.read_write import read_rgb
 from stss_ground.errors import InputError
 from stss_ref.weights import Tensors
-from tests.fuzz.harness import call
+from tests.hostile.cases import call
 from tests.meta.samples import samples
 
 EXAMPLE = Path(__file__).parents[2] / "conformance" / "examples" / "cpp"
