@@ -78,6 +78,7 @@ def run_suite(
         "--rootdir",
         str(SUITE_FOLDER),
         "--import-mode=importlib",
+        "--noconftest",
         "--capture=sys",
         "-W",
         "ignore",

@@ -24,8 +24,8 @@ MAY_IMPORT = {
 FLOORS = {
     "stss": "__main__ > cli > demo bench > quality cluster > check run > port sequence baselines > conform stress frames"
     " > pages > images weights devices color",
-    "conformance": "run_suite stored_cases > suite > confirm diagnosis first_layer known_failures terms > search > judge > questions"
-    " > findings > answers mistakes cases > protocol scenes tolerance",
+    "conformance": "run_suite stored_cases > suite > confirm diagnosis first_layer known_failures terms > load_port search"
+    " > judge > questions > findings > answers mistakes cases > protocol scenes tolerance",
     "stss_cl": "skip > frame > network image_space > device",
     "stss_ground": "guard > optional output pages toml_table option_kinds > errors terminal version machine regular_file",
 }

@@ -34,6 +34,7 @@ def cases(strategy: st.SearchStrategy[Any], *, slow: bool = False) -> Callable[[
     def decorate(body: Body) -> Callable[[Judge], None]:
         @wraps(body)
         def test(judge: Judge) -> None:
+            __tracebackhide__ = True
             with _confirmed(judge, body):
                 for_all(judge, strategy, body, slow=slow)
 
@@ -62,6 +63,7 @@ def made_cases(
 
         @wraps(body)
         def test(judge: Judge) -> None:
+            __tracebackhide__ = True
             with _confirmed(judge, body):
                 wrong = judge.first_wrong(body, some(judge))
                 if wrong is not None:
@@ -76,6 +78,7 @@ def made_cases(
 @contextmanager
 def _confirmed(judge: Judge, body: Body) -> Generator[None]:
     """Run a failure again before reporting it."""
+    __tracebackhide__ = True
     try:
         yield
     except (DepartureError, Flaky) as error:

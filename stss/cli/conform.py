@@ -77,8 +77,8 @@ def conform(
         require_package(package, "conform")
     from conformance.judge import TIERS, Judge
     from conformance.known_failures import KnownFailuresError, read_known
+    from conformance.load_port import load_port
     from conformance.run_suite import SUITE, run_suite
-    from stss.conform.load_port import load_port
     from stss.conform.running_report import RunningReport
 
     require_places({"--json": json_file, "--junit": junit, "--report": report}, [known_failures])

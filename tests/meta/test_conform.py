@@ -2,6 +2,7 @@
 """``stss conform`` as a porter types it."""
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -14,18 +15,19 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import conformance
 from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected, largest
 from conformance.answers.network import expect_layers
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.findings import DepartureError
 from conformance.judge import Judge, Tier, agreement
+from conformance.load_port import load_port
 from conformance.mistakes import find
 from conformance.protocol.layers import LAYERS_OF
 from conformance.protocol.port import Case
 from conformance.run_suite import run_suite
 from stss.cli.main import stss
-from stss.conform.load_port import load_port
 from stss.conform.own_ports import ReferencePort
 from stss.conform.picture import draw
 from stss.images.read_write import read_rgb
@@ -160,6 +162,34 @@ def test_an_output_that_nothing_judged_says_so(here):
     done = run("--port", "lost:Port", "--stages", "warp", "--fail-fast", "--report", "page.html")
     assert "warped not judged, inside not judged" in " ".join(done.output.split())
     assert '<td>inside<td class="n wrap">not judged' in (here / "page.html").read_text()
+
+
+def test_pytest_alone_judges_a_port(here):
+    """With its own options, and a port that lacks stages."""
+    suite = Path(conformance.__file__).parent / "suite"
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "-c",
+        os.devnull,
+        suite,
+        "-k",
+        "rrm and twice or holes",
+    ]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(here), str(suite.parents[1])])}
+    said = {
+        port: subprocess.run([*command, *words], env=environment, capture_output=True, text=True, check=False)
+        for port, words in {"Inverted": ["--port", "wrong_port:Inverted"], "none": []}.items()
+    }
+    assert said["Inverted"].returncode == 1
+    assert "rrm.valid: wrong at" in said["Inverted"].stdout
+    assert "1 failed, 11 skipped" in said["Inverted"].stdout
+    assert said["none"].returncode == 4
+    assert "expected either --port" in said["none"].stdout + said["none"].stderr
 
 
 def test_the_picture_of_a_large_frame_shows_its_worst_part():

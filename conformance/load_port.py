@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Load the port that ``stss conform`` judges: a Python object, or a program."""
+"""Load the port that is judged: a Python object, or a program."""
 
 from __future__ import annotations
 
