@@ -6,14 +6,29 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from stss.frames import Buffers, open_backend, supersample
-    from stss.sequence import open_sequence
+    from stss.frames import Buffers, Supersampler, open_backend, supersample
+    from stss.frames import check_buffers as check
+    from stss.sequence import convert, load_profile, open_sequence
     from stss.weights import load as load_weights
 
-__all__ = ["Buffers", "load_weights", "open_backend", "open_sequence", "supersample"]
+__all__ = [
+    "Buffers",
+    "Supersampler",
+    "check",
+    "convert",
+    "load_profile",
+    "load_weights",
+    "open_backend",
+    "open_sequence",
+    "supersample",
+]
 
 _HOMES = {
     "Buffers": ("stss.frames", "Buffers"),
+    "Supersampler": ("stss.frames", "Supersampler"),
+    "check": ("stss.frames", "check_buffers"),
+    "convert": ("stss.sequence", "convert"),
+    "load_profile": ("stss.sequence", "load_profile"),
     "load_weights": ("stss.weights", "load"),
     "open_backend": ("stss.frames", "open_backend"),
     "open_sequence": ("stss.sequence", "open_sequence"),

@@ -44,9 +44,11 @@ class Transfer:
 
     Attributes:
         name: one of ``TRANSFERS``.
+        clips: scene-linear colour above 1 does not reach the network; it is carried past it (`stss.frames.carry`).
     """
 
     name: str
+    clips: bool
     _encode: Curve = field(repr=False)
     _decode: Curve = field(repr=False)
     _display: Curve = field(repr=False)
@@ -160,7 +162,7 @@ def _decode_hdr(e: Pixels) -> Pixels:
 
 
 _TRANSFERS = {
-    "none": Transfer("none", _clip, _clip, _clip),
-    "srgb": Transfer("srgb", _encode_srgb, _decode_srgb, _encode_srgb),
-    "hdr": Transfer("hdr", _encode_hdr, _decode_hdr, _encode_srgb),
+    "none": Transfer("none", False, _clip, _clip, _clip),
+    "srgb": Transfer("srgb", True, _encode_srgb, _decode_srgb, _encode_srgb),
+    "hdr": Transfer("hdr", False, _encode_hdr, _decode_hdr, _encode_srgb),
 }

@@ -29,7 +29,8 @@ from stss.frames.buffers import Buffers
 from stss.frames.display_frame import WINDOW, DisplayFrame, frame_inputs, prepare, window_at
 from stss.frames.supersample import plan
 from stss.images.read_write import read_rgb
-from stss.sequence.reader import BACKGROUND_POSITION, open_sequence
+from stss.sequence.conventions import BACKGROUND_POSITION
+from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array, Image
 from stss_ref.frame import NetworkInputs

@@ -22,9 +22,9 @@ from stss.images.headers import read_header
 from stss.sequence.antialiasing import judge_sampling
 from stss.sequence.choose_weights import suited
 from stss.sequence.find_files import find_frames
-from stss.sequence.profiles import BUFFERS, Profile, load_profile
+from stss.sequence.profiles import BUFFERS, Profile
 from stss.sequence.raw_frame import NonFinite
-from stss.sequence.reader import Sequence, open_sequence
+from stss.sequence.reader import Sequence, open_sequence, settle_profile
 from stss_ground.errors import InputError
 from stss_ground.terminal import printable
 
@@ -75,7 +75,7 @@ class CheckReport:
 
 def check(
     sequence_path: str | Path,
-    profile: str | Path | Profile,
+    profile: str | Path | Profile | None,
     *,
     camera: Path | None = None,
     metallic: float | None = None,
@@ -95,7 +95,7 @@ def check(
     Raises:
         InputError: the profile cannot be read, or ``frames`` names none of the sequence. Any other fault is a finding.
     """
-    table = profile if isinstance(profile, Profile) else load_profile(profile)
+    table = settle_profile(Path(sequence_path), profile)
     findings: list[CheckFinding] = []
     tables: dict[str, object] = {"profile": table.name}
     try:

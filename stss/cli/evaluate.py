@@ -94,7 +94,7 @@ def methods_command(
     sequence: Path,
     truth: Path,
     out: Path,
-    profile: str,
+    profile: str | None,
     camera: Path | None,
     metallic: float | None,
     roughness: float | None,
@@ -169,7 +169,7 @@ def methods_command(
 @click.option("--frames", type=FrameRange(), help="First and last frame to look at.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def flicker_command(
-    out: Path, truth: Path, sequence: Path, profile: str, frames: tuple[int, int] | None, as_json: bool, **options: Any
+    out: Path, truth: Path, sequence: Path, profile: str | None, frames: tuple[int, int] | None, as_json: bool, **options: Any
 ) -> None:
     """Measure how the frames in OUT change along the motion, compared with those in TRUTH: in 8-bit levels."""
     from stss.quality.flicker import flicker, print_flicker

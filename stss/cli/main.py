@@ -93,7 +93,7 @@ def stss() -> None:
 def run(
     sequence: Path,
     out: Path,
-    profile: str,
+    profile: str | None,
     camera: Path | None,
     metallic: float | None,
     roughness: float | None,
@@ -112,6 +112,10 @@ def run(
 ) -> None:
     """Make SEQUENCE, a folder or a pattern like a.####.exr, twice as large and twice as fast."""
     frames = open_sequence(sequence, profile, camera=camera, metallic=metallic, roughness=roughness, non_finite=non_finite)
+    if profile is None:
+        _tell(f"profile: {frames.profile.name}, by the channels' names; --profile takes another")
+    if frames.solves_camera:
+        _tell("camera: from position and depth; --camera CSV takes one")
     options = RunOptions.of(frames.profile, format=suffix, **chosen)
     console = Terminal(stderr=True)
     possible = backend == "cl" and method == NETWORK
@@ -150,7 +154,7 @@ def run(
 @sequence_options
 @click.option("--frames", type=FrameRange(), help="First and last frame to look at.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def check(sequence: Path, profile: str, as_json: bool, **options: Any) -> None:
+def check(sequence: Path, profile: str | None, as_json: bool, **options: Any) -> None:
     """Say what SEQUENCE holds and whether it can be run.
 
     Ends with status 0 when it can, 1 when it can but something looks wrong, 2 when it cannot.
@@ -226,6 +230,9 @@ def _report(summary: Summary, out: Path, console: Console) -> None:
     written = ", ".join(f"{summary.count('done', kind)} {kind.value}" for kind in FrameKind)
     rest = f"{summary.count('kept')} kept, {summary.count('left out')} left out"
     console.print(printable(f"{out}: {written} written, {rest}"), soft_wrap=True, markup=False, highlight=False)
+    peak = max((frame.peak for frame in summary.frames), default=0.0)
+    if peak > 1:
+        console.print(f"highlights: up to {peak:.3g}; --format png and --transfer none clip at 1", soft_wrap=True)
     if costs := [frame.cost for frame in summary.frames if frame.cost]:
         console.print(told(costs), soft_wrap=True, markup=False, highlight=False)
 

@@ -16,7 +16,7 @@ from stss.frames.display_frame import PLANE_TYPES
 from stss.images.headers import MAX_SIDE
 from stss.sequence.choose_weights import AUTO
 from stss.sequence.find_files import MAX_DIGITS
-from stss_ground.option_kinds import PATH, Number
+from stss_ground.option_kinds import PATH, Names, Number
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -44,11 +44,32 @@ class FrameRange(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
         return int(first), int(last)
 
 
+class FrameNumbers(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
+    """``a,b,...``, as a sorted tuple."""
+
+    name = "a,b,..."
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
+        """Parse; a word that is no frame number is the user's mistake."""
+        if isinstance(value, tuple):
+            return value
+        words = str(value).split(",")
+        if not all(_is_whole(word, MAX_DIGITS) for word in words):
+            self.fail(f"expected frame numbers a,b,..., got {value!r}", param, ctx)
+        return tuple(sorted({int(word) for word in words}))
+
+
 def sequence_options(command: Command) -> Command:
     """Add the options of commands that read a sequence."""
     options = (
-        click.option("--profile", default="stss", show_default=True, help="The renderer's conventions: a name or a TOML file."),
-        click.option("--camera", type=PATH, help="CSV of frame,x,y,z in the sequence's unit of length, for NoV."),
+        click.option(
+            "--profile", help="The renderer's conventions: a name or a TOML file  [default: what the channels' names fit]"
+        ),
+        click.option(
+            "--camera",
+            type=PATH,
+            help="CSV of frame,x,y,z in the sequence's unit of length  [default: from the files, or from position and depth]",
+        ),
         click.option("--metallic", type=Number(0, 1), help="Constant, for files that have none."),
         click.option("--roughness", type=Number(0, 1), help="Constant, for files that have none."),
         click.option(
@@ -70,7 +91,17 @@ def frame_options(command: Command) -> Command:
         click.option(
             "--rendered",
             type=click.Choice(["even", "odd", "all"]),
-            help="Which frames to take as rendered  [default: those with colour; the even ones where neighbours have it]",
+            help="Which frames to take as rendered  [default: those with colour; where all have it, every second of each shot]",
+        ),
+        click.option(
+            "--cuts", type=FrameNumbers(), default=(), metavar="a,b,...", help="The first frame of each shot but the first."
+        ),
+        click.option(
+            "--also",
+            type=Names(),
+            default=(),
+            metavar="NAME,...",
+            help="Layers or channels to warp and enlarge beside the colour, without the network; alpha is taken along anyway.",
         ),
         click.option("--frames", type=FrameRange(), help="First and last frame to write; earlier ones still serve as history."),
         click.option(

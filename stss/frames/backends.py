@@ -9,6 +9,7 @@ from typing import Literal, Protocol
 
 from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import DisplayFrame, OnArrays
+from stss.weights.file import LoadedWeights, load
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array, Image, Mask
 from stss_ref.frame import FrameInputs, frame, prepare
@@ -128,7 +129,7 @@ class OpenCLBackend:
 
 def open_backend(
     name: str,
-    weights: Weights,
+    weights: str | Weights | LoadedWeights,
     options: ComputeOptions = DEFAULTS,
     *,
     gather: Gather = "longest",
@@ -138,7 +139,7 @@ def open_backend(
 
     Args:
         name: one of ``BACKENDS``.
-        weights: the 92 tensors.
+        weights: loaded, or what `stss.weights.file.load` takes.
         options: device, precision, memory limit and skipping.
         gather: how the motion chain reads between pixels.
         tell: called with lines for the user, such as that a self-test is being run.
@@ -149,6 +150,8 @@ def open_backend(
     """
     if name not in BACKENDS:
         raise InputError(f"backend: expected one of {', '.join(BACKENDS)}, got {name!r}")
+    weights = load(weights) if isinstance(weights, str) else weights
+    weights = weights.weights if isinstance(weights, LoadedWeights) else weights
     if name == "cl":
         return OpenCLBackend(weights, options, gather, tell)
     if options.device is not None or options.precision != "float32":

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from stss_ref.arrays import Array
 
@@ -25,6 +26,9 @@ class Buffers:
         base_color: (H, W, 3) in [0, 1].
         roughness: (H, W) in [0, 1].
         metallic: (H, W) in [0, 1].
+        cut: the first frame of a shot: nothing of earlier frames is used.
+        carried: name -> (H, W, C) further planes of a rendered frame, such as ``alpha``: warped and enlarged as its colour is, without
+            the network.
     """
 
     number: int
@@ -38,6 +42,8 @@ class Buffers:
     base_color: Array
     roughness: Array
     metallic: Array
+    cut: bool = False
+    carried: Mapping[str, Array] = field(default_factory=dict[str, Array])
 
     @property
     def size(self) -> tuple[int, int]:

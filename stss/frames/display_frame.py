@@ -4,14 +4,15 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
 
 from stss.color import Transfer
 from stss.frames.buffers import Buffers
+from stss.frames.carry import HIGHLIGHTS, highlights
 from stss_ref.arrays import Array, Image, Mask, Plane
 from stss_ref.depth import DepthMode, normalise_depth
 from stss_ref.frame import FrameInputs
@@ -29,7 +30,8 @@ class DisplayFrame:
     """A display frame as stage ``frame`` takes it, made once and used by up to six outputs.
 
     ``color`` (H, W, 3) display-referred or None, ``motion`` (H, W, 2), ``gbuffer`` (H, W, 9), ``nov`` and ``stencil`` (H, W),
-    ``position`` (H, W, 3) in cm; float32, or some of them float16 (``halved``).
+    ``position`` (H, W, 3) in cm; float32, or some of them float16 (``halved``). ``carried``: planes (H, W, C) of a rendered frame that pass
+    the network by, see `stss.frames.carry`.
     """
 
     number: int
@@ -39,10 +41,21 @@ class DisplayFrame:
     nov: Plane
     stencil: Plane
     position: Image
+    carried: Mapping[str, Image] = field(default_factory=dict[str, Image])
 
 
-def prepare(buffers: Buffers, to_display: Transfer, depth: DepthMode, dtype: PlaneType = "float32") -> DisplayFrame:
-    """Make a display frame: colour through the transfer, depth normalised to [0, 1], G-buffer stacked; with "half" then ``halved``."""
+def prepare(
+    buffers: Buffers, to_display: Transfer, depth: DepthMode, dtype: PlaneType = "float32", *, copy: bool = True
+) -> DisplayFrame:
+    """Make a display frame: colour through the transfer, depth normalised to [0, 1], G-buffer stacked; with "half" then ``halved``.
+
+    ``copy`` False: motion, NoV, stencil and position stay the caller's arrays where they are float32; the caller must not write to them
+    while the frame is in use.
+    """
+
+    def own(plane: Array) -> Array:
+        return np.array(plane, np.float32, copy=copy or None, order="C")
+
     planes = [
         buffers.normal,
         normalise_depth(buffers.depth, depth)[..., None],
@@ -53,13 +66,20 @@ def prepare(buffers: Buffers, to_display: Transfer, depth: DepthMode, dtype: Pla
     made = DisplayFrame(
         number=buffers.number,
         color=None if buffers.color is None else to_display.encode(buffers.color),
-        motion=buffers.motion,
-        gbuffer=np.concatenate(planes, axis=-1),
-        nov=buffers.nov,
-        stencil=buffers.stencil,
-        position=buffers.position,
+        motion=own(buffers.motion),
+        gbuffer=np.concatenate(planes, axis=-1, dtype=np.float32),
+        nov=own(buffers.nov),
+        stencil=own(buffers.stencil),
+        position=own(buffers.position),
+        carried={} if buffers.color is None else _carried(buffers, buffers.color, to_display),
     )
     return made if dtype == "float32" else halved(made)
+
+
+def _carried(buffers: Buffers, color: Image, to_display: Transfer) -> dict[str, Image]:
+    planes = {name: np.array(plane, np.float32) for name, plane in buffers.carried.items()}
+    above = highlights(color) if to_display.clips else None
+    return planes if above is None else {**planes, HIGHLIGHTS: above}
 
 
 def halved(frame: DisplayFrame) -> DisplayFrame:

@@ -15,18 +15,20 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 
-from stss.images.headers import last_error, whole_png
+from stss.images.headers import Value, last_error, whole_png
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array
 
 HALF_MAX = 65504.0
+_TYPES = {"FramesPerSecond": "rational", "smpte:TimeCode": "timecode"}
+"""Metadata of several numbers -> OpenImageIO's type; the others are floats."""
 
 _CHUNK_LINES = 16
 """Lines that EXR's ``zip`` compresses together."""
 Pixels = Array | np.ndarray[Any, Any]
 
 
-def encode_exr(path: Path, names: tuple[str, ...], pixels: Array, half: Collection[str], metadata: Mapping[str, str]) -> bytes:
+def encode_exr(path: Path, names: tuple[str, ...], pixels: Array, half: Collection[str], metadata: Mapping[str, Value]) -> bytes:
     """Encode an EXR (zip).
 
     Args:
@@ -34,7 +36,7 @@ def encode_exr(path: Path, names: tuple[str, ...], pixels: Array, half: Collecti
         names: the channels' names.
         pixels: (H, W, C) float32.
         half: channels that are stored as half unless a value exceeds half's range; the others are float.
-        metadata: name -> text.
+        metadata: name -> value.
 
     Raises:
         InputError: memory or the limit on the size of files does not suffice.
@@ -56,13 +58,13 @@ def encode_exr(path: Path, names: tuple[str, ...], pixels: Array, half: Collecti
     return data
 
 
-def encode_png(path: Path, pixels: np.ndarray[Any, np.dtype[np.uint8]], metadata: Mapping[str, str]) -> bytes:
+def encode_png(path: Path, pixels: np.ndarray[Any, np.dtype[np.uint8]], metadata: Mapping[str, Value]) -> bytes:
     """Encode a PNG of 8 bits.
 
     Args:
         path: where it will lie, for messages.
         pixels: (H, W, C).
-        metadata: name -> text.
+        metadata: name -> value.
 
     Raises:
         InputError: memory or the limit on the size of files does not suffice.
@@ -86,9 +88,12 @@ def require_finite(path: Path, names: tuple[str, ...], pixels: Array) -> None:
             raise ValueError(f"{path}: channel {name}: {int(bad.sum())} non-finite values, first at (y={y}, x={x})")
 
 
-def _encoded(path: Path, suffix: str, spec: oiio.ImageSpec, pixels: Pixels, metadata: Mapping[str, str]) -> bytes:
-    for name, text in metadata.items():
-        spec.attribute(name, text)
+def _encoded(path: Path, suffix: str, spec: oiio.ImageSpec, pixels: Pixels, metadata: Mapping[str, Value]) -> bytes:
+    for name, value in metadata.items():
+        if isinstance(value, tuple):
+            spec.attribute(name, oiio.TypeDesc(_TYPES.get(name, f"float[{len(value)}]")), value)
+        else:
+            spec.attribute(name, value)
     with _memory(suffix) as place:
         output = oiio.ImageOutput.create(f"image{suffix}")
         if output is None:

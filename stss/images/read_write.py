@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from stss.images.encode import encode_exr, encode_png, require_finite
-from stss.images.headers import Header, last_error, locate, opened, read_header
+from stss.images.headers import Header, Value, last_error, locate, opened, read_header
 from stss_ground.errors import InputError
 from stss_ground.output.write_whole import write_whole
 from stss_ref.arrays import Image, Mask, Plane
@@ -124,20 +124,25 @@ def encode_channels(
     return encode_exr(path, tuple(channels), pixels, half, metadata or {})
 
 
-def encode_rgb(path: Path, image: Image, *, metadata: Mapping[str, str] | None = None) -> bytes:
+def encode_rgb(
+    path: Path, image: Image, *, metadata: Mapping[str, Value] | None = None, more: Mapping[str, Plane] | None = None
+) -> bytes:
     """Encode a colour image in the format of its file's suffix.
 
     Args:
         path: where it will lie. .exr: scene-linear, half, zip. .png: 8 bits, rounded to nearest, clipped to 0..1.
         image: (H, W, 3); scene-linear for EXR, display-referred for PNG.
-        metadata: name -> text; `read_header` finds it again.
+        metadata: name -> value; `read_header` finds it again.
+        more: further channels (H, W) of an EXR.
 
     Raises:
         InputError: the suffix is neither of these.
         ValueError: a value is not finite.
     """
     if path.suffix.lower() == ".exr":
-        return encode_exr(path, tuple("RGB"), np.ascontiguousarray(image, dtype=np.float32), "RGB", metadata or {})
+        names = (*"RGB", *(more or {}))
+        pixels = np.concatenate([image, *(plane[..., None] for plane in (more or {}).values())], axis=-1, dtype=np.float32)
+        return encode_exr(path, names, pixels, names, metadata or {})
     if path.suffix.lower() == ".png":
         require_finite(path, tuple("RGB"), image)
         pixels = np.rint(np.clip(image.astype(np.float64), 0, 1) * 255).astype(np.uint8)

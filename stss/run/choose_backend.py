@@ -100,7 +100,10 @@ def within_budget(
 
 def first_frames(sequence: Sequence, options: RunOptions) -> list[DisplayFrame]:
     """The first consecutive frames that begin with a rendered one, as the run prepares them: as many as a budget is tried on."""
-    rendered, curve = choose_rendered(sequence.numbers, sequence.rendered, options.rendered), transfer(options.transfer)
+    rendered, curve = (
+        choose_rendered(sequence.numbers, sequence.rendered, options.rendered, options.cuts),
+        transfer(options.transfer),
+    )
     frames: list[DisplayFrame] = []
     for number in sequence.numbers:
         if frames and number != frames[-1].number + 1:

@@ -4,16 +4,17 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
 from stss.color import Transfer, transfer
 from stss.frames.backends import Backend, Cost
-from stss.frames.display_frame import DisplayFrame
-from stss.frames.supersample import Output, compute, decoded
-from stss.images.read_write import encode_mask, encode_rgb, read_header
+from stss.frames.display_frame import WINDOW, DisplayFrame
+from stss.frames.supersample import Output, compute, decoded, shot_start
+from stss.images.headers import Value, read_header
+from stss.images.read_write import encode_mask, encode_rgb
 from stss.run.options import RunOptions
 from stss.run.pipeline import overlap
 from stss.run.skip_report import picture
@@ -23,7 +24,7 @@ from stss_ground.errors import InputError
 from stss_ground.output.folder import OutputFolder
 from stss_ground.version import VERSION
 from stss_ref import SPEC_VERSION
-from stss_ref.arrays import Array, Image
+from stss_ref.arrays import Array, Image, Plane
 from stss_ref.schedule import FrameKind, schedule
 
 HOLES, SKIPPED = "holes", "skipped"
@@ -33,7 +34,17 @@ Outcome = Literal["done", "kept", "left out"]
 
 @dataclass(frozen=True)
 class FrameReport:
-    """What became of one display frame; ``reason`` says why it was left out, ``cost`` what computing it took."""
+    """What became of one display frame.
+
+    Attributes:
+        number: the frame.
+        kind: SF, EF; None where it was not found out.
+        outcome: what became of it.
+        reason: why it was left out.
+        fault: it was left out because something is wrong.
+        cost: what computing it took.
+        peak: the largest value of its image.
+    """
 
     number: int
     kind: FrameKind | None
@@ -41,6 +52,7 @@ class FrameReport:
     reason: str = ""
     fault: bool = False
     cost: Cost | None = None
+    peak: float = 0.0
 
 
 class Sink(Protocol):
@@ -62,6 +74,7 @@ class _Read:
 
     key: str
     window: list[DisplayFrame]
+    copied: Mapping[str, Value]
 
 
 @dataclass(frozen=True)
@@ -72,6 +85,7 @@ class _Computed:
     output: Output
     cost: Cost | None
     activity: Array | None
+    copied: Mapping[str, Value]
 
 
 @dataclass(frozen=True)
@@ -108,7 +122,7 @@ class FrameJob:
         metadata = describe(sequence, options, backend.method, backend.name, weights)
         keys = keys_of(sequence, rendered, options, metadata)
         return cls(
-            Window(sequence, rendered, curve, options.depth, options.planes),
+            Window(sequence, rendered, curve, options),
             keys,
             backend,
             curve,
@@ -139,7 +153,8 @@ class FrameJob:
             key = self.keys.of(number)
             if (kind := self.already_written(number, key)) is not None:
                 return FrameReport(number, kind, "kept")
-            return _Read(key, self.window.up_to(number, keep_going=self.options.keep_going))
+            window = self.window.up_to(number, keep_going=self.options.keep_going)
+            return _Read(key, window, self.window.attributes(number))
         except InputError as error:
             if not self.options.keep_going:
                 raise
@@ -152,11 +167,15 @@ class FrameJob:
         output = compute(read.window, self.backend)
         if output is None:
             number = read.window[-1].number
-            # At the start of a sequence this is expected; later on it means that an earlier frame could not be read.
+            # At the start of a shot this is expected; later on it means that an earlier frame could not be read.
+            reach = number - shot_start(number, number - WINDOW, self.options.cuts)
             reason = f"frame {number}: no rendered frame just before it to extrapolate from"
-            return FrameReport(number, FrameKind.EF, "left out", reason, fault=schedule(number, self.rendered) is not None)
+            if not reach:
+                reason = f"frame {number}: the first of a shot, and not rendered: nothing to make it from"
+            fault = schedule(number, self.rendered, reach=reach) is not None
+            return FrameReport(number, FrameKind.EF, "left out", reason, fault=fault)
         activity = self.backend.activity if self.options.show_skipped else None
-        return _Computed(read.key, output, self.backend.cost, activity)
+        return _Computed(read.key, output, self.backend.cost, activity, read.copied)
 
     def write(self, made: _Computed | FrameReport) -> FrameReport:
         """Take it back through the transfer and write its files."""
@@ -170,12 +189,15 @@ class FrameJob:
             self.sink.write(name, encode_mask(self.sink.path / name, ~output.valid))
         # The image last: its presence means that the frame is done.
         image = self.curve.display(output.image) if self.options.format == "png" else output.image
-        metadata = {"stss:key": made.key, "stss:frame": str(output.number), "stss:kind": output.kind.value}
-        self._write_rgb(frame_name(output.number, self.options.format), image, {**self.metadata, **metadata})
-        return FrameReport(output.number, output.kind, "done", cost=made.cost)
+        metadata: dict[str, Value] = {"stss:key": made.key, "stss:frame": str(output.number), "stss:kind": output.kind.value}
+        more = {name: plane[..., 0] for name, plane in output.carried.items()} if self.options.format == "exr" else {}
+        metadata |= {**self.metadata, **made.copied}
+        self._write_rgb(frame_name(output.number, self.options.format), image, metadata, more)
+        peak = float(output.image.max())
+        return FrameReport(output.number, output.kind, "done", cost=made.cost, peak=peak)
 
-    def _write_rgb(self, name: str, image: Image, metadata: dict[str, str]) -> None:
-        self.sink.write(name, encode_rgb(self.sink.path / name, image, metadata=metadata))
+    def _write_rgb(self, name: str, image: Image, metadata: Mapping[str, Value], more: Mapping[str, Plane] | None = None) -> None:
+        self.sink.write(name, encode_rgb(self.sink.path / name, image, metadata=metadata, more=more))
 
 
 def describe(sequence: Sequence, options: RunOptions, method: str, backend: str, weights: str) -> dict[str, str]:
@@ -187,6 +209,7 @@ def describe(sequence: Sequence, options: RunOptions, method: str, backend: str,
         "stss:weights": weights,
         "stss:backend": backend,
         "stss:transfer": options.transfer,
+        "stss:highlights": "carried past the network" if transfer(options.transfer).clips else "as the transfer has them",
         "stss:depth": options.depth,
         "stss:planes": options.planes,
         "stss:profile": sequence.profile.name,
@@ -195,7 +218,8 @@ def describe(sequence: Sequence, options: RunOptions, method: str, backend: str,
 
 def keys_of(sequence: Sequence, rendered: frozenset[int], options: RunOptions, metadata: dict[str, str]) -> Keys:
     """The keys of a run whose files have this metadata."""
-    return Keys(sequence, rendered, {**metadata, "format": options.format, "read": sequence.settings})
+    settings: dict[str, object] = {**metadata, "format": options.format, "also": options.also, "read": sequence.settings}
+    return Keys(sequence, rendered, options.cuts, settings)
 
 
 def already_written(folder: OutputFolder, options: RunOptions, number: int, key: str) -> FrameKind | None:

@@ -117,7 +117,8 @@ def plan(sequence: Sequence, out: Path, options: RunOptions, *, accumulates: boo
     """
     if options.resume and options.overwrite:
         raise InputError("--resume, --overwrite: expected one of them: keep what an earlier run finished, or replace it")
-    rendered = choose_rendered(sequence.numbers, sequence.rendered, options.rendered)
+    _require_cuts(sequence, options.cuts)
+    rendered = choose_rendered(sequence.numbers, sequence.rendered, options.rendered, options.cuts)
     numbers = _numbers(sequence, options.frames)
     require_near(sequence, sequence.numbers[0] if accumulates else numbers[0], numbers[-1])
     return RunPlan(rendered, numbers, OutputFolder(out, ("", HOLES, SKIPPED), r"frame\.\d+\.(exr|png)"))
@@ -142,6 +143,12 @@ def _numbers(sequence: Sequence, frames: tuple[int, int] | None) -> range:
             f"--frames {frames[0]}:{frames[1]}: expected to lie within {first}:{last}, the frames of {sequence.path}"
         )
     return range(frames[0], frames[1] + 1)
+
+
+def _require_cuts(sequence: Sequence, cuts: tuple[int, ...]) -> None:
+    for cut in cuts:
+        if cut not in sequence.frames:
+            raise InputError(f"--cuts {cut}: expected frames of {sequence.path}, {sequence.numbers[0]} to {sequence.numbers[-1]}")
 
 
 def require_near(sequence: Sequence, first: int, last: int) -> None:

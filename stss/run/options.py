@@ -21,6 +21,8 @@ class RunOptions:
         planes: of ``PLANE_TYPES``: ``half``: colour, G-buffer, NoV and stencil are rounded to half before anything is computed.
         rendered: ``even``, ``odd``, ``all``; None = see ``supersample.choose_rendered``.
         frames: first and last display frame to write, both included; None = all. Frames before the first still serve as history.
+        cuts: the first display frame of each shot but the first: nothing of earlier frames is used there.
+        also: names of further layers or channels of the files that are warped and enlarged like the colour.
         format: ``exr``, ``png``.
         keep_going: leave out a frame that cannot be read, rather than stop.
         resume: keep the files of an earlier run that are what this run would write.
@@ -33,6 +35,8 @@ class RunOptions:
     planes: PlaneType = "float32"
     rendered: str | None = None
     frames: tuple[int, int] | None = None
+    cuts: tuple[int, ...] = ()
+    also: tuple[str, ...] = ()
     format: str = "exr"
     keep_going: bool = False
     resume: bool = False

@@ -5,24 +5,24 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
+from collections.abc import Sequence as Numbers
 from pathlib import Path
 
 from stss.color import Transfer
-from stss.frames.display_frame import WINDOW, DisplayFrame, PlaneType, prepare
+from stss.frames.display_frame import WINDOW, DisplayFrame, prepare
+from stss.frames.supersample import shot_start
+from stss.images.headers import Value
+from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence
 from stss_ground.errors import InputError
-from stss_ref.depth import DepthMode
 
 
 class Window:
     """The display frames that an output depends on, each read once and kept while needed."""
 
-    def __init__(
-        self, sequence: Sequence, rendered: frozenset[int], curve: Transfer, depth: DepthMode, planes: PlaneType = "float32"
-    ):
-        self._sequence, self._rendered, self._curve = sequence, rendered, curve
-        self._depth: DepthMode = depth
-        self._planes: PlaneType = planes
+    def __init__(self, sequence: Sequence, rendered: frozenset[int], curve: Transfer, options: RunOptions):
+        self._sequence, self._rendered, self._curve, self._options = sequence, rendered, curve, options
         self._frames: dict[int, DisplayFrame | InputError] = {}
 
     def up_to(self, number: int, *, keep_going: bool) -> list[DisplayFrame]:
@@ -31,7 +31,7 @@ class Window:
         Raises:
             InputError: ``number`` cannot be read, or, unless ``keep_going``, one of the frames before it.
         """
-        numbers = range(max(number - WINDOW + 1, self._sequence.numbers[0]), number + 1)
+        numbers = window_numbers(number, self._sequence.numbers[0], self._options.cuts)
         self._frames = {n: frame for n, frame in self._frames.items() if n in numbers}
         window: list[DisplayFrame] = []
         for n in numbers:
@@ -44,28 +44,38 @@ class Window:
                 window.clear()
         return window
 
+    def attributes(self, number: int) -> Mapping[str, Value]:
+        """The metadata of a frame's files that its output carries too."""
+        return self._sequence.frames[number].attributes
+
     def _load(self, number: int) -> DisplayFrame | InputError:
         if number not in self._frames:
             try:
-                buffers = self._sequence.load(number, color=number in self._rendered)
-                self._frames[number] = prepare(buffers, self._curve, self._depth, self._planes)
+                options = self._options
+                buffers = self._sequence.load(number, color=number in self._rendered, also=options.also)
+                self._frames[number] = prepare(buffers, self._curve, options.depth, options.planes, copy=False)
             except InputError as error:
                 self._frames[number] = error
         return self._frames[number]
 
 
+def window_numbers(number: int, first: int, cuts: Numbers[int]) -> range:
+    """The display frames that the output of ``number`` may depend on: up to six, of its own shot."""
+    return range(max(number - WINDOW + 1, shot_start(number, first, cuts)), number + 1)
+
+
 class Keys:
     """A digest of all that an output file depends on, files and settings: equal keys mean equal files."""
 
-    def __init__(self, sequence: Sequence, rendered: frozenset[int], settings: dict[str, object]):
-        self._sequence, self._rendered = sequence, rendered
+    def __init__(self, sequence: Sequence, rendered: frozenset[int], cuts: Numbers[int], settings: dict[str, object]):
+        self._sequence, self._rendered, self._cuts = sequence, rendered, cuts
         self._settings = json.dumps(settings, sort_keys=True)
         self._digests: dict[Path, str] = {}
 
     def of(self, number: int) -> str:
         """The key of display frame ``number``: a digest of the settings and of content and role of every file that its window may read."""
         key = hashlib.sha256(f"{self._settings} {number}".encode())
-        for n in range(number - WINDOW + 1, number + 1):
+        for n in window_numbers(number, self._sequence.numbers[0], self._cuts):
             if n in self._sequence.frames:
                 digests = [self._digest(path) for path in self._sequence.files(n)]
                 key.update(f"{n} {n in self._rendered} {digests}".encode())

@@ -3,11 +3,95 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
+
 import numpy as np
 
+from stss.frames.buffers import Buffers
 from stss.sequence.camera import CameraPose
-from stss.sequence.profiles import DepthRule, MotionRule, NormalRule
+from stss.sequence.profiles import BUFFERS, CONSTANTS, DepthRule, MotionRule, NormalRule, Profile, load_profile
+from stss_ground.errors import InputError
 from stss_ref.arrays import Array, Image, Mask, Plane
+
+BACKGROUND_POSITION = 1e7
+"""Each coordinate of the position where nothing was hit; cm. One place, so that sky matches sky; far away, so that no surface does."""
+
+
+def convert(
+    number: int,
+    planes: Mapping[str, Array | float],
+    profile: str | Path | Profile = "stss",
+    *,
+    camera: Array | None = None,
+    cut: bool = False,
+) -> Buffers:
+    """Bring an engine's planes of one display frame to the conventions of the specification.
+
+    Args:
+        number: the display frame.
+        planes: the fields of `Buffers` in the profile's conventions. ``color`` may be missing: the frame was not rendered; ``nov``
+            where there is a camera; ``stencil``, ``roughness`` and ``metallic`` may be one number. Other names are carried along.
+        profile: a built-in profile's name, a TOML file, or one from `load_profile`.
+        camera: (3,) its position or (4, 4) world to camera, for column vectors; in scene units.
+        cut: whether the frame is the first of a shot.
+
+    Returns:
+        The frame; its arrays may be views of ``planes``.
+
+    Raises:
+        InputError: a plane is missing or has another shape.
+    """
+    table = profile if isinstance(profile, Profile) else load_profile(profile)
+    where = None if camera is None else _pose(np.asarray(camera, np.float64))
+    if "depth" not in planes:
+        raise InputError(f"frame {number}: no depth; expected an array (H, W)")
+    shape = np.shape(planes["depth"])[:2]
+    stored: dict[str, Array] = {}
+    for name, channels in BUFFERS.items():
+        if name not in planes:
+            if name == "color" or (name == "nov" and where is not None):
+                continue
+            raise InputError(f"frame {number}: no {name}; expected an array" + (", or a camera" if name == "nov" else ""))
+        plane = np.asarray(planes[name], np.float32)
+        if plane.ndim == 0 and name in CONSTANTS:
+            plane = np.full(shape, plane)
+        plane = plane[..., None] if plane.ndim == 2 else plane
+        if plane.shape != (*shape, channels):
+            raise InputError(f"frame {number}: {name}: expected shape {(*shape, channels)}, found {np.shape(planes[name])}")
+        stored[name] = plane
+    depth = to_specification(stored, table, where)
+    single = {name: stored[name][..., 0] for name in ("stencil", "nov", "roughness", "metallic")}
+    others = {name: np.asarray(plane, np.float32) for name, plane in planes.items() if name not in BUFFERS}
+    several = {name: stored[name] for name in ("motion", "normal", "position", "base_color")}
+    return Buffers(number, stored.get("color"), depth=depth, **single, **several, cut=cut, carried=others)
+
+
+def _pose(camera: Array) -> CameraPose:
+    if camera.shape == (3,):
+        return CameraPose(camera)
+    if camera.shape != (4, 4):
+        raise InputError(f"camera: expected a position (3,) or a matrix (4, 4), found shape {camera.shape}")
+    return CameraPose(-np.linalg.solve(camera[:3, :3], camera[:3, 3]), camera)
+
+
+def to_specification(stored: dict[str, Array], profile: Profile, camera: CameraPose | None) -> Plane:
+    """Bring stored buffers (H, W, C) to spec section 0, in place; returns depth, infinite where nothing was hit."""
+    depth = linear_depth(stored["depth"][..., 0], profile.depth)
+    normal, missed = world_normal(stored["normal"], profile.normal)
+    missed |= ~np.isfinite(depth)
+    position = np.where(np.isfinite(stored["position"]).all(axis=-1, keepdims=True), stored["position"], np.nan)
+    if profile.depth.kind == "ray":
+        depth = ray_to_planar(depth, position, camera)
+    if "nov" not in stored:
+        assert camera is not None
+        stored["nov"] = normal_dot_view(normal, position, camera.position)[..., None]
+    stored["motion"] = motion_in_pixels(stored["motion"], profile.motion)
+    stored["normal"] = normal
+    stored["position"] = (position / profile.units_per_cm).astype(np.float32)
+    for buffer, background in (("normal", 0), ("nov", 0), ("position", BACKGROUND_POSITION), ("stencil", 0)):
+        stored[buffer] = np.where(missed[..., None], np.float32(background), stored[buffer])
+    return np.where(missed, np.float32(np.inf), depth)
 
 
 def motion_in_pixels(stored: Image, rule: MotionRule) -> Image:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, cast
 
 from stss_ground.errors import InputError
 from stss_ground.toml_table import Table, read_toml
@@ -137,8 +137,12 @@ def profile_names() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in _TABLES.glob("*.toml")))
 
 
-def load_profile(name_or_path: str | Path) -> Profile:
+def load_profile(name_or_path: str | Path, **changes: Any) -> Profile:
     """Load a built-in profile by name, or a TOML file by path.
+
+    Args:
+        name_or_path: the name or the path.
+        changes: keys to replace, tables as dictionaries: ``units_per_cm=0.01, motion={"unit": "ndc", "y": "up"}``.
 
     Raises:
         InputError: there is no such profile; or a key of it is unknown, missing or wrong.
@@ -150,7 +154,11 @@ def load_profile(name_or_path: str | Path) -> Profile:
         path = Path(name_or_path)
         if not path.exists():
             raise InputError(f"profile {text}: expected one of {', '.join(profile_names())} or a TOML file")
-    return _profile(path, read_toml(path, InputError))
+    table = read_toml(path, InputError)
+    for key, value in changes.items():
+        old = table.rest.get(key)
+        table.rest[key] = {**cast("dict[str, Any]", old), **value} if isinstance(old, dict) and isinstance(value, dict) else value
+    return _profile(path, table)
 
 
 def _profile(path: Path, top: Table) -> Profile:

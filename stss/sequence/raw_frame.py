@@ -4,15 +4,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from stss.images.headers import Value
 from stss.images.read_write import read_channels
 from stss.sequence.camera import CameraPose
 from stss.sequence.channels import Source
+from stss.sequence.profiles import BUFFERS
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array
 
@@ -23,6 +25,11 @@ UNIT_RANGE = ("base_color", "roughness", "metallic")
 FINITE = ("color", "normal", "stencil", "nov", *UNIT_RANGE)
 """Buffers that must be finite. In motion, depth and position a non-finite value has a meaning: off screen, nothing hit, a hole."""
 
+CARRIED = ("FramesPerSecond", "PixelAspectRatio", "chromaticities", "oiio:ColorSpace", "smpte:TimeCode")
+"""Metadata that outputs have from the frame's files."""
+
+NOTHING: Mapping[str, Source] = {}
+
 
 @dataclass(frozen=True)
 class RawFrame:
@@ -32,18 +39,29 @@ class RawFrame:
         files: all files that belong to it.
         sources: buffer -> where it is; buffers that are not there are left out.
         camera: None where it is not known.
+        attributes: metadata that compositors need, `CARRIED`.
     """
 
     files: tuple[Path, ...]
     sources: Mapping[str, Source]
     camera: CameraPose | None
+    attributes: Mapping[str, Value] = field(default_factory=dict[str, Value])
 
 
 def read_stored(
-    frame: RawFrame, size: tuple[int, int], constants: Mapping[str, float], *, color: bool = True
+    frame: RawFrame,
+    size: tuple[int, int],
+    constants: Mapping[str, float],
+    also: Mapping[str, Source] = NOTHING,
+    *,
+    color: bool = True,
 ) -> dict[str, Array]:
-    """Read buffer -> (H, W, channels) float32, as stored or filled with a constant; ``color`` False leaves the colour out."""
-    wanted = {buffer: source for buffer, source in frame.sources.items() if color or buffer != "color"}
+    """Read the buffers as they are stored or filled with a constant, and the planes of ``also``.
+
+    Returns:
+        Name -> (H, W, channels) float32; without the colour where ``color`` is False.
+    """
+    wanted = {buffer: source for buffer, source in (*frame.sources.items(), *also.items()) if color or buffer != "color"}
     planes = {
         path: read_channels(path, sorted({name for s in wanted.values() if s.path == path for name in s.names}))
         for path in {source.path for source in wanted.values()}
@@ -63,7 +81,7 @@ def settle_non_finite(stored: dict[str, Array], sources: Mapping[str, Source], p
     Raises:
         InputError: the policy is "refuse", and there is such a value.
     """
-    for buffer in FINITE:
+    for buffer in (*FINITE, *(name for name in stored if name not in BUFFERS)):
         if buffer not in stored:
             continue
         bad = ~np.isfinite(stored[buffer])

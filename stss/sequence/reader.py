@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Collection, Mapping
 from copy import copy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,15 +15,16 @@ from stss.frames.buffers import Buffers
 from stss.images.headers import Header, read_header
 from stss.sequence.camera import CameraPose, camera_of, read_cameras
 from stss.sequence.channels import Source, find_buffers, missing_buffer
-from stss.sequence.conventions import linear_depth, motion_in_pixels, normal_dot_view, ray_to_planar, world_normal
+from stss.sequence.conventions import linear_depth, to_specification
 from stss.sequence.find_files import find_frames
-from stss.sequence.profiles import BUFFERS, CONSTANTS, Profile, load_profile
-from stss.sequence.raw_frame import UNIT_RANGE, NonFinite, RawFrame, read_stored, settle_non_finite
+from stss.sequence.profiles import BUFFERS, CONSTANTS, Profile, load_profile, profile_names
+from stss.sequence.raw_frame import CARRIED, UNIT_RANGE, NonFinite, RawFrame, read_stored, settle_non_finite
+from stss.sequence.solve_camera import solve_camera
 from stss_ground.errors import InputError
-from stss_ref.arrays import Array, Plane
+from stss_ref.arrays import Array
 
-BACKGROUND_POSITION = 1e7
-"""Each coordinate of the position where nothing was hit; cm. One place, so that sky matches sky; far away, so that no surface does."""
+MAX_RESIDUAL = 1e-2
+"""Largest residual of a camera that is found from position and depth: NoV then is wrong by no more."""
 
 
 class Sequence:
@@ -67,7 +69,7 @@ class Sequence:
     def has(self, number: int, buffer: str) -> bool:
         """Whether a buffer of a frame is in the frame's files, is a constant, or can be computed."""
         frame = self._frame(number)
-        computed = buffer == "nov" and frame.camera is not None
+        computed = buffer == "nov" and (frame.camera is not None or {"depth", "position"} <= frame.sources.keys())
         return buffer in frame.sources or buffer in self.constants or computed
 
     def files(self, number: int) -> tuple[Path, ...]:
@@ -85,12 +87,13 @@ class Sequence:
         found.frames = {number: frame for number, frame in self.frames.items() if number in numbers}
         return found
 
-    def load(self, number: int, *, color: bool = True) -> Buffers:
+    def load(self, number: int, *, color: bool = True, also: Collection[str] = ()) -> Buffers:
         """Read one display frame.
 
         Args:
             number: the display frame.
             color: False: leave the colour out, as if the frame had not been rendered.
+            also: names of layers or channels that are carried along with the colour, as its alpha is.
 
         Returns:
             The frame in the conventions of spec section 0.
@@ -104,9 +107,11 @@ class Sequence:
             if not (buffer == "color" or self.has(number, buffer)):
                 there = sorted({name for path in frame.files for name in read_header(path).channels})
                 raise missing_buffer(self.profile, buffer, self._where(number), there)
-        stored = read_stored(frame, self.size, self.constants, color=color)
-        depth = self._convert(stored, frame.camera)
-        settle_non_finite(stored, frame.sources, self._non_finite)
+        carried = self._carried(number, also) if color and "color" in frame.sources else {}
+        stored = read_stored(frame, self.size, self.constants, carried, color=color)
+        camera = frame.camera if "nov" in stored or frame.camera is not None else self._solve(number, stored)
+        depth = to_specification(stored, self.profile, camera)
+        settle_non_finite(stored, {**frame.sources, **carried}, self._non_finite)
         for buffer in UNIT_RANGE:
             stored[buffer] = np.clip(stored[buffer], 0, 1)
         return Buffers(
@@ -121,26 +126,42 @@ class Sequence:
             base_color=stored["base_color"],
             roughness=stored["roughness"][..., 0],
             metallic=stored["metallic"][..., 0],
+            carried={name: stored[name] for name in carried},
         )
 
-    def _convert(self, stored: dict[str, Array], camera: CameraPose | None) -> Plane:
-        """Bring the stored buffers to spec section 0, in place; returns depth, infinite where nothing was hit."""
-        profile = self.profile
-        depth = linear_depth(stored["depth"][..., 0], profile.depth)
-        normal, missed = world_normal(stored["normal"], profile.normal)
-        missed |= ~np.isfinite(depth)
-        position = np.where(np.isfinite(stored["position"]).all(axis=-1, keepdims=True), stored["position"], np.nan)
-        if profile.depth.kind == "ray":
-            depth = ray_to_planar(depth, position, camera)
-        if "nov" not in stored:
-            assert camera is not None
-            stored["nov"] = normal_dot_view(normal, position, camera.position)[..., None]
-        stored["motion"] = motion_in_pixels(stored["motion"], profile.motion)
-        stored["normal"] = normal
-        stored["position"] = (position / profile.units_per_cm).astype(np.float32)
-        for buffer, background in (("normal", 0), ("nov", 0), ("position", BACKGROUND_POSITION), ("stencil", 0)):
-            stored[buffer] = np.where(missed[..., None], np.float32(background), stored[buffer])
-        return np.where(missed, np.float32(np.inf), depth)
+    @property
+    def solves_camera(self) -> bool:
+        """Whether the camera is found from position and depth: no file has it, nor NoV."""
+        frame = self.frames[self.numbers[0]]
+        return frame.camera is None and "nov" not in frame.sources
+
+    def _solve(self, number: int, stored: dict[str, Array]) -> CameraPose:
+        rule = self.profile.depth
+        solved = solve_camera(linear_depth(stored["depth"][..., 0], rule), stored["position"], ray=rule.kind == "ray")
+        if solved is None or solved.residual > MAX_RESIDUAL:
+            found = "too few surfaces" if solved is None else f"they differ by {solved.residual:.1g} of the distance"
+            raise InputError(
+                f"{self._where(number)}: no nov and no camera, and position and depth do not give one ({found}): give --camera CSV "
+                f"(frame,x,y,z in the scene's unit) or a channel {' or '.join(names[0] for names in self.profile.channels['nov'])}"
+            )
+        return solved.pose
+
+    def _carried(self, number: int, also: Collection[str]) -> dict[str, Source]:
+        """Where the planes are that pass the network by: alpha beside the colour, and the layers and channels in ``also``."""
+        frame = self.frames[number]
+        color = frame.sources["color"]
+        there = {path: read_header(path).channels for path in frame.files}
+        alpha = color.names[0][:-1] + "A"
+        found = {"A": Source(color.path, (alpha,))} if color.names[0].endswith("R") and alpha in there[color.path] else {}
+        for name in also:
+            chosen = [
+                (path, full) for path, names in there.items() for full in names if full == name or full.startswith(name + ".")
+            ]
+            if not chosen:
+                names = sorted({full for names in there.values() for full in names})
+                raise InputError(f"{self._where(number)}: no layer or channel {name}; found {', '.join(names)}")
+            found |= {full: Source(path, (full,)) for path, full in chosen}
+        return found
 
     def _frame(self, number: int) -> RawFrame:
         if number not in self.frames:
@@ -156,7 +177,7 @@ class Sequence:
 
 def open_sequence(
     path: str | Path,
-    profile: str | Path | Profile,
+    profile: str | Path | Profile | None = None,
     *,
     camera: Path | None = None,
     metallic: float | None = None,
@@ -167,7 +188,7 @@ def open_sequence(
 
     Args:
         path: a folder with one sequence of EXR files, or a pattern like ``folder/name.####.exr``.
-        profile: a built-in profile's name, a TOML file, or a profile.
+        profile: a built-in profile's name, a TOML file, or a profile; None: the built-in one whose channels the first frame has.
         camera: CSV ``frame,x,y,z``, in the profile's unit of length; takes precedence over the camera in the files.
         metallic: constant for files that have no metallic, in [0, 1].
         roughness: the same for roughness.
@@ -177,7 +198,8 @@ def open_sequence(
     Raises:
         InputError: there is no sequence, frames differ in size, a constant is out of range, or no frame has some buffer.
     """
-    path, table = Path(path), profile if isinstance(profile, Profile) else load_profile(profile)
+    path = Path(path)
+    table = settle_profile(path, profile)
     cameras = None if camera is None else read_cameras(camera)
     constants = dict(table.constants)
     for buffer, value in (("metallic", metallic), ("roughness", roughness)):
@@ -199,7 +221,7 @@ def open_sequence(
     assert first is not None
     _require_buffers(path, table, frames, constants)
     settings = {
-        "profile": hashlib.sha256(table.path.read_bytes()).hexdigest(),
+        "profile": hashlib.sha256(repr(replace(table, path=Path())).encode()).hexdigest(),
         "camera": None if camera is None else hashlib.sha256(camera.read_bytes()).hexdigest(),
         "constants": dict(sorted(constants.items())),
         "non_finite": non_finite,
@@ -214,6 +236,38 @@ def open_sequence(
         settings=settings,
         tables=(table.path,) if camera is None else (table.path, camera),
     )
+
+
+def settle_profile(path: Path, profile: str | Path | Profile | None) -> Profile:
+    """The profile that was asked for; None: the one that `find_profile` finds."""
+    if profile is None:
+        return find_profile(path)
+    return profile if isinstance(profile, Profile) else load_profile(profile)
+
+
+def find_profile(path: Path) -> Profile:
+    """The built-in profile whose channels the first frame has most of.
+
+    Raises:
+        InputError: there is no sequence, no profile has three buffers or more, or two have as many.
+    """
+    scores: dict[str, int] = {}
+    refusals: list[InputError] = []
+    for name in profile_names():
+        table = load_profile(name)
+        try:
+            found = find_frames(path, {table.file_of(buffer) for buffer in BUFFERS})
+            files = found[min(found)]
+            headers = {ending: read_header(file) for ending, file in files.items()}
+            scores[name] = len(_frame_of(min(found), headers, table, None, None).sources)
+        except InputError as error:
+            refusals.append(error)
+    if not scores:
+        raise refusals[0]
+    best = [name for name, score in scores.items() if score == max(scores.values())]
+    if len(best) > 1 or scores[best[0]] < 3:  # colour alone has the same names everywhere
+        raise InputError(f"{path}: the channels fit no profile alone; say --profile {', '.join(profile_names())} or a TOML file")
+    return load_profile(best[0])
 
 
 def _frame_of(
@@ -233,7 +287,10 @@ def _frame_of(
         where = cameras[number]
     else:
         raise InputError(f"{table}: no line for frame {number}")
-    return RawFrame(files, {buffer: sources[buffer] for buffer in BUFFERS if buffer in sources}, where)
+    attributes = {
+        name: value for header in tuple(headers.values())[::-1] for name, value in header.attributes.items() if name in CARRIED
+    }
+    return RawFrame(files, {buffer: sources[buffer] for buffer in BUFFERS if buffer in sources}, where, attributes)
 
 
 def _require_buffers(path: Path, profile: Profile, frames: Mapping[int, RawFrame], constants: Mapping[str, float]) -> None:
@@ -242,12 +299,7 @@ def _require_buffers(path: Path, profile: Profile, frames: Mapping[int, RawFrame
     for buffer in BUFFERS:
         if buffer in constants or any(buffer in frame.sources for frame in frames.values()):
             continue
-        if buffer == "nov":
-            if all(frame.camera is None for frame in frames.values()):
-                raise InputError(
-                    f"{path}: no nov and no camera: give --camera CSV (frame,x,y,z in the scene's unit) "
-                    f"or a channel {' or '.join(names[0] for names in profile.channels['nov'])}"
-                )
+        if buffer == "nov":  # it follows from the camera, and that from position and depth
             continue
         there = sorted({name for file in next(iter(frames.values())).files for name in read_header(file).channels})
         raise missing_buffer(profile, buffer, path, there)

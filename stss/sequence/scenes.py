@@ -4,15 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from conformance.scenes import SCENES, Scene, render
 from stss.color import transfer
 from stss.frames.buffers import Buffers
 from stss.frames.display_frame import DisplayFrame, prepare
-from stss.sequence.reader import BACKGROUND_POSITION
+from stss.sequence.conventions import BACKGROUND_POSITION
 from stss_ground.errors import InputError
 from stss_ref.arrays import Image
 
@@ -39,7 +39,7 @@ def display_frames(scene: Scene, size: tuple[int, int], count: int) -> Iterator[
     curve = transfer(TRANSFER)
     for number in range(count):
         seen = render(scene, number, *size)
-        planes: dict[str, NDArray[np.float32]] = {n: getattr(seen, n).astype(np.float32) for n in seen.__dataclass_fields__}
+        planes: dict[str, Any] = {n: getattr(seen, n).astype(np.float32) for n in seen.__dataclass_fields__}
         missed = np.isinf(planes["depth"])[..., None]
         planes["position"] = np.where(missed, np.float32(BACKGROUND_POSITION), planes["position"])
         color = planes.pop("color") if number % 2 == 0 else None

@@ -7,9 +7,13 @@ from contextlib import closing
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from stss.cli.main import stss as stss_command
 from stss.frames.backends import ReferenceBackend
-from stss.images.read_write import read_rgb
+from stss.images.encode import encode_exr
+from stss.images.headers import read_header
+from stss.images.read_write import read_channels, read_rgb
 from stss.run.job import run
 from stss.run.options import RunOptions
 from stss.run.pipeline import AHEAD, overlap
@@ -333,3 +337,51 @@ def test_the_backend_is_told_the_size_before_the_first_frame(write_frames, tmp_p
     again = Expecting()
     run(sequence, tmp_path, again, "none", RunOptions(resume=True))
     assert not again.log  # nothing is left to compute, so nothing is made ready
+
+
+def test_alpha_highlights_layers_and_metadata_come_out(write_frames, tmp_path):
+    """A sequence with alpha, highlights of 10 and a light pass, a cut, and what a compositor needs in its headers."""
+
+    def change(number, channels):
+        if "R" in channels:
+            x = np.linspace(0, 1, 64) * np.ones((48, 1))
+            return channels | {"A": x, "R": 10 * channels["R"], "light.R": x, "light.G": 0 * x}
+        return None
+
+    lr = write_frames(range(3, 9), change=change, rendered=(3, 5, 6, 8))
+    for path in lr.glob("*.exr"):
+        give_metadata(path, {"FramesPerSecond": (24, 1), "PixelAspectRatio": 2.0})
+    loop = [
+        "run",
+        str(lr),
+        "-o",
+        str(tmp_path / "out"),
+        "--weights",
+        "bilinear",
+        "--backend",
+        "ref",
+        "--cuts",
+        "6",
+        "--also",
+        "light",
+    ]
+    result = CliRunner().invoke(stss_command, loop, catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    assert "highlights: up to" in result.output
+    assert "4 SF, 2 EF written" in result.output.replace("\n", " ")
+    for number in range(3, 9):
+        header = read_header(tmp_path / "out" / f"frame.{number:04d}.exr")
+        assert {*header.channels} == {"R", "G", "B", "A", "light.R", "light.G"}
+        assert header.attributes["PixelAspectRatio"] == 2.0
+        assert tuple(header.attributes["FramesPerSecond"]) == (24, 1)
+        planes = read_channels(header.path, ["R", "A", "light.R", "light.G"])
+        assert planes["R"].max() > 10
+        assert 0 <= planes["A"].min() < planes["A"].max() <= 1
+        assert np.array_equal(planes["A"], planes["light.R"])
+        assert not planes["light.G"].any()
+
+
+def give_metadata(path, metadata):
+    channels = read_channels(path, read_header(path).channels)
+    pixels = np.stack(list(channels.values()), axis=-1)
+    path.write_bytes(encode_exr(path, tuple(channels), pixels, (), metadata))

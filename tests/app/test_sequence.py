@@ -9,8 +9,9 @@ import pytest
 
 from stss.frames.buffers import Buffers
 from stss.images.read_write import read_channels, write_channels
+from stss.sequence.conventions import BACKGROUND_POSITION
 from stss.sequence.profiles import load_profile
-from stss.sequence.reader import BACKGROUND_POSITION, open_sequence
+from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
 
 

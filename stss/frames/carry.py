@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: MIT
+"""Planes that pass the network by: highlights above 1, alpha, passes. They are warped and enlarged as the frame's own colour is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from stss.color import LARGEST
+from stss_ref.arrays import Array, Image, Mask
+from stss_ref.resample import upsample_centres
+from stss_ref.warp import warp
+
+HIGHLIGHTS = "highlights"
+"""Name of the plane with what the colour has above 1."""
+
+
+def highlights(color: Image) -> Image | None:
+    """What a scene-linear colour (H, W, 3) has above 1, at most `LARGEST`; None where no pixel has any. NaN counts as 0."""
+    if not (color > 1).any():  # NaN compares as False
+        return None
+    return np.where(color > 1, np.minimum(color, LARGEST) - 1, 0).astype(np.float32)
+
+
+def carry(planes: Mapping[str, Array], motion: Image | None, valid: Mask) -> dict[str, Image]:
+    """Bring planes of the newest rendered frame to the size and time of the output.
+
+    A hole has no highlight: the surface that had it is not there any more. Other planes keep there what warping reads.
+
+    Args:
+        planes: name -> (H, W, C).
+        motion: (H, W, 2) that leads from the display frame to the rendered one; None: they are the same frame.
+        valid: (H, W) False in warping holes.
+
+    Returns:
+        name -> (2H, 2W, C) float32.
+    """
+    carried: dict[str, Image] = {}
+    for name, plane in planes.items():
+        here = plane if motion is None else warp(plane, motion)[0]
+        if name == HIGHLIGHTS:
+            here = here * valid[..., None]
+        carried[name] = upsample_centres(here)
+    return carried

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: MIT
+"""Check the buffers of a display frame before anything is computed from them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from stss.frames.buffers import Buffers
+from stss_ground.errors import InputError
+from stss_ref.arrays import Array, Mask
+
+
+class _Plane(NamedTuple):
+    """What a plane must hold.
+
+    Attributes:
+        channels: its last axis; 0: it has two axes.
+        least, most: its range; None: any finite number.
+        otherwise: what is allowed beside finite numbers: "", "inf" or "any".
+        hint: what to do where it is wrong.
+    """
+
+    channels: int
+    least: float | None = None
+    most: float | None = None
+    otherwise: str = ""
+    hint: str = ""
+
+
+_UNIT = "divide 8-bit values by 255"
+_PLANES = {
+    "color": _Plane(3, hint="replace NaN and Inf before the call"),
+    "motion": _Plane(2, otherwise="any"),
+    "normal": _Plane(3, -2, 2, hint="world space, unit length, 0 where nothing was hit"),
+    "depth": _Plane(0, 0, None, "inf", "linear view depth, infinite where nothing was hit"),
+    "position": _Plane(3, otherwise="any"),
+    "stencil": _Plane(0, 0, hint="an object's number, 0 for static geometry"),
+    "nov": _Plane(0, -2, 2, hint="dot of normal and view vector"),
+    "base_color": _Plane(3, 0, 1, hint=_UNIT),
+    "roughness": _Plane(0, 0, 1, hint=_UNIT),
+    "metallic": _Plane(0, 0, 1, hint=_UNIT),
+}
+ROUNDING = 2.0**-8
+"""How far a plane in [0, 1] may lie outside of it: a step of 8 bits, as filters and rounding bring it about."""
+
+
+def check_buffers(buffers: Buffers) -> None:
+    """Raise InputError for the first plane that is not what `Buffers` says it is: kind of number, shape, range, finite values.
+
+    The message names the plane, the frame, what was expected, what was found and where.
+    """
+    height, width = _size(buffers)
+    for name, plane in _PLANES.items():
+        array = getattr(buffers, name)
+        if name == "color" and array is None:
+            continue
+        _check(f"frame {buffers.number}: {name}", array, (height, width, plane.channels)[: 3 if plane.channels else 2], plane)
+    for name, array in buffers.carried.items():
+        channels = array.shape[-1] if np.ndim(array) == 3 else 1
+        _check(f"frame {buffers.number}: {name}", array, (height, width, channels), _Plane(channels))
+
+
+def _size(buffers: Buffers) -> tuple[int, int]:
+    depth = buffers.depth
+    if not isinstance(depth, np.ndarray) or depth.ndim != 2 or 0 in depth.shape:  # pyright: ignore[reportUnnecessaryIsInstance]
+        found = getattr(depth, "shape", type(depth).__name__)
+        raise InputError(f"frame {buffers.number}: depth: expected an array (H, W), found {found}")
+    return depth.shape[0], depth.shape[1]
+
+
+def _check(where: str, array: Array, shape: tuple[int, ...], plane: _Plane) -> None:
+    if not isinstance(array, np.ndarray):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise InputError(f"{where}: expected an array {shape}, found {type(array).__name__}")
+    if array.dtype.kind != "f" and not where.endswith(": stencil"):
+        raise InputError(f"{where}: expected floating-point numbers, found {array.dtype}; {plane.hint or 'convert them'}")
+    if array.shape != shape:
+        raise InputError(f"{where}: expected shape {shape}, found {array.shape}")
+    if plane.otherwise == "any":
+        return
+    bad = np.isnan(array) if plane.otherwise == "inf" else ~np.isfinite(array)
+    if bad.any():
+        raise _error(where, "finite numbers" if plane.otherwise == "" else "numbers", array, bad, plane)
+    slack = ROUNDING if plane.most == 1 else 0.0
+    if plane.least is not None:
+        bad = array <= 0 if plane.otherwise == "inf" else array < plane.least - slack
+        if bad.any():
+            raise _error(where, f"values {'>' if plane.otherwise == 'inf' else '>='} {plane.least:g}", array, bad, plane)
+    if plane.most is not None and (bad := array > plane.most + slack).any():
+        raise _error(where, f"values <= {plane.most:g}", array, bad, plane)
+
+
+def _error(where: str, expected: str, array: Array, bad: Mask, plane: _Plane) -> InputError:
+    first = tuple(int(i) for i in np.argwhere(bad)[0])
+    count = int(bad.sum())
+    rest = f" and {count - 1} more" if count > 1 else ""
+    hint = f"; {plane.hint}" if plane.hint else ""
+    return InputError(f"{where}: expected {expected}, found {array[first]:g} at {first}{rest}{hint}")

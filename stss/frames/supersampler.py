@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: MIT
+"""An engine's loop: one display frame in, one out."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from typing import get_args
+
+from stss.color import transfer as transfer_named
+from stss.frames.backends import Backend, open_backend
+from stss.frames.buffers import Buffers
+from stss.frames.check_buffers import check_buffers
+from stss.frames.compute_options import ComputeOptions, Precision, Skip
+from stss.frames.display_frame import WINDOW, DisplayFrame, prepare
+from stss.frames.supersample import Output, compute, decoded
+from stss.weights.file import DEFAULT, LoadedWeights
+from stss_ground.errors import InputError
+from stss_ref.depth import DepthMode
+from stss_ref.weights import Weights
+
+
+class Supersampler:
+    """Makes twice the resolution and twice the frame rate out of display frames that come one by one.
+
+    It keeps copies of up to six display frames, 76 bytes a pixel each, so the caller may fill the same arrays again.
+    """
+
+    def __init__(
+        self,
+        weights: str | Weights | LoadedWeights = "auto",
+        *,
+        backend: str | Backend = "cl",
+        device: str | None = None,
+        precision: Precision = "float32",
+        memory_limit: int | None = None,
+        skip: Skip = "exact",
+        transfer: str = "srgb",
+        depth: DepthMode = "scale",
+        copy: bool = True,
+        check: bool = True,
+        tell: Callable[[str], None] = lambda line: None,
+    ):
+        """Open the backend.
+
+        Args:
+            weights: ``auto`` (frames of which nothing is known: ``realtime``), ``realtime``, ``antialiased``, ``bilinear``, a
+                ``.safetensors`` file, or weights that are loaded already.
+            backend: ``cl``, ``ref`` or one from `open_backend`; then the options up to ``skip`` are its own.
+            device: part of an OpenCL device's name; None: ``$STSS_DEVICE``, or the fastest.
+            precision: of ``stss.frames.compute_options.PRECISIONS``.
+            memory_limit: bytes for the network's buffers; larger frames go in strips, with the same bits.
+            skip: ``exact``: what did not change is not computed again, with the same bits; ``off``.
+            transfer: ``srgb``: scene-linear; what lies above 1 is carried past the network. ``hdr``: scene-linear through a tone curve.
+                ``none``: display-referred.
+            depth: ``scale`` or ``clip`` (spec 0).
+            copy: False: motion, NoV, stencil and position are not copied; the caller must not write to them for six frames.
+            check: False: planes are not looked at before they are used.
+            tell: called with lines for the user, such as that a device is tested.
+
+        Raises:
+            InputError: an option is none of these, or weights cannot be read.
+            DeviceError: there is no such device.
+        """
+        if depth not in get_args(DepthMode):
+            raise InputError(f"depth: expected one of {', '.join(get_args(DepthMode))}, got {depth!r}")
+        self._curve, self._copy, self._check = transfer_named(transfer), copy, check
+        self._depth: DepthMode = depth
+        if isinstance(backend, str):
+            options = ComputeOptions(device, precision, memory_limit, skip)
+            backend = open_backend(backend, DEFAULT if weights == "auto" else weights, options, tell=tell)
+        self.backend = backend
+        self._window: deque[DisplayFrame] = deque(maxlen=WINDOW)
+
+    def push(self, buffers: Buffers) -> Output | None:
+        """Take the next display frame and make its output; no later frame is waited for.
+
+        A frame that says ``cut``, whose number does not follow the one before it, or of another size begins a new history.
+
+        Args:
+            buffers: the frame; ``color`` is None where it was not rendered.
+
+        Returns:
+            The output; None for a frame that was not rendered with no rendered frame just before it: nothing can be made.
+
+        Raises:
+            InputError: a plane is not what `Buffers` says; nothing was taken.
+        """
+        if self._check:
+            check_buffers(buffers)
+        prepared = prepare(buffers, self._curve, self._depth, copy=self._copy)
+        last = self._window[-1] if self._window else None
+        if last is not None and (buffers.cut or prepared.number != last.number + 1 or prepared.nov.shape != last.nov.shape):
+            self.reset()
+        self._window.append(prepared)
+        output = compute(tuple(self._window), self.backend)
+        return None if output is None else decoded(output, self._curve)
+
+    def __call__(self, frames: Iterable[Buffers]) -> Iterator[Output]:
+        """Push frame after frame; yields every output before the next frame is asked for."""
+        for buffers in frames:
+            output = self.push(buffers)
+            if output is not None:
+                yield output
+
+    def reset(self) -> None:
+        """Forget all earlier frames, as at a cut."""
+        self._window.clear()
+
+    def warm_up(self, size: tuple[int, int]) -> None:
+        """Build kernels and buffers for frames of (H, W), so that the first one does not wait for them."""
+        self.backend.expect(size)
+
+
+def supersample(
+    frames: Iterable[Buffers], backend: Backend, *, transfer_name: str = "srgb", depth: DepthMode = "scale"
+) -> Iterator[Output]:
+    """Compute every display frame at twice its size, those that were not rendered too.
+
+    Args:
+        frames: display frames in order; ``color`` is None where a frame was not rendered.
+        backend: from `open_backend`.
+        transfer_name: as ``transfer`` of `Supersampler`.
+        depth: ``clip`` or ``scale`` (spec 0).
+
+    Returns:
+        An iterator with an `Output` for every frame, except for one with neither colour nor a rendered frame just before it.
+
+    Raises:
+        InputError: an option or a plane is not what it must be.
+    """
+    return Supersampler(backend=backend, transfer=transfer_name, depth=depth)(frames)

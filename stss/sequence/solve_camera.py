@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: MIT
+"""The camera of a frame from its own position and depth: no table is needed where both are there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stss.sequence.camera import CameraPose
+from stss_ref.arrays import Array, Image, Plane
+
+ROUNDS = 4
+"""Fits, each without the pixels that the one before it fits worst: mixtures at silhouettes."""
+PIXELS = 20_000
+"""Most pixels that are looked at, evenly spread."""
+LEAST = 16
+"""Fewest pixels that determine the unknowns with something to spare."""
+
+
+@dataclass(frozen=True)
+class SolvedCamera:
+    """A camera that fits a frame.
+
+    Attributes:
+        pose: its position, in scene units.
+        residual: median distance between the stored positions and those that the camera and the depths give, as a share of the median
+            distance.
+    """
+
+    pose: CameraPose
+    residual: float
+
+
+def solve_camera(depth: Plane, position: Image, *, ray: bool = False) -> SolvedCamera | None:
+    """Find where the camera stood.
+
+    Planar depth: ``position = C + depth M (x, y, 1)`` is linear in ``C`` and ``M``. Distance along the ray:
+    ``|position|^2 - depth^2 = 2 position . C - |C|^2`` is linear in ``C`` and ``|C|^2``.
+
+    Args:
+        depth: (H, W) not normalised, in any unit where it is planar; infinite where nothing was hit.
+        position: (H, W, 3) world position, in scene units.
+        ray: whether ``depth`` is the distance along the ray.
+
+    Returns:
+        The camera; None where too few pixels see a surface, or all of them one that leaves it open.
+    """
+    y, x = np.nonzero(np.isfinite(depth) & np.isfinite(position).all(axis=-1))
+    if len(y) > PIXELS:
+        some = np.linspace(0, len(y) - 1, PIXELS).astype(int)
+        y, x = y[some], x[some]
+    if len(y) < LEAST:
+        return None
+    d, p = depth[y, x].astype(np.float64), position[y, x].astype(np.float64)
+    middle = p.mean(axis=0)
+    p -= middle
+    if ray:
+        unknowns, known = np.column_stack([2 * p, np.ones(len(d))]), ((p * p).sum(axis=1) - d * d)[:, None]
+    else:
+        u, v = x / depth.shape[1] - 0.5, y / depth.shape[0] - 0.5
+        unknowns, known = np.column_stack([np.ones(len(d)), d * u, d * v, d]), p
+    kept = np.ones(len(d), np.bool_)
+    for _ in range(ROUNDS):
+        scale = np.abs(unknowns[kept]).max(axis=0)
+        solution, _, rank, _ = np.linalg.lstsq(unknowns[kept] / scale, known[kept], rcond=1e-9)
+        if rank < unknowns.shape[1]:
+            return None
+        solution /= scale[:, None]
+        error = np.linalg.norm(unknowns @ solution - known, axis=1)
+        kept = error <= max(3 * float(np.median(error[kept])), float(np.sort(error)[LEAST - 1]))
+    camera: Array = solution[:3, 0] if ray else solution[0]
+    away = float(np.median(np.linalg.norm(p - camera, axis=1)))
+    typical = float(np.median(error)) / (2 * away if ray else 1.0)
+    return SolvedCamera(CameraPose(camera + middle), typical / away)

@@ -1,0 +1,167 @@
+"""The loop of an engine: arrays that are filled again, cuts, highlights, conventions, and arrays that are wrong."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.ndimage import binary_erosion
+
+import stss
+from conformance.scenes import SCENES, render
+from stss.frames.supersample import choose_rendered
+from stss_ground.errors import InputError
+
+SIZE = 16, 24
+
+
+def frames(count, *, scale=1.0, first=0):
+    """Display frames of an analytic scene; the even ones are rendered."""
+    scene = next(iter(SCENES.values()))
+    for number in range(first, first + count):
+        seen = render(scene, number, *SIZE)
+        planes = {name: getattr(seen, name).astype(np.float32) for name in seen.__dataclass_fields__}
+        planes["position"] = np.where(np.isfinite(planes["depth"])[..., None], planes["position"], np.float32(1e7))
+        color = planes.pop("color") * np.float32(scale)
+        yield stss.Buffers(number, color if number % 2 == 0 else None, **planes)
+
+
+def engine(**options):
+    return stss.Supersampler("bilinear", backend="ref", **options)
+
+
+@pytest.mark.parametrize("copy", [True, False])
+def test_arrays_may_be_filled_again(copy):
+    """The same arrays for every frame give the images of new arrays; without copies they do not, so the test can fail."""
+    expected = [output.image for output in engine()(frames(6))]
+    arrays, images, loop = {}, [], engine(copy=copy)
+    for buffers in frames(6):
+        planes = {
+            name: getattr(buffers, name) for name in buffers.__dataclass_fields__ if name not in ("number", "cut", "carried")
+        }
+        for name, plane in planes.items():
+            if plane is not None:
+                arrays.setdefault(name, np.empty_like(plane))[...] = plane
+        kept = {name: arrays[name] if plane is not None else None for name, plane in planes.items()}
+        images.append(loop.push(stss.Buffers(buffers.number, **kept)).image)
+    assert all(np.array_equal(*pair) for pair in zip(images, expected, strict=True)) == copy
+
+
+def test_outputs_are_the_callers():
+    loop = engine()
+    first = loop.push(next(frames(1)))
+    before = first.image.copy()
+    list(loop(frames(3, first=1)))
+    assert np.array_equal(first.image, before)
+
+
+def with_value(name, value):
+    def change(buffers):
+        plane = getattr(buffers, name).copy()
+        plane[2, 3] = value
+        return replace(buffers, **{name: plane})
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda b: replace(b, color=(b.color * 255).astype(np.uint8)), "color: expected floating-point numbers, found uint8"),
+        (with_value("color", np.nan), r"color: expected finite numbers, found nan at \(2, 3, 0\) and 2 more"),
+        (with_value("depth", np.nan), "depth: expected numbers, found nan"),
+        (with_value("depth", 0), "depth: expected values > 0, found 0"),
+        (with_value("depth", -4), "depth: expected values > 0, found -4"),
+        (with_value("roughness", 5), "roughness: expected values <= 1, found 5"),
+        (with_value("base_color", 200), "base_color: expected values <= 1, found 200"),
+        (with_value("normal", 127), "normal: expected values <= 2, found 127"),
+        (lambda b: replace(b, motion=b.motion[..., :1]), r"motion: expected shape \(16, 24, 2\), found \(16, 24, 1\)"),
+        (lambda b: replace(b, nov=None), r"nov: expected an array \(16, 24\), found NoneType"),
+    ],
+)
+def test_wrong_arrays_are_refused_before_anything_is_computed(change, message):
+    buffers, loop = change(next(frames(1))), engine()
+    with pytest.raises(InputError, match=f"frame 0: {message}"):
+        loop.push(buffers)
+    with pytest.raises(InputError, match=message):
+        stss.check(buffers)
+    assert loop.push(next(frames(1))) is not None
+
+
+def test_right_arrays_are_taken():
+    for buffers in frames(2):
+        stss.check(buffers)
+
+
+@pytest.mark.parametrize("option", [{"depth": "foo"}, {"transfer": "foo"}, {"backend": "foo"}])
+def test_wrong_options_are_refused(option):
+    with pytest.raises(InputError, match="foo"):
+        stss.Supersampler(**{"weights": "bilinear", "backend": "ref", **option})
+
+
+def test_nothing_crosses_a_cut():
+    """After a cut the outputs are those of a loop that begins there; a first frame that was not rendered has none."""
+    shots = [*frames(5), *(replace(b, cut=b.number == 5) for b in frames(4, first=5))]
+    outputs = list(engine()(shots))
+    fresh = list(engine()(frames(4, first=5)))
+    assert [o.number for o in outputs] == [0, 1, 2, 3, 4, 6, 7, 8]
+    assert all(np.array_equal(a.image, b.image) for a, b in zip(outputs[-3:], fresh, strict=True))
+    loop = engine()
+    list(loop(frames(5)))
+    loop.reset()
+    assert loop.push(next(frames(1, first=5))) is None
+
+
+def test_highlights_survive_and_nothing_else_changes():
+    """What lies above 1 comes out; where nothing does, not a bit differs."""
+    plain = list(engine()(frames(4, scale=0.5)))
+    assert all(output.image.max() <= 1 for output in plain)
+    bright = list(engine()(frames(4, scale=8)))
+    for buffers, output in zip(frames(4, scale=8), bright, strict=True):
+        if buffers.color is not None:
+            top = buffers.color.max()
+        assert 0.5 * top < output.image.max() <= top, output.kind
+        assert not output.carried
+
+
+def test_other_planes_are_carried():
+    """A plane that holds the colour's own values comes out as the bilinear image of that colour."""
+    for output in engine(transfer="none")(
+        replace(b, carried={} if b.color is None else {"again": np.clip(b.color, 0, 1)}) for b in frames(3)
+    ):
+        there = output.valid if output.kind.value == "EF" else np.ones(SIZE, bool)
+        there = np.repeat(np.repeat(binary_erosion(there, np.ones((3, 3)), border_value=1), 2, 0), 2, 1)
+        difference = np.abs(output.carried["again"] - output.image)[there]
+        assert difference.max() <= 2**-21, output.kind  # roundings of two bilinear means
+
+
+def test_conventions_of_an_engine():
+    """Motion in NDC with y up and positions in metres give what pixels and centimetres give."""
+    buffers = next(frames(1))
+    rules = stss.load_profile("stss", units_per_cm=0.01, motion={"unit": "ndc", "y": "up"})
+    names = ("color", "normal", "depth", "stencil", "nov", "base_color", "roughness", "metallic")
+    planes = {name: getattr(buffers, name).astype(np.float64) for name in names}
+    planes["motion"] = buffers.motion.astype(np.float64) * (2 / SIZE[1], -2 / SIZE[0])
+    planes["position"] = buffers.position.astype(np.float64) / 100
+    made = stss.convert(0, planes, rules)
+    stss.check(made)
+    for name in (*names, "motion", "position"):
+        a, b = getattr(made, name), getattr(buffers, name)
+        assert np.array_equal(a, b) if name not in ("motion", "position") else (np.abs(a - b) <= 2**-22 * np.abs(b)).all(), name
+    with pytest.raises(InputError, match=r"motion\.unit: expected one of pixels, uv, ndc, found 'px'"):
+        stss.load_profile("stss", motion={"unit": "px"})
+    with pytest.raises(InputError, match="no depth"):
+        stss.convert(0, {name: plane for name, plane in planes.items() if name != "depth"})
+
+
+@pytest.mark.parametrize(
+    ("has_color", "cuts", "expected"),
+    [
+        (range(3, 9), (), {3, 5, 7}),
+        (range(3, 9), (6,), {3, 5, 6, 8}),
+        ({3, 5, 6, 8}, (6,), {3, 5, 6, 8}),
+        ({3, 5, 6, 8}, (), {3, 5, 6, 8}),
+    ],
+)
+def test_which_frames_count_as_rendered(has_color, cuts, expected):
+    """The parity is that of the first frame of each shot; an extra frame at a cut is used."""
+    assert choose_rendered(range(3, 9), frozenset(has_color), None, cuts) == expected
