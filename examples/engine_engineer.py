@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 import stss
 from conformance.scenes import DEMO, render
@@ -21,31 +22,25 @@ from conformance.scenes import DEMO, render
 HEIGHT, WIDTH, FRAMES = 48, 80, 6
 
 
-def engine() -> Iterator[stss.Buffers]:
-    """The engine's side: arrays in the conventions of docs/stages.md."""
+def engine() -> Iterator[tuple[int, dict[str, NDArray[np.float64]]]]:
+    """The engine's side: planes in its own conventions; every second frame is not rendered."""
     for number in range(FRAMES):
         frame = render(DEMO, number, HEIGHT, WIDTH)
-        # Suppose the engine's motion is in screen widths and heights, from the previous place to the current one, y up.
-        motion_uv = frame.motion / (WIDTH, HEIGHT) * (-1, 1)
-        yield stss.Buffers(
-            number=number,
-            color=frame.color.astype(np.float32) if number % 2 == 0 else None,  # every second frame is not rendered
-            motion=(motion_uv * (-WIDTH, HEIGHT)).astype(np.float32),  # pixels, current -> previous, x right, y down
-            normal=frame.normal.astype(np.float32),
-            depth=frame.depth.astype(np.float32),
-            position=frame.position.astype(np.float32),  # cm
-            stencil=frame.stencil.astype(np.float32),
-            nov=frame.nov.astype(np.float32),
-            base_color=frame.base_color.astype(np.float32),
-            roughness=frame.roughness.astype(np.float32),
-            metallic=frame.metallic.astype(np.float32),
-        )
+        planes = {name: getattr(frame, name) for name in frame.__dataclass_fields__}
+        planes["motion"] = frame.motion * (-2 / WIDTH, 2 / HEIGHT)  # NDC, from the previous place to the current one, y up
+        planes["position"] = np.where(np.isfinite(frame.depth)[..., None], frame.position / 100, 1e5)  # metres
+        if number % 2:
+            del planes["color"]
+        yield number, planes
 
 
 def main() -> None:
     """Supersample, and say what came of each frame."""
-    backend = stss.open_backend("cl", stss.load_weights("realtime").weights)
-    for output in stss.supersample(engine(), backend, transfer_name="srgb"):
+    rules = stss.load_profile("stss", units_per_cm=0.01, motion={"unit": "ndc", "y": "up", "direction": "from_previous"})
+    loop = stss.Supersampler("realtime")
+    for number, planes in engine():
+        output = loop.push(stss.convert(number, planes, rules))
+        assert output is not None  # the first frame was rendered
         height, width, _ = output.image.shape
         print(f"frame {output.number} {output.kind.value}: {width} x {height}, {(~output.valid).sum()} pixels in holes")
 

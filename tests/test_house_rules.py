@@ -22,7 +22,7 @@ MAY_IMPORT = {
 }
 
 FLOORS = {
-    "stss": "__main__ > cli > demo bench > quality cluster > check run > port sequence baselines > conform stress frames"
+    "stss": "__main__ > cli > demo bench > quality cluster > check_sequence run > port sequence baselines > conform stress frames"
     " > pages > images weights devices color",
     "conformance": "run_suite stored_cases > suite > confirm diagnosis first_layer known_failures terms > load_port search"
     " > judge > questions > findings > answers mistakes cases > protocol scenes tolerance",

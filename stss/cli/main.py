@@ -159,7 +159,7 @@ def check(sequence: Path, profile: str | None, as_json: bool, **options: Any) ->
 
     Ends with status 0 when it can, 1 when it can but something looks wrong, 2 when it cannot.
     """
-    from stss.check import report as checking
+    from stss.check_sequence import report as checking
 
     report = checking.check(sequence, profile, **options)
     if as_json:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from stss.check.motion_convention import CHOICES
-from stss.check.report import check, print_report
+from stss.check_sequence.motion_convention import CHOICES
+from stss.check_sequence.report import check, print_report
 from stss.sequence.profiles import load_profile
 from stss_ground.errors import InputError
 

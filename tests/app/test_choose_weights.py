@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from conformance.scenes import DEMO, render
-from stss.check.report import check
+from stss.check_sequence.report import check
 from stss.demo import demo_path, frame_channels
 from stss.images.read_write import read_header, write_channels
 from stss.sequence.antialiasing import judge_sampling

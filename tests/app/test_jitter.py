@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from conformance.scenes import DEMO, render
-from stss.check.jitter import judge_jitter
-from stss.check.report import check
+from stss.check_sequence.jitter import judge_jitter
+from stss.check_sequence.report import check
 from stss.frames.buffers import Buffers
 
 SIZE = (60, 96)

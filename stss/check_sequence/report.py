@@ -15,9 +15,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from stss.check.jitter import judge_jitter
-from stss.check.motion_convention import judge_motion
-from stss.check.value_statistics import Level, Values, motion_lines
+from stss.check_sequence.jitter import judge_jitter
+from stss.check_sequence.motion_convention import judge_motion
+from stss.check_sequence.value_statistics import Level, Values, motion_lines
 from stss.images.headers import read_header
 from stss.sequence.antialiasing import judge_sampling
 from stss.sequence.choose_weights import suited

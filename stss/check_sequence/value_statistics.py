@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from stss.check.motion_convention import CHOSEN, ConventionVerdict
+from stss.check_sequence.motion_convention import CHOSEN, ConventionVerdict
 from stss.frames.buffers import Buffers
 from stss.images.headers import read_header
 from stss.sequence.profiles import BUFFERS
