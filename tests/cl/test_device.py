@@ -13,8 +13,8 @@ import numpy as np
 import pyopencl as cl
 import pytest
 
-from stss_cl.device import caches, program
 from stss_cl.device import discovery as devices
+from stss_cl.device import program
 from stss_cl.device.discovery import DeviceError, matching, named, open_device
 from stss_cl.device.program import build
 
@@ -27,12 +27,6 @@ def kernels(tmp_path, monkeypatch):
     monkeypatch.setattr(program, "KERNELS", tmp_path)
     (tmp_path / "demo.cl").write_text(DEMO)
     return tmp_path
-
-
-@pytest.fixture
-def cache_home(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    return tmp_path / "cache"
 
 
 def fake(platform, name, kind=cl.device_type.CPU, version="1"):
@@ -258,115 +252,6 @@ def test_spawn_works(device, tmp_path, monkeypatch):
     (tmp_path / "spawn.py").write_text(script)
     done = subprocess.run([sys.executable, tmp_path / "spawn.py"], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.strip() == device.name
-
-
-# Caches
-
-
-def mode(path):
-    return path.stat().st_mode & 0o777
-
-
-def test_a_cache_is_private(cache_home):
-    folder = caches.private("pocl", "1")
-    assert folder == cache_home / "stss" / "pocl" / "1"
-    assert [mode(cache_home / part) for part in ("stss", "stss/pocl", "stss/pocl/1")] == [0o700] * 3
-    assert caches.private("pocl", "1") == folder
-
-
-def test_a_cache_that_others_may_write_to_is_closed(cache_home):
-    """And emptied: what lies in it may be another's."""
-    folder = caches.private("pocl", "1")
-    (folder / "OK").mkdir()
-    (folder / "OK" / "parallel.so").write_text("")
-    folder.chmod(0o777)
-    caches.private("pocl", "1")
-    assert mode(folder) == 0o755
-    assert not list(folder.iterdir())
-
-
-def test_the_top_folder_is_never_emptied(cache_home):
-    """It may be a checkout of ours, if the cache is said to be beside it."""
-    (caches.private() / "kept").write_text("")
-    (cache_home / "stss").chmod(0o777)
-    caches.private("pocl")
-    assert mode(cache_home / "stss") == 0o755
-    assert (cache_home / "stss" / "kept").exists()
-
-
-def test_a_cache_of_another_user_is_refused(cache_home, monkeypatch):
-    folder = caches.private("pocl")
-    monkeypatch.setattr(os, "getuid", lambda: folder.stat().st_uid + 1)
-    with pytest.raises(DeviceError, match=r"^kernel cache .*: belongs to user \d+, not to you; set XDG_CACHE_HOME"):
-        caches.private("pocl")
-
-
-@pytest.mark.parametrize("kind", ["link", "file"])
-def test_a_cache_that_is_no_folder_is_refused(cache_home, tmp_path, kind):
-    caches.private()
-    (tmp_path / "elsewhere").mkdir()
-    if kind == "link":
-        (cache_home / "stss" / "pocl").symlink_to(tmp_path / "elsewhere")
-    else:
-        (cache_home / "stss" / "pocl").write_text("")
-    with pytest.raises(DeviceError, match=r"^kernel cache "):
-        caches.private("pocl")
-
-
-def test_a_cache_where_others_may_replace_it_is_refused(cache_home):
-    cache_home.mkdir()
-    cache_home.chmod(0o777)
-    with pytest.raises(DeviceError, match="only you can write to"):
-        caches.private("pocl")
-    cache_home.chmod(0o1777)  # as /tmp: nobody may replace what is another's
-    caches.private("pocl")
-
-
-def test_without_a_home_the_cache_is_temporary(tmp_path, monkeypatch):
-    (tmp_path / "file").write_text("")
-    for named_home in (tmp_path / "file" / "below", "/proc/none"):
-        monkeypatch.setenv("XDG_CACHE_HOME", str(named_home))
-        folder = caches.private("pocl")
-        assert folder.is_dir()
-        assert mode(folder.parent) == 0o700
-        assert not folder.is_relative_to(tmp_path / "file")
-    monkeypatch.setenv("XDG_CACHE_HOME", "relative")
-    monkeypatch.setenv("HOME", str(tmp_path / "file"))
-    assert caches.private("pocl").is_dir()
-
-
-OPEN = (
-    "import os; from stss_cl.device.discovery import open_device as o; d = o(); print(d.name, os.environ.get('POCL_CACHE_DIR'))"
-)
-BUILD = f"{OPEN}; from stss_cl.device.program import build as b; b(d, 'selftest.cl')"
-
-
-def test_compiled_kernels_lie_in_the_private_cache(device, cache_home):
-    done = subprocess.run(
-        [sys.executable, "-c", BUILD],
-        env={**os.environ, "STSS_DEVICE": device.name, "HOME": str(cache_home)},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=True,
-    )
-    assert done.stdout.strip().endswith(" None")  # the environment is as it was
-    written = [path for path in cache_home.rglob("*") if path.is_file()]
-    drivers = {"mesa_shader_cache"} if device.name.startswith("rusticl:") else set()  # Mesa's own
-    assert not {path.relative_to(cache_home).parts[0] for path in written} - {"stss"} - drivers  # nothing where all share
-    if "pocl" in device.platform_version.lower():
-        assert [path for path in written if path.is_relative_to(cache_home / "stss" / "pocl")]
-
-
-def test_the_users_own_cache_is_kept(device, cache_home, tmp_path):
-    if "pocl" not in device.platform_version.lower():
-        pytest.skip("not PoCL")
-    own = tmp_path / "own"
-    env = {**os.environ, "STSS_DEVICE": device.name, "POCL_CACHE_DIR": str(own)}
-    done = subprocess.run([sys.executable, "-c", BUILD], env=env, capture_output=True, text=True, timeout=120, check=True)
-    assert done.stdout.strip().endswith(str(own))
-    assert list(own.iterdir())
-    assert not (cache_home / "stss" / "pocl").exists()
 
 
 def test_the_class_is_what_the_device_is_unless_named(monkeypatch):

@@ -1,0 +1,259 @@
+"""Folders for compiled kernels: private ones, wherever there is a place for them, and no code of others in them."""
+
+import os
+import shutil
+import stat
+import subprocess
+import sys
+from collections import namedtuple
+from pathlib import Path
+
+import pyopencl as cl
+import pytest
+
+from stss.demo import write_demo_sequence
+from stss_cl.device import caches, program
+from stss_cl.device.discovery import open_device
+from stss_ground.errors import DeviceError
+from tests.hostile.cases import stss
+
+NOBODY = 65534
+COMPUTE = """
+import os
+import numpy as np
+from stss.devices import selftest
+from stss_cl.device.discovery import open_device
+selftest.groups(open_device(), np.random.default_rng(0))
+print("computed", os.environ.get("POCL_CACHE_DIR"))
+"""
+
+
+@pytest.fixture(scope="module")
+def device():
+    try:
+        return open_device()
+    except DeviceError as error:
+        pytest.skip(str(error))
+
+
+@pytest.fixture(autouse=True)
+def cache_home(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    caches._temporary.cache_clear()
+    yield tmp_path / "cache"
+    caches._temporary.cache_clear()
+
+
+@pytest.fixture
+def bare(tmp_path):
+    """The environment of a user with an empty home."""
+    (tmp_path / "home").mkdir(mode=0o700)
+    here = {k: v for k, v in os.environ.items() if not k.startswith(("XDG_", "MPL"))}
+    return here | {"HOME": str(tmp_path / "home")}
+
+
+def compute(env, command=(), **more):
+    """A kernel of the self-test, built and launched in a process of its own; returns its ``$POCL_CACHE_DIR``."""
+    done = subprocess.run(
+        [*command, sys.executable, "-c", COMPUTE], env=env, capture_output=True, text=True, timeout=120, check=False, **more
+    )
+    assert done.stdout.startswith("computed"), done.stderr
+    assert not done.stderr
+    return done.stdout.split()[1]
+
+
+def mode(path):
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+def test_all_caches_lie_in_one_private_folder(device, bare, tmp_path):
+    """Whatever the umask; of the command, and of whatever else is imported: PyOpenCL's pickles are not there."""
+    write_demo_sequence(tmp_path, 2, (16, 24))
+    environment = bare | {"XDG_CACHE_HOME": ""}
+    done = stss("run", tmp_path / "frames", "-o", tmp_path / "out", "--method", "bilinear", env=environment, umask=0)
+    assert done.returncode == 0, done.stderr
+    assert compute(bare, umask=0) == "None"
+    home = tmp_path / "home"
+    drivers = {Path(".cache/mesa_shader_cache")} if device.name.startswith("rusticl:") else set()  # Mesa's own
+    assert {path.relative_to(home) for path in (*home.iterdir(), *(home / ".cache").iterdir())} - drivers == {
+        Path(".cache"),
+        Path(".cache/stss"),
+    }
+    folders = [home / ".cache", home / ".cache" / "stss", *(home / ".cache" / "stss").iterdir()]
+    assert {mode(path) for path in folders} == {0o700}
+
+
+def test_folders_above_the_cache_are_private_too(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "a" / "b" / "cache"))
+    umask = os.umask(0)
+    try:
+        assert caches.private("pocl", "1") == tmp_path / "a" / "b" / "cache" / "stss" / "pocl" / "1"
+    finally:
+        os.umask(umask)
+    assert {mode(tmp_path / part) for part in ("a", "a/b", "a/b/cache", "a/b/cache/stss/pocl/1")} == {0o700}
+
+
+def test_a_cache_that_others_may_write_to_is_closed_and_emptied(cache_home):
+    """What lies in it may be another's; the top folder may be a checkout of ours, and keeps what it has."""
+    folder = caches.private("pocl", "1")
+    (folder / "parallel.so").write_text("")
+    (cache_home / "stss" / "kept").write_text("")
+    for each in (folder, cache_home / "stss"):
+        each.chmod(0o777)
+    caches.private("pocl", "1")
+    assert mode(folder) == mode(cache_home / "stss") == 0o755
+    assert not list(folder.iterdir())
+    assert (cache_home / "stss" / "kept").exists()
+
+
+@pytest.mark.parametrize("kind", ["link", "file"])
+def test_a_cache_that_is_no_folder_is_refused(cache_home, tmp_path, kind):
+    caches.private()
+    (tmp_path / "elsewhere").mkdir()
+    if kind == "link":
+        (cache_home / "stss" / "pocl").symlink_to(tmp_path / "elsewhere")
+    else:
+        (cache_home / "stss" / "pocl").write_text("")
+    with pytest.raises(DeviceError, match=r"^kernel cache "):
+        caches.private("pocl")
+
+
+def test_a_cache_where_others_may_replace_it_is_refused(cache_home):
+    cache_home.mkdir()
+    cache_home.chmod(0o777)
+    with pytest.raises(DeviceError, match="only you can write to"):
+        caches.private("pocl")
+    cache_home.chmod(0o1777)  # as /tmp: nobody may replace what is another's
+    caches.private("pocl")
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="no users on this system")
+def test_a_cache_home_of_somebody_else_is_refused(tmp_path, monkeypatch):
+    (tmp_path / "theirs").mkdir(mode=0o755)
+    if os.getuid() == 0:
+        os.chown(tmp_path / "theirs", NOBODY, NOBODY)
+    else:
+        monkeypatch.setattr(os, "getuid", lambda: NOBODY)
+    (tmp_path / "link").symlink_to(tmp_path / "theirs")
+    for place in ("theirs", "link"):  # a link is followed: what counts is where it leads
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / place))
+        with pytest.raises(DeviceError, match=r"^kernel cache .*theirs: belongs to user \d+, not to you; set XDG_CACHE_HOME"):
+            caches.private("pocl")
+    assert not list((tmp_path / "theirs").iterdir())
+
+
+def test_the_users_own_cache_is_kept(device, cache_home, tmp_path):
+    if "pocl" not in device.platform_version.lower():
+        pytest.skip("not PoCL")
+    own = tmp_path / "own"
+    assert compute({**os.environ, "STSS_DEVICE": device.name, "POCL_CACHE_DIR": str(own)}) == str(own)
+    assert list(own.iterdir())
+    assert not (cache_home / "stss" / "pocl").exists()
+
+
+def test_a_driver_without_a_cache_gets_binaries_without_pickles(device, monkeypatch, cache_home):
+    monkeypatch.setattr(program, "has_src_build_cache", lambda handle: None)
+    kept = cache_home / "stss" / "binaries"
+    for content in (None, b"", b"not a binary"):
+        if content is not None:
+            next(kept.iterdir()).write_bytes(content)
+        program.build(open_device(device.name), "selftest.cl")
+        (binary,) = kept.iterdir()
+        assert len(binary.read_bytes()) > 1000
+    monkeypatch.setattr(program, "source", lambda file: pytest.fail("expected the binary"))
+
+
+# Without a home
+
+
+def circle(path):
+    path.symlink_to(path)
+
+
+HOMES = {  # name: what makes it at the path given, and what may be below it
+    "a file": lambda path: path.write_text("") and None,
+    "a circle of links": circle,
+    "in /proc": lambda path: Path("/proc/nope"),
+    "longer than PoCL takes": lambda path: path.joinpath(*["long" * 50] * 4),
+    "relative": lambda path: Path("relative"),
+}
+
+
+@pytest.mark.parametrize("variable", ["XDG_CACHE_HOME", "HOME"])
+@pytest.mark.parametrize("kind", HOMES)
+def test_where_nothing_can_be_kept_a_private_temporary_folder_serves(tmp_path, monkeypatch, kind, variable):
+    place = HOMES[kind](tmp_path / "home") or tmp_path / "home"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", str(tmp_path / "no" if variable == "XDG_CACHE_HOME" else place))
+    monkeypatch.setenv(variable, str(place))
+    if (kind, variable) == ("relative", "XDG_CACHE_HOME"):
+        monkeypatch.setenv("HOME", "")  # a relative cache home counts as unset, and so does an empty home
+    folder = caches.private("pocl")
+    assert caches.is_temporary()
+    assert not folder.is_relative_to(tmp_path)
+    assert mode(folder.parents[1]) == 0o700
+
+
+def test_a_full_disk_is_left_alone(monkeypatch):
+    """Compilers end the process where they cannot write."""
+    room, home, disk = namedtuple("usage", "free"), caches.home(), shutil.disk_usage
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: room(1 << 20) if path == home else disk(path))
+    assert caches.is_temporary()
+    caches._temporary.cache_clear()
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: room(1 << 20))
+    with pytest.raises(DeviceError, match=r"^kernel cache: expected 32 MiB free in the cache home or in /"):
+        caches.private("pocl")
+
+
+def test_what_cannot_be_written_is_not_there(tmp_path, monkeypatch):
+    def full(self, target):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "replace", full)
+    caches.store(tmp_path / "file", b"x")
+    assert not list(tmp_path.iterdir())
+
+
+def test_no_place_at_all_is_one_line(monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", "/proc/nope")
+    monkeypatch.setattr(caches.tempfile, "mkdtemp", lambda **_: (_ for _ in ()).throw(FileNotFoundError("none")))
+    with pytest.raises(DeviceError, match=r"^kernel cache: neither the cache home nor a temporary folder can be written to"):
+        caches.private("pocl")
+
+
+@pytest.mark.parametrize("privileged", [True, False])
+def test_a_user_without_a_home_computes(device, bare, privileged):
+    """Also one who may read the installation and not write to it; as root, with the privilege to read alone."""
+    command = ()
+    if not privileged:
+        keep = "-all,+dac_read_search"
+        command = (
+            "setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups", f"--inh-caps={keep}", f"--ambient-caps={keep}",
+        )  # fmt: skip
+        if not shutil.which("setpriv") or subprocess.run([*command, "true"], capture_output=True, check=False).returncode:
+            pytest.skip("setpriv is not there, or cannot drop root's privileges here")
+    compute(bare | {"HOME": "/nonexistent"}, command)
+
+
+def test_processes_that_build_in_an_empty_cache_at_once_all_succeed(device, bare):
+    command = [sys.executable, "-c", "import sys; sys.stdin.readline()\n" + COMPUTE]
+    starts = [subprocess.Popen(command, env=bare, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(4)]
+    for each in starts:
+        each.stdin.write("\n")
+        each.stdin.flush()
+    assert [each.communicate(timeout=120)[0].split()[0] for each in starts] == ["computed"] * 4
+
+
+def test_a_build_that_another_process_disturbed_is_tried_again(device, monkeypatch):
+    build, calls = cl.Program.build, []
+
+    def disturbed(self, *args, **more):
+        calls.append(1)
+        if len(calls) == 1:
+            raise cl.RuntimeError("clBuildProgram failed: BUILD_PROGRAM_FAILURE")
+        return build(self, *args, **more)
+
+    monkeypatch.setattr(program, "has_src_build_cache", lambda handle: True)
+    monkeypatch.setattr(cl.Program, "build", disturbed)
+    program.build(open_device(device.name), "selftest.cl")
+    assert len(calls) == 2
