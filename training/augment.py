@@ -36,8 +36,7 @@ MIDDLE, BACKGROUND = (0.04, 0.7), 0.999
 class Batch(NamedTuple):
     """Inputs of the network and the truth, channels first, float32.
 
-    color (N, 6, H, W), gbuffer (N, 9, H, W), mask (N, 1, H, W) after RRM, history (N, 3, 4, H, W), truth (N, 3, 2H, 2W),
-    taught (N, 3, 2H, 2W): the teachers' pictures (`training.teach`), or the truth once more.
+    color (N, 6, H, W), gbuffer (N, 9, H, W), mask (N, 1, H, W) after RRM, history (N, 3, 4, H, W), truth (N, 3, 2H, 2W).
     """
 
     color: NDArray[np.float32]
@@ -45,7 +44,6 @@ class Batch(NamedTuple):
     mask: NDArray[np.float32]
     history: NDArray[np.float32]
     truth: NDArray[np.float32]
-    taught: NDArray[np.float32]
 
 
 def crop(inputs: Array, truth: Array, corner: tuple[int, int], side: int) -> tuple[Array, Array]:
@@ -63,7 +61,7 @@ def augment(inputs: Array, truth: Array, random: Random, *, upright: bool = Fals
 
     Args:
         inputs: (H, W, 24).
-        truth: (2H, 2W, 6), the truth and the teachers' picture; or the truth alone.
+        truth: (2H, 2W, 3).
         random: where chance comes from.
     """
     quarters, mirrored = 0 if upright else int(random.integers(4)), bool(random.random() < 0.5)
@@ -80,8 +78,7 @@ def augment(inputs: Array, truth: Array, random: Random, *, upright: bool = Fals
         inputs[..., part] = np.minimum(inputs[..., part][..., order] * exposure, 1)
     inputs[..., BASE_COLOR] = inputs[..., BASE_COLOR][..., order]
     inputs[..., DEPTH] = depths_at_random(inputs[..., DEPTH], random)
-    pictures = truth.reshape(*truth.shape[:2], -1, 3)[..., order].reshape(truth.shape)
-    return inputs, np.minimum(pictures * exposure, 1)
+    return inputs, np.minimum(truth[..., order] * exposure, 1)
 
 
 def depths_at_random(depth: Array, random: Random) -> Array:
@@ -113,15 +110,13 @@ def mask_at_random(inputs: Array, random: Random) -> Array:
 
 
 def collate(inputs: Array, masks: Array, truth: Array) -> Batch:
-    """Make a batch of inputs (N, H, W, 24), masks (N, H, W) and truth (N, 2H, 2W, 6), the teachers' picture last."""
+    """Make a batch of inputs (N, H, W, 24), masks (N, H, W) and truth (N, 2H, 2W, 3)."""
     planes = np.ascontiguousarray(np.moveaxis(inputs, -1, 1), np.float32)
     n, _, height, width = planes.shape
-    pictures = np.ascontiguousarray(np.moveaxis(truth, -1, 1), np.float32)
     return Batch(
         color=np.concatenate([planes[:, :3], planes[:, 20:23]], axis=1),
         gbuffer=np.ascontiguousarray(planes[:, 3:12]),
         mask=np.ascontiguousarray(masks[:, None], np.float32),
         history=np.ascontiguousarray(planes[:, 12:]).reshape(n, 3, 4, height, width),
-        truth=pictures[:, :3],
-        taught=pictures[:, 3:],
+        truth=np.ascontiguousarray(np.moveaxis(truth, -1, 1), np.float32),
     )

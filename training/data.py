@@ -19,16 +19,13 @@ from training.augment import MASK, Batch, augment, collate, crop, mask_at_random
 Kind = Literal["SF", "EF"]
 KINDS: tuple[Kind, Kind] = ("SF", "EF")
 
-
-TAUGHT = "taught.npy"
-"""What `training.teach` adds to a shard."""
 DRAWN = 3
 """Crops drawn for each crop taken, which is the one with the most detail: half of an average frame is flat, and teaches little."""
 
 
 @dataclass(frozen=True)
 class Shard:
-    """The samples of a sequence, memory-mapped; see `training.samples`, and `training.teach` for ``taught``."""
+    """The samples of a sequence, memory-mapped; see `training.samples`."""
 
     name: str
     scene: str
@@ -36,7 +33,6 @@ class Shard:
     kinds: tuple[str, ...]
     inputs: Array = field(repr=False)
     truth: Array = field(repr=False)
-    taught: Array | None = field(repr=False, default=None)
 
 
 @dataclass(frozen=True)
@@ -58,9 +54,7 @@ def load_shards(folder: Path) -> list[Shard]:
         index = json.loads(path.read_text())
         inputs, truth = (np.load(path.parent / f"{name}.npy", mmap_mode="r") for name in ("inputs", "truth"))
         name = str(path.parent.relative_to(folder))
-        pictures = path.parent / TAUGHT
-        taught = np.load(pictures, mmap_mode="r") if pictures.exists() else None
-        shards.append(Shard(name, index["scene"], index["split"], tuple(index["kinds"]), inputs, truth, taught))
+        shards.append(Shard(name, index["scene"], index["split"], tuple(index["kinds"]), inputs, truth))
     if not shards:
         raise InputError(f"{folder}: no samples; python -m training.samples makes them")
     splits: dict[str, str] = {}
@@ -119,7 +113,8 @@ class Batches:
         for i in range(self._batch):
             drawn = [self._draw(self._kinds[i % len(self._kinds)], random) for _ in range(DRAWN)]
             place, corner = max(drawn, key=lambda one: self._detail(*one))
-            inputs, truth = augment(*cropped(place, corner, self._side), random, upright=self._upright)
+            taken = crop(place.shard.inputs[place.index], place.shard.truth[place.index], corner, self._side)
+            inputs, truth = augment(*taken, random, upright=self._upright)
             mask = mask_at_random(inputs, random) if self._masking else inputs[..., MASK]
             made.append((inputs, mask, truth))
         inputs, masks, truth = (np.stack(arrays) for arrays in zip(*made, strict=True))
@@ -154,14 +149,6 @@ class Batches:
                 yield step, batch
 
 
-def cropped(place: StoredSample, corner: tuple[int, int], side: int) -> tuple[Array, Array]:
-    """A crop of the inputs (H, W, 24), and of the truth and what the teachers made of it, or the truth again, (2H, 2W, 6)."""
-    shard, i = place.shard, place.index
-    inputs, truth = crop(shard.inputs[i], shard.truth[i], corner, side)
-    taught = truth if shard.taught is None else crop(shard.inputs[i], shard.taught[i], corner, side)[1]
-    return inputs, np.concatenate([truth, taught], axis=-1)
-
-
 def details(truth: Array) -> Array:
     """Detail that half the size loses, the distances of four pixels from their mean, as sums from the corner, (H + 1, W + 1)."""
     height, width, channels = truth.shape
@@ -176,7 +163,7 @@ def whole(place: StoredSample) -> Batch:
     truth = place.shard.truth[place.index].astype(np.float32)
     below, right = (-length % 8 for length in inputs.shape[:2])
     inputs = np.pad(inputs, ((0, below), (0, right), (0, 0)), mode="edge")
-    return collate(inputs[None], inputs[None, ..., MASK], np.concatenate([truth, truth], axis=-1)[None])
+    return collate(inputs[None], inputs[None, ..., MASK], truth[None])
 
 
 def spread(choice: list[StoredSample], most: int) -> list[StoredSample]:

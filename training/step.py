@@ -34,7 +34,6 @@ class Aims:
         squares: the squared error's share of the loss.
         similar: what 1 - SSIM is multiplied by, in SFs and in EFs.
         extrapolated, holes: see `training.loss.squared`.
-        share: of the teachers' picture in the target of the squared error.
     """
 
     half: bool = False
@@ -42,7 +41,6 @@ class Aims:
     squares: float = 0.0
     similar: tuple[float, float] = (STRUCTURE, STRUCTURE)
     extrapolated: float = 0.5
-    share: float = 0.0
     holes: float = 1.0
 
 
@@ -76,19 +74,19 @@ def objective(network: Network, heads: Heads, batch: tuple[Tensor, ...], enlarge
     Args:
         network: what is trained.
         heads: what helps a beginner.
-        batch: color, gbuffer, mask, history, truth, taught, see `training.augment.Batch`.
+        batch: color, gbuffer, mask, history, truth, see `training.augment.Batch`.
         enlarged: the colour at twice the size, `training.network.base`.
         trust: where the mask is above 0 at twice the size, `training.loss.trusted`.
         aims: see there.
     """
-    color, gbuffer, mask, history, truth, taught = batch
+    color, gbuffer, mask, history, truth = batch
     with torch.autocast(color.device.type, torch.bfloat16, enabled=aims.half):
         residual, features = network.residual(color, gbuffer, mask, history)
         pictures = heads(features) if aims.young else []
     output, squares = residual.float() + enlarged, max(aims.young, aims.squares)
     value = (1 - squares) * loss(output, truth, trust, by_kind(structure(output, truth), *aims.similar))
     if squares:
-        value = value + squares * squared(output, truth.lerp(taught, aims.share), aims.extrapolated, trust, aims.holes)
+        value = value + squares * squared(output, truth, aims.extrapolated, trust, aims.holes)
     if aims.young:
         value = value + aims.young * supervision([p.float() for p in pictures], truth)
     return value

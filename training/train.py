@@ -41,8 +41,8 @@ class Settings:
     ``history``: whether the history is used.
     ``structure``, ``structure_ef``: the perceptual distance is so many times 1 - SSIM, in SFs and in EFs.
     ``extrapolated``: the share of EFs in the squared error.
-    ``taught``: the share of the teachers' picture in what the squared error is taken against. ``masking``: Random Reshading Masking.
-    ``holes``: how often errors in reshading regions count in the squared error. ``upright``: see `training.augment.augment`.
+    ``masking``: Random Reshading Masking. ``holes``: how often errors in reshading regions count in the squared error.
+    ``upright``: see `training.augment.augment`.
     ``compiled``: whether a step is compiled, which changes its rounding. ``second_color``: see `stss_ref.frame.prepare`.
     """
 
@@ -58,7 +58,6 @@ class Settings:
     structure: float = STRUCTURE
     structure_ef: float = STRUCTURE
     extrapolated: float = 0.5
-    taught: float = 0.0
     masking: bool = True
     holes: float = 1.0
     upright: bool = False
@@ -174,7 +173,6 @@ def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan
         squares=settings.squares,
         similar=(settings.structure, settings.structure_ef),
         extrapolated=settings.extrapolated,
-        share=settings.taught,
         holes=settings.holes,
     )
     total, count, since = torch.zeros((), device=device), 0, time.perf_counter()
@@ -215,15 +213,12 @@ def options() -> argparse.ArgumentParser:
         "--aids",
         type=float,
         metavar="SHARE",
-        help="a beginner's aids at the start; default 1, with --initial 0: see training.revive",
+        help="a beginner's aids at the start; default 1, with --initial 0",
     )
     parser.add_argument("--squares", type=float, default=0.0, help="share of the squared error in the loss, for PSNR's sake")
     parser.add_argument("--structure", type=float, default=STRUCTURE, help="the perceptual distance is so many times 1 - SSIM")
     parser.add_argument("--structure-ef", type=float, metavar="F", help="the same for EFs, where it is another")
     parser.add_argument("--extrapolated", type=float, default=0.5, help="share of EFs in the squared error")
-    parser.add_argument(
-        "--taught", type=float, default=0.0, help="share of the pictures of training.teach in the squared error's target"
-    )
     parser.add_argument("--holes", type=float, default=1.0, help="how often reshading regions count in the squared error")
     parser.add_argument("--no-masking", dest="masking", action="store_false", help="without Random Reshading Masking")
     parser.add_argument("--no-history", dest="history", action="store_false", help="weights that do not read the history")
@@ -269,7 +264,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         structure=chosen.structure,
         structure_ef=chosen.structure if chosen.structure_ef is None else chosen.structure_ef,
         extrapolated=chosen.extrapolated,
-        taught=chosen.taught,
         masking=chosen.masking,
         holes=chosen.holes,
         upright=chosen.upright,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Subcommands that measure quality: ``compare``, ``methods``, ``flicker`` and ``flicker-scenes``."""
+"""Subcommands that measure quality: ``compare``, ``methods`` and ``flicker``."""
 
 from __future__ import annotations
 
@@ -10,9 +10,7 @@ from typing import Any
 import click
 
 from stss.cli.options import (
-    MAX_COUNT,
     FrameRange,
-    Size,
     backend_options,
     frame_options,
     perceptual_options,
@@ -25,8 +23,6 @@ from stss.pages.viewer import require_page
 from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
 from stss_ground.option_kinds import PATH, Names
-from stss_ground.output.apart import require_apart
-from stss_ground.output.write_whole import told
 from stss_ground.terminal import Terminal, echo
 
 
@@ -80,7 +76,7 @@ def compare_command(
 @click.command("methods")
 @click.argument("sequence", type=PATH)
 @click.argument("truth", type=PATH)
-@click.option("-o", "--out", type=PATH, required=True, help="Folder for sheet.png and one folder for each method.")
+@click.option("-o", "--out", type=PATH, required=True, help="Folder for one folder of each method.")
 @sequence_options
 @weights_option
 @click.option("--methods", type=Names(), default=(), help="Which, such as bilinear,taau,network  [default: all]")
@@ -114,14 +110,12 @@ def methods_command(
     backend: str,
     compute: ComputeOptions,
 ) -> None:
-    """Run SEQUENCE with the network and with methods that have none, and compare all with TRUTH: one table, one picture.
+    """Run SEQUENCE with the network and with methods that have none, and compare all with TRUTH: one table, and a page with --html.
 
     Columns are means over the frames of a kind; --json has every frame.
     """
-    from stss.images.read_write import write_rgb
     from stss.quality import methods_table as method_table
     from stss.quality.methods_page import methods_page
-    from stss.quality.methods_sheet import method_sheet
     from stss.run.choose_backend import open_method
     from stss.run.options import RunOptions
     from stss.sequence.choose_weights import choose_weights
@@ -133,8 +127,6 @@ def methods_command(
     )
     chosen = method_table.choose_methods(methods, weights)
     loaded = choose_weights(weights, files, partial(echo, err=True), needed=NETWORK in chosen)
-    with told(out):
-        require_apart([out / "sheet.png"], [*files.reads, *reads])
     if html is not None:
         require_page(html, [*files.reads, *reads])
     console = Terminal(stderr=True)
@@ -151,14 +143,12 @@ def methods_command(
             on_step=status.update,
             reads=reads,
         )
-    write_rgb(out / "sheet.png", method_sheet(results, truth, frames))
     if html is not None:
         methods_page(html, results, truth, files, frames)
     if as_json:
         click.echo(method_table.to_json(results))
     else:
         method_table.print_results(results, Terminal())
-    console.print(f"pictures to look at: {out / 'sheet.png'}", soft_wrap=True, highlight=False, markup=False)
 
 
 @click.command("flicker")
@@ -179,37 +169,3 @@ def flicker_command(
         click.echo(found.to_json())
     else:
         print_flicker(found, Terminal())
-
-
-@click.command("flicker-scenes")
-@click.option("--scenes", type=Names(), default=(), help="Canonical scenes  [default: static,slow-pan]")
-@click.option("--methods", type=Names(), default=(), help="Which, such as bilinear,taau,network  [default: all]")
-@click.option("--size", type=Size(), default="320x180", show_default=True, help="Size of the inputs.")
-@click.option("--frames", type=click.IntRange(1, MAX_COUNT), default=20, show_default=True, help="Display frames of each scene.")
-@weights_option
-@backend_options
-def flicker_scenes_command(
-    scenes: tuple[str, ...],
-    methods: tuple[str, ...],
-    size: tuple[int, int],
-    frames: int,
-    weights: str,
-    backend: str,
-    compute: ComputeOptions,
-) -> None:
-    """Measure flicker on built-in scenes whose cameras stand or turn slowly: every method against the truth, in 8-bit levels."""
-    from stss.quality import flicker_scenes
-    from stss.quality import methods_table as method_table
-    from stss.run.choose_backend import open_method
-    from stss.sequence.choose_weights import AUTO
-    from stss.weights.file import REALTIME, load
-
-    chosen, console = method_table.choose_methods(methods, weights), Terminal(stderr=True)
-    loaded = load(REALTIME if weights == AUTO else weights)  # these scenes have one ray a pixel
-
-    def make(method: str) -> Any:
-        return open_method(method, loaded, backend, compute, tell=partial(echo, err=True))[0]
-
-    with console.status("") as status:
-        found = flicker_scenes.measure(scenes or flicker_scenes.STILL, chosen, make, size, frames, on_step=status.update)
-    flicker_scenes.print_steadiness(found, Terminal())

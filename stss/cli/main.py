@@ -18,7 +18,7 @@ from stss.baselines.registry import METHODS
 from stss.cli.bench import bench_command, export, gpu_report_command
 from stss.cli.conform import conform, port
 from stss.cli.devices import devices, tune
-from stss.cli.evaluate import compare_command, flicker_command, flicker_scenes_command, methods_command
+from stss.cli.evaluate import compare_command, flicker_command, methods_command
 from stss.cli.options import (
     SIDE,
     FrameRange,
@@ -210,7 +210,7 @@ def inspect(file: str, size: tuple[int, int], as_json: bool) -> None:
 
 
 for command in (
-    bench_command, compare_command, conform, devices, export, flicker_command, flicker_scenes_command, gpu_report_command,
+    bench_command, compare_command, conform, devices, export, flicker_command, gpu_report_command,
     methods_command, port, stress_command, tune,
 ):  # fmt: skip
     stss.add_command(command)

@@ -100,28 +100,3 @@ def test_a_scene_becomes_supersampled_frames_without_a_hand_on_it(bpy_python, tm
         assert out.size == (64, 96)
         assert out.attributes["stss:kind"] == ("SF" if number % 2 else "EF")
     assert len((tmp_path / "film" / "camera.csv").read_text().splitlines()) == 5
-
-
-def test_the_saving_is_measured(bpy_python, tmp_path):
-    words = [
-        bpy_python,
-        ROOT / "training/blender/measure_saving.py",
-        "--size",
-        "64x32",
-        "--frames",
-        "2",
-        "--samples",
-        "1",
-        "--threads",
-        "1",
-    ]
-    words += ["--stss", f"{sys.executable} -m stss", "--options", "--backend ref --weights bilinear", "-o", tmp_path / "saving"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300)
-    assert done.returncode == 0, done.stderr[-2000:]
-    full, halves, ours = (float(line.split()[-6]) for line in done.stdout.splitlines()[:3])
-    assert min(full, halves, ours) > 0
-    share = float(done.stdout.splitlines()[3].split()[-1])
-    rounded = 0.0005  # s, of each
-    least, most = (halves + ours - 2 * rounded) / (full + rounded), (halves + ours + 2 * rounded) / (full - rounded)
-    assert least - 0.005 <= share <= most + 0.005
-    assert sorted(path.name for path in (tmp_path / "saving/stss/out").glob("*.exr")) == ["frame.0001.exr", "frame.0002.exr"]

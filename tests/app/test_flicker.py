@@ -9,12 +9,9 @@ import sys
 
 import numpy as np
 import pytest
-from rich.console import Console
 
-from stss.baselines.registry import MethodBackend
 from stss.images.read_write import write_rgb
-from stss.quality import flicker_scenes
-from stss.quality.flicker import Change, change_between, display_motion, flicker
+from stss.quality.flicker import change_between, display_motion, flicker
 from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
 
@@ -179,34 +176,3 @@ def test_the_command_line_has_table_and_json(sequence, tmp_path):
     missing = stss("flicker", out, tmp_path / "nowhere", "--sequence", frames)
     assert missing.returncode == 2
     assert len(missing.stderr.strip().splitlines()) == 1
-
-
-class Alternating(MethodBackend):
-    """Bilinear, but every second frame is brighter by 5 levels: flicker, and nothing else."""
-
-    def compute(self, window, steps):
-        image, valid = super().compute(window, steps)
-        return image + (window[-1].number % 2) * np.float32(5 / 255), valid
-
-
-def test_flicker_of_the_scenes_is_the_method_s(capsys):
-    made = {"steady": MethodBackend("bilinear"), "alternating": Alternating("bilinear")}
-    found = flicker_scenes.measure(("static", "slow-pan"), tuple(made), made.__getitem__, (36, 64), 12)
-    by = {(row.scene, row.method): row for row in found}
-    assert by["static", "steady"].change == Change(0, 0, 0)
-    assert 4.8 < by["static", "alternating"].change.error < 5.001  # near white it is clipped
-    assert near(by["static", "alternating"].largest, 5)
-    assert by["slow-pan", "steady"].change.truth > 0
-    assert by["slow-pan", "alternating"].change.error > by["slow-pan", "steady"].change.error
-    flicker_scenes.print_steadiness(found, Console())
-    assert "alternating" in capsys.readouterr().out
-    with pytest.raises(InputError, match="--scenes: expected some of"):
-        flicker_scenes.measure(("nowhere",), ("steady",), made.__getitem__, (36, 64), 12)
-    with pytest.raises(InputError, match="--frames: expected at least 9"):
-        flicker_scenes.measure(("static",), ("steady",), made.__getitem__, (36, 64), 8)
-
-
-def test_the_command_for_scenes():
-    ended = stss("flicker-scenes", "--size", "48x32", "--frames", "10", "--methods", "bilinear,repeat", "--scenes", "static")
-    assert ended.returncode == 0, ended.stderr
-    assert "repeat" in ended.stdout

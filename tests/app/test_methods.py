@@ -349,7 +349,7 @@ def test_run_refuses_to_resume_taau_in_one_line(demo, tmp_path):
 
 
 def test_methods_side_by_side(demo, tmp_path):
-    """A row and a folder for each; the scores are those of `stss compare`; and a picture."""
+    """A row and a folder for each; the scores are those of `stss compare`."""
     arguments = ["methods", demo / "frames", demo / "truth", "-o", tmp_path, "--frames", "2:7"]
     table = stss(*arguments)
     assert table.returncode == 0, table.stderr
@@ -363,7 +363,6 @@ def test_methods_side_by_side(demo, tmp_path):
     assert found["lanczos"]["means"] == alone["means"]
     assert rows["lanczos"][1] == f"{alone['means']['SF']['all']['psnr_rgb']:.2f}"
     assert rows["repeat"][-1] == f"{found['repeat']['flicker']['means']['EF']['error']:.2f}"
-    assert min(read_rgb(tmp_path / "sheet.png").shape[:2]) > 400
 
 
 def test_methods_of_choice(demo, tmp_path):

@@ -121,8 +121,6 @@ LIMITED = hasattr(sys, "get_int_max_str_digits")
         ("check in", "--frames", [f"{HUGE}:{HUGE}"]),
         ("compare in in", "--frames", [f"1:{HUGE}"]),
         ("flicker in in --sequence in", "--frames", [f"1:{HUGE}"]),
-        ("flicker-scenes", "--size", ["0x1", f"{HUGE}x1", "16385x8", "8", "-8x8", "nanxnan"]),
-        ("flicker-scenes", "--frames", ["0", HUGE, "1" + "0" * 30]),
         ("bench", "--size", ["99999x99999", f"1x{HUGE}"]),
         ("bench", "--repeat", ["0", HUGE, "1" + "0" * 30]),
         ("bench", "--frames", ["9", "1" + "0" * 30]),

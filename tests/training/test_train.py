@@ -126,7 +126,6 @@ def test_batches_are_half_and_half_and_depend_on_the_step_alone(data):
         (4, 1, 16, 16),
         (4, 3, 4, 16, 16),
         (4, 3, 32, 32),
-        (4, 3, 32, 32),
     ]
 
 
@@ -181,8 +180,8 @@ def test_the_rate_rises_and_falls():
 def test_bfloat16_on_the_cpu_trains_too(data):
     settings = Settings(crop=16, batch=2, rate=1e-3, warm_up=1, seed=0, half=True)
     state = start(settings, torch.device("cpu"))
-    batches = Batches(load_shards(data), side=16, batch=2, seed=0)
-    values = [advance(state, tensors(batches[i], torch.device("cpu")), 3e-3, Aims(half=True)).item() for i in range(12)]
+    batch = tensors(Batches(load_shards(data), side=16, batch=2, seed=0)[0], torch.device("cpu"))
+    values = [advance(state, batch, 3e-3, Aims(half=True)).item() for _ in range(12)]
     assert values[-1] < values[0]
 
 
@@ -192,7 +191,7 @@ def test_a_compiled_step_is_the_step(data, monkeypatch):
     monkeypatch.setattr("training.step._compiled", lambda: torch.compile(objective, backend="aot_eager", fullgraph=True))
     settings = Settings(crop=16, batch=2, rate=1e-3, warm_up=1, seed=0, half=False)
     batch = tensors(Batches(load_shards(data), side=16, batch=2, seed=0)[0], torch.device("cpu"))
-    aims = Aims(squares=0.5, similar=(90.0, 30.0), extrapolated=0.6, share=0.5, holes=2.0)
+    aims = Aims(squares=0.5, similar=(90.0, 30.0), extrapolated=0.6, holes=2.0)
     states = [start(settings, torch.device("cpu")) for _ in range(2)]
     plain, quick = (advance(s, batch, 1e-3, aims, compiled=compiled) for s, compiled in zip(states, (False, True), strict=True))
     assert abs(plain - quick) < 1e-5 * abs(plain)
