@@ -4,7 +4,7 @@
 From the repository's folder::
 
     python blender/build.py -o stss-blender.zip                                  # for this platform
-    python blender/build.py -o win.zip --platform win_amd64 --python 3.11        # for another one
+    python blender/build.py -o win.zip --platform windows-x64 --python 3.11      # for another one; needs uv
 """
 
 from __future__ import annotations
@@ -18,25 +18,45 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 FILES = ("__init__.py", "film.py", "passes.py")
+MANYLINUX = [f"manylinux_2_{minor}_x86_64" for minor in range(28, 4, -1)] + ["manylinux2014_x86_64", "manylinux1_x86_64"]
+MACOS = [f"macosx_{major}_0_{kind}" for major in range(14, 10, -1) for kind in ("arm64", "universal2")]
 PLATFORMS = {
-    "manylinux_2_28_x86_64": "linux-x64",
-    "macosx_11_0_arm64": "macos-arm64",
-    "win_amd64": "windows-x64",
+    "linux-x64": ("x86_64-manylinux_2_28", MANYLINUX),
+    "macos-arm64": ("aarch64-apple-darwin", MACOS),
+    "windows-x64": ("x86_64-pc-windows-msvc", ["win_amd64"]),
 }
-"""pip's name to Blender's."""
+"""Blender's name -> uv's, and the tags of wheels that fit, the best first."""
 
 
-def collect(folder: Path, platform: str | None, python: str | None) -> None:
-    """Have pip build our wheel and fetch those that it needs."""
+def collect(folder: Path, platform: str | None, python: str) -> None:
+    """Have pip build our wheel and fetch those that it needs.
+
+    For another platform uv settles what is needed: pip would read the markers of requirements for this one.
+    """
     pip = [sys.executable, "-m", "pip"]
     subprocess.run([*pip, "wheel", "--quiet", "--no-deps", "-w", folder, HERE.parent], check=True)
     ours = next(folder.glob("spacetime_supersampling-*.whl"))
-    there = [
-        "--only-binary=:all:",
-        *(["--platform", platform] if platform else []),
-        *(["--python-version", python] if python else []),
+    if platform is None:
+        subprocess.run([*pip, "download", "--quiet", "--only-binary=:all:", "-d", folder, ours], check=True)
+        return
+    target, tags = PLATFORMS[platform]
+    settle = [
+        "uv",
+        "pip",
+        "compile",
+        "--quiet",
+        "--only-binary",
+        ":all:",
+        "--python-platform",
+        target,
+        "--python-version",
+        python,
     ]
-    subprocess.run([*pip, "download", "--quiet", *there, "-d", folder, ours], check=True)
+    needed = folder / "needed.txt"
+    subprocess.run([*settle, "--no-header", "--no-annotate", "-o", needed, HERE.parent / "pyproject.toml"], check=True)
+    fitting = [word for tag in tags for word in ("--platform", tag)]
+    there = ["--only-binary=:all:", "--no-deps", "--python-version", python, *fitting]
+    subprocess.run([*pip, "download", "--quiet", *there, "-d", folder, "-r", needed], check=True)
 
 
 def pack(out: Path, wheels: list[Path], platform: str | None) -> None:
@@ -45,7 +65,7 @@ def pack(out: Path, wheels: list[Path], platform: str | None) -> None:
     named = "".join(f'  "./wheels/{wheel.name}",\n' for wheel in sorted(wheels))
     head, table, rest = manifest.partition("[permissions]")
     if platform is not None:
-        head += f'platforms = ["{PLATFORMS[platform]}"]\n'
+        head += f'platforms = ["{platform}"]\n'
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("blender_manifest.toml", f"{head}wheels = [\n{named}]\n\n{table}{rest}")
         for name in FILES:
@@ -60,7 +80,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Build the Blender extension.")
     parser.add_argument("-o", "--output", type=Path, required=True, help="the zip to write")
     parser.add_argument("--platform", choices=PLATFORMS, help="default: this one")
-    parser.add_argument("--python", help="Blender's Python, such as 3.11; default: this one's")
+    parser.add_argument(
+        "--python", default=f"{sys.version_info[0]}.{sys.version_info[1]}", help="Blender's Python; default: this one's"
+    )
     parser.add_argument("--wheels", type=Path, help="a folder of wheels to take, rather than ask pip")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="stss-") as folder:

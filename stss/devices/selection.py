@@ -13,7 +13,7 @@ from rich.table import Table
 
 from stss.devices.compiled_for import remark
 from stss.devices.verdicts import Tell, Verdict, verdict
-from stss_cl.device.discovery import NO_DEVICE, Device, DeviceError, Properties, is_gpu, matching, named, open_handle
+from stss_cl.device.discovery import Device, DeviceError, Properties, is_gpu, matching, named, no_device, open_handle
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def rows(*, again: bool = False, tell: Tell = lambda line: None) -> list[Row]:
     """
     found = [_row(n, h, verdict(n, h, again=again, tell=tell)) for n, h in named().items()]
     if not found:
-        raise DeviceError(NO_DEVICE)
+        raise DeviceError(no_device())
     return sorted(found, key=lambda row: (row.kind != "GPU", not row.verdict.passed, -row.verdict.gflops))
 
 

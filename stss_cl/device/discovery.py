@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import hashlib
 import os
+import platform
 import re
+import sys
 from collections import Counter
 from functools import cache, cached_property
 from typing import Literal, get_args
@@ -20,7 +22,6 @@ from stss_ground.errors import DeviceError
 
 __all__ = [
     "CLASSES",
-    "NO_DEVICE",
     "Device",
     "DeviceError",
     "Properties",
@@ -29,11 +30,22 @@ __all__ = [
     "is_gpu",
     "matching",
     "named",
+    "no_device",
     "open_device",
     "open_handle",
 ]
 
-NO_DEVICE = "no OpenCL device: pip install 'pyopencl[pocl]' gives one that runs on any CPU"
+
+def no_device() -> str:
+    """What to say where there is no device: what gives one on this platform."""
+    if sys.platform == "linux" and platform.machine() == "x86_64":
+        cure = "pip install 'pyopencl[pocl]' gives one that runs on any processor"
+    elif sys.platform == "win32":
+        cure = "a graphics driver, Intel's OpenCL runtime or conda-forge's pocl (conda env create -f environment.yml) gives one"
+    else:
+        cure = "conda-forge's pocl gives one that runs on any processor (conda env create -f environment.yml)"
+    return f"no OpenCL device: {cure}; --backend ref needs none and takes about 10 s for a million pixels"
+
 
 generate_once()
 _first_process = cache(os.getpid)
@@ -221,10 +233,10 @@ def found() -> list[cl.Device]:
         except cl.Error:
             return []
     handles: list[cl.Device] = []
-    for platform in platforms:
-        with pocl_cache(hashlib.sha256(platform.version.encode()).hexdigest()[:16]):
+    for runtime in platforms:
+        with pocl_cache(hashlib.sha256(runtime.version.encode()).hexdigest()[:16]):
             try:
-                handles += platform.get_devices()
+                handles += runtime.get_devices()
             except cl.Error:
                 continue  # a platform without devices raises an error
     return sorted(handles, key=full_name)
@@ -250,7 +262,7 @@ def matching(name: str | None) -> dict[str, cl.Device]:
     """
     devices = named()
     if not devices:
-        raise DeviceError(NO_DEVICE)
+        raise DeviceError(no_device())
     wanted = "" if name is None else _one_line(name).lower()
     for fitting in (
         {n: h for n, h in devices.items() if n.lower() == wanted},

@@ -46,7 +46,7 @@ def test_one_command_builds_the_extension(tmp_path):
         "--wheels",
         tmp_path / "wheels",
         "--platform",
-        "win_amd64",
+        "windows-x64",
     ]
     subprocess.run(command, check=True)
     with zipfile.ZipFile(tmp_path / "x.zip") as archive:

@@ -2,9 +2,11 @@
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import zipfile
+from pathlib import Path
 
 import pytest
 
@@ -54,7 +56,7 @@ def test_the_wheel_has_all_that_the_program_reads(wheel):
 def test_the_wheel_overwrites_nothing_of_others(wheel):
     tops = {name.split("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
     information = f"{DISTRIBUTION.replace('-', '_')}-{VERSION}.dist-info"
-    assert tops == {"stss", "stss_cl", "stss_ref", "stss_judge", "stss_judge.pth", information}
+    assert tops == {"stss", "stss_cl", "stss_ref", "stss_ground", "stss_judge", "stss_judge.pth", information}
 
 
 def test_what_is_installed_finds_its_judge(site):
@@ -84,3 +86,32 @@ def test_the_pages_install_what_is_ours():
     pages = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "stss").rglob("*.py")]
     for page in pages:
         assert not re.search(r"pip install '?stss\b", page.read_text()), page
+
+
+TARGETS = {
+    "x86_64-manylinux_2_28": "",
+    "aarch64-manylinux_2_28": "",
+    "aarch64-apple-darwin": "",
+    "x86_64-apple-darwin": "",
+    "x86_64-pc-windows-msvc": "",
+    "x86_64-unknown-linux-musl": "openimageio",  # it has no wheels for musl
+}
+"""Platform -> the requirement that has no wheel there."""
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_all_that_stss_needs_has_wheels(target):
+    """On every platform but those that lack one, which is named."""
+    uv = shutil.which("uv", path=str(Path(sys.executable).parent)) or shutil.which("uv")
+    if uv is None:
+        pytest.skip("uv is not installed")
+    command = [uv, "pip", "compile", "--quiet", "--only-binary", ":all:", "--python-version", "3.12", "--python-platform", target]
+    done = subprocess.run([*command, "pyproject.toml"], cwd=ROOT, check=False, capture_output=True, text=True, timeout=300)
+    if "Failed to fetch" in done.stderr:
+        pytest.skip("the package index is not reached")
+    if TARGETS[target]:
+        assert done.returncode
+        assert f"{TARGETS[target]}>=" in done.stderr
+    else:
+        assert not done.returncode, done.stderr
+        assert ("pocl-binary-distribution" in done.stdout) == (target == "x86_64-manylinux_2_28")
