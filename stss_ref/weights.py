@@ -81,6 +81,8 @@ class Layer:
 
     Attributes:
         name: module path in the authors' checkpoint, without ``.weight`` and ``.bias``.
+        reads: what it reads, side by side in this order: layers, and ``SOURCES``. What has half the size is upsampled first; of what ran
+            for each of the three colour frames, a layer that runs once reads all three.
         inputs: channels in.
         outputs: channels out, without the gate's one.
         component: the layer's row in the paper's cost table.
@@ -88,10 +90,12 @@ class Layer:
         kernel: side of the window, in pixels of the input grid.
         stride: step of the window, in pixels of the input grid.
         gated: whether the output is multiplied by the sigmoid of a second convolution, to one channel (spec 7, ``G``).
+        relu: whether a ReLU follows.
         repeats: how often it runs for one frame: the history's layers run for each of the three colour frames.
     """
 
     name: str
+    reads: tuple[str, ...]
     inputs: int
     outputs: int
     component: Component
@@ -99,7 +103,15 @@ class Layer:
     kernel: int = 3
     stride: int = 1
     gated: bool = False
+    relu: bool = True
     repeats: int = 1
+
+    @property
+    def stage(self) -> str:
+        """The stage that it belongs to."""
+        if self.component != "backbone":
+            return self.component
+        return "decoder" if self.name.startswith(("up", "outc")) else "encoder"
 
     def tensors(self) -> Iterator[tuple[str, tuple[int, ...]]]:
         """Name and shape of each of its arrays, in the checkpoint's order."""
@@ -122,59 +134,65 @@ class Layer:
         return self.repeats * pixels * outputs * self.inputs * self.kernel**2
 
 
-def _gated(name: str, inputs: int, outputs: int, component: Component, divisor: int, *, stride: int = 1) -> Layer:
-    return Layer(name, inputs, outputs, component, divisor, stride=stride, gated=True)
+SOURCES = {"input": 21, "gbuffer": 9, "history": 4, "reshaded": 64}
+"""What layers read besides each other, with its channels: the frame's colours and G-buffer (spec 7), the G-buffer at an eighth, a colour
+frame of the history, and the attention's result, of ``ATTENTION``."""
+ATTENTION = ("latentEncoder.4", "KEncoder.4")
+"""The layers that the attention reads, besides the mask."""
 
 
-def _down(name: str, inputs: int, outputs: int, divisor: int) -> tuple[Layer, ...]:
+def _down(name: str, read: str, inputs: int, outputs: int, divisor: int) -> tuple[Layer, ...]:
+    strided, first = f"{name}.downsample", f"{name}.conv1"
     return (
-        _gated(f"{name}.downsample", inputs, inputs, "backbone", divisor, stride=2),
-        _gated(f"{name}.conv1", inputs, outputs, "backbone", divisor),
-        _gated(f"{name}.conv2", outputs, outputs, "backbone", divisor),
+        Layer(strided, (read,), inputs, inputs, "backbone", divisor, stride=2, gated=True, relu=False),
+        Layer(first, (strided,), inputs, outputs, "backbone", divisor, gated=True),
+        Layer(f"{name}.conv2", (first,), outputs, outputs, "backbone", divisor, gated=True),
     )
 
 
-def _up(name: str, inputs: int, middle: int, outputs: int, divisor: int) -> tuple[Layer, ...]:
+def _up(name: str, reads: tuple[str, ...], inputs: int, middle: int, outputs: int, divisor: int) -> tuple[Layer, ...]:
+    first = f"{name}.conv.double_conv.0"
     return (
-        Layer(f"{name}.conv.double_conv.0", inputs, middle, "backbone", divisor),
-        Layer(f"{name}.conv.double_conv.2", middle, outputs, "backbone", divisor),
+        Layer(first, reads, inputs, middle, "backbone", divisor),
+        Layer(f"{name}.conv.double_conv.2", (first,), middle, outputs, "backbone", divisor),
     )
 
 
-def _history(name: str, inputs: int, outputs: int, divisor: int) -> tuple[Layer, ...]:
+def _history(name: str, read: str, inputs: int, outputs: int, divisor: int) -> tuple[Layer, ...]:
     return (
-        Layer(f"{name}.0", inputs, outputs, "history", divisor, stride=2, repeats=3),
-        Layer(f"{name}.2", outputs, outputs, "history", divisor, repeats=3),
-        Layer(f"{name}.4", outputs, outputs, "history", divisor, repeats=3),
+        Layer(f"{name}.0", (read,), inputs, outputs, "history", divisor, stride=2, repeats=3),
+        Layer(f"{name}.2", (f"{name}.0",), outputs, outputs, "history", divisor, repeats=3),
+        Layer(f"{name}.4", (f"{name}.2",), outputs, outputs, "history", divisor, repeats=3),
     )
 
 
-def _encoder(name: str, inputs: int, outputs: int) -> tuple[Layer, ...]:
+def _encoder(name: str, reads: tuple[str, ...], inputs: int, outputs: int) -> tuple[Layer, ...]:
     return (
-        Layer(f"{name}.0", inputs, outputs, "erm", 8),
-        Layer(f"{name}.2", outputs, outputs, "erm", 8),
-        Layer(f"{name}.4", outputs, outputs, "erm", 8),
+        Layer(f"{name}.0", reads, inputs, outputs, "erm", 8),
+        Layer(f"{name}.2", (f"{name}.0",), outputs, outputs, "erm", 8),
+        Layer(f"{name}.4", (f"{name}.2",), outputs, outputs, "erm", 8, relu=False),
     )
 
 
 LAYERS: tuple[Layer, ...] = (
-    _gated("conv1", 21, 24, "backbone", 1),
-    _gated("conv2", 24, 24, "backbone", 1),
-    *_down("down1", 24, 24, 2),
-    *_down("down2", 24, 32, 4),
-    *_down("down3", 32, 32, 8),
-    *_history("convHis1", 4, 24, 2),
-    *_history("convHis2", 24, 32, 4),
-    *_history("convHis3", 32, 32, 8),
-    _gated("lowlevelGated", 96, 32, "history", 8),
-    *_encoder("latentEncoder", 41, 64),
-    *_encoder("KEncoder", 9, 32),
-    *_up("up1", 128, 64, 32, 4),
-    *_up("up2", 56, 28, 24, 2),
-    *_up("up3", 48, 24, 24, 1),
-    Layer("outc", 24, 12, "backbone", 1, kernel=1),
+    Layer("conv1", ("input",), 21, 24, "backbone", 1, gated=True),
+    Layer("conv2", ("conv1",), 24, 24, "backbone", 1, gated=True),
+    *_down("down1", "conv2", 24, 24, 2),
+    *_down("down2", "down1.conv2", 24, 32, 4),
+    *_down("down3", "down2.conv2", 32, 32, 8),
+    *_history("convHis1", "history", 4, 24, 2),
+    *_history("convHis2", "convHis1.4", 24, 32, 4),
+    *_history("convHis3", "convHis2.4", 32, 32, 8),
+    Layer("lowlevelGated", ("convHis3.4",), 96, 32, "history", 8, gated=True, relu=False),
+    *_encoder("latentEncoder", ("down3.conv2", "gbuffer"), 41, 64),
+    *_encoder("KEncoder", ("gbuffer",), 9, 32),
+    *_up("up1", ("down2.conv2", "reshaded", "lowlevelGated"), 128, 64, 32, 4),
+    *_up("up2", ("down1.conv2", "up1.conv.double_conv.2"), 56, 28, 24, 2),
+    *_up("up3", ("conv2", "up2.conv.double_conv.2"), 48, 24, 24, 1),
+    Layer("outc", ("up3.conv.double_conv.2",), 24, 12, "backbone", 1, kernel=1, relu=False),
 )
 """Every convolution, in the order of computation."""
+BY_NAME = {layer.name: layer for layer in LAYERS}
 
 TENSORS: dict[str, tuple[int, ...]] = {name: shape for layer in LAYERS for name, shape in layer.tensors()}
 """Shape of each of the 92 arrays."""
@@ -249,9 +267,40 @@ def zeros() -> Weights:
     return {name: _frozen(np.zeros(shape, np.float32)) for name, shape in TENSORS.items()}
 
 
+Use = Literal["frame", "once", "never"]
+"""When a layer must run: for each frame; once, since no frame changes its result; never, since nothing that runs reads it."""
+
+
+def uses(weights: Weights) -> dict[str, Use]:
+    """When each layer of `LAYERS` must run with these weights for the image to be exact: kernels that are exactly 0 read nothing."""
+    reads = {layer.name: _live_reads(layer, weights) for layer in LAYERS}
+    varies = dict.fromkeys(SOURCES, True)
+    for name, names in reads.items():
+        varies[name] = any(varies[read] for read in names)
+    needed = {LAYERS[-1].name}
+    for name, names in reversed(reads.items()):
+        needed |= set(names) if name in needed else set()
+        needed |= set(ATTENTION) if "reshaded" in needed else set()
+    return {name: "never" if name not in needed else "frame" if varies[name] else "once" for name in reads}
+
+
+def _live_reads(layer: Layer, weights: Weights) -> list[str]:
+    """What a layer reads whose kernels are not all 0, the gate's included."""
+    kernels = [weights[name] for name, shape in layer.tensors() if len(shape) == 4]
+    live: list[str] = []
+    first = 0
+    for read in layer.reads:
+        source = BY_NAME.get(read)
+        channels = SOURCES[read] if source is None else source.outputs * (source.repeats // layer.repeats)
+        if any(np.any(kernel[:, first : first + channels]) for kernel in kernels):
+            live.append(read)
+        first += channels
+    return live
+
+
 def reads_history(weights: Weights) -> bool:
-    """Whether the image depends on the history: not if both kernels of the history's last layer, feature and gate, are 0 (spec 7)."""
-    return any(np.any(weights[f"lowlevelGated.{name}.weight"]) for name in ("conv_feature", "conv_mask.0"))
+    """Whether the image depends on the history: not if kernels on every way from it are exactly 0, such as those of its last layer."""
+    return uses(weights)["convHis1.0"] == "frame"
 
 
 def colors_read(weights: Weights) -> int:

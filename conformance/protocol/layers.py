@@ -13,18 +13,12 @@ from conformance.protocol.port import Arrays, Outputs
 from conformance.protocol.stages import check_inputs, reference
 from stss_ref.arrays import ArrayError
 from stss_ref.watch import Seen, watched
-from stss_ref.weights import LAYERS, Layer, Weights
+from stss_ref.weights import LAYERS, SOURCES, Layer, Weights
 
 _GIVEN = {"color": "H W 6", "mask": "H W", "history": "3 H W 4"}
 """What stage ``frame`` makes for the network; not yet padded."""
 PADDED = ("network", "frame")
 """Stages that take frames of any size, and pad them to multiples of 8 inside."""
-
-
-def _stage_of(layer: Layer) -> str:
-    if layer.component != "backbone":
-        return layer.component
-    return "decoder" if layer.name.startswith(("up", "outc")) else "encoder"
 
 
 def _spec(layer: Layer) -> ArraySpec:
@@ -33,12 +27,12 @@ def _spec(layer: Layer) -> ArraySpec:
 
 
 def _specs(stages: Sequence[str]) -> dict[str, ArraySpec]:
-    return {layer.name: _spec(layer) for layer in LAYERS if _stage_of(layer) in stages}
+    return {layer.name: _spec(layer) for layer in LAYERS if layer.stage in stages}
 
 
 _WHOLE = {
     **_specs(("encoder", "history", "erm")),
-    "reshaded": array_spec("H/8 W/8 64"),
+    "reshaded": array_spec(f"H/8 W/8 {SOURCES['reshaded']}"),
     **_specs(("decoder",)),
 }
 LAYERS_OF: Mapping[str, Mapping[str, ArraySpec]] = {

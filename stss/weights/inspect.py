@@ -11,16 +11,17 @@ from rich.console import Console
 from rich.table import Table
 
 from stss_ground.errors import InputError
-from stss_ref.weights import LAYERS, Layer, SecondColor, Weights, reads_history, second_color
+from stss_ref.weights import LAYERS, Layer, SecondColor, Use, Weights, second_color, uses
 
 
 @dataclass(frozen=True)
 class LayerRow:
-    """One layer of the table: its multiply-adds for a frame, and its largest weight or bias."""
+    """One layer of the table: its multiply-adds for a frame, its largest weight or bias, and when it runs."""
 
     layer: Layer
     multiply_adds: int
     largest: float
+    use: Use
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,6 @@ class Inspection:
     width: int
     layers: tuple[LayerRow, ...]
     components: tuple[ComponentRow, ...]
-    reads_history: bool
     second_color: SecondColor
 
 
@@ -48,11 +48,13 @@ def inspect(weights: Weights, height: int, width: int) -> Inspection:
     """Inspect ``weights`` and count the network's cost for frames of (height, width); InputError below 1 x 1."""
     if height < 1 or width < 1:
         raise InputError(f"size {width}x{height}: expected at least 1x1")
+    runs = uses(weights)
     rows = tuple(
         LayerRow(
             layer,
             layer.multiply_adds(height, width),
             max(float(np.abs(weights[name]).max()) for name, _ in layer.tensors()),
+            runs[layer.name],
         )
         for layer in LAYERS
     )
@@ -61,7 +63,6 @@ def inspect(weights: Weights, height: int, width: int) -> Inspection:
         -(-width // 8) * 8,
         rows,
         component_costs(height, width),
-        reads_history(weights),
         second_color(weights),
     )
 
@@ -120,8 +121,12 @@ def print_inspection(inspection: Inspection, console: Console) -> None:
     for part in inspection.components:
         components.add_row(part.name, f"{part.parameters / 1e3:.2f}", f"{part.multiply_adds / 1e9:.2f}")
     console.print(layers, components)
-    if not inspection.reads_history:
-        console.print("history: not read; its last kernels are 0, so it is left out")
+    for use, what in (
+        ("never", "left out, since only kernels of 0 read them"),
+        ("once", "run once, since all their kernels that read a frame are 0"),
+    ):
+        if names := [row.layer.name for row in inspection.layers if row.use == use]:
+            console.print(f"{what}: {', '.join(names)}")
     what = "the frame before, where it is valid" if inspection.second_color == "earlier" else "the newest frame"
     console.print(f"second colour: {inspection.second_color}, {what}")
 

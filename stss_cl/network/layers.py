@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import pyopencl as cl
@@ -19,12 +19,12 @@ from stss_cl.network.layer import LayerLaunch
 from stss_cl.network.layer_builder import LayerBuilder, dtype_of
 from stss_cl.network.pack_inputs import PackInputs
 from stss_cl.network.pack_weights import pack_outc
-from stss_cl.network.strips import OVERLAP, Strip, bytes_for, rows_within, strips, together_bytes
+from stss_cl.network.plan import LAST, Attend, Conv, Plan, Upsample, plan
+from stss_cl.network.strips import OVERLAP, Strip, bytes_for, rows_within, strips
 from stss_cl.network.tiles import Tiling, of_convolution, whole
 from stss_ref.arrays import Array
-from stss_ref.weights import SecondColor, Weights, colors_read, reads_history, second_color
+from stss_ref.weights import BY_NAME, SecondColor, Weights, colors_read, reads_history, second_color, uses
 
-GBUFFER, MASK = 9, 1
 See = Callable[[LayerLaunch, tuple[Padded, int, int] | None], None]
 WINDOW = 5
 """Side of the attention's window, in pixels at 1/8 size."""
@@ -43,17 +43,18 @@ class Layers:
         width: likewise.
         precision: see ``stss_cl.network.network.PRECISIONS``.
         memory_limit: bytes that the buffers may take; None = half of the device's memory.
-        residual: False: leave out all layers but the last, whose weights are 0.
-        keep: every layer keeps its output, with a change map, so that fewer tiles may be run (``stss_cl.skip.partial_network``), and
-            what does not depend on the frame is computed once; without effect where the frame goes in strips.
+        keep: every layer keeps its output, with a change map, so that fewer tiles may be run (``stss_cl.skip.partial_network``);
+            without effect where the frame goes in strips.
 
     Attributes:
-        launches: in order; the last one writes the image.
+        launches: in order, without the layers that these weights need not run (``stss_ref.weights.uses``); the last one writes the
+            image.
+        once: those whose result no frame changes; they have run.
         inputs: the inputs of the first launches.
         features: the stages' outputs, by the names of ``stss_ref``.
         strips: the strips in which the frame goes.
         keep: whether every layer's output is kept.
-        reads_history: whether the launches read the history; those that do are left out with weights that do not.
+        reads_history: whether the launches read the history.
         colors_read, second_color: of the weights, see ``stss_ref.weights``.
         marked: if all is kept, the output of each layer, with its change map.
         maps: those change maps.
@@ -70,7 +71,6 @@ class Layers:
         width: int,
         precision: str,
         memory_limit: int | None = None,
-        residual: bool = True,
         keep: bool = False,
     ):
         full, columns, dtype = ceil8(height), ceil8(width), dtype_of(precision)
@@ -79,31 +79,33 @@ class Layers:
         overlap = OVERLAP[winograd]
         rows = rows_within(full, columns, dtype, limit, overlap)
         keep = keep and bytes_for(full, full, columns, dtype, keep=True) <= limit
+        local = tuning_for(device).local is not None and not device.is_cpu
+        planned = partial(plan, uses(weights), keep=keep, fused=winograd, local=local)
+        # The three images of the history in one launch, where that is known and their buffers have room.
+        what = planned(together=local and not winograd and precision != "float32-direct")
+        if bytes_for(rows, full, columns, dtype, keep=keep, what=what) > limit:
+            what = planned(together=False)
         self.device, self.size, self.keep = device, (height, width), keep
         self.reads_history, self.colors_read = reads_history(weights), colors_read(weights)
         self.second_color: SecondColor = second_color(weights)
-        self._weights, self._height, self._width = weights, rows, columns
-        self._fused = winograd
-        self._local = tuning_for(device).local is not None and not device.is_cpu
-        # The three images of the history in one launch, where that is known and their buffers have room.
-        needed = bytes_for(rows, full, columns, dtype, keep=keep) + (0 if keep else together_bytes(rows, columns, dtype))
-        self._together = self._local and not winograd and precision != "float32-direct" and needed <= limit
-        self._build = LayerBuilder(device, weights, precision, rows, columns, keep)
-        self.launches, self.marked, self.maps = self._build.launches, self._build.marked, self._build.maps
+        self._weights, self._height, self._width, self._full, self._top = weights, rows, columns, full, 0
+        self.inputs = inputs_for(device, rows, columns, dtype, keep)
+        self._build = build = LayerBuilder(device, weights, precision, rows, columns, what.slots, self.inputs, keep)
+        self.marked, self.maps = build.marked, build.maps
+        self.features = {name: build[slot] for name, slot in what.features.items()}
         self.strips = strips(full, height, rows, overlap)
-        self._full, self._top = full, 0
         # Those that must know where a strip lies, with the divisor of their size.
         self._placed: list[tuple[LayerLaunch, int]] = []
-        self.inputs = inputs_for(device, rows, columns, dtype, self.keep)
-        self._build.share("two", 1, self.inputs.input)  # done with after the first layer
-        self.features: dict[str, Padded] = {}
-        if residual:
-            self._encoder()
-            self._history()
-            self._erm()
-            self._decoder()
-        else:
-            self._image(self.inputs.input)
+        for step in (*what.once, *what.steps):
+            if isinstance(step, Conv):
+                build.conv(step)
+            elif isinstance(step, Upsample):
+                self._upsample(step)
+            else:
+                self._attend(step)
+        self._image(what)
+        self.once, self.launches = build.launches[: len(what.once)], build.launches[len(what.once) :]
+        enqueue(device, self.once)
 
     def ready(self, image: cl.Buffer) -> list[LayerLaunch]:
         """The launches in order; the last one writes ``image`` (2H, 2W, 3) float32."""
@@ -170,7 +172,7 @@ class Layers:
         if stage == "decoder":
             write(self.device, self.features["reshaded"], np.concatenate([inputs["reshaded"], inputs["feature"]], axis=-1))
         image = Outgoing(self.device, (2 * height, 2 * width, 3), on_device=False)
-        for launch, result in zip(self.ready(image.data), self._build.results, strict=True):
+        for launch, result in zip((*self.once, *self.ready(image.data)), self._build.results, strict=True):
             if stage in (launch.stage, "network"):
                 launch.enqueue(self.device.queue)
                 if see is not None:
@@ -185,110 +187,50 @@ class Layers:
         image.finish()
         return {name: read(self.device, self.features[key], first, n) for name, (key, first, n) in outputs[stage].items()}
 
-    def _encoder(self) -> None:
-        x = self._build.conv("encoder", "conv1", self.inputs.input, self._build.scratch("one", 1, 24), channels=(21,))
-        x = self.features["x1"] = self._build.conv("encoder", "conv2", x, self._build.padded(1, 24))
-        for i, (channels, divisor) in enumerate(((24, 2), (32, 4), (32, 8)), start=1):
-            name = f"down{i}"
-            x = self._build.conv(
-                "encoder", f"{name}.downsample", x, self._build.scratch("one", divisor, x.channels), stride=2, relu=False
-            )
-            x = self._build.conv("encoder", f"{name}.conv1", x, self._build.scratch("two", divisor, channels))
-            x = self._build.conv("encoder", f"{name}.conv2", x, self._build.padded(divisor, channels))
-            self.features[f"x{i + 1}"] = x
-
-    def _history(self) -> None:
-        joined = self._build.padded(8, 96)
-        self.features["reshaded"] = self._build.padded(8, 96)
-        images = 3 if (together := self._together) else 1
-        for image in ((None,) if together else range(3)) if self.reads_history else ():
-            x = self.inputs.earlier
-            for name, channels, divisor in (("convHis1", 24, 2), ("convHis2", 32, 4), ("convHis3", 32, 8)):
-                one = self._build.scratch("one", divisor, channels, images)
-                two = self._build.scratch("two", divisor, channels, images)
-                which = None if together else 0
-                x = self._build.conv("history", f"{name}.0", x, one, stride=2, image=image if divisor == 2 else which)
-                x = self._build.conv("history", f"{name}.2", x, two, image=which)
-                last = divisor == 8
-                out = joined if last else self._build.scratch("one", divisor, channels, images)
-                x = self._build.conv("history", f"{name}.4", x, out, out_first=32 * (image or 0) if last else 0, image=which)
-        self._build.conv("history", "lowlevelGated", joined, self.features["reshaded"], relu=False, out_first=64)
-
-    def _erm(self) -> None:
-        options: dict[str, object] = {"KEYS": 32, "VALUES": 64}
-        out, eighth = self.features["reshaded"], self.inputs.eighth
-        light = self._build.conv(
-            "erm", "latentEncoder.0", self.features["x4"], self._build.scratch("one", 8, 64), b=eighth, channels=(32, GBUFFER)
-        )
-        light = self._build.conv("erm", "latentEncoder.2", light, self._build.scratch("two", 8, 64))
-        light = self._build.conv("erm", "latentEncoder.4", light, self._build.scratch("one", 8, 64), relu=False)
-        key = self._build.conv("erm", "KEncoder.0", eighth, self._build.scratch("one", 8, 32), channels=(GBUFFER,))
-        key = self._build.conv("erm", "KEncoder.2", key, self._build.scratch("two", 8, 32))
-        key = self._build.conv("erm", "KEncoder.4", key, self._build.scratch("one", 8, 32), relu=False)
-        if self._local:
+    def _attend(self, step: Attend) -> None:
+        key, value, out, eighth = self._build[step.key], self._build[step.value], self._build[step.out], self.inputs.eighth
+        options: dict[str, object] = {"KEYS": key.channels, "VALUES": value.channels}
+        size = {"height": key.height, "width": key.width, "columns": key.columns}
+        window = of_convolution(key.height, key.width, 1, WINDOW)
+        result = {"value": value.data, "eighth": eighth.data, "reshaded": out.data, **size, "out_channels": out.channels}
+        if step.unit is None:
             self._build.kernel(
-                "erm", "attend_local", "attend_local.cl", options,
-                {
-                    "key": key.data, "value": light.data, "eighth": eighth.data, "reshaded": out.data,
-                    "height": key.height, "width": key.width, "columns": light.columns, "out_channels": out.channels,
-                },
-                of_convolution(key.height, key.width, 1, WINDOW), workers=2 * light.channels, reads=(key, light, eighth), out=out,
+                "erm", "attend_local", "attend_local.cl", options, {"key": key.data, **result},
+                window, workers=2 * value.channels, reads=(key, value, eighth), out=out,
             )  # fmt: skip
             return
-        unit = self._build.scratch("two", 8, 32)
+        unit = self._build[step.unit]
         self._build.kernel(
-            "erm", "normalise", "erm.cl", options,
-            {"key": key.data, "unit": unit.data, "height": key.height, "width": key.width, "columns": key.columns},
+            "erm", "normalise", "erm.cl", options, {"key": key.data, "unit": unit.data, **size},
             of_convolution(key.height, key.width, 1, 1), reads=(key,), out=unit,
         )  # fmt: skip
         self._build.kernel(
-            "erm", "attend", "erm.cl", options,
-            {
-                "unit": unit.data, "value": light.data, "eighth": eighth.data, "reshaded": out.data,
-                "height": key.height, "width": key.width, "columns": light.columns, "out_channels": out.channels,
-            },
-            of_convolution(key.height, key.width, 1, WINDOW), reads=(unit, light, eighth), out=out,
+            "erm", "attend", "erm.cl", options, {"unit": unit.data, **result}, window, reads=(unit, value, eighth), out=out
         )  # fmt: skip
 
-    def _decoder(self) -> None:
-        x = self.features["reshaded"]
-        for i, (middle, outputs, divisor) in enumerate(((64, 32, 4), (32, 24, 2), (24, 24, 1)), start=1):
-            up = self._build.scratch("one", divisor, x.channels)
-            # Rows 4 t .. 4 t + 3 of the output read the input's rows 2 t - 1 .. 2 t + 2.
-            tiling = Tiling(ceil_div(up.height, 4), ceil_div(up.width, 4), (2, 2), 1, 0)
-            launch = self._build.kernel(
-                "decoder", "upsample_corners", "resample.cl", {},
-                {
-                    "in": x.data, "out": up.data, "height": x.height, "width": x.width, "in_columns": x.columns,
-                    "out_columns": up.columns, "full_height": self._full // (2 * divisor), "top": 0, "eights": x.channels // 8,
-                },
-                tiling, reads=(x,), out=up,
-            )  # fmt: skip
-            self._placed.append((launch, 2 * divisor))
-            skip = self.features[f"x{4 - i}"]
-            name = f"up{i}.conv.double_conv"
-            x = self._build.conv("decoder", f"{name}.0", skip, self._build.scratch("two", divisor, middle), b=up)
-            if i == 3:
-                self._last(f"{name}.2", x)
-                return
-            x = self._build.conv(
-                "decoder", f"{name}.2", x, self._build.scratch("one", divisor, outputs), channels=(28 if i == 2 else middle,)
-            )
+    def _upsample(self, step: Upsample) -> None:
+        x, up = self._build[step.source], self._build[step.out]
+        # Rows 4 t .. 4 t + 3 of the output read the input's rows 2 t - 1 .. 2 t + 2.
+        tiling = Tiling(ceil_div(up.height, 4), ceil_div(up.width, 4), (2, 2), 1, 0)
+        launch = self._build.kernel(
+            "decoder", "upsample_corners", "resample.cl", {},
+            {
+                "in": x.data, "out": up.data, "height": x.height, "width": x.width, "in_columns": x.columns,
+                "out_columns": up.columns, "full_height": self._full // step.source.divisor, "top": 0, "eights": x.channels // 8,
+            },
+            tiling, reads=(x,), out=up,
+        )  # fmt: skip
+        self._placed.append((launch, step.source.divisor))
 
-    def _last(self, name: str, wide: Padded) -> None:
-        """The last convolution and outc: in one launch where Winograd runs, else in two."""
-        if self._fused:
-            self._build.conv("decoder", name, wide, wide, final=self._final())
-        else:
-            self._image(self._build.conv("decoder", name, wide, self._build.scratch("one", 1, 24)))
-
-    def _final(self) -> Final:
+    def _image(self, what: Plan) -> None:
+        """The image: by the last convolution itself, or of its result; if outc is 0, of any finite activations."""
         weight, bias = (constant(self.device, array) for array in pack_outc(self._weights))
-        return Final(self.inputs.base, weight, bias, self._height, self._width, *self.size, self.inputs.input.changes)
-
-    def _image(self, feature: Padded) -> None:
-        """Append outc and the upsampled frame; if outc is 0, any finite feature will do."""
-        final = self._final()
+        final = Final(self.inputs.base, weight, bias, self._height, self._width, *self.size, self.inputs.input.changes)
+        if what.fused:
+            layer = BY_NAME[LAST]
+            self._build.conv(Conv(layer, ((what.last, layer.inputs),), what.last), final)
+            return
+        feature = self._build[what.last]
         self._build.kernel(
             "decoder", "image", "decoder.cl", {},
             {

@@ -14,7 +14,7 @@ from stss_cl.device.buffers import Outgoing, incoming, on_device
 from stss_cl.device.discovery import Device, open_device
 from stss_cl.network.layers import Layers
 from stss_ref.arrays import Array, require_dtype, require_finite, require_shape
-from stss_ref.weights import Weights, has_residual
+from stss_ref.weights import Weights
 
 Precision = Literal["float32", "float32-direct", "half"]
 PRECISIONS: tuple[Precision, ...] = ("float32", "float32-direct", "half")
@@ -43,8 +43,6 @@ class Network:
         self.device = open_device() if device is None else device
         self.precision: Precision = precision
         self._weights, self._memory_limit = weights, memory_limit
-        # With a last layer of zeros the network adds exactly 0 to the upsampled frame, whatever its other layers compute.
-        self.residual = has_residual(weights)
         self._layers: Layers | None = None
 
     def __call__(self, color: Given, gbuffer: Given, mask: Given, history: Given) -> Any:
@@ -84,7 +82,7 @@ class Network:
         """Buffers and launches for one size, from the last call if it was of that size."""
         if self._layers is None or self._layers.size != (height, width):
             self._layers = None  # frees the old buffers before new ones are made
-            self._layers = Layers(self.device, self._weights, height, width, self.precision, self._memory_limit, self.residual)
+            self._layers = Layers(self.device, self._weights, height, width, self.precision, self._memory_limit)
         return self._layers
 
     def timings(self) -> dict[str, float]:

@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import DTypeLike
 
 from stss_cl.device.buffers import padded_bytes
 from stss_cl.device.parts import whole_pages
+from stss_cl.network.plan import Plan, plan
 from stss_ground.errors import DeviceError
 
 OVERLAP = {False: 128, True: 256}
@@ -22,10 +24,6 @@ convolution of stride 1 counts 4 times, at an eighth of the size twice: 230.
 STEP = 32
 """Strips begin at multiples of this: Winograd's tiles of 4 pixels at 1/8 size then lie as in the whole frame."""
 
-SHARED = {1: (12, *3 * [24]), 2: (*3 * [24], 32, 32), 4: (24, *3 * [32], 64, 96), 8: (16, *3 * [32], 64, 64, 96, 96)}
-"""Channels of each buffer of activations by the divisor of its size (``stss_cl/network/layers.py``); 12 is three of 4."""
-KEPT = {1: (24, 24), 2: 10 * (24,), 4: 9 * (32,), 8: (*10 * [32], 64)}
-"""Further buffers if each layer keeps its output; without Winograd the decoder stores one more of 24 channels at full size."""
 MAP = 1 / 16
 """Bytes of a change map for each pixel: one for 4 x 4."""
 BASE, IMAGE, PREPARE = 16, 48, 3 * 8 + 2 * 4 + 1
@@ -43,7 +41,7 @@ class Strip:
     last: int
 
 
-def bytes_for(rows: int, height: int, width: int, dtype: DTypeLike, *, keep: bool = False) -> int:
+def bytes_for(rows: int, height: int, width: int, dtype: DTypeLike, *, keep: bool = False, what: Plan | None = None) -> int:
     """Bytes that a network and its frames take on a device, without the caller's display frames.
 
     Args:
@@ -51,22 +49,19 @@ def bytes_for(rows: int, height: int, width: int, dtype: DTypeLike, *, keep: boo
         height, width: of the frame, multiples of 8.
         dtype: of the activations.
         keep: whether each layer keeps its output, with a change map.
+        what: what runs; None: the plan that takes most.
     """
     total = rows * width * BASE + height * width * (IMAGE + PREPARE) + WEIGHTS
-    for divisor, shared in SHARED.items():
-        channels = (*shared, *KEPT[divisor], *([24] if divisor == 1 else [])) if keep else shared
-        high, wide = rows // divisor, width // divisor
-        total += sum(whole_pages(padded_bytes(high, wide, count, np.dtype(dtype))) for count in channels)
-        total += int(keep * len(channels) * high * wide * MAP)
+    for slot in (what or _largest(keep)).slots:
+        size = rows // slot.divisor, width // slot.divisor, slot.channels
+        total += whole_pages(padded_bytes(*size, np.dtype(dtype), slot.images))
+        total += int(keep * slot.images * size[0] * size[1] * MAP)
     return total
 
 
-def together_bytes(rows: int, width: int, dtype: DTypeLike) -> int:
-    """What the history's buffers take besides, for (rows, width), where its three images are computed together and not all is kept."""
-    return sum(
-        2 * whole_pages(padded_bytes(rows // divisor, width // divisor, channels, np.dtype(dtype), 3))
-        for divisor, channels in ((2, 24), (4, 32), (8, 32))
-    )
+@cache
+def _largest(keep: bool) -> Plan:
+    return plan(keep=keep, fused=False, local=False, together=False)
 
 
 def rows_within(height: int, width: int, dtype: DTypeLike, limit: int, overlap: int) -> int:

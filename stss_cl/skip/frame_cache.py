@@ -64,7 +64,6 @@ class FrameCache:
         self._device = device
         height, width = layers.size
         self.image = LastImage(device, (2 * height, 2 * width, 3))
-        self.network.begin()
 
     def read(self, steps: tuple[int, int, int]) -> tuple[int, ...]:
         """The steps whose colour frames these weights read."""

@@ -10,8 +10,6 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from stss_cl.device.launch import enqueue
-from stss_cl.network.layer import LayerLaunch
 from stss_cl.network.layers import Layers
 from stss_cl.network.tiles import finder
 from stss_cl.skip.changed_tiles import ChangedTiles
@@ -24,18 +22,10 @@ class PartialNetwork:
         self.layers = layers
         self._changed: ChangedTiles | None = None
         self._builder: Thread | None = None
-        # With weights that do not read the history, the output of its branch is constant.
-        constant = layers.keep and not layers.reads_history
-        self._constant = frozenset(i for i, layer in enumerate(layers.launches) if constant and layer.stage == "history")
-
-    def begin(self) -> None:
-        """Enqueue, before the first ``run``, the layers whose outputs are constant."""
-        enqueue(self.layers.device, (layer for i, layer in enumerate(self.layers.launches) if i in self._constant))
 
     def run(self, image: cl.Buffer) -> None:
         """Enqueue the whole network; ``image`` is complete when the queue is empty."""
-        launches = self.layers.ready(image)
-        enqueue(self.layers.device, (launch for i, launch in enumerate(launches) if i not in self._constant))
+        self.layers.run(image)
 
     def run_changed(self, image: cl.Buffer) -> None:
         """Enqueue the tiles that the marks in the change maps of ``inputs`` reach; the rest of ``image``, the last one made, stays.
@@ -61,18 +51,15 @@ class PartialNetwork:
     def changed_tiles(self) -> ChangedTiles:
         """The layers of ``run_changed``; made once."""
         if self._changed is None:
-            self._changed = ChangedTiles(self.layers.device, self._layers(), self.layers.maps)
+            self._changed = ChangedTiles(self.layers.device, self.layers.launches, self.layers.maps)
         return self._changed
 
     def _build_behind(self) -> None:
         # Only programs: PyOpenCL generates code for each kernel object, and warns if two threads do so at once.
         with suppress(Exception):  # ``run_changed`` meets the same error and reports it
             finder(self.layers.device)
-            for layer in self._layers():
+            for layer in self.layers.launches:
                 layer.program(self.layers.device)
-
-    def _layers(self) -> list[LayerLaunch]:
-        return [layer for i, layer in enumerate(self.layers.launches) if i not in self._constant]
 
     def activity(self) -> NDArray[np.float32]:
         """The share of the stored activations that the last ``run_changed`` changed, for each 4 x 4 pixels of the largest ones.

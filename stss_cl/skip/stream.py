@@ -258,9 +258,7 @@ class Stream:
             if not self._can_keep(size):
                 self._skip = "off"
                 return None
-            layers = Layers(
-                self.device, self._weights, *size, self.precision, self._memory, self._whole.network.residual, keep=True
-            )
+            layers = Layers(self.device, self._weights, *size, self.precision, self._memory, keep=True)
             self._caches[extrapolates] = FrameCache(self.device, layers, self._gather)
         return self._caches[extrapolates]
 

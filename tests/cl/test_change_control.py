@@ -9,9 +9,7 @@ import pytest
 from conformance.scenes import SCENES
 from stss.frames.supersample import plan
 from stss.sequence.scenes import display_frames
-from stss_cl.network.layers import Layers
 from stss_cl.skip.change_control import RULES, ChangeControl
-from stss_cl.skip.partial_network import PartialNetwork
 from stss_cl.skip.stream import Stream
 from tests.cl.test_stream import UNREAD, WEIGHTS, assert_same, first_frame, next_frame
 
@@ -93,10 +91,3 @@ def test_changes_are_looked_for_again_after_a_rest():
         looks += "l" if control.begin() else "-"
         control.learn("changed" if i == 107 else "whole")
     assert looks == read("8l 47- 4l 47- ll 8l 4-")
-
-
-def test_weights_that_do_not_read_the_history(device):
-    """What they make of it is computed once."""
-    read, unread = (PartialNetwork(Layers(device, weights, 24, 40, "float32", keep=True)) for weights in (WEIGHTS, UNREAD))
-    assert not read._constant
-    assert {unread.layers.launches[i].name for i in unread._constant} == {"lowlevelGated"}

@@ -53,11 +53,10 @@ def tiles(before, after):
 class Sequence:
     """Frame after frame on one set of buffers."""
 
-    def __init__(self, device, size, precision="float32", weights=None, **options):
+    def __init__(self, device, size, precision="float32", weights=None):
         self.device, self.size, self.precision = device, size, precision
         self.weights = random_weights(5) if weights is None else weights
-        self.options = options
-        self.layers = Layers(device, self.weights, *size, precision, keep=True, **options)
+        self.layers = Layers(device, self.weights, *size, precision, keep=True)
         assert self.layers.keep
         self.network = PartialNetwork(self.layers)
         self.given = self.layers.inputs.input, self.layers.inputs.earlier, self.layers.inputs.eighth
@@ -116,7 +115,7 @@ class Sequence:
 
     @cached_property
     def plain(self):
-        made = Layers(self.device, self.weights, *self.size, self.precision, **self.options)
+        made = Layers(self.device, self.weights, *self.size, self.precision)
         assert not made.keep
         return made
 
@@ -322,7 +321,7 @@ def test_the_attention_sees_keys_that_changed_alone(device, left, seed):
 @few
 @given(size=sizes(40), changes=CHANGES, place=st.tuples(st.integers(0, 39), st.integers(0, 39)))
 def test_without_a_residual(device, precision, size, changes, place):
-    sequence = Sequence(device, size, precision, zeros(), residual=False)
+    sequence = Sequence(device, size, precision, zeros())
     inputs = first = noise(np.random.default_rng(0), size)
     sequence.first(inputs)
     for kind, seed in changes:

@@ -24,7 +24,7 @@ from stss_ref.erm import erm
 from stss_ref.history import history_embedding
 from stss_ref.network import network
 from stss_ref.resample import upsample_centres
-from stss_ref.weights import astype, zeros
+from stss_ref.weights import astype, uses, zeros
 from stss_ref.weights import random as random_weights
 
 _rows = built_in_rows(BUILT_IN)
@@ -324,20 +324,43 @@ def test_every_stage_is_the_references(device, eighths, seed):
             assert ratio("stage.cl", made[name], image if name == "image" else small[name], 1.0) <= 1, (stage, name)
 
 
+def without(weights, *layers):
+    """The same with kernels of 0 in these layers."""
+    return {n: w * (not n.startswith(layers) or w.ndim < 4) for n, w in weights.items()}
+
+
 @pytest.mark.parametrize("keep", [False, True])
-def test_layers_that_read_a_history_nobody_asks_for_are_left_out(device, keep):
+def test_layers_that_nobody_reads_are_left_out(device, keep):
+    """And what no frame changes is computed once."""
     weights = random_weights(3)
-    empty = {n: np.zeros_like(w) for n, w in weights.items() if n.startswith("lowlevelGated.") and n.endswith(".weight")}
     # On GPUs the three images of a layer go in one launch.
-    for tensors_of, want in ((weights, 28 if device.is_cpu else 10), ({**weights, **empty}, 1)):
+    history = 27 if device.is_cpu else 9
+    for tensors_of, left_out, once in (
+        (weights, 0, 0),
+        (without(weights, "lowlevelGated"), history + 1, 1),
+        (without(weights, "lowlevelGated", "down3.conv2"), history + 1 + 3, 2),
+    ):
         layers = Layers(device, tensors_of, 16, 24, "float32", keep=keep)
-        assert sum(launch.stage == "history" for launch in layers.launches) == want
-        assert layers.reads_history == (want > 1)
+        assert len(layers.launches) == len(Layers(device, weights, 16, 24, "float32", keep=keep).launches) - left_out
+        assert len(layers.once) == once
+        assert layers.reads_history == (tensors_of is weights)
+
+
+@pytest.mark.parametrize(
+    "layers",
+    [("lowlevelGated",), ("up2.conv.double_conv.0", "conv1"), ("up1.conv.double_conv.0",), ("down3.conv2", "KEncoder.4")],
+)
+def test_what_is_left_out_changes_no_bit(processor, layers, monkeypatch):
+    weights = without(random_weights(3), *layers)
+    inputs = network_inputs((16, 24), 3)
+    made = Network(weights, processor)(*inputs)
+    assert set(uses(weights).values()) != {"frame"}
+    monkeypatch.setattr("stss_cl.network.layers.uses", lambda _: None)
+    np.testing.assert_array_equal(made, Network(weights, processor)(*inputs))
 
 
 def test_weights_that_read_no_history_have_the_references_image(device):
-    weights = random_weights(3)
-    weights |= {n: np.zeros_like(w) for n, w in weights.items() if n.startswith("lowlevelGated.") and n.endswith(".weight")}
+    weights = without(random_weights(3), "lowlevelGated")
     random = np.random.default_rng(3)
     shapes = {"color": (16, 24, 6), "gbuffer": (16, 24, 9), "mask": (16, 24), "history": (3, 16, 24, 4)}
     inputs = {n: random.random(shape, np.float32) for n, shape in shapes.items()}

@@ -12,7 +12,9 @@ import pytest
 
 from stss_ref.history import history_embedding
 from stss_ref.weights import (
+    BY_NAME,
     LAYERS,
+    SOURCES,
     TENSORS,
     Tensors,
     Weights,
@@ -24,6 +26,7 @@ from stss_ref.weights import (
     random,
     reads_history,
     second_color,
+    uses,
     zeros,
 )
 
@@ -180,6 +183,28 @@ def test_weights_read_the_history_if_a_kernel_of_its_last_layer_is_not_zero(left
     rng = np.random.default_rng(0)
     first, second = (history_embedding(rng.random((3, 16, 16, 4), np.float32), made) for _ in range(2))
     assert np.array_equal(first, second) == (not left)
+
+
+def test_the_table_says_what_each_layer_reads():
+    for layer in LAYERS:
+        found = [SOURCES[n] if n in SOURCES else BY_NAME[n].outputs * (BY_NAME[n].repeats // layer.repeats) for n in layer.reads]
+        assert sum(found) == layer.inputs, layer.name
+
+
+def test_when_layers_run():
+    """Kernels of 0 read nothing: what only they read never runs, and what they make of it is the same for each frame."""
+    weights = random(2)
+    assert set(uses(weights).values()) == {"frame"}
+    for empty, never, once in (
+        ({"outc"}, {layer.name for layer in LAYERS[:-1]}, {"outc"}),
+        ({"KEncoder.0"}, set(), {f"KEncoder.{i}" for i in (0, 2, 4)}),
+        ({"up1.conv.double_conv.0"}, {n for n in BY_NAME if n.startswith(("convHis", "low", "latent", "KEn", "down3"))}, None),
+    ):
+        made = uses(
+            {n: w * (w.ndim < 4 or n.split(".conv_")[0].removesuffix(".weight") not in empty) for n, w in weights.items()}
+        )
+        assert {n for n, use in made.items() if use == "never"} == never
+        assert once is None or {n for n, use in made.items() if use == "once"} == once
 
 
 def test_the_second_colour_stays_with_the_tensors():
