@@ -1,7 +1,6 @@
 """Files: nothing that is read is lost, nothing is half-written, one run at a time in a folder."""
 
 import contextlib
-import io
 import os
 import resource
 import shutil
@@ -14,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stss.cli.main import main
 from stss.demo import write_demo_sequence
 from stss.images.read_write import write_rgb
 from stss.weights.file import save
@@ -24,7 +22,7 @@ from stss_ground.output.folder import SUMS, OutputFolder
 from stss_ground.output.lock import LOCK, locked
 from stss_ground.output.write_whole import write_named, write_whole
 from stss_ref.weights import random as random_weights
-from tests.hostile.cases import refused
+from tests.hostile.cases import call, refused
 
 PLAIN = ("--method", "bilinear")
 """A run that needs neither network nor device."""
@@ -45,7 +43,7 @@ def demo(tmp_path_factory):
 def finished(demo, tmp_path_factory):
     """What a run makes of them."""
     out = tmp_path_factory.mktemp("finished") / "out"
-    assert stss("run", demo / "frames", "-o", out, *PLAIN).returncode == 0
+    assert call("run", demo / "frames", "-o", out, *PLAIN).returncode == 0
     return out
 
 
@@ -64,20 +62,6 @@ def inputs(demo, tmp_path):
     for number in range(FRAMES):
         shutil.copy(demo / "frames" / f"demo.{number:04d}.exr", folder / f"frame.{number:04d}.exr")
     return folder
-
-
-def stss(*arguments):
-    """``stss`` in this process: most of a command's time is its start."""
-    printed, status = io.StringIO(), 0
-    before, sys.argv = sys.argv, ["stss", *map(str, arguments)]
-    try:
-        with contextlib.redirect_stderr(printed), contextlib.redirect_stdout(io.StringIO()):
-            main()
-    except SystemExit as end:
-        status = end.code
-    finally:
-        sys.argv = before
-    return subprocess.CompletedProcess(arguments, status, "", printed.getvalue())
 
 
 def contents(folder):
@@ -125,7 +109,7 @@ def one_of_more_digits(inputs, out):
 def test_no_input_is_an_output(inputs, tmp_path, place, option):
     out = place(inputs, tmp_path / "out")
     before = contents(tmp_path)
-    refused(stss("run", inputs, "-o", out, option, *PLAIN), "the same file as", "which is read")
+    refused(call("run", inputs, "-o", out, option, *PLAIN), "the same file as", "which is read")
     assert contents(tmp_path) == before
 
 
@@ -136,7 +120,7 @@ def test_no_output_lies_among_the_inputs(inputs, tmp_path, place):
         file.rename(file.with_name(file.name.replace("frame", "input")))
     out = place(inputs, tmp_path / "out")
     before = contents(tmp_path)
-    refused(stss("run", inputs, "-o", out, *PLAIN), "the folder of the frames that are read; expected another one")
+    refused(call("run", inputs, "-o", out, *PLAIN), "the folder of the frames that are read; expected another one")
     assert contents(tmp_path) == before
 
 
@@ -147,14 +131,14 @@ def test_no_input_is_an_output_even_of_an_earlier_run(finished, demo, tmp_path):
     for number in range(FRAMES):
         shutil.copy(demo / "frames" / f"demo.{number:04d}.exr", out / f"frame.{number:04d}.exr")
     before = contents(out)
-    refused(stss("run", out, "-o", out, "--overwrite", *PLAIN), "the same file as")
+    refused(call("run", out, "-o", out, "--overwrite", *PLAIN), "the same file as")
     assert contents(out) == before
 
 
 @pytest.mark.parametrize("option", ["--overwrite", "--resume"])
 def test_frames_of_others_are_not_replaced(inputs, demo, tmp_path, option):
     before = contents(inputs)
-    refused(stss("run", demo / "frames", "-o", inputs, option, *PLAIN), "frame.0000.exr", "not from an earlier run")
+    refused(call("run", demo / "frames", "-o", inputs, option, *PLAIN), "frame.0000.exr", "not from an earlier run")
     assert contents(inputs) == before
 
 
@@ -170,7 +154,7 @@ def test_no_table_that_is_read_is_an_output(finished, demo, weights, tmp_path, n
     (out / "frame.0000.exr").symlink_to(table)
     option = {"c": "--camera", "m": "--profile", "w": "--weights"}[name[0]]
     before = contents(tmp_path)
-    refused(stss("run", demo / "frames", "-o", out, "--overwrite", *PLAIN, option, table), "the same file as", table)
+    refused(call("run", demo / "frames", "-o", out, "--overwrite", *PLAIN, option, table), "the same file as", table)
     assert contents(tmp_path) == before
 
 
@@ -197,7 +181,7 @@ def test_no_file_that_is_named_twice_is_written(weights, tmp_path, arguments):
     names["folder"].mkdir()
     names["hard"].hardlink_to(names["w"])
     before = contents(tmp_path)
-    refused(stss(*(argument.format(**names) for argument in arguments)), "the same file as")
+    refused(call(*(argument.format(**names) for argument in arguments)), "the same file as")
     assert contents(tmp_path) == before
 
 
@@ -210,12 +194,12 @@ def test_no_picture_replaces_what_is_compared(finished, demo, tmp_path):
     where.parent.mkdir()
     where.symlink_to(truth / "frame.0001.exr")
     before = contents(tmp_path)
-    refused(stss("compare", out, truth, "--pictures", where.parent), "the same file as")
+    refused(call("compare", out, truth, "--pictures", where.parent), "the same file as")
     assert contents(tmp_path) == before
 
 
 def test_resume_and_overwrite_do_not_go_together(demo, tmp_path):
-    result = stss("run", demo / "frames", "-o", tmp_path / "out", "--resume", "--overwrite", *PLAIN)
+    result = call("run", demo / "frames", "-o", tmp_path / "out", "--resume", "--overwrite", *PLAIN)
     refused(result, "--resume", "--overwrite")
     assert not (tmp_path / "out").exists()
 
@@ -227,7 +211,7 @@ def test_overwrite_removes_nothing_before_the_new_frames_are_there(finished, dem
     shutil.copytree(demo / "frames", frames)
     (frames / "demo.0002.exr").write_bytes((frames / "demo.0002.exr").read_bytes()[:3000])
     before = contents(out)
-    refused(stss("run", frames, "-o", out, "--overwrite", "--method", "lanczos"), "demo.0002.exr")
+    refused(call("run", frames, "-o", out, "--overwrite", "--method", "lanczos"), "demo.0002.exr")
     after = contents(out)
     changed = {name for name in before if before[name] != after[name]}
     assert after.keys() == before.keys()
@@ -238,15 +222,13 @@ def test_overwrite_removes_what_is_left_of_the_earlier_run_at_its_end(finished, 
     out = tmp_path / "out"
     shutil.copytree(finished, out)
     (out / "notes.txt").write_text("mine")
-    assert stss("run", demo / "frames", "-o", out, "--overwrite", "--frames", "2:2", *PLAIN).returncode == 0
+    assert call("run", demo / "frames", "-o", out, "--overwrite", "--frames", "2:2", *PLAIN).returncode == 0
     assert sorted(contents(out)) == ["frame.0002.exr", "notes.txt", SUMS]
     assert contents(out)["frame.0002.exr"] == contents(finished)["frame.0002.exr"]
 
 
 DAMAGE = {
-    "empty": lambda data: b"",
     "cut": lambda data: data[: len(data) // 2],
-    "last byte lost": lambda data: data[:-1],
     "a bit flipped": lambda data: data[:-40] + bytes([data[-40] ^ 16]) + data[-39:],
     "longer": lambda data: data + b"\0",
     "another frame's": None,
@@ -256,8 +238,6 @@ DAMAGE = {
 @pytest.mark.parametrize("damage", DAMAGE)
 @pytest.mark.parametrize("name", ["frame.0000.exr", "frame.0003.exr", "holes/frame.0001.png"])
 def test_resume_keeps_only_what_is_as_it_was_written(finished, demo, tmp_path, name, damage):
-    from stss.frames.backends import open_backend  # noqa: F401  (imported once for all rows)
-
     out = tmp_path / "out"
     shutil.copytree(finished, out)
     other = {"f": "frame.0002.exr", "h": "holes/frame.0003.png"}[name[0]]
@@ -325,54 +305,14 @@ def limited(size):
 
 
 @pytest.mark.parametrize("suffix", ["exr", "png"])
-@pytest.mark.parametrize("size", [0, 100, 200, 1000])
+@pytest.mark.parametrize("size", [0, 1000])
 def test_a_file_that_does_not_fit_is_no_file(finished, demo, tmp_path, suffix, size):
     """What the system does not take fails the run, and nothing is left that is not whole."""
     out = tmp_path / "out"
     with limited(size):
-        result = stss("run", demo / "frames", "-o", out, *PLAIN, "--format", suffix)
+        result = call("run", demo / "frames", "-o", out, *PLAIN, "--format", suffix)
     refused(result, "cannot be written")
     assert not [path for path in contents(out) if path.endswith((suffix, ".part"))]
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount a small file system")
-@pytest.mark.parametrize("suffix", ["exr", "png"])
-def test_a_full_disk_is_told_and_resumed_from(demo, tmp_path, suffix):
-    out, small = tmp_path / "whole", tmp_path / "small"
-    arguments = ("run", demo / "frames", *PLAIN, "--format", suffix)
-    assert stss(*arguments, "-o", out).returncode == 0
-    with mounted(small, "size=32k"):
-        refused(stss(*arguments, "-o", small / "out"), "No space left on device")
-        found, whole = contents(small / "out"), contents(out)
-        assert len(found) > 2
-        assert not [name for name in found if name.startswith(".stss-")]
-        assert all(found[name] == whole[name] for name in found if name != SUMS)
-        assert subprocess.run(["mount", "-o", "remount,size=9m", small], check=False).returncode == 0
-        assert stss(*arguments, "-o", small / "out", "--resume").returncode == 0
-        assert contents(small / "out") == whole
-
-
-@contextlib.contextmanager
-def mounted(folder, options):
-    folder.mkdir()
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", folder], capture_output=True, check=False).returncode:
-        pytest.skip("mounting is not permitted here")
-    try:
-        yield
-    finally:
-        subprocess.run(["umount", folder], check=True)
-
-
-@pytest.mark.parametrize("option", ["--overwrite", "--resume"])
-def test_a_read_only_file_system_is_told(finished, demo, tmp_path, option):
-    if os.geteuid() != 0:
-        pytest.skip("only root may mount a small file system")
-    with mounted(tmp_path / "small", "size=9m"):
-        out = tmp_path / "small" / "out"
-        shutil.copytree(finished, out)
-        subprocess.run(["mount", "-o", "remount,ro", tmp_path / "small"], check=True)
-        refused(stss("run", demo / "frames", "-o", out, option, *PLAIN), out, "Read-only file system")
-        assert contents(out) == contents(finished)
 
 
 @pytest.fixture
@@ -405,7 +345,7 @@ def test_a_folder_of_somebody_else_is_told(finished, demo, readable, option):
     for path in readable.rglob("*"):
         path.chmod(0o555 if path.is_dir() else 0o444)
     with unprivileged():
-        result = stss("run", frames, "-o", out, option, *PLAIN)
+        result = call("run", frames, "-o", out, option, *PLAIN)
     refused(result, out, "Permission denied")
     assert contents(out) == contents(finished)
     for path in (out, out / "holes", frames):
@@ -424,7 +364,7 @@ def test_a_folder_where_a_file_is_expected(finished, demo, tmp_path, name):
         (out / name).unlink(missing_ok=True)
         (out / name).mkdir()
     before = contents(out)
-    refused(stss("run", demo / "frames", "-o", out, "--overwrite", *PLAIN), name.partition("/")[0])
+    refused(call("run", demo / "frames", "-o", out, "--overwrite", *PLAIN), name.partition("/")[0])
     assert contents(out) == before
 
 
@@ -438,8 +378,8 @@ NAMED = [
 
 @pytest.mark.parametrize("arguments", NAMED, ids=lambda row: row[0])
 def test_a_named_file_that_is_a_folder(tmp_path, arguments):
-    refused(stss(*arguments, tmp_path), tmp_path, "expected a file")
-    refused(stss(*arguments, tmp_path / "no" / "x"), tmp_path / "no" / "x", "expected a file")
+    refused(call(*arguments, tmp_path), tmp_path, "expected a file")
+    refused(call(*arguments, tmp_path / "no" / "x"), tmp_path / "no" / "x", "expected a file")
     assert not list(tmp_path.iterdir())
 
 
@@ -452,7 +392,7 @@ def test_the_second_run_says_who_has_the_folder(demo, finished, tmp_path):
         unfinished.write_bytes(b"being written")
         before = contents(out)
         for option in ("--resume", "--overwrite"):
-            refused(stss("run", demo / "frames", "-o", out, option, *PLAIN), out, f"process {os.getpid()} on ", "writes there")
+            refused(call("run", demo / "frames", "-o", out, option, *PLAIN), out, f"process {os.getpid()} on ", "writes there")
             assert contents(out) == before
         folder.write("frame.0000.exr", b"first")
         folder.finish(remove_others=False)

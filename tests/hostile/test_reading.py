@@ -1,7 +1,6 @@
 """What ``stss`` is handed: numbers, names and files that no renderer writes; each is refused in one line, at once."""
 
 import os
-import re
 import struct
 import subprocess
 import sys
@@ -14,9 +13,7 @@ from stss.images.read_write import write_rgb
 from stss.sequence.profiles import load_profile
 from stss.sequence.reader import open_sequence
 from stss.weights.file import save
-from stss_cl.device import tuning
-from stss_ground import terminal as printing
-from stss_ground.errors import DeviceError, InputError
+from stss_ground.errors import InputError
 from stss_ground.terminal import MOST, printable
 from stss_ref.weights import zeros
 from tests.app.conftest import frame_channels, write_raw
@@ -68,8 +65,6 @@ GAP = f"no frame between 1 and {FAR}; expected gaps of at most 1000"
     ("command", "words"),
     [
         ("check in", f"frames step by {FAR - 1}"),
-        ("run in -o new --rendered all", GAP),
-        ("run in -o new --rendered all --keep-going", GAP),
         (f"run in -o new --rendered all --method taau --frames {FAR}:{FAR} --keep-going", GAP),
         ("methods in truth -o new --rendered all --methods bilinear", GAP),
         ("flicker out truth --sequence in", "expected two frames in a row"),
@@ -142,34 +137,16 @@ def test_an_option_out_of_its_range_is_refused(sequence, monkeypatch, command, o
 
 
 TOML = {
-    "401 digits": (
-        "units_per_cm = 1",
-        f"units_per_cm = {'9' * 401}",
-        "units_per_cm: expected a number > 0, found a whole number of",
-    ),
-    "401 digits where infinity may stand": (
-        "background = 1e9",
-        f"background = {'9' * 401}",
-        "depth.background: expected a number > 0",
-    ),
-    "401 digits in a list": ("bias = [0, 0]", f"bias = [0, {'9' * 401}]", "motion.bias: expected 2 numbers"),
     "5000 digits": (
         "units_per_cm = 1",
         f"units_per_cm = {'9' * 5000}",
         "cannot be read as TOML" if LIMITED else "found a whole number of",
     ),
-    "5000 hexadecimal digits": ("units_per_cm = 1", f"units_per_cm = 0x{'f' * 5000}", "found a whole number of 20000 bits"),
     "nested lists": ("units_per_cm = 1", f"units_per_cm = {'[' * 5000}{']' * 5000}", "nested too deeply"),
     "nested tables": ("units_per_cm = 1", f"units_per_cm = {'{a=' * 3000}1{'}' * 3000}", "nested too deeply"),
     "dotted keys": ("units_per_cm = 1", f"units_per_cm.{'a.' * 5000}a = 1", "expected at most 200 dots in a line"),
-    "dotted keys, as many as may be": (
-        "units_per_cm = 1",
-        "\n".join(f"{'a.' * 199}a{i} = 1" for i in range(140)),
-        "units_per_cm",
-    ),
     "a control character": ('name = "stss"', 'name = "\\u001b[2J"', "name: expected one line of text"),
     "control characters as a key": ("units_per_cm = 1", 'units_per_cm = 1\n"\\u001b[2J\\n" = 1', "\\x1b[2J\\n: unknown key"),
-    "half of a pair": ("units_per_cm = 1", 'units_per_cm = "\\ud800"', "cannot be read as TOML"),
     "too large": ("units_per_cm = 1", "units_per_cm = 1 #" + 70000 * "x", "expected at most 64 KiB, found more"),
 }
 
@@ -181,16 +158,6 @@ def test_a_hostile_profile_is_one_line(tmp_path, case):
     assert old in text
     (tmp_path / "mine.toml").write_text(text.replace(old, new, 1))
     refused(call("check", tmp_path, "--profile", tmp_path / "mine.toml"), "mine.toml: ", words)
-
-
-@pytest.mark.parametrize(
-    "value", ["9" * 401, "9" * 5000, "0x" + "f" * 5000, "[" * 5000 + "]" * 5000, "{a=" * 3000 + "1" + "}" * 3000]
-)
-def test_a_hostile_row_of_tile_sizes_is_one_line(tmp_path, value):
-    (tmp_path / "tuning.toml").write_text(f"cpu = {value}\n")
-    with pytest.raises(DeviceError, match=r"^tuning .*tuning\.toml: ") as caught:
-        tuning.built_in_rows(tmp_path / "tuning.toml")
-    assert len(str(caught.value)) < 500
 
 
 # Names
@@ -249,15 +216,6 @@ def test_a_terminal_without_utf8(tmp_path):
 # Channels and metadata
 
 
-def test_channel_names_with_control_characters_are_shown_escaped(tmp_path):
-    def change(channels):
-        return {("\x1b[31mevil\u202e" if name == "depth.Z" else name): plane for name, plane in channels.items()}
-
-    folder = write(tmp_path / "in" / "a.0001.exr", change=change)
-    said(call("check", folder), "\\x1b[31mevil\\u202e")
-    refused(call("run", folder, "-o", tmp_path / "out"), "\\x1b[31mevil\\u202e")
-
-
 def test_what_a_table_shows_is_printable(tmp_path):
     text = load_profile("stss").path.read_text().replace('["depth.Z"]', '["depth\\u001b[2J.Z"]')
     (tmp_path / "mine.toml").write_text(text)
@@ -267,13 +225,6 @@ def test_what_a_table_shows_is_printable(tmp_path):
     result = call("check", tmp_path / "in", "--profile", tmp_path / "mine.toml")
     assert "\\x1b[2J" in result.stdout
     assert all(line.isprintable() for line in result.stdout.splitlines())
-
-
-def test_nothing_is_printed_past_the_one_place():
-    """``stss_ground/terminal.py``; JSON has escapes of its own."""
-    for path in sorted(Path(printing.__file__).parent.rglob("*.py")):
-        found = re.findall(r"(?<![\w.])Console\(\S*\)|click\.s?echo\((?!.*json).*", path.read_text())
-        assert not found or path.name == "terminal.py", f"{path}: {found}"
 
 
 def test_a_long_message_is_cut(tmp_path):
@@ -304,10 +255,8 @@ def special(path, kind):
     path.parent.mkdir(exist_ok=True)
     if kind == "a folder":
         path.mkdir()
-    elif kind == "a pipe":
-        os.mkfifo(path)
     else:
-        path.symlink_to("/dev/zero")
+        os.mkfifo(path)
     return path
 
 
@@ -324,7 +273,7 @@ PLACES = {
 
 
 @pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize("kind", ["a folder", "a pipe", "a device"])
+@pytest.mark.parametrize("kind", ["a folder", "a pipe"])
 def test_only_regular_files_are_read(sequence, monkeypatch, place, kind):
     monkeypatch.chdir(sequence.parent)
     name, command = PLACES[place]
@@ -362,17 +311,13 @@ def test_a_size_has_a_limit_that_is_named(sequence, monkeypatch, place):
     [
         ("", "found nothing"),
         ("frame,x,y\n", "expected the first line to be frame,x,y,z"),
-        ("x" * 200000, "field larger than field limit"),
         (
             f"frame,x,y,z\n{HUGE},0,0,0\n",
             "line 2: expected a frame number and three numbers" if LIMITED else "no line for frame 1",
         ),
         ("frame,x,y,z\n1,nan,0,0\n", "line 2: expected a frame number and three numbers; found 1,nan,0,0"),
-        ("frame,x,y,z\n1,1e999,0,0\n", "line 2"),
-        ("frame,x,y,z\n1" + ",0" * 100000 + "\n", "line 2"),
         ("frame,x,y,z\n1,0,0,0\n1,0,0,0\n", "line 3: frame 1 appears twice"),
         ("frame,x,y,z\n1,\x1b[2J,0,0\n", "found 1,\\x1b[2J,0,0"),
-        ('frame,x,y,z\n1,"\n\n",0,0\n', "found 1,\\n\\n,0,0"),
         ("frame,x,y,z\n1,\0,0,0\n", "line 2" if sys.version_info >= (3, 11) else "line contains NUL"),
         ("frame,x,y,z\n" + "\n" * 3000000, "no line for frame 1"),
     ],
@@ -386,12 +331,9 @@ def test_a_hostile_camera_table_is_one_line(sequence, text, words):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"\xff\xfe\xfd", "expected JSON"),
         (b"[" * 100000, "expected JSON"),
         (b"[]", "expected format 1 and failures"),
-        (b'{"format": 1, "failures": {}}', "expected a list"),
         (b'{"format": 1, "failures": [7]}', "failures[0]: expected test, until and reason"),
-        (b'{"format": 1, "failures": [{"test": "warp.\x1b[2J"}]}', "expected JSON"),
         (b'{"format": 1, "failures": [{"test": "warp.\\u001b[2J", "until": 1}]}', "until: expected words, got '1'"),
         (b'{"format": 1, "failures": [{"test": "no.such", "until": "2999-01-01", "reason": "x"}]}', "no such test: no.such"),
         (b'{"format": 1, "failures": [{"test": "\\u0000.\\u001b", "until": "2999-01-01", "reason": "x"}]}', "no such test: "),
@@ -420,14 +362,6 @@ def test_a_name_that_is_kept_can_be_read_again(tmp_path):
     path = tmp_path / "w.safetensors"
     save(path, zeros(), {"imported_from": printable("a\udcff\x1b.pkl")})
     assert call("weights", "inspect", path).returncode == 0
-
-
-def test_weights_of_a_hostile_header(tmp_path):
-    path = tmp_path / "w.safetensors"
-    for data in (b"", b"\xff" * 8, (2**63).to_bytes(8, "little") + b"{}", (100 << 20).to_bytes(8, "little") + b"{}" * 50,
-                 struct.pack("<Q", 20000) + b"[" * 20000):  # fmt: skip
-        path.write_bytes(data)
-        refused(call("weights", "inspect", path, seconds=20), "damaged safetensors file")
 
 
 def test_an_unreadable_folder_is_one_line(tmp_path):
