@@ -50,10 +50,14 @@ def _hangs(*_):
     raise HangError("no end in time")
 
 
+NOTES = ("first start: ", "weights: ", "profile: ", "camera: ")
+"""What a command tells beside its error."""
+
+
 def refused(result, *words):
     """One line on stderr that holds all of ``words``, status 2, no traceback, nothing unprintable."""
     assert result.returncode == 2, result.stderr
-    lines = [line for line in result.stderr.strip().splitlines() if not line.startswith(("first start: ", "weights: ", "profile: ", "camera: "))]
+    lines = [line for line in result.stderr.strip().splitlines() if not line.startswith(NOTES)]
     assert len(lines) == 1, result.stderr
     assert lines[0].startswith("stss: ")
     assert lines[0].isprintable(), lines[0]
