@@ -33,10 +33,10 @@ def test_the_page_has_every_stage_and_no_function_that_is_not_there():
 
 
 def test_the_page_has_every_command():
-    assert sorted(names("The command line")) == sorted(f"stss {command}" for command in stss.commands)
+    assert sorted(names("The command line")) == sorted(f"stss {command}" for command in stss.list_commands(None))
 
 
 @pytest.mark.parametrize(("command", "page"), [("run", "options.md"), ("conform", "conformance.md")])
 def test_a_page_has_every_option_of_its_command(command, page):
-    options = {name for parameter in stss.commands[command].params for name in parameter.opts if name.startswith("--")}
+    options = {name for parameter in stss.get_command(None, command).params for name in parameter.opts if name.startswith("--")}
     assert options <= set(re.findall(r"--[a-z-]+", (DOCS / page).read_text()))

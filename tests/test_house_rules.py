@@ -27,7 +27,7 @@ FLOORS = {
     "conformance": "run_suite stored_cases > suite > confirm diagnosis first_layer known_failures terms > load_port search"
     " > judge > questions > findings > answers mistakes cases > protocol scenes tolerance",
     "stss_cl": "skip > frame > network image_space > device",
-    "stss_ground": "guard > optional output pages toml_table option_kinds > errors terminal version machine regular_file",
+    "stss_ground": "guard > commands optional output pages toml_table option_kinds > errors terminal version machine regular_file",
 }
 """The rooms of a package from top to bottom: a room imports those on the floors below it, and none beside it."""
 

@@ -16,6 +16,7 @@ from stss.frames.display_frame import PLANE_TYPES
 from stss.images.headers import MAX_SIDE
 from stss.sequence.choose_weights import AUTO
 from stss.sequence.find_files import MAX_DIGITS
+from stss_ground.commands import grouped
 from stss_ground.option_kinds import PATH, Names, Number
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -80,9 +81,7 @@ def sequence_options(command: Command) -> Command:
             help="NaN and Inf in colour or G-buffer: an error, or 0 and a warping hole.",
         ),
     )
-    for option in reversed(options):
-        command = option(command)
-    return command
+    return grouped("The sequence", *options)(command)
 
 
 def frame_options(command: Command) -> Command:
@@ -119,9 +118,7 @@ def frame_options(command: Command) -> Command:
             help="half: colour, G-buffer, NoV and stencil are rounded to half, so that fewer bytes go to a GPU.",
         ),
     )
-    for option in reversed(options):
-        command = option(command)
-    return command
+    return grouped("The frames", *options)(command)
 
 
 def backend_options(command: Command) -> Command:
@@ -149,9 +146,7 @@ def backend_options(command: Command) -> Command:
             help="Memory for the network's buffers; larger frames go in strips  [default: half of the device's memory]",
         ),
     )
-    decorated: Any = collected
-    for option in reversed(options):
-        decorated = option(decorated)
+    decorated: Any = grouped("The device", *options)(collected)
     return decorated
 
 
@@ -193,9 +188,7 @@ def skip_options(command: Command) -> Command:
             "--budget", type=Milliseconds(), help="Time for a frame, such as 40ms: take the most accurate setting within it."
         ),
     )
-    for option in reversed(options):
-        command = option(command)
-    return command
+    return grouped("Time", *options)(command)
 
 
 def perceptual_options(command: Command) -> Command:
@@ -204,9 +197,7 @@ def perceptual_options(command: Command) -> Command:
         click.option("--flip", is_flag=True, help="FLIP too  [needs the extra metrics]"),
         click.option("--vmaf", is_flag=True, help="VMAF too  [needs the extra metrics]"),
     )
-    for option in reversed(options):
-        command = option(command)
-    return command
+    return grouped("Metrics", *options)(command)
 
 
 class Size(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]

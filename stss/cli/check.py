@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: MIT
+"""``stss check`` and ``stss demo``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from stss.cli.options import (
+    FrameRange,
+    backend_options,
+    sequence_options,
+    weights_option,
+)
+from stss_ground.option_kinds import PATH
+from stss_ground.terminal import Terminal
+
+
+@click.command()
+@click.argument("sequence", type=PATH)
+@sequence_options
+@click.option("--frames", type=FrameRange(), help="First and last frame to look at.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def check(sequence: Path, profile: str | None, as_json: bool, **options: Any) -> None:
+    """Say what SEQUENCE holds and whether it can be run.
+
+    Ends with status 0 when it can, 1 when it can but something looks wrong, 2 when it cannot.
+    """
+    from stss.check_sequence import report as checking
+
+    report = checking.check(sequence, profile, **options)
+    if as_json:
+        click.echo(report.to_json())
+    else:
+        checking.print_report(report, Terminal())
+    sys.exit(report.status)
+
+
+@click.command()
+@click.argument("out", type=PATH, default=Path("demo"))
+@weights_option
+@backend_options
+@click.option("--overwrite", is_flag=True, help="Replace an earlier demo.")
+def demo(out: Path, weights: str, overwrite: bool, **chosen: Any) -> None:
+    """Render a small scene into OUT, supersample it, and compare it with its truth: pictures to look at."""
+    from stss import demo as demonstration
+
+    demonstration.demo(out, weights=weights, overwrite=overwrite, console=Terminal(), **chosen)

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: MIT
+"""``stss run``: the main job."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+
+from stss.baselines.registry import METHODS
+from stss.cli.options import (
+    backend_options,
+    frame_options,
+    sequence_options,
+    skip_options,
+    weights_option,
+)
+from stss.cli.progress import shown_progress
+from stss.cluster.run import Cluster, require_independent, run_on_cluster
+from stss.frames.backends import NETWORK
+from stss.frames.compute_options import ComputeOptions, Skip
+from stss.run.choose_backend import first_frames, open_method, with_skipping, within_budget
+from stss.run.frame_job import FrameReport
+from stss.run.job import Summary
+from stss.run.job import run as run_sequence
+from stss.run.options import RunOptions
+from stss.run.preview import Preview, require_preview
+from stss.run.skip_report import told
+from stss.sequence.choose_weights import choose_weights
+from stss.sequence.reader import open_sequence
+from stss_ground.commands import GroupedOptions
+from stss_ground.errors import InputError
+from stss_ground.option_kinds import PATH
+from stss_ground.terminal import Terminal, echo, printable
+from stss_ref.schedule import FrameKind
+
+
+@click.command(cls=GroupedOptions)
+@click.argument("sequence", type=PATH)
+@click.option("-o", "--out", type=PATH, required=True, help="Folder for the frames.")
+@sequence_options
+@weights_option
+@click.option(
+    "--method",
+    type=click.Choice([NETWORK, *METHODS]),
+    default=NETWORK,
+    show_default=True,
+    help="The network, or a method without weights and device to compare with.",
+)
+@backend_options
+@skip_options
+@frame_options
+@click.option("--format", "suffix", type=click.Choice(["exr", "png"]), default="exr", show_default=True)
+@click.option("--resume", is_flag=True, help="Keep the frames of an earlier run that are still right.")
+@click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
+@click.option("--show-skipped", is_flag=True, help="Pictures of where each frame was computed, in OUT/skipped.")
+@click.option("--preview", type=PATH, help="A .png that shows the newest frame every ten seconds.")
+@click.option("--cluster", help="Compute on local:N processes, or on the workers of a scheduler: tcp://host:8786.")
+@click.option(
+    "--mixed-devices", is_flag=True, help="With --cluster: accept workers whose devices differ, and so the bits of their frames."
+)
+@click.option("--keep-going", is_flag=True, help="Leave out frames that cannot be read; ends with status 1.")
+def run(
+    sequence: Path,
+    out: Path,
+    profile: str | None,
+    camera: Path | None,
+    metallic: float | None,
+    roughness: float | None,
+    non_finite: Any,
+    weights: str,
+    method: str,
+    backend: str,
+    compute: ComputeOptions,
+    skip: Skip | None,
+    budget: float | None,
+    suffix: str,
+    preview: Path | None,
+    cluster: str | None,
+    mixed_devices: bool,
+    **chosen: Any,
+) -> None:
+    """Make SEQUENCE, a folder or a pattern like a.####.exr, twice as large and twice as fast."""
+    frames = open_sequence(sequence, profile, camera=camera, metallic=metallic, roughness=roughness, non_finite=non_finite)
+    if profile is None:
+        _tell(f"profile: {frames.profile.name}, by the channels' names; --profile takes another")
+    if frames.solves_camera:
+        _tell("camera: from position and depth; --camera CSV takes one")
+    options = RunOptions.of(frames.profile, format=suffix, **chosen)
+    console = Terminal(stderr=True)
+    possible = backend == "cl" and method == NETWORK
+    reads = [Path(weights)]
+    if preview is not None:
+        require_preview(preview, [*frames.reads, *reads])
+    loaded = choose_weights(weights, frames, _tell, needed=method == NETWORK)
+    compute = with_skipping(compute, skip, budget, possible=possible)
+    if cluster is None and mixed_devices:
+        raise InputError("--mixed-devices: expected --cluster as well")
+    first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
+    try:
+        with shown_progress(console, last - first + 1, preview and Preview(preview, out, options)) as on_frame:
+            if cluster is not None:
+                require_independent(method, budget)
+                where = Cluster(cluster, mixed_devices)
+                summary = run_on_cluster(frames, out, where, method, loaded, backend, compute, options, on_frame, reads)
+            else:
+                if budget is None:
+                    engine, label = open_method(method, loaded, backend, compute, tell=_tell)
+                else:
+                    engine, label = within_budget(loaded, compute, budget, first_frames(frames, options), tell=_tell)
+                summary = run_sequence(frames, out, engine, label, options, on_frame, reads)
+    except KeyboardInterrupt:
+        echo(
+            f"stss: stopped; to go on, give the same command with --resume{' in place of --overwrite' if options.overwrite else ''}",
+            err=True,
+        )
+        sys.exit(130)
+    _report(summary, out, console)
+    sys.exit(1 if any(frame.fault for frame in summary.frames) else 0)
+
+
+def _tell(line: str) -> None:
+    echo(line, err=True)
+
+
+def _report(summary: Summary, out: Path, console: Console) -> None:
+    def text(frame: FrameReport) -> str:
+        return frame.reason if frame.reason.startswith("frame ") else f"frame {frame.number}: {frame.reason}"
+
+    for frame in summary.frames:
+        if frame.outcome == "left out":
+            console.print(printable(f"left out: {text(frame)}"), soft_wrap=True, markup=False, highlight=False)
+    written = ", ".join(f"{summary.count('done', kind)} {kind.value}" for kind in FrameKind)
+    rest = f"{summary.count('kept')} kept, {summary.count('left out')} left out"
+    console.print(printable(f"{out}: {written} written, {rest}"), soft_wrap=True, markup=False, highlight=False)
+    peak = max((frame.peak for frame in summary.frames), default=0.0)
+    if peak > 1:
+        console.print(f"highlights: up to {peak:.3g}; --format png and --transfer none clip at 1", soft_wrap=True)
+    if costs := [frame.cost for frame in summary.frames if frame.cost]:
+        console.print(told(costs), soft_wrap=True, markup=False, highlight=False)

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: MIT
+"""``stss weights``: import and inspect."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from stss.cli.options import (
+    SIDE,
+)
+from stss.weights import inspect as inspection
+from stss.weights.checkpoint import read_checkpoint
+from stss.weights.file import load, save
+from stss_ground.option_kinds import PATH
+from stss_ground.output.apart import require_places
+from stss_ground.terminal import Terminal, echo, printable
+
+
+@click.group()
+def weights() -> None:
+    """Import and inspect the network's weights."""
+
+
+@weights.command("import")
+@click.argument("checkpoint", type=PATH)
+@click.option("-o", "--out", type=PATH, required=True, help="The .safetensors file to write.")
+def import_weights(checkpoint: Path, out: Path) -> None:
+    """Read the authors' PyTorch CHECKPOINT, without executing it, and write it as safetensors."""
+    require_places({"--out": out}, [checkpoint])
+    save(out, read_checkpoint(checkpoint), {"imported_from": printable(checkpoint.name)})
+    echo(f"{out}: {load(out).identity}")
+
+
+@weights.command()
+@click.argument("file")
+@click.option("--size", type=(SIDE, SIDE), default=(544, 960), show_default=True, help="H W for the multiply-adds.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def inspect(file: str, size: tuple[int, int], as_json: bool) -> None:
+    """Print the layers of the weights in FILE: shapes, parameters, multiply-adds."""
+    found = inspection.inspect(load(file).weights, *size)
+    if as_json:
+        click.echo(json.dumps(asdict(found)))
+    else:
+        inspection.print_inspection(found, Terminal())

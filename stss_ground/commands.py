@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: MIT
+"""Commands that are imported when they are called, and options in groups."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any, TypeVar
+
+import click
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+Sections = Mapping[str, Mapping[str, tuple[str, str]]]
+"""Heading -> command -> ``module:attribute`` and what the command does, in one line."""
+
+
+class Commands(click.Group):
+    """A group whose commands stand in sections; each is imported when it is called."""
+
+    def __init__(self, *words: Any, sections: Sections, **options: Any):
+        super().__init__(*words, **options)
+        self.sections = sections
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """All names, in the order of the sections."""
+        del ctx
+        return [name for commands in self.sections.values() for name in commands]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import a command; None where there is none of that name."""
+        del ctx
+        for commands in self.sections.values():
+            if cmd_name in commands:
+                module, _, attribute = commands[cmd_name][0].partition(":")
+                return getattr(import_module(module), attribute)
+        return None
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write a list for each section."""
+        del ctx
+        for heading, commands in self.sections.items():
+            with formatter.section(heading):
+                formatter.write_dl([(name, short) for name, (_, short) in commands.items()])
+
+
+def grouped(heading: str, *options: Callable[[Any], Any]) -> Callable[[Command], Command]:
+    """Add options to a command that stand together in the help of a `GroupedOptions`."""
+
+    def add(command: Any) -> Any:
+        before = len(getattr(command, "__click_params__", ()))
+        for option in reversed(options):
+            command = option(command)
+        for parameter in command.__click_params__[before:]:
+            parameter.heading = heading
+        return command
+
+    return add
+
+
+class GroupedOptions(click.Command):
+    """A command whose options stand in the help under the headings that `grouped` gave them."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write a list for each heading; options without one come first."""
+        groups: dict[str, list[tuple[str, str]]] = {"Options": []}
+        for parameter in self.get_params(ctx):
+            if isinstance(parameter, click.Option) and (record := parameter.get_help_record(ctx)) is not None:
+                groups.setdefault(getattr(parameter, "heading", "Options"), []).append(record)
+        for heading, records in groups.items():
+            with formatter.section(heading):
+                formatter.write_dl(records)
