@@ -1,11 +1,9 @@
 """``stss port``: the project's backends as programs that are handed a job folder."""
 
 import json
-import os
 import re
 import subprocess
 import sys
-import types
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,9 +13,9 @@ import pytest
 from conformance.protocol import job_folder as jobs
 from conformance.protocol.port import Case, PortError, Unsupported
 from conformance.protocol.program_port import FolderPort, smallest_case
-from conformance.protocol.stages import STAGES, check_inputs, check_outputs, reference
+from conformance.protocol.stages import STAGES, check_inputs, reference
 from stss.conform import own_ports as ports
-from stss_ground.errors import DeviceError, InputError
+from stss_ground.errors import InputError
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Tensors, WeightsError
 from stss_ref.weights import random as random_weights
@@ -107,16 +105,6 @@ def test_the_reference_as_a_program_has_the_bits_of_the_reference():
     assert bits(results[-1]) != bits(reference("frame", last.inputs, last.weights))
 
 
-@pytest.mark.parametrize("stage", STAGES)
-def test_the_reference_gives_what_the_table_says(stage):
-    for dtype in ("float32", "float64"):
-        case = random_case(stage, (8, 16))
-        inputs = {name: array.astype(dtype) if array.dtype.kind == "f" else array for name, array in case.inputs.items()}
-        outputs = reference(stage, inputs, case.weights)
-        check_outputs(stage, outputs, check_inputs(stage, inputs, dtype), dtype)
-        assert list(outputs) == list(STAGES[stage].outputs)
-
-
 def test_non_finite_motion_goes_through_a_job(job):
     case = warp_case()
     case.inputs["motion"][0, 0] = np.nan
@@ -186,13 +174,9 @@ def test_results_of_two_runs_never_stand_side_by_side(job):
 # malformed jobs
 
 
-def header(text, version=b"\x01\x00"):
-    size = len(text).to_bytes(2 if version == b"\x01\x00" else 4, "little")
-    return b"\x93NUMPY" + version + size + text
-
-
 def literal(descr="'<f4'", shape="(3, 4, 2)"):
-    return header(f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n".encode())
+    text = f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
 
 
 def damaged(path, damage):
@@ -205,36 +189,18 @@ def damaged(path, damage):
         np.save(path, array.astype(object), allow_pickle=True)
     elif damage == "names":
         np.save(path, np.zeros(3, [("x", "f4")]))
-    elif damage == "folder":
-        path.unlink()
-        path.mkdir()
-    elif damage == "pipe":
-        path.unlink()
-        os.mkfifo(path)
 
 
 @pytest.mark.parametrize(
     ("damage", "word"),
     [
         (b"", "not a .npy file"),
-        (b"PK\x03\x04", "not a .npy file"),
-        (header(b"x" * 40), "not a .npy file"),
-        (header(b"-" * 9000 + b"1\n"), "not a .npy file"),
-        (header(b"{[]: 1}\n"), "not a .npy file"),
-        (header(b" " * 60000), "not a .npy file"),
-        (header(b" " * 10**6, b"\x02\x00"), "not a .npy file"),
-        (header(b"{}", b"\x03\x00"), "not a .npy file"),
         (literal(shape="(1000000, 1000000, 1000000)"), "not a .npy file"),
         (literal(shape="(-1, -1, 24)"), "not a .npy file"),
-        (literal(shape="(-3, 4)"), "not a .npy file"),
-        (literal(descr="('<f4', (2,))"), ""),
         (literal(descr="'<U0'"), "expected an array of numbers"),
-        (literal(descr="'|O'"), "bjects"),
         ("cut", "not a .npy file"),
         ("objects", "not a .npy file"),
         ("names", "expected an array of numbers"),
-        ("folder", "not a file"),
-        ("pipe", "not a file"),
     ],
 )
 def test_a_damaged_array_is_named(job, damage, word):
@@ -345,71 +311,6 @@ def test_an_unknown_stage_or_backend(job):
     assert (folder / "0000" / "unsupported").read_bytes() == b""
     assert (folder / "0001" / "out" / "warped.npy").exists()
     refused(folder, "backend", "ref, cl", "'cuda'", backend="cuda")
-
-
-ROOMS = {
-    "stss_cl.device.discovery": "device",
-    "stss_cl.image_space.stages": "image_stages",
-    "stss_cl.network.network": "network",
-    "stss_cl.frame": "frame",
-}
-
-
-def fake_backend(monkeypatch, **modules):
-    def import_module(name):
-        found = modules.get(ROOMS.get(name))
-        if isinstance(found, Exception):
-            raise found
-        if found is None:
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-        return found
-
-    monkeypatch.setattr(ports, "import_module", import_module)
-
-
-class FakeStages:
-    def __init__(self, device):
-        assert device == "device"
-
-    def run_stage(self, stage, inputs):
-        return reference(stage, inputs)
-
-
-def test_the_opencl_backend_does_what_its_modules_name(job, monkeypatch):
-    """One device for all of them, opened once."""
-    opened = []
-    device = types.SimpleNamespace(open_device=lambda: opened.append(1) or "device")
-    image = types.SimpleNamespace(STAGES={"warp": None}, ImageStages=FakeStages)
-    network = types.SimpleNamespace(STAGES={"history"}, run_stage=lambda *a: reference(*a[:3]) if a[3] == "device" else None)
-    fake_backend(monkeypatch, image_stages=image, network=network, device=device)
-    cases = [warp_case(), random_case("rrm", (2, 2)), random_case("history", (8, 8))]
-    folder = job(*cases)
-    ports.run_job(folder, "cl")
-    found = [read_outputs(folder / f"000{i}", case) for i, case in enumerate(cases)]
-    assert bits(found[0]) == bits(reference("warp", cases[0].inputs))
-    assert found[1] == Unsupported("rrm")
-    assert bits(found[2]) == bits(reference("history", cases[2].inputs, cases[2].weights))
-    assert opened == [1]
-
-
-def test_an_opencl_backend_that_is_not_whole(job, monkeypatch):
-    folder = job()
-    fake_backend(monkeypatch)
-    ports.run_job(folder, "cl")
-    assert (folder / "0000" / "unsupported").exists()
-    for error in (ModuleNotFoundError("No module named 'pyopencl'", name="pyopencl"), ImportError("libOpenCL.so.1: missing")):
-        fake_backend(monkeypatch, image_stages=error)
-        refused(folder, "backend cl", error, backend="cl")
-
-    def fail():
-        raise DeviceError("no OpenCL device")
-
-    image = types.SimpleNamespace(STAGES={"warp"})
-    fake_backend(monkeypatch, image_stages=image, device=types.SimpleNamespace(open_device=fail))
-    refused(folder, folder / "0000", "no OpenCL device", backend="cl")
-    fake_backend(monkeypatch, image_stages=image, device=types.SimpleNamespace(open_device=lambda: "device"))
-    with pytest.raises(InputError, match="no stage holes"):
-        ports.OpenCLPort().run("holes", {})
 
 
 def test_the_opencl_backend_is_a_port():

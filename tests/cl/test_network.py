@@ -14,14 +14,10 @@ from stss_cl.device.buffers import padded, read, write
 from stss_cl.device.tuning import BUILT_IN, Winograd, built_in_rows, trial
 from stss_cl.network.conv import conv
 from stss_cl.network.layers import Layers
-from stss_cl.network.network import PRECISIONS, Network, run_stage
+from stss_cl.network.network import PRECISIONS, Network
 from stss_cl.network.pack_weights import EVERY_SECOND, POINTS, pack, winograd_matrix
 from stss_ref import conv as reference
 from stss_ref.arrays import ArrayError
-from stss_ref.decoder import decoder
-from stss_ref.encoder import encoder
-from stss_ref.erm import erm
-from stss_ref.history import history_embedding
 from stss_ref.network import network
 from stss_ref.resample import upsample_centres
 from stss_ref.weights import astype, uses, zeros
@@ -296,32 +292,6 @@ def test_the_image_is_the_authors(reference_data, device, name):
     for precision in PRECISIONS:
         image = Network(weights, device, precision)(*inputs)
         assert ratio(f"network.cl.{precision}", image, want) <= 1, precision
-
-
-@few
-@given(eighths=sizes(4), seed=SEEDS)
-def test_every_stage_is_the_references(device, eighths, seed):
-    """One stage at a time, on the same inputs: which of them differs shows here."""
-    size = 8 * eighths[0], 8 * eighths[1]
-    color, gbuffer, mask, history = network_inputs(size, seed)
-    weights = random_weights(seed)
-    wide = astype(weights, np.float64)
-    c, g, m, h = (x.astype(np.float64) for x in (color, gbuffer, mask, history))
-    x1, x2, x3, x4 = encoder(c, g, m, wide)
-    feature, reshaded = history_embedding(h, wide), erm(x4, g, m, wide)
-    image = decoder(reshaded, feature, x1, x2, x3, c, wide)
-    small = {"x1": x1, "x2": x2, "x3": x3, "x4": x4, "feature": feature, "reshaded": reshaded}
-    given = {"color": color, "gbuffer": gbuffer, "mask": mask, "history": history}
-    given |= {name: array.astype(np.float32) for name, array in small.items()}
-    for stage, names, outputs in (
-        ("encoder", ("color", "gbuffer", "mask"), ("x1", "x2", "x3", "x4")),
-        ("history", ("history",), ("feature",)),
-        ("erm", ("x4", "gbuffer", "mask"), ("reshaded",)),
-        ("decoder", ("reshaded", "feature", "x1", "x2", "x3", "color"), ("image",)),
-    ):
-        made = run_stage(stage, {name: given[name] for name in names}, weights, device)
-        for name in outputs:
-            assert ratio("stage.cl", made[name], image if name == "image" else small[name], 1.0) <= 1, (stage, name)
 
 
 def without(weights, *layers):
