@@ -71,6 +71,7 @@ class Judge:
     ):
         self.port, self.tier, self.seed, self.shrink, self.repeat = port, tier, seed, shrink, repeat
         self.arithmetic = Arithmetic(port.dtype, bool(getattr(port, "winograd", False)))
+        self.weights_version = int(getattr(port, "weights_version", 2))
         self.stages = port.stages()
         self.record = Record()
         self.tell: Callable[[Finding], None] = lambda _: None
@@ -230,7 +231,10 @@ class Judge:
         if id(weights) not in self._weights:
             if len(self._weights) == MOST_WEIGHTS:
                 self._weights.clear()
-            self._weights[id(weights)] = weights, Tensors(self.given(weights), second_color(weights))
+            self._weights[id(weights)] = (
+                weights,
+                Tensors(self.given(weights), second_color(weights) if self.weights_version > 1 else "newest"),
+            )
         return self._weights[id(weights)][1]
 
     def given(self, arrays: Arrays, stage: str = "") -> dict[str, NDArray[Any]]:

@@ -15,7 +15,9 @@ from conformance.protocol.stages import STAGES
 from stss_ground.errors import InputError
 
 
-def load_port(spec: str | None, program: str | None, timeout: float, dtype: str | None, winograd: bool) -> Port:
+def load_port(
+    spec: str | None, program: str | None, timeout: float, dtype: str | None, winograd: bool, weights_version: int | None = None
+) -> Port:
     """Load the port to be judged.
 
     Args:
@@ -23,6 +25,7 @@ def load_port(spec: str | None, program: str | None, timeout: float, dtype: str 
         program: a command line; the job folder is appended to it.
         timeout: most seconds that one run of a program may take.
         dtype: arithmetic of the port; None: as the port's own ``dtype`` says, float32 for a program.
+        weights_version: the latest version of weights that the port knows; None: as its own ``weights_version`` says, else 2.
         winograd: the port uses Winograd convolutions, even if its own ``winograd`` does not say so.
 
     Raises:
@@ -41,6 +44,8 @@ def load_port(spec: str | None, program: str | None, timeout: float, dtype: str 
             raise InputError(f"{spec or program}: dtype: expected float32 or float16, got {port.dtype!r}")
         if winograd:
             port.winograd = True
+        if weights_version is not None:
+            port.weights_version = weights_version
         unknown = set(port.stages()) - set(STAGES)
     except PortError as error:
         raise InputError(str(error)) from error

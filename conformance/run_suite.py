@@ -40,6 +40,7 @@ def run_suite(
     junit: Path | None = None,
     required: Iterable[str] = (),
     first_only: bool = False,
+    only: str = "",
     on_result: Callable[[TestResult, int], None] | None = None,
 ) -> list[TestResult]:
     """Run the properties of some stages.
@@ -51,6 +52,7 @@ def run_suite(
         junit: a file for pytest's JUnit XML.
         required: stages that the port must have.
         first_only: stop at the first failure.
+        only: the tests whose names hold this, as pytest's ``-k`` has it; "": all.
         on_result: called after every test with its result and the number of tests.
 
     Returns:
@@ -86,6 +88,8 @@ def run_suite(
     arguments += [f"-pno:{name}" for name in ("cacheprovider", "terminal", "logging", "faulthandler", *_COLLECTING)]
     if junit is not None:
         arguments += ["--junitxml", str(junit)]
+    if only:
+        arguments += ["-k", only]
     if first_only:
         arguments.append("--exitfirst")
     with _undisturbed():

@@ -117,7 +117,7 @@ class _Collector(Judge):
 
     def _take(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None, *, exactly: bool) -> None:
         case = self.asked(stage, inputs, weights)
-        key = fingerprint([stage, dict(case.inputs), None if case.weights is None else dict(case.weights)])
+        key = fingerprint([stage, dict(case.inputs), case.weights])
         expected = self.right(stage, inputs, weights)
         if key not in self._seen:
             self._seen.add(key)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.random import Generator
 
 from conformance.cases.stage_inputs import Inputs, made_weights
-from stss_ref.weights import Weights
+from stss_ref.weights import SECOND_COLORS, SecondColor, Weights
 
 STEPS = ((0, 2, 4), (1, 3, 5), (1, 3, 3), (1, 1, 1), (2, 3, 5))
 MOVES = (1, 0), (0, 2), (2, 0), (0, -3), (-5, 0)
@@ -25,11 +25,11 @@ FAR = 256.0
 
 
 def frame_cases() -> tuple[Callable[[Generator], tuple[Inputs, Weights]], ...]:
-    """A case for each choice of steps."""
-    return tuple(partial(_frame, steps) for steps in STEPS)
+    """A case for each choice of steps and each second colour: pixels of the earlier frame are valid in some places and not in others."""
+    return tuple(partial(_frame, steps, second) for second in SECOND_COLORS for steps in STEPS)
 
 
-def _frame(steps: tuple[int, int, int], rng: Generator) -> tuple[Inputs, Weights]:
+def _frame(steps: tuple[int, int, int], second: SecondColor, rng: Generator) -> tuple[Inputs, Weights]:
     """Colour frame i has holes in the i-th block of three rows of blocks: by its stencil, its normal and its position."""
     stencils, positions = np.zeros((4, *SIZE)), np.zeros((4, *SIZE, 3))
     normals = np.broadcast_to([0.0, 0.0, 1.0], (4, *SIZE, 3)).copy()
@@ -46,4 +46,4 @@ def _frame(steps: tuple[int, int, int], rng: Generator) -> tuple[Inputs, Weights
         "motions": np.broadcast_to(moves[:, None, None], (len(moves), *SIZE, 2)), "gbuffer": rng.random((*SIZE, 9)),
         "nov": rng.uniform(-1, 1, SIZE), "stencils": stencils, "normals": normals, "positions": positions,
     }  # fmt: skip
-    return inputs, made_weights("random", 0)
+    return inputs, made_weights("random", 0, second)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from conformance.cases.planes import Size
 from conformance.cases.stage_inputs import Inputs, made_weights
-from stss_ref.weights import Weights
+from stss_ref.weights import SECOND_COLORS, SecondColor, Weights
 
 IMAGE_SIZES: tuple[Size, ...] = ((2, 300), (301, 3), (257, 259), (129, 66), (65, 129), (65_601, 1), (1, 65_601))
 """(H, W) for the image stages. The third has more than 65,536 pixels; the last two more columns or rows than 16 bits count."""
@@ -91,7 +91,7 @@ def network_case(stage: str, size: Size, rng: Generator) -> tuple[Inputs, Weight
     return inputs, made_weights("random", 0)
 
 
-def frame_case(size: Size, rng: Generator) -> tuple[Inputs, Weights]:
+def frame_case(size: Size, rng: Generator, second: SecondColor = "newest") -> tuple[Inputs, Weights]:
     """Stage frame: motion is short, in quarters, or far, in whole pixels; surfaces coincide or are far apart: rounding decides no hole."""
     far = np.round(rng.uniform(-0.9, 0.9, (5, *size, 2)) * (size[1], size[0]))
     moved = np.where(rng.random((5, *size, 1)) < 0.3, far, rng.integers(-6, 7, (5, *size, 2)) / 4)
@@ -102,7 +102,7 @@ def frame_case(size: Size, rng: Generator) -> tuple[Inputs, Weights]:
         "normals": np.broadcast_to([0.0, 0.0, 1.0], (4, *size, 3)), "colors": rng.random((3, *size, 3)),
         "steps": np.array([1, 3, 5], np.int32), "motions": moved, "gbuffer": rng.random((*size, 9)), "nov": rng.uniform(-1, 1, size),
     }  # fmt: skip
-    return inputs, made_weights("random", 0)
+    return inputs, made_weights("random", 0, second)
 
 
 _IMAGE: dict[str, Callable[[Size, Generator], Inputs]] = {
@@ -115,5 +115,5 @@ def large_inputs(stage: str) -> tuple[Made, ...]:
     if stage in _IMAGE:
         return tuple(partial(_IMAGE[stage], size) for size in IMAGE_SIZES)
     if stage == "frame":
-        return tuple(partial(frame_case, size) for size in ANY_SIZES)
+        return tuple(partial(frame_case, size, second=SECOND_COLORS[i % 2]) for i, size in enumerate(ANY_SIZES))
     return tuple(partial(network_case, stage, size) for size in (ANY_SIZES if stage == "network" else NETWORK_SIZES))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from conformance.cases.planes import SEEDS, Size, colors, dyadic_motions, masks, motions, sizes
 from conformance.scenes import SCENES, Rendered, render
 from stss_ref.constants import HoleLimits
-from stss_ref.weights import TENSORS, Weights, random
+from stss_ref.weights import SECOND_COLORS, TENSORS, SecondColor, Tensors, Weights, random
 
 Inputs = dict[str, NDArray[Any]]
 WEIGHT_KINDS = ("random", "sparse", "large", "small keys", "faint keys")
@@ -253,8 +253,14 @@ def weights(draw: st.DrawFn) -> Weights:
     return made_weights(draw(st.sampled_from(WEIGHT_KINDS)), draw(st.integers(0, 2)))
 
 
+@st.composite
+def frame_weights(draw: st.DrawFn) -> Weights:
+    """The same with either second colour, which stage frame makes for them."""
+    return made_weights(draw(st.sampled_from(WEIGHT_KINDS)), draw(st.integers(0, 2)), draw(st.sampled_from(SECOND_COLORS)))
+
+
 @lru_cache(32)
-def made_weights(kind: str, seed: int) -> Weights:
+def made_weights(kind: str, seed: int, second: SecondColor = "newest") -> Weights:
     """Weights of ``stss_ref.weights.random``, as they are, thinned out, enlarged, or with keys near the clamps of spec 8."""
     made = dict(random(seed))
     rng = np.random.default_rng(seed)
@@ -265,7 +271,7 @@ def made_weights(kind: str, seed: int) -> Weights:
             made[name] = made[name] * np.float32(2)
         elif kind in ("small keys", "faint keys") and name.startswith("KEncoder.4"):
             made[name] = made[name] * np.float32(1e-6 if kind == "small keys" else 1e-11)
-    return made
+    return Tensors(made, second)
 
 
 def _stencil(rng: np.random.Generator, size: Size, kind: str) -> NDArray[np.float64]:

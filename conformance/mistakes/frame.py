@@ -82,6 +82,43 @@ def _frame(name: str, what: str, *change: str, more: Sequence[Change] = ()) -> M
     return fault("frame", name, what, _FRAME, *change, more=more)
 
 
+def _trusted(mask: str, picture: str, otherwise: str = "newest") -> str:
+    return f"np.where({mask}[..., None], {picture}, {otherwise})"
+
+
+_EARLIER = _trusted("valids[1]", "warped[1]")
+_SWAPPED = '([other, instead] if second == "earlier" else [instead, other])'
+
+
+def _second(name: str, what: str, picture: str) -> Mistake:
+    """The second colour of weights that want an earlier one is ``picture``."""
+    right = f'other = {_EARLIER} if second == "earlier" else newest'
+    return _frame(f"second_{name}", what, right, f'other = ({picture}) if second == "earlier" else newest')
+
+
+_SECONDS = (
+    _second("ignored", "the newest frame is the second colour, whatever the weights say", "newest"),
+    _second("unmasked", "the earlier frame is the second colour in its holes, too", "warped[1]"),
+    _second("of_oldest", "the oldest frame for the earlier one as the second colour", _trusted("valids[2]", "warped[2]")),
+    _second("by_newest_mask", "the newest frame's holes for the earlier one's", _trusted("valids[0]", "warped[1]")),
+    _second("black_in_holes", "the second colour is black in the earlier frame's holes", _trusted("valids[1]", "warped[1]", "0")),
+    _second("not_warped", "the earlier frame is the second colour, but not warped", _trusted("valids[1]", "inputs.colors[1]")),
+    _second(
+        "missing_trusted",
+        "a missing earlier frame is the second colour",
+        _trusted("(valids[1] | (inputs.steps[1] == inputs.steps[0]))", "warped[1]"),
+    ),
+    _second("ef_only", "an SF's second colour is the newest frame", f"{_EARLIER} if inputs.steps[0] > 0 else newest"),
+    _second("sf_only", "an EF's second colour is the newest frame", f"{_EARLIER} if inputs.steps[0] == 0 else newest"),
+    _frame("second_first", "the earlier frame is the first colour", _COLOR, _COLOR.replace("[instead, other]", _SWAPPED)),
+    _frame(
+        "second_filled",
+        "the second colour is filled, not warped, in the earlier frame's holes",
+        _COLOR,
+        _COLOR.replace("other]", 'np.where(valids[1][..., None] | (second == "newest"), other, instead)]'),
+    ),
+)
+
 FRAME = (
     _frame("newest_motion_for_all", "one motion for the three colours", _CHAINED, "motions.get(inputs.steps[0]))"),
     _frame("one_step_too_far", "each motion one frame too far", _STEPS, "enumerate(chained, start=0)"),
@@ -213,6 +250,7 @@ FRAME = (
     _frame("mask_of_oldest", "the oldest mask as the network's", _MASK_OUT, "masks[2][..., 0], "),
     _frame("mask_of_all", "the network's mask: valid in all three", _MASK_OUT, "(masks[0] * masks[1] * masks[2])[..., 0], "),
     _frame("mask_all_valid", "the network's mask all 1", _MASK_OUT, "masks[0][..., 0] * 0 + 1, "),
+    *_SECONDS,
     _frame("negative_color", "colours below 0 stay", _COLOR, "color = np.concatenate([instead, other], axis=-1)"),
     _frame("negative_history", "colours below 0 stay in the history", _STACK, _STACK.replace("np.maximum(w, 0)", "w")),
     _frame(

@@ -27,7 +27,7 @@ from conformance.protocol.layers import Watched, chosen
 from conformance.protocol.port import AnyArray, Arrays, Outputs
 from conformance.protocol.stages import STAGES
 from conformance.tolerance import ratio
-from stss_ref.weights import Weights
+from stss_ref.weights import Tensors, Weights, second_color
 
 ROOT = Path(stss_ref.__file__).parent
 STAGES_FILE = Path(conformance.protocol.stages.__file__)
@@ -119,7 +119,7 @@ class Variant:
         """See `conformance.protocol.port.Port`. Wrong numbers raise no NumPy warning, since other languages give none."""
         if (entry := self._entry) is not None:
             inputs = {name: entry(array) if array.dtype.kind == "f" else array for name, array in inputs.items()}
-            weights = None if weights is None else {name: entry(tensor) for name, tensor in weights.items()}
+            weights = None if weights is None else Tensors({n: entry(t) for n, t in weights.items()}, second_color(weights))
         with np.errstate(all="ignore"):
             return self._reference(stage, inputs, weights)
 
@@ -200,8 +200,8 @@ class _Copy(MetaPathFinder, Loader):
 
 @cache
 def _sources() -> dict[str, str]:
-    # `arrays` is not copied: it computes nothing, and the suite catches its errors by their class.
-    paths = [path for path in ROOT.glob("*.py") if path.name != "arrays.py"]
+    # `arrays` and `weights` are not copied: they compute nothing, and are known by their classes.
+    paths = [path for path in ROOT.glob("*.py") if path.name not in ("arrays.py", "weights.py")]
     return {path.name: path.read_text(encoding="utf-8") for path in [*paths, STAGES_FILE]}
 
 
@@ -218,5 +218,5 @@ def _changed(changes: Sequence[Change]) -> dict[str, str]:
 
 @cache
 def _code(file: str, source: str) -> CodeType:
-    source = re.sub(r"^from stss_ref\b(?!\.arrays\b)", f"from {PACKAGE}", source, flags=re.MULTILINE)
+    source = re.sub(r"^from stss_ref\b(?!\.(?:arrays|weights)\b)", f"from {PACKAGE}", source, flags=re.MULTILINE)
     return compile(source, f"<{PACKAGE}/{file}>", "exec", dont_inherit=True)

@@ -16,6 +16,7 @@ import numpy as np
 
 from conformance.protocol.job_folder import JobError, read_array, read_bytes
 from conformance.protocol.port import AnyArray
+from stss_ref.weights import SECOND_COLORS, Tensors
 
 PROPERTY = "property.json"
 MOST_BYTES = 1 << 20
@@ -63,6 +64,8 @@ def _written(value: Any, noted: Callable[[AnyArray], str]) -> Any:
         return {"array": noted(value)}
     if isinstance(value, (list, tuple)):
         return {type(value).__name__: [_written(item, noted) for item in value]}
+    if isinstance(value, Tensors):
+        return {"weights": [value.second_color, _written(dict(value), noted)]}
     if isinstance(value, dict) and all(isinstance(key, str) for key in value):
         return {"dict": {key: _written(item, noted) for key, item in value.items()}}
     raise TypeError(f"expected numbers, words, lists and arrays, got {type(value).__name__}")
@@ -99,5 +102,8 @@ def _read(value: Any, folder: Path, arrays: dict[str, AnyArray]) -> Any:
         return float(held)
     if kind == "dict":
         return {str(key): _read(item, folder, arrays) for key, item in held.items()}
+    if kind == "weights":
+        second, tensors = held
+        return Tensors(_read(tensors, folder, arrays), SECOND_COLORS[SECOND_COLORS.index(second)])
     items = [_read(item, folder, arrays) for item in held]
     return {"list": list, "tuple": tuple}[kind](items)

@@ -7,13 +7,13 @@ from hypothesis import strategies as st
 from conformance.cases.constants import constant_cases, pinned_by
 from conformance.cases.every_buffer import frame_cases
 from conformance.cases.large_inputs import large_inputs
-from conformance.cases.stage_inputs import Inputs, frame_inputs, scene_inputs, weights
+from conformance.cases.stage_inputs import Inputs, frame_inputs, frame_weights, scene_inputs
 from conformance.judge import Judge
 from conformance.questions import Talk, ask
 from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
 
-CASES = st.tuples(frame_inputs(), weights())
+CASES = st.tuples(frame_inputs(), frame_weights())
 STANDS = frame_inputs().map(lambda inputs: {**inputs, "motions": inputs["motions"] * 0})
 
 
@@ -26,19 +26,19 @@ def test_agrees_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -
 STARTS = st.sampled_from([(0, 0, 0), (1, 1, 1), (0, 2, 2), (1, 3, 3)])
 
 
-@cases(st.tuples(STARTS.flatmap(lambda steps: frame_inputs(steps=steps)), weights()), slow=True)
+@cases(st.tuples(STARTS.flatmap(lambda steps: frame_inputs(steps=steps)), frame_weights()), slow=True)
 def test_agrees_at_the_start_of_a_sequence(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Frames agree, too, where older frames are missing: the oldest existing frame stands in, with all of it masked."""
     yield from judge.agrees("frame", *case)
 
 
-@cases(st.tuples(scene_inputs(), weights()), slow=True)
+@cases(st.tuples(scene_inputs(), frame_weights()), slow=True)
 def test_agrees_on_rendered_scenes(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Frames agree, too, on scenes whose motion, geometry and holes come from a renderer."""
     yield from judge.agrees("frame", *case)
 
 
-@cases(st.tuples(STANDS, weights()), slow=True)
+@cases(st.tuples(STANDS, frame_weights()), slow=True)
 def test_without_a_residual_a_still_frame_is_upsampled(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """If nothing moves and nothing is a hole, with weights of 0 an extrapolated frame has the same bits as a rendered one."""
     inputs, given = case
@@ -51,7 +51,7 @@ def test_without_a_residual_a_still_frame_is_upsampled(judge: Judge, case: tuple
     judge.same("frame.image", extrapolated["image"], rendered["image"])
 
 
-@cases(st.tuples(frame_inputs(steps=(0, 2, 4)), weights()), slow=True)
+@cases(st.tuples(frame_inputs(steps=(0, 2, 4)), frame_weights()), slow=True)
 def test_a_rendered_frame_looks_for_no_other(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """With weights of 0 a rendered frame depends on its own colour alone."""
     inputs, given = case

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from conformance.cases.stage_inputs import Inputs, frame_inputs, weights
+from conformance.cases.stage_inputs import Inputs, frame_inputs, frame_weights
 from conformance.judge import Judge
 from conformance.questions import Talk, ask
 from conformance.suite.properties import cases
@@ -18,7 +18,7 @@ KINDS = ((0, 2, 4), (1, 3, 5))
 @st.composite
 def sequences(draw: st.DrawFn) -> list[tuple[str, Inputs, Weights]]:
     """Draw a sequence of calls: each has the next frame, the same one, a cut, a changed part, another size, or other weights."""
-    given = draw(weights())
+    given = draw(frame_weights())
     size = draw(st.tuples(st.integers(1, 12), st.integers(1, 12)))
     frame = draw(frame_inputs(st.just(size), KINDS[0]))
     calls = [("first", frame, given)]
@@ -35,7 +35,7 @@ def sequences(draw: st.DrawFn) -> list[tuple[str, Inputs, Weights]]:
             size = draw(st.tuples(st.integers(1, 12), st.integers(1, 12)))
             frame = draw(frame_inputs(st.just(size), draw(st.sampled_from(KINDS))))
         elif what == "weights":
-            given = draw(weights())
+            given = draw(frame_weights())
         elif what == "back":
             _, frame, given = calls[0]
             size = frame["nov"].shape

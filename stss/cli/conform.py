@@ -31,6 +31,11 @@ MAX_REPEAT = 1000
 )
 @click.option("--winograd", is_flag=True, help="The port computes convolutions by Winograd's method: wider bounds for them.")
 @click.option(
+    "--weights-version",
+    type=click.IntRange(1, 2),
+    help="Latest version of weights that the port knows  [default: what it says; 2]",
+)
+@click.option(
     "--timeout", type=Number(0, MAX_SECONDS, min_open=True), default=120, show_default=True, help="Seconds for one start."
 )
 @click.option("--require", type=Names(), help="Stages that the port must have.")
@@ -56,6 +61,7 @@ def conform(
     seed: int,
     dtype: str | None,
     winograd: bool,
+    weights_version: int | None,
     timeout: float,
     require: tuple[str, ...] | None,
     repeat: int,
@@ -93,13 +99,13 @@ def conform(
         asked = [stage for stage in SUITE if stages is None or stage in stages]
         _write_cases(write_cases, asked, dtype or "float32", winograd, tier, seed)
         return
-    port = load_port(spec, program, timeout, dtype, winograd)
+    port = load_port(spec, program, timeout, dtype, winograd, weights_version)
     if replay is not None:
         sys.exit(_replay(port, replay))
     judge = Judge(port, TIERS[tier], seed, repeat=repeat)
     try:
         known = read_known(known_failures) if known_failures is not None else ()
-        running = RunningReport(judge, failures, _command(spec, program, dtype, winograd=winograd), json_file)
+        running = RunningReport(judge, failures, _command(spec, program, dtype, weights_version, winograd=winograd), json_file)
         with running, by_name(junit) as junit_file:
             run_suite(
                 judge, stages or SUITE, known=known, required=require or (), junit=junit_file, first_only=fail_fast,
@@ -146,9 +152,10 @@ def _require_folder(failures: Path) -> None:
         raise InputError(f"{failures}: expected a folder, found a file")
 
 
-def _command(spec: str | None, program: str | None, dtype: str | None, *, winograd: bool) -> str:
+def _command(spec: str | None, program: str | None, dtype: str | None, weights_version: int | None, *, winograd: bool) -> str:
     words = ["stss", "conform", *(("--port", spec) if spec is not None else ("--exec", program or ""))]
     words += ["--dtype", dtype] if dtype is not None else []
+    words += ["--weights-version", str(weights_version)] if weights_version is not None else []
     return shlex.join([*words, *(["--winograd"] if winograd else [])])
 
 

@@ -101,6 +101,7 @@ def to_json(
         "port": judge.port.name,
         "dtype": judge.arithmetic.dtype,
         "winograd": judge.arithmetic.winograd,
+        "weights_version": judge.weights_version,
         "tier": judge.tier.name,
         "seed": judge.seed,
         "repeat": judge.repeat,
@@ -176,6 +177,7 @@ def write_page(path: Path, judge: Judge, results: Sequence[TestResult], folders:
         InputError: the file cannot be written.
     """
     arithmetic = judge.arithmetic.dtype + (", Winograd" if judge.arithmetic.winograd else "")
+    arithmetic += "" if judge.weights_version > 1 else ", weights of version 1 only"
     counted = tallied([r.record for r in results])
     verdict = "passes" if passed(results) else "departs from the specification"
     verdict = "was not judged" if JUDGED in {r.id for r in results} else verdict

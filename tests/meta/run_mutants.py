@@ -12,17 +12,15 @@ from time import perf_counter
 
 from conformance.judge import TIERS, Judge
 from conformance.mistakes import MISTAKES, find
-from conformance.run_suite import run_suite, run_test
+from conformance.run_suite import run_suite
 
 
 def failed(name, seed=0):
     """The results of its stage's quick tier that a mutant fails; the first one only, unshrunken."""
     mutant = find(name)
     judge = Judge(mutant.port(), TIERS["quick"], seed, shrink=False)
-    if mutant.large:  # nothing before the large frames can find it
-        results = [run_test(judge, f"{mutant.stage}.large_frames_agree_with_the_reference")]
-    else:
-        results = run_suite(judge, [mutant.stage], first_only=True)
+    # Nothing before the large frames can find what no small frame shows.
+    results = run_suite(judge, [mutant.stage], first_only=True, only="large_frames" if mutant.large else "")
     return [result for result in results if result.outcome in ("failed", "error")]
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from conformance.protocol.port import Case
 from conformance.protocol.stages import STAGES
-from stss_ref.weights import Weights, random
+from stss_ref.weights import SECOND_COLORS, Tensors, Weights, random
 
 Float = NDArray[np.float32]
 Size = tuple[int, int]
@@ -153,7 +153,8 @@ def _frame(generator: np.random.Generator) -> Any:
         inputs["colors"] = generator.uniform(-0.3, 1.3, (3, *size, 3))
         inputs["motions"] = np.stack([motion(generator, size, "short") / 4 for _ in range(5)])
         inputs["gbuffer"], inputs["nov"] = generator.random((*size, 9)), generator.uniform(-1, 1, size)
-        yield {**inputs, "steps": np.array(steps, np.int32)}, weights_of("plain")
+        for second in SECOND_COLORS:
+            yield {**inputs, "steps": np.array(steps, np.int32)}, Tensors(weights_of("plain"), second)
 
 
 _SAMPLES: dict[str, Callable[[np.random.Generator], Any]] = {
