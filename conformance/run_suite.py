@@ -37,7 +37,6 @@ def run_suite(
     stages: Iterable[str] = SUITE,
     *,
     known: Sequence[KnownFailure] = (),
-    junit: Path | None = None,
     required: Iterable[str] = (),
     first_only: bool = False,
     only: str = "",
@@ -49,7 +48,6 @@ def run_suite(
         judge: has the port.
         stages: names of ``SUITE``.
         known: tests that are known to fail; those of other stages have no say.
-        junit: a file for pytest's JUnit XML.
         required: stages that the port must have.
         first_only: stop at the first failure.
         only: the tests whose names hold this, as pytest's ``-k`` has it; "": all.
@@ -71,7 +69,7 @@ def run_suite(
             find_property(each.test)
         except LookupError as error:
             raise KnownFailuresError(f"known failures: {error}") from error
-    plugin = _Plugin(judge, known, required, on_result)
+    plugin = _Plugin(judge, known, stages, required, on_result)
     files = [str(SUITE_FOLDER / f"test_{stage}.py") for stage in SUITE if stage in stages]
     arguments = [
         *files,
@@ -86,8 +84,6 @@ def run_suite(
         "ignore",
     ]
     arguments += [f"-pno:{name}" for name in ("cacheprovider", "terminal", "logging", "faulthandler", *_COLLECTING)]
-    if junit is not None:
-        arguments += ["--junitxml", str(junit)]
     if only:
         arguments += ["-k", only]
     if first_only:
@@ -125,10 +121,11 @@ class _Plugin:
         self,
         judge: Judge,
         known: Sequence[KnownFailure],
+        stages: set[str],
         required: Iterable[str],
         on_result: Callable[[TestResult, int], None] | None,
     ):
-        self._judge, self._required, self._on_result = judge, set(required), on_result
+        self._judge, self._stages, self._required, self._on_result = judge, stages, set(required), on_result
         self._known = {each.test: each for each in known}
         self._total = 0
         self._stdout = sys.stdout
@@ -153,27 +150,26 @@ class _Plugin:
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
         self._total = len(items)
 
-    @pytest.hookimpl(tryfirst=True)
-    def pytest_sessionfinish(self, session: pytest.Session) -> None:
-        """Before the JUnit file is written: it has what is added here as well."""
-        lacking = sorted(self._required - self._judge.stages)
-        if lacking:
-            message = f"the port has no stage {', '.join(lacking)}"
-            self._add(session, REQUIRED, "The port has the stages that it is required to have.", message)
+    def pytest_sessionfinish(self) -> None:
+        """Add what says something of the run as a whole."""
+        wanted = {
+            "the port has no stage": {each for each in self._required if _stage_needed(each) not in self._judge.stages},
+            "not among the stages that are judged:": self._required - self._stages,
+        }
+        if reasons := [f"{words} {', '.join(sorted(lacking))}" for words, lacking in wanted.items() if lacking]:
+            words = "The port has the stages that it is required to have, and they are judged."
+            self._add(REQUIRED, words, "; ".join(reasons))
         if self.broken or len(self.results) < self._total or any(_judged(result) for result in self.results):
             return
         stages = sorted({result.stage for result in self.results} & set(SUITE), key=SUITE.index)
         lacks_all = all(result.outcome == "skipped" for result in self.results if result.id != REQUIRED)
         lacking = f"the port has none of the stages asked for: {', '.join(stages)}"
         message = f"nothing was judged: {lacking if lacks_all else 'rounding decided on every answer'}"
-        self._add(session, JUDGED, "At least one answer of the port is held against what is right.", message)
+        self._add(JUDGED, "At least one answer of the port is held against what is right.", message)
 
-    def _add(self, session: pytest.Session, name: str, words: str, message: str) -> None:
+    def _add(self, name: str, words: str, message: str) -> None:
         """A failure of the run as a whole."""
-        stage, test = name.split(".")
-        report = pytest.TestReport(name, (stage, None, test), {}, "failed", message, "call")
-        session.config.hook.pytest_runtest_logreport(report=report)
-        self._tell(TestResult(name, stage, words, "failed", message))
+        self._tell(TestResult(name, name.partition(".")[0], words, "failed", message))
 
     def _tell(self, result: TestResult) -> None:
         self.results.append(result)
@@ -188,7 +184,7 @@ class _Plugin:
         report = yield
         if call.when == "call" or report.skipped or report.failed:
             result = self._take(item, call, report)
-            if result.outcome == "known":  # to pytest, which writes JUnit and stops at a failure
+            if result.outcome == "known":  # to pytest, which stops at a failure
                 report.outcome, report.wasxfail = "skipped", result.message
             elif result.outcome == "failed" and report.passed:
                 report.outcome, report.longrepr = "failed", result.message
@@ -224,8 +220,11 @@ def _stage(item: Any) -> str:
 
 def _needs(item: Any) -> str:
     """The stage that a test asks the port for."""
-    stage = _stage(item)
-    return "frame" if stage == SEQUENCE else stage
+    return _stage_needed(_stage(item))
+
+
+def _stage_needed(name: str) -> str:
+    return "frame" if name == SEQUENCE else name
 
 
 def _id(item: Any) -> str:

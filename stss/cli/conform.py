@@ -14,7 +14,6 @@ from stss_ground.errors import InputError
 from stss_ground.option_kinds import MAX_SECONDS, MAX_SEED, PATH, Names, Number
 from stss_ground.optional import require as require_package
 from stss_ground.output.apart import require_places
-from stss_ground.output.write_whole import by_name
 from stss_ground.terminal import echo
 
 MAX_REPEAT = 1000
@@ -106,16 +105,13 @@ def conform(
     try:
         known = read_known(known_failures) if known_failures is not None else ()
         running = RunningReport(judge, failures, _command(spec, program, dtype, weights_version, winograd=winograd), json_file)
-        with running, by_name(junit) as junit_file:
-            run_suite(
-                judge, stages or SUITE, known=known, required=require or (), junit=junit_file, first_only=fail_fast,
-                on_result=running.take,
-            )  # fmt: skip
+        with running:
+            run_suite(judge, stages or SUITE, known=known, required=require or (), first_only=fail_fast, on_result=running.take)
     except KnownFailuresError as error:
         raise InputError(str(error)) from error
     except OSError as error:
         raise InputError(f"{error.filename or known_failures}: {error.strerror or error}") from error
-    sys.exit(0 if running.finish(report) else 1)
+    sys.exit(0 if running.finish(report, junit) else 1)
 
 
 @click.command()

@@ -136,6 +136,17 @@ def judged_by_stage(results: Sequence[TestResult]) -> dict[str, list[TestResult]
     return by_stage(ran)
 
 
+def judged_on(judge: Judge, results: Sequence[TestResult]) -> list[str]:
+    """The last lines of a report: the largest sizes, and weights that the port does not know."""
+    sizes: dict[tuple[int, int], list[str]] = {}
+    for stage, some in judged_by_stage(results).items():
+        largest = max(r.record.largest[0] for r in some), max(r.record.largest[1] for r in some)
+        if max(largest):
+            sizes.setdefault(largest, []).append(stage)
+    lines = [f"largest height {height}, largest width {width}: {', '.join(names)}" for (height, width), names in sizes.items()]
+    return lines if judge.weights_version > 1 else [*lines, "weights of version 1 only, as the port declares"]
+
+
 def _stage(results: Sequence[TestResult]) -> dict[str, Any]:
     """What a stage was judged on."""
     counted = tallied([r.record for r in results])

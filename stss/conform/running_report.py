@@ -6,10 +6,11 @@ from __future__ import annotations
 import shlex
 from pathlib import Path
 
-from conformance.findings import TestResult
+from conformance.findings import Finding, TestResult
 from conformance.judge import Judge
 from stss.conform.failures import keep_failure
-from stss.conform.report import passed, print_results, to_json, write_json, write_page
+from stss.conform.junit import write_junit
+from stss.conform.report import judged_on, passed, print_results, to_json, write_json, write_page
 from stss_ground.terminal import Terminal, echo
 
 
@@ -34,6 +35,7 @@ class RunningReport:
         self._terminal = Terminal(stderr=True)
         self._status = self._terminal.status("")
         self._total = 0
+        judge.tell = self._told_early
 
     def __enter__(self) -> RunningReport:
         self._status.start()
@@ -57,11 +59,16 @@ class RunningReport:
                 echo(f"  {self._again} --replay {shlex.quote(str(self.folders[result.id]))}")
         self.write()
 
-    def finish(self, page: Path | None) -> bool:
+    def _told_early(self, finding: Finding) -> None:
+        """A failure that is still made smaller."""
+        echo(f"fails, and is made smaller: {finding.message}")
+
+    def finish(self, page: Path | None, junit: Path | None = None) -> bool:
         """Print and write the whole report, even of a run that was stopped.
 
         Args:
             page: HTML file to write; None: none.
+            junit: JUnit file to write; None: none.
 
         Returns:
             Whether the port passes.
@@ -71,6 +78,10 @@ class RunningReport:
         print_results(self.results, Terminal())
         if page is not None:
             write_page(page, self._judge, self.results, self.folders)
+        if junit is not None:
+            write_junit(junit, self._judge, self.results, self.folders)
+        for line in judged_on(self._judge, self.results):
+            echo(line)
         if not complete:
             echo(f"stopped after {len(self.results)} of {self._total} tests")
         return complete and passed(self.results)

@@ -8,7 +8,6 @@ import io
 import os
 import re
 import secrets
-import tempfile
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -65,25 +64,6 @@ def write_figure(path: Path, figure: Any, dpi: int) -> None:
     except ValueError as error:
         raise InputError(f"{path}: {error}") from error
     write_named(path, drawn.getvalue())
-
-
-@contextmanager
-def by_name(path: Path | None) -> Generator[Path | None, None, None]:
-    """Give a library a temporary name to write to, and then write the content as `write_named` does.
-
-    Args:
-        path: the file that the user named; None: none, and the library gets None.
-
-    Raises:
-        InputError: it can't be written.
-    """
-    if path is None:
-        yield None
-        return
-    with tempfile.TemporaryDirectory(prefix="stss-") as folder:
-        beside = Path(folder) / path.name
-        yield beside
-        write_named(path, beside.read_bytes())
 
 
 def make_folder(path: Path) -> None:

@@ -108,7 +108,12 @@ def test_a_wrong_port_leaves_what_is_needed(here):
     assert "data:image/png;base64," in page
     assert "the test expects" in page
     assert '<code>holes</code><td>valid<td class="n wrap">not judged: the port lacks the stage' in page
-    assert int(ElementTree.parse(here / "junit.xml").getroot()[0].get("failures", 0)) > 0
+    suite = ElementTree.parse(here / "junit.xml").getroot().find("testsuite[@name='warp']")
+    assert int(suite.get("failures")) > 0
+    assert suite.find("properties/property[@name='seed']").get("value") == "0"
+    body = suite.find("testcase[@name='warp.agrees_with_the_reference']/failure").text
+    assert "the test expects" in body
+    assert "--replay conform-failures/warp.agrees_with_the_reference" in body
     found = json.loads((here / "found.json").read_text())
     assert {test["outcome"] for test in found["tests"] if test["stage"] == "holes"} == {"skipped"}
 
@@ -131,6 +136,9 @@ def test_a_stage_that_is_required_and_lacking_is_a_failure(here):
     assert done.exit_code == 1
     assert "failed: suite.required_stages_are_there: the port has no stage holes" in done.output
     assert "required_stages_are_there" in (here / "junit.xml").read_text()
+    done = run("--port", "wrong_port:Port", "--stages", "rrm", "--require", "warp")
+    assert done.exit_code == 1
+    assert "not among the stages that are judged: warp" in done.output
 
 
 def test_what_an_interrupted_run_found_is_left(here):
