@@ -9,17 +9,17 @@
 //  bias         in   (OUT)
 //  out          out  padded, (out_channels)             channels out_first .. out_first + OUT - 1 of it
 //
-// Build -D A -D B -D OUT (multiples of 8; A may be 4 where not GATED) -D KERNEL -D STRIDE -D PIXELS (1, 2 or 4) -D BLOCK (float8 of outputs held
+// Build -D A -D B -D OUT (multiples of 8; A may be 4 where not GATED) -D KERNEL -D STRIDE -D PIXELS (1, 2 or 4) -D EIGHTS_HELD (float8 of outputs held
 // at once) -D GROUP (work-group along x) -D WORKERS (16 / PIXELS, or a divisor of it), optionally -D GATED -D RELU -D HALF.
 //
-// One work-item holds PIXELS x BLOCK accumulators of eight channels: 4 x 3 and 2 x 4 fill a CPU's registers.
-// `tiles`, `count`: the tiles of 4 x 4 pixels of the output that are computed, see tile_list.clh. Launch (any multiple of WORKERS, OUT / 8 / BLOCK
+// One work-item holds PIXELS x EIGHTS_HELD accumulators of eight channels: 4 x 3 and 2 x 4 fill a CPU's registers.
+// `tiles`, `count`: the tiles of 4 x 4 pixels of the output that are computed, see tile_list.clh. Launch (any multiple of WORKERS, OUT / 8 / EIGHTS_HELD
 // or a divisor of it).
 //
 // -D MARK: a value is compared with the one that is stored, and `changes`, the output's map, marked where bits came to differ (change_map.clh).
-#if !defined(A) || !defined(B) || !defined(OUT) || !defined(KERNEL) || !defined(STRIDE) || !defined(PIXELS) || !defined(BLOCK) || \
+#if !defined(A) || !defined(B) || !defined(OUT) || !defined(KERNEL) || !defined(STRIDE) || !defined(PIXELS) || !defined(EIGHTS_HELD) || \
     !defined(GROUP)
-#error "conv.cl needs -D A, B, OUT, KERNEL, STRIDE, PIXELS, BLOCK, GROUP"
+#error "conv.cl needs -D A, B, OUT, KERNEL, STRIDE, PIXELS, EIGHTS_HELD, GROUP"
 #endif
 #if PIXELS != 1 && PIXELS != 2 && PIXELS != 4
 #error "conv.cl: PIXELS is 1, 2 or 4"
@@ -35,11 +35,11 @@
 #define TAP(buffer, channels, first)                                                                                      \
     from = buffer + (at + shift) * channels;                                                                              \
     for (int c = 0; c < channels; ++c) {                                                                                  \
-        float8 w[BLOCK];                                                                                                  \
-        _Pragma("unroll") for (int j = 0; j < BLOCK; ++j) w[j] = taps[(first + c) * OUT8 + j];                            \
+        float8 w[EIGHTS_HELD];                                                                                                  \
+        _Pragma("unroll") for (int j = 0; j < EIGHTS_HELD; ++j) w[j] = taps[(first + c) * OUT8 + j];                            \
         _Pragma("unroll") for (int p = 0; p < PIXELS; ++p) {                                                              \
             const float8 v = (float8)(LOAD(from, p * STRIDE * channels + c));                                                 \
-            _Pragma("unroll") for (int j = 0; j < BLOCK; ++j) sum[p * BLOCK + j] += v * w[j];                             \
+            _Pragma("unroll") for (int j = 0; j < EIGHTS_HELD; ++j) sum[p * EIGHTS_HELD + j] += v * w[j];                             \
         }                                                                                                                 \
     }
 
@@ -51,7 +51,7 @@
             gate[p] += LOAD8(buffer, (at + shift + p * STRIDE) * (channels / 8) + c) * w;                                 \
     }
 
-// PIXELS pixels from (y, x0) on, BLOCK eights of channels from `block` on.
+// PIXELS pixels from (y, x0) on, EIGHTS_HELD eights of channels from `block` on.
 static inline void compute(global const stored *restrict a, global const stored *restrict b, global const float8 *restrict weight,
                            global const float8 *restrict gate_weight, global const float8 *restrict bias, const float gate_bias,
                            global stored *restrict out, const int width, const int in_columns, const int out_columns,
@@ -62,9 +62,9 @@ static inline void compute(global const stored *restrict a, global const stored 
     const int at = (y * STRIDE + 1 - PAD) * in_columns + x0 * STRIDE + 1 - PAD;
     global const stored *from;
 
-    float8 sum[PIXELS * BLOCK];
+    float8 sum[PIXELS * EIGHTS_HELD];
 #pragma unroll
-    for (int i = 0; i < PIXELS * BLOCK; ++i) sum[i] = bias[block + i % BLOCK];
+    for (int i = 0; i < PIXELS * EIGHTS_HELD; ++i) sum[i] = bias[block + i % EIGHTS_HELD];
 #pragma unroll 1
     for (int tap = 0; tap < KERNEL * KERNEL; ++tap) {
         const int shift = tap / KERNEL * in_columns + tap % KERNEL;
@@ -98,8 +98,8 @@ static inline void compute(global const stored *restrict a, global const stored 
 #endif
         BEGIN_TILE;
 #pragma unroll
-        for (int j = 0; j < BLOCK; ++j) {
-            float8 value = sum[p * BLOCK + j];
+        for (int j = 0; j < EIGHTS_HELD; ++j) {
+            float8 value = sum[p * EIGHTS_HELD + j];
 #ifdef GATED
             value *= open;
 #endif
@@ -126,7 +126,7 @@ void conv(global const stored *restrict a, global const stored *restrict b, glob
         for (int i = PIXELS * WORKER; i < 16; i += PIXELS * WORKERS) {
             const int y = top + i / 4, x = left + i % 4;
             if (y >= height || x >= width) continue;
-            for (int block = get_global_id(1) * BLOCK; block < OUT8; block += get_global_size(1) * BLOCK)
+            for (int block = get_global_id(1) * EIGHTS_HELD; block < OUT8; block += get_global_size(1) * EIGHTS_HELD)
                 compute(a, b, weight, gate_weight, bias, gate_bias, out, width, in_columns, out_columns, out_channels, out_first,
                         block, x, y, changes);
         }

@@ -7,7 +7,7 @@
 // -D IMAGES: several one behind the other, a list's rows likewise, `tile_rows` of each. From one to the next lie a_next and out_next values, map_next of `changes`.
 //
 // 32 neighbouring work-items form 8 x 4 and compute the same eight outputs: their weights are a broadcast, and their inputs are 128
-// bytes in a row. The tile takes STEP channels at a time, one plane each; at stride 2 even columns lie before odd ones.
+// bytes in a row. The tile takes CHUNK channels at a time, one plane each; at stride 2 even columns lie before odd ones.
 #if !defined(A) || !defined(B) || !defined(OUT) || !defined(STRIDE) || !defined(ROWS)
 #error "conv_local.cl needs -D A, B, OUT, STRIDE, ROWS"
 #endif
@@ -18,13 +18,13 @@
 #define SLICES (OUT / 8)
 #define WIDE 32
 #define TALL (4 * ROWS)
-#define STEP (STRIDE == 2 || A == 4 ? 4 : 8)
+#define CHUNK (STRIDE == 2 || A == 4 ? 4 : 8)
 #define READ_WIDE (STRIDE * (WIDE - 1) + 3)
 #define READ_TALL (STRIDE * (TALL - 1) + 3)
 #define PITCH (36 * STRIDE)                          // floats of a row of the tile: whole float4s
 #define PLANE ((PITCH * READ_TALL + 7) / 8 * 8 + 4)  // planes 4 apart then lie in other banks than those beside them
 #define ITEMS (32 * SLICES)
-#define TILE (STEP * PLANE)
+#define TILE (CHUNK * PLANE)
 #define PIXELS (4 * ROWS)
 #define TAPS(r) (STRIDE * (r) + 3)
 
@@ -53,13 +53,13 @@
 #define READ4(buffer, i) ((global const float4 *)(buffer))[i]
 #endif
 
-// Loads channels `first` .. first + STEP - 1 of the pixels under the tile, whose corner is the buffers' pixel (top, left). Only pixels that
+// Loads channels `first` .. first + CHUNK - 1 of the pixels under the tile, whose corner is the buffers' pixel (top, left). Only pixels that
 // are not stored need values beyond the buffers.
 static inline void fetch(global const stored *a, global const stored *b, local float *tile, const int item, const int first,
                          const int top, const int left, const int in_rows, const int in_columns)
 {
-    for (int i = item; i < STEP / 4 * READ_WIDE * READ_TALL; i += ITEMS) {
-        const int quad = i % (STEP / 4), x = i / (STEP / 4) % READ_WIDE, y = i / (STEP / 4) / READ_WIDE;
+    for (int i = item; i < CHUNK / 4 * READ_WIDE * READ_TALL; i += ITEMS) {
+        const int quad = i % (CHUNK / 4), x = i / (CHUNK / 4) % READ_WIDE, y = i / (CHUNK / 4) / READ_WIDE;
         const int place = least(top + y, in_rows - 1) * in_columns + least(left + x, in_columns - 1);
         const float4 v = B && first >= A ? READ4(b, (place * B + first - A) / 4 + quad) : READ4(a, (place * A + first) / 4 + quad);
         local float *to = tile + 4 * quad * PLANE + y * PITCH + COLUMN(x);
@@ -95,8 +95,8 @@ void conv_local(global const stored *restrict a, global const stored *restrict b
                 , global const uint *restrict tiles, global const int *restrict count, global uchar *restrict changes)
 {
     local float tile[TILE] __attribute__((aligned(16)));
-    local float taps[9 * STEP * OUT] __attribute__((aligned(32)));
-    local float gates[9 * STEP];
+    local float taps[9 * CHUNK * OUT] __attribute__((aligned(32)));
+    local float gates[9 * CHUNK];
     const int lx = get_local_id(0), ly = get_local_id(1), slice = get_local_id(2), item = (slice * 4 + ly) * 8 + lx;
     const int in_rows = (STRIDE * height + 3) / 4 * 4 + 2;
     a += a_first;
@@ -119,19 +119,19 @@ void conv_local(global const stored *restrict a, global const stored *restrict b
 #pragma unroll
         for (int i = 0; i < 8; ++i) gate[i] = 0.0f;
 
-        for (int first = 0; first < IN; first += STEP) {
+        for (int first = 0; first < IN; first += CHUNK) {
             barrier(CLK_LOCAL_MEM_FENCE);
             fetch(from_a, b, tile, item, first, STRIDE * up, STRIDE * left, in_rows, in_columns);
-            for (int i = item; i < 9 * STEP * OUT / 4; i += ITEMS)
+            for (int i = item; i < 9 * CHUNK * OUT / 4; i += ITEMS)
                 ((local float4 *)taps)[i] =
-                    ((global const float4 *)weight)[(i / (STEP * OUT / 4) * IN + first) * (OUT / 4) + i % (STEP * OUT / 4)];
+                    ((global const float4 *)weight)[(i / (CHUNK * OUT / 4) * IN + first) * (OUT / 4) + i % (CHUNK * OUT / 4)];
 #ifdef GATED
-            for (int i = item; i < 9 * STEP; i += ITEMS) gates[i] = gate_weight[i / STEP * IN + first + i % STEP];
+            for (int i = item; i < 9 * CHUNK; i += ITEMS) gates[i] = gate_weight[i / CHUNK * IN + first + i % CHUNK];
 #endif
             barrier(CLK_LOCAL_MEM_FENCE);
 
 #pragma unroll 1
-            for (int c = 0; c < STEP; ++c) {
+            for (int c = 0; c < CHUNK; ++c) {
                 local const float *from = tile + c * PLANE + STRIDE * ROWS * ly * PITCH + 4 * lx;
 #pragma unroll 1
                 for (int first_tap = 0; first_tap < 9; first_tap += AT_ONCE) {
@@ -140,7 +140,7 @@ void conv_local(global const stored *restrict a, global const stored *restrict b
                     for (int r = 0; r < LINES; ++r) read_row(from + (LINE(r) + first_tap / 3) * PITCH, in[r]);
 #pragma unroll
                     for (int tap = 0; tap < AT_ONCE; ++tap) {
-                        const float8 w = *(local const float8 *)(taps + ((first_tap + tap) * STEP + c) * OUT + 8 * slice);
+                        const float8 w = *(local const float8 *)(taps + ((first_tap + tap) * CHUNK + c) * OUT + 8 * slice);
 #pragma unroll
                         for (int i = 0; i < PIXELS; ++i) sum[i] += w * INPUT(tap, i);
                     }
@@ -149,7 +149,7 @@ void conv_local(global const stored *restrict a, global const stored *restrict b
                     if (c % SLICES == slice) {
 #pragma unroll
                         for (int tap = 0; tap < AT_ONCE; ++tap) {
-                            const float w = gates[(first_tap + tap) * STEP + c];
+                            const float w = gates[(first_tap + tap) * CHUNK + c];
 #pragma unroll
                             for (int i = 0; i < PIXELS; ++i) gate[i] += w * INPUT(tap, i);
                         }

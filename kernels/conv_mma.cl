@@ -2,20 +2,20 @@
 // Building block conv on matrix units, reference stss_ref/conv.py::conv and ::gated: 3 x 3, stride 1 or 2, activations and weights in half, sums
 // in float32. Eight channels of a pixel lie together in the buffers, which is the order that matrix units want. Arguments and buffers are conv.cl's, but
 //
-//  weight       in   (OUT / BLOCK, CHUNKS, STEPS, MATRICES, MATRIX) of uint: in the order in which work-items want them, and the gate's with them,
+//  weight       in   (OUT / OUTPUTS, CHUNKS, STEPS, MATRICES, MATRIX) of uint: in the order in which work-items want them, and the gate's with them,
 //                    stss_cl/network/pack_weights.py::fragments
 //  gate_weight       not read
 //
-// Build -D HALF -D A -D B -D OUT -D BLOCK (outputs of a work-group) -D EIGHTS (of channels at once, a divisor of (A + B) / 8) -D STRIDE -D ROWS (1 or 2),
+// Build -D HALF -D A -D B -D OUT -D OUTPUTS (outputs of a work-group) -D EIGHTS (of channels at once, a divisor of (A + B) / 8) -D STRIDE -D ROWS (1 or 2),
 // all channels multiples of 8; optionally -D EMULATE (mma.clh) -D GATED -D RELU -D MARK.
 // -D IMAGES: see conv_local.cl.
-// Work-group (LANES, WAVES): 32 x 4 ROWS pixels, a tile of the list; launch (LANES tiles, WAVES OUT / BLOCK).
+// Work-group (LANES, WAVES): 32 x 4 ROWS pixels, a tile of the list; launch (LANES tiles, WAVES OUT / OUTPUTS).
 //
 // LANES work-items, a wave, multiply UNIT pixels x 16 channels by 16 channels x some outputs at once (mma.clh), for two such units beside each
 // other in ROWS rows. A work-item has EACH outputs of a block, one behind the other, and with GATED the gate behind them. The inner dimension
 // runs over eights within taps within chunks; at stride 2 even columns lie before odd ones.
-#if !defined(HALF) || !defined(A) || !defined(B) || !defined(OUT) || !defined(BLOCK) || !defined(EIGHTS) || !defined(STRIDE) || !defined(ROWS)
-#error "conv_mma.cl needs -D HALF, A, B, OUT, BLOCK, EIGHTS, STRIDE, ROWS"
+#if !defined(HALF) || !defined(A) || !defined(B) || !defined(OUT) || !defined(OUTPUTS) || !defined(EIGHTS) || !defined(STRIDE) || !defined(ROWS)
+#error "conv_mma.cl needs -D HALF, A, B, OUT, OUTPUTS, EIGHTS, STRIDE, ROWS"
 #endif
 #include "common.clh"
 #include "tile_list.clh"
@@ -23,7 +23,7 @@
 
 #define CHUNKS ((A + B) / 8 / EIGHTS)
 #define STEPS ((9 * EIGHTS + 1) / 2)
-#define EACH (BLOCK / PARTS)
+#define EACH (OUTPUTS / PARTS)
 #ifdef GATED
 #define MATRICES (EACH / HELD + 1)
 #else
@@ -81,7 +81,7 @@ void conv_mma(global const ushort *restrict a, global const ushort *restrict b, 
 {
     local uint4 tile[EIGHTS * PLANE];
     EXCHANGE(exchange);
-    const int lane = get_local_id(0), wave = get_local_id(1), block = get_group_id(1), from_output = block * BLOCK + EACH * PART(lane);
+    const int lane = get_local_id(0), wave = get_local_id(1), block = get_group_id(1), from_output = block * OUTPUTS + EACH * PART(lane);
     const int in_rows = (STRIDE * height + 3) / 4 * 4 + 2;
     // The wave's first pixel in the tile.
     const int across = wave % (WAVES / 4) * 2 * UNIT, down = wave / (WAVES / 4) * ROWS;

@@ -35,8 +35,8 @@ class Winograd:
     """winograd.cl: tiles of one work-item, tiles (a divisor) and vectors of outputs held at once, lanes of a vector, of ``VECTORS``."""
 
     tiles: int
-    rows: int
-    block: int
+    tiles_held: int
+    vectors_held: int
     prefetch: bool = False
     vector: int = 8
 
@@ -46,7 +46,7 @@ class Direct:
     """conv.cl: pixels and float8 of outputs held at once by one work-item; the work-group along x."""
 
     pixels: int
-    block: int
+    eights_held: int
     group: int
 
 
@@ -203,7 +203,7 @@ def _path(name: str, driver: str, device_class: DeviceClass) -> Path:
 
 @lru_cache(1)
 def _kernels() -> tuple[str, ...]:
-    return tuple(source(file) for file in ("conv.cl", "winograd.cl", "conv_local.cl", "conv_mma.cl"))
+    return tuple(source(file) for file in ("conv.cl", "winograd.cl", "winograd_image.cl", "conv_local.cl", "conv_mma.cl"))
 
 
 def _tuning(table: Table, like: Tuning | None = None) -> Tuning:
@@ -226,20 +226,21 @@ def _tuning(table: Table, like: Tuning | None = None) -> Tuning:
 
 def _winograd(table: Table, outputs: int) -> Winograd:
     tiles = table.whole("tiles", MOST_TILES)
-    rows, vector = table.whole("rows", MOST_HELD, divides=tiles), table.rest.pop("vector", None)
+    tiles_held, vector = table.whole("tiles_held", MOST_HELD, divides=tiles), table.rest.pop("vector", None)
     if type(vector) is not int or vector not in VECTORS:
         raise table.fail("vector", " or ".join(map(str, VECTORS)), vector)
     if vector > 8 and tiles % 2:
         raise table.fail("tiles", f"an even number where vectors have {vector} lanes", tiles)
     blocks = ceil_div(outputs, vector)
-    found = Winograd(tiles, rows, table.whole("block", blocks, divides=blocks), table.flag("prefetch"), vector)
+    found = Winograd(tiles, tiles_held, table.whole("vectors_held", blocks, divides=blocks), table.flag("prefetch"), vector)
     table.end()
     return found
 
 
 def _direct(table: Table, outputs: int) -> Direct:
-    pixels, block = table.whole("pixels", TILE, divides=TILE), table.whole("block", outputs // 8, divides=outputs // 8)
-    found = Direct(pixels, block, table.whole("group", MOST_GROUP))
+    pixels = table.whole("pixels", TILE, divides=TILE)
+    eights_held = table.whole("eights_held", outputs // 8, divides=outputs // 8)
+    found = Direct(pixels, eights_held, table.whole("group", MOST_GROUP))
     table.end()
     return found
 

@@ -40,7 +40,7 @@ class Final:
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """Arguments of winograd.cl for all rows of the frame; another buffer stands for the image until the caller sets it."""
+        """Arguments of winograd_image.cl for all rows of the frame; another buffer stands for the image until the caller sets it."""
         return {
             "color": self.color,
             "outc_weight": self.weight,
@@ -93,20 +93,19 @@ def conv(
         final: write ``image`` instead of ``out``; the caller sets it before every run.
     """
     shape = _shape(device, packed, a, out, side, stride, final, a.images if image is None else 1)
-    source = _source(shape, packed, a, b, out, relu=relu, image=final is not None)
+    source = _source(shape, packed, a, b, out, relu=relu)
     arguments = {
         "a": a.data,
         "b": b.data if b else a.data,
         **_tensors(device, packed, shape),
-        "out": out.data,
+        **({} if final else {"out": out.data}),
         "a_first": (image or 0) * a.rows * a.columns * a.channels,
         "height": (final or out).height,
         "width": (final or out).width,
         "in_columns": a.columns,
-        "out_columns": out.columns,
+        **(final.arguments if final else {"out_columns": out.columns}),
         **({} if "SIDE" in shape.options else {"out_channels": out.channels}),
-        "out_first": out_first,
-        **(final.arguments if final else {}),
+        **({} if final else {"out_first": out_first}),
         **(_from_image_to_image(a, out, packed, shape) if image is None else {}),
     }
     maps = _maps(a, image or 0, b or final)
@@ -134,7 +133,7 @@ def _tensors(device: Device, packed: Packed, shape: Shape) -> dict[str, Any]:
     }
 
 
-def _source(shape: Shape, packed: Packed, a: Padded, b: Padded | None, out: Padded, *, relu: bool, image: bool) -> KernelSource:
+def _source(shape: Shape, packed: Packed, a: Padded, b: Padded | None, out: Padded, *, relu: bool) -> KernelSource:
     """The source and options from which the layer's kernel is built."""
     options = {
         "A": a.channels,
@@ -144,7 +143,6 @@ def _source(shape: Shape, packed: Packed, a: Padded, b: Padded | None, out: Padd
         "GATED": packed.gate_direct is not None,
         "RELU": relu,
         "HALF": half(out.dtype),
-        "IMAGE": image,
     }
     return KernelSource(
         shape.file,
@@ -184,19 +182,19 @@ def _winograd(device: Device, packed: Packed, out: Padded, side: int, stride: in
     row = table[packed.direct.shape[-1]]
     (kernels, gate), shown = in_lanes(packed, row.vector), final or out
     outputs = packed.direct.shape[-1]
-    weight = winograd(kernels, side, row.vector * row.block, stride)
+    weight = winograd(kernels, side, row.vector * row.vectors_held, stride)
     # The lanes behind the outputs hold the gate; without a gate, two inputs at a time fill them.
-    in_pairs = bool(outputs % row.vector) and packed.gate_direct is None and row.block * row.vector == kernels.shape[-1]
+    in_pairs = bool(outputs % row.vector) and packed.gate_direct is None and row.vectors_held * row.vector == kernels.shape[-1]
     tiling = of_convolution(shown.height, shown.width, stride, 3, side)
     return Shape(
-        file="winograd.cl",
+        file="winograd_image.cl" if final else "winograd.cl",
         options={
             "STRIDE": stride,
             "SIDE": side,
             "USED": packed.used,
             "TILES": row.tiles,
-            "ROWS": row.rows,
-            "BLOCK": row.block,
+            "TILES_HELD": row.tiles_held,
+            "VECTORS_HELD": row.vectors_held,
             "VECTOR": row.vector,
             "PAIRED": in_pairs,
             "PREFETCH": row.prefetch and device.takes_prefetch,
@@ -214,7 +212,7 @@ def _direct(device: Device, packed: Packed, out: Padded, stride: int, final: Fin
     size, _, _, outputs = packed.direct.shape
     row = tuning_for(device).direct[outputs]
     # A CPU's core computes a tile with all blocks of its outputs by itself.
-    workers, blocks = (1, 1) if device.is_cpu else (16 // row.pixels, outputs // 8 // row.block)
+    workers, blocks = (1, 1) if device.is_cpu else (16 // row.pixels, outputs // 8 // row.eights_held)
     tiling = of_convolution(out.height, out.width, stride, size)
     return Shape(
         file="conv.cl",
@@ -222,7 +220,7 @@ def _direct(device: Device, packed: Packed, out: Padded, stride: int, final: Fin
             "KERNEL": size,
             "STRIDE": stride,
             "PIXELS": row.pixels,
-            "BLOCK": row.block,
+            "EIGHTS_HELD": row.eights_held,
             "GROUP": row.group,
             "WORKERS": workers,
         },

@@ -47,7 +47,7 @@ def on_matrix_units(device: Device, packed: Packed, out: Padded, stride: int, mo
         options={
             "STRIDE": stride,
             "ROWS": rows,
-            "BLOCK": block,
+            "OUTPUTS": block,
             "EIGHTS": eights,
             "IMAGES": images > 1,
             "EMULATE": matrix_units.are_emulated(device),

@@ -15,7 +15,7 @@ LAYER = ["-cl-std=CL1.2", "-cl-mad-enable", "-DA=24", "-DB=24", "-DOUT=24", "-DS
 CASES = [
     ("conv_local", LAYER),
     ("conv_local", [*LAYER, "-DGATED", "-DMARK"]),
-    ("conv_mma", [*LAYER, "-DHALF", "-DGATED", "-DBLOCK=24", "-DEIGHTS=3"]),
+    ("conv_mma", [*LAYER, "-DHALF", "-DGATED", "-DOUTPUTS=24", "-DEIGHTS=3"]),
 ]
 
 SASS = """
