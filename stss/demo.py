@@ -15,19 +15,19 @@ from stss.color import transfer
 from stss.frames.backends import DEFAULTS, open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.images.contact_sheet import COMPARISON, comparison, contact_sheet, magnify
-from stss.images.read_write import encode_channels, encode_rgb, read_rgb, write_rgb
+from stss.images.read_write import encode_channels, encode_rgb, read_rgb
+from stss.pages.viewer import page_folder
 from stss.quality.compare import Comparison, compare, print_comparison
 from stss.quality.comparison_page import RenderedInputs, Version, write_comparison
 from stss.quality.output_and_truth import find_pairs
 from stss.run.frame_job import frame_name
-from stss.run.job import run
+from stss.run.job import folder_of, run
 from stss.run.options import RunOptions
 from stss.sequence.choose_weights import AUTO, choose_weights
 from stss.sequence.reader import open_sequence
 from stss.weights.file import BILINEAR, load
-from stss_ground.output.apart import require_apart
+from stss_ground.output.apart import require_places
 from stss_ground.output.folder import OutputFolder
-from stss_ground.output.write_whole import told
 from stss_ref.arrays import Array, Plane
 
 FRAMES = 16
@@ -90,8 +90,8 @@ def demo(
     """
     if weights != AUTO:
         load(weights)  # what is wrong with them is said before anything is rendered
-    with told(out):
-        require_apart([*_folder(out).present(), out / "sheet.png", out / "page.html"], [Path(weights)])
+    folders = [folder_of(out / "output"), folder_of(out / "bilinear"), page_folder(out / "page.html")]
+    require_places(reads=[Path(weights)], folders=[_folder(out), *folders])
     with Progress(console=console, transient=True) as progress:
         task = progress.add_task("rendering", total=frames)
         write_demo_sequence(out, frames, size, overwrite=overwrite, on_frame=lambda _: progress.advance(task))
@@ -106,14 +106,18 @@ def demo(
         found[name] = compare(out / name, out / "truth", frames=None, pictures=out / "pictures" / name)
         print_comparison(found[name], console)
     outputs = {number: out / "output" / frame_name(number, "exr") for number in sequence.numbers}
-    write_rgb(out / "sheet.png", demo_sheet(out, outputs))
     versions = [Version(n, _MEANINGS[n], find_pairs(out / n, out / "truth")[0], compared) for n, compared in found.items()]
-    write_comparison(
-        out / "page.html",
-        "stss demo: half of the frames rendered, at half the size",
-        versions,
-        RenderedInputs(sequence, versions[-1].pairs),
-    )
+    folder = _folder(out)
+    with folder.opened(refusal=None):
+        folder.write("sheet.png", encode_rgb(out / "sheet.png", demo_sheet(out, outputs)))
+        write_comparison(
+            out / "page.html",
+            "stss demo: half of the frames rendered, at half the size",
+            versions,
+            RenderedInputs(sequence, versions[-1].pairs),
+            save=lambda path, text: folder.write(path.name, text.encode()),
+        )
+        folder.finish(remove_others=False)
     console.print(f"page to look at: {out / 'page.html'}", soft_wrap=True, highlight=False, markup=False)
     console.print(f"pictures to look at: {out / 'sheet.png'}", soft_wrap=True, highlight=False, markup=False)
 
@@ -207,4 +211,4 @@ def _fill(image: Array, shape: tuple[int, ...]) -> Array:
 
 
 def _folder(out: Path) -> OutputFolder:
-    return OutputFolder(out, ("frames", "truth"), r"demo\.\d+\.exr")
+    return OutputFolder(out, ("", "frames", "truth"), r"demo\.\d+\.exr|sheet\.png|page\.html")

@@ -19,10 +19,11 @@ from stss.cli.options import (
 )
 from stss.frames.backends import NETWORK
 from stss.frames.compute_options import ComputeOptions
-from stss.pages.viewer import require_page
+from stss.pages.viewer import page_folder
 from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
 from stss_ground.option_kinds import PATH, Names
+from stss_ground.output.apart import require_places
 from stss_ground.terminal import Terminal, echo
 
 
@@ -57,9 +58,15 @@ def compare_command(
         raise InputError("--sequence: expected --html as well: it is shown on the page")
     files = None if sequence is None else open_sequence(sequence, **options)
     pairs = find_pairs(out, truth, frames)[0]
-    if html is not None:
-        read = [path for pair in pairs.values() for path in (pair.output, pair.truth, pair.holes) if path is not None]
-        require_page(html, [*read, *(files.reads if files is not None else ())])
+    require_places(
+        {"--html": html},
+        () if files is None else files.reads,
+        folders=[
+            *([] if html is None else [page_folder(html)]),
+            *([] if pictures is None else [comparing.picture_folder(pictures)]),
+        ],
+        inputs=comparing.files_of(pairs),
+    )
     comparison = comparing.compare(out, truth, frames=frames, pictures=pictures, flip=flip, vmaf=vmaf)
     if as_json:
         click.echo(comparison.to_json())
@@ -117,6 +124,7 @@ def methods_command(
     from stss.quality import methods_table as method_table
     from stss.quality.methods_page import methods_page
     from stss.run.choose_backend import open_method
+    from stss.run.job import folder_of
     from stss.run.options import RunOptions
     from stss.sequence.choose_weights import choose_weights
 
@@ -127,8 +135,8 @@ def methods_command(
     )
     chosen = method_table.choose_methods(methods, weights)
     loaded = choose_weights(weights, files, partial(echo, err=True), needed=NETWORK in chosen)
-    if html is not None:
-        require_page(html, [*files.reads, *reads])
+    folders = [*(folder_of(out / method) for method in chosen), *([] if html is None else [page_folder(html)])]
+    require_places({"--html": html}, [*files.tables, *reads], folders=folders, inputs=files.images)
     console = Terminal(stderr=True)
     with console.status("") as status:
         results = method_table.run_methods(

@@ -21,6 +21,7 @@ SECTIONS = {
     "Use": {
         "check": ("stss.cli.check:check", "Say what a sequence holds and whether it can be run."),
         "run": ("stss.cli.run:run", "Make a sequence twice as large and twice as fast."),
+        "gather": ("stss.cli.gather:gather", "Put the parts of a run into one folder."),
         "demo": ("stss.cli.check:demo", "Render a small scene, supersample it, compare it with its truth."),
         "weights": ("stss.cli.weights:weights", "Import and inspect the network's weights."),
     },

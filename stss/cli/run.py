@@ -94,7 +94,7 @@ def run(
     possible = backend == "cl" and method == NETWORK
     reads = [Path(weights)]
     if preview is not None:
-        require_preview(preview, [*frames.reads, *reads])
+        require_preview(preview, out, [*frames.reads, *reads])
     loaded = choose_weights(weights, frames, _tell, needed=method == NETWORK)
     compute = with_skipping(compute, skip, budget, possible=possible)
     if cluster is None and mixed_devices:

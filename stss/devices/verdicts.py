@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pyopencl as cl
+from filelock import FileLock, Timeout
 
 import stss_cl
 import stss_ref
@@ -26,12 +27,8 @@ from conformance import tolerance
 from stss_cl.device import program
 from stss_cl.device.caches import home, is_temporary, private, read, store
 from stss_ground.errors import DeviceError
+from stss_ground.terminal import printable
 from stss_ground.version import VERSION
-
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None
 
 TIME_LIMIT = 60.0
 """Most processor time of a self-test, the greater part of it for compiling; seconds. ``$STSS_SELFTEST_SECONDS`` sets another limit.
@@ -205,15 +202,15 @@ def _processor_seconds(session: int) -> float | None:
 def _alone(path: Path, wait: Callable[[], None]) -> Generator[None]:
     """Hold the lock of this file, which the system releases when its process ends; ``wait`` is called if another process has it."""
     with ExitStack() as stack:
-        # Windows has no flock, some file systems have no locks, a full one no room: every process then tests for itself.
-        with suppress(OSError):
-            file = stack.enter_context(path.open("ab"))
-            if fcntl is not None:
-                try:
-                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    wait()
-                    fcntl.flock(file, fcntl.LOCK_EX)
+        # Some file systems have no locks, a full one no room: every process then tests for itself.
+        with suppress(OSError, NotImplementedError):
+            lock = FileLock(path)
+            try:
+                lock.acquire(blocking=False)
+            except Timeout:
+                wait()
+                lock.acquire()
+            stack.callback(lock.release)
         yield
 
 
@@ -229,23 +226,18 @@ def _limit() -> float:
 
 
 def _read(status: int, out: str, log: str, seconds: float) -> Verdict:
-    last = _printable((log.strip().splitlines() or [""])[-1].strip())
+    last = printable((log.strip().splitlines() or [""])[-1].strip())
     if status < 0:
         name = _signal(-status)
         return Verdict("crashed", f"{name}: {last}" if last else name, seconds=seconds, lasting=name in FAULTS)
     try:
         result: Any = json.loads(out.strip().splitlines()[-1])  # a driver may have printed something before
-        why, gflops = _printable(str(result["why"])), float(result["gflops"])
+        why, gflops = printable(str(result["why"])), float(result["gflops"])
         if not 0 <= gflops < math.inf:
             raise ValueError
     except (ValueError, TypeError, LookupError):
         return Verdict("failed", last or f"ended with status {status} and no result", seconds=seconds, lasting=False)
     return Verdict("failed" if why else "passed", why, gflops, seconds)
-
-
-def _printable(text: str) -> str:
-    """A driver's text without characters that steer a terminal."""
-    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def _kill(child: subprocess.Popen[str]) -> None:

@@ -16,10 +16,8 @@ import cv2
 import numpy as np
 
 from stss.images.encode import encode_png
-from stss_ground.errors import InputError
-from stss_ground.output.apart import require_apart
 from stss_ground.output.folder import OutputFolder
-from stss_ground.output.write_whole import told, write_named
+from stss_ground.output.write_whole import write_named
 from stss_ground.pages.page import asset, page
 from stss_ground.terminal import printable
 from stss_ref.arrays import Array, Image
@@ -76,15 +74,19 @@ class Viewer:
     tables: Sequence[str]
 
 
-def require_page(path: Path, reads: Iterable[Path]) -> None:
-    """Raise InputError if a page cannot be written there: before the work, not after it."""
-    with told(path):
-        if path.is_dir() or not path.absolute().parent.is_dir():
-            raise InputError(f"{path}: expected a file in a folder that exists")
-    require_apart([path, *_beside(path).present()], reads)
+def page_folder(path: Path) -> OutputFolder:
+    """The folder for the pictures of a page that is written to ``path``."""
+    return OutputFolder(path.with_name(f"{path.stem}_files"), ("",), r"\d+-\d+\.png")
 
 
-def write_viewer(path: Path, viewer: Viewer, frames: Iterable[ShownFrame], *, within: int = WITHIN) -> None:
+def write_viewer(
+    path: Path,
+    viewer: Viewer,
+    frames: Iterable[ShownFrame],
+    *,
+    within: int = WITHIN,
+    save: Callable[[Path, str], None] = write_named,
+) -> None:
     """Write the page, and the folder ``NAME_files`` beside it where pictures take more than ``within`` bytes.
 
     Args:
@@ -92,6 +94,7 @@ def write_viewer(path: Path, viewer: Viewer, frames: Iterable[ShownFrame], *, wi
         viewer: its contents.
         frames: at least one; made one after the other.
         within: see `WITHIN`.
+        save: writes the file; the user named it, unless it says otherwise.
 
     Raises:
         InputError: it can't be written.
@@ -117,7 +120,7 @@ def write_viewer(path: Path, viewer: Viewer, frames: Iterable[ShownFrame], *, wi
         )
         store.finish()
         scripts = [asset("stss.pages", name) for name in ("vendor/image-compare.min.js", "viewer.js")]
-        write_named(path, page(viewer.title, body, styles=[asset("stss.pages", "viewer.css")], scripts=scripts, data=data))
+        save(path, page(viewer.title, body, styles=[asset("stss.pages", "viewer.css")], scripts=scripts, data=data))
 
 
 class _Store:
@@ -147,7 +150,7 @@ class _Store:
 
     def finish(self) -> None:
         """Remove pictures of an earlier page from the folder beside this one."""
-        if self._folder is None and _beside(self._path).present():
+        if self._folder is None and page_folder(self._path).present():
             self._enter()
         if self._folder is not None:
             self._folder.finish(remove_others=True)
@@ -167,13 +170,9 @@ class _Store:
         return f"{_quoted(folder.path.name)}/{name}"
 
     def _enter(self) -> OutputFolder:
-        self._folder = _beside(self._path)
+        self._folder = page_folder(self._path)
         self._open(self._folder)
         return self._folder
-
-
-def _beside(path: Path) -> OutputFolder:
-    return OutputFolder(path.with_name(f"{path.stem}_files"), ("",), r"\d+-\d+\.png")
 
 
 def _quoted(name: str) -> str:

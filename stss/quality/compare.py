@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -14,15 +15,15 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from stss.images.read_write import read_rgb, write_rgb
+from stss.images.read_write import encode_rgb, read_rgb
 from stss.quality.flip_vmaf import require_packages, vmaf_scores
 from stss.quality.metrics import REGIONS, Scores, mean_scores, score, to_8bit, upsample_holes
 from stss.quality.output_and_truth import FALLBACK, KINDS, MADE_WITH, Pair, find_pairs, listed, require_size
 from stss.quality.tables import print_whole
 from stss.quality.temporal_psnr import Shown, recurrent_psnr, temporal_psnr
 from stss_ground.errors import InputError
-from stss_ground.output.apart import require_apart
-from stss_ground.output.write_whole import make_folder
+from stss_ground.output.apart import require_places
+from stss_ground.output.folder import OutputFolder
 
 __all__ = ["Comparison", "FrameScores", "Mean", "cells", "compare", "facts", "listed", "print_comparison"]
 
@@ -159,16 +160,17 @@ def compare(
         InputError: a folder is not there, the two have no frame in common, a file cannot be read, sizes differ, only
             some of the output's files name their kind, ``pictures`` is one of the folders read, or a package is missing.
     """
-    if pictures is not None and pictures.resolve() in [p.resolve() for p in (out, out / "holes", truth)]:
-        raise InputError(f"{pictures}: holds the images to compare; expected another folder for the pictures")
     require_packages(flip=flip, vmaf=vmaf)
     pairs, without_truth, without_output = find_pairs(out, truth, frames)
-    if pictures is not None:
-        reads = [path for pair in pairs.values() for path in (pair.output, pair.truth, pair.holes)]
-        require_apart([_picture_path(pictures, pair) for pair in pairs.values()], reads)
-        make_folder(pictures)
     notes = _notes(out, pairs)
-    rows, recpsnr = _rows(pairs, pictures, flip=flip)
+    with ExitStack() as stack:
+        folder = None if pictures is None else picture_folder(pictures)
+        if folder is not None:
+            require_places(folders=[folder], inputs=files_of(pairs))
+            stack.enter_context(folder.opened(refusal=None))
+        rows, recpsnr = _rows(pairs, folder, flip=flip)
+        if folder is not None:
+            folder.finish(remove_others=False)
     if vmaf:
         found = vmaf_scores(map(to_8bit, pair.shown()) for pair in pairs.values())
         rows = [_with(row, vmaf=value) for row, value in zip(rows, found, strict=True)]
@@ -226,7 +228,7 @@ def _temporal(comparison: Comparison) -> str:
     return f"tPSNR of the steps: {', '.join(steps)}; recPSNR of the last frame: {comparison.recpsnr:.2f}"
 
 
-def _rows(pairs: Mapping[int, Pair], pictures: Path | None, *, flip: bool) -> tuple[list[FrameScores], float]:
+def _rows(pairs: Mapping[int, Pair], pictures: OutputFolder | None, *, flip: bool) -> tuple[list[FrameScores], float]:
     """The frames' rows, with the tPSNR of the step from the frame before where there is one; and the last frame's recPSNR."""
     rows: list[FrameScores] = []
     before: Shown | None = None
@@ -241,7 +243,7 @@ def _rows(pairs: Mapping[int, Pair], pictures: Path | None, *, flip: bool) -> tu
     return rows, recurrent_psnr(before)
 
 
-def _judge(number: int, pair: Pair, shown: Shown, pictures: Path | None, *, flip: bool) -> FrameScores:
+def _judge(number: int, pair: Pair, shown: Shown, pictures: OutputFolder | None, *, flip: bool) -> FrameScores:
     image, truth = shown
     hole = None
     if pair.holes is not None:
@@ -250,12 +252,19 @@ def _judge(number: int, pair: Pair, shown: Shown, pictures: Path | None, *, flip
         hole = upsample_holes(small[..., 0] > 0.5)
     if pictures is not None:
         difference = np.clip(BRIGHTENED * np.abs(image - truth), 0, 1)
-        write_rgb(_picture_path(pictures, pair), np.concatenate([image, truth, difference], axis=1))
+        name = f"{pair.output.stem}.png"
+        pictures.write(name, encode_rgb(pictures.path / name, np.concatenate([image, truth, difference], axis=1)))
     return FrameScores(number, pair.kind, pair.output, pair.truth, score(image, truth, hole, flip=flip))
 
 
-def _picture_path(pictures: Path, pair: Pair) -> Path:
-    return pictures / f"{pair.output.stem}.png"
+def picture_folder(pictures: Path) -> OutputFolder:
+    """The folder of a comparison's pictures."""
+    return OutputFolder(pictures, ("",), r".+\.png")
+
+
+def files_of(pairs: Mapping[int, Pair]) -> list[Path]:
+    """Every file of the frames that are compared."""
+    return [path for pair in pairs.values() for path in (pair.output, pair.truth, pair.holes) if path is not None]
 
 
 def _with(row: FrameScores, **found: float) -> FrameScores:

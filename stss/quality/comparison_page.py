@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -13,6 +13,7 @@ from stss.pages.viewer import Pane, ShownFrame, Viewer, write_viewer
 from stss.quality.compare import BELOW, METRICS, Comparison, cells, facts
 from stss.quality.output_and_truth import FALLBACK, Pair
 from stss.sequence.reader import Sequence as Frames
+from stss_ground.output.write_whole import write_named
 from stss_ground.pages.page import definitions, folded, table
 from stss_ground.pages.plot import PlotLine, plot
 from stss_ground.terminal import printable
@@ -89,7 +90,12 @@ class RenderedInputs:
 
 
 def write_comparison(
-    path: Path, title: str, versions: Sequence[Version], inputs: RenderedInputs | None, tables: Sequence[str] = ()
+    path: Path,
+    title: str,
+    versions: Sequence[Version],
+    inputs: RenderedInputs | None,
+    tables: Sequence[str] = (),
+    save: Callable[[Path, str], None] = write_named,
 ) -> None:
     """Write the page.
 
@@ -99,6 +105,7 @@ def write_comparison(
         versions: at least one, each with the same frames and truth; the last one is shown first.
         inputs: the frames that they were made from; None: not shown.
         tables: markup to put before the table of each frame's scores.
+        save: see `stss.pages.viewer.write_viewer`.
 
     Raises:
         InputError: a file can't be read or the page can't be written.
@@ -135,7 +142,7 @@ def write_comparison(
             definitions("What the columns mean", DEFINITIONS),
         ],
     )
-    write_viewer(path, viewer, _frames(versions, inputs))
+    write_viewer(path, viewer, _frames(versions, inputs), save=save)
 
 
 def scores_table(comparison: Comparison, caption: str) -> str:

@@ -23,8 +23,6 @@ from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence as Frames
 from stss.weights.file import BILINEAR
 from stss_ground.errors import InputError
-from stss_ground.output.lock import locked
-from stss_ground.output.write_whole import make_folder
 
 COLUMNS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
     "PSNR\nRGB": (("SF", "all", "psnr_rgb"), ("EF", "all", "psnr_rgb")),
@@ -96,16 +94,14 @@ def run_methods(
     require_packages(flip=flip, vmaf=vmaf)
     require_near(sequence, *(options.frames or (sequence.numbers[0], sequence.numbers[-1])))
     results: list[MethodResult] = []
-    make_folder(out)
-    with locked(out):
-        for method in methods:
-            on_step(f"{method}: running")
-            backend, label = engine(method)
-            run(sequence, out / method, backend, label, options, reads=reads)
-            on_step(f"{method}: comparing")
-            scores = compare(out / method, truth, frames=options.frames, flip=flip, vmaf=vmaf)
-            changes = flicker(out / method, truth, sequence, frames=options.frames)
-            results.append(MethodResult(method, out / method, scores, changes))
+    for method in methods:
+        on_step(f"{method}: running")
+        backend, label = engine(method)
+        run(sequence, out / method, backend, label, options, reads=reads)
+        on_step(f"{method}: comparing")
+        scores = compare(out / method, truth, frames=options.frames, flip=flip, vmaf=vmaf)
+        changes = flicker(out / method, truth, sequence, frames=options.frames)
+        results.append(MethodResult(method, out / method, scores, changes))
     return results
 
 

@@ -20,9 +20,8 @@ from stss.run.frame_job import HOLES, SKIPPED, FrameJob, FrameReport, Outcome, a
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence
 from stss_ground.errors import InputError
-from stss_ground.output.apart import require_apart
+from stss_ground.output.apart import require_places
 from stss_ground.output.folder import OutputFolder
-from stss_ground.output.write_whole import told
 from stss_ref.schedule import FrameKind
 
 MAX_GAP = 1000
@@ -121,17 +120,17 @@ def plan(sequence: Sequence, out: Path, options: RunOptions, *, accumulates: boo
     rendered = choose_rendered(sequence.numbers, sequence.rendered, options.rendered, options.cuts)
     numbers = _numbers(sequence, options.frames)
     require_near(sequence, sequence.numbers[0] if accumulates else numbers[0], numbers[-1])
-    return RunPlan(rendered, numbers, OutputFolder(out, ("", HOLES, SKIPPED), r"frame\.\d+\.(exr|png)"))
+    return RunPlan(rendered, numbers, folder_of(out))
 
 
 def require_unread(planned: RunPlan, sequence: Sequence, reads: Iterable[Path]) -> None:
     """Raise InputError where the run would write to a file that it reads, or among the frames that it reads."""
-    out = planned.folder.path
-    with told(out):
-        require_apart(planned.folder.present(), [*sequence.reads, *reads])
-        if out.resolve() in {file.parent.resolve() for frame in sequence.frames.values() for file in frame.files}:
-            # Two sequences in a folder: the same command would not know next time which one is meant.
-            raise InputError(f"{out}: the folder of the frames that are read; expected another one")
+    require_places(reads=[*sequence.tables, *reads], folders=[planned.folder], inputs=sequence.images)
+
+
+def folder_of(out: Path) -> OutputFolder:
+    """The folder of a run's files."""
+    return OutputFolder(out, ("", HOLES, SKIPPED), r"frame\.\d+\.(exr|png)")
 
 
 def _numbers(sequence: Sequence, frames: tuple[int, int] | None) -> range:

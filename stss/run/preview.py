@@ -10,6 +10,7 @@ from pathlib import Path
 from stss.color import transfer
 from stss.images.read_write import encode_rgb, read_rgb
 from stss.run.frame_job import FrameReport, frame_name
+from stss.run.job import folder_of
 from stss.run.options import RunOptions
 from stss_ground.errors import InputError
 from stss_ground.output.apart import require_places
@@ -19,11 +20,11 @@ EVERY = 10.0
 """Seconds between pictures: often enough for a viewer that reloads, seldom enough not to slow the run down."""
 
 
-def require_preview(path: Path, reads: Iterable[Path]) -> None:
+def require_preview(path: Path, out: Path, reads: Iterable[Path]) -> None:
     """Raise InputError if a preview cannot be written there: before the run, not during it."""
     if path.suffix.lower() != ".png":
         raise InputError(f"--preview {path}: expected a name ending in .png")
-    require_places({"--preview": path}, reads)
+    require_places({"--preview": path}, reads, folders=[folder_of(out)])
 
 
 class Preview:

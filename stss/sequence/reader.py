@@ -79,7 +79,12 @@ class Sequence:
     @property
     def reads(self) -> tuple[Path, ...]:
         """Every file that the sequence reads."""
-        return (*self.tables, *(path for frame in self.frames.values() for path in frame.files))
+        return (*self.tables, *self.images)
+
+    @property
+    def images(self) -> tuple[Path, ...]:
+        """Every file of a frame."""
+        return tuple(path for frame in self.frames.values() for path in frame.files)
 
     def part(self, numbers: Collection[int]) -> Sequence:
         """The sequence without the frames that ``numbers`` does not name."""

@@ -1,72 +1,74 @@
 # SPDX-License-Identifier: MIT
-"""Refuse to write to a file that is read, whatever link leads there."""
+"""Refuse, before the work, to write to a file that is read or that somebody else wrote, whatever link leads there."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from stss_ground.errors import InputError
-from stss_ground.output.write_whole import told
+from stss_ground.output.folder import SUMS, OutputFolder
+from stss_ground.output.lock import LOCK
+from stss_ground.output.write_whole import keys_of, same_place, told
 
 
-def require_apart(writes: Iterable[Path], reads: Iterable[Path | None]) -> None:
-    """Refuse to write to a file that is read.
+def require_places(
+    files: Mapping[str, Path | None] | None = None,
+    reads: Iterable[Path | None] = (),
+    *,
+    folders: Iterable[OutputFolder] = (),
+    inputs: Iterable[Path] = (),
+) -> None:
+    """Check all that a command writes against all that it reads.
 
     Two paths are one file if they lead to the same place through links, or to the same data (a hard link; another spelling, where
     the file system takes both).
 
     Args:
-        writes: files that will be written, replaced or removed.
+        files: option -> the file that the user named; None: not asked for.
         reads: files that are read; None and files that do not exist are ignored.
+        folders: the folders of many files that are written.
+        inputs: files that are read, beside which no folder's files may lie: the same command would take them for inputs next time.
 
     Raises:
-        InputError: a file of ``writes`` is one of ``reads``.
+        InputError: a file that is written is one that is read, or the list or the lock of their folder; a named file is a folder, lies in
+            no folder, or is one that another option names or that is written into a folder; a folder is one of ``inputs``.
     """
-    taken = _taken(reads)
-    for path in writes:
-        _require_free(str(path), path, taken)
-
-
-def require_places(writes: Mapping[str, Path | None], reads: Iterable[Path | None] = ()) -> None:
-    """Check before the work, not after it, that the files which the user named can be written.
-
-    Args:
-        writes: option -> the file; None: not asked for.
-        reads: as for `require_apart`.
-
-    Raises:
-        InputError: a file is a folder, lies in no folder, is one of ``reads``, or two options name one file.
-    """
-    taken = _taken(reads)
-    for option, path in writes.items():
+    inputs, folders = list(inputs), list(folders)
+    read = [path for path in (*inputs, *reads) if path is not None]
+    lists = [folder / name for folder in {path.parent for path in read} for name in (SUMS, LOCK)]
+    taken = {key: f"{path}, which is read" for path in read for key in keys_of(path)}
+    for folder in folders:
+        with told(folder.path):
+            for path in folder.present():
+                _require_free(str(path), path, taken)
+            among = {path.parent for path in inputs}
+            for place in folder.folders():
+                if any(same_place(place, path) for path in among):
+                    raise InputError(f"{place}: the folder of the frames that are read; expected another one")
+    taken |= {key: f"{path}, which knows about files that are read" for path in lists for key in keys_of(path)}
+    for option, path in (files or {}).items():
         if path is None:
             continue
         with told(path):
-            if path.is_dir() or not path.absolute().parent.is_dir():
+            if path.is_dir() or (not path.absolute().parent.is_dir() and not _will_be(path.parent, folders)):
                 raise InputError(f"{option} {path}: expected a file in a folder that exists")
             if path.exists() and not path.is_file():
                 continue  # a pipe or a device holds nothing that could be lost
         _require_free(f"{option} {path}", path, taken)
-        taken |= dict.fromkeys(_keys(path), f"{option} {path}")
+        for folder in folders:
+            if folder.owns(path):
+                raise InputError(
+                    f"{option} {path}: the same file as one that is written into {folder.path}; expected another place"
+                )
+        taken |= dict.fromkeys(keys_of(path), f"{option} {path}")
 
 
-def _taken(reads: Iterable[Path | None]) -> dict[object, str]:
-    return {key: f"{path}, which is read" for path in reads if path is not None for key in _keys(path)}
+def _will_be(place: Path, folders: Iterable[OutputFolder]) -> bool:
+    return any(same_place(place, folder.path) for folder in folders)
 
 
 def _require_free(what: str, path: Path, taken: Mapping[object, str]) -> None:
-    for key in _keys(path):
+    for key in keys_of(path):
         if key in taken:
             raise InputError(f"{what}: the same file as {taken[key]}; expected another place to write to")
-
-
-def _keys(path: Path) -> list[object]:
-    """Values of which two paths of one file share at least one."""
-    try:
-        real = os.path.normcase(os.path.realpath(path))
-        found = path.stat()
-    except OSError:
-        return [os.path.normcase(os.path.realpath(path))]
-    return [real, (found.st_dev, found.st_ino)] if found.st_ino else [real]

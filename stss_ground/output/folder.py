@@ -7,13 +7,15 @@ import hashlib
 import os
 import re
 from collections.abc import Generator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import BinaryIO
 
 from stss_ground.errors import InputError
-from stss_ground.output.lock import locked
-from stss_ground.output.write_whole import UNFINISHED, make_folder, sync, told, write_whole
+from stss_ground.output.lock import LOCK, locked
+from stss_ground.output.write_whole import UNFINISHED, make_folder, same_place, sync, told, write_whole
+from stss_ground.terminal import echo
 
 SUMS = "stss.sha256"
 """Name of the list in the folder: the SHA-256 of every file written into it, in the form of ``sha256sum``."""
@@ -23,8 +25,8 @@ _LINE = re.compile(r"([0-9a-f]{64})  (.+)")
 class OutputFolder:
     """A folder whose files a later process can recognise as written by stss, and as complete.
 
-    A file's checksum is on the disk before the file is renamed into place. So a file that the list does not name was written by
-    somebody else, however the process ended.
+    A file's checksum is on the disk before the file is renamed into place. So a file that the list does not name, or whose checksum is
+    another one, was written by somebody else, however the process ended. It is never replaced or removed, but moved aside.
 
     Attributes:
         path: the folder.
@@ -39,7 +41,8 @@ class OutputFolder:
             name: a pattern that the names of all its files match.
         """
         self.path, self._subfolders, self._name = path, tuple(subfolders), re.compile(name)
-        self._sums: dict[str, str] = {}
+        self._sums: dict[str, list[str]] = {}
+        """Name -> the checksums that the list has for it, the last one last: a killed process may have left the file before."""
         self._written: set[str] = set()
         self._log: BinaryIO | None = None
 
@@ -65,12 +68,11 @@ class OutputFolder:
             write_whole(self.path / SUMS, self._lines())
             with told(self.path / SUMS):
                 self._log = (self.path / SUMS).open("ab", buffering=0)
-            with self._log:
-                try:
-                    yield
-                finally:
-                    with suppress(OSError):
-                        self._remove_unfinished()
+            try:
+                yield
+            finally:
+                with told(self.path / SUMS):
+                    self._log.close()
 
     def write(self, name: str, data: bytes) -> None:
         """Write the file ``name``, its place below the folder.
@@ -78,28 +80,41 @@ class OutputFolder:
         Raises:
             InputError: it can't be written; what was there is as it was.
         """
-        self._list(name, hashlib.sha256(data).hexdigest())
-        write_whole(self.path / name, data)
-        self._written.add(name)
-
-    def _list(self, name: str, digest: str) -> None:
-        """Put the file's line on the disk, and make the folder it goes to."""
+        path, digest = self.path / name, hashlib.sha256(data).hexdigest()
         assert self._log is not None
-        self._sums[name] = digest
+        with told(path):
+            self._clear(name)
+        self._sums.setdefault(name, []).append(digest)
         with told(self.path / SUMS):
             line = f"{digest}  {name}\n".encode()
             if self._log.write(line) != len(line):
                 raise OSError("no room for a line")
             sync(self._log.fileno())
-        make_folder((self.path / name).parent)
+        make_folder(path.parent)
+        write_whole(path, data)
+        self._written.add(name)
+
+    def keep(self, name: str) -> None:
+        """Count a file that is there as written by this process."""
+        self._written.add(name)
+
+    def sums(self) -> dict[str, str]:
+        """The list: name -> SHA-256."""
+        return {name: digests[-1] for name, digests in self._sums.items()}
 
     def holds(self, name: str) -> bool:
         """Whether the file is there, byte for byte as it was written."""
-        path = self.path / name
-        try:
-            return name in self._sums and path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == self._sums[name]
-        except OSError:
-            return False
+        return name in self._sums and self._digest(name) == self._sums[name][-1]
+
+    def owns(self, path: Path) -> bool:
+        """Whether ``path`` is the place of a file that may be written here, or that knows about the folder."""
+        if path.name in (SUMS, LOCK) or UNFINISHED.fullmatch(path.name):
+            return same_place(path.parent, self.path)
+        return self._name.fullmatch(path.name) is not None and any(same_place(path.parent, folder) for folder in self.folders())
+
+    def folders(self) -> list[Path]:
+        """The folders that files are written to."""
+        return [self.path / subfolder for subfolder in self._subfolders]
 
     def finish(self, *, remove_others: bool) -> None:
         """Rewrite the list in order, with each file once.
@@ -112,12 +127,30 @@ class OutputFolder:
         """
         for name in sorted(self._sums.keys() - self._written) if remove_others else ():
             with told(self.path / name):
+                self._clear(name)
                 (self.path / name).unlink(missing_ok=True)
-        self._sums = {name: digest for name, digest in self._sums.items() if (self.path / name).is_file()}
+        self._sums = {name: digests[-1:] for name, digests in self._sums.items() if (self.path / name).is_file()}
         write_whole(self.path / SUMS, self._lines())
 
+    def _clear(self, name: str) -> None:
+        """Move what is at a file's place aside, unless it is what was written there."""
+        path = self.path / name
+        if not os.path.lexists(path) or self._digest(name) in self._sums.get(name, ()):
+            return
+        aside = next(place for n in count(1) if not os.path.lexists(place := path.with_name(f"{path.name}.{n}.aside")))
+        path.rename(aside)
+        echo(f"{path}: not as {SUMS} says, so somebody else's: moved to {aside.name}", err=True)
+
+    def _digest(self, name: str) -> str:
+        """SHA-256 of a file; "" where there is none, or a link."""
+        path = self.path / name
+        try:
+            return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() and not path.is_symlink() else ""
+        except OSError:
+            return ""
+
     def _claim(self, refusal: str | None) -> None:
-        for path in (self.path / subfolder for subfolder in self._subfolders):
+        for path in self.folders():
             if os.path.lexists(path) and not path.is_dir():
                 raise InputError(f"{path}: expected a folder, found a file")
         self._sums = self._read()
@@ -136,25 +169,27 @@ class OutputFolder:
             if UNFINISHED.fullmatch(path.name):
                 path.unlink(missing_ok=True)
 
-    def _read(self) -> dict[str, str]:
-        """The list: name -> SHA-256. A line that was cut off, or that names a file elsewhere, is ignored."""
-        path = self.path / SUMS
+    def _read(self) -> dict[str, list[str]]:
+        """Read the list. A line that was cut off, or that names a file elsewhere, is ignored."""
+        path, sums = self.path / SUMS, dict[str, list[str]]()
         if path.is_dir():
             raise InputError(f"{path}: expected a file, found a folder")
         text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
-        found = (_LINE.fullmatch(line) for line in text.split("\n"))
-        return {match[2]: match[1] for match in found if match and self._is_own(match[2])}
+        for line in text.split("\n"):
+            if (match := _LINE.fullmatch(line)) and self._is_own(match[2]):
+                sums.setdefault(match[2], []).append(match[1])
+        return sums
 
     def _is_own(self, name: str) -> bool:
         subfolder, _, last = name.rpartition("/")
         return subfolder in self._subfolders and self._name.fullmatch(last) is not None
 
     def _lines(self) -> bytes:
-        return "".join(f"{self._sums[name]}  {name}\n" for name in sorted(self._sums)).encode()
+        return "".join(f"{digest}  {name}\n" for name in sorted(self._sums) for digest in self._sums[name]).encode()
 
     def _listed(self) -> list[Path]:
         found: list[Path] = []
-        for subfolder in self._subfolders:
-            if (self.path / subfolder).is_dir():
-                found += sorted((self.path / subfolder).iterdir())
+        for folder in self.folders():
+            if folder.is_dir():
+                found += sorted(folder.iterdir())
         return found

@@ -8,6 +8,7 @@ import io
 import os
 import re
 import secrets
+import stat
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -24,7 +25,8 @@ _NO_SYNC = {errno.EINVAL, errno.ENOSYS, errno.ENOTSUP}
 def write_whole(path: Path, data: bytes) -> None:
     """Write ``data`` beside ``path``, wait until it is on the disk, and rename it into place.
 
-    A link at ``path`` is replaced, and the file it leads to stays as it is. The umask sets the mode, as for any new file.
+    A link at ``path`` is replaced, and the file it leads to stays as it is. A file that was there keeps its mode; the umask sets a new
+    one's.
 
     Raises:
         InputError: it can't be written; ``path`` is as it was, and nothing is left beside it.
@@ -49,7 +51,7 @@ def write_named(path: Path, data: bytes | str) -> None:
             with path.open("wb") as file:
                 file.write(data)
         else:
-            _write_beside(path.resolve() if path.exists() else path, data)
+            _write_beside(path.resolve() if path.is_symlink() else path, data)
 
 
 def write_figure(path: Path, figure: Any, dpi: int) -> None:
@@ -87,21 +89,30 @@ def told(path: Path) -> Generator[None, None, None]:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-def _beside(path: Path) -> Path:
-    return path.with_name(f".stss-{secrets.token_hex(6)}.part")
+def same_place(one: Path, other: Path) -> bool:
+    """Whether two paths lead to one place."""
+    return not {*keys_of(one)}.isdisjoint(keys_of(other))
 
 
-def _write(path: Path, data: bytes) -> None:
-    with path.open("xb") as file:
-        file.write(data)
-        file.flush()
-        sync(file.fileno())
+def keys_of(path: Path) -> list[object]:
+    """Values of which two paths of one file or folder share at least one."""
+    real = os.path.normcase(os.path.realpath(path))
+    try:
+        found = path.stat()
+    except OSError:
+        return [real]
+    return [real, (found.st_dev, found.st_ino)] if found.st_ino else [real]
 
 
 def _write_beside(path: Path, data: bytes) -> None:
-    temporary = _beside(path)
+    temporary = path.with_name(f".stss-{secrets.token_hex(6)}.part")
     try:
-        _write(temporary, data)
+        with temporary.open("xb") as file:
+            if path.is_file() and not path.is_symlink() and hasattr(os, "fchmod"):
+                os.fchmod(file.fileno(), stat.S_IMODE(path.stat().st_mode))  # a file that only its owner may read stays one
+            file.write(data)
+            file.flush()
+            sync(file.fileno())
         temporary.replace(path)
     finally:
         with suppress(OSError):

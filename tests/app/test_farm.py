@@ -1,4 +1,4 @@
-"""The job template for farms makes what one run makes."""
+"""The job template for farms, and what puts its parts together, make what one run makes."""
 
 import os
 import subprocess
@@ -7,11 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from stss.frames.backends import open_backend
+from stss.baselines.registry import MethodBackend
+from stss.run.gather import gather
 from stss.run.job import run
 from stss.run.options import RunOptions
 from stss.sequence.reader import open_sequence
-from stss.weights.file import BILINEAR, load
+from stss_ground.errors import InputError
+from stss_ground.output.folder import SUMS
 
 TEMPLATE = Path(__file__).parents[2] / "examples" / "farm" / "stss.openjd.yaml"
 
@@ -24,31 +26,141 @@ def openjd():
     return found
 
 
+@pytest.fixture
+def frames(write_frames):
+    return write_frames(range(8), rendered={0, 2, 4, 6}, size=(8, 8))
+
+
+def plain(frames, out, numbers=None, **options):
+    return run(open_sequence(frames, "stss"), out, MethodBackend("bilinear"), "none", RunOptions(frames=numbers, **options))
+
+
+@pytest.fixture
+def parts(frames, tmp_path):
+    """Two parts, and what one run makes in ``one``."""
+    plain(frames, tmp_path / "parts" / "0", (0, 4))
+    plain(frames, tmp_path / "parts" / "1", (5, 7))
+    plain(frames, tmp_path / "one")
+    return tmp_path / "parts"
+
+
+def files(folder):
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
 def test_the_template_is_one(openjd):
     done = subprocess.run([openjd, "check", TEMPLATE], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_the_tasks_make_what_one_run_makes(openjd, write_frames, tmp_path):
-    frames = write_frames(range(8), rendered={0, 2, 4, 6}, size=(8, 8))
+def openjd_run(openjd, tmp_path, frames, out):
     (tmp_path / "bin").mkdir()
-    command = tmp_path / "bin" / "stss"
-    command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m stss "$@"\n')
-    command.chmod(0o755)
-    given = {"Frames": frames, "Out": tmp_path / "out", "Profile": "stss", "First": 0, "Last": 7, "Chunk": 5, "LastTask": 1}
-    given["Options"] = "--backend ref --weights bilinear"
+    for name, arguments in (("stss", " -m stss"), ("python", "")):
+        command = tmp_path / "bin" / name
+        command.write_text(f'#!/bin/sh\nexec "{sys.executable}"{arguments} "$@"\n')
+        command.chmod(0o755)
+    given = {"Frames": frames, "Out": out, "Profile": "stss", "First": 0, "Last": 7, "Chunk": 5, "LastTask": 1}
+    given["Options"] = "--method bilinear"
     words = [word for name, value in given.items() for word in ("-p", f"{name}={value}")]
-    (tmp_path / "out").mkdir()
-    environment = {**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"}
-    done = subprocess.run(
+    return subprocess.run(
         [openjd, "run", TEMPLATE, "--step", "Gather", "--run-dependencies", *words],
-        capture_output=True, text=True, env=environment, check=False,
+        capture_output=True, text=True, env={**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"},
+        cwd=Path(__file__).parents[2], check=False,
     )  # fmt: skip
+
+
+def test_the_tasks_make_what_one_run_makes(openjd, frames, tmp_path):
+    """In a folder whose name is a command to a shell, which nobody runs."""
+    out = tmp_path / "out $(touch here); `touch here`"
+    done = openjd_run(openjd, tmp_path, frames, out)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr
-    weights = load(BILINEAR)
-    run(open_sequence(frames, "stss"), tmp_path / "one", open_backend("ref", weights.weights), weights.label, RunOptions())
-    found, expected = (
-        {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
-        for folder in (tmp_path / "out", tmp_path / "one")
-    )
-    assert found == expected
+    plain(frames, tmp_path / "one")
+    assert files(out) == files(tmp_path / "one")
+    assert not list(Path(__file__).parents[2].glob("here"))
+    assert not list(tmp_path.rglob("here"))
+
+
+def test_the_tasks_write_nothing_among_their_frames(openjd, frames, tmp_path):
+    for path in frames.iterdir():
+        path.rename(path.with_name(path.name.replace("seq", "frame")))
+    before = files(frames)
+    done = openjd_run(openjd, tmp_path, frames, frames)
+    assert done.returncode != 0
+    assert {name: data for name, data in files(frames).items() if not name.startswith(".parts")} == before
+
+
+def test_parts_make_what_one_run_makes(parts, frames, tmp_path):
+    """Also after an interruption: some files were moved, others were not."""
+    out = tmp_path / "out"
+    moved = [(parts / "0" / name) for name in ("frame.0000.exr", "holes/frame.0001.png")]
+    whole = files(parts / "0")
+    assert gather(parts, out, frames) == 2
+    assert files(out) == files(tmp_path / "one")
+    assert not parts.exists()
+    for name, data in whole.items():
+        (parts / "0" / name).parent.mkdir(parents=True, exist_ok=True)
+        (parts / "0" / name).write_bytes(data)
+    for path in moved:
+        path.unlink()
+    (parts / "0" / "notes.txt").write_text("mine")
+    plain(frames, parts / "1", (5, 7))
+    gather(parts, out, frames)
+    assert files(out) == files(tmp_path / "one")
+    assert files(parts) == {"0/notes.txt": b"mine"}
+
+
+def damage(parts, out, frames):
+    (parts / "1" / "frame.0006.exr").write_bytes(b"cut")
+    return "frame.0006.exr: not as its list says; make this part again"
+
+
+def miss(parts, out, frames):
+    (parts / "1" / "frame.0006.exr").unlink()
+    return "frame.0006.exr: not as its list says; make this part again"
+
+
+def differ(parts, out, frames):
+    plain(frames, parts / "2", (7, 7), transfer="none")
+    return "frame.0007.exr: another part has another file of this name"
+
+
+def another_run(parts, out, frames):
+    plain(frames, out, transfer="none")
+    return "holds frames of an earlier run"
+
+
+def strangers(parts, out, frames):
+    out.mkdir()
+    (out / "frame.0003.exr").write_bytes(b"mine")
+    return "frame.0003.exr: not in stss.sha256, so not from an earlier run"
+
+
+def a_part_is_the_target(parts, out, frames):
+    out.symlink_to(parts / "1")
+    return "the same file as"
+
+
+def the_frames_are_the_target(parts, out, frames):
+    out.symlink_to(frames)
+    return "the folder of the frames that are read"
+
+
+def none_there(parts, out, frames):
+    parts.rename(parts.with_name("gone"))
+    return "expected a folder with a folder for each part"
+
+
+@pytest.mark.parametrize(
+    "becomes", [damage, miss, differ, another_run, strangers, a_part_is_the_target, the_frames_are_the_target, none_there]
+)
+def test_what_is_not_gathered_is_told_and_stays(parts, frames, tmp_path, becomes):
+    said = becomes(parts, tmp_path / "out", frames)
+    before = files(tmp_path)
+    with pytest.raises(InputError, match=said):
+        gather(parts, tmp_path / "out", frames)
+    assert {name: data for name, data in files(tmp_path).items() if name != f"out/{SUMS}"} == {
+        name: data for name, data in before.items() if name != f"out/{SUMS}"
+    }
+    if becomes is another_run:
+        gather(parts, tmp_path / "out", frames, overwrite=True)
+        assert files(tmp_path / "out") == files(tmp_path / "one")

@@ -115,7 +115,7 @@ def test_what_it_is_made_of(wheel):
     text = zipfile.ZipFile(wheel).read(f"spacetime_supersampling_judge-{VERSION}.dist-info/METADATA").decode()
     required = [line for line in re.findall(r"^Requires-Dist: (.*)$", text, re.M) if "extra ==" not in line]
     needed = {re.match("[a-z]+", line).group() for line in required}
-    assert needed == {"numpy", "safetensors", "click", "rich", "pytest", "hypothesis"}
+    assert needed == {"numpy", "safetensors", "click", "rich", "filelock", "pytest", "hypothesis"}
     whole = (ROOT / "pyproject.toml").read_text()
     for requirement in required:
         assert f'"{requirement}"' in whole, requirement

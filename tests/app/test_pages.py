@@ -12,8 +12,9 @@ from click.testing import CliRunner
 
 from stss.cli.main import stss
 from stss.images.read_write import read_rgb, write_mask, write_rgb
-from stss.pages.viewer import Pane, ShownFrame, Viewer, require_page, write_viewer
+from stss.pages.viewer import Pane, ShownFrame, Viewer, page_folder, write_viewer
 from stss_ground.errors import InputError
+from stss_ground.output.apart import require_places
 from stss_ground.pages.page import asset, page, table
 from stss_ground.pages.plot import PlotLine, plot
 
@@ -102,13 +103,10 @@ def test_pictures_beyond_the_size_lie_beside_and_go_with_their_page(tmp_path):
 
 
 def test_a_page_replaces_nothing_that_is_read(tmp_path):
-    for name in ("p.html", "p_files"):
-        with pytest.raises(InputError, match="expected a file in a folder"):
-            require_page(tmp_path / "no" / name, [])
     (tmp_path / "p_files").mkdir()
     write_rgb(tmp_path / "p_files" / "0001-0.png", pictures(1, "x")["x"])
     with pytest.raises(InputError, match="the same file"):
-        require_page(tmp_path / "p.html", [tmp_path / "p_files" / "0001-0.png"])
+        require_places(reads=[tmp_path / "p_files" / "0001-0.png"], folders=[page_folder(tmp_path / "p.html")])
     with pytest.raises(InputError, match="not from an earlier run"):
         write_viewer(tmp_path / "p.html", viewer(), frames(), within=0)
     assert not (tmp_path / "p.html").exists()

@@ -39,7 +39,7 @@ def test_a_place_that_cannot_be_is_said_before_the_run(tmp_path):
     write_rgb(tmp_path / "read.png", np.zeros((1, 1, 3), np.float32))
     for path in (tmp_path / "p.exr", tmp_path / "no" / "p.png", tmp_path / "read.png"):
         with pytest.raises(InputError, match="--preview"):
-            require_preview(path, [tmp_path / "read.png"])
+            require_preview(path, tmp_path / "out", [tmp_path / "read.png"])
 
 
 def test_the_line_says_what_was_skipped():

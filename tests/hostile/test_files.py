@@ -1,6 +1,7 @@
 """Files: nothing that is read is lost, nothing is half-written, one run at a time in a folder."""
 
 import contextlib
+import errno
 import os
 import resource
 import shutil
@@ -17,7 +18,6 @@ from stss.demo import write_demo_sequence
 from stss.images.read_write import write_rgb
 from stss.weights.file import save
 from stss_ground.errors import InputError
-from stss_ground.output import lock as locks
 from stss_ground.output.folder import SUMS, OutputFolder
 from stss_ground.output.lock import LOCK, locked
 from stss_ground.output.write_whole import write_named, write_whole
@@ -243,9 +243,91 @@ def test_resume_keeps_only_what_is_as_it_was_written(finished, demo, tmp_path, n
     other = {"f": "frame.0002.exr", "h": "holes/frame.0003.png"}[name[0]]
     change = DAMAGE[damage] or (lambda _: (out / other).read_bytes() + (b"" if name[0] == "f" else b"\0"))
     (out / name).write_bytes(change((out / name).read_bytes()))
+    damaged = (out / name).read_bytes()
+    assert kept(demo, out) == FRAMES - 1
+    aside = {f"{name}.1.aside": damaged}
+    assert contents(out) == contents(finished) | aside
+    assert kept(demo, out) == FRAMES
+
+
+@pytest.mark.parametrize("option", ["--overwrite", "--resume"])
+def test_a_file_of_others_under_a_listed_name_is_moved_aside(finished, demo, tmp_path, option):
+    """Its checksum says that it is not what the run wrote; with --overwrite one of them would be replaced and one removed."""
+    out = tmp_path / "out"
+    shutil.copytree(finished, out)
+    for name in ("frame.0002.exr", "frame.0003.exr"):
+        (out / name).write_bytes(b"mine")
+    (out / "frame.0003.exr.1.aside").write_bytes(b"mine of old")
+    where = ("--frames", "2:2") if option == "--overwrite" else ()
+    result = stss("run", demo / "frames", "-o", out, option, *where, *PLAIN)
+    assert result.returncode == 0
+    assert "frame.0002.exr: not as stss.sha256 says, so somebody else's: moved to frame.0002.exr.1.aside" in result.stderr
+    found = contents(out)
+    assert [found[f"frame.{name}.aside"] for name in ("0002.exr.1", "0003.exr.2", "0003.exr.1")] == [
+        b"mine",
+        b"mine",
+        b"mine of old",
+    ]
+    assert found["frame.0002.exr"] == contents(finished)["frame.0002.exr"]
+    assert ("frame.0003.exr" in found) == (option == "--resume")
+
+
+def test_a_run_that_was_killed_between_list_and_file_knows_both(finished, demo, tmp_path):
+    """The list names the new checksum already, and the file of the earlier run is there: that is nobody else's."""
+    out = tmp_path / "out"
+    shutil.copytree(finished, out)
+    with (out / SUMS).open("a") as file:
+        file.write(f"{'0' * 64}  frame.0002.exr\n")
     assert kept(demo, out) == FRAMES - 1
     assert contents(out) == contents(finished)
-    assert kept(demo, out) == FRAMES
+
+
+@pytest.mark.parametrize("name", ["holes", "skipped"])
+def test_no_folder_of_the_output_leads_among_the_inputs(inputs, tmp_path, name):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / name).symlink_to(inputs)
+    for path in inputs.iterdir():
+        path.rename(path.with_name(path.name.replace("frame", "input")))
+    before = contents(tmp_path)
+    refused(stss("run", inputs, "-o", out, *PLAIN), f"{name}: the folder of the frames that are read; expected another one")
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("run", "{frames}", "-o", "{new}", *PLAIN, "--preview", "{new}/frame.0000.png"),
+        ("run", "{frames}", "-o", "{out}", "--resume", *PLAIN, "--preview", "{out}/holes/frame.0001.png"),
+        ("methods", "{frames}", "{truth}", "-o", "{new}", "--methods", "bilinear", "--html", "{new}/sheet.png"),
+        ("methods", "{frames}", "{truth}", "-o", "{new}", "--methods", "bilinear", "--html", "{new}/bilinear/frame.0001.exr"),
+        ("compare", "{out}", "{truth}", "--html", "{out}/stss.sha256"),
+        ("compare", "{out}", "{truth}", "--pictures", "{new}", "--html", "{new}/frame.0001.png"),
+    ],
+)
+def test_no_named_file_is_one_that_the_command_writes_or_knows_by(finished, demo, tmp_path, arguments):
+    names = {"frames": tmp_path / "frames", "truth": tmp_path / "truth", "out": tmp_path / "out", "new": tmp_path / "new"}
+    for name, source in (("frames", demo / "frames"), ("truth", demo / "truth"), ("out", finished)):
+        shutil.copytree(source, names[name])
+    before = contents(tmp_path)
+    refused(stss(*(argument.format(**names) for argument in arguments)), "the same file as")
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize("command", ["compare", "methods", "demo"])
+def test_no_picture_of_others_is_replaced(finished, demo, tmp_path, command):
+    """A file that no run wrote has the name of a picture, a sheet, a page."""
+    out = tmp_path / "pictures"
+    out.mkdir()
+    (out / {"compare": "frame.0001.png", "methods": "sheet.png", "demo": "page.html"}[command]).write_text("mine")
+    arguments = {
+        "compare": ("compare", finished, demo / "truth", "--pictures", out),
+        "methods": ("methods", demo / "frames", demo / "truth", "-o", out, "--methods", "bilinear", "--overwrite"),
+        "demo": ("demo", out, "--weights", "bilinear", "--overwrite"),
+    }[command]
+    before = contents(tmp_path)
+    refused(stss(*arguments), "not in stss.sha256, so not from an earlier run")
+    assert {name: data for name, data in contents(tmp_path).items() if not name.endswith(SUMS)} == before
 
 
 def kept(demo, out, **more):
@@ -414,7 +496,11 @@ def test_a_lock_ends_with_its_process(tmp_path):
 
 def test_without_locks_the_file_is_the_lock(tmp_path, monkeypatch):
     """As on a network file system without locks: who was killed leaves a file, and the message says what to do."""
-    monkeypatch.setattr(locks, "fcntl", None)
+
+    def no_lock(handle, how):
+        raise OSError(errno.ENOTSUP, os.strerror(errno.ENOTSUP))
+
+    monkeypatch.setattr("fcntl.flock", no_lock)
     with (
         locked(tmp_path),
         pytest.raises(InputError, match=r"writes there; if it ended long ago, remove .*\.stss-lock"),
@@ -429,9 +515,25 @@ def test_without_locks_the_file_is_the_lock(tmp_path, monkeypatch):
 def test_a_lock_does_not_follow_a_link(tmp_path):
     (tmp_path / "mine").write_text("mine")
     (tmp_path / LOCK).symlink_to(tmp_path / "mine")
-    with pytest.raises(InputError, match="cannot be written"), locked(tmp_path):
+    with pytest.raises(InputError, match="expected the lock of a run, found something else"), locked(tmp_path):
         pass
     assert (tmp_path / "mine").read_text() == "mine"
+
+
+@pytest.mark.parametrize("how", ["hard link", "text", "large"])
+def test_a_file_of_others_is_no_lock(tmp_path, how):
+    """A second name of an input, or a file that the user called so, is neither emptied nor removed."""
+    mine, lock = tmp_path / "mine", tmp_path / "out" / LOCK
+    lock.parent.mkdir()
+    mine.write_text("process 1 on x since 2026\n" * (100 if how == "large" else 1) if how != "text" else "mine")
+    if how == "hard link":
+        lock.hardlink_to(mine)
+    else:
+        shutil.copy(mine, lock)
+    before = contents(tmp_path)
+    with pytest.raises(InputError, match="expected the lock of a run, found something else"), locked(lock.parent):
+        pass
+    assert contents(tmp_path) == before
 
 
 def test_a_file_that_the_user_named(tmp_path):
@@ -452,6 +554,13 @@ def test_a_file_that_the_user_named(tmp_path):
     finally:
         os.umask(before)
     assert (tmp_path / "mode").stat().st_mode & 0o777 == 0o640
+    (tmp_path / "mode").chmod(0o600)
+    write_named(tmp_path / "mode", b"secret")
+    assert (tmp_path / "mode").stat().st_mode & 0o777 == 0o600
+    (tmp_path / "dangling").symlink_to(tmp_path / "there")
+    write_named(tmp_path / "dangling", "new")
+    assert (tmp_path / "dangling").is_symlink()
+    assert (tmp_path / "there").read_text() == "new"
     write_whole(link, b"instead")
     assert not link.is_symlink()
     assert target.read_text() == "new"
