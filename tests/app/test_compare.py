@@ -198,7 +198,7 @@ def test_pictures_never_replace_what_is_compared(out, truth):
     """They have the output's names."""
     write_pair(out, truth, 3, "EF", 10)
     for folder in (out, truth, out / "holes"):
-        with pytest.raises(InputError, match="the same file as|the folder of the frames that are read"):
+        with pytest.raises(InputError, match=r"the same file as|the folder of the frames that are read"):
             compare(out, truth, pictures=folder)
     assert read_header(out / "frame.0003.png").size == SIZE
 
