@@ -106,6 +106,7 @@ def methods_command(
     methods: tuple[str, ...],
     rendered: str | None,
     frames: tuple[int, int] | None,
+    cuts: tuple[int, ...],
     transfer: str | None,
     depth: Any,
     planes: Any,
@@ -131,7 +132,14 @@ def methods_command(
     files = open_sequence(sequence, profile, camera=camera, metallic=metallic, roughness=roughness, non_finite=non_finite)
     reads = [Path(weights), *([*truth.iterdir()] if truth.is_dir() else [])]
     options = RunOptions.of(
-        files.profile, transfer=transfer, depth=depth, planes=planes, rendered=rendered, frames=frames, overwrite=overwrite
+        files.profile,
+        transfer=transfer,
+        depth=depth,
+        planes=planes,
+        rendered=rendered,
+        frames=frames,
+        cuts=cuts,
+        overwrite=overwrite,
     )
     chosen = method_table.choose_methods(methods, weights)
     loaded = choose_weights(weights, files, partial(echo, err=True), needed=NETWORK in chosen)

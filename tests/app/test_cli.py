@@ -69,7 +69,9 @@ def frames_of(out):
 def fails(result, *words):
     """One line on stderr that holds all of ``words``, status 2, no traceback."""
     assert result.returncode == 2, result.stderr
-    lines = [line for line in result.stderr.splitlines() if line and not line.startswith(("first start: ", "weights: ", "profile: "))]
+    lines = [
+        line for line in result.stderr.splitlines() if line and not line.startswith(("first start: ", "weights: ", "profile: "))
+    ]
     assert len(lines) == 1, result.stderr
     for word in words:
         assert str(word) in lines[0]

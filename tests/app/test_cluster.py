@@ -114,7 +114,7 @@ def test_chunks_hold_each_frame_once(count, workers, size):
 
 def test_a_chunk_reads_five_frames_more_than_it_writes(frames, monkeypatch, tmp_path):
     reads, load_frame = [], Sequence.load
-    monkeypatch.setattr(Sequence, "load", lambda self, n, *, color: reads.append(n) or load_frame(self, n, color=color))
+    monkeypatch.setattr(Sequence, "load", lambda self, n, **how: reads.append(n) or load_frame(self, n, **how))
     work = Work(VERSION, frames, RENDERED, tmp_path, RunOptions(), "network", load(BILINEAR), "ref", ComputeOptions())
     chunk = compute_chunk(work.part([9, 10, 11]), [9, 10, 11])
     assert reads == [4, 5, 6, 7, 8, 9, 10, 11]

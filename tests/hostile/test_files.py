@@ -259,7 +259,7 @@ def test_a_file_of_others_under_a_listed_name_is_moved_aside(finished, demo, tmp
         (out / name).write_bytes(b"mine")
     (out / "frame.0003.exr.1.aside").write_bytes(b"mine of old")
     where = ("--frames", "2:2") if option == "--overwrite" else ()
-    result = stss("run", demo / "frames", "-o", out, option, *where, *PLAIN)
+    result = call("run", demo / "frames", "-o", out, option, *where, *PLAIN)
     assert result.returncode == 0
     assert "frame.0002.exr: not as stss.sha256 says, so somebody else's: moved to frame.0002.exr.1.aside" in result.stderr
     found = contents(out)
@@ -290,7 +290,7 @@ def test_no_folder_of_the_output_leads_among_the_inputs(inputs, tmp_path, name):
     for path in inputs.iterdir():
         path.rename(path.with_name(path.name.replace("frame", "input")))
     before = contents(tmp_path)
-    refused(stss("run", inputs, "-o", out, *PLAIN), f"{name}: the folder of the frames that are read; expected another one")
+    refused(call("run", inputs, "-o", out, *PLAIN), f"{name}: the folder of the frames that are read; expected another one")
     assert contents(tmp_path) == before
 
 
@@ -299,7 +299,6 @@ def test_no_folder_of_the_output_leads_among_the_inputs(inputs, tmp_path, name):
     [
         ("run", "{frames}", "-o", "{new}", *PLAIN, "--preview", "{new}/frame.0000.png"),
         ("run", "{frames}", "-o", "{out}", "--resume", *PLAIN, "--preview", "{out}/holes/frame.0001.png"),
-        ("methods", "{frames}", "{truth}", "-o", "{new}", "--methods", "bilinear", "--html", "{new}/sheet.png"),
         ("methods", "{frames}", "{truth}", "-o", "{new}", "--methods", "bilinear", "--html", "{new}/bilinear/frame.0001.exr"),
         ("compare", "{out}", "{truth}", "--html", "{out}/stss.sha256"),
         ("compare", "{out}", "{truth}", "--pictures", "{new}", "--html", "{new}/frame.0001.png"),
@@ -310,23 +309,22 @@ def test_no_named_file_is_one_that_the_command_writes_or_knows_by(finished, demo
     for name, source in (("frames", demo / "frames"), ("truth", demo / "truth"), ("out", finished)):
         shutil.copytree(source, names[name])
     before = contents(tmp_path)
-    refused(stss(*(argument.format(**names) for argument in arguments)), "the same file as")
+    refused(call(*(argument.format(**names) for argument in arguments)), "the same file as")
     assert contents(tmp_path) == before
 
 
-@pytest.mark.parametrize("command", ["compare", "methods", "demo"])
+@pytest.mark.parametrize("command", ["compare", "demo"])
 def test_no_picture_of_others_is_replaced(finished, demo, tmp_path, command):
-    """A file that no run wrote has the name of a picture, a sheet, a page."""
+    """A file that no run wrote has the name of a picture, a page."""
     out = tmp_path / "pictures"
     out.mkdir()
-    (out / {"compare": "frame.0001.png", "methods": "sheet.png", "demo": "page.html"}[command]).write_text("mine")
+    (out / {"compare": "frame.0001.png", "demo": "page.html"}[command]).write_text("mine")
     arguments = {
         "compare": ("compare", finished, demo / "truth", "--pictures", out),
-        "methods": ("methods", demo / "frames", demo / "truth", "-o", out, "--methods", "bilinear", "--overwrite"),
         "demo": ("demo", out, "--weights", "bilinear", "--overwrite"),
     }[command]
     before = contents(tmp_path)
-    refused(stss(*arguments), "not in stss.sha256, so not from an earlier run")
+    refused(call(*arguments), "not in stss.sha256, so not from an earlier run")
     assert {name: data for name, data in contents(tmp_path).items() if not name.endswith(SUMS)} == before
 
 
