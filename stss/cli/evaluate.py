@@ -104,12 +104,7 @@ def methods_command(
     non_finite: Any,
     weights: str,
     methods: tuple[str, ...],
-    rendered: str | None,
     frames: tuple[int, int] | None,
-    cuts: tuple[int, ...],
-    transfer: str | None,
-    depth: Any,
-    planes: Any,
     overwrite: bool,
     html: Path | None,
     flip: bool,
@@ -117,6 +112,7 @@ def methods_command(
     as_json: bool,
     backend: str,
     compute: ComputeOptions,
+    **others: Any,
 ) -> None:
     """Run SEQUENCE with the network and with methods that have none, and compare all with TRUTH: one table, and a page with --html.
 
@@ -131,16 +127,7 @@ def methods_command(
 
     files = open_sequence(sequence, profile, camera=camera, metallic=metallic, roughness=roughness, non_finite=non_finite)
     reads = [Path(weights), *([*truth.iterdir()] if truth.is_dir() else [])]
-    options = RunOptions.of(
-        files.profile,
-        transfer=transfer,
-        depth=depth,
-        planes=planes,
-        rendered=rendered,
-        frames=frames,
-        cuts=cuts,
-        overwrite=overwrite,
-    )
+    options = RunOptions.of(files.profile, frames=frames, overwrite=overwrite, **others)
     chosen = method_table.choose_methods(methods, weights)
     loaded = choose_weights(weights, files, partial(echo, err=True), needed=NETWORK in chosen)
     folders = [*(folder_of(out / method) for method in chosen), *([] if html is None else [page_folder(html)])]
