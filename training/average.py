@@ -12,6 +12,7 @@ import numpy as np
 
 from stss.weights.file import load, save
 from stss_ground.errors import InputError
+from stss_ground.output.apart import require_places
 from stss_ref.weights import Tensors, second_color
 from training.command import command
 
@@ -29,6 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("-o", "--out", type=Path, required=True)
     chosen = parser.parse_args(arguments)
+    require_places({"--out": chosen.out}, map(Path, chosen.weights))
     loaded = [load(name) for name in chosen.weights]
     seconds = {second_color(each.weights) for each in loaded}
     if len(seconds) > 1:

@@ -11,9 +11,11 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import os
 import re
 import shutil
 import sys
+import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
@@ -160,23 +162,55 @@ def split_of(scene: str) -> str:
     return {0: "validation", 1: "test"}.get(int(hashlib.sha256(scene.encode()).hexdigest(), 16) % 10, "training")
 
 
-def write(folder: Path, scene: str, split: str, made: Iterable[Sample]) -> int:
-    """Write samples as a shard, whole or not at all. Returns their number."""
+FILES = {"inputs.npy", "truth.npy", "index.json"}
+"""What a shard holds."""
+
+
+def require_shard(folder: Path, reads: Sequence[Path] = ()) -> None:
+    """Refuse to make a shard in the place of anything else: the folder that is there is removed when the new one is whole.
+
+    Args:
+        folder: absent, or a shard.
+        reads: folders that are read; the shard is neither one of them nor above or below one.
+
+    Raises:
+        InputError: it is something else.
+    """
+    place = folder.resolve()
+    for read in (path.resolve() for path in reads):
+        if place in (read, *read.parents) or read in place.parents:
+            raise InputError(f"{folder}: lies above or below {read}, which is read; expected another --out or --name")
+    if os.path.lexists(folder):
+        found = (
+            {path.name for path in folder.iterdir() if path.is_file()} if folder.is_dir() and not folder.is_symlink() else None
+        )
+        if found != FILES or len(list(folder.iterdir())) != len(FILES):
+            raise InputError(f"{folder}: expected nothing there, or a shard of {', '.join(sorted(FILES))} alone")
+
+
+def write(folder: Path, scene: str, split: str, made: Iterable[Sample], reads: Sequence[Path] = ()) -> int:
+    """Write samples as a shard, whole or not at all; see `require_shard`. Returns their number."""
+    require_shard(folder, reads)
     kept = list(made)
     if not kept:
         raise InputError(f"{folder.name}: no frame has a truth and a history")
-    temporary = folder.with_name(f".{folder.name}.tmp")
-    shutil.rmtree(temporary, ignore_errors=True)
-    temporary.mkdir(parents=True)
-    for name, arrays in (("inputs", [s.inputs for s in kept]), ("truth", [s.truth for s in kept])):
-        half: NDArray[np.float16] = np.stack(arrays).astype(np.float16)
-        if not np.isfinite(half).all():
-            raise InputError(f"{folder.name}: {name}: not finite as float16")
-        np.save(temporary / f"{name}.npy", half)
-    index = {"scene": scene, "split": split, "frames": [s.number for s in kept], "kinds": [s.kind.value for s in kept]}
-    (temporary / "index.json").write_text(json.dumps(index))
-    shutil.rmtree(folder, ignore_errors=True)
-    temporary.rename(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    try:
+        temporary.chmod(0o755)
+        for name, arrays in (("inputs", [s.inputs for s in kept]), ("truth", [s.truth for s in kept])):
+            half: NDArray[np.float16] = np.stack(arrays).astype(np.float16)
+            if not np.isfinite(half).all():
+                raise InputError(f"{folder.name}: {name}: not finite as float16")
+            np.save(temporary / f"{name}.npy", half)
+        index = {"scene": scene, "split": split, "frames": [s.number for s in kept], "kinds": [s.kind.value for s in kept]}
+        (temporary / "index.json").write_text(json.dumps(index))
+        require_shard(folder, reads)
+        shutil.rmtree(folder, ignore_errors=True)
+        temporary.rename(folder)
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
     return len(kept)
 
 
@@ -209,9 +243,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if chosen.sequence:
         low, high = chosen.sequence
         name = chosen.name or low.resolve().parent.name
+        if name in ("", ".", "..") or not {"/", "\\"}.isdisjoint(name):
+            raise InputError(f"--name {name}: expected the name of a folder, without separators")
         scene = chosen.scene or name
         made = sequence_samples(low, high, chosen.profile, chosen.camera)
-        count = write(chosen.out / name, scene, chosen.split or split_of(scene), made)
+        count = write(chosen.out / name, scene, chosen.split or split_of(scene), made, [low, high])
         sys.stdout.write(f"{name}: {count} samples\n")
     if chosen.analytic:
         width, height = (int(v) for v in chosen.size.split("x"))

@@ -93,7 +93,7 @@ def test_run_doubles_size_and_rate(by_random_weights):
 def test_the_frames_are_what_python_gets(sequence, weights, by_random_weights):
     """The generator of the README and the command line give the same images."""
     from stss.frames.backends import open_backend
-    from stss.frames.supersample import supersample
+    from stss.frames.supersampler import supersample
     from stss.sequence.reader import open_sequence
     from stss.weights.file import load
 

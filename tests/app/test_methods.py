@@ -18,7 +18,8 @@ from stss.baselines.registry import ACCUMULATING, METHODS, MethodBackend
 from stss.demo import write_demo_sequence
 from stss.frames.backends import ReferenceBackend
 from stss.frames.display_frame import frame_inputs
-from stss.frames.supersample import plan, supersample
+from stss.frames.supersample import plan
+from stss.frames.supersampler import supersample
 from stss.images.read_write import read_header, read_rgb
 from stss.images.resample import catmull_rom, enlarged, lanczos_centres
 from stss.quality.methods_table import choose_methods

@@ -9,7 +9,7 @@ from stss.cli.main import stss
 from stss.color import transfer
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
-from stss.frames.supersample import supersample
+from stss.frames.supersampler import supersample
 from stss.images.read_write import read_channels
 from stss.sequence.reader import open_sequence
 from stss.weights.file import load

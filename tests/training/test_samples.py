@@ -7,7 +7,7 @@ import pytest
 
 from conformance.scenes import SCENES
 from stss.frames.display_frame import OnArrays, prepare
-from stss.frames.supersample import supersample
+from stss.frames.supersampler import supersample
 from stss_ground.errors import InputError
 from stss_ref.frame import NetworkInputs
 from stss_ref.resample import upsample_centres
@@ -155,3 +155,29 @@ def test_a_shard_is_whole_or_not_there(tmp_path):
     with pytest.raises(InputError, match="two: truth: not finite"):
         module.write(tmp_path / "two", "scene", "test", [broken])
     assert [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")] == ["one"]
+
+
+def test_a_shard_replaces_nothing_else(tmp_path):
+    """By default it has the name of the folder above LR, where the renders are."""
+    films = tmp_path / "films"
+    for name in ("kitchen/lr", "kitchen/hr", "other", "shard"):
+        (films / name).mkdir(parents=True)
+    (films / "kitchen" / "lr" / "frame.0001.exr").write_bytes(b"hours of rendering")
+    (films / "other" / "index.json").write_text("mine")
+    (films / "other" / "notes.txt").write_text("mine")
+    for name in module.FILES:
+        (films / "shard" / name).write_text("old")
+    (films / "link").symlink_to(films / "shard")
+    before = set(tmp_path.rglob("*"))
+    low, high = films / "kitchen" / "lr", films / "kitchen" / "hr"
+    words = ["-o", str(films), "--sequence", str(low), str(high)]
+    for more, said in (
+        ([], "above or below"), (["--name", "other"], "a shard of"), (["--name", "link"], "a shard of"),
+        (["--name", "../films"], "without separators"), (["--name", ".."], "without separators"),
+        (["-o", str(low), "--name", "x"], "above or below"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=said):
+            module.main([*words, *more])
+    assert set(tmp_path.rglob("*")) == before
+    module.require_shard(films / "shard", [low, high])
+    module.require_shard(films / "new", [low, high])

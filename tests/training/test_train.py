@@ -217,6 +217,9 @@ def test_the_average_of_runs(tmp_path):
         mean = (one[name].astype(np.float64) + two[name]) / 2
         np.testing.assert_array_equal(tensor, mean.astype(np.float32))
     assert [record["steps"] for record in json.loads(made.metadata["average_of"])] == ["3", "5"]
+    (tmp_path / "d.safetensors").hardlink_to(tmp_path / "a.safetensors")
+    with pytest.raises(InputError, match="the same file as"):
+        average([str(tmp_path / "a.safetensors"), str(tmp_path / "b.safetensors"), "-o", str(tmp_path / "d.safetensors")])
 
 
 def test_an_average_may_add_less_to_the_enlarged_picture(tmp_path):
