@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from datetime import timedelta
 from typing import Any
 
 from rich.console import Console
@@ -13,12 +15,15 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from stss.run.frame_job import FrameReport
 from stss.run.preview import Preview
 
+A_MINUTE = 60
+"""Seconds between the lines in a log file."""
+
 
 @contextmanager
 def shown_progress(
     console: Console, total: int, preview: Preview | None = None
 ) -> Generator[Callable[[FrameReport], None], None, None]:
-    """Show a bar with frames a second, time left and the share that was skipped; on a terminal only.
+    """Show a bar with frames a second, time left and the share that was skipped; in a log file, a line a minute.
 
     Args:
         console: where to show it.
@@ -28,16 +33,37 @@ def shown_progress(
     Yields:
         The function to call with the report of every frame.
     """
-    tally = Tally()
+    tally, log = Tally(), None if console.is_terminal else LogLines(console, total)
     with _bar(console) as progress:
         task = progress.add_task("building kernels", total=total)
 
         def on_frame(report: FrameReport) -> None:
             progress.update(task, advance=1, description=tally.add(report))
+            if log is not None:
+                log.add()
             if preview is not None:
                 preview.show(report)
 
         yield on_frame
+
+
+class LogLines:
+    """A line a minute, for output that goes to a file."""
+
+    def __init__(self, console: Console, total: int, clock: Callable[[], float] = time.monotonic):
+        self._console, self._total, self._clock = console, total, clock
+        self._done, self._start = 0, clock()
+        self._last = self._start
+
+    def add(self) -> None:
+        """Count a frame, and say how far the run is where a minute has passed since the last line."""
+        self._done += 1
+        now = self._clock()
+        if now - self._last >= A_MINUTE:
+            self._last = now
+            rate = self._done / (now - self._start)
+            left = timedelta(seconds=round((self._total - self._done) / rate))
+            self._console.print(f"{self._done} of {self._total} frames, {rate:.2f} frames/s, {left} left", highlight=False)
 
 
 class Tally:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +101,7 @@ def run(
     if cluster is None and mixed_devices:
         raise InputError("--mixed-devices: expected --cluster as well")
     first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
+    start = time.monotonic()
     try:
         with shown_progress(console, last - first + 1, preview and Preview(preview, out, options)) as on_frame:
             if cluster is not None:
@@ -119,11 +121,17 @@ def run(
         )
         sys.exit(130)
     _report(summary, out, console)
+    _tell(_speed(summary, frames.size, time.monotonic() - start))
     sys.exit(1 if any(frame.fault for frame in summary.frames) else 0)
 
 
 def _tell(line: str) -> None:
     echo(line, err=True)
+
+
+def _speed(summary: Summary, size: tuple[int, int], seconds: float) -> str:
+    done, (height, width) = summary.count("done"), size
+    return f"{done} frames, {2 * width} x {2 * height} from {width} x {height}, in {seconds:.1f} s: {done / seconds:.2f} a second"
 
 
 def _report(summary: Summary, out: Path, console: Console) -> None:

@@ -17,7 +17,7 @@ from stss.cli.main import main
 from stss.demo import demo_path, write_demo_sequence
 from stss.images.read_write import read_header, read_rgb
 from stss_ground.optional import installed
-from tests.hostile.cases import call
+from tests.hostile.cases import NOTES, call
 
 SIZE = (18, 32)
 FRAMES = 8
@@ -69,9 +69,7 @@ def frames_of(out):
 def fails(result, *words):
     """One line on stderr that holds all of ``words``, status 2, no traceback."""
     assert result.returncode == 2, result.stderr
-    lines = [
-        line for line in result.stderr.splitlines() if line and not line.startswith(("first start: ", "weights: ", "profile: "))
-    ]
+    lines = [line for line in result.stderr.splitlines() if line and not line.startswith(NOTES)]
     assert len(lines) == 1, result.stderr
     for word in words:
         assert str(word) in lines[0]

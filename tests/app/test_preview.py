@@ -1,9 +1,12 @@
 """`stss run --preview`, and what the progress line says."""
 
+import io
+
 import numpy as np
 import pytest
+from rich.console import Console
 
-from stss.cli.progress import Tally
+from stss.cli.progress import A_MINUTE, LogLines, Tally
 from stss.color import transfer
 from stss.frames.backends import Cost
 from stss.images.read_write import read_header, read_rgb, write_rgb
@@ -48,3 +51,17 @@ def test_the_line_says_what_was_skipped():
     assert tally.add(report(1, cost=Cost("whole", 1.0))) == "skipped 0%"
     assert tally.add(report(2, cost=Cost("none", 1.0))) == "skipped 50%"
     assert tally.add(report(3, cost=Cost("changed", 0.25))) == "skipped 58%"
+
+
+def test_a_log_file_gets_a_line_a_minute():
+    now = [0.0]
+    console = Console(file=io.StringIO(), width=100)
+    lines = LogLines(console, 10, clock=lambda: now[0])
+    for _ in range(10):
+        now[0] += A_MINUTE / 2.5
+        lines.add()
+    assert console.file.getvalue().splitlines() == [
+        "3 of 10 frames, 0.04 frames/s, 0:02:48 left",
+        "6 of 10 frames, 0.04 frames/s, 0:01:36 left",
+        "9 of 10 frames, 0.04 frames/s, 0:00:24 left",
+    ]
