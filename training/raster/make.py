@@ -118,7 +118,7 @@ def _channels(planes: Sequence[Plane], exposure: float) -> dict[str, Plane]:
     length = np.linalg.norm(normal[..., :3], axis=-1, keepdims=True)
     normals = np.where(sky[..., None], 0, _upright(normal[..., :3]) / np.maximum(length, 1e-6))
     places = np.where(sky[..., None], FAR, 100 * _upright(position[..., :3]))
-    channels = {c: exposure * color[..., i] for i, c in enumerate("RGB")}
+    channels = {c: exposure * np.maximum(color[..., i], 0) for i, c in enumerate("RGB")}
     channels |= {f"basecolor.{c}": base[..., i] for i, c in enumerate("RGB")}
     channels |= {f"normal.{c}": normals[..., i] for i, c in enumerate("XYZ")}
     channels |= {f"position.{c}": places[..., i] for i, c in enumerate("XYZ")}
