@@ -1,6 +1,18 @@
 # SPDX-License-Identifier: MIT
-"""``python -m stss``."""
+"""``python -m stss``, and ``stss``."""
 
-from stss.cli.main import main
+import sys
 
-main()
+
+def main() -> None:
+    """Run the command; Ctrl-C while it is imported ends it without a traceback."""
+    try:
+        from stss.cli.main import main as run
+
+        run()
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

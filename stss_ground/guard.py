@@ -15,6 +15,9 @@ from stss_ground.terminal import accept_any_text, echo
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 """Errors of a write to standard output where no more data fits."""
+_NO_MEMORY = "out of memory: the system gives this process no more"
+_SHORT_OF_MEMORY = ("failed to map segment", "annot allocate memory", "can't start new thread")
+"""What libraries say where memory is short and Python has no MemoryError."""
 
 
 def run_guarded(command: click.Command, *mistakes: type[Exception]) -> None:
@@ -23,6 +26,7 @@ def run_guarded(command: click.Command, *mistakes: type[Exception]) -> None:
     A mistake of the user is one line on standard error and status 2: `UserError`, and the errors that ``mistakes`` adds.
     """
     status: Any = 0
+    _hold_standard_streams()
     accept_any_text()
     try:
         _require_utf8(sys.argv[1:])
@@ -35,15 +39,31 @@ def run_guarded(command: click.Command, *mistakes: type[Exception]) -> None:
         status = 130
     except BrokenPipeError:
         status = 141
+    except MemoryError:
+        _fail(_NO_MEMORY)
+    except (ImportError, RuntimeError) as error:
+        if not any(words in str(error) for words in _SHORT_OF_MEMORY):
+            raise
+        _fail(_NO_MEMORY)
     except OSError as error:
         if error.filename is not None:
             _fail(f"{error.filename}: {error.strerror}")
-            sys.exit(2)
-        if error.errno not in _FULL:
-            raise
+        if error.errno == errno.ENOMEM:
+            _fail(_NO_MEMORY)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is still in the buffer would fail again
-        _fail(f"what was printed cannot be written: {error.strerror}")
+        _fail(f"what was printed cannot be written: {error.strerror}" if error.errno in _FULL else f"{error.strerror or error}")
     sys.exit(status if isinstance(status, int) else 0)
+
+
+def _hold_standard_streams() -> None:
+    """Open the null device where a standard stream is closed: else the next file that is opened would get what is printed."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, "r" if number == 0 else "w", closefd=False))
 
 
 def _require_utf8(words: list[str]) -> None:

@@ -62,6 +62,8 @@ def take_second_color(metadata: dict[str, str]) -> SecondColor:
     if version not in (NEWEST_ALONE, WITH_SECOND_COLOR):
         found = "no such entry" if version is None else repr(str(version)[:20])
         raise WeightsError(f"expected {VERSION_KEY} {NEWEST_ALONE} or {WITH_SECOND_COLOR} in the metadata, found {found}")
+    if version == NEWEST_ALONE and SECOND_COLOR_KEY in metadata:
+        raise WeightsError(f"{SECOND_COLOR_KEY}: expected no such entry in the metadata of {VERSION_KEY} {NEWEST_ALONE}")
     named = "newest" if version == NEWEST_ALONE else metadata.pop(SECOND_COLOR_KEY, "")
     for known in SECOND_COLORS:
         if named == known:

@@ -230,10 +230,13 @@ def already_written(folder: OutputFolder, options: RunOptions, number: int, key:
     name = frame_name(number, options.format)
     if not options.resume or not folder.holds(name):
         return None
-    found = read_header(folder.path / name).attributes
+    try:
+        found = read_header(folder.path / name).attributes
+        kind = FrameKind(found.get("stss:kind"))
+    except (InputError, ValueError):  # somebody edited both the file and the list
+        return None
     if found.get("stss:key") != key:
         return None
-    kind = FrameKind(found["stss:kind"])
     beside = ([HOLES] if kind is FrameKind.EF else []) + ([SKIPPED] if options.show_skipped else [])
     return kind if all(folder.holds(frame_name(number, "png", where)) for where in beside) else None
 
