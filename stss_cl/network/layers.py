@@ -45,6 +45,7 @@ class Layers:
         memory_limit: bytes that the buffers may take; None = half of the device's memory.
         keep: every layer keeps its output, with a change map, so that fewer tiles may be run (``stss_cl.skip.partial_network``);
             without effect where the frame goes in strips.
+        every: every layer runs for each frame, whatever these weights read.
 
     Attributes:
         launches: in order, without the layers that these weights need not run (``stss_ref.weights.uses``); the last one writes the
@@ -72,6 +73,7 @@ class Layers:
         precision: str,
         memory_limit: int | None = None,
         keep: bool = False,
+        every: bool = False,
     ):
         full, columns, dtype = ceil8(height), ceil8(width), dtype_of(precision)
         limit = int(device.handle.global_mem_size) // 2 if memory_limit is None else memory_limit
@@ -80,13 +82,13 @@ class Layers:
         rows = rows_within(full, columns, dtype, limit, overlap)
         keep = keep and bytes_for(full, full, columns, dtype, keep=True) <= limit
         local = tuning_for(device).local is not None and not device.is_cpu
-        planned = partial(plan, uses(weights), keep=keep, fused=winograd, local=local)
+        planned = partial(plan, None if every else uses(weights), keep=keep, fused=winograd, local=local)
         # The three images of the history in one launch, where that is known and their buffers have room.
         what = planned(together=local and not winograd and precision != "float32-direct")
         if bytes_for(rows, full, columns, dtype, keep=keep, what=what) > limit:
             what = planned(together=False)
         self.device, self.size, self.keep = device, (height, width), keep
-        self.reads_history, self.colors_read = reads_history(weights), colors_read(weights)
+        self.reads_history, self.colors_read = every or reads_history(weights), colors_read(weights)
         self.second_color: SecondColor = second_color(weights)
         self._weights, self._height, self._width, self._full, self._top = weights, rows, columns, full, 0
         self.inputs = inputs_for(device, rows, columns, dtype, keep)

@@ -136,4 +136,5 @@ def run_layers(
 def _layers_for(stage: str, inputs: Mapping[str, Array], network: Network, weights: Weights) -> Layers:
     like = {"history": "history", "erm": "gbuffer"}.get(stage, "color")
     height, width = inputs[like].shape[-3:-1]
-    return Layers(network.device, weights, height, width, network.precision)
+    # A stage alone is computed whatever of it the others read.
+    return Layers(network.device, weights, height, width, network.precision, every=True)
