@@ -13,12 +13,30 @@ from . import film
 from .passes import set_up
 
 
+class Preferences(bpy.types.AddonPreferences):
+    """What is the user's and no scene's: a file of somebody else must not name a program to run."""
+
+    bl_idname = __package__
+
+    command: bpy.props.StringProperty(name="Command", description="Command that starts stss; empty: the one in this extension")  # type: ignore[valid-type]
+
+    def draw(self, context: Any) -> None:
+        """Draw the preferences."""
+        del context
+        self.layout.prop(self, "command")
+
+
+def chosen_command(context: Any) -> list[str]:
+    """The words of the command in the preferences; empty: none is there."""
+    addon = context.preferences.addons.get(__package__)
+    return [] if addon is None else shlex.split(addon.preferences.command)
+
+
 class Settings(bpy.types.PropertyGroup):
-    """The user's choices, stored in the scene."""
+    """The user's choices, stored in the scene, which may be somebody else's: no paths but the folder, no programs."""
 
     folder: bpy.props.StringProperty(name="Folder", subtype="DIR_PATH", default="//stss", description="For frames and results")  # type: ignore[valid-type]
-    options: bpy.props.StringProperty(name="Options", description="More options of stss run, such as --format png")  # type: ignore[valid-type]
-    command: bpy.props.StringProperty(name="Command", description="Command that starts stss; empty: the one in this extension")  # type: ignore[valid-type]
+    options: bpy.props.StringProperty(name="Options", description="Options of stss run without paths, such as --format png")  # type: ignore[valid-type]
 
 
 class SetUp(bpy.types.Operator):
@@ -44,8 +62,9 @@ class Render(bpy.types.Operator):
         folder, window = Path(bpy.path.abspath(chosen.folder)), context.window_manager
         window.progress_begin(scene.frame_start, scene.frame_end)
         try:
+            options = film.harmless(chosen.options)
             told = film.render(scene, folder, window.progress_update)
-            out = film.supersample(folder, scene.frame_start, shlex.split(chosen.command), shlex.split(chosen.options))
+            out = film.supersample(folder, scene.frame_start, chosen_command(context), options)
             image = film.load(out)
         except (film.FilmError, OSError) as error:
             self.report({"ERROR"}, str(error))
@@ -71,13 +90,13 @@ class Panel(bpy.types.Panel):
         """Draw the settings and the two buttons."""
         layout = self.layout
         layout.use_property_split = True
-        for name in ("folder", "options", "command"):
+        for name in ("folder", "options"):
             layout.prop(context.scene.stss, name)
         layout.operator(SetUp.bl_idname)
         layout.operator(Render.bl_idname)
 
 
-CLASSES = (Settings, SetUp, Render, Panel)
+CLASSES = (Preferences, Settings, SetUp, Render, Panel)
 
 
 def register() -> None:

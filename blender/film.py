@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -16,6 +17,13 @@ from .passes import changed, set_up, write_camera
 
 GBUFFER_SAMPLES = 4
 """Samples of frames that are not rendered: base colour and normals need few, light needs none."""
+HARMLESS = {
+    "--backend", "--budget", "--cuts", "--depth", "--device", "--format", "--frames", "--keep-going", "--memory-limit", "--method",
+    "--metallic", "--non-finite", "--planes", "--precision", "--roughness", "--show-skipped", "--skip", "--transfer", "--weights",
+}  # fmt: skip
+"""Options of ``stss run`` that a scene of somebody else may name, if they name no path: they read and write no further file."""
+MARK = "stss-film"
+"""Name of the file that tells a folder of ours from others."""
 
 
 class FilmError(RuntimeError):
@@ -32,14 +40,15 @@ def render(scene: Any, folder: Path, on_frame: Callable[[int], None] = lambda nu
         Lines for the user, see `stss.passes.set_up`.
 
     Raises:
-        FilmError: the engine is not Cycles, or the scene has no camera.
+        FilmError: the engine is not Cycles, the scene has no camera, or the folder is somebody else's.
     """
     if scene.render.engine != "CYCLES":
         raise FilmError(f"expected the engine Cycles, found {scene.render.engine}: only Cycles writes the pass Vector")
     if scene.camera is None:
         raise FilmError("the scene has no camera")
+    take(folder)
     told = set_up(scene, scene.view_layers[0])
-    (folder / "lr").mkdir(parents=True, exist_ok=True)
+    (folder / "lr").mkdir(exist_ok=True)
     numbers, here = range(scene.frame_start, scene.frame_end + 1), scene.frame_current
     try:
         write_camera(scene, numbers, folder / "camera.csv")
@@ -50,6 +59,37 @@ def render(scene: Any, folder: Path, on_frame: Callable[[int], None] = lambda nu
     finally:
         scene.frame_set(here)
     return told
+
+
+def take(folder: Path) -> None:
+    """Make the folder, or take that of an earlier render.
+
+    Raises:
+        FilmError: it holds other files.
+    """
+    if (folder / MARK).is_file():
+        return
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise FilmError(f"{folder}: holds files that no render of this extension wrote; expected an empty folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / MARK).write_text("The Blender extension of stss writes here.\n")
+
+
+def harmless(options: str) -> list[str]:
+    """The words of the options.
+
+    Raises:
+        FilmError: one is not of `HARMLESS`, or names a path.
+    """
+    try:
+        words = shlex.split(options)
+    except ValueError as error:
+        raise FilmError(f"Options: {error}") from error
+    for word in words:
+        name = word.partition("=")[0]
+        if (word.startswith("-") and name not in HARMLESS) or not {"/", "\\"}.isdisjoint(word) or word.endswith(".safetensors"):
+            raise FilmError(f"Options: {word}: expected no path, and some of {', '.join(sorted(HARMLESS))}")
+    return words
 
 
 def _small(scene: Any) -> list[tuple[Any, str, Any]]:
@@ -98,10 +138,10 @@ def supersample(folder: Path, first: int, command: Sequence[str] = (), options: 
         FilmError: with what stss said.
     """
     rendered = "odd" if first % 2 else "even"
-    words = [*(command or (sys.executable, "-m", "stss")), "run", str(folder / "lr"), "-o", str(folder / "out")]
+    words = [*(command or (sys.executable, "-P", "-m", "stss")), "run", str(folder / "lr"), "-o", str(folder / "out")]
     words += ["--profile", "blender", "--camera", str(folder / "camera.csv"), "--rendered", rendered, "--overwrite", *options]
-    # The wheels of an extension lie where only this process looks for them.
-    environment = os.environ if command else {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    # The wheels of an extension lie where only this process looks for them. -P: no module beside the .blend is one of them.
+    environment = os.environ if command else {**os.environ, "PYTHONPATH": os.pathsep.join(filter(os.path.isabs, sys.path))}
     done = subprocess.run(words, capture_output=True, text=True, env=environment, check=False)
     if done.returncode:
         raise FilmError((done.stderr.strip() or "stss ended without a word").splitlines()[-1])

@@ -6,6 +6,7 @@ PYTHON blender_film.py EXTENSION_FOLDER OUT COMMAND
 import importlib.util
 import json
 import os
+import shlex
 import sys
 import traceback
 from pathlib import Path
@@ -48,7 +49,8 @@ def main():
     ]
 
     extension.register()
-    scene.stss.folder, scene.stss.command = out, command
+    scene.stss.folder = out
+    extension.chosen_command = lambda context: shlex.split(command)
     scene.stss.options = "--backend ref --weights bilinear"
     state = bpy.ops.stss.render()
     after = [

@@ -1,11 +1,13 @@
 """The Blender extension: its zip, and a scene from nothing to supersampled frames where a Python with bpy is there."""
 
 import ast
+import importlib
 import json
 import os
 import shutil
 import subprocess
 import sys
+import types
 import zipfile
 from pathlib import Path
 
@@ -69,6 +71,62 @@ def imported(path):
             yield from (alias.name.split(".")[0] for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
             yield node.module.split(".")[0]
+
+
+@pytest.fixture
+def film(monkeypatch):
+    """The module ``film`` of the extension, with a stand-in for bpy."""
+    monkeypatch.setitem(sys.modules, "bpy", types.ModuleType("bpy"))
+    package = types.ModuleType("stss_blender")
+    package.__path__ = [str(ROOT / "blender")]
+    monkeypatch.setitem(sys.modules, "stss_blender", package)
+    for name in ("passes", "film"):
+        monkeypatch.delitem(sys.modules, f"stss_blender.{name}", raising=False)
+    return importlib.import_module("stss_blender.film")
+
+
+def test_a_scene_of_a_stranger_runs_no_program_and_names_no_file(film):
+    """The command is a preference: no property of the scene. Options that read or write further files are refused."""
+    assert film.harmless("--format png --weights bilinear --skip=off") == [
+        "--format",
+        "png",
+        "--weights",
+        "bilinear",
+        "--skip=off",
+    ]
+    for options in (
+        "-o x",
+        "--preview x.png",
+        "--cluster tcp://x:1",
+        "--weights a.safetensors",
+        "--weights /x",
+        "--profile x",
+        "'",
+    ):
+        with pytest.raises(film.FilmError, match="Options: "):
+            film.harmless(options)
+    tree = ast.parse((ROOT / "blender" / "__init__.py").read_text())
+    stored = next(node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == "Settings")
+    assert [line.target.id for line in stored.body if isinstance(line, ast.AnnAssign)] == ["folder", "options"]
+
+
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="Blender's Python is 3.11 or newer, and knows -P")
+def test_no_module_beside_the_scene_is_imported(film, tmp_path, monkeypatch):
+    (tmp_path / "stss.py").write_text("raise SystemExit('a stranger ran')")
+    (tmp_path / "numpy.py").write_text("raise SystemExit('a stranger ran')")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", ["", *sys.path])
+    with pytest.raises(film.FilmError, match=r"camera\.csv|lr") as caught:
+        film.supersample(tmp_path / "film", 0)
+    assert "stranger" not in str(caught.value)
+
+
+def test_a_folder_with_files_of_others_is_not_rendered_to(film, tmp_path):
+    film.take(tmp_path / "new")
+    (tmp_path / "new" / "lr").mkdir()
+    film.take(tmp_path / "new")
+    with pytest.raises(film.FilmError, match="expected an empty folder"):
+        film.take(tmp_path)
 
 
 @pytest.fixture
