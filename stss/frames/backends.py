@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from threading import Lock
 from typing import Literal, Protocol
 
 from stss.frames.compute_options import ComputeOptions
@@ -98,6 +99,7 @@ class OpenCLBackend:
     method, accumulates = NETWORK, False
 
     def __init__(self, weights: Weights, options: ComputeOptions, gather: Gather, tell: Callable[[str], None]):
+        self._alone = Lock()
         # Imported here, so that the OpenCL library is opened only by commands that use it.
         from stss.devices.selection import choose
         from stss_cl.skip.stream import Stream
@@ -109,11 +111,13 @@ class OpenCLBackend:
 
     def expect(self, size: tuple[int, int]) -> None:
         """See ``Backend``."""
-        self._stream.expect(size)
+        with self._alone:
+            self._stream.expect(size)
 
     def compute(self, window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
-        """See ``Backend``."""
-        return self._stream(window, steps)
+        """See ``Backend``; threads that share a backend take turns."""
+        with self._alone:
+            return self._stream(window, steps)
 
     @property
     def cost(self) -> Cost:

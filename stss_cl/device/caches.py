@@ -163,30 +163,37 @@ def _user_home() -> Path:
 
 
 def _serves(folder: Path) -> bool:
-    """Whether the folder can be written to and has room."""
+    """Whether the folder can be written to, what is in it can be executed, and it has room."""
     return (
         len(str(folder)) <= LONGEST
         and os.access(folder, os.R_OK | os.W_OK | os.X_OK)
+        and _executes(folder)
         and shutil.disk_usage(folder).free >= LEAST_FREE
     )
 
 
+def _executes(folder: Path) -> bool:
+    """Whether compiled kernels can be loaded from there: not where it is mounted without execution."""
+    return not (hasattr(os, "statvfs") and os.statvfs(folder).f_flag & getattr(os, "ST_NOEXEC", 0))
+
+
 def _refuse_others(folder: Path) -> None:
-    """Refuse a home that another user owns or that all may write to: they could replace its content.
+    """Refuse a home that another user owns or that all may write to, or that lies in such a folder: they could replace it.
 
     A group may be the user's own, so only the right of all counts; root can replace anything anyway.
     """
     if not hasattr(os, "getuid"):
         return
-    found = folder.stat()
-    if found.st_uid not in (os.getuid(), 0):
-        raise DeviceError(
-            f"kernel cache {folder}: belongs to user {found.st_uid}, not to you; set XDG_CACHE_HOME to another place"
-        )
-    if found.st_mode & stat.S_IWOTH and not found.st_mode & stat.S_ISVTX:
-        raise DeviceError(
-            f"kernel cache {folder}: expected a folder that only you can write to; chmod o-w, or set XDG_CACHE_HOME"
-        )
+    for each in (folder, *folder.parents):
+        found = each.stat()
+        if found.st_uid not in (os.getuid(), 0):
+            raise DeviceError(
+                f"kernel cache {each}: belongs to user {found.st_uid}, not to you; set XDG_CACHE_HOME to another place"
+            )
+        if found.st_mode & stat.S_IWOTH and not found.st_mode & stat.S_ISVTX:
+            raise DeviceError(
+                f"kernel cache {each}: expected a folder that only you can write to; chmod o-w, or set XDG_CACHE_HOME"
+            )
 
 
 @lru_cache(1)
@@ -200,7 +207,7 @@ def _temporary() -> Path:
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     if not _serves(folder):
         raise DeviceError(
-            f"kernel cache: expected {LEAST_FREE >> 20} MiB free in the cache home or in {folder.parent}; "
-            "set XDG_CACHE_HOME or TMPDIR"
+            f"kernel cache: expected {LEAST_FREE >> 20} MiB free, and a file system with execution, in the cache home or in "
+            f"{folder.parent}; set XDG_CACHE_HOME or TMPDIR"
         )
     return folder

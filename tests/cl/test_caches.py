@@ -128,6 +128,38 @@ def test_a_cache_where_others_may_replace_it_is_refused(cache_home):
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="no users on this system")
+@pytest.mark.parametrize("how", ["owner", "mode"])
+def test_a_cache_below_a_folder_of_others_is_refused(tmp_path, monkeypatch, how):
+    """They could put another folder in its place, between a look at it and its use."""
+    above = tmp_path / "above"
+    (above / "cache").mkdir(parents=True)
+    if how == "mode":
+        above.chmod(0o777)
+    elif os.getuid() == 0:
+        os.chown(above, NOBODY, NOBODY)
+    else:
+        pytest.skip("only root can give a folder away")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(above / "cache"))
+    with pytest.raises(DeviceError, match=r"^kernel cache .*above: (belongs to user|expected a folder that only you)"):
+        caches.private("pocl")
+    assert not list((above / "cache").iterdir())
+
+
+def test_a_cache_without_execution_is_not_used(tmp_path, monkeypatch):
+    """Kernels could not be loaded from there, and the device would get the blame for good."""
+    found, noexec = os.statvfs(tmp_path), tmp_path / "cache"
+    flags = namedtuple("Flags", "f_flag f_frsize f_blocks f_bfree f_bavail")
+
+    def statvfs(path):
+        extra = os.ST_NOEXEC if Path(path) == noexec else 0
+        return flags(extra, found.f_frsize, found.f_blocks, found.f_bfree, found.f_bavail)
+
+    monkeypatch.setattr(os, "statvfs", statvfs)
+    assert caches.is_temporary()
+    assert caches.private("verdicts").parent.parent == caches.home() != noexec
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="no users on this system")
 def test_a_cache_home_of_somebody_else_is_refused(tmp_path, monkeypatch):
     (tmp_path / "theirs").mkdir(mode=0o755)
     if os.getuid() == 0:
@@ -201,7 +233,7 @@ def test_a_full_disk_is_left_alone(monkeypatch):
     assert caches.is_temporary()
     caches._temporary.cache_clear()
     monkeypatch.setattr(shutil, "disk_usage", lambda path: room(1 << 20))
-    with pytest.raises(DeviceError, match=r"^kernel cache: expected 32 MiB free in the cache home or in /"):
+    with pytest.raises(DeviceError, match=r"^kernel cache: expected 32 MiB free, and .* execution, in the cache home or in /"):
         caches.private("pocl")
 
 
