@@ -1,6 +1,104 @@
 # SPDX-License-Identifier: MIT
-"""Our backends as ports, under the name that ``stss conform --port stss.port:OpenCLPort`` takes."""
+"""The project's own backends as ports: ``stss port --backend ref|cl JOB`` (spec 11)."""
 
-from stss.conform.own_ports import OpenCLPort, ReferencePort, cl_direct, cl_half
+from __future__ import annotations
 
-__all__ = ["OpenCLPort", "ReferencePort", "cl_direct", "cl_half"]
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from conformance.protocol.port import Arrays, Outputs
+from conformance.reference_port import ReferencePort, answer_job
+from stss_ground.errors import InputError
+from stss_ref.weights import Weights
+
+WITH_WEIGHTS = ("stss_cl.network.network", "stss_cl.frame")
+"""Modules with the stages that take weights; each has ``STAGES`` and ``run_stage(stage, inputs, weights, device)``."""
+
+
+class OpenCLPort:
+    """The OpenCL backend, ``stss_cl``, on the device of ``$STSS_DEVICE`` or on the best one.
+
+    Args:
+        precision: see ``stss_cl.network.network.PRECISIONS``.
+    """
+
+    def __init__(self, precision: str = "float32"):
+        self.name = "cl" if precision == "float32" else f"cl-{precision.removeprefix('float32-')}"
+        self.dtype = "float16" if precision == "half" else "float32"
+        self._precision = precision
+        self._image = _module("stss_cl.image_space.stages")
+        self._network = [module for name in WITH_WEIGHTS if (module := _module(name)) is not None]
+        self._opened: Any = None
+
+    @property
+    def winograd(self) -> bool:
+        """Whether it uses Winograd convolutions."""
+        return (
+            self._precision != "float32-direct"
+            and import_module("stss_cl.device.tuning").tuning_for(self._device).winograd is not None
+        )
+
+    def stages(self) -> frozenset[str]:
+        """The stages of images, and those of the network."""
+        modules = self._network if self._image is None else [self._image, *self._network]
+        return frozenset(stage for module in modules for stage in module.STAGES)
+
+    def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
+        """See ``conformance.protocol.port.Port``; the first case opens the device, which stays open."""
+        device = self._device
+        if self._image is not None and stage in self._image.STAGES:
+            return self._image.ImageStages(device).run_stage(stage, inputs)
+        for module in self._network:
+            if stage in module.STAGES:
+                return module.run_stage(stage, inputs, weights, device, self._precision)
+        raise InputError(f"backend cl: it has no stage {stage}")
+
+    def layers(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
+        """Activations of the network's layers, by name, for stages that are parts of the network; else none."""
+        module = import_module(WITH_WEIGHTS[0])
+        return module.run_layers(stage, inputs, weights, self._device, self._precision) if stage in module.STAGES else {}
+
+    @property
+    def _device(self) -> Any:
+        if self._opened is None:
+            self._opened = import_module("stss_cl.device.discovery").open_device()
+        return self._opened
+
+
+def cl_direct() -> OpenCLPort:
+    """The OpenCL backend without Winograd, for ``stss conform --port stss.port:cl_direct``."""
+    return OpenCLPort("float32-direct")
+
+
+def cl_half() -> OpenCLPort:
+    """The OpenCL backend with activations stored as half."""
+    return OpenCLPort("half")
+
+
+def _module(name: str) -> ModuleType | None:
+    """Import a module on its first use, since it opens the OpenCL library. None if this version has no such module."""
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name == name:
+            return None
+        raise InputError(f"backend cl: {error}") from error
+    except ImportError as error:
+        raise InputError(f"backend cl: {error}") from error
+
+
+PORTS = {"ref": ReferencePort, "cl": OpenCLPort}
+"""The backends by the names that ``run_job`` takes; each class is also a factory for ``module:factory``."""
+
+
+def run_job(job: Path, backend: str, *, dump: bool = False) -> None:
+    """Compute every case of a job folder: `answer_job` with a backend of ``PORTS``.
+
+    Raises:
+        InputError: as `answer_job`; or there is no such backend or device.
+    """
+    if backend not in PORTS:
+        raise InputError(f"backend: expected one of {', '.join(PORTS)}, got {backend!r}")
+    answer_job(job, PORTS[backend](), dump=dump)

@@ -22,10 +22,9 @@ MAY_IMPORT = {
 }
 
 FLOORS = {
-    "stss": "__main__ > cli > demo bench > quality cluster > check_sequence run > port sequence baselines > conform stress frames"
+    "stss": "__main__ > cli > demo bench > quality cluster > check_sequence run > port sequence baselines > stress frames"
     " > pages > images weights devices color",
-    "conformance": "run_suite stored_cases > suite > confirm diagnosis first_layer known_failures terms > load_port search"
-    " > judge > questions > findings > answers mistakes cases > protocol scenes tolerance",
+    "conformance": "command > report > suite > explain > judging reference_port > answers mistakes cases > protocol scenes tolerance",
     "stss_cl": "skip > frame > network image_space > device",
     "stss_ground": "guard > commands optional output pages toml_table option_kinds > errors terminal version machine regular_file",
 }

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""The tests that judge a port, one file a stage; `conformance.run_suite` runs them."""
+"""The tests that judge a port, one file a stage; `conformance.suite.run_suite` runs them."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import pytest
 
-from conformance.judge import TIERS, Judge
-from conformance.load_port import load_port
+from conformance.judging.judge import TIERS, Judge
+from conformance.protocol.load_port import load_port
 from conformance.protocol.stages import STAGES
 from stss_ground.errors import UserError
 

@@ -14,13 +14,13 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.errors import Flaky
 
-from conformance.confirm import UNSTABLE, confirm
-from conformance.diagnosis import diagnose
-from conformance.findings import DepartureError, Failure, Record
-from conformance.first_layer import first_departure
-from conformance.judge import Body, Judge
-from conformance.search import drawn_cases, for_all
-from conformance.terms import terms_at_worst
+from conformance.explain.confirm import UNSTABLE, confirm
+from conformance.explain.diagnosis import diagnose
+from conformance.explain.first_layer import first_departure
+from conformance.explain.terms import terms_at_worst
+from conformance.judging.findings import DepartureError, Failure, Record
+from conformance.judging.judge import Body, Judge
+from conformance.judging.search import drawn_cases, for_all
 
 
 def cases(strategy: st.SearchStrategy[Any], *, slow: bool = False) -> Callable[[Body], Callable[[Judge], None]]:

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from conformance.cases.exact_weights import LAST, exact_inputs, rounded_sums
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
-from conformance.judge import Judge
-from conformance.questions import Talk, ask
+from conformance.judging.judge import Judge
+from conformance.judging.questions import Talk, ask
 from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
 

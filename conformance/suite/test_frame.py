@@ -8,8 +8,8 @@ from conformance.cases.constants import constant_cases, pinned_by
 from conformance.cases.every_buffer import frame_cases
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, frame_inputs, frame_weights, scene_inputs
-from conformance.judge import Judge
-from conformance.questions import Talk, ask
+from conformance.judging.judge import Judge
+from conformance.judging.questions import Talk, ask
 from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
 

@@ -10,8 +10,8 @@ from conformance.cases.constants import constant_cases, pinned_by
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import SEEDS, Size, sizes
 from conformance.cases.stage_inputs import Inputs, holes_inputs, thresholds
-from conformance.judge import Judge
-from conformance.questions import Talk, ask
+from conformance.judging.judge import Judge
+from conformance.judging.questions import Talk, ask
 from conformance.suite.properties import cases, made_cases
 
 

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import Float64, dyadic_motions, motions, sizes
 from conformance.cases.stage_inputs import Inputs, chain_inputs
-from conformance.judge import Judge
-from conformance.questions import Talk, ask
+from conformance.judging.judge import Judge
+from conformance.judging.questions import Talk, ask
 from conformance.suite.properties import cases, made_cases
 
 

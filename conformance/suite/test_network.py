@@ -8,8 +8,8 @@ from conformance.answers.expected import Expected
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import sizes
 from conformance.cases.stage_inputs import Inputs, network_inputs, weights
-from conformance.judge import Judge
-from conformance.questions import Talk, ask
+from conformance.judging.judge import Judge
+from conformance.judging.questions import Talk, ask
 from conformance.suite.properties import cases, made_cases
 from stss_ref.weights import Weights
 

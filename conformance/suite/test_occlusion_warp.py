@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from conformance.cases.constants import constant_cases, pinned_by
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, occlusion_inputs
-from conformance.judge import Judge
-from conformance.questions import Talk, ask
+from conformance.judging.judge import Judge
+from conformance.judging.questions import Talk, ask
 from conformance.suite.properties import cases, made_cases
 
 

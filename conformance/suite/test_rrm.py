@@ -5,8 +5,8 @@ import numpy as np
 
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, rrm_inputs
-from conformance.judge import Judge
-from conformance.questions import Talk, ask
+from conformance.judging.judge import Judge
+from conformance.judging.questions import Talk, ask
 from conformance.suite.properties import cases, made_cases
 
 

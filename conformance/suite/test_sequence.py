@@ -7,8 +7,8 @@ import numpy as np
 from hypothesis import strategies as st
 
 from conformance.cases.stage_inputs import Inputs, frame_inputs, frame_weights
-from conformance.judge import Judge
-from conformance.questions import Talk, ask
+from conformance.judging.judge import Judge
+from conformance.judging.questions import Talk, ask
 from conformance.suite.properties import cases
 from stss_ref.weights import Weights
 

@@ -8,8 +8,8 @@ from conformance.answers.expected import Expected
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import Float64, colors, dyadic_motions, sizes
 from conformance.cases.stage_inputs import Inputs, warp_inputs, wide_warp_inputs
-from conformance.judge import Judge
-from conformance.questions import Talk, ask
+from conformance.judging.judge import Judge
+from conformance.judging.questions import Talk, ask
 from conformance.suite.properties import cases, made_cases
 
 

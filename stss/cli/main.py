@@ -35,8 +35,8 @@ SECTIONS = {
         "tune": ("stss.cli.devices:tune", "Find the fastest tile sizes for a device."),
     },
     "Ports": {
-        "conform": ("stss.cli.conform:conform", "Judge a port."),
-        "port": ("stss.cli.conform:port", "Answer a folder of cases with a backend of ours."),
+        "conform": ("conformance.command:conform", "Judge a port."),
+        "port": ("stss.cli.port:port", "Answer a folder of cases with a backend of ours."),
         "export": ("stss.cli.bench:export", "Write the network as ONNX."),
     },
     "Measure": {

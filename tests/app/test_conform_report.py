@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from conformance.findings import Record, TestResult
-from stss.conform.report import write_page
+from conformance.judging.findings import Record, TestResult
+from conformance.report.report import write_page
 from stss.images.read_write import write_rgb
 from tests.app.test_pages import HOSTILE, pictures
 

@@ -76,9 +76,7 @@ def test_the_workflow_of_a_port(tmp_path, monkeypatch):
     commands = re.findall(r"- run: (stss .*)", text)
     assert len(commands) == 2
     monkeypatch.chdir(tmp_path)
-    Path("port.py").write_text(
-        "import sys, pathlib, stss.conform.own_ports as ours\nours.run_job(pathlib.Path(sys.argv[1]), 'ref')\n"
-    )
+    Path("port.py").write_text("import sys, pathlib, stss.port as ours\nours.run_job(pathlib.Path(sys.argv[1]), 'ref')\n")
     Path("known.json").write_text('{"format": 1, "failures": []}')
     for command in commands:
         line = command.replace("./my_port", f"'{sys.executable} port.py'").replace("warp,holes", "rrm").replace("full", "quick")

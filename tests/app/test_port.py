@@ -14,7 +14,7 @@ from conformance.protocol import job_folder as jobs
 from conformance.protocol.port import Case, PortError, Unsupported
 from conformance.protocol.program_port import FolderPort, smallest_case
 from conformance.protocol.stages import STAGES, check_inputs, reference
-from stss.conform import own_ports as ports
+from stss import port as ports
 from stss_ground.errors import InputError
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Tensors, WeightsError
@@ -30,7 +30,7 @@ def command(backend):
     return [
         sys.executable,
         "-c",
-        f"import pathlib, sys, stss.conform.own_ports; stss.conform.own_ports.run_job(pathlib.Path(sys.argv[1]), {backend!r})",
+        f"import pathlib, sys, stss.port; stss.port.run_job(pathlib.Path(sys.argv[1]), {backend!r})",
     ]
 
 

@@ -23,8 +23,8 @@ except RuntimeError as error:
     print(json.dumps({"skip": str(error)}))
     sys.exit()
 from port import Port
-from conformance.judge import Judge, Tier
-from conformance.run_suite import run_suite
+from conformance.judging.judge import Judge, Tier
+from conformance.suite.run_suite import run_suite
 judge = Judge(Port(), Tier("some", 20, 3, 1), shrink=False)
 print(json.dumps({r.id: r.outcome for r in run_suite(judge, sys.argv[1:] or Port().stages())}))
 """

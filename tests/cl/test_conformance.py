@@ -2,9 +2,9 @@
 
 import pytest
 
-from conformance.judge import Judge, Tier
-from conformance.run_suite import run_suite
-from stss.conform.own_ports import OpenCLPort
+from conformance.judging.judge import Judge, Tier
+from conformance.suite.run_suite import run_suite
+from stss.port import OpenCLPort
 
 
 @pytest.mark.parametrize("precision", ["float32", "float32-direct", "half"])

@@ -8,7 +8,7 @@ from conformance.answers.expected import largest
 from conformance.answers.network import expect_layers
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.protocol.layers import LAYERS_OF, check_layers
-from stss.conform.own_ports import OpenCLPort
+from stss.port import OpenCLPort
 from tests.meta.samples import samples
 
 FUSED = {"up3.conv.double_conv.2", "outc"}

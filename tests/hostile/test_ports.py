@@ -16,17 +16,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conformance.cases import stage_inputs as drawn
-from conformance.findings import DepartureError
-from conformance.judge import Judge, agreement
+from conformance.judging.findings import DepartureError
+from conformance.judging.judge import Judge, agreement
 from conformance.protocol import job_folder, own_session
 from conformance.protocol.job_folder import MOST_WEIGHTS_BYTES, write_job
 from conformance.protocol.port import Case, PortError
 from conformance.protocol.program_port import FolderPort, smallest_case
 from conformance.protocol.stages import STAGES
-from conformance.run_suite import run_suite
+from conformance.report.failures import replay
+from conformance.suite.run_suite import run_suite
 from stss.cli.main import stss as command
-from stss.conform.failures import replay
-from stss.conform.own_ports import ReferencePort, run_job
+from stss.port import ReferencePort, run_job
 from stss_ground.errors import InputError
 from stss_ref.weights import random as random_weights
 from tests.hostile.cases import refused, stss
@@ -280,7 +280,7 @@ def test_a_start_waits_for_nothing(program):
 # Nothing judged is no success.
 
 FEW = """
-from stss.conform.own_ports import ReferencePort
+from stss.port import ReferencePort
 
 class Few(ReferencePort):
     def stages(self):
@@ -405,7 +405,7 @@ def test_one_wrong_pixel_of_a_mask_fails(stage, output):
 @pytest.mark.parametrize("number", [np.nan, np.inf])
 def test_an_answer_that_is_not_judged_is_a_number_all_the_same(monkeypatch, number):
     """Where rounding decides on a whole frame, it does not decide whether the frame is one."""
-    monkeypatch.setattr("conformance.judge.expect", lambda *_: {})
+    monkeypatch.setattr("conformance.judging.judge.expect", lambda *_: {})
     case = smallest_case("frame")
 
     def plant(outputs):

@@ -268,7 +268,7 @@ PLACES = {
     "weights": ("special.safetensors", "run in -o new --weights special.safetensors"),
     "checkpoint": ("special.pkl", "weights import special.pkl -o new.safetensors"),
     "compared": ("truth/frame.0001.png", "compare in truth"),
-    "known failures": ("special", "conform --port stss.conform.own_ports:ReferencePort --stages rrm --known-failures special"),
+    "known failures": ("special", "conform --port stss.port:ReferencePort --stages rrm --known-failures special"),
 }
 
 
@@ -290,7 +290,7 @@ SIZES = {
     "frames": ("in/seq.0003.exr", "check in", "at most 4096 MiB"),
     "known failures": (
         "big",
-        "conform --port stss.conform.own_ports:ReferencePort --stages rrm --known-failures big",
+        "conform --port stss.port:ReferencePort --stages rrm --known-failures big",
         "at most 1 MiB",
     ),
 }
@@ -342,9 +342,7 @@ def test_a_hostile_camera_table_is_one_line(sequence, text, words):
 def test_a_hostile_list_of_known_failures_is_one_line(tmp_path, monkeypatch, content, words):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "known").write_bytes(content)
-    refused(
-        call("conform", "--port", "stss.conform.own_ports:ReferencePort", "--stages", "rrm", "--known-failures", "known"), words
-    )
+    refused(call("conform", "--port", "stss.port:ReferencePort", "--stages", "rrm", "--known-failures", "known"), words)
 
 
 def test_a_header_that_claims_more_than_the_file_can_hold(sequence):

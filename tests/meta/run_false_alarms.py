@@ -7,9 +7,9 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from time import perf_counter
 
-from conformance.judge import TIERS, Judge
+from conformance.judging.judge import TIERS, Judge
 from conformance.protocol.stages import STAGES
-from conformance.run_suite import run_suite
+from conformance.suite.run_suite import run_suite
 from tests.meta.right_ports import PORTS, port
 
 PAGE = Path(__file__).parents[2] / "docs" / "conformance.md"

@@ -10,9 +10,9 @@ from concurrent.futures import ProcessPoolExecutor
 from itertools import repeat
 from time import perf_counter
 
-from conformance.judge import TIERS, Judge
+from conformance.judging.judge import TIERS, Judge
 from conformance.mistakes import MISTAKES, find
-from conformance.run_suite import run_suite
+from conformance.suite.run_suite import run_suite
 
 
 def failed(name, seed=0):

@@ -10,12 +10,12 @@ import pytest
 from click.testing import CliRunner
 
 from conformance.answers.port_arithmetic import Arithmetic
-from conformance.judge import Tier
+from conformance.judging.judge import Tier
 from conformance.mistakes import find
 from conformance.protocol.job_folder import read_weights
+from conformance.report.case_archive import write_cases
 from stss.cli.main import stss
-from stss.conform.case_archive import write_cases
-from stss.conform.own_ports import ReferencePort, run_job
+from stss.port import ReferencePort, run_job
 from stss_ground.errors import InputError
 
 PAGE = Path(__file__).parents[2] / "docs" / "ports.md"

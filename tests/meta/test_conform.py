@@ -20,17 +20,17 @@ from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected, largest
 from conformance.answers.network import expect_layers
 from conformance.answers.port_arithmetic import Arithmetic
-from conformance.findings import DepartureError
-from conformance.judge import Judge, Tier, agreement
-from conformance.load_port import load_port
+from conformance.judging.findings import DepartureError
+from conformance.judging.judge import Judge, Tier, agreement
 from conformance.mistakes import find
 from conformance.protocol.layers import LAYERS_OF
+from conformance.protocol.load_port import load_port
 from conformance.protocol.port import Case
-from conformance.run_suite import run_suite
+from conformance.report.picture import draw
+from conformance.suite.run_suite import run_suite
 from stss.cli.main import stss
-from stss.conform.own_ports import ReferencePort
-from stss.conform.picture import draw
 from stss.images.read_write import read_rgb
+from stss.port import ReferencePort
 from stss_ground.errors import InputError
 from stss_ref.weights import Tensors
 from tests.hostile.cases import call
@@ -38,7 +38,7 @@ from tests.meta.samples import samples
 
 EXAMPLE = Path(__file__).parents[2] / "conformance" / "examples" / "cpp"
 WRONG = """
-from stss.conform.own_ports import ReferencePort
+from stss.port import ReferencePort
 
 class Port(ReferencePort):
     name = "wrong"
@@ -144,7 +144,7 @@ def test_a_stage_that_is_required_and_lacking_is_a_failure(here):
 def test_what_an_interrupted_run_found_is_left(here):
     """As if by Ctrl-C in the second test."""
     (here / "stopping.py").write_text(
-        "from stss.conform.own_ports import ReferencePort\n"
+        "from stss.port import ReferencePort\n"
         "class Port(ReferencePort):\n"
         "    calls = 0\n"
         "    def run(self, *given):\n"
@@ -162,7 +162,7 @@ def test_what_an_interrupted_run_found_is_left(here):
 
 def test_an_output_that_nothing_judged_says_so(here):
     (here / "lost.py").write_text(
-        "from stss.conform.own_ports import ReferencePort\n"
+        "from stss.port import ReferencePort\n"
         "class Port(ReferencePort):\n"
         "    def stages(self): return frozenset({'warp'})\n"
         "    def run(self, *given): raise MemoryError('no device')\n"

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from conformance.cases.constants import CONSTANTS
-from conformance.findings import DepartureError
-from conformance.judge import Judge
+from conformance.judging.findings import DepartureError
+from conformance.judging.judge import Judge
 from conformance.mistakes.variants import load
 from conformance.protocol.stages import STAGES
 from conformance.suite import test_occlusion_warp
 from conformance.suite.properties import find_property
-from stss.conform.own_ports import ReferencePort
+from stss.port import ReferencePort
 from tests.meta import right_ports
 
 ROOT = Path(__file__).parents[2]

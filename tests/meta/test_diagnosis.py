@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from conformance.diagnosis import diagnose
-from conformance.findings import DepartureError
-from conformance.judge import Judge
+from conformance.explain.diagnosis import diagnose
+from conformance.judging.findings import DepartureError
+from conformance.judging.judge import Judge
 from conformance.mistakes import find
 from conformance.suite.properties import find_property
-from stss.conform.own_ports import ReferencePort
+from stss.port import ReferencePort
 from tests.meta.samples import samples
 
 

@@ -10,15 +10,15 @@ import pytest
 from conformance.answers.expected import largest
 from conformance.answers.network import expect_layers
 from conformance.answers.port_arithmetic import Arithmetic
-from conformance.findings import DepartureError
-from conformance.first_layer import first_departure
-from conformance.judge import Judge, Tier, agreement
+from conformance.explain.first_layer import first_departure
+from conformance.judging.findings import DepartureError
+from conformance.judging.judge import Judge, Tier, agreement
 from conformance.mistakes.variants import load
 from conformance.protocol import FolderPort, PortError
 from conformance.protocol.job_folder import JobError, read_layers, write_job
 from conformance.protocol.layers import LAYERS_OF, check_layers, reference_layers
-from conformance.run_suite import run_suite
-from stss.conform.own_ports import ReferencePort, run_job
+from conformance.suite.run_suite import run_suite
+from stss.port import ReferencePort, run_job
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import LAYERS
 from tests.meta.samples import samples

@@ -10,11 +10,11 @@ import pytest
 
 from conformance import mistakes
 from conformance.cases.large_inputs import large_inputs
-from conformance.judge import TIERS, Judge
+from conformance.judging.judge import TIERS, Judge
 from conformance.mistakes import MISTAKES, find, of_stage
 from conformance.mistakes.variants import PACKAGE, VariantError, departs, load
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs, reference
-from stss.conform.own_ports import ReferencePort
+from stss.port import ReferencePort
 from tests.meta.samples import samples
 
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from conformance.findings import DepartureError
-from conformance.judge import Judge, Tier
+from conformance.judging.findings import DepartureError
+from conformance.judging.judge import Judge, Tier
+from conformance.judging.questions import ask
 from conformance.protocol.port import Case, PortError
 from conformance.protocol.stages import reference
-from conformance.questions import ask
-from conformance.run_suite import run_suite
 from conformance.suite.properties import cases, find_property
+from conformance.suite.run_suite import run_suite
 
 
 class Program:
@@ -107,8 +107,8 @@ def test_what_is_asked_together_is_computed_together():
 def test_making_a_case_smaller_ends_in_time_and_says_so(monkeypatch):
     """With the smallest failure so far, which has been told before."""
     clock = iter(range(10**6))
-    monkeypatch.setattr("conformance.search.monotonic", lambda: float(next(clock)))
-    monkeypatch.setattr("conformance.search.SHRINK_SECONDS", 12.0)
+    monkeypatch.setattr("conformance.judging.search.monotonic", lambda: float(next(clock)))
+    monkeypatch.setattr("conformance.judging.search.SHRINK_SECONDS", 12.0)
 
     def wrong(job, number, outputs):
         if outputs["warped"].shape[1] == 5:

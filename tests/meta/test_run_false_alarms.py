@@ -3,7 +3,7 @@
 
 import pytest
 
-from conformance.judge import Tier
+from conformance.judging.judge import Tier
 from tests.meta.run_false_alarms import judged
 
 

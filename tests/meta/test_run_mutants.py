@@ -4,8 +4,8 @@
 import pytest
 
 from conformance.mistakes import MISTAKES, find
-from stss.conform.failures import keep_failure, replay
-from stss.conform.own_ports import ReferencePort
+from conformance.report.failures import keep_failure, replay
+from stss.port import ReferencePort
 from tests.meta.run_mutants import failed
 
 NAMES = [mutant.id for mutant in MISTAKES]

@@ -8,21 +8,21 @@ import jsonschema
 import pytest
 from click.testing import CliRunner
 
-import stss.conform
+import conformance.report
 import stss_ref
 from conformance.answers.port_arithmetic import Arithmetic
-from conformance.judge import Judge, Tier
-from conformance.known_failures import KnownFailuresError, read_known
+from conformance.judging.judge import Judge, Tier
+from conformance.judging.known_failures import KnownFailuresError, read_known
 from conformance.mistakes import find
 from conformance.protocol.layers import LAYERS_OF
 from conformance.protocol.stages import STAGES
-from conformance.run_suite import SUITE, run_suite
+from conformance.report.case_archive import write_cases
+from conformance.report.report import to_json
+from conformance.suite.run_suite import SUITE, run_suite
 from stss.cli.main import stss as command
-from stss.conform.case_archive import write_cases
-from stss.conform.own_ports import ReferencePort
-from stss.conform.report import to_json
+from stss.port import ReferencePort
 
-FOLDER = Path(stss.conform.__file__).parent / "schemas"
+FOLDER = Path(conformance.report.__file__).parent / "schemas"
 PAGE = Path(__file__).parents[2] / "docs" / "ports.md"
 FEW = Tier("quick", 12, 3, 1)
 DESCR = {"float": "<f4", "uint8": "|u1", "int": "<i4"}
@@ -148,4 +148,4 @@ def test_the_json_of_the_command_fits(tmp_path):
 
 def test_the_page_names_every_schema():
     for path in FOLDER.iterdir():
-        assert f"stss/conform/schemas/{path.name}" in PAGE.read_text(), path.name
+        assert f"conformance/report/schemas/{path.name}" in PAGE.read_text(), path.name

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from conformance.cases.large_inputs import large_inputs
-from conformance.findings import DepartureError
-from conformance.judge import TIERS, Judge, Tier
+from conformance.judging.findings import DepartureError
+from conformance.judging.judge import TIERS, Judge, Tier
 from conformance.protocol.stages import STAGES
-from conformance.run_suite import run_suite
+from conformance.report.failures import keep_failure, replay
 from conformance.suite.properties import find_property
-from stss.conform.failures import keep_failure, replay
-from stss.conform.own_ports import ReferencePort
+from conformance.suite.run_suite import run_suite
+from stss.port import ReferencePort
 from tests.meta.test_questions import Program
 
 NETWORKS = ("history", "encoder", "erm", "decoder", "network", "frame")

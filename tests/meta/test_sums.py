@@ -7,10 +7,10 @@ import pytest
 
 from conformance.cases.exact_weights import exact_inputs, rounded_sums
 from conformance.cases.stage_inputs import multiples
-from conformance.findings import DepartureError
-from conformance.judge import Judge, Tier
+from conformance.judging.findings import DepartureError
+from conformance.judging.judge import Judge, Tier
+from conformance.judging.search import for_all
 from conformance.mistakes.variants import load
-from conformance.search import for_all
 from conformance.suite.properties import find_property
 from tests.meta import right_ports as others
 

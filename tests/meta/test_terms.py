@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 
 from conformance.answers.expected import Expected
-from conformance.findings import Finding
-from conformance.judge import Judge, Tier
+from conformance.explain.terms import TERMS, terms_at_worst
+from conformance.judging.findings import Finding
+from conformance.judging.judge import Judge, Tier
 from conformance.mistakes import find
 from conformance.protocol import Case, reference
-from conformance.run_suite import run_suite
-from conformance.terms import TERMS, terms_at_worst
+from conformance.suite.run_suite import run_suite
 
 
 def terms(stage, inputs, output, wrong_at):

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conformance.cases.planes import SEEDS, frames, sizes
-from conformance.judge import Judge, Tier
-from conformance.run_suite import run_suite
-from stss.conform.own_ports import ReferencePort
+from conformance.judging.judge import Judge, Tier
+from conformance.suite.run_suite import run_suite
+from stss.port import ReferencePort
 from stss_ref.arrays import ArrayError
 from stss_ref.depth import normalise_depth
 from stss_ref.holes import HoleLimits, holes

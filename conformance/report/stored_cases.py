@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
 from conformance.answers.port_arithmetic import Arithmetic
-from conformance.judge import Judge, Tier
+from conformance.judging.judge import Judge, Tier
+from conformance.judging.questions import Talk
 from conformance.protocol.drawn_case import fingerprint
 from conformance.protocol.port import Arrays, Case, Outputs
 from conformance.protocol.stages import STAGES
-from conformance.questions import Talk
 from stss_ref.weights import Weights
 
 

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
-from conformance.findings import TestResult
-from conformance.judge import Judge
-from stss.conform.report import by_stage
-from stss.conform.versions import versions_of_cases
+from conformance.judging.findings import TestResult
+from conformance.judging.judge import Judge
+from conformance.report.report import by_stage
+from conformance.report.versions import versions_of_cases
 from stss_ground.output.write_whole import write_named
 from stss_ground.terminal import printable
 

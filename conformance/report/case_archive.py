@@ -15,10 +15,10 @@ import numpy as np
 
 from conformance.answers.expected import Expected
 from conformance.answers.port_arithmetic import Arithmetic
-from conformance.judge import Tier
+from conformance.judging.judge import Tier
 from conformance.protocol.job_folder import WEIGHTS, link, write_job
-from conformance.stored_cases import StoredCase, StoredTest, stored_tests
-from stss.conform.versions import versions_of_cases
+from conformance.report.stored_cases import StoredCase, StoredTest, stored_tests
+from conformance.report.versions import versions_of_cases
 from stss_ground.errors import InputError
 from stss_ground.output.write_whole import told
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from conformance.answers.expected import largest
 from conformance.answers.network import expect_layers
-from conformance.findings import Finding, said
-from conformance.judge import Judge
+from conformance.judging.findings import Finding, said
+from conformance.judging.judge import Judge
+from conformance.judging.questions import copied
 from conformance.protocol.layers import LAYERS_OF, check_layers
 from conformance.protocol.port import Outputs, PortError
-from conformance.questions import copied
 from stss_ref.arrays import ArrayError
 
 ASKED_FOR = ("network", "frame")

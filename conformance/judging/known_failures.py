@@ -9,7 +9,7 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from conformance.findings import TestResult
+from conformance.judging.findings import TestResult
 from stss_ground.regular_file import read_json
 
 MOST_BYTES = 1 << 20

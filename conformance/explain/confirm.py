@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from conformance.findings import Failure
-from conformance.judge import Body, Judge
+from conformance.judging.findings import Failure
+from conformance.judging.judge import Body, Judge
 
 UNSTABLE = "differs from run to run"
 

@@ -15,11 +15,11 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from conformance.findings import TestResult, tallied
-from conformance.judge import Judge
+from conformance.judging.findings import TestResult, tallied
+from conformance.judging.judge import Judge
 from conformance.protocol.stages import STAGES
-from conformance.run_suite import JUDGED, REQUIRED, SEQUENCE, SUITE
-from stss.conform.versions import versions_of_cases
+from conformance.report.versions import versions_of_cases
+from conformance.suite.run_suite import JUDGED, REQUIRED, SEQUENCE, SUITE
 from stss_ground.output.write_whole import write_named
 from stss_ground.pages.page import page
 from stss_ground.terminal import printable

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
-from conformance.findings import Failure, Finding, Record
-from conformance.judge import Body, Judge, agreement
+from conformance.judging.findings import Failure, Finding, Record
+from conformance.judging.judge import Body, Judge, agreement
 from conformance.protocol.drawn_case import read_drawn, write_drawn
 from conformance.protocol.job_folder import (
     MOST_WEIGHTS_BYTES,
@@ -29,8 +29,8 @@ from conformance.protocol.job_folder import (
 )
 from conformance.protocol.port import Case, Port, PortError
 from conformance.protocol.stages import STAGES
+from conformance.report.picture import draw, png
 from conformance.suite.properties import find_property
-from stss.conform.picture import draw, png
 from stss_ground.errors import InputError
 from stss_ground.output.write_whole import make_folder, told, write_whole
 

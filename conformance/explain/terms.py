@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conformance.answers.expected import largest
-from conformance.findings import Finding
+from conformance.judging.findings import Finding
 from conformance.protocol.stages import reference
 from stss_ref.constants import HoleLimits
 from stss_ref.motion_chain import chain_steps, gather_longest, truncated

@@ -6,11 +6,11 @@ from __future__ import annotations
 import shlex
 from pathlib import Path
 
-from conformance.findings import Finding, TestResult
-from conformance.judge import Judge
-from stss.conform.failures import keep_failure
-from stss.conform.junit import write_junit
-from stss.conform.report import judged_on, passed, print_results, to_json, write_json, write_page
+from conformance.judging.findings import Finding, TestResult
+from conformance.judging.judge import Judge
+from conformance.report.failures import keep_failure
+from conformance.report.junit import write_junit
+from conformance.report.report import judged_on, passed, print_results, to_json, write_json, write_page
 from stss_ground.terminal import Terminal, echo
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
-from conformance.findings import DepartureError, Finding
-from conformance.judge import Judge
+from conformance.judging.findings import DepartureError, Finding
+from conformance.judging.judge import Judge
 from conformance.mistakes import Mistake, of_stage
 from conformance.mistakes.variants import Variant
 from conformance.protocol.port import Outputs

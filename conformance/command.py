@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""``stss conform`` and ``port``: the judge of ports, and our own as ports."""
+"""``stss conform``, and ``stss`` where the judge is installed alone."""
 
 from __future__ import annotations
 
@@ -11,10 +11,15 @@ from typing import Any
 import click
 
 from stss_ground.errors import InputError
+from stss_ground.guard import run_guarded
 from stss_ground.option_kinds import MAX_SECONDS, MAX_SEED, PATH, Names, Number
 from stss_ground.optional import require as require_package
+from stss_ground.optional import require_own_conformance
 from stss_ground.output.apart import require_places
 from stss_ground.terminal import echo
+from stss_ground.version import VERSION
+from stss_ref.arrays import ArrayError
+from stss_ref.weights import WeightsError
 
 MAX_REPEAT = 1000
 
@@ -80,11 +85,11 @@ def conform(
     """
     for package in ("pytest", "hypothesis"):
         require_package(package, "conform")
-    from conformance.judge import TIERS, Judge
-    from conformance.known_failures import KnownFailuresError, read_known
-    from conformance.load_port import load_port
-    from conformance.run_suite import SUITE, run_suite
-    from stss.conform.running_report import RunningReport
+    from conformance.judging.judge import TIERS, Judge
+    from conformance.judging.known_failures import KnownFailuresError, read_known
+    from conformance.protocol.load_port import load_port
+    from conformance.report.running_report import RunningReport
+    from conformance.suite.run_suite import SUITE, run_suite
 
     require_places({"--json": json_file, "--junit": junit, "--report": report}, [known_failures])
     _require_folder(failures)
@@ -114,28 +119,17 @@ def conform(
     sys.exit(0 if running.finish(report, junit) else 1)
 
 
-@click.command()
-@click.argument("job", type=PATH)
-@click.option("--backend", type=click.Choice(["ref", "cl"]), default="ref", show_default=True)
-@click.option("--dump", is_flag=True, help="Leave what each layer of the network gives, too: folder layers of a case.")
-def port(job: Path, backend: str, dump: bool) -> None:
-    """Compute every case of the folder JOB, as any port does: see docs/ports.md."""
-    from stss.conform.own_ports import run_job
-
-    run_job(job, backend, dump=dump)
-
-
 def _write_cases(folder: Path, stages: list[str], dtype: str, winograd: bool, tier: str, seed: int) -> None:
     from conformance.answers.port_arithmetic import Arithmetic
-    from conformance.judge import TIERS
-    from stss.conform.case_archive import write_cases
+    from conformance.judging.judge import TIERS
+    from conformance.report.case_archive import write_cases
 
     index = write_cases(folder, stages, Arithmetic(dtype, winograd), TIERS[tier], seed, echo)
     echo(f"{folder}: {len(index['cases'])} cases, inputs {index['inputs_sha256'][:16]}")
 
 
 def _require_stages(named: dict[str, tuple[str, ...] | None]) -> None:
-    from conformance.run_suite import SUITE
+    from conformance.suite.run_suite import SUITE
 
     for option, names in named.items():
         if unknown := set(names or ()) - set(SUITE):
@@ -164,7 +158,7 @@ def _print_mistakes(stages: tuple[str, ...] | None) -> None:
 
 
 def _replay(port: Any, folder: Path) -> int:
-    from stss.conform.failures import replay
+    from conformance.report.failures import replay
 
     record = replay(port, folder)
     for output, ratio in record.worst.items():
@@ -174,3 +168,18 @@ def _replay(port: Any, folder: Path) -> int:
     elif not record.worst:
         echo("nothing was judged: rounding decides on the whole answer")
     return int(record.failure is not None or not record.worst)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120})
+@click.version_option(VERSION, prog_name="stss")
+def judge_alone() -> None:
+    """Judge ports of space-time supersampling: the part of stss that needs neither OpenCL nor image files."""
+    require_own_conformance()
+
+
+judge_alone.add_command(conform)
+
+
+def main() -> None:
+    """Run the command."""
+    run_guarded(judge_alone, ArrayError, WeightsError)

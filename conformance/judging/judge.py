@@ -15,10 +15,10 @@ from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected, largest
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.answers.sums import expected_rounding, rounding
-from conformance.findings import DepartureError, Failure, Finding, Record, said
+from conformance.judging.findings import DepartureError, Failure, Finding, Record, said
+from conformance.judging.questions import BATCH, Answer, Dialogue, Talk, answers_of, ask, repeated
 from conformance.protocol.port import Arrays, Case, Outputs, Port, PortError
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs
-from conformance.questions import BATCH, Answer, Dialogue, Talk, answers_of, ask, repeated
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Tensors, Weights, second_color
 

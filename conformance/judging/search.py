@@ -12,8 +12,8 @@ import numpy as np
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 
-from conformance.findings import DepartureError, Failure
-from conformance.judge import Body, Judge
+from conformance.judging.findings import DepartureError, Failure
+from conformance.judging.judge import Body, Judge
 
 EVERY_CHECK: list[HealthCheck] = [*HealthCheck]  # pyright: ignore[reportAssignmentType]
 SHRINK_SECONDS = 60.0

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from conformance.findings import DepartureError, Record, TestResult
-from conformance.judge import Judge
-from conformance.known_failures import KnownFailure, KnownFailuresError
+from conformance.judging.findings import DepartureError, Record, TestResult
+from conformance.judging.judge import Judge
+from conformance.judging.known_failures import KnownFailure, KnownFailuresError
 from conformance.protocol.stages import STAGES
 from conformance.suite.properties import find_property
 
-SUITE_FOLDER = Path(__file__).with_name("suite")
+SUITE_FOLDER = Path(__file__).parent
 SEQUENCE = "sequence"
 """The tests of whole sequences, which need stage ``frame``."""
 SUITE = (*STAGES, SEQUENCE)

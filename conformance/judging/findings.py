@@ -38,7 +38,7 @@ class Finding:
         output: name of the wrong output.
         got: the port's answer; None: it gave none.
         expected: the right answer; None: it is not known.
-        terms: lines on the worst pixel (``conformance.terms``).
+        terms: lines on the worst pixel (``conformance.explain.terms``).
     """
 
     message: str

@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: MIT
-"""``stss conform`` and ``stss port``: run the judge on a port, and our backends as ports."""
