@@ -18,8 +18,8 @@ from conformance.cases.planes import Size
 from conformance.cases.stage_inputs import Inputs, made_weights
 from stss_ref.weights import SECOND_COLORS, SecondColor, Weights
 
-IMAGE_SIZES: tuple[Size, ...] = ((2, 300), (301, 3), (257, 259), (129, 66), (65, 129), (65_601, 1), (1, 65_601))
-"""(H, W) for the image stages. The third has more than 65,536 pixels; the last two more columns or rows than 16 bits count."""
+IMAGE_SIZES: tuple[Size, ...] = ((2, 4500), (301, 3), (540, 960), (129, 66), (65, 129), (65_601, 1), (1, 65_601))
+"""(H, W) for the image stages. The third is a frame as people have them; the last two have more columns or rows than 16 bits count."""
 NETWORK_SIZES: tuple[Size, ...] = ((8, 528), (264, 8), (72, 136), (8, 2080), (528, 64), (264, 256))
 """(H, W) for stages of the network: at 1/8 they have up to 33 rows and 260 columns; the last has more than 65,536 pixels."""
 ANY_SIZES: tuple[Size, ...] = ((7, 301), (261, 5), (67, 131), (515, 13), (257, 259))

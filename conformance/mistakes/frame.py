@@ -137,6 +137,21 @@ FRAME = (
         "chain_steps(motions[: max(steps)][::-1], gather)",
     ),
     _frame(
+        "last_motions", "takes the last motions, of more than the steps need", "motions[: max(steps)]", "motions[-max(steps) :]"
+    ),
+    _frame(
+        "lost_motion_is_still",
+        "motion that is not finite counts as 0",
+        "warped, _ = warp(inputs.colors[i], motion)",
+        "motion = np.where(np.isfinite(motion).all(axis=-1, keepdims=True), motion, 0)\n    warped, _ = warp(inputs.colors[i], motion)",
+    ),
+    _frame(
+        "lost_position_is_0",
+        "a position that is not finite counts as 0",
+        "position_previous=inputs.positions[i + 1]",
+        "position_previous=np.nan_to_num(inputs.positions[i + 1], posinf=0, neginf=0)",
+    ),
+    _frame(
         "nearest_chain",
         "the chain by the nearest pixel",
         'def frame(inputs: FrameInputs, weights: Weights, gather: Gather = "longest")',

@@ -31,6 +31,18 @@ def _limit(name: str, what: str, *change: str) -> Mistake:
 HOLES = (
     _holes("axes_swapped", "takes dx for dy", _FOLLOW, "place = follow(motion[..., ::-1])"),
     _holes("not_followed", "reads the earlier buffers at p", _AT, "at = taps(follow(motion * 0))"),
+    _holes(
+        "stencil_of_8_bits",
+        "stencils in 8 bits",
+        _FOLLOW,
+        f"{_FOLLOW}\n    stencil, stencil_previous = stencil % 256, stencil_previous % 256",
+    ),
+    _holes(
+        "stencil_of_16_bits",
+        "stencils in 16 bits",
+        _FOLLOW,
+        f"{_FOLLOW}\n    stencil, stencil_previous = stencil % 65536, stencil_previous % 65536",
+    ),
     _holes("inverted", "1 in the holes", _UNION, "return ~(leads_inside(place) & ~static & ~moving & ~mesh)"),
     _holes("off_screen_missing", "off screen is no hole", _UNION, "return ~static & ~moving & ~mesh"),
     _holes("static_missing", "no test of static geometry", _UNION, "return leads_inside(place) & ~moving & ~mesh"),

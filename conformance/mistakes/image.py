@@ -45,6 +45,12 @@ MOTION_CHAIN = (
     _chain("sum_of_absolutes", "length as |dx| + |dy|", _SQUARES, "length = np.abs(corners).sum(axis=-1)"),
     _chain("zero_ignored", "a still one among the four does not win", _STILL, "still = np.False_"),
     _chain("zero_component", "dx = 0 alone counts as still", _STILL, "still = (corners == 0).any(axis=-1).any(axis=0)"),
+    _chain(
+        "still_by_bits",
+        "-0 does not count as still",
+        _STILL,
+        "still = (corners.view(f'u{corners.itemsize}') == 0).all(axis=-1).any(axis=0)",
+    ),
     _chain("zero_corner", "only the first of four may be still", _STILL, "still = (corners[0] == 0).all(axis=-1)"),
     _chain(
         "zero_nearly",

@@ -28,6 +28,14 @@ SIZES = (
         also=("holes", "occlusion_warp"),
     ),
     _large(
+        "warp", "row_511", "reads nothing below row 511", _SAMPLE, _CLAMP, f"{_CLAMP}\n    y0 = np.minimum(y0, 511)",
+        also=("holes", "occlusion_warp"),
+    ),
+    _large(
+        "motion_chain", "row_511", "reads no motion below row 511", "motion_chain.py", _READ,
+        _READ.replace("height - 1", "min(height - 1, 511)"),
+    ),
+    _large(
         "warp", "pixel_65535", "an index of 16 bits where pixels are read", _SAMPLE, _FRACTIONS,
         f"""i = (at.y0 * image.shape[1] + at.x0) % 65536
     at = at._replace(y0=i // image.shape[1], x0=i % image.shape[1])

@@ -5,6 +5,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from conformance.cases.constants import constant_cases, pinned_by
+from conformance.cases.engine_inputs import engine_inputs
 from conformance.cases.every_buffer import frame_cases
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, frame_inputs, frame_weights, scene_inputs
@@ -78,6 +79,12 @@ def test_every_buffer_of_every_frame_counts(judge: Judge, case: tuple[Inputs, We
 @made_cases(constant_cases("frame"), about=pinned_by)
 def test_constants_are_those_of_the_specification(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Cases agree, too, in which a constant shows: just beside a limit, or near a small number that is added or is a least value."""
+    yield from judge.agrees("frame", *case)
+
+
+@made_cases(engine_inputs("frame"))
+def test_agrees_on_what_engines_send(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
+    """Frames agree, too, with motion of -0, stencils up to 65536, lost motion and positions, and more motions than the steps need."""
     yield from judge.agrees("frame", *case)
 
 

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from conformance.answers.port_arithmetic import reach
 from conformance.answers.warp import within_frame
 from conformance.cases.constants import constant_cases, pinned_by
+from conformance.cases.engine_inputs import engine_inputs
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import SEEDS, Size, sizes
 from conformance.cases.stage_inputs import Inputs, holes_inputs, thresholds
@@ -96,6 +97,12 @@ def test_the_same_twice(judge: Judge, inputs: Inputs) -> Talk:
 @made_cases(constant_cases("holes"), about=pinned_by)
 def test_constants_are_those_of_the_specification(judge: Judge, inputs: Inputs) -> Talk:
     """Cases agree, too, in which a constant shows: just beside a limit, or near a small number that is added or is a least value."""
+    yield from judge.agrees("holes", inputs)
+
+
+@made_cases(engine_inputs("holes"))
+def test_agrees_on_what_engines_send(judge: Judge, inputs: Inputs) -> Talk:
+    """Cases agree, too, with motion of -0, and stencils up to 65536."""
     yield from judge.agrees("holes", inputs)
 
 

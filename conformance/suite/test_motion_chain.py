@@ -4,6 +4,7 @@
 import numpy as np
 from hypothesis import strategies as st
 
+from conformance.cases.engine_inputs import engine_inputs
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import Float64, dyadic_motions, motions, sizes
 from conformance.cases.stage_inputs import Inputs, chain_inputs
@@ -60,6 +61,12 @@ def _almost_still(rng: np.random.Generator) -> Inputs:
 @made_cases([_almost_still])
 def test_a_motion_is_never_lost_in_a_sum(judge: Judge, inputs: Inputs) -> Talk:
     """A tiny motion to the left and up leads to the pixels there, however far the place is from the frame's corner (decision 13)."""
+    yield from judge.agrees("motion_chain", inputs)
+
+
+@made_cases(engine_inputs("motion_chain"))
+def test_agrees_on_what_engines_send(judge: Judge, inputs: Inputs) -> Talk:
+    """Cases agree, too, with motion of -0."""
     yield from judge.agrees("motion_chain", inputs)
 
 

@@ -5,6 +5,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from conformance.cases.constants import constant_cases, pinned_by
+from conformance.cases.engine_inputs import engine_inputs
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, occlusion_inputs
 from conformance.judging.judge import Judge
@@ -84,6 +85,12 @@ def test_the_same_twice(judge: Judge, inputs: Inputs) -> Talk:
 @made_cases(constant_cases("occlusion_warp"), about=pinned_by)
 def test_constants_are_those_of_the_specification(judge: Judge, inputs: Inputs) -> Talk:
     """Cases agree, too, in which a constant shows: just beside a limit, or near a small number that is added or is a least value."""
+    yield from judge.agrees("occlusion_warp", inputs)
+
+
+@made_cases(engine_inputs("occlusion_warp"))
+def test_agrees_on_what_engines_send(judge: Judge, inputs: Inputs) -> Talk:
+    """Cases agree, too, with motion of -0."""
     yield from judge.agrees("occlusion_warp", inputs)
 
 

@@ -5,6 +5,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from conformance.answers.expected import Expected
+from conformance.cases.engine_inputs import engine_inputs
 from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import Float64, colors, dyadic_motions, sizes
 from conformance.cases.stage_inputs import Inputs, warp_inputs, wide_warp_inputs
@@ -112,6 +113,12 @@ def test_the_same_twice(judge: Judge, inputs: Inputs) -> Talk:
     """The same frame gives the same bits again."""
     first, second = yield ask("warp", inputs), ask("warp", inputs, again=True)
     judge.same("warp.warped", second["warped"], first["warped"])
+
+
+@made_cases(engine_inputs("warp"))
+def test_agrees_on_what_engines_send(judge: Judge, inputs: Inputs) -> Talk:
+    """Cases agree, too, with motion of -0."""
+    yield from judge.agrees("warp", inputs)
 
 
 @made_cases(large_inputs("warp"), large=True)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from conformance.cases.engine_inputs import ENGINE_STAGES, engine_inputs
 from conformance.protocol.port import Case
 from conformance.protocol.stages import STAGES
 from stss_ref.weights import SECOND_COLORS, Tensors, Weights, random
@@ -23,7 +24,9 @@ Size = tuple[int, int]
 def samples(stage: str) -> tuple[Case, ...]:
     """Some inputs of ``stage``, the same at every call."""
     generator = np.random.default_rng(list(STAGES).index(stage))
-    return tuple(Case(stage, _float32(inputs), weights) for inputs, weights in _SAMPLES[stage](generator))
+    sent = (make(generator) for make in engine_inputs(stage)) if stage in ENGINE_STAGES else ()
+    pairs = [*_SAMPLES[stage](generator), *(case if STAGES[stage].weights else (case, None) for case in sent)]
+    return tuple(Case(stage, _float32(inputs), weights) for inputs, weights in pairs)
 
 
 def _float32(inputs: dict[str, Any]) -> dict[str, Any]:

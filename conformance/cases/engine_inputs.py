@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: MIT
+"""What engines send and no strategy draws: motion of -0, stencils beyond 8 and 16 bits, more motions than the steps need, lost values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from conformance.cases.large_inputs import frame_case
+from conformance.cases.planes import Size
+from conformance.cases.stage_inputs import Inputs
+from stss_ref.weights import SECOND_COLORS, SecondColor, Weights
+
+SIZE = 17, 23
+STENCILS = 0.0, 1.0, 255.0, 256.0, 257.0, 2049.0, 65536.0
+"""Numbers of objects: 256 is 0 in 8 bits, 65536 in 16; half precision holds no 2049."""
+MORE_MOTIONS = 3
+"""Motions behind those that the steps need."""
+
+
+def _motion(rng: Generator, size: Size) -> NDArray[np.float64]:
+    """(H, W, 2) motion, half of it still: as often by -0 as by 0."""
+    still = rng.choice([0.0, -0.0], (*size, 2))
+    return np.where(rng.random((*size, 1)) < 0.5, still, rng.integers(-6, 7, (*size, 2)) / 4)
+
+
+def _stencils(rng: Generator, size: Size) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Numbers of objects, before and now; a third of the pixels show another one."""
+    now = rng.choice(np.array(STENCILS), size)
+    return np.where(rng.random(size) < 0.3, rng.choice(np.array(STENCILS), size), now), now
+
+
+def _motion_chain(rng: Generator) -> Inputs:
+    return {"motions": np.stack([_motion(rng, SIZE) for _ in range(3)])}
+
+
+def _warp(rng: Generator) -> Inputs:
+    return {"color": rng.random((*SIZE, 3)), "motion": _motion(rng, SIZE)}
+
+
+def _holes(rng: Generator) -> Inputs:
+    """Nothing but the stencil decides."""
+    previous, now = _stencils(rng, SIZE)
+    up, none = np.broadcast_to([0.0, 0.0, 1.0], (*SIZE, 3)), np.zeros((*SIZE, 3))
+    return {
+        "motion": rng.choice([0.0, -0.0, 1.0], (*SIZE, 2)), "stencil_previous": previous, "stencil": now,
+        "normal_previous": up, "normal": up, "position_previous": none, "position": none,
+        "nov": rng.uniform(-1, 1, SIZE), "depth": rng.random(SIZE),
+    }  # fmt: skip
+
+
+def _occlusion_warp(rng: Generator) -> Inputs:
+    color, warped = rng.random((2, *SIZE, 3))
+    valid = (rng.random(SIZE) < 0.5).astype(np.uint8)
+    return {"color": color, "warped": warped, "motion": _motion(rng, SIZE), "depth": rng.random(SIZE), "valid": valid}
+
+
+def _frame(second: SecondColor, rng: Generator) -> tuple[Inputs, Weights]:
+    """Lost motion and lost positions lie in every frame, and stencils of every size."""
+    inputs, given = frame_case(SIZE, rng, second)
+    lost = rng.choice([np.nan, np.inf, -np.inf], SIZE)
+    motions = np.stack([_motion(rng, SIZE) for _ in range(len(inputs["motions"]) + MORE_MOTIONS)])
+    positions = inputs["positions"].copy()
+    for plane in (*motions, *positions):
+        gone = rng.random(SIZE) < 0.03
+        plane[gone, 0] = lost[gone]
+    previous, now = _stencils(rng, SIZE)
+    return {**inputs, "motions": motions, "positions": positions, "stencils": np.stack([now, previous, now, previous])}, given
+
+
+_MADE: dict[str, tuple[Callable[[Generator], Any], ...]] = {
+    "motion_chain": (_motion_chain,), "warp": (_warp,), "holes": (_holes,), "occlusion_warp": (_occlusion_warp,),
+    "frame": tuple(partial(_frame, second) for second in SECOND_COLORS),
+}  # fmt: skip
+
+ENGINE_STAGES = frozenset(_MADE)
+"""Stages that have such cases."""
+
+
+def engine_inputs(stage: str) -> tuple[Callable[[Generator], Any], ...]:
+    """Such cases of a stage: inputs, and weights if the stage takes them."""
+    return _MADE[stage]
