@@ -7,6 +7,7 @@ import dataclasses
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from datetime import timedelta
 from itertools import chain, islice, pairwise
 from pathlib import Path
 from typing import Any, cast
@@ -15,6 +16,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from stss.check_sequence.camera import camera_lines
 from stss.check_sequence.jitter import judge_jitter
 from stss.check_sequence.motion_convention import judge_motion
 from stss.check_sequence.value_statistics import Level, Values, motion_lines
@@ -26,12 +28,17 @@ from stss.sequence.profiles import BUFFERS, Profile
 from stss.sequence.raw_frame import NonFinite
 from stss.sequence.reader import Sequence, open_sequence, settle_profile
 from stss_ground.errors import InputError
+from stss_ground.machine import available_threads
 from stss_ground.terminal import printable
 
 PAIRS = 3
 """Number of pairs of neighbouring frames that are read."""
 LISTED = 8
 """Most frame numbers that a line lists."""
+BYTES_PER_PIXEL = 20
+"""Of an input pixel: four pixels of three halves, and what zip leaves of them."""
+SECONDS_PER_PIXEL = 5e-7
+"""Of one core: 110 ms for 960 x 544 on two cores (docs/benchmarks.md), and files."""
 LOSSY = ("pxr24", "b44", "b44a", "dwaa", "dwab")
 
 
@@ -97,6 +104,8 @@ def check(
     """
     table = settle_profile(Path(sequence_path), profile)
     findings: list[CheckFinding] = []
+    if profile is None:
+        findings.append(CheckFinding("note", f"profile: {table.name}, by the channels' names; --profile takes another"))
     tables: dict[str, object] = {"profile": table.name}
     try:
         numbers = sorted(find_frames(Path(sequence_path), {table.file_of(buffer) for buffer in BUFFERS}))
@@ -107,6 +116,7 @@ def check(
             raise InputError(f"{sequence_path}: no frames from {frames}; it has {numbers[0]} to {numbers[-1]}")
         findings += missing_buffers(sequence, looked)
         tables |= {"size": list(sequence.size), "frames": _frame_table(sequence, looked)}
+        tables["summary"] = summary(looked, sequence.size)
         findings += _storage(sequence, looked, tables)
         findings += _pixels(sequence, looked, non_finite, tables)
         sampling = judge_sampling(sequence)
@@ -119,6 +129,17 @@ def check(
         findings.append(CheckFinding("error", str(error)))
     order: dict[Level, int] = {"error": 0, "warning": 1, "note": 2}
     return CheckReport(tuple(sorted(findings, key=lambda finding: order[finding.level])), tables)
+
+
+def summary(numbers: list[int], size: tuple[int, int]) -> str:
+    """Frames, sizes, and about what space and time the run takes."""
+    height, width = size
+    pixels = len(numbers) * height * width
+    space, seconds = pixels * BYTES_PER_PIXEL / 2**20, pixels * SECONDS_PER_PIXEL / available_threads()
+    return (
+        f"frames {numbers[0]} to {numbers[-1]}, {width} x {height} in, {2 * width} x {2 * height} out; "
+        f"about {max(1, round(space))} MiB, and {timedelta(seconds=max(1, round(seconds)))} on this processor"
+    )
 
 
 def missing_frames(numbers: list[int]) -> list[CheckFinding]:
@@ -211,14 +232,13 @@ def _pixels(sequence: Sequence, numbers: list[int], non_finite: NonFinite, table
         values.add(sequence, number)
     tables["values"] = values.table()
     lines = [*motion_lines(verdict, sequence.profile.name), *values.lines(sequence, non_finite)]
+    lines += camera_lines(sequence, usable[0]) if usable else []
     return [CheckFinding(level, text) for level, text in lines] + [CheckFinding("warning", text) for text in jitter.lines]
 
 
 def print_report(report: CheckReport, console: Console) -> None:
-    """The findings, then what is stored where, and how well each choice of motion fits."""
-    colours = {"error": "red", "warning": "yellow", "note": "cyan"}
-    for finding in report.findings:
-        console.print(f"[{colours[finding.level]}]{finding.level}[/]: {escape(printable(finding.text))}", soft_wrap=True)
+    """What is wrong, what is stored where, how well each choice of motion fits, notes, and the verdict."""
+    _print_findings([finding for finding in report.findings if finding.level != "note"], console)
     channels = cast(dict[str, dict[str, Any]], report.tables.get("channels", {}))
     if channels:
         table = Table("buffer", "channels", "format", "compression")
@@ -232,3 +252,12 @@ def print_report(report: CheckReport, console: Console) -> None:
         for choice, error in errors.items():
             table.add_row(choice, f"{error:.4f}")
         console.print(table)
+    _print_findings([finding for finding in report.findings if finding.level == "note"], console)
+    verdict = ("fits", "can be run, but look at the warnings", "cannot be run")[report.status]
+    console.print(f"[bold]{verdict}[/]: {report.tables.get('summary', 'see the errors')}", soft_wrap=True, highlight=False)
+
+
+def _print_findings(findings: list[CheckFinding], console: Console) -> None:
+    colours = {"error": "red", "warning": "yellow", "note": "cyan"}
+    for finding in findings:
+        console.print(f"[{colours[finding.level]}]{finding.level}[/]: {escape(printable(finding.text))}", soft_wrap=True)

@@ -64,6 +64,8 @@ def test_check_and_run_need_neither_profile_nor_camera(write_frames, tmp_path):
     runner = CliRunner()
     checked = runner.invoke(stss, ["check", str(lr)], catch_exceptions=False)
     assert checked.exit_code in (0, 1), checked.output
+    assert "profile: stss" in checked.output
+    assert "frames 0 to 3, 64 x 48 in, 128 x 96 out" in checked.output.splitlines()[-1]
     for folder, out in ((lr, "a"), (given, "b")):
         done = runner.invoke(stss, ["run", str(folder), "-o", str(tmp_path / out), "--weights", "bilinear", "--backend", "ref"])
         assert done.exit_code == 0, done.output
@@ -80,3 +82,21 @@ def test_names_that_fit_nothing_are_said(write_frames):
     lr = write_frames(range(2), change=lambda number, channels: {name: channels[name] for name in "RGB"})
     with pytest.raises(InputError, match="the channels fit no profile alone; say --profile blender"):
         open_sequence(lr)
+
+
+def test_check_proves_a_camera_right_or_wrong(write_frames, tmp_path):
+    """The sequence of `bumpy` has its camera at the origin."""
+    rng = np.random.default_rng(5)
+
+    def change(number, channels):
+        depth, position = wall(rng, np.zeros(3), 0.0)
+        for index, axis in enumerate("XYZ"):
+            channels[f"position.{axis}"] = position[..., index]
+        return {name: plane[: SIZE[0], : SIZE[1]] for name, plane in channels.items() if name != "nov.X"} | {"depth.Z": depth}
+
+    lr = write_frames(range(2), change=change)
+    for place, expected in (("0,0,0", "agrees with position and depth"), ("0,5,0", "leave --camera out")):
+        table = tmp_path / "camera.csv"
+        table.write_text(f"frame,x,y,z\n0,{place}\n1,{place}\n")
+        checked = CliRunner().invoke(stss, ["check", str(lr), "--camera", str(table)], catch_exceptions=False)
+        assert expected in checked.output
