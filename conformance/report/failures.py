@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import shutil
 import tempfile
@@ -32,6 +33,7 @@ from conformance.protocol.stages import STAGES
 from conformance.report.picture import draw, png
 from conformance.suite.properties import find_property
 from stss_ground.errors import InputError
+from stss_ground.output.folder import SUMS, move_aside, sums_below
 from stss_ground.output.write_whole import make_folder, told, write_whole
 
 CASE = "0000"
@@ -44,7 +46,7 @@ def keep_failure(folder: Path, name: str, failure: Failure, replay: str) -> Path
 
     Args:
         folder: for failures; made if need be.
-        name: ``stage.test``; the folder of an earlier run is replaced.
+        name: ``stage.test``; the folder of an earlier run is replaced, and anything else of this name moved aside.
         failure: to write.
         replay: the command that runs it again, without the folder.
     """
@@ -57,15 +59,24 @@ def keep_failure(folder: Path, name: str, failure: Failure, replay: str) -> Path
             _write_failure(made, failure.finding, f"{replay} --replay {shlex.quote(str(place))}")
             (made / DRAWN).mkdir()
             write_drawn(made / DRAWN, name, [*failure.before, failure.drawn])
+            (made / SUMS).write_bytes(sums_below(made))
             made.chmod(0o755)
-            if place.is_symlink():
-                place.unlink()
+            if os.path.lexists(place) and not _is_ours(place):
+                move_aside(place)
             shutil.rmtree(place, ignore_errors=True)
             made.rename(place)
     except BaseException:
         shutil.rmtree(made, ignore_errors=True)
         raise
     return place
+
+
+def _is_ours(place: Path) -> bool:
+    """Whether a folder holds what an earlier run wrote there, and nothing else."""
+    try:
+        return not place.is_symlink() and (place / SUMS).read_bytes() == sums_below(place)
+    except OSError:
+        return False
 
 
 def _write_failure(folder: Path, finding: Finding, again: str) -> None:

@@ -22,6 +22,23 @@ SUMS = "stss.sha256"
 _LINE = re.compile(r"([0-9a-f]{64})  (.+)")
 
 
+def move_aside(path: Path) -> None:
+    """Give a file or folder that is in the way, and somebody else's, another name, and say so."""
+    aside = next(place for n in count(1) if not os.path.lexists(place := path.with_name(f"{path.name}.{n}.aside")))
+    path.rename(aside)
+    echo(f"{path}: not as {SUMS} says, so somebody else's: moved to {aside.name}", err=True)
+
+
+def sums_below(folder: Path) -> bytes:
+    """The list of all files below a folder but the list itself; a link counts as what it says."""
+    lines: list[str] = []
+    for path in sorted(folder.rglob("*")):
+        if path.is_symlink() or (path.is_file() and path != folder / SUMS):
+            data = os.fsencode(path.readlink()) if path.is_symlink() else path.read_bytes()
+            lines.append(f"{hashlib.sha256(data).hexdigest()}  {path.relative_to(folder).as_posix()}\n")
+    return "".join(lines).encode(errors="surrogateescape")
+
+
 class OutputFolder:
     """A folder whose files a later process can recognise as written by stss, and as complete.
 
@@ -137,9 +154,7 @@ class OutputFolder:
         path = self.path / name
         if not os.path.lexists(path) or self._digest(name) in self._sums.get(name, ()):
             return
-        aside = next(place for n in count(1) if not os.path.lexists(place := path.with_name(f"{path.name}.{n}.aside")))
-        path.rename(aside)
-        echo(f"{path}: not as {SUMS} says, so somebody else's: moved to {aside.name}", err=True)
+        move_aside(path)
 
     def _digest(self, name: str) -> str:
         """SHA-256 of a file; "" where there is none, or a link."""

@@ -24,5 +24,26 @@ def test_found_out(name, tmp_path):
     assert replay(find(name).port(), kept).failure is not None
 
 
+def test_a_kept_failure_replaces_one_of_an_earlier_run_alone(tmp_path, capsys):
+    """A folder with a file of the user's, or of another name, is moved aside."""
+    (result,) = failed(NAMES[0])
+
+    def keep():
+        return keep_failure(tmp_path, result.id, result.record.failure, "stss conform")
+
+    place = keep()
+    assert keep() == place
+    assert [path.name for path in tmp_path.iterdir()] == [place.name]
+    (place / "notes.txt").write_text("mine")
+    keep()
+    assert (tmp_path / f"{place.name}.1.aside" / "notes.txt").read_text() == "mine"
+    assert not (place / "notes.txt").exists()
+    assert "moved to" in capsys.readouterr().err
+    place.rename(tmp_path / "elsewhere")
+    place.symlink_to(tmp_path / "elsewhere")
+    keep()
+    assert (tmp_path / "elsewhere" / "README.txt").exists()
+
+
 def test_some_of_each_stage_are_replayed():
     assert {mutant.stage for mutant in MISTAKES} == {find(name).stage for name in REPLAYED}
