@@ -238,7 +238,21 @@ def test_a_process_that_hangs_is_ended():
 def test_an_interrupt_is_one_line_that_says_how_to_go_on(frames, tmp_path, where):
     """It is sent to all processes, as a terminal does, when the first frames are there."""
     out = tmp_path / "out"
-    command = [sys.executable, "-m", "stss", "run", str(frames.path), "-o", str(out), "--weights", "bilinear", "--backend", "ref"]
+    command = [
+        sys.executable,
+        "-m",
+        "stss",
+        "run",
+        str(frames.path),
+        "-o",
+        str(out),
+        "--weights",
+        "bilinear",
+        "--backend",
+        "ref",
+        "--profile",
+        "stss",
+    ]
     with subprocess.Popen([*command, *where], stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         while process.poll() is None and not list(out.glob("frame.*")):
             pass
