@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-UNIT = {"float64": 2.0**-53, "float32": 2.0**-24, "float16": 2.0**-11}
+UNIT = {"float64": 2.0**-53, "float32": 2.0**-24, "float16": 2.0**-11, "bfloat16": 2.0**-8}
 """Unit roundoff: the largest relative error of one correctly rounded operation."""
 
 
@@ -41,6 +41,7 @@ BOUNDS = {
     "dot": Bound(4, 0, "three products and their sum; scale: on absolute values"),
     "layer": Bound(2, 0, "gamma_n: n = products in one sum, and these for bias and activation; scale: weights (backward error)"),
     "layer.float16": Bound(3, 0, "activation, weight and result stored once each in float16; sums as in float32"),
+    "layer.bfloat16": Bound(3, 0, "as layer.float16, in bfloat16"),
     "layer.winograd": Bound(12, 0, "rms amplification of F(4x4,3x3) on 0, +-1, +-2: 10.8 (tests/meta/test_bounds.py)"),
     "gate": Bound(4, 0, "1 / (1 + exp(-x)) or (1 + tanh(x / 2)) / 2: absolutely, times what the gate is to close"),
     "spread": Bound(8, 0, "times the rms of the reference's answer to random changes of that size, or twice its largest"),
@@ -66,6 +67,9 @@ BOUNDS = {
     "network.cl.float32-direct": Bound(0, 5e-6, "required without; measured 6e-7 (PoCL 3.0, x86-64)"),
     "network.cl.half": Bound(
         0, 4e-3, "measured 5e-4 (PoCL 3.0, x86-64): activations of order 1 stored with u = 2**-11, eightfold for depth"
+    ),
+    "network.cl.bfloat16": Bound(
+        0, 3.2e-2, "activations of order 1 stored with u = 2**-8, eightfold for depth, as half; emulated on Zen 3: 6e-3"
     ),
     # what is asked of the reference
     "network.float64": Bound(0, 1e-11, "required: float64 reference data; 30 layers of at most 1152-term sums lose less"),

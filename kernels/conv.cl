@@ -10,7 +10,7 @@
 //  out          out  padded, (out_channels)             channels out_first .. out_first + OUT - 1 of it
 //
 // Build -D A -D B -D OUT (multiples of 8; A may be 4 where not GATED) -D KERNEL -D STRIDE -D PIXELS (1, 2 or 4) -D EIGHTS_HELD (float8 of outputs held
-// at once) -D GROUP (work-group along x) -D WORKERS (16 / PIXELS, or a divisor of it), optionally -D GATED -D RELU -D HALF.
+// at once) -D GROUP (work-group along x) -D WORKERS (16 / PIXELS, or a divisor of it), optionally -D GATED -D RELU -D STORED.
 //
 // One work-item holds PIXELS x EIGHTS_HELD accumulators of eight channels: 4 x 3 and 2 x 4 fill a CPU's registers.
 // `tiles`, `count`: the tiles of 4 x 4 pixels of the output that are computed, see tile_list.clh. Launch (any multiple of WORKERS, OUT / 8 / EIGHTS_HELD

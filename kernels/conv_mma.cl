@@ -6,7 +6,7 @@
 //                    stss_cl/network/pack_weights.py::fragments
 //  gate_weight       not read
 //
-// Build -D HALF -D A -D B -D OUT -D OUTPUTS (outputs of a work-group) -D EIGHTS (of channels at once, a divisor of (A + B) / 8) -D STRIDE -D ROWS (1 or 2),
+// Build -D STORED=HALF -D A -D B -D OUT -D OUTPUTS (outputs of a work-group) -D EIGHTS (of channels at once, a divisor of (A + B) / 8) -D STRIDE -D ROWS (1 or 2),
 // all channels multiples of 8; optionally -D EMULATE (mma.clh) -D GATED -D RELU -D MARK.
 // -D IMAGES: see conv_local.cl.
 // Work-group (LANES, WAVES): 32 x 4 ROWS pixels, a tile of the list; launch (LANES tiles, WAVES OUT / OUTPUTS).
@@ -14,8 +14,8 @@
 // LANES work-items, a wave, multiply UNIT pixels x 16 channels by 16 channels x some outputs at once (mma.clh), for two such units beside each
 // other in ROWS rows. A work-item has EACH outputs of a block, one behind the other, and with GATED the gate behind them. The inner dimension
 // runs over eights within taps within chunks; at stride 2 even columns lie before odd ones.
-#if !defined(HALF) || !defined(A) || !defined(B) || !defined(OUT) || !defined(OUTPUTS) || !defined(EIGHTS) || !defined(STRIDE) || !defined(ROWS)
-#error "conv_mma.cl needs -D HALF, A, B, OUT, OUTPUTS, EIGHTS, STRIDE, ROWS"
+#if !defined(A) || !defined(B) || !defined(OUT) || !defined(OUTPUTS) || !defined(EIGHTS) || !defined(STRIDE) || !defined(ROWS)
+#error "conv_mma.cl needs -D A, B, OUT, OUTPUTS, EIGHTS, STRIDE, ROWS"
 #endif
 #include "common.clh"
 #include "tile_list.clh"

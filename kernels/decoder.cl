@@ -9,7 +9,7 @@
 // The buffers may hold a strip of the frame: their row 0 is the frame's row `top`; rows `first_row` .. height - 1 are written.
 // `tiles`, `count`: the tiles of 4 x 4 pixels that are computed, see tile_list.clh.
 //
-// Build -D WORKERS (16: a pixel each; or 1), optionally -D HALF.  Launch (any multiple of WORKERS).
+// Build -D WORKERS (16: a pixel each; or 1), optionally -D STORED.  Launch (any multiple of WORKERS).
 // winograd.cl -D IMAGE does the same as `image` at the end of up3.
 #include "common.clh"
 #include "tile_list.clh"

@@ -7,7 +7,7 @@
 //  eighth    out  padded, (16)      both at 1/8 size: gbuffer 9, mask, zeros 6
 //
 // `height`, `width`: of the frame; `down`, `across`: of `eighth`, whose row 0 is the frame's row `top`.
-// Build -D MASK=float or uchar, optionally -D HALF.  Launch (across, down), or more.
+// Build -D MASK=float or uchar, optionally -D STORED.  Launch (across, down), or more.
 //
 // -D MARK: a value is compared with the one that is stored, and `changes`, the output's map, marked where bits came to differ (change_map.clh).
 #ifndef MASK

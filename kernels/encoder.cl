@@ -13,7 +13,7 @@
 //
 // Beyond H, W up to multiples of 8 the last row and column are repeated.
 // The outputs may be a strip of the frame: their row 0 is its row `top`.
-// Build optionally -D HALF.  Launch (W8, H8), and (W8, H8, 3) for the history; H8 is the strip's, a multiple of 8.
+// Build optionally -D STORED.  Launch (W8, H8), and (W8, H8, 3) for the history; H8 is the strip's, a multiple of 8.
 #include "common.clh"
 
 kernel void pack_input(global const float *restrict color, global const float *restrict gbuffer, global const float *restrict mask,

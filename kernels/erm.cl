@@ -10,7 +10,7 @@
 //
 // `height`, `width`: at 1/8 size.
 // `tiles`, `count`: the tiles of 4 x 4 pixels that are computed, see tile_list.clh.
-// Build -D KEYS=32 -D VALUES=64 (multiples of 8) -D WORKERS (16 or 1), optionally -D HALF.  Launch (any multiple of WORKERS).
+// Build -D KEYS=32 -D VALUES=64 (multiples of 8) -D WORKERS (16 or 1), optionally -D STORED.  Launch (any multiple of WORKERS).
 //
 // -D MARK: a value is compared with the one that is stored, and `changes`, the output's map, marked where bits came to differ (change_map.clh).
 #if !defined(KEYS) || !defined(VALUES)

@@ -21,7 +21,7 @@
 // R, C = rows, columns = H, W rounded up to multiples of 8, filled by repeating the last row and column. Pixel (y, x) of history
 // and x0 is at (y + 1, x + 1); their border of zeros is never written.
 // history, x0 and color3 may be a strip of the frame: R rows whose row 0 is the frame's row `top`; mask and keys are of the whole.
-// Build: -D of motion_chain.clh and holes.cl, optionally -D HALF (history and x0), -D STREAM, -D MARK, and -D EIGHTS: eight pixels in a row to a
+// Build: -D of motion_chain.clh and holes.cl, optionally -D STORED (history and x0), -D STREAM, -D MARK, and -D EIGHTS: eight pixels in a row to a
 // work-item, for processors; -D LONGEST where GATHER is gather_longest.
 // Order: chain_steps, prepare_older for each older frame, prepare_newest, which may read the frame before's colour, splat_nearest, splat_first,
 // fill_holes; then downsample_8.cl.  Launch (W, H); prepare_* and fill_holes (C, R); with EIGHTS an eighth of the columns, but for fill_holes.

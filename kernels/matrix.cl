@@ -6,7 +6,7 @@
 //  weight  in   (MATRIX) of uint              see mma.clh
 //  d       out  (WAVES, UNIT, PARTS * HELD)   1 + pixels x weights
 //
-// Build -D HALF, optionally -D EMULATE (mma.clh).  Launch (LANES, WAVES), one work-group.
+// Build -D STORED=HALF, optionally -D EMULATE (mma.clh).  Launch (LANES, WAVES), one work-group.
 #include "common.clh"
 #include "mma.clh"
 

@@ -9,7 +9,7 @@
 // once however large the frame. The buffers may hold a strip of the frame: their row 0 is row `top` of `full_height` (2 `top` of the
 // output).
 // `tiles`, `count`: the tiles of 4 x 4 pixels of the output that are computed, see tile_list.clh.
-// Build -D WORKERS (16 or 1), optionally -D HALF.  Launch (any multiple of WORKERS).
+// Build -D WORKERS (16 or 1), optionally -D STORED.  Launch (any multiple of WORKERS).
 //
 // -D MARK: a value is compared with the one that is stored, and `changes`, the output's map, marked where bits came to differ (change_map.clh).
 #pragma OPENCL FP_CONTRACT OFF

@@ -142,6 +142,7 @@ OURS: dict[str, Callable[[Setup], Contender]] = {
     "cl": partial(_NETWORK, precision="float32"),
     "cl-direct": partial(_NETWORK, precision="float32-direct"),
     "cl-half": partial(_NETWORK, precision="half"),
+    "cl-bfloat16": partial(_NETWORK, precision="bfloat16"),
     "cl-host": partial(_NETWORK, precision="float32", on_device=False),
     "cl-frame": partial(OpenCL, module="frame", name="Frame", precision="float32", on_device=False),
     "cl-stream": partial(Streamed, ahead=False),

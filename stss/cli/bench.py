@@ -30,7 +30,7 @@ from stss_ground.terminal import Terminal, echo
 @click.option(
     "--ours",
     type=Names(),
-    help="Our backends: ref, cl, cl-direct, cl-half, cl-host, cl-frame, cl-stream, cl-stream-ahead  [default: cl]",
+    help="Our backends: ref, cl, cl-direct, cl-half, cl-bfloat16, cl-host, cl-frame, cl-stream, cl-stream-ahead  [default: cl]",
 )
 @click.option(
     "--peers",

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from stss.devices.compiled_for import remark
 from stss.devices.verdicts import Tell, Verdict, verdict
+from stss_cl.device import amx
 from stss_cl.device.discovery import Device, DeviceError, Properties, is_gpu, matching, named, no_device, open_handle
 
 
@@ -20,8 +21,8 @@ from stss_cl.device.discovery import Device, DeviceError, Properties, is_gpu, ma
 class Row:
     """One device as ``stss devices`` shows it.
 
-    ``memory`` in bytes; ``target``: the processor that kernels are compiled for, empty where untold; ``remark``: a line of advice, or
-    empty.
+    ``memory`` in bytes; ``bfloat16``: AMX, or emulated; ``target``: the processor that kernels are compiled for, empty where untold;
+    ``remark``: a line of advice, or empty.
     """
 
     name: str
@@ -31,6 +32,7 @@ class Row:
     memory: int
     fp16: bool
     fp64: bool
+    bfloat16: str
     target: str
     remark: str
     verdict: Verdict
@@ -91,13 +93,13 @@ def print_rows(found: list[Row], console: Console) -> None:
     """Print a table, and the remarks; names are never cut off, since ``--device`` takes them."""
     table = Table(box=None, pad_edge=False)
     table.add_column("device", overflow="fold")
-    for title in ("kind", "driver", "compiled for", "memory", "fp16", "self-test"):
+    for title in ("kind", "driver", "compiled for", "memory", "fp16", "bfloat16", "self-test"):
         table.add_column(title, overflow="fold", justify="right" if title == "memory" else "left")
     for row in found:
         speed = f" ({row.verdict.gflops:.0f} GFLOP/s)" if row.verdict.passed else ""
         memory = f"{row.memory / 2**30:.1f} GiB"
         fp16 = "yes" if row.fp16 else "no"
-        table.add_row(row.name, row.kind, row.driver, row.target or "-", memory, fp16, f"{row.verdict}{speed}")
+        table.add_row(row.name, row.kind, row.driver, row.target or "-", memory, fp16, row.bfloat16, f"{row.verdict}{speed}")
     console.print(table, markup=False, highlight=False)
     for row in found:
         if row.remark:
@@ -114,6 +116,7 @@ def _row(name: str, handle: cl.Device, found: Verdict) -> Row:
         memory=device.memory,
         fp16=device.has_fp16,
         fp64=device.has_fp64,
+        bfloat16="emulated" if amx.missing(device) else "AMX",
         target=device.target,
         remark=remark(device, name),
         verdict=found,

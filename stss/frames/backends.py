@@ -102,9 +102,12 @@ class OpenCLBackend:
         self._alone = Lock()
         # Imported here, so that the OpenCL library is opened only by commands that use it.
         from stss.devices.selection import choose
+        from stss_cl.device.amx import emulated
         from stss_cl.skip.stream import Stream
 
         device = choose(options.device, tell)
+        if options.precision == "bfloat16" and (why := emulated(device)):
+            tell(f"bfloat16: {why}; emulated, which is slow")
         self._stream = Stream(weights, device, options.precision, gather, options.memory_limit, options.skip)
         named = "" if device.kind.lower() == device.device_class else f" as {device.device_class}"
         self.name = f"cl {options.precision} on {device.name}{named}, {device.driver}"

@@ -8,7 +8,7 @@ from typing import Literal, get_args
 
 from stss_ground.errors import InputError
 
-Precision = Literal["float32", "float32-direct", "half"]
+Precision = Literal["float32", "float32-direct", "half", "bfloat16"]
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 """See ``stss_cl.network.network.PRECISIONS``; the reference knows float32 alone."""
 Skip = Literal["off", "exact"]

@@ -19,8 +19,11 @@ from stss_ref.arrays import Array, ArrayError, require_dtype
 
 FLAGS = cl.mem_flags
 
-SLACK = 16
-"""Pixels behind the last row, for strips that reach over its end (kernels/common.clh)."""
+SLACK = 80
+"""Pixels behind the last row, for strips and tiles of 32 pixels that reach over its end (kernels/common.clh)."""
+
+BFLOAT16 = np.dtype(np.uint16)
+"""Stands for bfloat16, which NumPy has not: the upper halves of floats."""
 
 ALIGNMENT = 16
 """Alignment of a ``float4``; bytes. A part of an array need not begin at a multiple of it."""
@@ -33,7 +36,7 @@ class Padded:
     Attributes:
         data: the buffer; it holds ``images`` images one behind the other.
         height, width, channels: the shape of an image, without its border.
-        dtype: float32, or float16 for half storage.
+        dtype: float32, or how they are stored else: float16, ``BFLOAT16``.
         images: number of images.
         changes: the change maps (kernels/change_map.clh) of the images, one behind the other; None: there are none.
     """
@@ -60,6 +63,23 @@ class Padded:
     def inside(self) -> tuple[slice, slice]:
         """Where the activations lie in (rows, columns)."""
         return slice(1, self.height + 1), slice(1, self.width + 1)
+
+
+def stored(dtype: np.dtype[Any]) -> str:
+    """The option ``STORED`` of kernels for activations of this dtype (kernels/common.clh)."""
+    return {np.dtype(np.float16): "HALF", BFLOAT16: "BFLOAT16"}.get(dtype, "FLOAT")
+
+
+def to_bfloat16(array: NDArray[Any]) -> NDArray[np.uint16]:
+    """Round as kernels do: to nearest even, what is less than the smallest normal number to 0."""
+    bits = np.asarray(array, np.float32).view(np.uint32)
+    rounded = np.where(bits & 0x7F800000, bits + 0x7FFF + (bits >> 16 & 1), bits & 0x80000000)
+    return (rounded >> 16).astype(np.uint16)
+
+
+def from_bfloat16(bits: NDArray[np.uint16]) -> NDArray[np.float32]:
+    """The same numbers in float32."""
+    return (bits.astype(np.uint32) << 16).view(np.float32)
 
 
 def padded_bytes(height: int, width: int, channels: int, dtype: np.dtype[Any], images: int = 1) -> int:
@@ -154,7 +174,7 @@ def write(device: Device, to: Padded, array: Array, first: int = 0) -> None:
     """Copy (height, width, C) or (images, height, width, C) into channels ``first`` .. of ``to``, the others 0."""
     host = np.zeros((to.images, to.rows, to.columns, to.channels), to.dtype)
     rows, columns = to.inside
-    host[:, rows, columns, first : first + array.shape[-1]] = array
+    host[:, rows, columns, first : first + array.shape[-1]] = to_bfloat16(array) if to.dtype == BFLOAT16 else array
     cl.enqueue_copy(device.queue, to.data, host)
 
 
@@ -163,7 +183,8 @@ def read(device: Device, source: Padded, first: int = 0, channels: int | None = 
     host = np.empty((source.images, source.rows, source.columns, source.channels), source.dtype)
     cl.enqueue_copy(device.queue, host, source.data)  # the slack stays behind
     last = source.channels if channels is None else first + channels
-    return np.ascontiguousarray(host[image][(*source.inside, slice(first, last))], np.float32)
+    found = host[image][(*source.inside, slice(first, last))]
+    return np.ascontiguousarray(from_bfloat16(found) if source.dtype == BFLOAT16 else found, np.float32)
 
 
 def constant(device: Device, array: NDArray[Any]) -> cl.Buffer:

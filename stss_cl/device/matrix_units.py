@@ -80,7 +80,7 @@ def _product_is_right(device: Device) -> bool:
     got = np.empty((WAVES, *want.shape), np.float32)
     made = cl.Buffer(device.context, FLAGS.WRITE_ONLY, got.nbytes)
     inputs = constant(device, np.ascontiguousarray(pixels.reshape(UNIT, 2, 8).swapaxes(0, 1)))
-    program = build(device, "matrix.cl", {"HALF": True, "EMULATE": are_emulated(device)})
+    program = build(device, "matrix.cl", {"STORED": "HALF", "EMULATE": are_emulated(device)})
     size = LANES, WAVES
     cl.Kernel(program, "matrix")(device.queue, size, size, inputs, constant(device, arrange(weight)), made)
     cl.enqueue_copy(device.queue, got, made)

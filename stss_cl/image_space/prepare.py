@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from stss_cl.device.buffers import Inputs, inputs_for
+from stss_cl.device.buffers import Inputs, inputs_for, stored
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, grid
 from stss_cl.device.launch import Launch, kernel
@@ -66,7 +66,6 @@ class Prepare:
         device: to run on.
         height, width: of the frames.
         gather: how the motion chain reads between pixels.
-        eights: whether a work-item computes eight pixels in a row; None: on CPUs.
         inputs: buffers to write to; None: buffers of its own. If they have change maps, only ``dirty`` tiles are computed.
         second: the network's second colour, see ``stss_ref.frame.prepare``.
         frames: how many of the three colour frames are read, from the newest on; 2 only for an earlier second colour. With less than 3
@@ -86,14 +85,12 @@ class Prepare:
         width: int,
         gather: Gather = "longest",
         *,
-        eights: bool | None = None,
         inputs: Inputs | None = None,
         second: SecondColor = "newest",
         frames: int = 3,
         tops: Sequence[int] = (0,),
     ) -> None:
         self.device, self.height, self.width, self._gather = device, height, width, gather
-        self._eights = device.is_cpu if eights is None else eights
         self._frames, self._tops, self._takes_earlier = frames, tuple(tops), second == "earlier"
         rows, columns = ceil_div(height, 8) * 8, ceil_div(width, 8) * 8
         self.inputs = inputs_for(device, rows, columns, np.dtype(np.float32)) if inputs is None else inputs
@@ -120,8 +117,8 @@ class Prepare:
 
     def _made(self, *, marks: bool) -> _Launches:
         inputs, (height, width) = self.inputs, (self.height, self.width)
-        options = {"HALF": inputs.input.dtype == np.float16, "MARK": marks}
-        gather = {"GATHER": f"gather_{self._gather}", "LONGEST": self._gather == "longest", "EIGHTS": self._eights}
+        options = {"STORED": stored(inputs.input.dtype), "MARK": marks}
+        gather = {"GATHER": f"gather_{self._gather}", "LONGEST": self._gather == "longest", "EIGHTS": self.device.is_cpu}
         frame = program(self.device, "frame.cl", {**gather, **options, **LIMITS, "STREAM": self.device.streams})
         eighth = build(self.device, "downsample_8.cl", {"MASK": "uchar", **options})
         input_changes, history_changes, eighth_changes = self._maps if marks else 3 * (self.mask,)
@@ -133,7 +130,7 @@ class Prepare:
             "height": height, "width": width, "eighth_height": inputs.eighth.height, "eighth_width": inputs.eighth.width,
             "eighth_columns": inputs.eighth.columns, "stores": self._frames == 3, "takes_earlier": self._takes_earlier,
         }  # fmt: skip
-        across = 8 if self._eights else 1
+        across = 8 if self.device.is_cpu else 1
 
         def made(name: str, columns: int, rows: int, of: cl.Program = frame, **own: int) -> Launch:
             # What a frame brings stands open until then: of a kernel's numbers those must come first.

@@ -6,19 +6,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import pyopencl as cl
 
-from stss_cl.device import matrix_units
-from stss_cl.device.buffers import Padded, constant, map_bytes
+from stss_cl.device import amx, matrix_units
+from stss_cl.device.buffers import Padded, constant, map_bytes, stored
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, list_size
 from stss_cl.device.tuning import tuning_for
 from stss_cl.network import conv_gpu
 from stss_cl.network.conv_shape import Shape
 from stss_cl.network.layer import FAST_MULTIPLY_ADD, KernelSource, LayerLaunch, layer
-from stss_cl.network.pack_weights import Packed, in_lanes, paired, winograd
-from stss_cl.network.tiles import Maps, of_convolution
+from stss_cl.network.pack_weights import Packed, amx_bias, amx_tiles, in_lanes, paired, winograd
+from stss_cl.network.tiles import Maps, Tiling, of_convolution
 
 
 @dataclass(frozen=True)
@@ -51,11 +50,6 @@ class Final:
             "first_row": 0,
             "top": 0,
         }
-
-
-def half(dtype: np.dtype[Any]) -> bool:
-    """Whether activations of this dtype are stored as half."""
-    return dtype == np.float16
 
 
 def conv(
@@ -128,7 +122,7 @@ def _tensors(device: Device, packed: Packed, shape: Shape) -> dict[str, Any]:
     return {
         "weight": weight,
         "gate_weight": weight if shape.gate is None else constant(device, shape.gate),
-        "bias": constant(device, packed.bias),
+        "bias": constant(device, packed.bias if shape.bias is None else shape.bias),
         "gate_bias": float(packed.gate_bias),
     }
 
@@ -142,7 +136,7 @@ def _source(shape: Shape, packed: Packed, a: Padded, b: Padded | None, out: Padd
         **({"OUT_CHANNELS": out.channels} if "SIDE" in shape.options else {}),
         "GATED": packed.gate_direct is not None,
         "RELU": relu,
-        "HALF": half(out.dtype),
+        "STORED": stored(out.dtype),
     }
     return KernelSource(
         shape.file,
@@ -157,15 +151,31 @@ def _shape(
 ) -> Shape:
     """The fastest kernel for this layer by the row of tile sizes; the plain one for ``side`` 0."""
     tuning, whole_eights = tuning_for(device), a.channels % 8 == 0
+    if stored(out.dtype) == "BFLOAT16":
+        return _on_amx(device, packed, a, out, stride)
     if side == 0 or packed.direct.shape[0] != 3:
         return _direct(device, packed, out, stride, final)
     if tuning.winograd is not None and whole_eights:
         return _winograd(device, packed, out, side if stride == 1 else 2, stride, final)
     if tuning.local is not None:
-        if tuning.local.matrix_units and half(out.dtype) and whole_eights and matrix_units.proved(device):
+        if tuning.local.matrix_units and stored(out.dtype) == "HALF" and whole_eights and matrix_units.proved(device):
             return conv_gpu.on_matrix_units(device, packed, out, stride, tuning.local.rows, images)
         return conv_gpu.local(device, packed, out, stride, tuning.local.rows, images)
     return _direct(device, packed, out, stride, final)
+
+
+def _on_amx(device: Device, packed: Packed, a: Padded, out: Padded, stride: int) -> Shape:
+    tiling = Tiling(ceil_div(out.height, 4), ceil_div(out.width, 32), (4 * stride, 32 * stride), 1, 1 - stride)
+    return Shape(
+        file="conv_amx.cl",
+        options={"STRIDE": stride, "EMULATE": not amx.are_used(device)},
+        weight=amx_tiles(packed, a.channels),
+        gate=None,
+        tiling=tiling,
+        size=(list_size(device, tiling.most),),
+        group=(1,),
+        bias=amx_bias(packed),
+    )
 
 
 def _maps(a: Padded, image: int, other: Padded | Final | None) -> Maps | None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from stss_cl.network.tiles import Tiling
@@ -21,6 +22,7 @@ class Shape:
         options: build options, besides those of the layer.
         weight, gate: the tensors as the kernel reads them; gate None: there is none, or it is part of ``weight``.
         tiling: the tiles of the output.
+        bias: in place of the layer's own; None: that.
         size, group: global size and work-group of the launch.
     """
 
@@ -31,3 +33,4 @@ class Shape:
     tiling: Tiling
     size: tuple[int, ...]
     group: tuple[int, ...]
+    bias: NDArray[np.float32] | None = None

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from stss_cl.device.buffers import ChangeMaps, Inputs, Padded, padded
+from stss_cl.device.buffers import BFLOAT16, ChangeMaps, Inputs, Padded, padded, stored
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import GROUP, list_size
 from stss_cl.device.launch import Arguments
-from stss_cl.network.conv import Final, conv, half
+from stss_cl.network.conv import Final, conv
 from stss_cl.network.layer import FAST_MULTIPLY_ADD, KernelSource, LayerLaunch, layer
 from stss_cl.network.pack_weights import pack
 from stss_cl.network.plan import Conv, Slot
@@ -113,7 +113,7 @@ class LayerBuilder:
         # Interpolation is not contracted, so that it has the reference's bits.
         flags = FAST_MULTIPLY_ADD if stage == "erm" else ""
         workers = 1 if self._device.is_cpu else workers
-        source = KernelSource(file, name, {**options, "WORKERS": workers, "HALF": half(self._dtype)}, flags)
+        source = KernelSource(file, name, {**options, "WORKERS": workers, "STORED": stored(self._dtype)}, flags)
         group = 1 if self._device.is_cpu else max(GROUP, workers)
         size = list_size(self._device, tiling.most, workers=workers, group=group)
         maps = tuple(held.changes for held in reads if held.changes is not None)
@@ -125,4 +125,4 @@ class LayerBuilder:
 
 def dtype_of(precision: str) -> np.dtype[Any]:
     """The dtype in which activations are stored."""
-    return np.dtype(np.float16 if precision == "half" else np.float32)
+    return {"half": np.dtype(np.float16), "bfloat16": BFLOAT16}.get(precision, np.dtype(np.float32))

@@ -77,14 +77,14 @@ class Layers:
     ):
         full, columns, dtype = ceil8(height), ceil8(width), dtype_of(precision)
         limit = int(device.handle.global_mem_size) // 2 if memory_limit is None else memory_limit
-        winograd = precision != "float32-direct" and tuning_for(device).winograd is not None
+        winograd = precision in ("float32", "half") and tuning_for(device).winograd is not None
         overlap = OVERLAP[winograd]
         rows = rows_within(full, columns, dtype, limit, overlap)
         keep = keep and bytes_for(full, full, columns, dtype, keep=True) <= limit
         local = tuning_for(device).local is not None and not device.is_cpu
         planned = partial(plan, None if every else uses(weights), keep=keep, fused=winograd, local=local)
         # The three images of the history in one launch, where that is known and their buffers have room.
-        what = planned(together=local and not winograd and precision != "float32-direct")
+        what = planned(together=local and not winograd and precision in ("float32", "half"))
         if bytes_for(rows, full, columns, dtype, keep=keep, what=what) > limit:
             what = planned(together=False)
         self.device, self.size, self.keep = device, (height, width), keep

@@ -16,10 +16,11 @@ from stss_cl.network.layers import Layers
 from stss_ref.arrays import Array, require_dtype, require_finite, require_shape
 from stss_ref.weights import Weights
 
-Precision = Literal["float32", "float32-direct", "half"]
-PRECISIONS: tuple[Precision, ...] = ("float32", "float32-direct", "half")
+Precision = Literal["float32", "float32-direct", "half", "bfloat16"]
+PRECISIONS: tuple[Precision, ...] = ("float32", "float32-direct", "half", "bfloat16")
 """``float32``: Winograd where it is faster. ``float32-direct``: none. ``half``: activations stored as half,
-computed in float32."""
+computed in float32. ``bfloat16``: activations and weights of 3 x 3 as bfloat16, sums in float32; on a processor's matrix units, or
+without them slowly, with the same bits."""
 
 Given = Array | cla.Array
 

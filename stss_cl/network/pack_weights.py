@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stss_cl.device.buffers import to_bfloat16
 from stss_cl.device.grid import ceil8
 from stss_cl.device.matrix_units import HELD, PARTS, arrange
 from stss_ref.weights import Weights
@@ -128,6 +129,33 @@ def winograd(kernels: NDArray[np.float32], side: int, block: int, stride: int = 
     transformed = np.einsum("ku,uvco,lv->klco", g, kernels.astype(np.float64), g, optimize=True)
     blocks = transformed.reshape(len(g) ** 2, kernels.shape[2], -1, block).swapaxes(1, 2)
     return np.ascontiguousarray(blocks, np.float32)
+
+
+def amx_tiles(packed: Packed, first: int) -> NDArray[np.uint16]:
+    """Kernels of 3 x 3 and their gate as conv_amx.cl reads them, in bfloat16.
+
+    Args:
+        packed: the layer.
+        first: channels of its first input.
+
+    Returns:
+        (steps, PARTS, 16, 16, 2): of one input after the other the rows of taps, each filled up to whole steps of 32 values.
+    """
+    gate = [] if packed.gate_direct is None else [packed.gate_direct]
+    weight = np.concatenate([packed.direct, *gate], axis=-1)
+    weight = np.pad(weight, (*3 * [(0, 0)], (0, -weight.shape[-1] % 16)))
+    tiles: list[NDArray[np.float32]] = []
+    for part in (weight[:, :, :first], weight[:, :, first:]):
+        rows = part.reshape(3, -1, part.shape[-1])
+        steps = np.pad(rows, ((0, 0), (0, -rows.shape[1] % 32), (0, 0))).reshape(-1, 16, 2, part.shape[-1] // 16, 16)
+        tiles.append(steps.transpose(0, 3, 1, 4, 2))
+    return to_bfloat16(np.concatenate(tiles))
+
+
+def amx_bias(packed: Packed) -> NDArray[np.float32]:
+    """The biases of the outputs and of the gate behind them, filled up to whole tiles."""
+    bias = packed.bias if packed.gate_direct is None else np.append(packed.bias, np.float32(packed.gate_bias))
+    return np.pad(bias, (0, -len(bias) % 16))
 
 
 def fragments(packed: Packed, eights: int, block: int) -> NDArray[np.float16]:

@@ -22,8 +22,8 @@ from stss.devices import compiled_for, selftest, verdicts
 from stss.devices import selection as devices
 from stss.devices.selection import choose
 from stss.devices.verdicts import Verdict, known, run_selftest, verdict
+from stss_cl.device import amx, program
 from stss_cl.device import discovery as cl_device
-from stss_cl.device import program
 from stss_cl.device.discovery import DeviceError, found, open_device
 
 PASSED = {"why": "", "gflops": 5.0}
@@ -129,17 +129,19 @@ def test_no_device_says_what_to_install(machine):
             ask()
 
 
-def test_the_table_has_every_device_the_best_first(machine):
+def test_the_table_has_every_device_the_best_first(machine, monkeypatch):
+    monkeypatch.setattr(amx, "missing", lambda device: "" if device.kind == "CPU" else "no processor")
     machine({"A: wrong": (CPU, Verdict("failed", "x")), "B: cpu": (CPU, passed(7)), "C: gpu": (GPU, passed(1))})
     rows = devices.rows()
     assert [row.name for row in rows] == ["C: gpu", "B: cpu", "A: wrong"]
     out = io.StringIO()
     devices.print_rows(rows, Console(file=out, width=120))
     table = [line.split() for line in out.getvalue().splitlines()]
-    assert table[2] == ["B:", "cpu", "CPU", "1", "znver3", "16.0", "GiB", "yes", "passed", "(7", "GFLOP/s)"]
+    assert table[2] == ["B:", "cpu", "CPU", "1", "znver3", "16.0", "GiB", "yes", "AMX", "passed", "(7", "GFLOP/s)"]
     assert table[3][-2:] == ["failed:", "x"]
     data = json.loads(devices.to_json(rows))
     assert data[2]["verdict"]["why"] == "x"
+    assert [row["bfloat16"] for row in data] == ["emulated", "AMX", "AMX"]
     assert data[0]["memory"] == 2**34
 
 

@@ -7,7 +7,10 @@ import pytest
 
 from stss_cl.device import discovery, program
 from stss_cl.device.discovery import CLASSES, DeviceError, open_device
+from stss_cl.network.network import PRECISIONS
 
+QUICK = tuple(precision for precision in PRECISIONS if precision != "bfloat16")
+"""Precisions that no device has to emulate: frames of bfloat16 are computed where that shows more than other tests do."""
 UNITS = 1024
 """Compute units of a processor that is treated as a GPU: more than a test's frame has tiles, as on a GPU. Layers with few tiles for
 the units have smaller ones; so frames of all sizes have the same kernels, and each is compiled once."""

@@ -11,11 +11,11 @@ from conformance.cases.planes import SEEDS, motions, sizes
 from conformance.tolerance import ratio
 from stss_cl import Frame
 from stss_cl.frame import run_stage
-from stss_cl.network.network import PRECISIONS
 from stss_ref.arrays import ArrayError
 from stss_ref.frame import FrameInputs, frame
 from stss_ref.weights import Tensors, zeros
 from stss_ref.weights import random as random_weights
+from tests.cl.conftest import QUICK
 
 few = settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
@@ -45,7 +45,7 @@ def arguments(inputs):
     return {f.name: getattr(inputs, f.name) for f in fields(inputs)}
 
 
-@pytest.fixture(scope="module", params=PRECISIONS)
+@pytest.fixture(scope="module", params=QUICK)
 def made(request, device):
     return Frame(random_weights(5), device, request.param)
 

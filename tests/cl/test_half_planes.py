@@ -16,12 +16,12 @@ from stss.frames.display_frame import HALF as HALF_IN_FRAMES
 from stss.frames.display_frame import frame_inputs, halved, prepare, window_at
 from stss.frames.supersample import plan
 from stss.sequence.reader import open_sequence
-from stss_cl.network.network import PRECISIONS
 from stss_cl.skip.planes import HALF, Planes
 from stss_cl.skip.stream import SKIPS, Stream
 from stss_ref.arrays import ArrayError
 from stss_ref.frame import FrameInputs, frame
 from stss_ref.weights import astype
+from tests.cl.conftest import QUICK
 from tests.cl.test_device_frames import SIZE, film
 from tests.cl.test_overlap import calls_of, here, right
 from tests.cl.test_stream import WEIGHTS, assert_same
@@ -79,7 +79,7 @@ def test_frames_of_half_have_the_bits_of_the_same_values_in_float32(device, skip
     assert skip == "off" or {"none", "changed", "whole"} <= told
 
 
-@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("precision", QUICK)
 def test_the_error_is_that_of_the_rounded_planes(device, precision):
     """Against the reference in float64 of the planes as they were rounded: the rows of the table that hold for float32."""
     frames = [halved(made) for made in film(["moving"] * 6)]

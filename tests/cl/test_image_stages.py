@@ -203,11 +203,31 @@ def frame_inputs(draw, size):
     )
 
 
+def noise(random, size, **others):
+    """Inputs of an EF: noise on one still surface, but for ``others``."""
+    drawn = {
+        "colors": random.random((3, *size, 3)),
+        "motions": random.uniform(-3, 3, (5, *size, 2)),
+        "gbuffer": random.random((*size, 9)),
+        "nov": random.random(size),
+        "stencils": np.zeros((4, *size)),
+        "normals": np.ones((4, *size, 3)),
+        "positions": np.zeros((4, *size, 3)),
+    } | others
+    return FrameInputs(steps=(1, 3, 5), **{name: array.astype(np.float32) for name, array in drawn.items()})
+
+
 def downloaded(device, buffer, shape, dtype=np.float32):
     array = np.empty(shape, dtype)
     assert buffer.size >= array.nbytes  # behind it lies room for strips that stick out
     cl.enqueue_copy(device.queue, array, buffer)
     return array
+
+
+def prepared(preparation, inputs):
+    preparation.begin(*arguments(inputs))
+    preparation.strip()
+    return preparation
 
 
 def arguments(inputs):
@@ -234,29 +254,25 @@ def assert_prepared(device, preparation, inputs, size, second="newest", frames=3
     assert_same(downloaded(device, preparation.mask, size, np.uint8), want.mask.astype(np.uint8))
 
 
-@pytest.mark.parametrize("eights", [False, True])
 @settings(max_examples=200)
 @given(data=st.data(), size=sizes(26))
-def test_prepare(device, eights, data, size):
+def test_prepare(device, data, size):
     """One frame after another in the same buffers: nothing of the first is left in the second."""
-    preparation = Prepare(device, *size, eights=eights)
+    preparation = Prepare(device, *size)
     for _ in range(2):
         inputs = data.draw(frame_inputs(size))
-        preparation.begin(*arguments(inputs))
-        preparation.strip()
-        assert_prepared(device, preparation, inputs, size)
+        assert_prepared(device, prepared(preparation, inputs), inputs, size)
 
 
 @pytest.mark.parametrize("frames", [2, 3])
-@pytest.mark.parametrize("eights", [False, True])
 @settings(max_examples=25)
 @given(data=st.data(), size=sizes(26))
-def test_prepare_with_an_earlier_second_colour(device, eights, frames, data, size):
+def test_prepare_with_an_earlier_second_colour(device, frames, data, size):
     """Where the colour frame before is valid, it is the second colour; in frames of one strip and of several."""
-    whole = Prepare(device, *size, eights=eights, second="earlier", frames=frames)
+    whole = Prepare(device, *size, second="earlier", frames=frames)
     strip = inputs_for(device, 8, whole.columns, np.dtype(np.float32))
     tops = range(0, whole.rows, 8)
-    parts = Prepare(device, *size, eights=eights, inputs=strip, second="earlier", frames=frames, tops=tops)
+    parts = Prepare(device, *size, inputs=strip, second="earlier", frames=frames, tops=tops)
     for _ in range(2):
         inputs = data.draw(frame_inputs(size))
         whole.begin(*arguments(inputs))
@@ -270,33 +286,19 @@ def test_prepare_with_an_earlier_second_colour(device, eights, frames, data, siz
             assert_same(downloaded(device, strip.input.data, (10, *shape[1:]))[1:-1], rows[top + 1 : top + 9])
 
 
-@pytest.mark.parametrize("eights", [False, True])
 @settings(max_examples=20)
 @given(seed=SEEDS)
-def test_prepare_where_few_pixels_are_holes(device, eights, seed):
+def test_prepare_where_few_pixels_are_holes(device, seed):
     """Only places that a hole looks up are splatted to: in this frame, many groups of eight rows are not wanted at all."""
     size = (24, 100)
     random = np.random.default_rng(seed)
     stencils = np.zeros((4, *size), np.float32)
     stencils[0] = random.random(size) < 0.02
-    inputs = FrameInputs(
-        colors=random.random((3, *size, 3)).astype(np.float32),
-        steps=(1, 3, 5),
-        motions=random.uniform(-2, 2, (5, *size, 2)).astype(np.float32),
-        gbuffer=random.random((*size, 9)).astype(np.float32),
-        nov=random.random(size).astype(np.float32),
-        stencils=stencils,
-        normals=np.ones((4, *size, 3), np.float32),
-        positions=np.zeros((4, *size, 3), np.float32),
-    )
-    preparation = Prepare(device, *size, eights=eights)
-    preparation.begin(*arguments(inputs))
-    preparation.strip()
-    assert_prepared(device, preparation, inputs, size)
+    inputs = noise(random, size, stencils=stencils, motions=random.uniform(-2, 2, (5, *size, 2)))
+    assert_prepared(device, prepared(Prepare(device, *size), inputs), inputs, size)
 
 
-@pytest.mark.parametrize("eights", [False, True])
-def test_prepare_in_wide_frames(device, eights):
+def test_prepare_in_wide_frames(device):
     """Fractions that a sum with the column would lose, motion just beside whole pixels, and each kind of far and lost motion."""
     size = (8, 4099)
     random = np.random.default_rng(6)
@@ -307,25 +309,12 @@ def test_prepare_in_wide_frames(device, eights):
     motions[:, :, ::50][..., 0] = np.resize(far, motions[:, :, ::50][..., 0].shape)
     motions[:, :, 25::50][..., 1] = np.resize(far, motions[:, :, 25::50][..., 1].shape)
     stencils = (random.random((4, *size)) < 0.1).astype(np.float32)
-    inputs = FrameInputs(
-        colors=random.random((3, *size, 3)).astype(np.float32),
-        steps=(1, 3, 5),
-        motions=motions,
-        gbuffer=random.random((*size, 9)).astype(np.float32),
-        nov=random.random(size).astype(np.float32),
-        stencils=stencils,
-        normals=np.ones((4, *size, 3), np.float32),
-        positions=(random.random((4, *size, 3)) * 30).astype(np.float32),
-    )
-    preparation = Prepare(device, *size, eights=eights)
-    preparation.begin(*arguments(inputs))
-    preparation.strip()
-    assert_prepared(device, preparation, inputs, size)
+    inputs = noise(random, size, motions=motions, stencils=stencils, positions=random.random((4, *size, 3)) * 30)
+    assert_prepared(device, prepared(Prepare(device, *size), inputs), inputs, size)
 
 
-@pytest.mark.parametrize("eights", [False, True])
 @pytest.mark.parametrize("motion", [(1.5, 0.75), (-3.25, 0.0), (0.0, 0.0), (0.3, -2.9)])
-def test_prepare_where_hardly_anything_is_a_hole(device, eights, motion):
+def test_prepare_where_hardly_anything_is_a_hole(device, motion):
     """A surface that slides past: eight pixels in a row are read at once and trusted, but where one of the eight is another surface."""
     size = (24, 70)
     random = np.random.default_rng(9)
@@ -337,28 +326,24 @@ def test_prepare_where_hardly_anything_is_a_hole(device, eights, motion):
         for value in (400, np.nan, np.inf):
             positions[plane, random.integers(24), random.integers(70), random.integers(3)] = value
         stencils[plane, random.integers(24), random.integers(70)] = 1
-    inputs = FrameInputs(
-        colors=random.normal(0.5, 0.5, (3, *size, 3)).astype(np.float32),
-        steps=steps,
-        motions=(motion + random.uniform(0, 0.2, (5, *size, 2))).astype(np.float32),
-        gbuffer=random.random((*size, 9)).astype(np.float32),
-        nov=random.random(size).astype(np.float32),
+    inputs = noise(
+        random,
+        size,
+        colors=random.normal(0.5, 0.5, (3, *size, 3)),
+        motions=motion + random.uniform(0, 0.2, (5, *size, 2)),
         stencils=stencils,
-        normals=random.normal(0, 1, (4, *size, 3)).astype(np.float32),
+        normals=random.normal(0, 1, (4, *size, 3)),
         positions=positions,
     )
-    preparation = Prepare(device, *size, eights=eights)
+    preparation = Prepare(device, *size)
     for _ in range(2):  # nothing that the first marked is left in the second
-        preparation.begin(*arguments(inputs))
-        preparation.strip()
-        assert_prepared(device, preparation, inputs, size)
+        assert_prepared(device, prepared(preparation, inputs), inputs, size)
         assert not downloaded(device, preparation._keys, size, np.uint32).any()
     assert 0 < np.mean(downloaded(device, preparation.mask, size, np.uint8) == 0) < 0.2
 
 
 @pytest.mark.parametrize("steps", [(0, 2, 4), (1, 3, 5), (1, 1, 1)])
-@pytest.mark.parametrize("eights", [False, True])
-def test_prepare_sees_what_is_not_finite(device, eights, steps):
+def test_prepare_sees_what_is_not_finite(device, steps):
     """In each plane of each array, in whole rows of eight and behind the last one, in one strip and in three; and forgets it."""
     size = (17, 21)
     random = np.random.default_rng(3)
@@ -366,7 +351,7 @@ def test_prepare_sees_what_is_not_finite(device, eights, steps):
     arrays = {name: random.random(shape).astype(np.float32) for name, shape in shapes.items()}
     arrays |= {"motions": np.full((5, *size, 2), 0.5, np.float32), "positions": np.zeros((4, *size, 3), np.float32)}
     for inputs, tops in ((None, (0,)), (inputs_for(device, 8, 24, np.dtype(np.float32)), (0, 8, 16))):
-        preparation = Prepare(device, *size, eights=eights, inputs=inputs, tops=tops)
+        preparation = Prepare(device, *size, inputs=inputs, tops=tops)
 
         def bad(preparation=preparation, tops=tops):
             preparation.begin(steps=steps, **arrays)
@@ -389,16 +374,7 @@ def test_prepare_takes_buffers_and_gathers(device, gather):
     """What is on the device already need not come from arrays; whole-frame values change with the gather as the reference's."""
     size = (19, 33)
     random = np.random.default_rng(2)
-    inputs = FrameInputs(
-        colors=random.random((3, *size, 3)).astype(np.float32),
-        steps=(1, 3, 5),
-        motions=random.uniform(-3, 3, (5, *size, 2)).astype(np.float32),
-        gbuffer=random.random((*size, 9)).astype(np.float32),
-        nov=random.random(size).astype(np.float32),
-        stencils=random.integers(0, 2, (4, *size)).astype(np.float32),
-        normals=np.ones((4, *size, 3), np.float32),
-        positions=(random.random((4, *size, 3)) * 50).astype(np.float32),
-    )
+    inputs = noise(random, size, stencils=random.integers(0, 2, (4, *size)), positions=random.random((4, *size, 3)) * 50)
     preparation = Prepare(device, *size, gather)
     upload = ImageStages(device).upload
     on_device = [upload(a) if isinstance(a, np.ndarray) else a for a in arguments(inputs)]

@@ -17,13 +17,13 @@ from hypothesis import strategies as st
 from stss.frames.display_frame import DisplayFrame
 from stss.frames.supersample import plan
 from stss_cl.device import program
-from stss_cl.network.network import PRECISIONS
 from stss_cl.skip.change_control import RULES
 from stss_cl.skip.stream import SKIPS, Stream
 from stss_cl.skip.uploaded_frames import UploadedFrames
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Tensors
 from stss_ref.weights import random as random_weights
+from tests.cl.conftest import QUICK
 
 CHANGES = ("nothing", "nothing", "pixel", "color", "rectangle", "moving", "everything")
 WEIGHTS = random_weights(3)
@@ -113,7 +113,7 @@ def assert_same(got, want):
 
 @pytest.fixture(
     scope="module",
-    params=[*((precision, WEIGHTS) for precision in PRECISIONS), ("float32", UNREAD), ("float32", EARLIER)],
+    params=[*((precision, WEIGHTS) for precision in QUICK), ("float32", UNREAD), ("float32", EARLIER)],
     ids=lambda p: p[0] + " unread" * (p[1] is UNREAD) + " earlier" * (p[1] is EARLIER),
 )
 def pair(request, device):

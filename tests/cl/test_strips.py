@@ -14,7 +14,7 @@ from stss.frames.supersample import plan
 from stss_cl.device.grid import ceil8
 from stss_cl.frame import Frame
 from stss_cl.network.layer_builder import dtype_of
-from stss_cl.network.network import PRECISIONS, Network
+from stss_cl.network.network import Network
 from stss_cl.network.strips import OVERLAP, STEP, bytes_for, rows_within, strips
 from stss_cl.skip.stream import Stream
 from stss_ground.errors import DeviceError
@@ -22,6 +22,7 @@ from stss_ref.frame import FrameInputs
 from stss_ref.frame import frame as reference_frame
 from stss_ref.weights import LAYERS
 from stss_ref.weights import random as random_weights
+from tests.cl.conftest import QUICK
 from tests.cl.test_stream import still
 
 WIDTH = 24
@@ -67,7 +68,7 @@ def test_too_small_a_limit_says_what_is_needed():
 
 @pytest.mark.parametrize("skip", ["off", "exact"])
 @pytest.mark.parametrize("size", [(8, 8), (272, 480)])
-@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("precision", QUICK)
 def test_the_limit_counts_what_is_allocated(device, monkeypatch, precision, size, skip):
     """All buffers of a stream but the caller's frames, rounded up: to whole pages, and for weights and small frames further."""
     made = []
@@ -101,14 +102,14 @@ def network_inputs(height, seed=0):
     return color, gbuffer, (mask < 0.7).astype(np.float32), history
 
 
-@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("precision", QUICK)
 @pytest.mark.parametrize("height", [1200, 1221])
 def test_strips_have_the_bits_of_the_whole(device, precision, height):
     weights = random_weights(2)
     inputs = network_inputs(height)
     whole = Network(weights, device, precision)(*inputs)
-    dtype = np.float16 if precision == "half" else np.float32
-    limit = bytes_for(2 * OVERLAP[precision != "float32-direct"] + 3 * STEP, ceil8(height), WIDTH, dtype)
+    dtype = dtype_of(precision)
+    limit = bytes_for(2 * OVERLAP[precision in ("float32", "half")] + 3 * STEP, ceil8(height), WIDTH, dtype)
     narrow = Network(weights, device, precision, memory_limit=limit)
     image = narrow(*inputs)
     assert len(narrow.layers(height, WIDTH).strips) > 2

@@ -13,12 +13,13 @@ from stss.frames.supersampler import supersample
 from stss.images.read_write import read_channels
 from stss.sequence.reader import open_sequence
 from stss.weights.file import load
-from stss_cl.network.network import PRECISIONS, Network
+from stss_cl.network.network import Network
 from stss_cl.skip.stream import SKIPS
 from stss_ground.errors import InputError
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import random as random_weights
 from tests.app.conftest import write_frames  # noqa: F401 - a fixture
+from tests.cl.conftest import QUICK
 
 SIZE, NUMBERS, RENDERED = (24, 32), range(7), (0, 2, 4, 6)
 FAULTS = {
@@ -103,7 +104,7 @@ def huge(weights, factor):
     }
 
 
-@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("precision", QUICK)
 @pytest.mark.parametrize("factor", [1e6, 1e36])
 def test_activations_too_large_are_no_image(device, precision, factor):
     """Half holds 65504 at most: what is larger is stored as that. Whatever comes out that is not finite is refused, and never written."""

@@ -13,8 +13,9 @@ from stss_cl.device import matrix_units, program
 from stss_cl.device.discovery import open_device
 from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
 from stss_cl.frame import Frame
-from stss_cl.network.network import PRECISIONS, Network
+from stss_cl.network.network import Network
 from stss_cl.skip.stream import SKIPS, Stream
+from tests.cl.conftest import QUICK
 from tests.cl.test_stream import EARLIER, WEIGHTS, first_frame, next_frame
 
 SIZE = 19, 45
@@ -46,7 +47,7 @@ def programs(row, *, network_only=False):
     with trial(tuning), matrix_units.trial(row == "nvidia"), pytest.MonkeyPatch.context() as patch:
         matrix_units.proved(device)  # builds, and launches, what asks for them
         launch_nothing(patch)
-        for precision in PRECISIONS:
+        for precision in QUICK:
             for size in ((32, 48), (544, 960)):  # of few tiles, and of many
                 Network(WEIGHTS, device, precision).layers(*size)
             for weights, skip in () if network_only else product((WEIGHTS, EARLIER), SKIPS):

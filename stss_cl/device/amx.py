@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: MIT
+"""The matrix units of processors (Intel's AMX): whether this one has them, may use them, and computes right with them (kernels/amx.clh)."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import platform
+import re
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import pyopencl as cl
+
+from stss_cl.device.buffers import FLAGS, constant, to_bfloat16
+from stss_cl.device.discovery import Device, Properties
+from stss_cl.device.program import build
+from stss_ground.errors import DeviceError
+
+CPUINFO = Path("/proc/cpuinfo")
+NEEDED = frozenset({"amx_tile", "amx_bf16"})
+"""Flags of a processor whose tiles multiply bfloat16; Linux lists one only if the kernel, too, can use it."""
+ARCH_PRCTL, REQUEST_PERMISSION, TILE_DATA = 158, 0x1023, 18
+"""Linux's system call on x86-64 by which a process asks for the tiles' 8 KiB of state, once for all its threads."""
+
+_proved: WeakKeyDictionary[cl.Context, bool] = WeakKeyDictionary()
+
+
+def missing(device: Properties) -> str:
+    """Why products of bfloat16 are emulated on this device; "" if they need not be, as far as can be said without trying."""
+    if device.kind != "CPU" or not device.is_cpu:
+        return "no processor"
+    if platform.machine() != "x86_64" or not flags() >= NEEDED:
+        return "the processor has no matrix units for bfloat16 (AMX)"
+    return "" if permitted() else "the system refuses its matrix units (AMX)"
+
+
+def are_used(device: Device) -> bool:
+    """Whether products run on matrix units: one was right to the last bit, tested once for each context."""
+    if device.context not in _proved:
+        _proved[device.context] = False
+        if not missing(device):
+            with suppress(DeviceError, cl.Error):  # the compiler may not know the instructions
+                _proved[device.context] = product_is_right(device, emulate=False)
+    return _proved[device.context]
+
+
+def emulated(device: Device) -> str:
+    """Why products of bfloat16 are emulated; "" if they are not."""
+    return missing(device) or ("" if are_used(device) else "a product of its matrix units (AMX) was wrong, or did not build")
+
+
+def flags() -> frozenset[str]:
+    """What Linux says that the processor can do; empty elsewhere."""
+    with suppress(OSError):
+        found = re.search(r"^flags\s*:(.*)$", CPUINFO.read_text(encoding="utf-8"), re.MULTILINE)
+        return frozenset(found[1].split()) if found else frozenset()
+    return frozenset()
+
+
+@cache
+def permitted() -> bool:
+    """Ask Linux for the tiles; it refuses them to a process with a thread whose signal stack is too small."""
+    if os.name != "posix":
+        return False
+    return ctypes.CDLL(None).syscall(ARCH_PRCTL, REQUEST_PERMISSION, TILE_DATA) == 0
+
+
+def product_is_right(device: Device, *, emulate: bool) -> bool:
+    """Whether one product has the bits that it must have."""
+    random = np.random.default_rng(0)
+    a, b = (to_bfloat16(random.normal(size=size)) for size in ((16, 32), (16, 16, 2)))
+    bias = random.normal(size=16).astype(np.float32)
+    got = np.empty((16, 16), np.float32)
+    made = cl.Buffer(device.context, FLAGS.WRITE_ONLY, got.nbytes)
+    program = build(device, "matrix_amx.cl", {"EMULATE": emulate})
+    cl.Kernel(program, "matrix_amx")(device.queue, (1,), (1,), *(constant(device, x) for x in (a, b, bias)), made)
+    cl.enqueue_copy(device.queue, got, made)
+    return bool((got == multiplied(np.broadcast_to(bias, (16, 16)), a, b)).all())
+
+
+def multiplied(sums: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """``sums`` (P, 16) + ``a`` (P, 32) ``b`` (16, 16, 2), with the units' roundings: even and odd places have a sum each.
+
+    Source: Intel's Software Developer's Manual, TDPBF16PS.
+    """
+    wide = [(x.astype(np.uint32) << 16).view(np.float32) for x in (a, b)]
+    partial = np.zeros((*sums.shape, 2), np.float32)
+    for k in range(16):
+        partial += wide[0][:, None, 2 * k : 2 * k + 2] * wide[1][k]
+    return sums + (partial[..., 0] + partial[..., 1])

@@ -1,0 +1,134 @@
+"""Convolutions on a processor's matrix units, emulated here: the bits that the units must give, and who is trusted with them."""
+
+from types import SimpleNamespace
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import pyopencl as cl
+import pytest
+
+from stss.devices import selection
+from stss.frames.backends import open_backend
+from stss.frames.compute_options import ComputeOptions
+from stss_cl.device import amx
+from stss_cl.device.buffers import BFLOAT16, from_bfloat16, padded, read, to_bfloat16, write
+from stss_cl.network.conv import conv
+from stss_cl.network.pack_weights import amx_bias, amx_tiles, pack
+from stss_ground.errors import DeviceError
+from stss_ref.weights import zeros
+from tests.cl.test_network import tensors
+
+LAYERS = [
+    # size, channels of both inputs, outputs, gated, stride
+    ((9, 37), 24, 0, 24, True, 1),
+    ((6, 33), 24, 24, 24, False, 1),
+    ((5, 70), 32, 96, 64, False, 1),
+    ((4, 5), 32, 16, 64, False, 1),
+    ((7, 34), 32, 0, 32, True, 2),
+    ((5, 40), 4, 0, 24, False, 2),
+]
+
+
+def test_bfloat16_is_the_nearest_of_both_neighbours():
+    random = np.random.default_rng(0)
+    x = np.append(
+        (random.normal(size=1000) * 10.0 ** random.integers(-30, 30, 1000)).astype(np.float32), [0, -0.0, 1e-40, -1e-40]
+    )
+    got, spacing = from_bfloat16(to_bfloat16(x)), 2.0 ** (np.floor(np.log2(np.maximum(np.abs(x), 2.0**-126))) - 7)
+    assert (np.abs(got.astype(np.float64) - x) <= spacing / 2)[:-4].all()
+    assert (got[-4:] == 0).all()
+    ties = from_bfloat16(to_bfloat16(np.array([1 + 2.0**-8, 1 + 3 * 2.0**-8], np.float32)))
+    np.testing.assert_array_equal(ties, [1, 1 + 2.0**-6])  # to even
+
+
+def sums_of(inputs, packed, size, stride):
+    """Each output's sum and the gate's behind them, (H, W, outputs), with the roundings of the units: from the buffers as they lie."""
+    tiles, bias = amx_tiles(packed, inputs[0].channels), amx_bias(packed)
+    y, x = (np.indices(size) * stride).reshape(2, -1)
+    sums = np.tile(bias, (y.size, 1))
+    step = 0
+    for held in inputs:
+        values = np.zeros((held.data.size // 2,), np.uint16)
+        cl.enqueue_copy(held.queue, values, held.data)
+        for tap in range(3):
+            for k in range(-(-3 * held.channels // 32)):
+                first = ((y + tap) * held.columns + x) * held.channels + 32 * k
+                a = values[first[:, None] + np.arange(32)]
+                for part in range(len(bias) // 16):
+                    place = slice(16 * part, 16 * part + 16)
+                    sums[:, place] = amx.multiplied(sums[:, place], a, tiles[step, part])
+                step += 1
+    return sums.reshape(*size, -1)
+
+
+@pytest.mark.parametrize("layer", LAYERS, ids=str)
+def test_a_layer_has_the_bits_of_the_units(processor, unoptimised, layer):
+    size, a, b, outputs, gated, stride = layer
+    random = np.random.default_rng(0)
+    packed = pack(tensors(random, "layer", a + b, outputs, gated), "layer", tuple((n, n) for n in (a, b) if n))
+    held = [padded(processor, size[0] * stride, size[1] * stride, n, BFLOAT16) for n in (a, b) if n]
+    for buffer in held:
+        write(processor, buffer, random.normal(size=(buffer.height, buffer.width, buffer.channels)))
+    out = padded(processor, *size, outputs, BFLOAT16)
+    made = conv(processor, "test", "layer", packed, held[0], (*held, None)[1], out, stride=stride)
+    assert made.source.file == "conv_amx.cl"
+    made.enqueue(processor.queue)
+    shown = [SimpleNamespace(data=h.data, channels=h.channels, columns=h.columns, queue=processor.queue) for h in held]
+    sums = sums_of(shown, packed, size, stride)
+    want, got = np.maximum(sums[..., :outputs], 0), read(processor, out)
+    if not gated:
+        np.testing.assert_array_equal(got, from_bfloat16(to_bfloat16(want)))
+        return
+    want = want / (1 + np.exp(-sums[..., outputs : outputs + 1].astype(np.float64)))
+    # One rounding to bfloat16; those of the gate are 2**-16 of it.
+    assert (np.abs(got - want) <= (2.0**-8 + 2.0**-20) * want).all()
+
+
+def test_the_emulated_product_is_right(device):
+    assert amx.product_is_right(device, emulate=True)
+
+
+def test_a_wrong_product_is_seen(device, monkeypatch):
+    right = amx.multiplied
+    monkeypatch.setattr(amx, "multiplied", lambda sums, a, b: right(sums, a, b[:, ::-1]))
+    assert not amx.product_is_right(device, emulate=True)
+
+
+@pytest.mark.parametrize("fault", ["wrong", "not built"])
+def test_what_is_not_proved_is_not_used(processor, monkeypatch, fault):
+    def tried(device, *, emulate):
+        assert not emulate
+        if fault == "not built":
+            raise DeviceError("unknown instruction")
+        return fault != "wrong"
+
+    monkeypatch.setattr(amx, "missing", lambda _: "")
+    monkeypatch.setattr(amx, "product_is_right", tried)
+    monkeypatch.setattr(amx, "_proved", WeakKeyDictionary())
+    assert not amx.are_used(processor)
+    monkeypatch.setattr(amx, "product_is_right", lambda device, *, emulate: True)
+    monkeypatch.setattr(amx, "_proved", WeakKeyDictionary())
+    assert amx.are_used(processor)
+
+
+def test_what_is_missing_is_said(processor, gpu, monkeypatch, tmp_path):
+    monkeypatch.setattr(amx, "CPUINFO", tmp_path / "cpuinfo")
+    monkeypatch.setattr(amx.platform, "machine", lambda: "x86_64")
+    assert "no matrix units" in amx.missing(processor)  # a system without the file
+    assert amx.missing(gpu) == "no processor"
+    both = "amx_bf16 amx_tile"
+    for flags, allowed, said in (("avx2 amx_tile", True, "no matrix units"), (both, False, "refuses"), (both, True, "")):
+        amx.CPUINFO.write_text(f"processor : 0\nflags\t\t: fpu {flags} sse\n")
+        monkeypatch.setattr(amx, "permitted", lambda allowed=allowed: allowed)
+        assert said in amx.missing(processor)
+        assert bool(amx.missing(processor)) == bool(said)
+
+
+def test_that_it_is_emulated_is_said(processor, monkeypatch):
+    said = []
+    monkeypatch.setattr(selection, "choose", lambda name, tell: processor)
+    monkeypatch.setattr(amx, "missing", lambda _: "no matrix units")
+    open_backend("cl", zeros(), ComputeOptions(precision="bfloat16"), tell=said.append)
+    assert said == ["bfloat16: no matrix units; emulated, which is slow"]
+    open_backend("cl", zeros(), ComputeOptions(), tell=said.append)
+    assert len(said) == 1
