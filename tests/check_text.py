@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("stss_ref", "stss_cl", "conformance", "stss")
+PACKAGES = ("stss_ground", "stss_ref", "stss_cl", "conformance", "stss", "stss_lab")
 FOLDERS = (*PACKAGES, "kernels", "training", "tests", "docs")
 FILES = [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*")) if path.is_file()]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"] + [path for path in FILES if path.suffix == ".md"]

@@ -11,7 +11,7 @@ import pytest
 from stss_cl.device.program import source
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("stss_ground", "stss_ref", "stss_cl", "conformance", "stss")
+PACKAGES = ("stss_ground", "stss_ref", "stss_cl", "conformance", "stss", "stss_lab")
 
 MAY_IMPORT = {
     "stss_ground": {"stss_ground"},
@@ -19,11 +19,12 @@ MAY_IMPORT = {
     "conformance": {"conformance", "stss_ref", "stss_ground"},
     "stss_cl": {"stss_cl", "stss_ground", *(f"stss_ref.{name}" for name in ("arrays", "constants", "weights"))},
     "stss": {"stss", "stss_cl", "conformance", "stss_ref", "stss_ground"},
+    "stss_lab": {"stss_lab", "stss", "stss_cl", "conformance", "stss_ref", "stss_ground"},
 }
 
 FLOORS = {
-    "stss": "__main__ > cli > demo bench > quality cluster > check_sequence run > port sequence baselines > stress frames"
-    " > pages > images weights devices color",
+    "stss": "__main__ > cli > demo > quality cluster > check_sequence run > port sequence > frames > pages > images weights devices color",
+    "stss_lab": "command_bench command_methods command_stress command_tune > bench methods > stress tune baselines",
     "conformance": "command > report > suite > explain > judging reference_port > answers mistakes cases > protocol scenes tolerance",
     "stss_cl": "skip > frame > network image_space > device",
     "stss_ground": "guard > commands optional output pages toml_table option_kinds > errors terminal version machine regular_file",

@@ -7,7 +7,6 @@ from functools import partial
 
 import click
 
-from stss.cli.options import Size
 from stss_ground.terminal import Terminal, echo
 
 
@@ -23,14 +22,3 @@ def devices(again: bool, as_json: bool) -> None:
         click.echo(found.to_json(rows))
     else:
         found.print_rows(rows, Terminal())
-
-
-@click.command()
-@click.option("--device", help="Part of the name of the OpenCL device.")
-@click.option("--size", type=Size(), default=(540, 960), show_default="960x540", help="Size of the inputs.")
-@click.option("--show", is_flag=True, help="Print the tile sizes in use; time nothing.")
-def tune(device: str | None, size: tuple[int, int], show: bool) -> None:
-    """Find the fastest tile sizes for a device and store them."""
-    from stss.devices import tune as tuning
-
-    tuning.run(device, size, show=show, console=Terminal(), tell=partial(echo, err=True))

@@ -27,22 +27,22 @@ SECTIONS = {
     },
     "Compare": {
         "compare": ("stss.cli.evaluate:compare_command", "Compare frames with their truth."),
-        "methods": ("stss.cli.evaluate:methods_command", "Compare the network with other methods."),
-        "flicker": ("stss.cli.evaluate:flicker_command", "Measure how unsteady frames are."),
+        "methods": ("stss_lab.command_methods:methods_command", "Compare the network with other methods."),
+        "flicker": ("stss_lab.command_methods:flicker_command", "Measure how unsteady frames are."),
     },
     "Devices": {
         "devices": ("stss.cli.devices:devices", "List the OpenCL devices, and whether they are right."),
-        "tune": ("stss.cli.devices:tune", "Find the fastest tile sizes for a device."),
+        "tune": ("stss_lab.command_tune:tune", "Find the fastest tile sizes for a device."),
     },
     "Ports": {
         "conform": ("conformance.command:conform", "Judge a port."),
         "port": ("stss.cli.port:port", "Answer a folder of cases with a backend of ours."),
-        "export": ("stss.cli.bench:export", "Write the network as ONNX."),
+        "export": ("stss_lab.command_bench:export", "Write the network as ONNX."),
     },
     "Measure": {
-        "bench": ("stss.cli.bench:bench_command", "Time the network beside other engines."),
-        "stress": ("stss.cli.stress:stress_command", "Measure errors on hard inputs."),
-        "gpu-report": ("stss.cli.bench:gpu_report_command", "Test, judge and time this machine's GPU."),
+        "bench": ("stss_lab.command_bench:bench_command", "Time the network beside other engines."),
+        "stress": ("stss_lab.command_stress:stress_command", "Measure errors on hard inputs."),
+        "gpu-report": ("stss_lab.command_bench:gpu_report_command", "Test, judge and time this machine's GPU."),
     },
 }
 """Section of ``stss --help`` -> command -> where it is, what it does."""

@@ -11,7 +11,6 @@ from typing import Any
 import click
 from rich.console import Console
 
-from stss.baselines.registry import METHODS
 from stss.cli.options import (
     backend_options,
     frame_options,
@@ -20,10 +19,10 @@ from stss.cli.options import (
     weights_option,
 )
 from stss.cli.progress import shown_progress
-from stss.cluster.run import Cluster, require_independent, run_on_cluster
-from stss.frames.backends import NETWORK
+from stss.cluster.run import Cluster, require_no_budget, run_on_cluster
+from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions, Skip
-from stss.run.choose_backend import first_frames, open_method, with_skipping, within_budget
+from stss.run.choose_backend import first_frames, with_skipping, within_budget
 from stss.run.frame_job import FrameReport
 from stss.run.job import Summary
 from stss.run.job import run as run_sequence
@@ -44,13 +43,6 @@ from stss_ref.schedule import FrameKind
 @click.option("-o", "--out", type=PATH, required=True, help="Folder for the frames.")
 @sequence_options
 @weights_option
-@click.option(
-    "--method",
-    type=click.Choice([NETWORK, *METHODS]),
-    default=NETWORK,
-    show_default=True,
-    help="The network, or a method without weights and device to compare with.",
-)
 @backend_options
 @skip_options
 @frame_options
@@ -73,7 +65,6 @@ def run(
     roughness: float | None,
     non_finite: Any,
     weights: str,
-    method: str,
     backend: str,
     compute: ComputeOptions,
     skip: Skip | None,
@@ -92,11 +83,11 @@ def run(
         _tell("camera: from position and depth; --camera CSV takes one")
     options = RunOptions.of(frames.profile, format=suffix, **chosen)
     console = Terminal(stderr=True)
-    possible = backend == "cl" and method == NETWORK
+    possible = backend == "cl"
     reads = [Path(weights)]
     if preview is not None:
         require_preview(preview, out, [*frames.reads, *reads])
-    loaded = choose_weights(weights, frames, _tell, needed=method == NETWORK)
+    loaded = choose_weights(weights, frames, _tell)
     compute = with_skipping(compute, skip, budget, possible=possible)
     if cluster is None and mixed_devices:
         raise InputError("--mixed-devices: expected --cluster as well")
@@ -105,12 +96,12 @@ def run(
     try:
         with shown_progress(console, last - first + 1, preview and Preview(preview, out, options)) as on_frame:
             if cluster is not None:
-                require_independent(method, budget)
+                require_no_budget(budget)
                 where = Cluster(cluster, mixed_devices)
-                summary = run_on_cluster(frames, out, where, method, loaded, backend, compute, options, on_frame, reads)
+                summary = run_on_cluster(frames, out, where, loaded, backend, compute, options, on_frame, reads)
             else:
                 if budget is None:
-                    engine, label = open_method(method, loaded, backend, compute, tell=_tell)
+                    engine, label = open_backend(backend, loaded.weights, compute, tell=_tell), loaded.label
                 else:
                     engine, label = within_budget(loaded, compute, budget, first_frames(frames, options), tell=_tell)
                 summary = run_sequence(frames, out, engine, label, options, on_frame, reads)

@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
 
-from stss.frames.backends import Backend
+from stss.frames.backends import Backend, open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import WINDOW
-from stss.run.choose_backend import open_method
 from stss.run.frame_job import FrameJob, FrameReport, frame_name
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence
@@ -33,7 +32,7 @@ class Work:
         sequence: the sequence; the worker reads the same paths.
         rendered: the display frames that count as rendered.
         out: the run's folder, for messages and suffixes; the worker writes nothing.
-        options, method, loaded, backend, compute: as for a run in one process.
+        options, loaded, backend, compute: as for a run in one process.
     """
 
     version: str
@@ -41,7 +40,6 @@ class Work:
     rendered: frozenset[int]
     out: Path
     options: RunOptions
-    method: str
     loaded: LoadedWeights
     backend: str
     compute: ComputeOptions
@@ -131,10 +129,10 @@ def compute_chunk(work: Work, numbers: list[int]) -> Chunk:
 def _open(work: Work) -> tuple[Backend, str]:
     if work.version != VERSION:
         raise InputError(f"a worker has stss {VERSION}; expected {work.version}, as where the run was started")
-    key = f"{work.method} {work.loaded.label} {work.backend} {work.compute}"
+    key = f"{work.loaded.label} {work.backend} {work.compute}"
     if key not in _opened:
         _opened.clear()
-        _opened[key] = open_method(work.method, work.loaded, work.backend, work.compute)
+        _opened[key] = (open_backend(work.backend, work.loaded.weights, work.compute), work.loaded.label)
     return _opened[key]
 
 

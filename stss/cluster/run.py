@@ -10,9 +10,9 @@ from concurrent.futures import TimeoutError as Timeout
 from dataclasses import dataclass
 from pathlib import Path
 
-from stss.baselines.registry import ACCUMULATING
 from stss.cluster.chunk import Chunk, Introduction, Work, compute_chunk, introduce
 from stss.cluster.workers import Workers, connected
+from stss.frames.backends import NETWORK
 from stss.frames.compute_options import ComputeOptions
 from stss.images.headers import read_header
 from stss.run.frame_job import FrameReport, already_written, describe, frame_name, keys_of
@@ -57,7 +57,6 @@ def run_on_cluster(
     sequence: Frames,
     out: Path,
     cluster: Cluster,
-    method: str,
     loaded: LoadedWeights,
     backend: str,
     compute: ComputeOptions,
@@ -70,14 +69,14 @@ def run_on_cluster(
     Args:
         sequence, out, options, on_frame, reads: as there; ``on_frame`` is called in the order in which chunks arrive.
         cluster: where to compute.
-        method, loaded, backend, compute: see ``stss.run.choose_backend.open_method``.
+        loaded, backend, compute: see ``stss.frames.backends.open_backend``.
 
     Raises:
         InputError: as there; nothing answers at the address, workers differ, or workers die or hang again and again.
     """
     planned = plan(sequence, out, options)
     require_unread(planned, sequence, reads)
-    work = Work(VERSION, sequence, planned.rendered, out, options, method, loaded, backend, compute)
+    work = Work(VERSION, sequence, planned.rendered, out, options, loaded, backend, compute)
     with (
         connected(cluster.address) as workers,
         planned.folder.opened(refusal=None if options.resume or options.overwrite else REFUSAL),
@@ -87,12 +86,10 @@ def run_on_cluster(
     return summary
 
 
-def require_independent(method: str, budget: float | None) -> None:
-    """Raise InputError where an output depends on earlier outputs, or on this machine's speed: then a run cannot be cut."""
+def require_no_budget(budget: float | None) -> None:
+    """Raise InputError for a run on workers with a budget."""
     if budget is not None:
         raise InputError("--cluster: expected no --budget: a time is one machine's")
-    if method in ACCUMULATING:
-        raise InputError(f"--cluster: --method {method} makes each output from all before it, so a run cannot be cut")
 
 
 def cut(numbers: Sequence[int], workers: int, size: tuple[int, int]) -> list[list[int]]:
@@ -169,7 +166,7 @@ class _Run:
             return False
         if self._mixed:
             backend = str(read_header(folder.path / name).attributes.get("stss:backend"))
-        described = describe(work.sequence, options, work.method, backend, who.weights)
+        described = describe(work.sequence, options, NETWORK, backend, who.weights)
         kind = already_written(folder, options, number, keys_of(work.sequence, work.rendered, options, described).of(number))
         if kind is not None:
             self._report(FrameReport(number, kind, "kept"))

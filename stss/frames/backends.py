@@ -19,7 +19,7 @@ from stss_ref.resample import upsample_centres
 from stss_ref.weights import Weights, has_residual
 
 NETWORK = "network"
-"""The method that uses the network; `stss.baselines` has the others."""
+"""The method that uses the network; `stss_lab.baselines` has the others."""
 BACKENDS = ("cl", "ref")
 """The names that ``open_backend`` takes."""
 DEFAULTS = ComputeOptions()
@@ -43,7 +43,7 @@ class Backend(Protocol):
 
     Attributes:
         name: goes into the metadata of every output file, and into what ``--resume`` compares.
-        method: likewise: ``network``, or one of ``stss.baselines.registry.METHODS``.
+        method: likewise: ``network``, or one that it is compared with.
         accumulates: True: an output depends on all outputs before it, and ``compute`` must be called for each in turn.
     """
 

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Open the backend that the user's options ask for: method, device, and what may be skipped."""
+"""Open the backend that the user's options ask for: device, and what may be skipped."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 
-from stss.baselines.registry import MethodBackend
 from stss.color import transfer
-from stss.frames.backends import DEFAULTS, NETWORK, Backend, open_backend
+from stss.frames.backends import Backend, open_backend
 from stss.frames.compute_options import ComputeOptions, Skip
 from stss.frames.display_frame import DisplayFrame, prepare
 from stss.frames.supersample import choose_rendered
@@ -17,35 +16,6 @@ from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence
 from stss.weights.file import LoadedWeights
 from stss_ground.errors import InputError
-
-NO_WEIGHTS = "none"
-"""The label of the weights in the files of a method without a network."""
-
-
-def open_method(
-    method: str,
-    loaded: LoadedWeights,
-    backend: str = "cl",
-    options: ComputeOptions = DEFAULTS,
-    *,
-    tell: Callable[[str], None] = lambda line: None,
-) -> tuple[Backend, str]:
-    """Open the backend of a method.
-
-    Args:
-        method: ``network``, or one of ``METHODS``, for which the other arguments do not matter.
-        loaded: the network's weights.
-        backend, options, tell: see ``stss.frames.backends.open_backend``.
-
-    Returns:
-        The backend and the label of its weights.
-
-    Raises:
-        InputError: there is no such method, or the options do not go together.
-    """
-    if method != NETWORK:
-        return MethodBackend(method), NO_WEIGHTS
-    return open_backend(backend, loaded.weights, options, tell=tell), loaded.label
 
 
 def with_skipping(options: ComputeOptions, skip: Skip | None, budget: float | None, *, possible: bool) -> ComputeOptions:

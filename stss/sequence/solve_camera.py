@@ -60,7 +60,7 @@ def solve_camera(depth: Plane, position: Image, *, ray: bool = False) -> SolvedC
     else:
         u, v = x / depth.shape[1] - 0.5, y / depth.shape[0] - 0.5
         unknowns, known = np.column_stack([np.ones(len(d)), d * u, d * v, d]), p
-    kept = np.ones(len(d), np.bool_)
+    kept, solution, error = np.ones(len(d), np.bool_), unknowns[:0], d
     for _ in range(ROUNDS):
         scale = np.abs(unknowns[kept]).max(axis=0)
         solution, _, rank, _ = np.linalg.lstsq(unknowns[kept] / scale, known[kept], rcond=1e-9)

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from stss.bench import measure
-from stss.bench import report as bench_report
-from stss.bench.contender import Setup
-from stss.bench.measure import SUMMARY, SizeResult, Timing, bench
-from stss.bench.noise import Noise, processor_time
-from stss.bench.ours import FRAMES, OURS, default_ours, frame_inputs, inputs_for, truth
-from stss.bench.peers import PEERS
 from stss_ground.errors import InputError
 from stss_ground.optional import require
+from stss_lab.bench import measure
+from stss_lab.bench import report as bench_report
+from stss_lab.bench.contender import Setup
+from stss_lab.bench.measure import SUMMARY, SizeResult, Timing, bench
+from stss_lab.bench.noise import Noise, processor_time
+from stss_lab.bench.ours import FRAMES, OURS, default_ours, frame_inputs, inputs_for, truth
+from stss_lab.bench.peers import PEERS
 from stss_ref.frame import FrameInputs, prepare
 from stss_ref.weights import random as random_weights
 
@@ -75,7 +75,7 @@ def test_a_contender_that_fails_is_a_row_and_the_others_go_on():
 
 
 def test_a_process_that_dies_is_a_row(monkeypatch):
-    from stss.bench import measure as module
+    from stss_lab.bench import measure as module
 
     def die(self, *_):
         self._process.kill()

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from conformance.scenes import SCENES
-from stss.bench.pareto import frontier
-from stss.frames.backends import ReferenceBackend
+from stss.frames.backends import ReferenceBackend, open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.run import budget
 from stss.run.budget import SETTINGS, choose
-from stss.run.choose_backend import open_method, with_skipping
+from stss.run.choose_backend import with_skipping
 from stss.sequence.scenes import display_frames, truth
 from stss.weights.file import BILINEAR, load
 from stss_ground.errors import InputError
+from stss_lab.bench.pareto import frontier
 
 
 class Sleeper:
@@ -75,7 +75,7 @@ def test_options_that_do_not_go_together(chosen, words):
 
 def test_the_reference_needs_none_of_them():
     compute = with_skipping(ComputeOptions(), None, None, possible=False)
-    backend, _ = open_method("network", load(BILINEAR), "ref", compute)
+    backend = open_backend("ref", load(BILINEAR), compute)
     assert isinstance(backend, ReferenceBackend)
 
 

@@ -16,7 +16,7 @@ import pytest
 
 from stss.cluster import run as module
 from stss.cluster.chunk import Work, compute_chunk
-from stss.cluster.run import Cluster, cut, require_independent, run_on_cluster
+from stss.cluster.run import Cluster, cut, require_no_budget, run_on_cluster
 from stss.cluster.workers import LocalWorkers, connected
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
@@ -327,7 +327,6 @@ def test_an_address_that_is_none_is_one_line(address, said, monkeypatch):
 
 
 def test_what_cannot_be_cut_is_refused():
-    require_independent("network", None)
-    for method, budget in (("taau", None), ("network", 0.04)):
-        with pytest.raises(InputError, match="--cluster"):
-            require_independent(method, budget)
+    require_no_budget(None)
+    with pytest.raises(InputError, match="--cluster"):
+        require_no_budget(0.04)

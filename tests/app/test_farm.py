@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from stss.baselines.registry import MethodBackend
 from stss.run.gather import gather
 from stss.run.job import run
 from stss.run.options import RunOptions
 from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
 from stss_ground.output.folder import SUMS
+from stss_lab.baselines.registry import MethodBackend
 
 TEMPLATE = Path(__file__).parents[2] / "examples" / "farm" / "stss.openjd.yaml"
 
@@ -60,7 +60,7 @@ def openjd_run(openjd, tmp_path, frames, out):
         command.write_text(f'#!/bin/sh\nexec "{sys.executable}"{arguments} "$@"\n')
         command.chmod(0o755)
     given = {"Frames": frames, "Out": out, "Profile": "stss", "First": 0, "Last": 7, "Chunk": 5, "LastTask": 1}
-    given["Options"] = "--method bilinear"
+    given["Options"] = "--weights bilinear --backend ref"
     words = [word for name, value in given.items() for word in ("-p", f"{name}={value}")]
     return subprocess.run(
         [openjd, "run", TEMPLATE, "--step", "Gather", "--run-dependencies", *words],

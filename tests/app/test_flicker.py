@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from stss.images.read_write import write_rgb
-from stss.quality.flicker import change_between, display_motion, flicker
 from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
+from stss_lab.methods.flicker import change_between, display_motion, flicker
 
 SIZE = (16, 24)
 

@@ -15,11 +15,11 @@ from rich.console import Console
 from stss.images.read_write import write_mask, write_rgb
 from stss.quality.compare import compare, print_comparison
 from stss.quality.flip_vmaf import flip_map, vmaf_scores
-from stss.quality.methods_table import run_methods
 from stss.quality.metrics import score, to_8bit
 from stss.run.options import RunOptions
 from stss_ground.errors import InputError
 from stss_ground.optional import installed
+from stss_lab.methods.methods_table import run_methods
 
 needs_flip = pytest.mark.skipif(not installed("flip_evaluator"), reason="flip-evaluator is not installed: the extra metrics")
 needs_vmaf = pytest.mark.skipif(not installed("imageio_ffmpeg"), reason="imageio-ffmpeg is not installed: the extra metrics")

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from stss.bench import gpu_report
-from stss.bench.gpu_page import page
-from stss.bench.gpu_report import Step
 from stss.cli.main import stss
 from stss_cl.device.discovery import DeviceError, open_device
+from stss_lab.bench import gpu_report
+from stss_lab.bench.gpu_page import page
+from stss_lab.bench.gpu_report import Step
 
 
 @pytest.fixture(autouse=True)

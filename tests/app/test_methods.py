@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Display frames without a network: what each method must keep, and how `stss run --method` and `stss methods` use them."""
+"""Display frames without a network: what each method must keep, and how `stss methods` uses them."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 import pytest
 
-from stss.baselines.fxaa import fxaa
-from stss.baselines.registry import ACCUMULATING, METHODS, MethodBackend
 from stss.demo import write_demo_sequence
 from stss.frames.backends import ReferenceBackend
 from stss.frames.display_frame import frame_inputs
 from stss.frames.supersample import plan
 from stss.frames.supersampler import supersample
-from stss.images.read_write import read_header, read_rgb
+from stss.images.read_write import read_rgb
 from stss.images.resample import catmull_rom, enlarged, lanczos_centres
-from stss.quality.methods_table import choose_methods
 from stss.run.job import run
 from stss.run.options import RunOptions
 from stss.sequence.reader import open_sequence
 from stss.weights.file import BILINEAR, load
 from stss_ground.errors import InputError
+from stss_lab.baselines.fxaa import fxaa
+from stss_lab.baselines.registry import ACCUMULATING, METHODS, MethodBackend
+from stss_lab.methods.methods_table import choose_methods
 from stss_ref.frame import FrameInputs
 from stss_ref.resample import upsample_centres
 
@@ -329,24 +329,6 @@ def demo(tmp_path_factory):
     out = tmp_path_factory.mktemp("demo")
     write_demo_sequence(out, 8, (24, 40))
     return out
-
-
-def test_run_by_a_method(demo, tmp_path):
-    result = stss("run", demo / "frames", "-o", tmp_path / "out", "--method", "fxaa", "--device", "none such")
-    assert result.returncode == 0, result.stderr
-    assert "4 SF, 4 EF written" in result.stderr
-    attributes = read_header(tmp_path / "out" / "frame.0003.exr").attributes
-    found = [attributes[f"stss:{name}"] for name in ("method", "weights", "backend", "kind")]
-    assert found == ["fxaa", "none", "numpy", "EF"]
-    compared = stss("compare", tmp_path / "out", demo / "truth", "--json")
-    assert json.loads(compared.stdout)["made_with"]["method"] == ["fxaa"]
-
-
-def test_run_refuses_to_resume_taau_in_one_line(demo, tmp_path):
-    result = stss("run", demo / "frames", "-o", tmp_path / "out", "--method", "taau", "--resume")
-    assert result.returncode == 2
-    assert len(result.stderr.strip().splitlines()) == 1
-    assert not (tmp_path / "out").exists()
 
 
 def test_methods_side_by_side(demo, tmp_path):

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from conformance.tolerance import ratio
-from stss.bench import onnx_export
-from stss.bench.contender import Setup
-from stss.bench.ours import network_inputs
-from stss.bench.peers import PEERS, OnnxRuntime, OpenVino, PyTorch
 from stss_ground.errors import InputError
+from stss_lab.bench import onnx_export
+from stss_lab.bench.contender import Setup
+from stss_lab.bench.ours import network_inputs
+from stss_lab.bench.peers import PEERS, OnnxRuntime, OpenVino, PyTorch
 from stss_ref.network import network
 from stss_ref.weights import astype
 from stss_ref.weights import random as random_weights

@@ -9,10 +9,10 @@ import math
 import pytest
 from click.testing import CliRunner
 
-from stss.bench.pareto import SETTINGS, chosen_settings, measure
 from stss.cli.main import stss
 from stss_cl.device.discovery import DeviceError, open_device
 from stss_ground.errors import InputError
+from stss_lab.bench.pareto import SETTINGS, chosen_settings, measure
 from stss_ref.weights import random as random_weights
 
 

@@ -62,8 +62,6 @@ def test_resume_makes_anew_what_other_planes_made(frames, weights, by_half, tmp_
     "others",
     [
         ("--backend", "ref"),
-        ("--method", "taau"),
-        ("--method", "bilinear"),
         ("--precision", "half"),
         ("--skip", "off"),
         ("--memory-limit", "9"),

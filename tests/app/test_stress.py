@@ -9,16 +9,16 @@ from click.testing import CliRunner
 
 from conformance.protocol.stages import reference
 from conformance.tolerance import BOUNDS, UNIT, ratio
-from stss.cli.stress import stress_command
-from stss.stress import plot as stress_plot
-from stss.stress import report as stress_report
-from stss.stress.engines import NETWORK, OpenCLEngine, ReferenceEngine
-from stss.stress.inputs import exact, image_noise, permuted, scaled, stage_inputs, transposed, transposed_arrays
-from stss.stress.measure import MEASUREMENTS, Results, make_plan, stress
-from stss.stress.monte_carlo import StochasticRounding, Trace, Watcher, digits_of, samples, significant_digits, watched
-from stss.stress.table import StressPlan, StressTable, relative_error, short
 from stss_ground.errors import InputError
 from stss_ground.optional import require
+from stss_lab.command_stress import stress_command
+from stss_lab.stress import plot as stress_plot
+from stss_lab.stress import report as stress_report
+from stss_lab.stress.engines import NETWORK, OpenCLEngine, ReferenceEngine
+from stss_lab.stress.inputs import exact, image_noise, permuted, scaled, stage_inputs, transposed, transposed_arrays
+from stss_lab.stress.measure import MEASUREMENTS, Results, make_plan, stress
+from stss_lab.stress.monte_carlo import StochasticRounding, Trace, Watcher, digits_of, samples, significant_digits, watched
+from stss_lab.stress.table import StressPlan, StressTable, relative_error, short
 from stss_ref.weights import LAYERS
 from stss_ref.weights import random as random_weights
 

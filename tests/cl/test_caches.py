@@ -70,7 +70,9 @@ def test_all_caches_lie_in_one_private_folder(device, bare, tmp_path):
     """Whatever the umask; of the command, and of whatever else is imported: PyOpenCL's pickles are not there."""
     write_demo_sequence(tmp_path, 2, (16, 24))
     environment = bare | {"XDG_CACHE_HOME": ""}
-    done = stss("run", tmp_path / "frames", "-o", tmp_path / "out", "--method", "bilinear", env=environment, umask=0)
+    done = stss(
+        "run", tmp_path / "frames", "-o", tmp_path / "out", "--weights", "bilinear", "--backend", "ref", env=environment, umask=0
+    )
     assert done.returncode == 0, done.stderr
     assert compute(bare, umask=0) == "None"
     home = tmp_path / "home"

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stss.bench.ours import contender, frame_inputs, truth
+from stss_lab.bench.ours import contender, frame_inputs, truth
 from tests.app.test_bench import WEIGHTS, setup
 
 

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 
 from conformance.cases.planes import SEEDS, sizes
 from conformance.tolerance import ratio, sum_bound, worst
-from stss.devices.tile_timing import INTEL
 from stss_cl.device.buffers import padded, read, write
 from stss_cl.device.tuning import BUILT_IN, Winograd, built_in_rows, trial
 from stss_cl.network.conv import conv
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import PRECISIONS, Network
 from stss_cl.network.pack_weights import EVERY_SECOND, POINTS, pack, winograd_matrix
+from stss_lab.tune.tile_timing import INTEL
 from stss_ref import conv as reference
 from stss_ref.arrays import ArrayError
 from stss_ref.network import network

@@ -9,9 +9,6 @@ import pyopencl as cl
 import pytest
 from rich.console import Console
 
-from stss.devices import tile_timing as trials
-from stss.devices import tune
-from stss.devices.tile_timing import INTEL, SHAPES, Trials, direct_candidates, winograd_candidates
 from stss_cl.device import tuning
 from stss_cl.device.discovery import DeviceError, Properties
 from stss_cl.device.tuning import (
@@ -29,6 +26,9 @@ from stss_cl.device.tuning import (
     tuning_for,
 )
 from stss_cl.network.tiles import whole
+from stss_lab.tune import tile_timing as trials
+from stss_lab.tune import tune
+from stss_lab.tune.tile_timing import INTEL, SHAPES, Trials, direct_candidates, winograd_candidates
 
 
 @pytest.fixture(autouse=True)

@@ -24,7 +24,7 @@ from stss_ground.output.write_whole import write_named, write_whole
 from stss_ref.weights import random as random_weights
 from tests.hostile.cases import call, refused
 
-PLAIN = ("--method", "bilinear")
+PLAIN = ("--weights", "bilinear", "--backend", "ref")
 """A run that needs neither network nor device."""
 SIZE = (18, 32)
 FRAMES = 4
@@ -211,7 +211,7 @@ def test_overwrite_removes_nothing_before_the_new_frames_are_there(finished, dem
     shutil.copytree(demo / "frames", frames)
     (frames / "demo.0002.exr").write_bytes((frames / "demo.0002.exr").read_bytes()[:3000])
     before = contents(out)
-    refused(call("run", frames, "-o", out, "--overwrite", "--method", "lanczos"), "demo.0002.exr")
+    refused(call("run", frames, "-o", out, "--overwrite", "--weights", "bilinear", "--backend", "ref"), "demo.0002.exr")
     after = contents(out)
     changed = {name for name in before if before[name] != after[name]}
     assert after.keys() == before.keys()

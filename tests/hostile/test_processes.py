@@ -10,13 +10,13 @@ import time
 import click
 import pytest
 
-from stss.baselines.registry import MethodBackend
 from stss.demo import write_demo_sequence
 from stss.images.read_write import write_rgb
 from stss.run.job import run
 from stss.run.options import RunOptions
 from stss.sequence.reader import open_sequence
 from stss_ground.guard import run_guarded
+from stss_lab.baselines.registry import MethodBackend
 from tests.hostile.cases import refused, stss
 
 
@@ -30,10 +30,10 @@ def frames(tmp_path_factory):
 def test_a_closed_stream_is_no_file(frames, tmp_path):
     """What would be printed to a closed stream does not get into the next file that is opened, and the status is the run's."""
     out = tmp_path / "out"
-    words = f"{sys.executable} -m stss run {frames} -o {out} --method bilinear"
+    words = f"{sys.executable} -m stss run {frames} -o {out} --weights bilinear --backend ref"
     for streams in ("2>&-", "<&- >&- 2>&-"):
         assert subprocess.run(["sh", "-c", f"{words} --overwrite {streams}"], check=False).returncode == 0
-        assert stss("run", frames, "-o", out, "--method", "bilinear", "--resume").stderr.count("4 kept") == 1
+        assert stss("run", frames, "-o", out, "--weights", "bilinear", "--backend", "ref", "--resume").stderr.count("4 kept") == 1
     done = subprocess.run(["sh", "-c", f"{words} 2>&-"], stdout=subprocess.PIPE, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
 
@@ -43,7 +43,7 @@ def test_little_memory_is_one_line(frames, tmp_path, mib):
     def limit():
         resource.setrlimit(resource.RLIMIT_AS, (mib << 20, mib << 20))
 
-    done = stss("run", frames, "-o", tmp_path / "out", "--method", "bilinear", preexec_fn=limit)
+    done = stss("run", frames, "-o", tmp_path / "out", "--weights", "bilinear", "--backend", "ref", preexec_fn=limit)
     assert "Traceback" not in done.stderr
     if done.returncode:
         refused(done, "out of memory")

@@ -65,7 +65,6 @@ GAP = f"no frame between 1 and {FAR}; expected gaps of at most 1000"
     ("command", "words"),
     [
         ("check in", f"frames step by {FAR - 1}"),
-        (f"run in -o new --rendered all --method taau --frames {FAR}:{FAR} --keep-going", GAP),
         ("methods in truth -o new --rendered all --methods bilinear", GAP),
         ("flicker out truth --sequence in", "expected two frames in a row"),
         (f"run in -o new --frames 2:{FAR - 1} --keep-going", GAP),

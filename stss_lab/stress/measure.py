@@ -11,12 +11,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from stss.stress import hard_image_cases as cases
-from stss.stress import hard_network_cases as network_cases
-from stss.stress import sweeps
-from stss.stress.engines import Engine, OpenCLEngine, ReferenceEngine
-from stss.stress.table import StressPlan, StressTable
 from stss_ground.errors import InputError
+from stss_lab.stress import hard_image_cases as cases
+from stss_lab.stress import hard_network_cases as network_cases
+from stss_lab.stress import sweeps
+from stss_lab.stress.engines import Engine, OpenCLEngine, ReferenceEngine
+from stss_lab.stress.table import StressPlan, StressTable
 from stss_ref.weights import Weights
 
 MEASUREMENTS: dict[str, Callable[[StressPlan], StressTable]] = {

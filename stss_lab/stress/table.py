@@ -11,7 +11,7 @@ import numpy as np
 
 from conformance.protocol.port import Arrays
 from conformance.tolerance import UNIT
-from stss.stress.engines import Engine
+from stss_lab.stress.engines import Engine
 from stss_ref.arrays import Array
 from stss_ref.weights import Weights
 from stss_ref.weights import random as random_weights

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from conformance.protocol.stages import reference
-from stss.stress.inputs import exact, frame_noise, scaled, scaled_weights, stage_inputs
-from stss.stress.monte_carlo import Trace, watched
-from stss.stress.table import Cell, StressPlan, StressTable, in_units, relative_error, short
+from stss_lab.stress.inputs import exact, frame_noise, scaled, scaled_weights, stage_inputs
+from stss_lab.stress.monte_carlo import Trace, watched
+from stss_lab.stress.table import Cell, StressPlan, StressTable, in_units, relative_error, short
 from stss_ref.arrays import Array
 from stss_ref.conv import conv_chain
 from stss_ref.erm import WINDOW, attend, normalise

@@ -19,11 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from stss.bench.contender import Setup
-from stss.bench.noise import Noise, processor_time
-from stss.bench.ours import FRAMES, OURS, contender, inputs_for, truth
-from stss.bench.peers import PEERS
 from stss_ground.errors import InputError
+from stss_lab.bench.contender import Setup
+from stss_lab.bench.noise import Noise, processor_time
+from stss_lab.bench.ours import FRAMES, OURS, contender, inputs_for, truth
+from stss_lab.bench.peers import PEERS
 from stss_ref.arrays import Image
 
 SIZES = ((360, 640), (540, 960), (1080, 1920))

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from stss.bench.contender import Peer, Setup
-from stss.bench.torch_network import TorchNetwork
 from stss_ground.errors import InputError
 from stss_ground.machine import versions
 from stss_ground.optional import require
+from stss_lab.bench.contender import Peer, Setup
+from stss_lab.bench.torch_network import TorchNetwork
 from stss_ref.arrays import Array
 from stss_ref.weights import Weights
 

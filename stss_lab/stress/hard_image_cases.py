@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stss.color import LARGEST, transfer
-from stss.stress.inputs import REACH
-from stss.stress.table import Cell, StressPlan, StressTable, short
+from stss_lab.stress.inputs import REACH
+from stss_lab.stress.table import Cell, StressPlan, StressTable, short
 from stss_ref.arrays import Array, Image, Mask
 from stss_ref.depth import normalise_depth
 from stss_ref.holes import HoleLimits, holes

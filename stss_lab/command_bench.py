@@ -70,11 +70,11 @@ def bench_command(
     frames: int,
 ) -> None:
     """Time the network on our backends and on other engines, and measure the errors of all against the float64 reference."""
-    from stss.bench import report as bench_report
-    from stss.bench.contender import Setup
-    from stss.bench.measure import bench as run_bench
-    from stss.bench.ours import default_ours
     from stss_ground.machine import available_threads
+    from stss_lab.bench import report as bench_report
+    from stss_lab.bench.contender import Setup
+    from stss_lab.bench.measure import bench as run_bench
+    from stss_lab.bench.ours import default_ours
     from stss_ref.weights import random as random_weights
 
     require_places({"--json": json_file, "--plot": plot}, [None if weights is None else Path(weights)])
@@ -83,8 +83,8 @@ def bench_command(
     console = Terminal(stderr=True)
     setups = [Setup(tensors, *size, device=device, threads=threads) for size in sizes]
     if pareto:
-        from stss.bench.pareto import chosen_settings
-        from stss.bench.pareto_report import bench_pareto
+        from stss_lab.bench.pareto import chosen_settings
+        from stss_lab.bench.pareto_report import bench_pareto
 
         bench_pareto(setups, scenes, chosen_settings(settings), frames, peers, repeat, console, json_file, plot)
         return
@@ -108,7 +108,7 @@ def gpu_report_command(out: Path, device: str | None, tiny: bool) -> None:
     Runs self-tests, tests and the judge, compares times with other engines, and finds tile sizes. Takes 25 minutes at most and needs no
     network. Ends with status 1 if something is wrong.
     """
-    from stss.bench.gpu_report import gpu_report
+    from stss_lab.bench.gpu_report import gpu_report
 
     good = gpu_report(out, device, tiny=tiny, tell=partial(echo, err=True))
     echo(f"{out / 'README.md'}")
@@ -121,7 +121,7 @@ def gpu_report_command(out: Path, device: str | None, tiny: bool) -> None:
 @click.option("--size", type=Size(), default=(544, 960), show_default="960x544", help="Size of the inputs: multiples of 8.")
 def export(weights: str, out: Path, size: tuple[int, int]) -> None:
     """Write the network with WEIGHTS, for inputs of one size, as an ONNX model for other engines."""
-    from stss.bench import onnx_export
+    from stss_lab.bench import onnx_export
 
     require_places({"--out": out}, [Path(weights)])
     onnx_export.write(out, load(weights).weights, *size)

@@ -12,9 +12,9 @@ from rich.console import Console
 from rich.table import Table
 
 from stss.devices.selection import choose
-from stss.devices.tile_timing import SHAPES, LayerShape, Sizes, Trials, direct_candidates, local_candidates, winograd_candidates
 from stss_cl.device.discovery import Device, DeviceError, Properties, matching
 from stss_cl.device.tuning import OUTPUTS, Direct, Local, Tuning, Winograd, built_in, store, stored, stored_path, to_toml
+from stss_lab.tune.tile_timing import SHAPES, LayerShape, Sizes, Trials, direct_candidates, local_candidates, winograd_candidates
 
 MARGIN = 1.02
 """Factor by which other sizes must be faster than the built-in ones to replace them."""

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conformance.protocol.port import Arrays
-from stss.stress.engines import features_of
+from stss_lab.stress.engines import features_of
 from stss_ref.arrays import Array
 from stss_ref.weights import LAYERS, Weights
 

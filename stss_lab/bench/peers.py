@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from stss.bench import onnx_export
-from stss.bench.contender import Peer, Setup
-from stss.bench.ncnn_peer import Ncnn
-from stss.bench.torch_network import TorchNetwork
 from stss_ground.errors import InputError
 from stss_ground.machine import versions
 from stss_ground.optional import require
+from stss_lab.bench import onnx_export
+from stss_lab.bench.contender import Peer, Setup
+from stss_lab.bench.ncnn_peer import Ncnn
+from stss_lab.bench.torch_network import TorchNetwork
 from stss_ref.arrays import Array
 
 

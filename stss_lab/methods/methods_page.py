@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from stss.quality.comparison_page import RenderedInputs, Version, write_comparison
-from stss.quality.methods_table import MethodResult, cells, meant
 from stss.quality.output_and_truth import find_pairs
 from stss.sequence.reader import Sequence as Frames
 from stss_ground.pages.page import table
+from stss_lab.methods.methods_table import MethodResult, cells, meant
 
 
 def methods_page(
@@ -20,7 +20,7 @@ def methods_page(
 
     Args:
         path: the file.
-        results: from `stss.quality.methods_table.run_methods`.
+        results: from `stss_lab.methods.methods_table.run_methods`.
         truth: the folder of the truth.
         sequence: the input of the methods.
         frames: first and last to show, both included; None: all.

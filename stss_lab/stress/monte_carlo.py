@@ -6,7 +6,7 @@ The reference is NumPy from its inputs to its image, and NumPy hands every opera
 its watcher. `StochasticRounding` rounds the result up or down at random to 24 or 11 bits; `Trace` only records it.
 
 A matrix product counts as one operation. A result that is exact in that many bits (a comparison, a maximum, a difference of neighbours)
-stays exact, as in a machine. Exponents have no limits: `stss.stress.hard_image_cases` covers overflow and subnormal numbers.
+stays exact, as in a machine. Exponents have no limits: `stss_lab.stress.hard_image_cases` covers overflow and subnormal numbers.
 
 Source: D. Stott Parker, Monte Carlo Arithmetic, 1997; stochastic rounding: N. Higham and T. Mary, 2019.
 """

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from stss.bench.contender import Contender, Setup
-from stss.bench.peers import PEERS
 from stss.frames.display_frame import WINDOW
 from stss_ground.machine import versions
 from stss_ground.optional import installed
+from stss_lab.bench.contender import Contender, Setup
+from stss_lab.bench.peers import PEERS
 from stss_ref.arrays import Image
 from stss_ref.frame import FrameInputs, NetworkInputs, frame
 from stss_ref.network import network

@@ -20,12 +20,12 @@ from pathlib import Path
 from typing import Literal
 
 from conformance.protocol.own_session import run_alone
-from stss.bench.gpu_page import page
 from stss_cl.device.discovery import Properties, is_gpu, matching
 from stss_ground.errors import InputError
 from stss_ground.machine import cpu_model, versions
 from stss_ground.output.write_whole import make_folder, write_named
 from stss_ground.version import VERSION
+from stss_lab.bench.gpu_page import page
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("numpy", "pyopencl", "torch", "onnxruntime", "onnxruntime-gpu", "tensorrt")

@@ -12,10 +12,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from stss.baselines.registry import METHODS
 from stss.frames.backends import NETWORK, Backend
 from stss.quality.compare import Comparison, compare
-from stss.quality.flicker import Flicker, flicker
 from stss.quality.flip_vmaf import require_packages
 from stss.quality.tables import print_whole
 from stss.run.job import require_near, run
@@ -23,6 +21,8 @@ from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence as Frames
 from stss.weights.file import BILINEAR
 from stss_ground.errors import InputError
+from stss_lab.baselines.registry import METHODS
+from stss_lab.methods.flicker import Flicker, flicker
 
 COLUMNS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
     "PSNR\nRGB": (("SF", "all", "psnr_rgb"), ("EF", "all", "psnr_rgb")),

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from stss.stress.measure import Results
-from stss.stress.table import StressTable
 from stss_ground.optional import require
 from stss_ground.output.write_whole import make_folder, write_figure
+from stss_lab.stress.measure import Results
+from stss_lab.stress.table import StressTable
 
 COLORS = {"ref": "black", "cl": "tab:blue", "cl direct": "tab:cyan", "cl half": "tab:orange"}
 """The colour of each engine."""

@@ -16,10 +16,6 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from stss.bench.contender import Setup
-from stss.bench.measure import Timing, bench
-from stss.bench.pareto import CANONICAL, JUDGED, WARM, Point, frontier, measure
-from stss.bench.report import PACKAGES
 from stss.frames.compute_options import ComputeOptions
 from stss.sequence.scenes import check_request
 from stss.weights.file import identity
@@ -30,6 +26,10 @@ from stss_ground.optional import require
 from stss_ground.output.write_whole import write_figure, write_named
 from stss_ground.terminal import Terminal
 from stss_ground.version import VERSION
+from stss_lab.bench.contender import Setup
+from stss_lab.bench.measure import Timing, bench
+from stss_lab.bench.pareto import CANONICAL, JUDGED, WARM, Point, frontier, measure
+from stss_lab.bench.report import PACKAGES
 
 FORMAT = 1
 """Version of the JSON; raised when a field changes its meaning."""

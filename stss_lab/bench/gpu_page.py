@@ -14,7 +14,7 @@ def page(folder: Path, report: Mapping[str, Any]) -> str:
 
     Args:
         folder: has the files that the steps wrote.
-        report: ``tiny``, ``machine`` and ``steps``, see ``stss.bench.gpu_report``.
+        report: ``tiny``, ``machine`` and ``steps``, see ``stss_lab.bench.gpu_report``.
     """
     machine, steps = report["machine"], report["steps"]
     bench = _read(folder / "bench.json")

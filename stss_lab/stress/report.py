@@ -15,13 +15,13 @@ from rich import box
 from rich.console import Console
 from rich.table import Table as RichTable
 
-from stss.stress.measure import Results
-from stss.stress.table import Cell, StressTable, short
 from stss.weights.file import identity
 from stss_ground.errors import InputError
 from stss_ground.machine import cpu_model, versions
 from stss_ground.output.write_whole import write_named
 from stss_ground.version import VERSION
+from stss_lab.stress.measure import Results
+from stss_lab.stress.table import Cell, StressTable, short
 
 FORMAT = 1
 """Raised when a field of the JSON changes its meaning."""

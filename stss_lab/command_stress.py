@@ -37,10 +37,10 @@ def stress_command(
     page: Path | None,
 ) -> None:
     """Measure where digits are lost: with magnitude, depth, size, order of summation, and in the worst places."""
-    from stss.stress import plot as stress_plot
-    from stss.stress import report as stress_report
-    from stss.stress.measure import MEASUREMENTS, Results, check_names, make_plan, stress
     from stss_ground.optional import require
+    from stss_lab.stress import plot as stress_plot
+    from stss_lab.stress import report as stress_report
+    from stss_lab.stress.measure import MEASUREMENTS, Results, check_names, make_plan, stress
 
     check_names(only)
     require_places({"--json": json_file, "--write": page}, [None if weights is None else Path(weights)])

@@ -10,11 +10,14 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from stss.baselines.fxaa import fxaa
-from stss.baselines.taau import Taau
+from stss.frames.backends import DEFAULTS, NETWORK, Backend, open_backend
+from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import OnArrays
 from stss.images.resample import lanczos_centres
+from stss.weights.file import LoadedWeights
 from stss_ground.errors import InputError
+from stss_lab.baselines.fxaa import fxaa
+from stss_lab.baselines.taau import Taau
 from stss_ref.arrays import Image, Mask
 from stss_ref.frame import FrameInputs, NetworkInputs, prepare
 from stss_ref.resample import upsample_centres
@@ -78,3 +81,33 @@ class MethodBackend(OnArrays):
         """See ``stss.frames.backends.Backend``."""
         prepared = prepare(inputs)
         return self._make(inputs, prepared), prepared.mask.astype(bool)
+
+
+NO_WEIGHTS = "none"
+"""The label of the weights in the files of a method without a network."""
+
+
+def open_method(
+    method: str,
+    loaded: LoadedWeights,
+    backend: str = "cl",
+    options: ComputeOptions = DEFAULTS,
+    *,
+    tell: Callable[[str], None] = lambda line: None,
+) -> tuple[Backend, str]:
+    """Open the backend of a method.
+
+    Args:
+        method: ``network``, or one of ``METHODS``, for which the other arguments do not matter.
+        loaded: the network's weights.
+        backend, options, tell: see ``stss.frames.backends.open_backend``.
+
+    Returns:
+        The backend and the label of its weights.
+
+    Raises:
+        InputError: there is no such method, or the options do not go together.
+    """
+    if method != NETWORK:
+        return MethodBackend(method), NO_WEIGHTS
+    return open_backend(backend, loaded.weights, options, tell=tell), loaded.label

@@ -12,8 +12,8 @@ import numpy as np
 from conformance.protocol.port import Arrays
 from conformance.protocol.stages import reference
 from conformance.tolerance import BOUNDS
-from stss.stress.engines import IMAGE, NETWORK, features_of
-from stss.stress.inputs import (
+from stss_lab.stress.engines import IMAGE, NETWORK, features_of
+from stss_lab.stress.inputs import (
     exact,
     frame_noise,
     image_noise,
@@ -24,8 +24,17 @@ from stss.stress.inputs import (
     transposed,
     transposed_arrays,
 )
-from stss.stress.monte_carlo import NamesUsed, StochasticRounding, Trace, Where, digits_of, samples, significant_digits, watched
-from stss.stress.table import Cell, StressPlan, StressTable, in_units, relative_error, short
+from stss_lab.stress.monte_carlo import (
+    NamesUsed,
+    StochasticRounding,
+    Trace,
+    Where,
+    digits_of,
+    samples,
+    significant_digits,
+    watched,
+)
+from stss_lab.stress.table import Cell, StressPlan, StressTable, in_units, relative_error, short
 from stss_ref.arrays import Array
 from stss_ref.decoder import decoder
 from stss_ref.encoder import encoder

@@ -13,12 +13,12 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from stss.bench.measure import PAUSE, SUMMARY, WARM_UP, SizeResult, Timing
-from stss.bench.peers import PEERS
 from stss_ground.machine import cpu_model, versions
 from stss_ground.optional import require
 from stss_ground.output.write_whole import write_figure, write_named
 from stss_ground.version import VERSION
+from stss_lab.bench.measure import PAUSE, SUMMARY, WARM_UP, SizeResult, Timing
+from stss_lab.bench.peers import PEERS
 
 FORMAT = 2
 """Version of the JSON; raised when a field changes its meaning."""

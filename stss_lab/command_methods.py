@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: MIT
+"""``stss methods`` and ``flicker``."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+
+from stss.cli.options import (
+    FrameRange,
+    backend_options,
+    frame_options,
+    perceptual_options,
+    sequence_options,
+    weights_option,
+)
+from stss.frames.backends import NETWORK
+from stss.frames.compute_options import ComputeOptions
+from stss.pages.viewer import page_folder
+from stss.sequence.reader import open_sequence
+from stss_ground.option_kinds import PATH, Names
+from stss_ground.output.apart import require_places
+from stss_ground.terminal import Terminal, echo
+
+
+@click.command("methods")
+@click.argument("sequence", type=PATH)
+@click.argument("truth", type=PATH)
+@click.option("-o", "--out", type=PATH, required=True, help="Folder for one folder of each method.")
+@sequence_options
+@weights_option
+@click.option("--methods", type=Names(), default=(), help="Which, such as bilinear,taau,network  [default: all]")
+@backend_options
+@frame_options
+@click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
+@click.option("--html", type=PATH, help="File for a page to look at: every method, frame by frame; needs no network.")
+@perceptual_options
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def methods_command(
+    sequence: Path,
+    truth: Path,
+    out: Path,
+    profile: str | None,
+    camera: Path | None,
+    metallic: float | None,
+    roughness: float | None,
+    non_finite: Any,
+    weights: str,
+    methods: tuple[str, ...],
+    frames: tuple[int, int] | None,
+    overwrite: bool,
+    html: Path | None,
+    flip: bool,
+    vmaf: bool,
+    as_json: bool,
+    backend: str,
+    compute: ComputeOptions,
+    **others: Any,
+) -> None:
+    """Run SEQUENCE with the network and with methods that have none, and compare all with TRUTH: one table, and a page with --html.
+
+    Columns are means over the frames of a kind; --json has every frame.
+    """
+    from stss.run.job import folder_of
+    from stss.run.options import RunOptions
+    from stss.sequence.choose_weights import choose_weights
+    from stss_lab.baselines.registry import open_method
+    from stss_lab.methods import methods_table as method_table
+    from stss_lab.methods.methods_page import methods_page
+
+    files = open_sequence(sequence, profile, camera=camera, metallic=metallic, roughness=roughness, non_finite=non_finite)
+    reads = [Path(weights), *([*truth.iterdir()] if truth.is_dir() else [])]
+    options = RunOptions.of(files.profile, frames=frames, overwrite=overwrite, **others)
+    chosen = method_table.choose_methods(methods, weights)
+    loaded = choose_weights(weights, files, partial(echo, err=True), needed=NETWORK in chosen)
+    folders = [*(folder_of(out / method) for method in chosen), *([] if html is None else [page_folder(html)])]
+    require_places({"--html": html}, [*files.tables, *reads], folders=folders, inputs=files.images)
+    console = Terminal(stderr=True)
+    with console.status("") as status:
+        results = method_table.run_methods(
+            files,
+            truth,
+            out,
+            chosen,
+            lambda method: open_method(method, loaded, backend, compute, tell=partial(echo, err=True)),
+            options,
+            flip=flip,
+            vmaf=vmaf,
+            on_step=status.update,
+            reads=reads,
+        )
+    if html is not None:
+        methods_page(html, results, truth, files, frames)
+    if as_json:
+        click.echo(method_table.to_json(results))
+    else:
+        method_table.print_results(results, Terminal())
+
+
+@click.command("flicker")
+@click.argument("out", type=PATH)
+@click.argument("truth", type=PATH)
+@click.option("--sequence", type=PATH, required=True, help="The input of OUT: surfaces are followed by its motion and G-buffer.")
+@sequence_options
+@click.option("--frames", type=FrameRange(), help="First and last frame to look at.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+def flicker_command(
+    out: Path, truth: Path, sequence: Path, profile: str | None, frames: tuple[int, int] | None, as_json: bool, **options: Any
+) -> None:
+    """Measure how the frames in OUT change along the motion, compared with those in TRUTH: in 8-bit levels."""
+    from stss_lab.methods.flicker import flicker, print_flicker
+
+    found = flicker(out, truth, open_sequence(sequence, profile, **options), frames=frames)
+    if as_json:
+        click.echo(found.to_json())
+    else:
+        print_flicker(found, Terminal())
