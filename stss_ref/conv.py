@@ -7,7 +7,7 @@ import numpy as np
 
 from stss_ref.arrays import Array, ArrayError, Image
 from stss_ref.watch import activation, layer
-from stss_ref.weights import Weights
+from stss_ref.weights import Tensors
 
 
 def conv(x: Image, weight: Array, bias: Array, stride: int = 1) -> Image:
@@ -61,13 +61,13 @@ def relu(x: Array) -> Array:
 
 
 @layer
-def conv_named(x: Image, weights: Weights, name: str, stride: int = 1) -> Image:
+def conv_named(x: Image, weights: Tensors, name: str, stride: int = 1) -> Image:
     """``conv`` with the tensors ``name.weight`` and ``name.bias``."""
     return conv(x, weights[f"{name}.weight"], weights[f"{name}.bias"], stride)
 
 
 @layer
-def gated(x: Image, weights: Weights, name: str, stride: int = 1) -> Image:
+def gated(x: Image, weights: Tensors, name: str, stride: int = 1) -> Image:
     """Gated convolution ``G``: ``conv(x) sigmoid(gate(x))``, where the gate is a convolution to one channel.
 
     Source: spec 7.
@@ -85,7 +85,7 @@ def gated(x: Image, weights: Weights, name: str, stride: int = 1) -> Image:
     return feature * sigmoid(conv_named(x, weights, f"{name}.conv_mask.0", stride))
 
 
-def conv_chain(x: Image, weights: Weights, name: str, layers: tuple[int, ...], *, last_relu: bool = True) -> Image:
+def conv_chain(x: Image, weights: Tensors, name: str, layers: tuple[int, ...], *, last_relu: bool = True) -> Image:
     """Convolutions ``name.0``, ``name.2``, ... one after the other, with ReLU between them.
 
     Args:

@@ -8,10 +8,10 @@ import numpy as np
 from stss_ref.arrays import Image, require_shape
 from stss_ref.conv import conv_chain, conv_named
 from stss_ref.resample import pixel_shuffle, upsample_centres, upsample_corners
-from stss_ref.weights import Weights
+from stss_ref.weights import Tensors
 
 
-def decoder(reshaded: Image, feature: Image, x1: Image, x2: Image, x3: Image, color: Image, weights: Weights) -> Image:
+def decoder(reshaded: Image, feature: Image, x1: Image, x2: Image, x3: Image, color: Image, weights: Tensors) -> Image:
     """The expanding half of the U-Net.
 
     ``u = concat(reshaded, feature)``; ``u = up1(concat(x3, u2))``, ``up2(concat(x2, u2))``, ``up3(concat(x1, u2))``, where ``u2`` is ``u``

@@ -8,10 +8,10 @@ import numpy as np
 from stss_ref.arrays import Image, Plane, require_shape
 from stss_ref.conv import gated, relu
 from stss_ref.rrm import concat_masked
-from stss_ref.weights import Weights
+from stss_ref.weights import Tensors
 
 
-def encoder(color: Image, gbuffer: Image, mask: Plane, weights: Weights) -> tuple[Image, Image, Image, Image]:
+def encoder(color: Image, gbuffer: Image, mask: Plane, weights: Tensors) -> tuple[Image, Image, Image, Image]:
     """The contracting half of the U-Net.
 
     ``x1 = conv2(conv1(concat(color, color mask, gbuffer)))``, ``x2 = down1(x1)``, ``x3 = down2(x2)``, ``x4 = down3(x3)``.
@@ -42,7 +42,7 @@ def encoder(color: Image, gbuffer: Image, mask: Plane, weights: Weights) -> tupl
     return x1, x2, x3, x4
 
 
-def _down(x: Image, weights: Weights, name: str) -> Image:
+def _down(x: Image, weights: Tensors, name: str) -> Image:
     """One gated convolution with stride 2 and no ReLU, then two with ReLU."""
     x = gated(x, weights, f"{name}.downsample", stride=2)
     return relu(gated(relu(gated(x, weights, f"{name}.conv1")), weights, f"{name}.conv2"))

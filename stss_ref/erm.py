@@ -9,14 +9,14 @@ from stss_ref.arrays import Image, Plane, require_shape
 from stss_ref.conv import conv_chain
 from stss_ref.resample import downsample_8
 from stss_ref.watch import part
-from stss_ref.weights import Weights
+from stss_ref.weights import Tensors
 
 WINDOW = 5
 """Side of the attention window, in pixels at 1/8 size (paper, Eq. 5)."""
 
 
 @part("reshaded")
-def erm(x4: Image, gbuffer: Image, mask: Plane, weights: Weights) -> Image:
+def erm(x4: Image, gbuffer: Image, mask: Plane, weights: Tensors) -> Image:
     """Reshade each place with the light of its neighbours, weighted by how alike their materials are.
 
     ``V = latentEncoder(concat(x4, f)) m``, ``K = KEncoder(f) / |KEncoder(f)|``,

@@ -15,7 +15,7 @@ from stss_ref.network import network
 from stss_ref.occlusion_warp import occlusion_warp
 from stss_ref.warp import warp
 from stss_ref.watch import part
-from stss_ref.weights import SecondColor, Weights, second_color
+from stss_ref.weights import SecondColor, Weights
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def frame(inputs: FrameInputs, weights: Weights, gather: Gather = "longest") -> 
     Raises:
         ArrayError: shapes or dtypes differ, or an array that must be finite is not.
     """
-    prepared = prepare(inputs, gather, second_color(weights))
+    prepared = prepare(inputs, gather, weights.second_color)
     image = network(prepared.color, prepared.gbuffer, prepared.mask, prepared.history, weights)
     return image, prepared.mask.astype(bool)
 

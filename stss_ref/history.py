@@ -7,10 +7,10 @@ import numpy as np
 
 from stss_ref.arrays import Array, Image, require_shape
 from stss_ref.conv import conv_chain, gated
-from stss_ref.weights import Weights
+from stss_ref.weights import Tensors
 
 
-def history_embedding(history: Array, weights: Weights) -> Image:
+def history_embedding(history: Array, weights: Tensors) -> Image:
     """Encode three earlier frames with the same weights, then fuse them.
 
     ``feature = G(concat(e(oldest), e(middle), e(newest)))``, ``e = convHis3(convHis2(convHis1(.)))``, each a stride-2 convolution and

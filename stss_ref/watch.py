@@ -11,7 +11,7 @@ from functools import wraps
 from typing import Concatenate, ParamSpec, TypeVar
 
 from stss_ref.arrays import Array, Image
-from stss_ref.weights import Weights
+from stss_ref.weights import Tensors
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -50,12 +50,12 @@ def watched() -> Generator[Seen]:
 
 
 def layer(
-    compute: Callable[Concatenate[Image, Weights, str, P], Image],
-) -> Callable[Concatenate[Image, Weights, str, P], Image]:
+    compute: Callable[Concatenate[Image, Tensors, str, P], Image],
+) -> Callable[Concatenate[Image, Tensors, str, P], Image]:
     """Let a function of input, weights and the layer's name be seen: its result, under that name."""
 
     @wraps(compute)
-    def noted(x: Image, weights: Weights, name: str, *rest: P.args, **named: P.kwargs) -> Image:
+    def noted(x: Image, weights: Tensors, name: str, *rest: P.args, **named: P.kwargs) -> Image:
         y = compute(x, weights, name, *rest, **named)
         if (seen := _seen.get()) is not None:
             seen.note(name, y)

@@ -6,8 +6,8 @@ Source: spec 7, 8, 10; paper, Tab. "Cost analysis for each component".
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from math import prod, sqrt
 from typing import Any, Literal, get_args
 
@@ -16,8 +16,8 @@ from numpy.typing import DTypeLike, NDArray
 
 from stss_ref.arrays import Array
 
-Weights = Mapping[str, Array]
-"""The array of each name in `TENSORS`: a convolution's weight is (out, in, kh, kw), its bias (out,)."""
+Tensors = Mapping[str, Array]
+"""Arrays by name, of the network or of some layers: a convolution's weight is (out, in, kh, kw), its bias (out,)."""
 
 Component = Literal["backbone", "history", "erm"]
 
@@ -27,17 +27,34 @@ before it where that is valid (`stss_ref.frame.prepare`)."""
 SECOND_COLORS: tuple[SecondColor, ...] = get_args(SecondColor)
 
 
-class Tensors(dict[str, Array]):
-    """The arrays by name, and the second colour that they were trained with."""
+@dataclass(frozen=True, eq=False)
+class Weights(Mapping[str, Array]):
+    """The network's arrays by name, and what else was settled in training. ``dataclasses.replace`` changes a part and keeps the rest.
 
-    def __init__(self, arrays: Mapping[str, Array], second_color: SecondColor = "newest"):
-        super().__init__(arrays)
-        self.second_color: SecondColor = second_color
+    Attributes:
+        tensors: the array of each name in `TENSORS`.
+        second_color: the second colour that they were trained with.
+    """
 
+    tensors: Tensors = field(repr=False)
+    second_color: SecondColor = "newest"
 
-def second_color(weights: Weights) -> SecondColor:
-    """The second colour that the weights were trained with: ``newest`` unless they are `Tensors` that say otherwise."""
-    return weights.second_color if isinstance(weights, Tensors) else "newest"
+    def __getitem__(self, name: str) -> Array:
+        return self.tensors[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.tensors)
+
+    def __len__(self) -> int:
+        return len(self.tensors)
+
+    def __or__(self, tensors: Tensors) -> Weights:
+        """The same weights with ``tensors`` in place of those of their names."""
+        return replace(self, tensors={**self.tensors, **tensors})
+
+    def convert(self, change: Callable[[Array], Array]) -> Weights:
+        """The same weights with ``change`` of each array."""
+        return replace(self, tensors={name: change(tensor) for name, tensor in self.tensors.items()})
 
 
 class WeightsError(ValueError):
@@ -52,12 +69,20 @@ alone thus refuses what it would compute wrongly."""
 
 def format_metadata(weights: Weights) -> dict[str, str]:
     """The entries that the metadata of a weights file must have (spec 10)."""
-    second = second_color(weights)
-    return {VERSION_KEY: NEWEST_ALONE} if second == "newest" else {VERSION_KEY: WITH_SECOND_COLOR, SECOND_COLOR_KEY: second}
+    if weights.second_color == "newest":
+        return {VERSION_KEY: NEWEST_ALONE}
+    return {VERSION_KEY: WITH_SECOND_COLOR, SECOND_COLOR_KEY: weights.second_color}
 
 
-def take_second_color(metadata: dict[str, str]) -> SecondColor:
-    """Take these entries out of a file's metadata; WeightsError if they are not those of a known version."""
+def take_format(metadata: dict[str, str]) -> Weights:
+    """Take these entries out of a file's metadata.
+
+    Returns:
+        Weights without tensors, which have what the entries say.
+
+    Raises:
+        WeightsError: the entries are not those of a known version.
+    """
     version = metadata.pop(VERSION_KEY, None)
     if version not in (NEWEST_ALONE, WITH_SECOND_COLOR):
         found = "no such entry" if version is None else repr(str(version)[:20])
@@ -67,7 +92,7 @@ def take_second_color(metadata: dict[str, str]) -> SecondColor:
     named = "newest" if version == NEWEST_ALONE else metadata.pop(SECOND_COLOR_KEY, "")
     for known in SECOND_COLORS:
         if named == known:
-            return known
+            return Weights({}, known)
     raise WeightsError(
         f"{SECOND_COLOR_KEY}: expected one of {', '.join(SECOND_COLORS)} in the metadata, found {str(named)[:20]!r}"
     )
@@ -210,11 +235,11 @@ def multiply_adds(height: int, width: int) -> dict[str, int]:
     return {layer.name: layer.multiply_adds(height, width) for layer in LAYERS}
 
 
-def check(tensors: Mapping[str, NDArray[Any]], second_color: SecondColor = "newest") -> Tensors:
-    """Check that ``tensors`` are weights of this network, and copy them.
+def check(tensors: Weights | Mapping[str, NDArray[Any]]) -> Weights:
+    """Check that ``tensors`` are those of this network, and copy them.
 
     Args:
-        tensors: array by name.
+        tensors: array by name; if they are `Weights`, the rest of these is kept.
 
     Returns:
         The same numbers, in the order of `TENSORS`, as C-contiguous read-only arrays of float32.
@@ -224,7 +249,8 @@ def check(tensors: Mapping[str, NDArray[Any]], second_color: SecondColor = "newe
             holds NaN or infinity. The message names it.
     """
     require_names(tensors)
-    return Tensors({name: _check_one(name, tensors[name]) for name in TENSORS}, second_color)
+    checked = {name: _check_one(name, tensors[name]) for name in TENSORS}
+    return replace(tensors, tensors=checked) if isinstance(tensors, Weights) else Weights(checked)
 
 
 def require_names(names: Collection[str]) -> None:
@@ -266,14 +292,14 @@ def _frozen(tensor: NDArray[Any]) -> Array:
 
 def zeros() -> Weights:
     """Weights of the method ``bilinear``: the network adds nothing to the upsampled colour, whatever its inputs."""
-    return {name: _frozen(np.zeros(shape, np.float32)) for name, shape in TENSORS.items()}
+    return Weights({name: _frozen(np.zeros(shape, np.float32)) for name, shape in TENSORS.items()})
 
 
 Use = Literal["frame", "once", "never"]
 """When a layer must run: for each frame; once, since no frame changes its result; never, since nothing that runs reads it."""
 
 
-def uses(weights: Weights) -> dict[str, Use]:
+def uses(weights: Tensors) -> dict[str, Use]:
     """When each layer of `LAYERS` must run with these weights for the image to be exact: kernels that are exactly 0 read nothing."""
     reads = {layer.name: _live_reads(layer, weights) for layer in LAYERS}
     varies = dict.fromkeys(SOURCES, True)
@@ -286,7 +312,7 @@ def uses(weights: Weights) -> dict[str, Use]:
     return {name: "never" if name not in needed else "frame" if varies[name] else "once" for name in reads}
 
 
-def _live_reads(layer: Layer, weights: Weights) -> list[str]:
+def _live_reads(layer: Layer, weights: Tensors) -> list[str]:
     """What a layer reads whose kernels are not all 0, the gate's included."""
     kernels = [weights[name] for name, shape in layer.tensors() if len(shape) == 4]
     live: list[str] = []
@@ -300,17 +326,17 @@ def _live_reads(layer: Layer, weights: Weights) -> list[str]:
     return live
 
 
-def reads_history(weights: Weights) -> bool:
+def reads_history(weights: Tensors) -> bool:
     """Whether the image depends on the history: not if kernels on every way from it are exactly 0, such as those of its last layer."""
     return uses(weights)["convHis1.0"] == "frame"
 
 
 def colors_read(weights: Weights) -> int:
     """How many of the three colour frames, from the newest on, the image depends on."""
-    return 3 if reads_history(weights) else 2 if second_color(weights) == "earlier" else 1
+    return 3 if reads_history(weights) else 2 if weights.second_color == "earlier" else 1
 
 
-def has_residual(weights: Weights) -> bool:
+def has_residual(weights: Tensors) -> bool:
     """Whether the network adds anything: if its last layer is all zeros, the image is the upsampled frame, whatever else is computed."""
     return bool(np.any(weights["outc.weight"]) or np.any(weights["outc.bias"]))
 
@@ -326,9 +352,9 @@ def random(seed: int) -> Weights:
         scale = sqrt(2 / prod(shape[1:])) if len(shape) == 4 else 0.1
         return _frozen((generator.standard_normal(shape) * scale).astype(np.float32))
 
-    return {name: draw(shape) for name, shape in TENSORS.items()}
+    return Weights({name: draw(shape) for name, shape in TENSORS.items()})
 
 
 def astype(weights: Weights, dtype: DTypeLike) -> Weights:
     """The same weights in another floating point ``dtype``; float64 for the truth."""
-    return Tensors({name: _frozen(tensor.astype(dtype)) for name, tensor in weights.items()}, second_color(weights))
+    return weights.convert(lambda tensor: _frozen(tensor.astype(dtype)))

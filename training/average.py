@@ -13,7 +13,6 @@ import numpy as np
 from stss.weights.file import load, save
 from stss_ground.errors import InputError
 from stss_ground.output.apart import require_places
-from stss_ref.weights import Tensors, second_color
 from training.command import command
 
 
@@ -32,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     chosen = parser.parse_args(arguments)
     require_places({"--out": chosen.out}, map(Path, chosen.weights))
     loaded = [load(name) for name in chosen.weights]
-    seconds = {second_color(each.weights) for each in loaded}
+    seconds = {each.weights.second_color for each in loaded}
     if len(seconds) > 1:
         raise InputError(f"weights: expected one second colour, found {' and '.join(sorted(seconds))}")
     tensors = {
@@ -43,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         tensors[name] *= np.float32(chosen.residual)
     save(
         chosen.out,
-        Tensors(tensors, *seconds),
+        loaded[0].weights | tensors,
         {"residual": str(chosen.residual), "average_of": json.dumps([dict(each.metadata) for each in loaded])},
     )
 

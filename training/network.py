@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from stss_ref.weights import TENSORS, SecondColor, Weights, check, second_color
+from stss_ref.weights import TENSORS, SecondColor, Weights, check
 
 
 class Rectifier(nn.Module):
@@ -243,9 +243,9 @@ def leak(network: nn.Module, slope: float) -> None:
 def load_weights(network: Network, weights: Weights) -> None:
     """Copy the specification's 92 tensors into ``network``, which gets their second colour, too."""
     network.load_state_dict({name: torch.from_numpy(np.array(tensor)) for name, tensor in weights.items()})
-    network.second_color = second_color(weights)
+    network.second_color = weights.second_color
 
 
 def to_weights(tensors: dict[str, Tensor], second: SecondColor = "newest") -> Weights:
     """The tensors of a state dict as the specification's 92 arrays, checked; ``second``: the second colour that they were trained with."""
-    return check({name: tensors[name].detach().float().cpu().contiguous().numpy() for name in TENSORS}, second)
+    return check(Weights({name: tensors[name].detach().float().cpu().contiguous().numpy() for name in TENSORS}, second))

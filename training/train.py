@@ -19,7 +19,7 @@ from torch import nn
 
 from stss.weights.file import load, save
 from stss_ground.errors import InputError
-from stss_ref.weights import SECOND_COLORS, SecondColor, second_color
+from stss_ref.weights import SECOND_COLORS, SecondColor
 from training import checkpoint
 from training.checkpoint import State
 from training.command import command
@@ -249,7 +249,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if chosen.compile and shutil.which(os.environ.get("CXX", "g++")) is None:
         raise InputError("--compile: expected a C++ compiler, g++ or what CXX names; found none")
     device = torch.device(chosen.device)
-    before = "newest" if chosen.initial is None else second_color(load(chosen.initial).weights)
+    before = "newest" if chosen.initial is None else load(chosen.initial).weights.second_color
     half = chosen.half == "on" or (chosen.half == "auto" and device.type == "cuda")
     settings = Settings(
         chosen.crop,

@@ -10,6 +10,7 @@ data, weights and depth exactly as rounding errors do, and needs no constant for
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -22,7 +23,7 @@ from conformance.protocol.layers import reference_layers
 from conformance.protocol.port import Outputs
 from conformance.protocol.stages import STAGES
 from conformance.tolerance import BOUNDS, UNIT
-from stss_ref.weights import Tensors, Weights, astype, second_color
+from stss_ref.weights import Tensors, Weights, astype
 
 OPEN = 100.0
 """A gate's bias at which its sigmoid is 1."""
@@ -87,9 +88,9 @@ def layer_change(terms: int, arithmetic: Arithmetic) -> float:
     return change
 
 
-def _changes(weights: Weights, arithmetic: Arithmetic) -> Weights:
+def _changes(weights: Weights, arithmetic: Arithmetic) -> Tensors:
     """Largest change of each weight."""
-    changes: Weights = {}
+    changes: dict[str, NDArray[Any]] = {}
     for name, tensor in weights.items():
         layer = weights[name.replace(".bias", ".weight")]
         size = layer_change(int(np.prod(layer.shape[1:])), arithmetic)
@@ -100,14 +101,14 @@ def _changes(weights: Weights, arithmetic: Arithmetic) -> Weights:
     return changes
 
 
-def _changed(weights: Weights, changes: Weights, random: np.random.Generator) -> Weights:
+def _changed(weights: Weights, changes: Tensors, random: np.random.Generator) -> Weights:
     arrays = {
         name: tensor + changes[name] * (2 * random.random(tensor.shape, np.float32) - 1) for name, tensor in weights.items()
     }
-    return Tensors(arrays, second_color(weights))
+    return replace(weights, tensors=arrays)
 
 
 def _opened(weights: Weights) -> Weights:
     """The weights with all gates open: they give the features, which the rounding error of even a nearly closed gate multiplies."""
     gates = {name: tensor * 0 + (OPEN if name.endswith("bias") else 0) for name, tensor in weights.items() if "conv_mask" in name}
-    return Tensors({**weights, **gates}, second_color(weights))
+    return weights | gates

@@ -127,7 +127,7 @@ def _lit(rng: Generator, keys: NDArray[np.float64], trusted: NDArray[np.float64]
     gbuffer = np.zeros((8 * height, 8 * width, 9))
     gbuffer[..., 0] = keys.repeat(8, axis=0).repeat(8, axis=1)
     inputs: Inputs = {"x4": rng.normal(0, 1, (height, width, 32)), "gbuffer": gbuffer}
-    return {**inputs, "mask": trusted.repeat(8, axis=0).repeat(8, axis=1)}, given
+    return {**inputs, "mask": trusted.repeat(8, axis=0).repeat(8, axis=1)}, Weights(given)
 
 
 def _dark(rng: Generator) -> tuple[Inputs, Weights]:

@@ -60,7 +60,7 @@ def exact_inputs(draw: st.DrawFn, stage: str, size: st.SearchStrategy[Size]) -> 
         for name, tensor in given.items():
             if name.startswith(("up1", "up2")) and name.endswith("weight"):
                 given[name] = _centred(tensor)
-    return inputs, given
+    return inputs, Weights(given)
 
 
 def _centred(tensor: NDArray[Any]) -> NDArray[Any]:
@@ -87,7 +87,7 @@ def rounded_sums(draw: st.DrawFn, stage: str) -> tuple[Inputs, Weights]:
     # A ReLU follows the encoder's layer.
     sign = 1.0 if stage == "encoder" else draw(st.sampled_from([1.0, -1.0]))
     given[name] = (rng.uniform(0, 1, given[name].shape) * sign).astype(np.float32)
-    return inputs, given
+    return inputs, Weights(given)
 
 
 def _copy_x1(given: Tensors) -> None:

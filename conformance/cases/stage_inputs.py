@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from conformance.cases.planes import SEEDS, Size, colors, dyadic_motions, masks, motions, sizes
 from conformance.scenes import SCENES, Rendered, render
 from stss_ref.constants import HoleLimits
-from stss_ref.weights import SECOND_COLORS, TENSORS, SecondColor, Tensors, Weights, random
+from stss_ref.weights import SECOND_COLORS, TENSORS, SecondColor, Weights, random
 
 Inputs = dict[str, NDArray[Any]]
 WEIGHT_KINDS = ("random", "sparse", "large", "small keys", "faint keys")
@@ -271,7 +271,7 @@ def made_weights(kind: str, seed: int, second: SecondColor = "newest") -> Weight
             made[name] = made[name] * np.float32(2)
         elif kind in ("small keys", "faint keys") and name.startswith("KEncoder.4"):
             made[name] = made[name] * np.float32(1e-6 if kind == "small keys" else 1e-11)
-    return Tensors(made, second)
+    return Weights(made, second)
 
 
 def _stencil(rng: np.random.Generator, size: Size, kind: str) -> NDArray[np.float64]:

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from conformance.answers.expected import largest
 from conformance.answers.network import expect_layers
 from conformance.judging.findings import Finding, said
 from conformance.judging.judge import Judge
-from conformance.judging.questions import copied
 from conformance.protocol.layers import LAYERS_OF, check_layers
 from conformance.protocol.port import Outputs, PortError
 from stss_ref.arrays import ArrayError
@@ -45,7 +46,7 @@ def _handed_over(judge: Judge, finding: Finding) -> Outputs:
         return {}
     inputs = {name: array.copy() for name, array in case.inputs.items()}
     try:
-        got: Outputs = ask(case.stage, inputs, copied(case.weights))
+        got: Outputs = ask(case.stage, inputs, case.weights.convert(np.copy))
         check_layers(case.stage, got, case.inputs)
     except (ArrayError, PortError):
         raise

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from conformance.judging.questions import BATCH, Answer, Dialogue, Talk, answers
 from conformance.protocol.port import Arrays, Case, Outputs, Port, PortError
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs
 from stss_ref.arrays import ArrayError
-from stss_ref.weights import Tensors, Weights, second_color
+from stss_ref.weights import Weights
 
 MOST_FLOAT16 = 1.0
 MOST_BEFORE = BATCH - 1
@@ -231,10 +231,8 @@ class Judge:
         if id(weights) not in self._weights:
             if len(self._weights) == MOST_WEIGHTS:
                 self._weights.clear()
-            self._weights[id(weights)] = (
-                weights,
-                Tensors(self.given(weights), second_color(weights) if self.weights_version > 1 else "newest"),
-            )
+            given = weights.convert(self.arithmetic.rounded)
+            self._weights[id(weights)] = weights, given if self.weights_version > 1 else replace(given, second_color="newest")
         return self._weights[id(weights)][1]
 
     def given(self, arrays: Arrays, stage: str = "") -> dict[str, NDArray[Any]]:

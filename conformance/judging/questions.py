@@ -7,11 +7,12 @@ from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from conformance.protocol.port import Case, Outputs, PortError, Unsupported
 from stss_ref.arrays import ArrayError
-from stss_ref.weights import Tensors, Weights, second_color
+from stss_ref.weights import Weights
 
 Talk = Generator[Any, Any, None]
 """A property on one of its cases: it yields a question, or several, gets their answers, and says that they are wrong or asks on."""
@@ -60,7 +61,7 @@ def _answer(port: Any, case: Case) -> Answer:
     """The answer of an object. Arrays are copied, since it may write to its inputs, or later to its outputs."""
     inputs = {name: array.copy() for name, array in case.inputs.items()}
     try:
-        outputs = port.run(case.stage, inputs, None if case.weights is None else copied(case.weights))
+        outputs = port.run(case.stage, inputs, None if case.weights is None else case.weights.convert(np.copy))
     except PortError as error:
         return error
     except ArrayError as error:
@@ -69,11 +70,6 @@ def _answer(port: Any, case: Case) -> Answer:
         # The port is foreign code: anything that it raises is a failure on this case.
         return PortError(f"{type(error).__name__}: {error}")
     return {name: array.copy() for name, array in outputs.items()}
-
-
-def copied(weights: Weights) -> Weights:
-    """Weights that a port may write to, with the same second colour."""
-    return Tensors({name: tensor.copy() for name, tensor in weights.items()}, second_color(weights))
 
 
 def _computed(port: Any, cases: Sequence[Case]) -> list[Answer]:

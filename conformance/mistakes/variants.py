@@ -27,7 +27,7 @@ from conformance.protocol.layers import Watched, chosen
 from conformance.protocol.port import AnyArray, Arrays, Outputs
 from conformance.protocol.stages import STAGES
 from conformance.tolerance import ratio
-from stss_ref.weights import Tensors, Weights, second_color
+from stss_ref.weights import Weights
 
 ROOT = Path(stss_ref.__file__).parent
 STAGES_FILE = Path(conformance.protocol.stages.__file__)
@@ -119,7 +119,7 @@ class Variant:
         """See `conformance.protocol.port.Port`. Wrong numbers raise no NumPy warning, since other languages give none."""
         if (entry := self._entry) is not None:
             inputs = {name: entry(array) if array.dtype.kind == "f" else array for name, array in inputs.items()}
-            weights = None if weights is None else Tensors({n: entry(t) for n, t in weights.items()}, second_color(weights))
+            weights = None if weights is None else weights.convert(entry)
         with np.errstate(all="ignore"):
             return self._reference(stage, inputs, weights)
 

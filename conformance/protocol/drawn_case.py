@@ -16,7 +16,7 @@ import numpy as np
 
 from conformance.protocol.job_folder import JobError, read_array, read_bytes
 from conformance.protocol.port import AnyArray
-from stss_ref.weights import SECOND_COLORS, Tensors
+from stss_ref.weights import SECOND_COLORS, Weights
 
 PROPERTY = "property.json"
 MOST_BYTES = 1 << 20
@@ -64,7 +64,7 @@ def _written(value: Any, noted: Callable[[AnyArray], str]) -> Any:
         return {"array": noted(value)}
     if isinstance(value, (list, tuple)):
         return {type(value).__name__: [_written(item, noted) for item in value]}
-    if isinstance(value, Tensors):
+    if isinstance(value, Weights):
         return {"weights": [value.second_color, _written(dict(value), noted)]}
     if isinstance(value, dict) and all(isinstance(key, str) for key in value):
         return {"dict": {key: _written(item, noted) for key, item in value.items()}}
@@ -104,6 +104,6 @@ def _read(value: Any, folder: Path, arrays: dict[str, AnyArray]) -> Any:
         return {str(key): _read(item, folder, arrays) for key, item in held.items()}
     if kind == "weights":
         second, tensors = held
-        return Tensors(_read(tensors, folder, arrays), SECOND_COLORS[SECOND_COLORS.index(second)])
+        return Weights(_read(tensors, folder, arrays), SECOND_COLORS[SECOND_COLORS.index(second)])
     items = [_read(item, folder, arrays) for item in held]
     return {"list": list, "tuple": tuple}[kind](items)

@@ -13,6 +13,7 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,7 @@ from conformance.protocol.port import AnyArray, Arrays, Case, Outputs, Unsupport
 from conformance.protocol.stages import check_input_shapes, check_inputs, check_output_shapes, find, require_inputs
 from stss_ground.terminal import printable
 from stss_ref.arrays import ArrayError
-from stss_ref.weights import Weights, WeightsError, check, format_metadata, take_second_color
+from stss_ref.weights import Weights, WeightsError, check, format_metadata, take_format
 
 LAYERS = "layers"
 """Folder of a case for the outputs of layers inside its stage; the judge makes it to ask for them."""
@@ -196,7 +197,7 @@ def read_weights(data: bytes, path: Path) -> Weights:
     try:
         tensors = dict(safetensors.deserialize(data))
         header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
-        second = take_second_color(dict(header.get("__metadata__", {})))
+        described = take_format(dict(header.get("__metadata__", {})))
         for name, tensor in tensors.items():
             if tensor["dtype"] != "F32":
                 raise JobError(f"{path}: {name[:80]}: expected dtype F32, got {tensor['dtype']}")
@@ -204,7 +205,7 @@ def read_weights(data: bytes, path: Path) -> Weights:
             name: np.frombuffer(tensor["data"], "<f4").astype(np.float32).reshape(tensor["shape"])
             for name, tensor in tensors.items()
         }
-        return check(arrays, second)
+        return check(replace(described, tensors=arrays))
     except WeightsError as error:
         raise JobError(f"{path}: {error}") from error
     except (safetensors.SafetensorError, ValueError) as error:

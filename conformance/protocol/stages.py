@@ -268,7 +268,7 @@ def reference(stage: str, inputs: Arrays, weights: Weights | None = None) -> Out
     if row.weights and weights is None:
         raise ArrayError(f"weights: missing; stage {stage} takes them")
 
-    cast: Weights = {}
+    cast = Weights({})
     if row.weights and weights is not None:
         cast = astype(weights, next(inputs[name].dtype for name, spec in row.inputs.items() if spec.kind == "float"))
     outputs = row.compute(inputs, cast)

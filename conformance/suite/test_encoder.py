@@ -29,9 +29,8 @@ def test_what_is_masked_is_read_once(judge: Judge, case: tuple[Inputs, Weights])
     """Where the mask is 0 everywhere, the weights of ``color * mask`` do not matter."""
     inputs, given = case
     closed = {**inputs, "mask": inputs["mask"] * 0}
-    other = dict(given)
+    other = given | {name: given[name].copy() for name in ("conv1.conv_feature.weight", "conv1.conv_mask.0.weight")}
     for name in ("conv1.conv_feature.weight", "conv1.conv_mask.0.weight"):
-        other[name] = given[name].copy()
         other[name][:, 6:12] = 0
     right = judge.right("encoder", closed, given)
     first, second = yield [ask("encoder", closed, w) for w in (given, other)]

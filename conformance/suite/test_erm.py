@@ -38,7 +38,8 @@ def test_a_masked_value_influences_nobody(judge: Judge, case: tuple[Inputs, Weig
     The material is left as it is, since the query at its place does read it.
     """
     inputs, given = case
-    taps = {n: _centre(t) if n.startswith(("latentEncoder", "KEncoder")) and t.ndim == 4 else t for n, t in given.items()}
+    wide = {n: t for n, t in given.items() if n.startswith(("latentEncoder", "KEncoder")) and t.ndim == 4}
+    taps = given | {name: _centre(tensor) for name, tensor in wide.items()}
     closed = _quarter(inputs)
     changed = {**closed, "x4": np.where(_eighth(closed["mask"])[..., None] == 0, 3 - closed["x4"], closed["x4"])}
     right = judge.right("erm", closed, taps)["reshaded"]
@@ -50,9 +51,10 @@ def test_a_masked_value_influences_nobody(judge: Judge, case: tuple[Inputs, Weig
 def test_equal_light_stays_equal(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """The average of equal values is that value, whatever their weights: if the light is the same everywhere, so is the result."""
     inputs, given = case
-    dark = {n: t * 0 if n.startswith("latentEncoder") and not n.endswith("4.bias") else t for n, t in given.items()}
+    changed = {n: t * 0 for n, t in given.items() if n.startswith("latentEncoder") and not n.endswith("4.bias")}
     if not np.any(given["KEncoder.4.bias"]):
-        dark["KEncoder.4.bias"] = given["KEncoder.4.bias"] + np.float32(1)
+        changed["KEncoder.4.bias"] = given["KEncoder.4.bias"] + np.float32(1)
+    dark = given | changed
     open_ = {**inputs, "mask": np.ones_like(inputs["mask"])}
     right = judge.right("erm", open_, dark)["reshaded"]
     got = (yield ask("erm", open_, dark))["reshaded"]
@@ -71,7 +73,7 @@ def test_opposite_materials_share_no_light(judge: Judge, case: tuple[tuple[Input
     signs = np.random.default_rng(seed).choice([-1.0, 1.0], (height, width))
     signed = {**inputs, "gbuffer": inputs["gbuffer"].copy()}
     signed["gbuffer"][..., 0] = signs.repeat(8, axis=0).repeat(8, axis=1)
-    yield from judge.agrees("erm", signed, {**given, **_sign_of_the_first(given)})
+    yield from judge.agrees("erm", signed, given | _sign_of_the_first(given))
 
 
 @cases(CASES, slow=True)

@@ -29,7 +29,7 @@ def test_the_three_frames_share_their_weights(judge: Judge, case: tuple[tuple[In
     blocks = np.concatenate([np.arange(32) + 32 * i for i in order])
     read = {name: tensor[:, blocks] for name, tensor in given.items() if name.startswith("lowlevelGated") and tensor.ndim == 4}
     turned = {"history": inputs["history"][order]}
-    whole, got = yield ask("history", inputs, given), ask("history", turned, {**given, **read})
+    whole, got = yield ask("history", inputs, given), ask("history", turned, given | read)
     right = judge.right("history", inputs, given)["feature"]
     judge.holds("history.feature", got["feature"], Expected(whole["feature"], 2 * np.asarray(right.allowed)))
 
@@ -38,8 +38,9 @@ def test_the_three_frames_share_their_weights(judge: Judge, case: tuple[tuple[In
 def test_without_weights_the_bias_is_left(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """If all weights are 0, the feature is the last layer's bias, times a gate of one half: no ReLU follows the gate."""
     inputs, given = case
-    still = {name: tensor if name == "lowlevelGated.conv_feature.bias" else tensor * 0 for name, tensor in given.items()}
-    bias = judge.given(still)["lowlevelGated.conv_feature.bias"].astype(np.float64)
+    name = "lowlevelGated.conv_feature.bias"
+    still = given.convert(lambda tensor: tensor * 0) | {name: given[name]}
+    bias = judge.given(still)[name].astype(np.float64)
     right = judge.right("history", inputs, still)["feature"]
     got = (yield ask("history", inputs, still))["feature"]
     judge.holds("history.feature", got, Expected(np.broadcast_to(bias / 2, got.shape), right.allowed))

@@ -41,7 +41,7 @@ def test_padding_repeats_the_last_row_and_column(judge: Judge, case: tuple[Input
 def test_without_a_residual_it_is_bilinear(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """With weights of 0 the image is the first three colours upsampled, within their own range."""
     inputs, given = case
-    still = {name: tensor * 0 for name, tensor in given.items()}
+    still = given.convert(lambda tensor: tensor * 0)
     got = (yield ask("network", inputs, still))["image"]
     color = judge.exactly(inputs, "network")["color"][..., :3]
     right = judge.right("network", inputs, still)["image"]

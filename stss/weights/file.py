@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -29,8 +29,7 @@ from stss_ref.weights import (
     format_metadata,
     require_names,
     require_shape,
-    second_color,
-    take_second_color,
+    take_format,
     zeros,
 )
 
@@ -70,8 +69,8 @@ class LoadedWeights:
 def identity(weights: Weights) -> str:
     """SHA-256 of names, shapes and numbers, and of a second colour that is not the newest frame's: equal for equal weights of any file."""
     digest = hashlib.sha256()
-    if (second := second_color(weights)) != "newest":
-        digest.update(f"{SECOND_COLOR_KEY} {second}\n".encode())
+    if weights.second_color != "newest":
+        digest.update(f"{SECOND_COLOR_KEY} {weights.second_color}\n".encode())
     for name in sorted(weights):
         digest.update(f"{name} {weights[name].shape}\n".encode())
         digest.update(weights[name].astype("<f4").tobytes())
@@ -113,10 +112,10 @@ def _read(path: Path) -> tuple[Weights, dict[str, str]]:
         with safe_open(path, "numpy") as file:
             metadata = dict(file.metadata() or {})
             try:
-                second = take_second_color(metadata)
+                described = take_format(metadata)
             except WeightsError as error:
                 raise InputError(f"{path}: {error}") from error
-            return check(_tensors(file), second), metadata
+            return check(replace(described, tensors=_tensors(file))), metadata
     except SafetensorError as error:
         raise InputError(f"{path}: damaged safetensors file ({error})") from error
     except OSError as error:
@@ -148,7 +147,8 @@ def save(path: str | Path, weights: Weights, metadata: Mapping[str, str]) -> Non
         InputError: the file can't be written.
         WeightsError: ``weights`` are not of this network.
     """
-    write_named(Path(path), _serialised(check(weights), {**metadata, **format_metadata(weights)}))
+    checked = check(weights)
+    write_named(Path(path), _serialised(checked, {**metadata, **format_metadata(checked)}))
 
 
 def _serialised(weights: Weights, metadata: Mapping[str, str]) -> bytes:

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from stss_ground.errors import InputError
-from stss_ref.weights import LAYERS, Layer, SecondColor, Use, Weights, second_color, uses
+from stss_ref.weights import LAYERS, Layer, SecondColor, Use, Weights, uses
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def inspect(weights: Weights, height: int, width: int) -> Inspection:
         -(-width // 8) * 8,
         rows,
         component_costs(height, width),
-        second_color(weights),
+        weights.second_color,
     )
 
 

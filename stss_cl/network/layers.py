@@ -23,7 +23,7 @@ from stss_cl.network.plan import LAST, Attend, Conv, Plan, Upsample, plan
 from stss_cl.network.strips import OVERLAP, Strip, bytes_for, rows_within, strips
 from stss_cl.network.tiles import Tiling, of_convolution, whole
 from stss_ref.arrays import Array
-from stss_ref.weights import BY_NAME, SecondColor, Weights, colors_read, reads_history, second_color, uses
+from stss_ref.weights import BY_NAME, SecondColor, Weights, colors_read, reads_history, uses
 
 See = Callable[[LayerLaunch, tuple[Padded, int, int] | None], None]
 WINDOW = 5
@@ -89,7 +89,7 @@ class Layers:
             what = planned(together=False)
         self.device, self.size, self.keep = device, (height, width), keep
         self.reads_history, self.colors_read = every or reads_history(weights), colors_read(weights)
-        self.second_color: SecondColor = second_color(weights)
+        self.second_color: SecondColor = weights.second_color
         self._weights, self._height, self._width, self._full, self._top = weights, rows, columns, full, 0
         self.inputs = inputs_for(device, rows, columns, dtype, keep)
         self._build = build = LayerBuilder(device, weights, precision, rows, columns, what.slots, self.inputs, keep)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from stss_cl.device.buffers import to_bfloat16
 from stss_cl.device.grid import ceil8
 from stss_cl.device.matrix_units import HELD, PARTS, arrange
-from stss_ref.weights import Weights
+from stss_ref.weights import Tensors
 
 POINTS = {4: (0.625, -0.625, 1.5, -1.5, 0.0), 2: (1.0, -1.0, 0.0)}
 """The points of F(4x4, 3x3) and F(2x2, 3x3), besides infinity. All constants are exact in float32, and the errors of F(4x4, 3x3) are 2
@@ -45,7 +45,7 @@ class Packed:
     used: int
 
 
-def pack(weights: Weights, name: str, inputs: tuple[tuple[int, int], ...]) -> Packed:
+def pack(weights: Tensors, name: str, inputs: tuple[tuple[int, int], ...]) -> Packed:
     """Pack the layer ``name``.
 
     Args:
@@ -72,7 +72,7 @@ def pack(weights: Weights, name: str, inputs: tuple[tuple[int, int], ...]) -> Pa
     )
 
 
-def pack_outc(weights: Weights) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def pack_outc(weights: Tensors) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """The 1 x 1 convolution outc as kernels/decoder.clh reads it: (24, 16) and (16), output channel 4c + 2i + j at 8i + 3j + c."""
     weight, bias = np.zeros((24, 16), np.float32), np.zeros(16, np.float32)
     places = [8 * i + 3 * j + c for c in range(3) for i in range(2) for j in range(2)]

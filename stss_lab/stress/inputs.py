@@ -85,7 +85,7 @@ def scaled(stage: str, inputs: Arrays, by: float) -> Given:
 
 def scaled_weights(weights: Weights, by: float, prefix: str = "") -> Weights:
     """The tensors whose names begin with ``prefix``, ``by`` times as large; the others as they are."""
-    return {n: (w * np.float32(by)).astype(np.float32) if n.startswith(prefix) else w for n, w in weights.items()}
+    return weights | {n: (w * np.float32(by)).astype(np.float32) for n, w in weights.items() if n.startswith(prefix)}
 
 
 def _inner_edges() -> list[tuple[str, tuple[str, ...], int]]:
@@ -127,12 +127,12 @@ def permuted(weights: Weights, seed: int) -> Weights:
         result[f"convHis3.4.{part}"] = result[f"convHis3.4.{part}"][order]
     for name in ("lowlevelGated.conv_feature.weight", "lowlevelGated.conv_mask.0.weight"):
         result[name] = result[name][:, last[:, order].ravel()]
-    return result
+    return weights | result
 
 
 def transposed(weights: Weights) -> Weights:
     """The network for frames with rows and columns exchanged: every sum over a window then runs in the other order."""
-    result = {n: np.ascontiguousarray(w.swapaxes(2, 3)) if w.ndim == 4 else w for n, w in weights.items()}
+    result = weights.convert(lambda w: np.ascontiguousarray(w.swapaxes(2, 3)) if w.ndim == 4 else w)
     exchanged = np.arange(12).reshape(3, 2, 2).swapaxes(1, 2).ravel()
     return result | {f"outc.{part}": result[f"outc.{part}"][exchanged] for part in ("weight", "bias")}
 

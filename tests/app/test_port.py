@@ -17,7 +17,7 @@ from conformance.protocol.stages import STAGES, check_inputs, reference
 from stss import port as ports
 from stss_ground.errors import InputError
 from stss_ref.arrays import ArrayError
-from stss_ref.weights import Tensors, WeightsError
+from stss_ref.weights import Weights, WeightsError, check
 from stss_ref.weights import random as random_weights
 from stss_ref.weights import zeros as zero_weights
 
@@ -96,7 +96,7 @@ def test_the_reference_as_a_program_has_the_bits_of_the_reference():
     cases.append(random_case("motion_chain", (6, 5), k=1))
     cases.append(random_case("warp", (6, 5), channels=1))
     last = random_case("frame", (8, 8), 9)
-    cases.append(replace(last, weights=Tensors(last.weights, "earlier")))
+    cases.append(replace(last, weights=Weights(last.weights, "earlier")))
 
     results = FolderPort(command("ref"), timeout=120).run_many(cases)
 
@@ -148,7 +148,7 @@ def test_cases_come_in_the_order_of_their_numbers(tmp_path):
 def test_one_weights_file_is_read_once(job, monkeypatch):
     weights = random_weights(1)
     case = random_case("history", (8, 8))
-    folder = job(*(Case("history", case.inputs, w) for w in (weights, weights, random_weights(2), dict(weights))))
+    folder = job(*(Case("history", case.inputs, w) for w in (weights, weights, random_weights(2), check(weights))))
     read, given = [], []
     monkeypatch.setattr(ports, "read_weights", lambda data, path: read.append(path) or jobs.read_weights(data, path))
     monkeypatch.setattr(ports, "reference", lambda *a: given.append(a[2]) or reference(*a))

@@ -17,7 +17,7 @@ from stss.weights.checkpoint import read_checkpoint
 from stss.weights.file import identity, load, save
 from stss.weights.inspect import component_costs, inspect, print_inspection
 from stss_ground.errors import InputError
-from stss_ref.weights import TENSORS, Tensors, Weights, WeightsError, random, second_color, zeros
+from stss_ref.weights import TENSORS, Weights, WeightsError, random, zeros
 
 VERSION = {"stss_weights_version": "1"}
 
@@ -41,9 +41,9 @@ def test_saved_weights_come_back_bit_for_bit(path: Path):
 
 
 def test_another_second_colour_is_in_the_file_and_in_the_identity(path: Path):
-    save(path, Tensors(random(1), "earlier"), {"made by": "test"})
+    save(path, Weights(random(1), "earlier"), {"made by": "test"})
     loaded = load(path)
-    assert second_color(loaded.weights) == "earlier"
+    assert loaded.weights.second_color == "earlier"
     assert loaded.metadata == {"made by": "test"}
     assert loaded.identity == identity(loaded.weights) != identity(random(1))
     with safe_open(path, "numpy") as file:
@@ -53,6 +53,7 @@ def test_another_second_colour_is_in_the_file_and_in_the_identity(path: Path):
 @pytest.mark.parametrize(("metadata", "message"), [
     ({"stss_weights_version": "2"}, r"second_color: expected one of newest, earlier in the metadata, found ''"),
     ({"stss_weights_version": "2", "second_color": "later" * 99}, "second_color: expected one of newest, earlier .*, found 'later"),
+    ({"stss_weights_version": "1", "second_color": "earlier"}, "second_color: expected no such entry"),
     ({"stss_weights_version": "3"}, "expected stss_weights_version 1 or 2 in the metadata, found '3'"),
 ])  # fmt: skip
 def test_an_unknown_second_colour_is_refused(path: Path, metadata: dict[str, str], message: str):
@@ -95,9 +96,8 @@ def test_the_name_bilinear_is_all_zeros():
 def test_identity_sees_every_number_and_nothing_else(path: Path):
     save(path, random(1), {"made by": "somebody else"})
     assert load(path).identity == identity(random(1))
-    assert identity(dict(reversed([*random(1).items()]))) == identity(random(1))
-    changed: dict[str, Any] = dict(random(1))
-    changed["outc.bias"] = np.nextafter(changed["outc.bias"], np.float32(1))
+    assert identity(Weights(dict(reversed([*random(1).items()])))) == identity(random(1))
+    changed = random(1) | {"outc.bias": np.nextafter(random(1)["outc.bias"], np.float32(1))}
     assert identity(changed) != identity(random(1))
 
 
@@ -232,9 +232,7 @@ def test_components_add_up():
 
 
 def test_inspection_shows_each_layer_and_its_largest_weight():
-    weights: dict[str, Any] = dict(zeros())
-    weights["conv1.conv_mask.0.bias"] = np.full(1, -3.5, np.float32)
-    seen = inspect(weights, 540, 955)
+    seen = inspect(zeros() | {"conv1.conv_mask.0.bias": np.full(1, -3.5, np.float32)}, 540, 955)
     assert (seen.height, seen.width) == (544, 960)
     assert len(seen.layers) == 34
     assert [row.layer.name for row in seen.layers if row.largest == 3.5] == ["conv1"]
@@ -242,14 +240,14 @@ def test_inspection_shows_each_layer_and_its_largest_weight():
 
 
 def test_inspection_says_what_is_left_out(capsys):
-    unread = {name: w * (not name.startswith("lowlevelGated.") or w.ndim < 4) for name, w in random(1).items()}
+    unread = random(1) | {name: w * 0 for name, w in random(1).items() if name.startswith("lowlevelGated.") and w.ndim == 4}
     for weights, said in ((random(1), False), (unread, True)):
         print_inspection(inspect(weights, 540, 960), Console())
         out = " ".join(capsys.readouterr().out.split())
         assert ("left out, since only kernels of 0 read them: convHis1.0, convHis1.2, " in out) == said
         assert ("run once, since all their kernels that read a frame are 0: lowlevelGated" in out) == said
         assert "second colour: newest, the newest frame" in out
-    print_inspection(inspect(Tensors(unread, "earlier"), 540, 960), Console())
+    print_inspection(inspect(Weights(unread, "earlier"), 540, 960), Console())
     assert "second colour: earlier, the frame before" in capsys.readouterr().out
 
 

@@ -21,7 +21,7 @@ from stss_cl.skip.change_control import RULES
 from stss_cl.skip.stream import SKIPS, Stream
 from stss_cl.skip.uploaded_frames import UploadedFrames
 from stss_ref.arrays import ArrayError
-from stss_ref.weights import Tensors
+from stss_ref.weights import Weights
 from stss_ref.weights import random as random_weights
 from tests.cl.conftest import QUICK
 
@@ -32,7 +32,7 @@ UNREAD = WEIGHTS | {
     for name in ("conv_feature", "conv_mask.0")
 }
 """The same, but that do not read the history."""
-EARLIER = Tensors(UNREAD, "earlier")
+EARLIER = Weights(UNREAD, "earlier")
 """The same again, whose second colour is that of the frame before."""
 
 

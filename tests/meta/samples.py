@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from conformance.cases.engine_inputs import ENGINE_STAGES, engine_inputs
 from conformance.protocol.port import Case
 from conformance.protocol.stages import STAGES
-from stss_ref.weights import SECOND_COLORS, Tensors, Weights, random
+from stss_ref.weights import SECOND_COLORS, Weights, random
 
 Float = NDArray[np.float32]
 Size = tuple[int, int]
@@ -116,7 +116,7 @@ def _rrm(generator: np.random.Generator) -> Any:
 @cache
 def weights_of(kind: str) -> Weights:
     """Weights that keep a signal's size, that enlarge it, or with materials that are almost 0."""
-    weights = dict(random(7))
+    weights = random(7)
     factors = {"plain": {}, "loud": {"": 1.8, "conv_feature.weight": 1.6}, "faint": {"KEncoder.4": 2.0**-12}}[kind]
     for part, factor in factors.items():
         weights |= {name: np.float32(factor) * tensor for name, tensor in weights.items() if part in name}
@@ -157,7 +157,7 @@ def _frame(generator: np.random.Generator) -> Any:
         inputs["motions"] = np.stack([motion(generator, size, "short") / 4 for _ in range(5)])
         inputs["gbuffer"], inputs["nov"] = generator.random((*size, 9)), generator.uniform(-1, 1, size)
         for second in SECOND_COLORS:
-            yield {**inputs, "steps": np.array(steps, np.int32)}, Tensors(weights_of("plain"), second)
+            yield {**inputs, "steps": np.array(steps, np.int32)}, Weights(weights_of("plain"), second)
 
 
 _SAMPLES: dict[str, Callable[[np.random.Generator], Any]] = {

@@ -32,7 +32,7 @@ from stss.cli.main import stss
 from stss.images.read_write import read_rgb
 from stss.port import ReferencePort
 from stss_ground.errors import InputError
-from stss_ref.weights import Tensors
+from stss_ref.weights import Weights
 from tests.hostile.cases import call
 from tests.meta.samples import samples
 
@@ -359,7 +359,7 @@ def test_the_example_in_cpp_passes(tmp_path):
         assert max(largest(right[name], layers[name]) for name in names) <= 1
     results = run_suite(Judge(port, Tier("some", 12, 3)))
     assert not [f"{result.id}: {result.message}" for result in results if result.outcome != "passed"]
-    earlier = [replace(case, weights=Tensors(case.weights, "earlier")) for case in samples("frame")]
+    earlier = [replace(case, weights=Weights(case.weights, "earlier")) for case in samples("frame")]
     for case in earlier:
         got = port.run(case.stage, case.inputs, case.weights)
         exact = {name: a.astype(np.float64) if a.dtype.kind == "f" else a for name, a in case.inputs.items()}

@@ -38,7 +38,7 @@ class Mangled(ReferencePort):
 
     def _given(self, weights):
         names = [name for name in weights if name.startswith(f"{self.layer}.") and name.endswith("weight") and "mask" not in name]
-        return {**weights, **{name: weights[name][::-1] if self.layer == "outc" else weights[name][:, :, ::-1] for name in names}}
+        return weights | {name: weights[name][::-1] if self.layer == "outc" else weights[name][:, :, ::-1] for name in names}
 
     def run(self, stage, inputs, weights=None):
         return super().run(stage, inputs, self._given(weights))

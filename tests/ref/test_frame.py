@@ -13,7 +13,7 @@ from stss_ref.conv import sigmoid
 from stss_ref.frame import FrameInputs, frame, prepare
 from stss_ref.network import network
 from stss_ref.resample import upsample_centres
-from stss_ref.weights import Tensors, zeros
+from stss_ref.weights import Weights, zeros
 from stss_ref.weights import random as random_weights
 
 
@@ -118,7 +118,7 @@ def test_the_weights_say_what_the_second_colour_is(data, size, seed):
     holes = newest.history[1, ..., 3] == 0
     np.testing.assert_array_equal(earlier.color[holes], newest.color[holes])
     np.testing.assert_array_equal(earlier.color[~holes, 3:], newest.history[1][~holes, :3])
-    for prepared, given_weights in ((newest, weights), (earlier, Tensors(weights, "earlier"))):
+    for prepared, given_weights in ((newest, weights), (earlier, Weights(weights, "earlier"))):
         want = network(prepared.color, prepared.gbuffer, prepared.mask, prepared.history, weights)
         np.testing.assert_array_equal(frame(inputs, given_weights)[0], want)
 

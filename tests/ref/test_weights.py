@@ -16,7 +16,6 @@ from stss_ref.weights import (
     LAYERS,
     SOURCES,
     TENSORS,
-    Tensors,
     Weights,
     WeightsError,
     astype,
@@ -25,7 +24,6 @@ from stss_ref.weights import (
     multiply_adds,
     random,
     reads_history,
-    second_color,
     uses,
     zeros,
 )
@@ -209,16 +207,21 @@ def test_when_layers_run():
 
 def test_the_second_colour_stays_with_the_tensors():
     """Checked, rounded, copied to another process; tensors alone mean the newest frame."""
-    made = Tensors(random(2), "earlier")
-    for same in (check(made, "earlier"), astype(made, np.float64), pickle.loads(pickle.dumps(made))):
-        assert second_color(same) == "earlier"
-    for other in (dict(made), check(made), random(2), zeros()):
-        assert second_color(other) == "newest"
+    made = Weights(random(2), "earlier")
+    for same in (
+        check(made),
+        made | {"outc.bias": made["outc.bias"]},
+        astype(made, np.float64),
+        pickle.loads(pickle.dumps(made)),
+    ):
+        assert same.second_color == "earlier"
+    for other in (check(dict(made)), random(2), zeros()):
+        assert other.second_color == "newest"
 
 
 def test_how_many_colour_frames_the_image_depends_on():
-    unread = {name: tensor * (not name.startswith("lowlevelGated")) for name, tensor in random(2).items()}
-    assert [colors_read(w) for w in (unread, Tensors(unread, "earlier"), random(2), Tensors(random(2), "earlier"))] == [
+    unread = random(2) | {name: tensor * 0 for name, tensor in random(2).items() if name.startswith("lowlevelGated")}
+    assert [colors_read(w) for w in (unread, Weights(unread, "earlier"), random(2), Weights(random(2), "earlier"))] == [
         1,
         2,
         3,

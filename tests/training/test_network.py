@@ -8,7 +8,7 @@ from conformance.answers.port_arithmetic import Arithmetic
 from conformance.tolerance import ratio, sum_bound
 from stss.quality.metrics import C2, PEAK, WINDOW, luma, ssim
 from stss_ref.loss import loss as reference_loss
-from stss_ref.weights import TENSORS, Tensors, reads_history, second_color, zeros
+from stss_ref.weights import TENSORS, Weights, reads_history, zeros
 from stss_ref.weights import random as random_weights
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test-training")
@@ -71,9 +71,9 @@ def test_an_earlier_second_colour_is_the_specification_s():
     """Of the same inputs: it is in the history. Saved and loaded it stays."""
     arrays = inputs(3)
     arrays["history"][..., 3] = arrays["history"][..., 3] > 0.5
-    weights, network = Tensors(random_weights(3), "earlier"), Network()
+    weights, network = Weights(random_weights(3), "earlier"), Network()
     load_weights(network, weights)
-    assert second_color(to_weights(network.state_dict(), network.second_color)) == "earlier"
+    assert to_weights(network.state_dict(), network.second_color).second_color == "earlier"
     with torch.no_grad():
         got = np.moveaxis(network(*tensors(arrays))[0].numpy(), 0, -1)
     middle = arrays["history"][1]

@@ -8,7 +8,7 @@ import pytest
 from stss.weights.file import load, save
 from stss_ground.errors import InputError
 from stss_ref.schedule import FrameKind
-from stss_ref.weights import random, reads_history, second_color
+from stss_ref.weights import random, reads_history
 from training.samples import Sample, write
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test-training")
@@ -74,11 +74,11 @@ def test_options_reach_the_run(data, tmp_path):
     run(data, tmp_path / "on", 4, "--initial", str(earlier))
     run(data, tmp_path / "back", 4, "--initial", str(earlier), "--second-color", "newest")
     made = {name: load(tmp_path / name / "weights.safetensors") for name in (*runs, "no history", "on", "back")}
-    assert [name for name, loaded in made.items() if second_color(loaded.weights) == "earlier"] == ["earlier", "on"]
+    assert [name for name, loaded in made.items() if loaded.weights.second_color == "earlier"] == ["earlier", "on"]
     with pytest.raises(InputError, match="weights: expected one second colour, found earlier and newest"):
         average([str(earlier), str(tmp_path / "back" / "weights.safetensors"), "-o", str(tmp_path / "mean.safetensors")])
     average([str(earlier), str(earlier), "-o", str(tmp_path / "mean.safetensors")])
-    assert second_color(load(tmp_path / "mean.safetensors").weights) == "earlier"
+    assert load(tmp_path / "mean.safetensors").weights.second_color == "earlier"
     assert [name for name, loaded in made.items() if not reads_history(loaded.weights)] == ["no history"]
     sums = {name: loaded.label for name, loaded in made.items()}
     assert sums.pop("no aids") == sums["plain"]
