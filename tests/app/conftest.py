@@ -6,7 +6,7 @@ import pytest
 from stss.images.read_write import write_channels
 from stss.weights.file import save
 from stss_ref.weights import random as random_weights
-from tests.app import browser as browsers
+from tests.app import browser
 
 VELOCITY = (1.5, 0.75)
 """Pixels a frame, right and down."""
@@ -75,10 +75,9 @@ def weights(tmp_path_factory):
     return path
 
 
-@pytest.fixture(scope="module")
-def browser():
-    """A headless browser; tests that want one are skipped where none is installed."""
-    if browsers.found() is None:
-        pytest.skip(f"no browser: none of {', '.join(browsers.NAMES)} is installed")
-    with browsers.browser() as found:
-        yield found
+@pytest.fixture(scope="session")
+def ask():
+    """`browser.ask`; tests that want it are skipped where no browser is installed."""
+    if browser.found() is None:
+        pytest.skip(f"no browser: none of {', '.join(browser.NAMES)} is installed")
+    return browser.ask

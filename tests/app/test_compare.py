@@ -14,7 +14,7 @@ from rich.console import Console
 
 from stss.color import transfer
 from stss.images.read_write import read_header, read_rgb, write_mask, write_rgb
-from stss.quality.compare import compare, listed, print_comparison
+from stss.quality.compare import compare, print_comparison
 from stss_ground.errors import InputError
 
 SIZE = (24, 32)
@@ -123,13 +123,6 @@ def test_exr_and_png_are_judged_alike(out, truth, name):
     write_rgb(truth / "frame.0001.exr", color)
     (truth / "frame.0001.png").unlink()
     assert compare(out, truth).rows[0].scores["all"].psnr_rgb == math.inf
-
-
-def test_an_exr_stands_before_a_png_of_the_same_frame(out, truth):
-    """A run resumed in the other format leaves both."""
-    write_pair(out, truth, 1, "SF", 3)
-    write_rgb(out / "frame.0001.exr", flat(0), metadata=labels("SF"))
-    assert compare(out, truth).rows[0].output.name == "frame.0001.exr"
 
 
 def test_frames_without_partner_are_listed(out, truth):
@@ -280,10 +273,3 @@ def test_bilinear_upsampling_scores_what_the_specification_says(out, reference_d
     found = compare(out, reference_data / "blender" / "hr", frames=(6, 14))
     assert abs(found.means[0].scores["all"].psnr_rgb - 29.7) < 0.05  # the digits given
     assert found.without_output == [7, 9, 11, 13]
-
-
-def test_numbers_in_words():
-    """Runs are joined."""
-    assert listed([7, 1, 2, 3, 5]) == "frames 1 to 3, 5, 7"
-    assert listed([4]) == "frame 4"
-    assert listed([]) == "no frames"

@@ -11,12 +11,15 @@ from tests.app.test_pages import HOSTILE, pictures
 
 
 @pytest.mark.parametrize("width", [390, 1280])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_report_on_a_port_has_the_style_of_the_pages(browser, tmp_path, width, scheme):
+def test_the_report_on_a_port_is_a_page_like_the_others(ask, tmp_path, width):
     """With a port's name and words of strangers, which stay text."""
     port = SimpleNamespace(name=f"port {HOSTILE}")
     judge = SimpleNamespace(
-        port=port, arithmetic=SimpleNamespace(dtype="float32", winograd=False), tier=SimpleNamespace(name="quick"), seed=0
+        port=port,
+        arithmetic=SimpleNamespace(dtype="float32", winograd=False),
+        tier=SimpleNamespace(name="quick"),
+        seed=0,
+        weights_version=2,
     )
     folder = tmp_path / "rrm.one"
     folder.mkdir()
@@ -27,18 +30,15 @@ def test_the_report_on_a_port_has_the_style_of_the_pages(browser, tmp_path, widt
     )
     right = TestResult("warp.a_test_with_a_long_name_that_goes_on", "warp", "Words. " * 30, "passed", record=Record(cases=9))
     write_page(tmp_path / "p.html", judge, [wrong, right], {"rrm.one": folder})
-    browser.open(tmp_path / "p.html", width=width, scheme=scheme)
-    assert browser.complaints() == []
-    assert browser.unnamed() == []
-    assert browser.do("document.documentElement.scrollWidth") <= width
-    assert browser.do("document.scripts.length") == 0
-    assert browser.do("document.images.length") == 1
+    script = """
+        const right = [...page.querySelectorAll("td.failed, td.passed")].map((e) => e.getBoundingClientRect().right);
+        const failure = page.querySelector("p a").hash;
+        return [page.documentElement.scrollWidth, right, page.scripts.length, page.images.length, failure, page.querySelector(
+            `[id="${failure.slice(1)}"]`).tagName];
+    """
+    wide, outcomes, *rest = ask(tmp_path / "p.html", script, width)
     # What a test came to is in sight, however narrow the page; and the first lines lead to each failure.
-    outcomes = browser.do("[...document.querySelectorAll('td.failed, td.passed')].map(e => e.getBoundingClientRect().right)")
+    assert wide <= width
     assert len(outcomes) == 2
     assert max(outcomes) <= width
-    assert browser.do("document.querySelector('p a').hash") == "#rrm.one"
-    assert browser.do("document.getElementById('rrm.one').tagName") == "H2"
-    paper = browser.do("getComputedStyle(document.body).backgroundColor")
-    assert paper == {"light": "rgb(255, 255, 255)", "dark": "rgb(13, 17, 23)"}[scheme]
-    browser.screenshot(tmp_path / "shot.png")
+    assert rest == [0, 1, "#rrm.one", "H2"]

@@ -6,10 +6,9 @@ import pytest
 
 from conformance.scenes import DEMO, render
 from stss.demo import BACKGROUND, INPUT_SAMPLES, demo_path, demo_sheet, frame_channels, write_demo_sequence
-from stss.images.contact_sheet import COMPARISON, comparison, contact_sheet, magnify
+from stss.images.contact_sheet import COMPARISON, comparison, contact_sheet
 from stss.images.read_write import read_channels, read_header, read_rgb, write_rgb
 from stss_ground.errors import InputError
-from stss_ref.arrays import ArrayError
 from stss_ref.resample import upsample_centres
 
 SIZE = (18, 32)
@@ -58,12 +57,6 @@ def test_channels_mean_what_the_buffers_mean():
     assert all(np.isfinite(plane).all() for plane in channels.values())
 
 
-def test_truth_has_twice_the_size_for_every_frame(sequence):
-    for number in range(4):
-        truth = read_rgb(demo_path(sequence / "truth", number))
-        assert truth.shape == (2 * SIZE[0], 2 * SIZE[1], 3)
-
-
 def test_an_earlier_demo_is_only_replaced_when_asked(tmp_path):
     write_demo_sequence(tmp_path, 2, (4, 8))
     (tmp_path / "frames" / "notes.txt").write_text("kept")
@@ -72,14 +65,6 @@ def test_an_earlier_demo_is_only_replaced_when_asked(tmp_path):
     write_demo_sequence(tmp_path, 1, (4, 8), overwrite=True)
     assert sorted(p.name for p in (tmp_path / "frames").iterdir()) == ["demo.0000.exr", "notes.txt"]
     assert [p.name for p in (tmp_path / "truth").iterdir()] == ["demo.0000.exr"]
-
-
-def test_same_demo_same_bytes(sequence, tmp_path):
-    write_demo_sequence(tmp_path, 2, SIZE)
-    for folder in ("frames", "truth"):
-        for number in range(2):
-            first, second = (demo_path(out / folder, number).read_bytes() for out in (sequence, tmp_path))
-            assert first == second
 
 
 def test_sheet_of_the_demo(sequence, tmp_path):
@@ -108,11 +93,6 @@ def test_comparison_is_bilinear_about_pixel_centres():
     assert np.all(difference == 0.5)
 
 
-def test_comparison_names_the_image_of_another_size():
-    with pytest.raises(ArrayError, match="truth: expected shape"):
-        comparison(np.zeros((4, 4, 3)), np.zeros((8, 8, 3)), np.zeros((8, 9, 3)))
-
-
 def test_sheet_shows_each_pixel_as_a_square():
     image = np.random.default_rng(1).random((5, 8, 3))
     sheet = contact_sheet([("row", [image, 1 - image])], ("one", "two"), crop=(1, 2, 3, 4), zoom=3)
@@ -122,28 +102,3 @@ def test_sheet_shows_each_pixel_as_a_square():
     assert sheet[:20].max() < sheet[20:54].max()  # the captions of the columns
     assert sheet.min() >= 0
     assert sheet.max() <= 1
-
-
-def test_sheet_clips_what_no_screen_shows():
-    image = np.full((2, 2, 3), 7.0)
-    assert contact_sheet([("", [image, -image])], ("a", "b")).max() == 1
-
-
-@pytest.mark.parametrize("crop", [(-1, 0, 2, 2), (0, 0, 5, 2), (0, 3, 2, 2), (0, 0, 0, 2)])
-def test_crop_must_lie_within(crop):
-    with pytest.raises(ValueError, match=r"crop: expected to lie within \(4, 4\)"):
-        magnify(np.zeros((4, 4, 3)), crop, 2)
-
-
-@pytest.mark.parametrize(
-    ("rows", "columns", "message"),
-    [
-        ([], ("a",), "rows: expected at least 1"),
-        ([("x", [])], (), "row 'x': expected 0 images, at least 1, got 0"),
-        ([("x", [np.zeros((2, 2, 3))])], ("a", "b"), "row 'x': expected 2 images"),
-        ([("x", [np.zeros((2, 2, 3)), np.zeros((2, 3, 3))])], ("a", "b"), "image: expected shape"),
-    ],
-)
-def test_a_sheet_that_cannot_be_laid_out(rows, columns, message):
-    with pytest.raises(ValueError, match=message):
-        contact_sheet(rows, columns)

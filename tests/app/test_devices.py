@@ -3,9 +3,7 @@
 import io
 import json
 import os
-import shutil
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -17,7 +15,6 @@ import pyopencl as cl
 import pytest
 from rich.console import Console
 
-import stss_cl
 from stss.devices import compiled_for, selftest, verdicts
 from stss.devices import selection as devices
 from stss.devices.selection import choose
@@ -181,14 +178,6 @@ def child(text):
 
 def answer(result):
     return child(f"print('a driver says hello'); print({json.dumps(json.dumps(result))})")
-
-
-def test_a_pass_is_a_pass():
-    got = run_selftest("any", answer(PASSED))
-    assert got.passed
-    assert str(got) == "passed"
-    assert got.gflops == PASSED["gflops"]
-    assert 0 < got.seconds < 30
 
 
 def test_a_failure_says_why():
@@ -364,70 +353,7 @@ def test_one_process_tests_while_others_wait(tmp_path):
     assert sorted(line.split()[0] for line in told) == ["first", "waiting", "waiting", "waiting"]
 
 
-@pytest.mark.skipif(os.name == "nt", reason="the test holds a lock by flock")
-def test_a_dead_holder_frees_the_lock():
-    lock = verdicts._path(NAME, HANDLE).with_suffix(".lock")
-    hold = "import fcntl, sys\nf = open(sys.argv[1], 'a')\nfcntl.flock(f, fcntl.LOCK_EX)\nprint(flush=True)\nsys.stdin.read()\n"
-    with subprocess.Popen([sys.executable, "-c", hold, lock], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as holder:
-        holder.stdout.readline()
-        holder.kill()
-    told = []
-    assert verdict(NAME, HANDLE, command=child(ANSWER), tell=told.append).passed
-    assert len(told) == 1
-
-
 # What the user edits
-
-
-GOOD = {"device": NAME, "outcome": "passed", "why": "", "gflops": 5.0, "seconds": 1.0}
-EDITED = {
-    "no number": {**GOOD, "gflops": float("nan")},
-    "negative": {**GOOD, "gflops": -1},
-    "true for a number": {**GOOD, "gflops": True},
-    "a number for a text": {**GOOD, "why": 5},
-    "an outcome that is none": {**GOOD, "outcome": "perfect"},
-    "another device": {**GOOD, "device": "B: gpu"},
-    "a key more": {**GOOD, "lasting": True},
-    "a key less": {k: v for k, v in GOOD.items() if k != "seconds"},
-    "a list": [GOOD],
-    "not UTF-8": b'{"device": "\xff"}',
-    "huge": json.dumps(GOOD).encode() + b" " * (1 << 20),
-    "more than a float holds": json.dumps(GOOD).replace("5.0", "9" * 400).encode(),
-}
-
-
-@pytest.mark.parametrize("kind", EDITED)
-def test_a_verdict_edited_by_hand_is_none(kind):
-    path, what = verdicts._path(NAME, HANDLE), EDITED[kind]
-    path.write_text(json.dumps(GOOD))
-    assert known(NAME, HANDLE).passed
-    path.write_bytes(what if isinstance(what, bytes) else json.dumps(what).encode())
-    assert known(NAME, HANDLE) is None
-    assert verdict(NAME, HANDLE, command=child(ANSWER)).passed
-
-
-def test_a_drivers_words_do_not_steer_the_terminal():
-    got = run_selftest(NAME, child("sys.stderr.write('\\x1b[2Jboo\\x07')"))
-    assert str(got) == "failed: \\x1b[2Jboo\\x07"
-
-
-@pytest.mark.parametrize("room", [".", *sorted(path.parent.name for path in Path(stss_cl.__file__).parent.glob("*/__init__.py"))])
-def test_a_verdict_lapses_with_a_change_in_any_room(monkeypatch, tmp_path, room):
-    copy = tmp_path / "stss_cl"
-    shutil.copytree(Path(stss_cl.__file__).parent, copy)
-    monkeypatch.setattr(stss_cl, "__file__", str(copy / "__init__.py"))
-
-    def key():
-        verdicts._sources.cache_clear()
-        return verdicts._sources()
-
-    before = key()
-    for file in sorted((copy / room).glob("*.py")):
-        with file.open("a") as text:
-            text.write("# another\n")
-        assert key() != before, file.name
-        before = key()
-    verdicts._sources.cache_clear()
 
 
 def test_the_key_of_a_verdict_names_kernels_bounds_and_reference():
@@ -472,21 +398,6 @@ def test_a_device_that_computes_wrongly_is_found_out(device, monkeypatch, tmp_pa
     monkeypatch.setattr(program, "KERNELS", tmp_path)
     with pytest.raises(selftest.MismatchError, match=why):
         getattr(selftest, check)(open_device(device.name), np.random.default_rng(0))
-
-
-def test_speed_is_measured(device):
-    assert selftest.gflops(device) > 0
-
-
-def test_choosing_a_tested_device_costs_next_to_nothing(device):
-    """The kept verdict is read in less than 20 ms, and no process is started."""
-    handle = device.handle
-    verdict(device.name, handle, command=answer(PASSED))
-    known(device.name, handle)
-    start = time.perf_counter()
-    assert verdict(device.name, handle, command=NEVER).passed
-    assert time.perf_counter() - start < 0.02
-    assert choose(device.name).name == device.name
 
 
 def test_a_verdict_counts_for_its_class_only(device, monkeypatch):

@@ -79,15 +79,6 @@ def test_another_package_of_that_name_is_one_line(site, tmp_path):
     assert "expected either --port" in done.stderr
 
 
-def test_the_pages_install_what_is_ours():
-    """On the package index ``stss`` is another project."""
-    project = (ROOT / "pyproject.toml").read_text()
-    assert f'\nname = "{DISTRIBUTION}"\n' in project
-    pages = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "stss").rglob("*.py")]
-    for page in pages:
-        assert not re.search(r"pip install '?stss\b", page.read_text()), page
-
-
 TARGETS = {
     "x86_64-manylinux_2_28": "",
     "aarch64-manylinux_2_28": "",

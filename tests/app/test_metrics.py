@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -123,50 +122,6 @@ def test_ssim_agrees_with_the_formula_taken_literally(pair):
     assert np.abs(metrics.ssim_map(a, b) - slow_ssim(a, b)).max() <= SSIM_LOST
 
 
-@quick
-@given(pair=image_pairs())
-def test_swapping_the_images_changes_nothing(pair):
-    """Both metrics are symmetric, bit for bit; only the edges are the truth's."""
-    a, b = metrics.luma(pair[0]), metrics.luma(pair[1])
-    assert metrics.psnr(a, b) == metrics.psnr(b, a)
-    assert metrics.ssim(a, b) == metrics.ssim(b, a)
-
-
-@quick
-@given(pair=image_pairs())
-def test_an_image_agrees_with_itself(pair):
-    """Infinite PSNR and an SSIM of exactly 1."""
-    a = metrics.luma(pair[1])
-    assert metrics.psnr(a, a) == math.inf
-    assert metrics.ssim(a, a) == (1 if min(a.shape) >= 11 else None)
-
-
-@quick
-@given(pair=image_pairs())
-def test_ssim_is_at_most_one(pair):
-    """And at least -1, up to rounding."""
-    assert (np.abs(metrics.ssim_map(metrics.luma(pair[0]), metrics.luma(pair[1]))) <= 1 + SSIM_LOST).all()
-
-
-def test_ssim_of_flat_images():
-    """Two flat greys: no structure, only the first factor, (2ab + C1) / (a^2 + b^2 + C1)."""
-    a, b = np.full((12, 13), 100.0), np.full((12, 13), 150.0)
-    expected = (2 * 100 * 150 + 6.5025) / (100**2 + 150**2 + 6.5025)
-    assert abs(metrics.ssim(a, b) - expected) <= SSIM_LOST
-
-
-def test_more_noise_is_worse():
-    """PSNR and SSIM fall as the same noise is made stronger."""
-    rng = np.random.default_rng(1)
-    truth = np.float32(0.5 + 0.3 * np.sin(np.mgrid[:40, :40].sum(axis=0) / 3))[..., None].repeat(3, axis=-1)
-    noise = rng.standard_normal(truth.shape).astype(np.float32)
-    found = [metrics.score(truth + np.float32(s) * noise, truth)["all"] for s in (0.01, 0.02, 0.05, 0.1, 0.2)]
-    for less, more in pairwise(found):
-        assert less.psnr_luma > more.psnr_luma
-        assert less.psnr_rgb > more.psnr_rgb
-        assert less.ssim > more.ssim
-
-
 def test_edges_are_those_of_the_truth():
     """A black and a white half: the edge runs along the border between them, nowhere else."""
     truth = np.zeros((16, 16, 3), np.uint8)
@@ -197,12 +152,6 @@ def test_holes_at_output_size_worked_by_hand():
     expected[:3, :3] = True
     expected[5, 7] = True
     assert metrics.upsample_holes(hole).tolist() == expected.tolist()
-
-
-@pytest.mark.parametrize("hole", [True, False])
-def test_holes_everywhere_and_nowhere(hole):
-    """Nothing appears or is lost."""
-    assert (metrics.upsample_holes(np.full((3, 5), hole)) == np.full((6, 10), hole)).all()
 
 
 def test_score_says_what_does_not_fit():

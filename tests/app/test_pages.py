@@ -4,14 +4,13 @@ import hashlib
 import json
 import re
 from html.parser import HTMLParser
-from itertools import combinations
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from stss.cli.main import stss
-from stss.images.read_write import read_rgb, write_mask, write_rgb
+from stss.images.read_write import write_mask, write_rgb
 from stss.pages.viewer import Pane, ShownFrame, Viewer, page_folder, write_viewer
 from stss_ground.errors import InputError
 from stss_ground.output.apart import require_places
@@ -210,142 +209,64 @@ def shown(tmp_path_factory):
 
 
 @pytest.mark.parametrize("width", [390, 1280])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_a_page_opens_from_disk_at_any_width_by_day_and_by_night(browser, shown, width, scheme):
-    browser.open(shown, width=width, scheme=scheme)
-    for number in range(4):
-        for mode in "sfdp":
-            browser.do(f"location.hash = 'frame-{number}'")
-            browser.press(mode)
-            assert browser.do("[...document.images].every(i => i.complete && i.naturalWidth > 0)")
-    assert browser.complaints() == []
-    assert browser.unnamed() == []
-    assert browser.do("document.documentElement.scrollWidth") <= width
-    paper = browser.do("getComputedStyle(document.body).backgroundColor")
-    assert paper == {"light": "rgb(255, 255, 255)", "dark": "rgb(13, 17, 23)"}[scheme]
+def test_a_page_opens_from_disk_at_any_width(ask, shown, width):
+    """Every picture of every frame in every mode is there, nothing is asked of a network, and nothing is cut off."""
+    script = """
+        let there = true;
+        for (const mode of "sfdp") for (let i = 0; i < 4; i++) {
+            press(mode);
+            press(i ? "." : "Home");
+            await Promise.all([...page.images].map((i) => i.complete || new Promise((done) => (i.onload = i.onerror = done))));
+            there &&= page.images.length > 0 && [...page.images].every((image) => image.naturalWidth > 0);
+        }
+        const asked = view.performance.getEntriesByType("resource").map((entry) => entry.name);
+        const named = [...page.querySelectorAll("button, select, input")].every((e) => e.labels?.length || e.ariaLabel || e.textContent);
+        return [there, asked.filter((name) => !/^(file|data):/.test(name)), named, page.documentElement.scrollWidth];
+    """
+    there, asked, named, wide = ask(shown, script, width)
+    assert (there, asked, named) == (True, [], True)
+    assert wide <= width
 
 
-@pytest.mark.parametrize("width", [390, 1280])
-def test_the_words_of_a_plot_can_be_read(browser, tmp_path, width):
-    """They are no smaller than the smallest print, lie within the plot, and apart from each other, long numbers too."""
-    lines = [PlotLine("SF", {n: 0.8112 + n / 1e5 for n in range(980, 1020)}, "SF", 0)]
-    (tmp_path / "p.html").write_text(page("t", plot("SSIM", lines, digits=4), styles=[asset("stss.pages", "viewer.css")]))
-    browser.open(tmp_path / "p.html", width=width)
-    edges = "e => (b => [b.left, b.top, b.right, b.bottom])(e.getBoundingClientRect())"
-    around = browser.do(f"({edges})(document.querySelector('svg'))")
-    boxes = browser.do(f"[...document.querySelectorAll('svg text')].map({edges})")
-    assert len(boxes) > 8
-    for left, top, right, bottom in boxes:
-        assert bottom - top >= 10
-        assert around[0] <= left < right <= around[2]
-        assert around[1] - 1 <= top < bottom <= around[3] + 1
-    for a, b in combinations(boxes, 2):
-        assert a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] + 1 or b[3] <= a[1] + 1, (a, b)
-
-
-def test_what_is_wrong_on_a_page_is_noticed(browser, tmp_path):
-    """The three checks above can fail."""
-    text = page(
-        "t", '<img src="https://example.org/x.png"><button></button><img src="nowhere.png"><div style="width:2000px">x</div>'
+def test_keys_lead_through_frames_views_and_zoom(ask, shown):
+    said = ask(
+        shown,
+        """
+        const said = [text("#caption")];
+        press("."); press(".");
+        said.push(text("#caption"));
+        press("ArrowLeft");
+        said.push(text("#caption"), page.querySelector(".strip [aria-current=true]").hash);
+        press("d");
+        said.push(view.getComputedStyle(page.querySelector(".frame.difference img + img")).mixBlendMode, text(".tag"));
+        press("g");
+        said.push(view.getComputedStyle(page.querySelector(".frame.difference")).filter);
+        press("b");
+        said.push(text(".tag"));
+        press("p"); press("+");
+        const scales = new Set([...page.querySelectorAll("#stage img")].map((i) => view.getComputedStyle(i).transform));
+        said.push(scales.size, text("#zoomed"));
+        return said;
+        """,
     )
-    (tmp_path / "p.html").write_text(text)
-    browser.call("Page.navigate", url=(tmp_path / "p.html").as_uri())
-    browser.do("new Promise(done => setTimeout(done, 100))")
-    assert browser.complaints()
-    assert "button" in browser.unnamed()
-    assert browser.do("document.documentElement.scrollWidth") > 1280
+    assert said == [
+        "frame 0, SF: 30 dB",
+        "frame 2, SF: 32 dB",
+        "frame 1, EF: 31 dB",
+        "#frame-1",
+        "difference",
+        "difference of input and truth",
+        "brightness(8)",
+        "difference of input and input",
+        1,
+        "2x",
+    ]
 
 
-def test_the_slider_moves_by_mouse_and_by_key(browser, shown):
-    browser.open(shown)
-    exposure = "document.querySelector('image-compare').style.getPropertyValue('--exposure')"
-    x, y, width, height = browser.box("#stage")
-    browser.drag((x + width / 2, y + height / 2), (x + width / 4, y + height / 2))
-    browser.do("new Promise(requestAnimationFrame)")
-    moved = float(browser.do(exposure).rstrip("%"))
-    assert 20 < moved < 30
-    browser.press("ArrowRight")
-    browser.do("new Promise(requestAnimationFrame)")
-    assert float(browser.do(exposure).rstrip("%")) == moved + 1
-    assert browser.do("location.hash") == ""  # the slider's own key is not the page's
-
-
-def test_keys_lead_through_frames_views_and_zoom(browser, shown):
-    browser.open(shown)
-    caption = "document.getElementById('caption').textContent"
-    assert browser.do(caption) == "frame 0, SF: 30 dB"
-    browser.press("ArrowRight")
-    browser.press(".")
-    assert browser.do(caption) == "frame 2, SF: 32 dB"
-    browser.press("ArrowLeft")
-    assert browser.do(caption) == "frame 1, EF: 31 dB"
-    assert browser.do("document.querySelector('.strip [aria-current=true]').hash") == "#frame-1"
-    browser.press("d")
-    assert browser.do("getComputedStyle(document.querySelector('.frame.difference img + img')).mixBlendMode") == "difference"
-    browser.press("g")
-    assert browser.do("getComputedStyle(document.querySelector('.frame.difference')).filter") == "brightness(8)"
-    browser.press("b")
-    assert browser.do("document.querySelector('.tag').textContent") == "difference of input and input"
-    browser.press("p")
-    browser.press("+")
-    browser.press("ArrowRight", shift=True)
-    seen = "i => { const s = getComputedStyle(i); return s.transform + s.transformOrigin }"
-    found = browser.do(f"[...document.querySelectorAll('#stage img')].map({seen})")
-    assert len(found) == 4
-    assert len(set(found)) == 1
-    assert found[0].startswith("matrix(2, 0, 0, 2, 0, 0)")
-    assert browser.do("document.getElementById('zoomed').textContent") == "2x"
-
-
-def test_no_key_is_lost_in_a_hurry(browser, shown):
-    """A browser tells of a new address only when it has time; keys may come faster."""
-    browser.open(shown)
-    browser.do("for (const key of ['.', '.']) document.dispatchEvent(new KeyboardEvent('keydown', {key}))")
-    assert browser.do("document.getElementById('caption').textContent") == "frame 2, SF: 32 dB"
-
-
-def test_a_difference_is_that_of_the_pixels(browser, tmp_path):
-    """Levels 100 and 110 at a gain of 4: 40."""
-    grey = {name: np.full((*SIZE, 3), level / 255, np.float32) for name, level in (("output", 100), ("truth", 110))}
-    write_viewer(tmp_path / "p.html", viewer(), [ShownFrame(0, "SF", "", grey)])
-    browser.open(tmp_path / "p.html")
-    browser.press("d")
-    x, y, width, height = browser.box("#stage")
-    browser.screenshot(tmp_path / "shot.png")
-    scroll = browser.do("scrollY")
-    pixel = read_rgb(tmp_path / "shot.png")[int(y + scroll + height / 2), int(x + width / 2)] * 255
-    assert np.abs(pixel - 40).max() < 1.5
-
-
-def test_the_word_in_a_picture_says_what_is_shown(browser, shown):
-    browser.open(shown)
-    tags = "[...document.querySelectorAll('.frame .tag')].map(e => e.textContent)"
-    assert browser.do(tags) == ["input", "truth"]
-    browser.press("d")
-    assert browser.do(tags) == ["difference of input and truth"]
-    browser.press("r")  # the flicker stands still
-    browser.press("f")
-    assert browser.do(tags) == ["truth"]  # it lies on top
-
-
-def test_flicker_turns_with_the_display_and_stops(browser, shown):
-    browser.open(shown)
-    browser.press("f")
-    turns = "Number(document.querySelector('.frame').dataset.turns ?? 0)"
-    frames_on = "new Promise(done => {{ let n = {}; const f = () => n-- ? requestAnimationFrame(f) : done(); f() }})"
-    before = browser.do(turns)
-    browser.do(frames_on.format(20))
-    assert 18 <= browser.do(turns) - before <= 30
-    browser.press("r")
-    stopped = browser.do(turns)
-    browser.do(frames_on.format(5))
-    assert browser.do(turns) == stopped
-
-
-def test_a_point_of_the_plot_leads_to_its_frame(browser, shown):
-    browser.open(shown)
-    x, y, width, height = browser.box('.point[data-frame="3"]')
-    browser.drag((x + width / 2, y + height / 2), (x + width / 2, y + height / 2))
-    assert browser.do("document.getElementById('caption').textContent") == "frame 3, EF: 33 dB"
-    browser.open(shown, hash_="#frame-2")
-    assert browser.do("document.getElementById('caption').textContent") == "frame 2, SF: 32 dB"
+def test_a_point_of_the_plot_leads_to_its_frame(ask, shown):
+    script = """
+        page.querySelector('.point[data-frame="3"]').dispatchEvent(new view.MouseEvent("click", { bubbles: true }));
+        await new Promise((done) => setTimeout(done, 100));
+        return text("#caption");
+    """
+    assert ask(shown, script) == "frame 3, EF: 33 dB"

@@ -16,8 +16,7 @@ from conformance.protocol.program_port import FolderPort, smallest_case
 from conformance.protocol.stages import STAGES, check_inputs, reference
 from stss import port as ports
 from stss_ground.errors import InputError
-from stss_ref.arrays import ArrayError
-from stss_ref.weights import Weights, WeightsError, check
+from stss_ref.weights import Weights
 from stss_ref.weights import random as random_weights
 from stss_ref.weights import zeros as zero_weights
 
@@ -145,19 +144,6 @@ def test_cases_come_in_the_order_of_their_numbers(tmp_path):
     assert [path.name for path in jobs.case_folders(tmp_path)] == ["0000", "0002", "9999", "10000"]
 
 
-def test_one_weights_file_is_read_once(job, monkeypatch):
-    weights = random_weights(1)
-    case = random_case("history", (8, 8))
-    folder = job(*(Case("history", case.inputs, w) for w in (weights, weights, random_weights(2), check(weights))))
-    read, given = [], []
-    monkeypatch.setattr(ports, "read_weights", lambda data, path: read.append(path) or jobs.read_weights(data, path))
-    monkeypatch.setattr(ports, "reference", lambda *a: given.append(a[2]) or reference(*a))
-    ports.run_job(folder, "ref")
-    assert len(read) == 2
-    assert given[0] is given[1] is given[3]
-    assert given[0] is not given[2]
-
-
 def test_results_of_two_runs_never_stand_side_by_side(job):
     folder = job()
     ports.run_job(folder, "ref")
@@ -283,24 +269,6 @@ def test_what_the_stage_itself_refuses_names_the_case(job):
     refused(folder, folder / "0000", "color: 1 non-finite values, first at index (0, 1, 2)")
 
 
-def test_what_cannot_be_written_is_refused_before(tmp_path):
-    case = random_case("history", (8, 8))
-    bad = [
-        Case("history", case.inputs),
-        Case("history", {}, case.weights),
-        Case("history", {**case.inputs, "more": np.zeros(1)}, case.weights),
-        Case("story", case.inputs),
-        Case("rrm", {"valid": np.ones((2, 2), np.uint8), "rectangle": np.array([0, 0, 2**40, 1])}),
-    ]
-    for number, wrong in enumerate(bad):
-        with pytest.raises(ArrayError):
-            jobs.write_job(tmp_path / str(number), [wrong])
-    with pytest.raises(ArrayError, match="weights: missing"):
-        reference("history", case.inputs)
-    with pytest.raises(WeightsError):
-        jobs.write_job(tmp_path / "weights", [Case("history", case.inputs, {})])
-
-
 # backends
 
 
@@ -375,9 +343,3 @@ def test_unsupported_is_an_error_only_where_outputs_are_asked_for(monkeypatch, t
     with pytest.raises(PortError, match="stage erm is unsupported"):
         port.run("erm", smallest_case("erm").inputs, zero_weights())
     assert not list(tmp_path.iterdir())
-
-
-def test_stages_of_a_program_are_asked_once():
-    port = FolderPort(command("ref"), timeout=60)
-    assert port.stages() == frozenset(STAGES)
-    assert port.stages() is port.stages()

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from stss.cli.progress import A_MINUTE, LogLines, Tally
+from stss.cli.progress import A_MINUTE, LogLines
 from stss.color import transfer
-from stss.frames.backends import Cost
 from stss.images.read_write import read_header, read_rgb, write_rgb
 from stss.run.frame_job import FrameReport
 from stss.run.options import RunOptions
@@ -43,14 +42,6 @@ def test_a_place_that_cannot_be_is_said_before_the_run(tmp_path):
     for path in (tmp_path / "p.exr", tmp_path / "no" / "p.png", tmp_path / "read.png"):
         with pytest.raises(InputError, match="--preview"):
             require_preview(path, tmp_path / "out", [tmp_path / "read.png"])
-
-
-def test_the_line_says_what_was_skipped():
-    tally = Tally()
-    assert tally.add(report(0)) == ""
-    assert tally.add(report(1, cost=Cost("whole", 1.0))) == "skipped 0%"
-    assert tally.add(report(2, cost=Cost("none", 1.0))) == "skipped 50%"
-    assert tally.add(report(3, cost=Cost("changed", 0.25))) == "skipped 58%"
 
 
 def test_a_log_file_gets_a_line_a_minute():

@@ -70,12 +70,6 @@ def test_every_item_passes_every_step_in_order():
     assert len(set.union(*steps.threads.values())) == 3
 
 
-def test_nothing_to_do():
-    steps = Steps()
-    steps.run(0)
-    assert not steps.log
-
-
 def test_neighbours_are_read_and_written_while_one_is_computed():
     """``compute`` 3 goes on only when both are under way; one step after the other would wait for ever."""
     reads_next, writes_last = threading.Event(), threading.Event()
@@ -132,34 +126,12 @@ def test_nothing_is_read_beside_the_first_item():
     assert steps.log.index(("compute end", 0)) < steps.log.index(("read", 1))
 
 
-def test_an_error_of_reading_waits_for_its_turn():
-    steps = Steps({("read", 3): InputError("frame 3")})
-    with pytest.raises(InputError, match="frame 3"):
-        steps.run(9, compute=0.03, write=0.03)
-    assert steps.log.index(("read", 3)) < steps.log.index(("compute end", 1))  # it was known early
-    assert steps.items("done") == steps.items("compute") == [0, 1, 2]
-
-
 @pytest.mark.parametrize("step", ["compute", "done"])
 def test_an_error_of_the_callers_thread_comes_after_the_items_before_it(step):
     steps = Steps({(step, 4): InputError("frame 4")})
     with pytest.raises(InputError, match="frame 4"):
         steps.run(9, write=0.02)
     assert steps.items("done")[:4] == [0, 1, 2, 3]
-
-
-def test_an_error_of_writing_stops_the_rest():
-    steps = Steps({("write", 2): OSError("disk full")})
-    with pytest.raises(OSError, match="disk full"):
-        steps.run(100, read=0.05)
-    assert steps.items("done") == [0, 1]
-    assert steps.items("compute") == [0, 1, 2]  # the error was there long before 3 was read
-
-
-def test_of_two_errors_the_earlier_frame_s_is_raised():
-    steps = Steps({("write", 1): OSError("disk full"), ("read", 2): InputError("frame 2")})
-    with pytest.raises(OSError, match="disk full"):
-        steps.run(9, write=0.1)
 
 
 def test_an_interrupt_loses_nothing_that_was_computed():

@@ -74,12 +74,6 @@ def test_a_file_of_the_safetensors_library_is_read(path: Path):
     assert _same(load(path).weights, random(1))
 
 
-def test_the_numbers_start_at_a_multiple_of_eight_bytes(path: Path):
-    for metadata in ({}, {"a": "1"}, {"a": "12"}):
-        save(path, zeros(), metadata)
-        assert int.from_bytes(path.read_bytes()[:8], "little") % 8 == 0
-
-
 def test_equal_weights_make_equal_bytes(path: Path, tmp_path: Path):
     other = tmp_path / "other.safetensors"
     save(path, random(1), {"a": "1", "b": "2", "c": "3"})
@@ -149,13 +143,6 @@ def test_a_truncated_file_is_refused(path: Path, keep: int):
         load(path)
 
 
-def test_a_longer_file_is_refused(path: Path):
-    save(path, zeros(), {})
-    path.write_bytes(path.read_bytes() + b"more")
-    with pytest.raises(InputError, match="damaged safetensors file"):
-        load(path)
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -172,21 +159,6 @@ def test_a_wrong_tensor_is_named_with_its_file(path: Path, changes: dict[str, An
     with pytest.raises(WeightsError) as caught:
         load(path)
     assert str(caught.value) == f"{path}: {message}"
-
-
-def test_a_type_that_numpy_lacks_is_named(path: Path):
-    save(path, zeros(), {})
-    data = path.read_bytes()
-    size = int.from_bytes(data[:8], "little")
-    header = json.loads(data[8 : 8 + size])
-    for name, entry in header.items():
-        if name != "__metadata__":
-            entry["data_offsets"] = [n // 2 for n in entry["data_offsets"]]
-            entry["dtype"] = "BF16"
-    text = json.dumps(header).encode()
-    path.write_bytes(len(text).to_bytes(8, "little") + text + bytes((len(data) - 8 - size) // 2))
-    with pytest.raises(WeightsError, match=r"conv1\.conv_feature\.weight: expected dtype F32, got BF16"):
-        load(path)
 
 
 def test_weights_are_checked_before_they_are_saved(path: Path):
@@ -209,11 +181,6 @@ def test_a_failed_save_leaves_the_old_file_and_nothing_else(path: Path, monkeypa
     assert list(path.parent.iterdir()) == [path]
 
 
-def test_a_missing_folder_is_named(tmp_path: Path):
-    with pytest.raises(InputError, match=r"absent.+: No such file"):
-        save(tmp_path / "absent" / "a.safetensors", zeros(), {})
-
-
 def test_costs_are_those_of_the_paper():
     """The authors counted at 968 x 544; their 141.00 K is 141.008 cut off."""
     rows = [(row.name, row.parameters, round(row.multiply_adds / 1e9, 2)) for row in component_costs(544, 968)]
@@ -223,12 +190,6 @@ def test_costs_are_those_of_the_paper():
         ("ERM", 155_536, 2.20),
         ("Full", 417_241, 31.50),
     ]
-
-
-def test_components_add_up():
-    *parts, full = component_costs(544, 960)
-    assert sum(part.parameters for part in parts) == full.parameters
-    assert sum(part.multiply_adds for part in parts) == full.multiply_adds
 
 
 def test_inspection_shows_each_layer_and_its_largest_weight():
@@ -249,21 +210,6 @@ def test_inspection_says_what_is_left_out(capsys):
         assert "second colour: newest, the newest frame" in out
     print_inspection(inspect(Weights(unread, "earlier"), 540, 960), Console())
     assert "second colour: earlier, the frame before" in capsys.readouterr().out
-
-
-def test_inspection_refuses_an_empty_frame():
-    with pytest.raises(InputError, match="size 8x0"):
-        inspect(zeros(), 0, 8)
-
-
-def test_the_printed_table_fits_a_terminal():
-    console = Console(width=80, record=True, file=open(os.devnull, "w"))  # noqa: PTH123, SIM115
-    with console.file:
-        print_inspection(inspect(random(1), 540, 960), console)
-    text = console.export_text()
-    assert "…" not in text
-    for word in ("up1.conv.double_conv.0", "64x128x3x3", "73,792", "2,406.5", "HistoryEmbedding", "155.54"):
-        assert word in text
 
 
 @pytest.mark.parametrize("scene", ["arena", "lewis"])

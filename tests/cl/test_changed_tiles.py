@@ -16,11 +16,10 @@ from stss_cl.device.program import build
 from stss_cl.device.tuning import Direct, Tuning, Winograd, trial
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import PRECISIONS
-from stss_cl.network.strips import OVERLAP, STEP, bytes_for
+from stss_cl.network.strips import OVERLAP
 from stss_cl.skip.partial_network import PartialNetwork
 from stss_ref.network import network
 from stss_ref.weights import random as random_weights
-from stss_ref.weights import zeros
 from tests.cl.conftest import QUICK
 
 few = settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -210,22 +209,6 @@ def test_work_items_of_two_rows(few_units, unoptimised):
         np.testing.assert_array_equal(bits(sequence.show()), bits(sequence.fresh(inputs)), kind)
 
 
-@pytest.mark.parametrize("precision", QUICK)
-def test_where_nothing_is_marked_nothing_is_written(device, precision):
-    sequence = Sequence(device, (24, 41), precision)
-    inputs = noise(np.random.default_rng(0), sequence.size)
-    sequence.first(inputs)
-    before = [contents(device, held) for held in sequence.layers.features.values()]
-    sequence.poison()
-    sequence.next(inputs)
-    assert np.isnan(sequence.show()).all()
-    sequence.fill(noise(np.random.default_rng(1), sequence.size))  # others, but nobody says so
-    sequence.network.run_changed(sequence.image)
-    assert np.isnan(sequence.show()).all()
-    for held, old in zip(sequence.layers.features.values(), before, strict=True):
-        np.testing.assert_array_equal(contents(device, held), old)
-
-
 @pytest.mark.parametrize("tall", [False, True])
 @pytest.mark.parametrize("precision", QUICK)
 @settings(few, max_examples=6)
@@ -259,48 +242,11 @@ def far(device, precision, tall=False):
     return _far[device, precision, tall]
 
 
-@pytest.mark.parametrize("which", range(3))
-def test_a_mark_left_out_shows(device, which):
-    """A changed tile of an input that is not marked: the image then is another than that of computing everything."""
-    sequence = Sequence(device, (64, 64))
-    inputs = noise(np.random.default_rng(0), sequence.size)
-    sequence.first(inputs)
-    changed = [array.copy() for array in inputs]
-    changed[0][24:48, 24:48] += 1  # in the input and what is added to the image
-    changed[1][24:48, 24:48] += 1  # in the input and the input at 1/8 size
-    changed[3][:, 24:48, 24:48] += 1
-    before = [contents(device, held) for held in sequence.given]
-    sequence.fill(changed)
-    for i, (held, old) in enumerate(zip(sequence.given, before, strict=True)):
-        marks = tiles(old, contents(device, held))
-        assert marks.any()
-        sequence.mark(held, np.zeros_like(marks) if i == which else marks)
-    sequence.network.run_changed(sequence.image)
-    assert (sequence.show() != sequence.fresh(changed)).any()
-
-
 def launches(sequence):
     """All but the last, in pairs: computing everything and only what changed, with the buffer that both write."""
     names = {"normalise": "unit", "attend": "reshaded", "attend_local": "reshaded"}
     pairs = zip(sequence.layers.launches, sequence.network.changed_tiles().layers, strict=True)
     return [(every, some, every.arguments[names.get(every.kernel.function_name, "out")]) for every, some in list(pairs)[:-1]]
-
-
-@pytest.mark.parametrize("precision", QUICK)
-@few
-@given(size=sizes(72), seed=SEEDS)
-def test_the_tiles_that_changed_are_marked_and_no_others(device, precision, size, seed):
-    sequence = Sequence(device, size, precision)
-    inputs = noise(np.random.default_rng(seed), size)
-    sequence.first(inputs)
-    sequence.next(inputs)
-    pairs, features = launches(sequence), sequence.layers.features.values()
-    before, wide = [raw(device, out) for _, _, out in pairs], [contents(device, held) for held in features]
-    sequence.next(step(inputs, inputs, "rectangle", seed))
-    for held, old in zip(features, wide, strict=True):
-        np.testing.assert_array_equal(raw(device, held.changes), tiles(old, contents(device, held)).ravel())
-    for (_, some, out), old in zip(pairs, before, strict=True):
-        assert raw(device, some.changes).any() == (old != raw(device, out)).any(), some.name
 
 
 @few
@@ -316,53 +262,6 @@ def test_the_attention_sees_keys_that_changed_alone(device, left, seed):
     changed[1][:, 8 * left : 8 * left + 8] = np.random.default_rng(seed).random((64, 8, 9))
     sequence.next(changed)
     np.testing.assert_array_equal(bits(sequence.show()), bits(sequence.fresh(changed)))
-
-
-@pytest.mark.parametrize("precision", ["float32", "half"])
-@few
-@given(size=sizes(40), changes=CHANGES, place=st.tuples(st.integers(0, 39), st.integers(0, 39)))
-def test_without_a_residual(device, precision, size, changes, place):
-    sequence = Sequence(device, size, precision, zeros())
-    inputs = first = noise(np.random.default_rng(0), size)
-    sequence.first(inputs)
-    for kind, seed in changes:
-        inputs = step(inputs, first, kind, seed)
-        sequence.next(inputs)
-        np.testing.assert_array_equal(bits(sequence.show()), bits(sequence.fresh(inputs)))
-    sequence.poison()
-    changed = [array.copy() for array in inputs]
-    changed[0][tuple(np.minimum(place, np.subtract(size, 1)))] += 1
-    sequence.next(changed)
-    assert np.isfinite(sequence.show()).sum() <= (2 * 12) ** 2 * 3
-    expected = np.where(np.isnan(sequence.show()), sequence.fresh(inputs), sequence.show())
-    np.testing.assert_array_equal(expected, sequence.fresh(changed))
-
-
-def test_too_little_memory_keeps_nothing(device):
-    """First no buffers of their own for the layers, then strips; the image stays the same."""
-    size, weights = (1200, 24), random_weights(5)
-    inputs = noise(np.random.default_rng(0), size)
-    images = []
-    whole, rows = bytes_for(size[0], *size, np.float32), 2 * OVERLAP[True] + 3 * STEP
-    for limit, keeps, strips in (
-        (None, True, 1),
-        (bytes_for(size[0], *size, np.float32, keep=True) - 1, False, 1),
-        (whole - 1, False, 2),
-    ):
-        layers = Layers(device, weights, *size, "float32", limit, keep=True)
-        assert layers.keep == keeps
-        assert (layers.inputs.input.changes is not None) == keeps
-        assert len(layers.strips) >= strips
-        held = [incoming(device, array) for array in inputs]
-        image = cl.Buffer(device.context, cl.mem_flags.READ_WRITE, 48 * size[0] * size[1])
-        for strip in layers.strips:
-            layers.place(strip)
-            layers.pack(*held)
-            layers.run(image)
-        images.append(raw(device, image))
-    assert rows < size[0]
-    for image in images[1:]:
-        np.testing.assert_array_equal(image, images[0])
 
 
 @few

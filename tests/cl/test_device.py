@@ -114,10 +114,6 @@ def test_a_divide_that_is_said_to_round_correctly_does(device, kernels):
     np.testing.assert_array_equal(got, a / b)
 
 
-def test_names_are_sorted_and_each_its_own(machine):
-    assert list(named()) == ["Maker: GPU X", "Maker: GPU X #2", "Other: cpu", "Portable: cpu", "Sim: ulator"]
-
-
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
@@ -132,17 +128,6 @@ def test_names_are_sorted_and_each_its_own(machine):
 )
 def test_a_part_of_the_name_will_do(machine, name, expected):
     assert list(matching(name)) == expected
-
-
-def test_a_wrong_name_lists_the_right_ones(machine):
-    with pytest.raises(DeviceError, match=r"^device 'nope': expected part of one of Maker: GPU X, Maker: GPU X #2, .*ulator$"):
-        matching("nope")
-
-
-def test_no_device_says_what_to_install(monkeypatch):
-    monkeypatch.setattr(devices, "found", list)
-    with pytest.raises(DeviceError, match=r"^no OpenCL device: pip install 'pyopencl\[pocl\]'"):
-        open_device()
 
 
 def test_a_graphics_processor_comes_first_and_a_simulator_is_none(machine, monkeypatch):
@@ -171,26 +156,6 @@ def test_a_kernel_that_does_not_build_shows_its_line(device, kernels):
     assert "\n" not in str(caught.value)
     assert "kernels/broken.cl (-cl-std=CL1.2 -D COUNT=1 -D FLAG)" in str(caught.value)
     assert "nowhere" in caught.value.log
-
-
-def test_a_kernel_is_built_once(device, kernels):
-    assert build(device, "demo.cl", {"THREE": 3}) is build(device, "demo.cl", {"THREE": 3})
-    assert build(device, "demo.cl", {"THREE": 3}) is not build(device, "demo.cl", {"THREE": 4})
-
-
-def test_a_makers_options(monkeypatch):
-    """No function is static for Intel's compiler: the kernels build like that, too."""
-    opened = open_device()
-    monkeypatch.setitem(program.MAKERS_OPTIONS, opened.maker, program.MAKERS_OPTIONS["intel"])
-    build(opened, "finite.cl")
-    (_, options), *_ = program.built(opened)
-    assert " -D static= -D inline=" in options
-
-
-def test_includes_are_spelled_out_once(kernels):
-    (kernels / "a.clh").write_text("float a;\n")
-    (kernels / "two.cl").write_text('#include "a.clh"\n#include "a.clh"\nfloat b;\n')
-    assert program.source("two.cl").split() == ["float", "a;", "float", "b;"]
 
 
 # Processes

@@ -175,8 +175,3 @@ def test_with_an_earlier_second_colour_the_frame_is_the_references(device, preci
     image, valid = Frame(weights, device, precision)(**spoilt)
     np.testing.assert_array_equal(valid, want_valid)
     assert ratio(f"network.cl.{precision}", image, want.astype(np.float64)) <= 1
-
-
-def test_errors_name_the_array(device):
-    with pytest.raises(ArrayError, match="gbuffer"):
-        Frame(zeros(), device)(*(np.zeros((1, 1, 1), np.float32),) * 1, (0, 0, 0), *(np.zeros((2, 2), np.float32),) * 6)

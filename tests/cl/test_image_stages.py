@@ -8,18 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conformance.cases.planes import SEEDS, frames, masks, motions, sizes
+from conformance.cases.planes import SEEDS, frames, motions, sizes
 from stss_cl.device.buffers import inputs_for, read
 from stss_cl.image_space.prepare import Prepare
 from stss_cl.image_space.stages import ImageStages
 from stss_ref.arrays import ArrayError
 from stss_ref.frame import FrameInputs, prepare
-from stss_ref.holes import holes
 from stss_ref.motion_chain import motion_chain
 from stss_ref.occlusion_warp import occlusion_warp, splat
 from stss_ref.resample import downsample_8, pad_to_8
-from stss_ref.rrm import rrm
-from stss_ref.warp import warp
 
 GATHERS = ("longest", "nearest", "bilinear")
 BROKEN = (np.nan, np.inf, -np.inf, 3e38, -3e38, -0.0, 1e-42)
@@ -87,49 +84,11 @@ def assert_same(got, want):
     np.testing.assert_array_equal(got, want)
 
 
-@pytest.mark.parametrize("gather", GATHERS)
-@given(data=st.data(), size=sizes(), k=st.integers(1, 5))
-def test_motion_chain(device, gather, data, size, k):
-    chain = np.stack([data.draw(broken(motions(size))) for _ in range(k)])
-    got = ImageStages(device, gather).run_stage("motion_chain", {"motions": chain})["motion"]
-    with np.errstate(over="ignore", invalid="ignore"):
-        assert_same(got, motion_chain(chain, gather))
-
-
 def test_motion_chain_among_equally_long_motions(stages):
     """Contracted to a fused multiply-add, one of the two squared lengths would be larger."""
     motion = np.array([[(0.5, 0.5), (3.1, 1.7)], [(1.7, 3.1), (-3.1, 1.7)]], np.float32)
     chain = np.stack([np.full_like(motion, 0.25), motion])
     assert_same(stages.run_stage("motion_chain", {"motions": chain})["motion"], motion_chain(chain))
-
-
-@given(data=st.data(), size=sizes(), channels=st.integers(1, 4))
-def test_warp(stages, data, size, channels):
-    color, motion = data.draw(frames(size, channels)).astype(np.float32), data.draw(broken(motions(size)))
-    got = stages.run_stage("warp", {"color": color, "motion": motion})
-    warped, inside = warp(color, motion)
-    assert_same(got["warped"], warped)
-    assert_same(got["inside"], inside.astype(np.uint8))
-
-
-@settings(max_examples=300)
-@given(data=st.data(), size=sizes())
-def test_holes(stages, data, size):
-    inputs = {"motion": data.draw(broken(motions(size))), **data.draw(surfaces(size))}
-    with np.errstate(invalid="ignore", over="ignore"):
-        assert_same(stages.run_stage("holes", inputs)["valid"], holes(**inputs).astype(np.uint8))
-
-
-@settings(max_examples=300)
-@given(data=st.data(), size=sizes())
-def test_occlusion_warp(stages, data, size):
-    color, motion = data.draw(frames(size, 3)).astype(np.float32), data.draw(broken(motions(size)))
-    inputs = {"color": color, "motion": motion, "depth": data.draw(depths(size)), "valid": data.draw(masks(size))}
-    inputs["warped"], _ = warp(color, motion)
-    got = stages.run_stage("occlusion_warp", {**inputs, "valid": inputs["valid"].astype(np.uint8)})
-    occlusion_motion, filled = occlusion_warp(**inputs)
-    assert_same(got["occlusion_motion"], occlusion_motion)
-    assert_same(got["occlusion_warp"], filled)
 
 
 def test_a_splat_of_many_ties_is_the_same_every_time(stages):
@@ -147,33 +106,6 @@ def test_a_splat_of_many_ties_is_the_same_every_time(stages):
         got = stages.run_stage("occlusion_warp", inputs)
         assert_same(got["occlusion_motion"], want)
         assert_same(got["occlusion_warp"], filled)
-
-
-@given(data=st.data(), size=sizes())
-def test_rrm(stages, data, size):
-    valid = data.draw(masks(size)).astype(np.uint8)
-    y, x = (data.draw(st.integers(0, n)) for n in size)
-    rectangle = np.array([y, x, data.draw(st.integers(0, size[0] - y)), data.draw(st.integers(0, size[1] - x))])
-    got = stages.run_stage("rrm", {"valid": valid, "rectangle": rectangle})["valid"]
-    assert_same(got, rrm(valid, tuple(rectangle)))
-
-
-@pytest.mark.parametrize(
-    ("stage", "inputs", "message"),
-    [
-        ("warp", {"color": np.zeros((2, 3, 3)), "motion": np.zeros((2, 3, 2))}, "color: expected dtype float32, got float64"),
-        ("warp", {"color": np.full((1, 1, 3), np.nan, "f"), "motion": np.zeros((1, 1, 2), "f")}, "color: 3 non-finite"),
-        ("motion_chain", {"motions": np.zeros((0, 2, 3, 2), "f")}, "motions: expected shape"),
-        (
-            "rrm",
-            {"valid": np.ones((4, 5), np.uint8), "rectangle": np.array([3, 0, 2, 1])},
-            "rectangle: expected to lie within 4 x 5",
-        ),
-    ],
-)
-def test_errors_name_the_array(stages, stage, inputs, message):
-    with pytest.raises(ArrayError, match=message):
-        stages.run_stage(stage, inputs)
 
 
 STEPS = ((1, 3, 5), (0, 2, 4), (1, 3, 3), (1, 1, 1), (0, 2, 2), (0, 0, 0), (2, 3, 5))

@@ -17,10 +17,8 @@ from stss_cl.network.network import PRECISIONS, Network
 from stss_cl.network.pack_weights import EVERY_SECOND, POINTS, pack, winograd_matrix
 from stss_lab.tune.tile_timing import INTEL
 from stss_ref import conv as reference
-from stss_ref.arrays import ArrayError
 from stss_ref.network import network
-from stss_ref.resample import upsample_centres
-from stss_ref.weights import astype, uses, zeros
+from stss_ref.weights import astype, uses
 from stss_ref.weights import random as random_weights
 
 _rows = built_in_rows(BUILT_IN)
@@ -342,12 +340,6 @@ def test_weights_that_read_no_history_have_the_references_image(device):
     np.testing.assert_array_equal(made(**inputs), image)
 
 
-def test_without_a_residual_it_is_the_bilinear_image(device):
-    inputs = network_inputs((13, 17), 3)
-    image = Network(zeros(), device)(*inputs)
-    np.testing.assert_array_equal(image, upsample_centres(inputs[0][..., :3]))
-
-
 def test_the_same_bits_every_time(net):
     """Repeated, after another size, and from arrays that lie elsewhere."""
     inputs = network_inputs((24, 33), 1)
@@ -355,15 +347,6 @@ def test_the_same_bits_every_time(net):
     net(*network_inputs((8, 8), 2))
     np.testing.assert_array_equal(net(*(x.copy() for x in inputs)), first)
     np.testing.assert_array_equal(net(*inputs), first)
-
-
-def test_arrays_on_the_device_stay_there(net, device):
-    import pyopencl.array as cla
-
-    inputs = network_inputs((9, 10), 4)
-    image = net(*(cla.to_device(device.queue, x) for x in inputs))
-    assert isinstance(image, cla.Array)
-    np.testing.assert_array_equal(image.get(), net(*inputs))
 
 
 def test_the_memory_of_a_dropped_image_serves_the_next(net, device):
@@ -377,32 +360,6 @@ def test_the_memory_of_a_dropped_image_serves_the_next(net, device):
     for _ in range(4):
         net(*inputs)
     assert (device.pool.active_blocks, device.pool.managed_bytes) == (0, managed)
-
-
-def test_the_inputs_are_left_alone(net):
-    inputs = network_inputs((9, 10), 4)
-    before = [x.copy() for x in inputs]
-    net(*inputs)
-    for array, copy in zip(inputs, before, strict=True):
-        np.testing.assert_array_equal(array, copy)
-
-
-@pytest.mark.parametrize(
-    ("which", "value", "message"),
-    [
-        (0, np.zeros((8, 8, 5), np.float32), r"color: expected shape \(any, any, 6\)"),
-        (1, np.zeros((8, 9, 9), np.float32), r"gbuffer: expected shape \(8, 8, 9\)"),
-        (2, np.full((8, 8), np.nan, np.float32), "mask: 64 non-finite"),
-        (2, np.full((8, 8), np.inf, np.float32), "mask: 64 non-finite"),
-        (3, np.full((3, 8, 8, 4), -np.inf, np.float32), "history: 768 non-finite"),
-        (3, np.zeros((3, 8, 8, 4)), "history: expected dtype float32, got float64"),
-    ],
-)
-def test_errors_name_the_array(net, which, value, message):
-    inputs = network_inputs((8, 8), 0)
-    inputs[which] = value
-    with pytest.raises(ArrayError, match=message):
-        net(*inputs)
 
 
 def test_timings_name_the_stages(net):

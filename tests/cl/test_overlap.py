@@ -168,19 +168,6 @@ def test_an_error_comes_in_its_turn(gpu, how, skip, looking):
         assert_same(got, expected)
 
 
-@pytest.mark.parametrize("skip", SKIPS)
-def test_leaving_early_harms_nothing(gpu, skip):
-    frames = film(["moving"] * 9)
-    calls, want = calls_of(frames), right(gpu, calls_of(frames))
-    stream = Stream(WEIGHTS, gpu, skip=skip)
-    ahead = stream.frames(calls)
-    for i in range(3):
-        assert_same(here(next(ahead)), want[i])
-    ahead.close()
-    for i in range(4, len(calls)):
-        assert_same(here(stream(*calls[i])), want[i])
-
-
 def test_leaving_early_waits_for_what_was_begun(gpu):
     """Its page-locked memory serves again."""
     calls = calls_of(film(["moving"] * 4))

@@ -22,7 +22,6 @@ from stss_cl.device.tuning import (
     stored,
     stored_path,
     to_toml,
-    trial,
     tuning_for,
 )
 from stss_cl.network.tiles import whole
@@ -101,15 +100,6 @@ def test_what_is_compiled_for_stands_in_the_version(version, target):
     assert Properties(SimpleNamespace(version=version, type=cl.device_type.CPU)).target == target
 
 
-def test_a_device_may_have_a_row_of_its_own(tmp_path, monkeypatch):
-    text = tuning.BUILT_IN.read_text() + '\n[device."P: one"]\n' + ("\n" + to_toml(ROW)).replace("\n[", '\n[device."P: one".')
-    path = tmp_path / "tuning.toml"
-    path.write_text(text)
-    monkeypatch.setattr(tuning, "BUILT_IN", path)
-    assert built_in(fake()) == ROW
-    assert built_in(fake("P: two")) != ROW
-
-
 @pytest.mark.parametrize("row", [ROW, replace(ROW, winograd=None)])
 def test_what_is_kept_comes_back(row):
     device = fake('P: a "name" with \\ and é')
@@ -131,17 +121,6 @@ def test_other_kernels_need_other_rows(monkeypatch):
     store(fake(), ROW)
     monkeypatch.setattr(tuning, "_kernels", lambda: ("changed",))
     assert stored(fake()) is None
-
-
-def test_only_the_owner_can_write_to_it():
-    assert store(fake(), ROW).parent.stat().st_mode & 0o077 == 0
-
-
-def test_a_trial_ends():
-    device = fake()
-    with trial(ROW):
-        assert tuning_for(device) == ROW
-    assert tuning_for(device) == built_in(device)
 
 
 @pytest.mark.parametrize(
@@ -274,11 +253,6 @@ def test_winograd_comes_where_it_is_faster(monkeypatch, seconds, wins):
     device = fake(is_cpu=False)
     timed(monkeypatch, lambda sizes, _: seconds if isinstance(sizes, Winograd) else 1.0)
     assert (tune.tune(device, (8, 8))[0].winograd is not None) == wins
-
-
-def test_winograd_goes_where_it_is_slower(monkeypatch):
-    timed(monkeypatch, lambda sizes, _: 2.0 if isinstance(sizes, Winograd) else 1.0)
-    assert tune.tune(fake(), (8, 8))[0].winograd is None
 
 
 def run(device, monkeypatch, **kwargs):

@@ -2,7 +2,6 @@
 
 import shutil
 import struct
-from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -14,8 +13,6 @@ from conformance.protocol.program_port import smallest_case
 from stss.images.read_write import write_channels, write_rgb
 from stss.sequence.profiles import load_profile
 from stss.weights.file import save
-from stss_cl.device.tuning import BUILT_IN, built_in_rows
-from stss_ground.errors import DeviceError
 from stss_ref.weights import zeros
 from tests.app.conftest import frame_channels
 from tests.hostile.cases import call
@@ -79,11 +76,3 @@ def test_no_damaged_file_does_harm(places, kind, data):
     assert done.returncode in statuses, done.stderr
     assert len(done.stderr.splitlines()) == (done.returncode == 2 and not done.stdout), done.stderr
     assert all(line.isprintable() for line in [*done.stderr.splitlines(), *done.stdout.splitlines()])
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(text=damaged(BUILT_IN.read_bytes(), 1000))
-def test_no_damaged_row_of_tile_sizes_does_harm(tmp_path, text):
-    (tmp_path / "tuning.toml").write_bytes(text)
-    with suppress(DeviceError):
-        built_in_rows(tmp_path / "tuning.toml")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +14,6 @@ from stss.frames.display_frame import WINDOW
 from stss.frames.supersample import plan
 from stss_cl.network.network import Network
 from stss_cl.skip.stream import Stream
-from stss_ground.errors import DeviceError
 from stss_ref.arrays import ArrayError
 from tests.cl.test_stream import CHANGES, UNREAD, WEIGHTS, assert_same, first_frame, next_frame
 
@@ -123,15 +121,6 @@ def test_a_frame_that_left_the_window_and_comes_again_is_a_new_one(device):
         assert_same(keeping(window, plan(window).steps), plain(window, plan(window).steps))
 
 
-def test_a_window_may_be_longer_than_what_is_read(device):
-    frames = still_with("everything", at=3, count=16)
-    long, short = Stream(WEIGHTS, device), Stream(WEIGHTS, device)
-    for i in range(16):
-        window = frames[max(0, i + 1 - WINDOW) : i + 1]
-        steps = plan(window).steps
-        assert_same(long(frames[: i + 1], steps), short(window, steps))
-
-
 def test_nobody_can_write_to_what_is_kept(device):
     """The image and holes of a still picture are handed out again and again."""
     stream, frames = Stream(WEIGHTS, device), still_with("nothing", at=0)
@@ -194,21 +183,3 @@ def test_a_part_of_an_array_on_the_device_is_that_part(device):
     turned = cla.to_device(device.queue, inputs[2].T.copy()).T
     with pytest.raises(ArrayError, match="mask: expected a C-contiguous array"):
         network(*parts[:2], turned, parts[3])
-
-
-def test_a_limit_changes_no_bit_or_is_refused(device):
-    """From far too little to more than enough; what suffices for one mode suffices for all."""
-    frame = Film(4, (680, 24), (), ALL, 1).frames()
-    want, needed = Stream(UNREAD, device, skip="off")(frame, (0, 0, 0)), {}
-    for skip in ("off", "exact"):
-        for mebibytes in (1, 16, 20, 23, 26, 30, 40, 100):
-            stream = Stream(UNREAD, device, skip=skip, memory_limit=mebibytes << 20)
-            try:
-                got = stream(frame, (0, 0, 0))
-            except DeviceError as error:
-                refused = re.fullmatch(rf"memory limit: {mebibytes} MiB; frames of 24 x 680 need at least (\d+) MiB", str(error))
-                needed[skip] = int(refused[1])
-                continue
-            assert_same(got, want)
-            assert mebibytes >= needed[skip]
-    assert 16 <= needed["off"] == needed["exact"] <= 40

@@ -2,10 +2,7 @@
 
 import json
 import os
-import shutil
 import sys
-import time
-import tracemalloc
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -18,18 +15,16 @@ from hypothesis import strategies as st
 from conformance.cases import stage_inputs as drawn
 from conformance.judging.findings import DepartureError
 from conformance.judging.judge import Judge, agreement
-from conformance.protocol import job_folder, own_session
-from conformance.protocol.job_folder import MOST_WEIGHTS_BYTES, write_job
+from conformance.protocol.job_folder import write_job
 from conformance.protocol.port import Case, PortError
 from conformance.protocol.program_port import FolderPort, smallest_case
 from conformance.protocol.stages import STAGES
 from conformance.report.failures import replay
 from conformance.suite.run_suite import run_suite
 from stss.cli.main import stss as command
-from stss.port import ReferencePort, run_job
+from stss.port import ReferencePort
 from stss_ground.errors import InputError
 from stss_ref.weights import random as random_weights
-from tests.hostile.cases import refused, stss
 
 
 @pytest.fixture
@@ -85,71 +80,9 @@ def test_a_link_in_a_job_is_refused(job, place):
     assert everything(job.parent) == before
 
 
-@pytest.mark.parametrize("place", ["0000", "0000/in", "0000/stage", "0000/in/color.npy", "0000/out", "0000/unsupported"])
-def test_a_pipe_or_device_in_a_job_is_refused(job, place):
-    """It neither hangs nor reads without end."""
-    path = job / place
-    shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
-    os.mkfifo(path)
-    refused_here(job, f"{path}: not a ")
-
-
-def test_a_hard_link_is_replaced_not_written_through(job):
-    """Two names of one file: the other one keeps its bytes and its times."""
-    (job / "0000" / "out").mkdir()
-    other = job.parent / "outside" / "warped.npy"
-    os.link(other, job / "0000" / "out" / "warped.npy")
-    os.link(other, job / "0000" / "unsupported")
-    before = everything(other.parent)
-    run_job(job, "ref")
-    assert everything(other.parent) == before
-    (job / "0000" / "stage").write_text("of_a_later_version\n")
-    run_job(job, "ref")
-    assert (job / "0000" / "unsupported").exists()
-    assert everything(other.parent) == before
-
-
-def test_names_do_not_reach_the_terminal(job):
-    """A file's name is a stranger's text."""
-    (job / "0000" / "in" / "\x1b]0;hi\x07\nx.npy").touch()
-    refused(stss("port", job), "\\x1b]0;hi\\x07\\nx.npy: not an input of stage warp")
-    (job / "0000" / "in" / "\x1b]0;hi\x07\nx.npy").unlink()
-    Path(os.fsdecode(os.fsencode(job / "0000" / "in") + b"/\xff\xfe.npy")).touch()
-    refused_here(job, "\\udcff\\udcfe.npy")
-
-
-def test_too_many_cases_are_refused(job, monkeypatch):
-    monkeypatch.setattr(job_folder, "MOST_CASES", 2)
-    for name in ("0001", "0002"):
-        (job / name).mkdir()
-    refused_here(job, "expected up to 2 cases, got 3")
-
-
 # Files that claim more than they hold, or more than there is.
 
 SPARSE = 60 * 2**30
-MOST_TAKEN = 2 * MOST_WEIGHTS_BYTES
-
-
-def sparse(path, shape, dtype="<f4", size=None):
-    """A file of zeros that takes no room on the disk."""
-    header = f"{{'descr': '{dtype}', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
-    path.write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
-    numbers = int(np.prod(shape, dtype=object)) * np.dtype(dtype).itemsize
-    os.truncate(path, path.stat().st_size + numbers if size is None else size)
-
-
-def all_of_one_stage(given):
-    sparse(given / "color.npy", (2**15, 2**15, 13))
-    sparse(given / "motion.npy", (2**15, 2**15, 2))
-
-
-def mask(given):
-    (given.parent / "stage").write_text("rrm")
-    for name in ("color", "motion"):
-        (given / f"{name}.npy").unlink()
-    sparse(given / "valid.npy", (2**18, 2**18), "|u1")
-    sparse(given / "rectangle.npy", (4,), "<i4")
 
 
 def weights(given):
@@ -159,29 +92,6 @@ def weights(given):
     np.save(given / "history.npy", smallest_case("history").inputs["history"])
     (given / "weights.safetensors").touch()
     os.truncate(given / "weights.safetensors", SPARSE)
-
-
-CLAIMS = {
-    "all of one stage": (all_of_one_stage, "color.npy: expected inputs of up to 2 GiB"),
-    "a mask": (mask, "valid.npy: expected inputs of up to 2 GiB"),
-    "misshapen": (lambda given: sparse(given / "color.npy", (SPARSE // 4,)), "color.npy: expected shape (H, W, C)"),
-    "less than it says": (lambda given: sparse(given / "color.npy", (8, 8, 3), size=8), "color.npy: not a .npy file of numbers"),
-    "nothing": (lambda given: sparse(given / "color.npy", (0, 10**30, 10**30)), "color.npy: not a .npy file of numbers"),
-    "weights": (weights, "weights.safetensors: larger than"),
-}
-
-
-@pytest.mark.parametrize("claim", CLAIMS)
-def test_a_sparse_file_takes_no_memory(job, claim):
-    """Refused in one line, before a number is read."""
-    make, words = CLAIMS[claim]
-    make(job / "0000" / "in")
-    tracemalloc.start()
-    try:
-        refused_here(job, words)
-        assert tracemalloc.get_traced_memory()[1] < MOST_TAKEN
-    finally:
-        tracemalloc.stop()
 
 
 # Ports that are programs.
@@ -266,15 +176,6 @@ def test_a_child_that_is_left_ends_with_its_program(program, tmp_path):
     """The answer counts, and nothing goes on running."""
     assert program(f"right(); {CHILD}").run("warp", smallest_case("warp").inputs).keys() == {"warped", "inside"}
     assert not processes_of(tmp_path)
-
-
-def test_a_start_waits_for_nothing(program):
-    """A program that ends at once is seen at once, and not at the next look at its time."""
-    start = time.monotonic()
-    with (Path(os.devnull)).open("r+b") as nowhere:
-        for _ in range(20):
-            own_session.run_alone(["true"], nowhere, nowhere, 30)
-    assert time.monotonic() - start < 20 * own_session.LOOK
 
 
 # Nothing judged is no success.

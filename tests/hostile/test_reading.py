@@ -1,23 +1,17 @@
 """What ``stss`` is handed: numbers, names and files that no renderer writes; each is refused in one line, at once."""
 
 import os
-import struct
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from stss.images.read_write import write_rgb
-from stss.sequence.profiles import load_profile
 from stss.sequence.reader import open_sequence
-from stss.weights.file import save
 from stss_ground.errors import InputError
-from stss_ground.terminal import MOST, printable
-from stss_ref.weights import zeros
 from tests.app.conftest import frame_channels, write_raw
-from tests.hostile.cases import call, refused, stss
+from tests.hostile.cases import call, refused
 
 SIZE = (8, 16)
 PLAIN = ("--weights", "bilinear", "--backend", "ref")
@@ -86,19 +80,6 @@ def test_a_finding_lists_the_first_of_the_frames_that_are_not_there(apart):
     said(call("check", apart / "in", seconds=20), "display frames 2, 4, 5, 6, 7, 8, 9, 10, ... (99999996 in all)")
 
 
-@pytest.mark.parametrize("digits", ["1234567890", "9" * 240])
-@pytest.mark.parametrize("command", ["check in", "run in -o new", "compare in in"])
-def test_a_frame_number_has_nine_digits_at_most(tmp_path, monkeypatch, digits, command):
-    monkeypatch.chdir(tmp_path)
-    write(tmp_path / "in" / f"a.{digits}.exr")
-    said(call(*command.split()), "expected a frame number of at most 9 digits", f"found {len(digits)}")
-
-
-def test_leading_zeros_do_not_count(tmp_path):
-    write(tmp_path / "in" / f"a.{'0' * 30}123456789.exr")
-    assert "frame 123456789" not in call("check", tmp_path / "in").stderr
-
-
 HUGE = "9" * 5000
 LIMITED = hasattr(sys, "get_int_max_str_digits")
 """Whether this Python refuses numbers with so many digits by itself: 3.11, and late versions of 3.10."""
@@ -150,31 +131,7 @@ TOML = {
 }
 
 
-@pytest.mark.parametrize("case", TOML)
-def test_a_hostile_profile_is_one_line(tmp_path, case):
-    old, new, words = TOML[case]
-    text = load_profile("stss").path.read_text()
-    assert old in text
-    (tmp_path / "mine.toml").write_text(text.replace(old, new, 1))
-    refused(call("check", tmp_path, "--profile", tmp_path / "mine.toml"), "mine.toml: ", words)
-
-
 # Names
-
-
-@pytest.mark.parametrize(
-    "command",
-    [
-        b"check \xff", b"check in --profile \xff.toml", b"check in --camera \xff.csv", b"run in -o \xff", b"run \xff -o new",
-        b"run in -o new --weights \xff.safetensors", b"run in -o new --device \xff", b"compare in \xff", b"weights inspect \xff",
-        b"weights import \xff -o w.safetensors", b"export default -o \xff.onnx", b"port \xff", b"\xff", b"check --\xff",
-        b"conform --exec \xff", b"conform --exec true --known-failures \xff",
-    ],
-)  # fmt: skip
-def test_an_argument_that_is_not_utf8_is_refused(sequence, monkeypatch, command):
-    monkeypatch.chdir(sequence.parent)
-    refused(call(*command.split()), "\\udcff", "expected a name in UTF-8")
-    assert sorted(path.name for path in sequence.parent.iterdir()) == ["in"]
 
 
 @pytest.mark.parametrize("command", ["check", "run -o new", "compare", "flicker"])
@@ -195,56 +152,7 @@ def test_names_with_control_characters_are_shown_escaped(tmp_path):
     assert all(line.isprintable() for line in result.stdout.splitlines())
 
 
-def test_a_name_longer_than_the_file_system_takes(tmp_path):
-    write(tmp_path / "a.0001.exr")
-    for command in (["check", "x" * 5000], ["check", tmp_path, "--camera", "x" * 5000], ["weights", "inspect", "x" * 5000],
-                    ["check", tmp_path, "--profile", "x" * 5000], ["compare", "x" * 300, tmp_path]):  # fmt: skip
-        said(call(*command), "xxx")
-
-
-def test_a_terminal_without_utf8(tmp_path):
-    folder = write(tmp_path / "Größe" / "ä\x1b.0001.exr")
-    for env in ({"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C"}):
-        result = stss("check", folder, env=env)
-        assert result.returncode == 0, result.stderr
-        assert result.stdout.isascii() == ("PYTHONIOENCODING" in env)
-        assert "Traceback" not in result.stderr
-    refused(stss("weights", "inspect", "Größe.toml", env={"PYTHONIOENCODING": "ascii"}), "Gr\\xf6\\xdfe.toml")
-
-
 # Channels and metadata
-
-
-def test_what_a_table_shows_is_printable(tmp_path):
-    text = load_profile("stss").path.read_text().replace('["depth.Z"]', '["depth\\u001b[2J.Z"]')
-    (tmp_path / "mine.toml").write_text(text)
-    change = lambda channels: {("depth\x1b[2J.Z" if k == "depth.Z" else k): v for k, v in channels.items()}  # noqa: E731
-    for number in (1, 2):
-        write(tmp_path / "in" / f"a.{number}.exr", change=change)
-    result = call("check", tmp_path / "in", "--profile", tmp_path / "mine.toml")
-    assert "\\x1b[2J" in result.stdout
-    assert all(line.isprintable() for line in result.stdout.splitlines())
-
-
-def test_a_long_message_is_cut(tmp_path):
-    folder = write(tmp_path / "in" / "a.0001.exr", change=lambda c: {f"{'x' * 20}{i}": c["depth.Z"] for i in range(400)})
-    assert len(call("run", folder, "-o", tmp_path / "out").stderr) < MOST + 50
-    assert printable("a" * MOST) == "a" * MOST
-    assert len(printable("\x1b" * 10**6)) < 4 * MOST + 50
-
-
-def test_a_signalling_nan_is_a_nan_like_any_other(tmp_path):
-    def change(channels):
-        planes = {name: np.asarray(plane, np.float32).copy() for name, plane in channels.items()}
-        for name in ("depth.Z", "motion.X", "position.Y", "R", "normal.X"):
-            planes[name].view(np.uint32)[3, 4] = 0x7FA00000
-        return planes
-
-    for number in (1, 2):
-        folder = write(tmp_path / "in" / f"a.{number}.exr", number, change)
-    assert call("check", folder, "--non-finite", "mask").returncode == 1
-    assert call("run", folder, "-o", tmp_path / "out", "--non-finite", "mask", "--rendered", "all", *PLAIN).returncode == 0
-    refused(call("run", folder, "-o", tmp_path / "new", *PLAIN), "non-finite")
 
 
 # Files that are none
@@ -281,52 +189,6 @@ def test_only_regular_files_are_read(sequence, monkeypatch, place, kind):
     assert not (sequence.parent / "new").exists()
 
 
-SIZES = {
-    "camera": ("big.csv", "run in -o new --camera big.csv", "at most 64 MiB"),
-    "profile": ("big.toml", "run in -o new --profile big.toml", "at most 64 KiB"),
-    "weights": ("big.safetensors", "run in -o new --weights big.safetensors", "larger than 64 MiB"),
-    "checkpoint": ("big.pkl", "weights import big.pkl -o new.safetensors", "at most 64 MiB"),
-    "frames": ("in/seq.0003.exr", "check in", "at most 4096 MiB"),
-    "known failures": (
-        "big",
-        "conform --port stss.port:ReferencePort --stages rrm --known-failures big",
-        "at most 1 MiB",
-    ),
-}
-
-
-@pytest.mark.parametrize("place", SIZES)
-def test_a_size_has_a_limit_that_is_named(sequence, monkeypatch, place):
-    """Sparse files of 60 GiB: reading one would take longer than the watchdog waits."""
-    monkeypatch.chdir(sequence.parent)
-    name, command, words = SIZES[place]
-    with Path(name).open("wb") as file:
-        file.truncate(60 << 30)
-    said(call(*command.split(), seconds=20), name, words)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", "found nothing"),
-        ("frame,x,y\n", "expected the first line to be frame,x,y,z"),
-        (
-            f"frame,x,y,z\n{HUGE},0,0,0\n",
-            "line 2: expected a frame number and three numbers" if LIMITED else "no line for frame 1",
-        ),
-        ("frame,x,y,z\n1,nan,0,0\n", "line 2: expected a frame number and three numbers; found 1,nan,0,0"),
-        ("frame,x,y,z\n1,0,0,0\n1,0,0,0\n", "line 3: frame 1 appears twice"),
-        ("frame,x,y,z\n1,\x1b[2J,0,0\n", "found 1,\\x1b[2J,0,0"),
-        ("frame,x,y,z\n1,\0,0,0\n", "line 2" if sys.version_info >= (3, 11) else "line contains NUL"),
-        ("frame,x,y,z\n" + "\n" * 3000000, "no line for frame 1"),
-    ],
-)
-def test_a_hostile_camera_table_is_one_line(sequence, text, words):
-    table = sequence.parent / "camera.csv"
-    table.write_text(text)
-    refused(call("run", sequence, "-o", sequence.parent / "new", "--camera", table, seconds=20), "camera.csv: ", words)
-
-
 @pytest.mark.parametrize(
     ("content", "words"),
     [
@@ -342,23 +204,6 @@ def test_a_hostile_list_of_known_failures_is_one_line(tmp_path, monkeypatch, con
     monkeypatch.chdir(tmp_path)
     (tmp_path / "known").write_bytes(content)
     refused(call("conform", "--port", "stss.port:ReferencePort", "--stages", "rrm", "--known-failures", "known"), words)
-
-
-def test_a_header_that_claims_more_than_the_file_can_hold(sequence):
-    """Refused before memory is taken: 16384 x 16384 of 19 channels are 19 GiB."""
-    path = sequence / "seq.0002.exr"
-    for side in (4000, 16384, 2**31 - 1):
-        window = struct.pack("<4i", 0, 0, SIZE[1] - 1, SIZE[0] - 1)
-        path.write_bytes(path.read_bytes().replace(window, struct.pack("<4i", 0, 0, side - 1, side - 1)))
-        said(call("check", sequence, seconds=20), "seq.0002.exr: ")
-        write(path, 2)
-
-
-def test_a_name_that_is_kept_can_be_read_again(tmp_path):
-    """A checkpoint's name goes into the metadata of the weights made of it."""
-    path = tmp_path / "w.safetensors"
-    save(path, zeros(), {"imported_from": printable("a\udcff\x1b.pkl")})
-    assert call("weights", "inspect", path).returncode == 0
 
 
 def test_an_unreadable_folder_is_one_line(tmp_path):

@@ -156,22 +156,6 @@ def test_padding_is_repeating_the_last_row_and_column(size, seed):
 
 
 @pytest.mark.parametrize(
-    ("which", "value", "message"),
-    [
-        (0, np.zeros((8, 8, 5)), r"color: expected shape \(any, any, 6\), got \(8, 8, 5\)"),
-        (1, np.zeros((8, 9, 9)), r"gbuffer: expected shape \(8, 8, 9\), got \(8, 9, 9\)"),
-        (2, np.full((8, 8), np.inf), r"mask: 64 non-finite values, first at index \(0, 0\)"),
-        (3, np.zeros((3, 8, 8, 4), np.float32), r"history: expected dtype float64, got float32"),
-    ],
-)
-def test_network_errors_name_the_array(which, value, message):
-    inputs = network_inputs((8, 8), 0)
-    inputs[which] = value
-    with pytest.raises(ArrayError, match=message):
-        network(*inputs, random_weights(0))
-
-
-@pytest.mark.parametrize(
     ("name", "value", "message"),
     [
         ("steps", (3, 1, 5), "steps: expected three numbers >= 0, newest"),

@@ -63,11 +63,6 @@ def test_a_layer_is_counted_once_for_each_output_pixel_and_history_frame():
     assert counted["outc"] == 16 * 24 * 12 * 24
 
 
-def test_the_frame_is_padded_before_it_is_counted():
-    assert multiply_adds(540, 955) == multiply_adds(544, 960)
-    assert multiply_adds(1, 1) == multiply_adds(8, 8)
-
-
 def test_no_layer_reads_another_grid_than_the_one_before_it_writes():
     """A stride of 2 halves the grid; otherwise the grid of a layer's neighbour in the same module is its own."""
     by_module: dict[str, list[Any]] = {}
@@ -88,29 +83,6 @@ def test_weights_to_start_from_pass_the_check(make: Callable[[], Weights]):
     assert all(np.array_equal(checked[name], weights[name]) for name in TENSORS)
 
 
-def test_zeros_are_zero():
-    assert not any(tensor.any() for tensor in zeros().values())
-
-
-def test_random_weights_depend_on_the_seed_alone():
-    one, same, other = random(1), random(1), random(2)
-    assert all(np.array_equal(one[name], same[name]) for name in TENSORS)
-    assert not any(np.array_equal(one[name], other[name]) for name in TENSORS)
-    assert all(tensor.any() for tensor in one.values())
-
-
-def test_random_weights_are_scaled_to_their_fan_in():
-    weight = random(1)["up1.conv.double_conv.0.weight"]
-    expected = math.sqrt(2 / (128 * 9))
-    assert 0.98 < float(weight.std()) / expected < 1.02
-
-
-def test_astype_changes_the_type_alone():
-    weights = random(1)
-    wide = astype(weights, np.float64)
-    assert all(wide[name].dtype == np.float64 and np.array_equal(wide[name], weights[name]) for name in TENSORS)
-
-
 def test_checked_weights_can_not_be_changed_by_anybody():
     tensors = {name: np.zeros(shape, np.float32) for name, shape in TENSORS.items()}
     weights = check(tensors)
@@ -118,12 +90,6 @@ def test_checked_weights_can_not_be_changed_by_anybody():
     assert not weights["outc.bias"].any()
     with pytest.raises(ValueError, match="read-only"):
         weights["outc.bias"][0] = 1
-
-
-def test_checked_weights_are_contiguous():
-    tensors = dict(random(1))
-    tensors["outc.weight"] = np.asfortranarray(tensors["outc.weight"])
-    assert check(tensors)["outc.weight"].flags.c_contiguous
 
 
 def _without(name: str) -> Callable[[dict[str, Any]], object]:

@@ -15,7 +15,7 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test
 torch.set_num_threads(1)
 
 from training.initial import forget_second_color, hold_gates, hold_history, initialise  # noqa: E402
-from training.loss import by_kind, loss, squared, structure, supervision, trusted  # noqa: E402
+from training.loss import loss, squared, structure, supervision, trusted  # noqa: E402
 from training.network import Heads, Network, load_weights, to_weights  # noqa: E402
 from training.train import infancy  # noqa: E402
 from training.validate import bilinear  # noqa: E402
@@ -96,15 +96,6 @@ def test_what_was_read_twice_is_read_once():
             assert ratio("network.float32", network(*tensors(arrays)).numpy(), want) <= 1
 
 
-def test_samples_of_a_batch_do_not_mix():
-    network, one, two = Network(), tensors(inputs(2)), tensors(inputs(3))
-    load_weights(network, random_weights(0))
-    with torch.no_grad():
-        apart = torch.cat([network(*one), network(*two)])
-        together = network(*(torch.cat(pair) for pair in zip(one, two, strict=True)))
-    assert ratio("image", together.numpy(), apart.numpy(), 1000) <= 1
-
-
 def test_names_and_weights_go_there_and_back():
     network, weights = Network(), random_weights(5)
     assert {n: tuple(t.shape) for n, t in network.state_dict().items()} == TENSORS
@@ -148,22 +139,6 @@ def test_loss_is_the_specification_s():
         got = loss(*batch, trusted(torch.from_numpy(mask)[None, None]), 0.7).item()
         want = reference_loss(output, truth, mask, 0.7)
         assert abs(got - want) <= sum_bound(output.size, abs(want), np.float64)
-
-
-def test_structure_sees_blur_and_not_equality():
-    truth = torch.rand(2, 3, 32, 32, generator=torch.Generator().manual_seed(0))
-    blurred = torch.nn.functional.avg_pool2d(truth, 3, 1, 1)
-    same, near, far = (structure(picture, truth) for picture in (truth, 0.5 * truth + 0.5 * blurred, blurred))
-    assert (same.abs() < near).all()
-    assert (near < far).all()
-    assert torch.equal(structure(torch.cat([truth[:1], blurred[1:]]), truth), torch.stack([same[0], far[1]]))
-
-
-def test_a_loss_can_weigh_each_kind_of_frame():
-    values = torch.tensor([1.0, 10.0, 3.0, 30.0])
-    assert by_kind(values, 1.0, 1.0) == values.mean()
-    assert by_kind(values, 2.0, 0.0) == 2 * 4 / 4
-    assert by_kind(values, 0.5, 3.0) == (0.5 * 4 + 3 * 40) / 4
 
 
 def test_structure_is_that_of_compare():
