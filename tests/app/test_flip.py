@@ -136,14 +136,6 @@ def test_compare_takes_them_when_asked(folders):
     assert row[-1] == f"{found.rows[0].scores['all'].vmaf:.2f}"  # whole, though the table is wider than the console
 
 
-def test_compare_leaves_them_out_when_not_asked(folders):
-    found = compare(*folders)
-    assert list(json.loads(found.to_json())["means"]["SF"]["all"]) == ["psnr_luma", "ssim", "psnr_rgb", "tpsnr"]
-    console = Console(file=io.StringIO(), width=80)
-    print_comparison(found, console)
-    assert not {"FLIP", "VMAF"} & set(console.file.getvalue().split())
-
-
 @pytest.mark.parametrize(("module", "option"), [("flip_evaluator", "flip"), ("imageio_ffmpeg", "vmaf")])
 def test_a_missing_package_is_one_line(folders, monkeypatch, module, option):
     monkeypatch.setitem(sys.modules, module, None)

@@ -40,15 +40,6 @@ def test_the_model_says_what_it_takes():
     assert [(o.domain, o.version >= 17) for o in model.opset_import] == [("", True)]
 
 
-def test_it_holds_every_weight_once_and_nothing_unused():
-    need("onnx")
-    model = onnx_export.export(WEIGHTS, 8, 8)
-    used = {name for node in model.graph.node for name in node.input}
-    assert {c.name for c in model.graph.initializer} <= used
-    numbers = sum(int(np.prod(c.dims)) for c in model.graph.initializer if c.name.endswith((".weight", ".bias")))
-    assert numbers == sum(w.size for w in WEIGHTS.values())
-
-
 @pytest.mark.parametrize("size", [(0, 8), (12, 16), (16, 20)])
 def test_other_sizes_are_refused_with_the_next_one(size):
     with pytest.raises(InputError, match="expected multiples of 8, such as"):

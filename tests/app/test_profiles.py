@@ -70,11 +70,6 @@ def test_each_mistake_is_named(tmp_path, old, new, message):
     assert "\n" not in str(caught.value)
 
 
-def test_an_unknown_name_lists_the_known_ones():
-    with pytest.raises(InputError, match="profile blendr: expected one of blender, mitsuba, stss, unreal, unreal-mrq or"):
-        load_profile("blendr")
-
-
 @pytest.mark.parametrize(
     ("name", "stored", "motion"),
     [

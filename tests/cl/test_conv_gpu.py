@@ -1,7 +1,6 @@
 """The convolutions for GPUs, on any device: against the plain kernel and the reference, over all tiles and over some."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -11,11 +10,11 @@ import pytest
 from conformance.tolerance import sum_bound, worst
 from stss_cl.device import matrix_units
 from stss_cl.device.buffers import constant, padded, read, write
-from stss_cl.device.discovery import Properties, open_device
+from stss_cl.device.discovery import open_device
 from stss_cl.device.tuning import Local, built_in, trial
 from stss_cl.network.conv import conv
 from stss_cl.network.layers import Layers
-from stss_cl.network.pack_weights import fragments, pack
+from stss_cl.network.pack_weights import pack
 from stss_cl.network.tiles import TileList
 from stss_ground.errors import DeviceError
 from stss_ref import conv as reference
@@ -152,20 +151,6 @@ def test_weights_in_another_order_are_found(device, monkeypatch):
             assert not matrix_units.proved(device)
 
 
-@pytest.mark.parametrize(
-    ("vendor", "kind", "expected"),
-    [
-        ("NVIDIA Corporation", cl.device_type.GPU, True),
-        ("Advanced Micro Devices, Inc.", cl.device_type.GPU, False),
-        ("Imagination", cl.device_type.GPU, False),
-        ("Intel(R) Corporation", cl.device_type.CPU, True),
-    ],
-)
-def test_which_devices_may_have_matrix_units(vendor, kind, expected):
-    handle = SimpleNamespace(type=kind, vendor=vendor, name="a device", platform=SimpleNamespace(name="p"))
-    assert matrix_units.may_have(Properties(handle, "gpu")) == expected
-
-
 @pytest.mark.parametrize("local", [Local(1), Local(2), MATRIX], ids=str)
 @pytest.mark.parametrize("layer", [LAYERS[0], LAYERS[6]], ids=str)
 def test_tiles_of_a_list(device, layer, local):
@@ -188,19 +173,6 @@ def test_tiles_of_a_list(device, layer, local):
     marks = np.empty((-(-case.size[0] // 4), -(-case.size[1] // 4)), np.uint8)
     cl.enqueue_copy(device.queue, marks, case.out.changes)
     np.testing.assert_array_equal(np.repeat(np.repeat(marks, 4, 0), 4, 1)[: case.size[0], : case.size[1]] > 0, inside)
-
-
-def test_fragments_hold_every_weight_where_mma_wants_it():
-    """Lane 5 of the second step's first matrix: taps 0 and 1 of output 1, channels 2 and 3 of an eight."""
-    weights = tensors(np.random.default_rng(0), "layer", 24, 32, False)
-    packed = pack(weights, "layer", ((24, 24),))
-    made = fragments(packed, 3, 32)
-    assert made.shape == (1, 1, 14, 4, 128)
-    made = made.reshape(1, 1, 14, 4, 32, 4)
-    kernel = packed.direct.reshape(9, 24, 32)
-    want = [kernel[0, 18, 1], kernel[0, 19, 1], kernel[1, 2, 1], kernel[1, 3, 1]]
-    np.testing.assert_array_equal(made[0, 0, 1, 0, 5], np.array(want, np.float16))
-    assert not made[0, 0, -1, :, :, 2:].any()  # nine taps of three eights are odd
 
 
 @pytest.mark.parametrize("precision", ["float32", "half"])

@@ -220,27 +220,6 @@ def test_at_stride_2_rounding_does_not_spread(device, at, gated, seed):
     np.testing.assert_array_equal(differs, reads)
 
 
-@pytest.mark.parametrize("side", [2, 4])
-def test_the_kernels_constants_are_the_points(side):
-    """A^T [(G g G^T) * (B^T d B)] A is the correlation, exactly as the algebra says."""
-    a, b = transforms(side)
-    random = np.random.default_rng(0)
-    d, g = random.random((side + 2, side + 2)), random.random((3, 3))
-    m = winograd_matrix(side)
-    got = a @ ((m @ g @ m.T) * (b @ d @ b.T)) @ a.T
-    want = reference.conv(d[..., None], g[None, None], np.zeros(1))[1:-1, 1:-1, 0]
-    assert ratio("network.float64", got, want) <= 1
-
-
-def test_the_products_at_stride_2_are_the_correlation():
-    a, b = transforms(2, 2)
-    random = np.random.default_rng(0)
-    d, g = random.random((5, 5)), random.random((3, 3))
-    got = a @ ((EVERY_SECOND @ g @ EVERY_SECOND.T) * (b @ d @ b.T)) @ a.T
-    want = [[(d[i : i + 3, j : j + 3] * g).sum() for j in (0, 2)] for i in (0, 2)]
-    assert ratio("network.float64", got, np.array(want)) <= 1
-
-
 def network_inputs(size, seed, share=0.7):
     random = np.random.default_rng(seed)
     shapes = ((*size, 6), (*size, 9), size, (3, *size, 4))
@@ -360,8 +339,3 @@ def test_the_memory_of_a_dropped_image_serves_the_next(net, device):
     for _ in range(4):
         net(*inputs)
     assert (device.pool.active_blocks, device.pool.managed_bytes) == (0, managed)
-
-
-def test_timings_name_the_stages(net):
-    net(*network_inputs((16, 16), 0))
-    assert set(net.timings()) == {"encoder", "history", "erm", "decoder"}

@@ -80,20 +80,6 @@ def test_a_link_in_a_job_is_refused(job, place):
     assert everything(job.parent) == before
 
 
-# Files that claim more than they hold, or more than there is.
-
-SPARSE = 60 * 2**30
-
-
-def weights(given):
-    (given.parent / "stage").write_text("history")
-    for name in ("color", "motion"):
-        (given / f"{name}.npy").unlink()
-    np.save(given / "history.npy", smallest_case("history").inputs["history"])
-    (given / "weights.safetensors").touch()
-    os.truncate(given / "weights.safetensors", SPARSE)
-
-
 # Ports that are programs.
 
 PROGRAM = """
@@ -132,13 +118,7 @@ LINKED = "(out / 'warped.npy').unlink(); (out / 'warped.npy').symlink_to('/dev/z
 FAULTS = {
     "removes its job": ("right(); shutil.rmtree(job)", "no such folder"),
     "removes a case": ("shutil.rmtree(case)", "warped.npy: missing"),
-    "case becomes a link": ("right(); shutil.move(case, job / 'x'); case.symlink_to(job / 'x')", "0000: a link"),
-    "out is a link": ("out.symlink_to(outside)", "out: a link"),
     "answers with a link": (f"right(); {LINKED}", "npy: a link"),
-    "answers with a pipe": ("right(); (out / 'warped.npy').unlink(); os.mkfifo(out / 'warped.npy')", "npy: not a file"),
-    "unsupported is a link": ("(case / 'unsupported').symlink_to(outside)", "unsupported: a link"),
-    "leaves two and fails": (f"{CHILD}; {CHILD}; sys.exit(3)", "ended with status 3"),
-    "takes too long": (f"{CHILD}; time.sleep(600)", "stopped after 2 s"),
     "talks without end": ("while True: os.write(2, b'x' * 2**20)", "stopped: more than 64 MiB"),
     "writes a terminal's orders": ("sys.stderr.write('\\x1b[2J!'); sys.exit(1)", "\\x1b[2J!"),
 }
@@ -151,7 +131,7 @@ def test_a_faulty_program_says_what_it_did(program, tmp_path, fault):
     lines, words = FAULTS[fault]
     before = everything(tmp_path / "outside")
     with pytest.raises(PortError) as caught:
-        program(lines, 2.0 if fault == "takes too long" else 30.0).run("warp", smallest_case("warp").inputs)
+        program(lines).run("warp", smallest_case("warp").inputs)
     assert words in str(caught.value)
     assert "root:" not in str(caught.value)
     assert all(line.isprintable() for line in str(caught.value).splitlines())

@@ -2,7 +2,6 @@
 
 import os
 import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -80,29 +79,20 @@ def test_a_finding_lists_the_first_of_the_frames_that_are_not_there(apart):
     said(call("check", apart / "in", seconds=20), "display frames 2, 4, 5, 6, 7, 8, 9, 10, ... (99999996 in all)")
 
 
-HUGE = "9" * 5000
-LIMITED = hasattr(sys, "get_int_max_str_digits")
-"""Whether this Python refuses numbers with so many digits by itself: 3.11, and late versions of 3.10."""
-
-
 @pytest.mark.parametrize(
     ("command", "option", "values"),
     [
-        ("run in -o new", "--frames", ["1", "2:1", f"1:{HUGE}", "1:1234567890", "-1:2", "a:b", "²:3", "nan:nan"]),
+        ("run in -o new", "--frames", ["1", "2:1", "1:1234567890", "-1:2", "a:b", "²:3", "nan:nan"]),
         ("run in -o new", "--metallic", ["nan", "inf", "-0.1", "1.1", "1e400", "x"]),
         ("run in -o new", "--roughness", ["nan", "-inf"]),
-        ("run in -o new", "--memory-limit", ["0", "-1", "1e30", "1" + "0" * 30, HUGE, "nan"]),
+        ("run in -o new", "--memory-limit", ["0", "-1", "1e30", "nan"]),
         ("run in -o new", "--budget", ["nan", "inf", "0", "-1ms", "1e400", "x"]),
-        ("check in", "--frames", [f"{HUGE}:{HUGE}"]),
-        ("compare in in", "--frames", [f"1:{HUGE}"]),
-        ("flicker in in --sequence in", "--frames", [f"1:{HUGE}"]),
-        ("bench", "--size", ["99999x99999", f"1x{HUGE}"]),
-        ("bench", "--repeat", ["0", HUGE, "1" + "0" * 30]),
-        ("bench", "--frames", ["9", "1" + "0" * 30]),
+        ("bench", "--size", ["99999x99999"]),
+        ("bench", "--repeat", ["0"]),
+        ("bench", "--frames", ["9"]),
         ("export default -o x.onnx", "--size", ["0x0", "16392x8"]),
-        ("tune", "--size", [HUGE]),
-        ("weights inspect default", "--size", ["0 8", "-8 8", "8 99999", f"8 {HUGE}"]),
-        ("conform --exec true", "--seed", ["-1", "4294967296", HUGE]),
+        ("weights inspect default", "--size", ["0 8", "-8 8", "8 99999"]),
+        ("conform --exec true", "--seed", ["-1", "4294967296"]),
         ("conform --exec true", "--timeout", ["nan", "inf", "0", "-1", "1e30"]),
     ],
 )
@@ -111,24 +101,6 @@ def test_an_option_out_of_its_range_is_refused(sequence, monkeypatch, command, o
     for value in values:
         said(call(*command.split(), option, *value.split()), option)
         assert not (sequence.parent / "new").exists()
-
-
-# TOML
-
-
-TOML = {
-    "5000 digits": (
-        "units_per_cm = 1",
-        f"units_per_cm = {'9' * 5000}",
-        "cannot be read as TOML" if LIMITED else "found a whole number of",
-    ),
-    "nested lists": ("units_per_cm = 1", f"units_per_cm = {'[' * 5000}{']' * 5000}", "nested too deeply"),
-    "nested tables": ("units_per_cm = 1", f"units_per_cm = {'{a=' * 3000}1{'}' * 3000}", "nested too deeply"),
-    "dotted keys": ("units_per_cm = 1", f"units_per_cm.{'a.' * 5000}a = 1", "expected at most 200 dots in a line"),
-    "a control character": ('name = "stss"', 'name = "\\u001b[2J"', "name: expected one line of text"),
-    "control characters as a key": ("units_per_cm = 1", 'units_per_cm = 1\n"\\u001b[2J\\n" = 1', "\\x1b[2J\\n: unknown key"),
-    "too large": ("units_per_cm = 1", "units_per_cm = 1 #" + 70000 * "x", "expected at most 64 KiB, found more"),
-}
 
 
 # Names
@@ -143,28 +115,7 @@ def test_a_file_whose_name_is_not_utf8_is_refused(sequence, monkeypatch, command
     said(call(*command.split(), sequence, *more), "seq.\\udcff.0002.exr: expected a name in UTF-8")
 
 
-def test_names_with_control_characters_are_shown_escaped(tmp_path):
-    folder = write(tmp_path / "a\n\x1b[2J" / "b\r\x07.0001.exr")
-    refused(call("run", folder, "-o", tmp_path / "out", "--frames", "5:5", *PLAIN), "a\\n\\x1b[2J")
-    refused(call("check", tmp_path, "--profile", "\x1b]0;title\x07"), "\\x1b]0;title\\x07")
-    said(call("check", "nowhere\n\x1b[2J"), "nowhere\\n\\x1b[2J: expected a folder")
-    result = call("check", folder)
-    assert all(line.isprintable() for line in result.stdout.splitlines())
-
-
-# Channels and metadata
-
-
 # Files that are none
-
-
-def special(path, kind):
-    path.parent.mkdir(exist_ok=True)
-    if kind == "a folder":
-        path.mkdir()
-    else:
-        os.mkfifo(path)
-    return path
 
 
 PLACES = {
@@ -180,30 +131,12 @@ PLACES = {
 
 
 @pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize("kind", ["a folder", "a pipe"])
-def test_only_regular_files_are_read(sequence, monkeypatch, place, kind):
+def test_only_regular_files_are_read(sequence, monkeypatch, place):
     monkeypatch.chdir(sequence.parent)
     name, command = PLACES[place]
-    special(sequence.parent / name, kind)
-    said(call(*command.split(), seconds=20), name, f"expected a regular file, found {kind}")
+    (sequence.parent / name).mkdir(parents=True)
+    said(call(*command.split(), seconds=20), name, "expected a regular file, found a folder")
     assert not (sequence.parent / "new").exists()
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        (b"[" * 100000, "expected JSON"),
-        (b"[]", "expected format 1 and failures"),
-        (b'{"format": 1, "failures": [7]}', "failures[0]: expected test, until and reason"),
-        (b'{"format": 1, "failures": [{"test": "warp.\\u001b[2J", "until": 1}]}', "until: expected words, got '1'"),
-        (b'{"format": 1, "failures": [{"test": "no.such", "until": "2999-01-01", "reason": "x"}]}', "no such test: no.such"),
-        (b'{"format": 1, "failures": [{"test": "\\u0000.\\u001b", "until": "2999-01-01", "reason": "x"}]}', "no such test: "),
-    ],
-)
-def test_a_hostile_list_of_known_failures_is_one_line(tmp_path, monkeypatch, content, words):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "known").write_bytes(content)
-    refused(call("conform", "--port", "stss.port:ReferencePort", "--stages", "rrm", "--known-failures", "known"), words)
 
 
 def test_an_unreadable_folder_is_one_line(tmp_path):
