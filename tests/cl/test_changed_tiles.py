@@ -242,13 +242,6 @@ def far(device, precision, tall=False):
     return _far[device, precision, tall]
 
 
-def launches(sequence):
-    """All but the last, in pairs: computing everything and only what changed, with the buffer that both write."""
-    names = {"normalise": "unit", "attend": "reshaded", "attend_local": "reshaded"}
-    pairs = zip(sequence.layers.launches, sequence.network.changed_tiles().layers, strict=True)
-    return [(every, some, every.arguments[names.get(every.kernel.function_name, "out")]) for every, some in list(pairs)[:-1]]
-
-
 @few
 @given(left=st.integers(0, 60), seed=SEEDS)
 def test_the_attention_sees_keys_that_changed_alone(device, left, seed):
