@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT
-// Where a motion leads, and the four pixels around it: the beginning of warp.wgsl and of holes.wgsl (WGSL has no #include).
+// Where a motion leads, and the four pixels around it: the beginning of every shader that follows one (WGSL has no #include).
 
 struct Frame { width: i32, height: i32, channels: i32 }
 
@@ -14,23 +14,31 @@ fn is_finite(x: f32) -> bool {
     return (bitcast<u32>(x) & 0x7f800000u) != 0x7f800000u;
 }
 
+struct Place {
+    at: vec2<i32>,        // the whole pixel, perhaps outside the frame
+    fraction: vec2<f32>,  // beyond it, 0 to 1
+    finite: bool,
+}
+
 // Never p + m: far from the corner that sum has lost the bits of the fraction. A whole number of pixels is exact, and so is m - floor(m).
-fn follow(p: vec2<i32>, m: vec2<f32>, frame: Frame) -> Taps {
-    let size = vec2<i32>(frame.width, frame.height);
+fn lead(p: vec2<i32>, m: vec2<f32>, frame: Frame) -> Place {
     let finite = is_finite(m.x) && is_finite(m.y);
     let moved = select(vec2<f32>(0.0), m, finite);
     let whole = floor(moved);
-    var fraction = moved - whole;
     // Clamp before it becomes an integer, which cannot hold 1e12. One pixel beyond the frame is as good as any distance.
-    let limit = vec2<f32>(size + 1);
-    let at = p + vec2<i32>(clamp(whole, -limit, limit));
+    let limit = vec2<f32>(vec2<i32>(frame.width, frame.height) + 1);
+    return Place(p + vec2<i32>(clamp(whole, -limit, limit)), moved - whole, finite);
+}
 
-    let last = size - 1;
-    let inside = finite && all(at >= vec2<i32>(0)) && all(at + vec2<i32>(ceil(fraction)) <= last);
+// The same, clamped into the frame.
+fn follow(p: vec2<i32>, m: vec2<f32>, frame: Frame) -> Taps {
+    let place = lead(p, m, frame);
+    let last = vec2<i32>(frame.width, frame.height) - 1;
+    let inside = place.finite && all(place.at >= vec2<i32>(0)) && all(place.at + vec2<i32>(ceil(place.fraction)) <= last);
 
     // A place outside is clamped onto a pixel of the border; the last column and row have no neighbour.
-    fraction = select(fraction, vec2<f32>(0.0), (at < vec2<i32>(0)) | (at >= last));
-    let first = clamp(at, vec2<i32>(0), last);
+    let fraction = select(place.fraction, vec2<f32>(0.0), (place.at < vec2<i32>(0)) | (place.at >= last));
+    let first = clamp(place.at, vec2<i32>(0), last);
     let second = min(first + 1, last);
     return Taps(first.x, first.y, second.x, second.y, fraction.x, fraction.y, inside);
 }

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""A WebGPU device, its buffers and dispatches, by wgpu-py: each call has its namesake in JavaScript's ``navigator.gpu``."""
+"""Calls of shaders: written down first, then played on a WebGPU device, here by wgpu-py or in a browser (index.html)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,62 +14,92 @@ import wgpu  # pyright: ignore[reportMissingImports]
 from numpy.typing import NDArray
 
 FOLDER = Path(__file__).parent
+FOLLOWING = ("motion_chain", "warp", "holes", "occlusion_warp")
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A buffer of float32 (height, width, channels), by its number in `Calls.buffers`."""
+
+    buffer: int
+    height: int
+    width: int
+    channels: int
+
+
+@dataclass
+class Calls:
+    """What is to be run.
+
+    Attributes:
+        buffers: what each begins with, or only how many numbers it holds: 0 at first.
+        calls: file and entry point, work-groups, the uniform's integers, the buffer of each binding.
+    """
+
+    buffers: list[NDArray[Any] | int] = field(default_factory=list)
+    calls: list[tuple[str, tuple[int, int, int], Sequence[int], dict[int, int]]] = field(default_factory=list)
+
+    def put(self, array: NDArray[Any]) -> Picture:
+        """A picture (H, W) or (H, W, C); a mask becomes 0.0 and 1.0."""
+        self.buffers.append(np.ascontiguousarray(array, np.float32))
+        height, width = array.shape[:2]
+        return Picture(len(self.buffers) - 1, height, width, array.size // (height * width))
+
+    def empty(self, height: int, width: int, channels: int = 1) -> Picture:
+        """A new picture of zeros."""
+        self.buffers.append(height * width * channels)
+        return Picture(len(self.buffers) - 1, height, width, channels)
+
+    def add(self, entry: str, over: Picture, depth: int, uniform: Sequence[int], bindings: Mapping[int, Picture]) -> None:
+        """Run ``file.entry`` once for each pixel of ``over`` and each of ``depth`` channels."""
+        groups = -(-over.width // 8), -(-over.height // 8), depth
+        self.calls.append((entry, groups, uniform, {i: picture.buffer for i, picture in bindings.items()}))
+
+    def play(self, results: Sequence[Picture]) -> list[NDArray[Any]]:
+        """Run all, and read some pictures."""
+        gpu, usage = device(), "STORAGE|COPY_SRC"
+        buffers = [
+            gpu.create_buffer(size=4 * b, usage=usage) if isinstance(b, int) else gpu.create_buffer_with_data(data=b, usage=usage)
+            for b in self.buffers
+        ]
+        encoder = gpu.create_command_encoder()
+        for entry, groups, uniform, bindings in self.calls:
+            numbers = gpu.create_buffer_with_data(
+                data=np.array([*uniform, *[0] * (12 - len(uniform))], np.int32), usage="UNIFORM"
+            )
+            bound = {0: numbers} | {i: buffers[b] for i, b in bindings.items()}
+            entries = [{"binding": i, "resource": {"buffer": buffer}} for i, buffer in bound.items()]
+            compute = encoder.begin_compute_pass()
+            compute.set_pipeline(pipeline(entry))
+            compute.set_bind_group(0, gpu.create_bind_group(layout=pipeline(entry).get_bind_group_layout(0), entries=entries))
+            compute.dispatch_workgroups(*groups)
+            compute.end()
+        gpu.queue.submit([encoder.finish()])
+        read = [
+            np.frombuffer(gpu.queue.read_buffer(buffers[r.buffer]), "f4").reshape(r.height, r.width, r.channels) for r in results
+        ]
+        for buffer in buffers:
+            buffer.destroy()
+        return read
+
+
+def code(file: str) -> str:
+    """The text of a shader, behind what it follows motions with; WGSL has no #include."""
+    files = ["follow", file] if file in FOLLOWING else [file]
+    return "\n".join((FOLDER / f"{name}.wgsl").read_text(encoding="utf-8") for name in files)
 
 
 @cache
 def device() -> Any:
-    """The best device that there is; it is opened once. RuntimeError where there is none."""
-    return wgpu.gpu.request_adapter_sync(power_preference="high-performance").request_device_sync()
+    """The best device that there is, with buffers as large as it allows; opened once. RuntimeError where there is none."""
+    adapter = wgpu.gpu.request_adapter_sync(power_preference="high-performance")
+    large = ("max-buffer-size", "max-storage-buffer-binding-size")
+    return adapter.request_device_sync(required_limits={name: adapter.limits[name] for name in large})
 
 
 @cache
-def pipeline(files: tuple[str, ...], entry: str) -> Any:
-    """The entry point of some .wgsl files, which are put together; compiled once."""
-    code = "\n".join((FOLDER / name).read_text(encoding="utf-8") for name in files)
-    module = device().create_shader_module(code=code)
-    return device().create_compute_pipeline(layout="auto", compute={"module": module, "entry_point": entry})
-
-
-def uniform(*numbers: int) -> Any:
-    """A struct of integers; uniform buffers are multiples of 16 bytes."""
-    padded = np.zeros(-(-len(numbers) // 4) * 4, np.int32)
-    padded[: len(numbers)] = numbers
-    return device().create_buffer_with_data(data=padded, usage="UNIFORM")
-
-
-def uploaded(array: NDArray[Any]) -> Any:
-    """A buffer with these numbers."""
-    return device().create_buffer_with_data(data=np.ascontiguousarray(array), usage="STORAGE")
-
-
-def empty(count: int) -> Any:
-    """A buffer for so many numbers of 4 bytes."""
-    return device().create_buffer(size=4 * count, usage="STORAGE|COPY_SRC")
-
-
-class Pass:
-    """Dispatches one after the other, sent to the device together."""
-
-    def __init__(self):
-        self._encoder = device().create_command_encoder()
-
-    def dispatch(self, compiled: Any, groups: tuple[int, int, int], buffers: Mapping[int, Any]) -> None:
-        """Run an entry point on ``groups`` work-groups; ``buffers`` by their binding."""
-        entries = [{"binding": i, "resource": {"buffer": buffer}} for i, buffer in buffers.items()]
-        group = device().create_bind_group(layout=compiled.get_bind_group_layout(0), entries=entries)
-        compute = self._encoder.begin_compute_pass()
-        compute.set_pipeline(compiled)
-        compute.set_bind_group(0, group)
-        compute.dispatch_workgroups(*groups)
-        compute.end()
-
-    def read(self, buffer: Any, dtype: str, shape: tuple[int, ...]) -> NDArray[Any]:
-        """Submit, wait, and read a buffer."""
-        device().queue.submit([self._encoder.finish()])
-        self._encoder = device().create_command_encoder()
-        return np.frombuffer(device().queue.read_buffer(buffer), dtype).reshape(shape).copy()
-
-
-def tiles(width: int, height: int, depth: int = 1) -> tuple[int, int, int]:
-    """Work-groups of 8 x 8 that cover a frame."""
-    return -(-width // 8), -(-height // 8), depth
+def pipeline(entry: str) -> Any:
+    """An entry point, compiled once."""
+    file, name = entry.split(".")
+    module = device().create_shader_module(code=code(file))
+    return device().create_compute_pipeline(layout="auto", compute={"module": module, "entry_point": name})

@@ -9,7 +9,7 @@ struct Surface { normal: vec3<f32>, stencil: f32, position: vec3<f32>, unused: f
 @group(0) @binding(2) var<storage, read> earlier: array<Surface>;
 @group(0) @binding(3) var<storage, read> now: array<Surface>;
 @group(0) @binding(4) var<storage, read> view: array<vec2<f32>>;  // NoV, depth
-@group(0) @binding(5) var<storage, read_write> valid: array<u32>;
+@group(0) @binding(5) var<storage, read_write> valid: array<f32>;
 
 // Whether the earlier position is further from this one than the bias. What is not finite is; a comparison need not say so in WGSL.
 fn is_far(there: vec3<f32>, here: vec3<f32>, bias: f32) -> bool {
@@ -52,5 +52,5 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let is_moving_hole = stencil != 0.0 && cosine < 0.98 && surface;
 
     let is_other_object = 3.0 * abs(stencil - here.stencil) > 1.0;
-    valid[index] = u32(taps.inside && !is_static_hole && !is_moving_hole && !is_other_object);
+    valid[index] = f32(taps.inside && !is_static_hole && !is_moving_hole && !is_other_object);
 }

@@ -5,7 +5,7 @@
 @group(0) @binding(1) var<storage, read> color: array<f32>;  // H W C, as the .npy file has it
 @group(0) @binding(2) var<storage, read> motion: array<vec2<f32>>;
 @group(0) @binding(3) var<storage, read_write> warped: array<f32>;
-@group(0) @binding(4) var<storage, read_write> inside: array<u32>;
+@group(0) @binding(4) var<storage, read_write> inside: array<f32>;
 
 fn color_at(x: i32, y: i32, channel: i32) -> f32 {
     return color[(y * frame.width + x) * frame.channels + channel];
@@ -18,7 +18,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
 
     let index = p.y * frame.width + p.x;
     let taps = follow(p, motion[index], frame);
-    inside[index] = u32(taps.inside);
+    inside[index] = f32(taps.inside);
     for (var c = 0; c < frame.channels; c++) {
         warped[index * frame.channels + c] = between(
             color_at(taps.x0, taps.y0, c), color_at(taps.x1, taps.y0, c),
