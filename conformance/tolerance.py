@@ -36,6 +36,9 @@ BOUNDS = {
     "bilinear": Bound(
         10, 0, "inner lerp: difference of at most 2 peaks, product, sum: 5; the outer one doubles it; scale: the taps"
     ),
+    "offset": Bound(
+        11, 0, "a difference at each tap, rounded once, then as bilinear; scale: the taps' differences; 0 where all are 0"
+    ),
     "length": Bound(8, 0, "sum of three squares and a root, once each way; scale: the length"),
     "bias": Bound(8, 0, "three products and their sum; scale: on absolute values"),
     "dot": Bound(4, 0, "three products and their sum; scale: on absolute values"),

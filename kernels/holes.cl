@@ -13,12 +13,14 @@
 //  depth              in   (H, W)     normalised to [0, 1]
 //  valid              out  (H, W)     1 = to be trusted, 0 = hole
 //
-// Build -D FACING, GRAZING, DEPTH (cm), COSINE, MESH = the limits, float literals.  Launch (W, H) rounded up.
-#if !defined(FACING) || !defined(GRAZING) || !defined(DEPTH) || !defined(COSINE) || !defined(MESH)
-#error "holes.cl needs -D FACING, GRAZING, DEPTH, COSINE and MESH"
+// Build -D PAPER=1 for the paper's test of static surfaces, 0 for that by the footprint; -D FOOTPRINTS, FACING, GRAZING, DEPTH (cm),
+// COSINE, MESH = the limits, float literals.  Launch (W, H) rounded up.
+#if !defined(PAPER) || !defined(FOOTPRINTS) || !defined(FACING) || !defined(GRAZING) || !defined(DEPTH) || !defined(COSINE) || !defined(MESH)
+#error "holes.cl needs -D PAPER, FOOTPRINTS, FACING, GRAZING, DEPTH, COSINE and MESH"
 #endif
 #include "sample.clh"
 
+#if PAPER
 // Whether a squared distance is beyond bias; NaN counts as beyond.
 static __attribute__((noinline)) bool is_beyond(const float4 squared, const float bias)
 {
@@ -39,6 +41,39 @@ INLINE bool is_far(global const float *previous, const float3 position, const Ta
     if (squared.x <= surely && squared.y <= surely && squared.z <= surely && squared.w <= surely) return false;
     return is_beyond(squared, bias);
 }
+
+// The largest trusted distance on a static surface; of one pixel or of several.
+#define BIAS(nov, depth) \
+    (FACING * ((nov) < 0.0f ? -(nov) : (nov)) + GRAZING * (1.0f - ((nov) < 0.0f ? -(nov) : (nov))) + DEPTH * (depth))
+#else
+// The smaller of two squared distances, of one pixel or of several; one that is not finite does not count, and `zero` where neither does.
+#define NEARER(a, b, zero) ((a) < (b) ? (a) : (b) < INFINITY ? (b) : (a) < INFINITY ? (a) : (zero))
+
+INLINE float apart(global const float *position, const int pixel, const int other)
+{
+    const float3 between = read3(position, other) - read3(position, pixel);
+    return sum3(between * between);
+}
+
+// The square of the largest trusted distance on a static surface.
+INLINE float squared_reach(global const float *position, const int x, const int y, const int height, const int width)
+{
+    const int pixel = y * width + x;
+    const float left = x > 0 ? apart(position, pixel, pixel - 1) : INFINITY;
+    const float right = x < width - 1 ? apart(position, pixel, pixel + 1) : INFINITY;
+    const float above = y > 0 ? apart(position, pixel, pixel - width) : INFINITY;
+    const float below = y < height - 1 ? apart(position, pixel, pixel + width) : INFINITY;
+    return FOOTPRINTS * FOOTPRINTS * (NEARER(left, right, 0.0f) + NEARER(above, below, 0.0f));
+}
+
+// The square of the distance to what is read between four places; NaN if it is NaN.
+INLINE float squared_offset(global const float *previous, const float3 position, const Taps at)
+{
+    const float8 top = read_pair3(previous, at.nw, at.right), bottom = read_pair3(previous, at.nw + at.below, at.right);
+    const float3 offset = BILINEAR(top.s012 - position, top.s456 - position, bottom.s012 - position, bottom.s456 - position, at.fx, at.fy);
+    return sum3(offset * offset);
+}
+#endif
 
 // Takes float4, since Intel 2026.2 passes float3 wrongly to a function that is not inlined.
 static __attribute__((noinline)) bool is_turned(const float4 of, const float4 earlier)
@@ -64,22 +99,23 @@ INLINE float3 normal_between(global const float *normal, const Taps at, const in
     return BILINEAR(nw, ne, sw, se, at.fx, at.fy);
 }
 
-// The largest trusted distance on a static surface; of one pixel or of several.
-#define BIAS(nov, depth) \
-    (FACING * ((nov) < 0.0f ? -(nov) : (nov)) + GRAZING * (1.0f - ((nov) < 0.0f ? -(nov) : (nov))) + DEPTH * (depth))
-
-// Whether the pixel's warped colour is trusted, if it is on screen; s is the stencil read at its taps. Positions are read
-// only where s is 0, normals only elsewhere, since the test of the other does not apply.
-INLINE bool same_surface(const Taps at, const int pixel, const float s, const float stencil, const float bias,
-                                global const float *normal_previous, global const float *normal, const int normal_stride,
-                                global const float *position_previous, global const float *position)
+// Whether the warped colour of pixel (x, y) is trusted, if it is on screen; s is the stencil read at its taps. Positions are read
+// only where s is 0, normals only elsewhere, since the test of the other does not apply. NoV and depth are the paper's test's alone.
+INLINE bool same_surface(const Taps at, const int x, const int y, const int height, const int width, const float s, const float stencil,
+                         const float nov, const float depth, global const float *normal_previous, global const float *normal,
+                         const int normal_stride, global const float *position_previous, global const float *position)
 {
+    const int pixel = y * width + x;
     const float change = 3.0f * (s - stencil);
     if (change > MESH || change < -(MESH)) return false;
     if (s != 0.0f)
         return !is_turned((float4)(normal_at(normal, pixel, normal_stride), 0.0f),
                           (float4)(normal_between(normal_previous, at, normal_stride), 0.0f));
-    return !is_far(position_previous, read3(position, pixel), at, bias);
+#if PAPER
+    return !is_far(position_previous, read3(position, pixel), at, BIAS(nov, depth));
+#else
+    return squared_offset(position_previous, read3(position, pixel), at) <= squared_reach(position, x, y, height, width);
+#endif
 }
 
 kernel void holes(global const float2 *restrict motion, global const float *restrict stencil_previous,
@@ -94,6 +130,6 @@ kernel void holes(global const float2 *restrict motion, global const float *rest
     const Place place = follow(motion[pixel], x, y, height, width);
     const Taps at = taps(place, height, width);
     valid[pixel] = leads_inside(place, height, width) &&
-                   same_surface(at, pixel, bilinear1(stencil_previous, at), stencil[pixel], BIAS(nov[pixel], depth[pixel]),
+                   same_surface(at, x, y, height, width, bilinear1(stencil_previous, at), stencil[pixel], nov[pixel], depth[pixel],
                                 normal_previous, normal, 3, position_previous, position);
 }

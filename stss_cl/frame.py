@@ -129,6 +129,7 @@ class Frame:
                 self._gather,
                 inputs=layers.inputs,
                 second=layers.second_color,
+                test=layers.hole_test,
                 frames=layers.colors_read,
                 tops=[strip.top for strip in layers.strips],
             )

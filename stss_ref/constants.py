@@ -4,6 +4,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
+
+HoleTest = Literal["footprint", "paper"]
+"""How static surfaces are tested for holes: by the pixel's footprint, or by the paper's limits in cm, with which the authors' weights were
+trained (`stss_ref.holes.holes`)."""
+HOLE_TESTS: tuple[HoleTest, ...] = get_args(HoleTest)
 
 
 @dataclass(frozen=True)
@@ -11,13 +17,15 @@ class HoleLimits:
     """The constants of the hole test (spec 4; ExtraNet).
 
     Attributes:
-        facing: largest trusted distance on a surface seen head-on; cm.
-        grazing: the same seen edge-on; cm.
+        footprints: largest trusted distance on a static surface; footprints of the pixel. Its square must be exact in float32.
+        facing: the paper's, on a surface seen head-on; cm.
+        grazing: the paper's, on a surface seen edge-on; cm.
         depth: what normalised depth 1 adds to both; cm.
         cosine: smallest trusted cosine between a moving object's normals.
         mesh: largest trusted value of ``3 |warped stencil - stencil|``.
     """
 
+    footprints: float = 1.5
     facing: float = 7.5
     grazing: float = 45.0
     depth: float = 50.0

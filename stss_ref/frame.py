@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stss_ref.arrays import Array, ArrayError, Image, Mask, Plane, require_dtype, require_finite, require_shape
+from stss_ref.constants import HoleTest
 from stss_ref.holes import holes
 from stss_ref.motion_chain import Gather, chain_steps
 from stss_ref.network import network
@@ -59,7 +60,7 @@ def frame(inputs: FrameInputs, weights: Weights, gather: Gather = "longest") -> 
 
     Args:
         inputs: the buffers.
-        weights: the network's 92 tensors, and the second colour that they were trained with.
+        weights: the network's 92 tensors, the second colour and the hole test that they were trained with.
         gather: how the motion chain reads between pixels.
 
     Returns:
@@ -69,19 +70,21 @@ def frame(inputs: FrameInputs, weights: Weights, gather: Gather = "longest") -> 
     Raises:
         ArrayError: shapes or dtypes differ, or an array that must be finite is not.
     """
-    prepared = prepare(inputs, gather, weights.second_color)
+    prepared = prepare(inputs, gather, weights.second_color, weights.hole_test)
     image = network(prepared.color, prepared.gbuffer, prepared.mask, prepared.history, weights)
     return image, prepared.mask.astype(bool)
 
 
 @part("color", "mask", "history")
-def prepare(inputs: FrameInputs, gather: Gather = "longest", second: SecondColor = "newest") -> NetworkInputs:
+def prepare(
+    inputs: FrameInputs, gather: Gather = "longest", second: SecondColor = "newest", test: HoleTest = "footprint"
+) -> NetworkInputs:
     """Make the network's inputs: warp the three colour frames to the current one. Other arguments and errors as in ``frame``.
 
     ``color`` is two pictures: the newest colour frame with its holes filled, and a second one. With ``second`` "newest" that is the same
     frame, its holes left as they are warped (spec 7); in an SF both are then the frame itself. With "earlier" it is the colour frame
     before, where that is valid, and elsewhere as with "newest": at full size, the older frame shows what lies between the newest one's
-    samples (decision 35).
+    samples (decision 35). ``test``: of static surfaces, see `holes`.
     """
     _check(inputs)
     motions = _motion_by_step(inputs.motions, inputs.steps, gather)
@@ -89,7 +92,7 @@ def prepare(inputs: FrameInputs, gather: Gather = "longest", second: SecondColor
     warped: list[Image] = []
     valids: list[Mask] = []
     for i, step in enumerate(inputs.steps):
-        w, valid = _warp_one(inputs, i, motions.get(step))
+        w, valid = _warp_one(inputs, i, motions.get(step), test)
         missing = i > 0 and step == inputs.steps[i - 1]
         warped.append(w)
         valids.append(np.zeros_like(valid) if missing else valid)
@@ -110,7 +113,7 @@ def _motion_by_step(motions: Array, steps: Sequence[int], gather: Gather) -> dic
     return {step: motion for step, motion in enumerate(chained, start=1) if step in steps}
 
 
-def _warp_one(inputs: FrameInputs, i: int, motion: Image | None) -> tuple[Image, Mask]:
+def _warp_one(inputs: FrameInputs, i: int, motion: Image | None, test: HoleTest) -> tuple[Image, Mask]:
     """Colour frame ``i`` warped to the current one, and where to trust it; without motion the frame itself, trusted everywhere."""
     if motion is None:
         return inputs.colors[i], np.ones(inputs.nov.shape, bool)
@@ -125,6 +128,7 @@ def _warp_one(inputs: FrameInputs, i: int, motion: Image | None) -> tuple[Image,
         position=inputs.positions[0],
         nov=inputs.nov,
         depth=inputs.gbuffer[..., 3],
+        test=test,
     )
     return warped, valid
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -86,7 +87,13 @@ def bilinear(image: Image, at: Taps) -> Image:
     ``a + (b - a) t`` and not ``a (1 - t) + b t``: a flat image then stays flat bit for bit, and whole-pixel motion reads the
     pixel itself.
     """
+    return between([image[j, i] for j in (at.y0, at.y1) for i in (at.x0, at.x1)], at)
+
+
+def between(four: Sequence[Image], at: Taps) -> Image:
+    """What lies between the values (H, W, C) at four taps, row by row."""
+    nw, ne, sw, se = four
     fx, fy = at.fx[..., None], at.fy[..., None]
-    top = image[at.y0, at.x0] + (image[at.y0, at.x1] - image[at.y0, at.x0]) * fx
-    bottom = image[at.y1, at.x0] + (image[at.y1, at.x1] - image[at.y1, at.x0]) * fx
+    top = nw + (ne - nw) * fx
+    bottom = sw + (se - sw) * fx
     return top + (bottom - top) * fy

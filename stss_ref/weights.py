@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from math import prod, sqrt
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from stss_ref.arrays import Array
+from stss_ref.constants import HOLE_TESTS, HoleTest
 
 Tensors = Mapping[str, Array]
 """Arrays by name, of the network or of some layers: a convolution's weight is (out, in, kh, kw), its bias (out,)."""
@@ -34,10 +35,12 @@ class Weights(Mapping[str, Array]):
     Attributes:
         tensors: the array of each name in `TENSORS`.
         second_color: the second colour that they were trained with.
+        hole_test: the hole test that they were trained with.
     """
 
     tensors: Tensors = field(repr=False)
     second_color: SecondColor = "newest"
+    hole_test: HoleTest = "footprint"
 
     def __getitem__(self, name: str) -> Array:
         return self.tensors[name]
@@ -61,14 +64,16 @@ class WeightsError(ValueError):
     """Weights are not what the network takes; the message names the tensor, what was expected and what was found."""
 
 
-VERSION_KEY, SECOND_COLOR_KEY = "stss_weights_version", "second_color"
-NEWEST_ALONE, WITH_SECOND_COLOR = "1", "2"
-"""Versions of a weights file: with the newest frame as the second colour, and with the one that the metadata name. Who knows version 1
-alone thus refuses what it would compute wrongly."""
+VERSION_KEY, SECOND_COLOR_KEY, HOLE_TEST_KEY = "stss_weights_version", "second_color", "hole_test"
+NEWEST_ALONE, WITH_SECOND_COLOR, WITH_HOLE_TEST = "1", "2", "3"
+"""Versions of a weights file: with the newest frame as the second colour; with the one that the metadata name; and with the hole test
+that they name, too. Who knows the earlier versions alone thus refuses what it would compute wrongly."""
 
 
 def format_metadata(weights: Weights) -> dict[str, str]:
     """The entries that the metadata of a weights file must have (spec 10)."""
+    if weights.hole_test != "footprint":
+        return {VERSION_KEY: WITH_HOLE_TEST, SECOND_COLOR_KEY: weights.second_color, HOLE_TEST_KEY: weights.hole_test}
     if weights.second_color == "newest":
         return {VERSION_KEY: NEWEST_ALONE}
     return {VERSION_KEY: WITH_SECOND_COLOR, SECOND_COLOR_KEY: weights.second_color}
@@ -84,18 +89,28 @@ def take_format(metadata: dict[str, str]) -> Weights:
         WeightsError: the entries are not those of a known version.
     """
     version = metadata.pop(VERSION_KEY, None)
-    if version not in (NEWEST_ALONE, WITH_SECOND_COLOR):
+    if version not in (NEWEST_ALONE, WITH_SECOND_COLOR, WITH_HOLE_TEST):
         found = "no such entry" if version is None else repr(str(version)[:20])
-        raise WeightsError(f"expected {VERSION_KEY} {NEWEST_ALONE} or {WITH_SECOND_COLOR} in the metadata, found {found}")
-    if version == NEWEST_ALONE and SECOND_COLOR_KEY in metadata:
-        raise WeightsError(f"{SECOND_COLOR_KEY}: expected no such entry in the metadata of {VERSION_KEY} {NEWEST_ALONE}")
-    named = "newest" if version == NEWEST_ALONE else metadata.pop(SECOND_COLOR_KEY, "")
-    for known in SECOND_COLORS:
+        known = f"{NEWEST_ALONE}, {WITH_SECOND_COLOR} or {WITH_HOLE_TEST}"
+        raise WeightsError(f"expected {VERSION_KEY} {known} in the metadata, found {found}")
+    for key, versions in ((SECOND_COLOR_KEY, NEWEST_ALONE), (HOLE_TEST_KEY, NEWEST_ALONE + WITH_SECOND_COLOR)):
+        if version in versions and key in metadata:
+            raise WeightsError(f"{key}: expected no such entry in the metadata of {VERSION_KEY} {version}")
+    found = Weights({})
+    if version != NEWEST_ALONE:
+        found = replace(found, second_color=_named(metadata, SECOND_COLOR_KEY, SECOND_COLORS))
+    return replace(found, hole_test=_named(metadata, HOLE_TEST_KEY, HOLE_TESTS)) if version == WITH_HOLE_TEST else found
+
+
+Name = TypeVar("Name", bound=str)
+
+
+def _named(metadata: dict[str, str], key: str, names: tuple[Name, ...]) -> Name:
+    named = metadata.pop(key, "")
+    for known in names:
         if named == known:
-            return Weights({}, known)
-    raise WeightsError(
-        f"{SECOND_COLOR_KEY}: expected one of {', '.join(SECOND_COLORS)} in the metadata, found {str(named)[:20]!r}"
-    )
+            return known
+    raise WeightsError(f"{key}: expected one of {', '.join(names)} in the metadata, found {str(named)[:20]!r}")
 
 
 def _padded(length: int) -> int:

@@ -48,8 +48,8 @@ def expect(
         return IMAGE_SPACE[stage](inputs, arithmetic)
     if stage == "occlusion_warp":
         return expect_occlusion_warp(inputs, arithmetic, got)
-    if stage == "frame" and undecided_before(inputs, arithmetic):
-        return {}
     assert STAGES[stage].weights
     assert weights is not None
+    if stage == "frame" and undecided_before(inputs, weights.hole_test, arithmetic):
+        return {}
     return expect_with_weights(stage, inputs, weights, arithmetic)

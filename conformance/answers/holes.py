@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 from conformance.answers.expected import Expected, mask
 from conformance.answers.port_arithmetic import Arithmetic, Reach, reach
 from conformance.answers.warp import interpolated, peaks, within_frame
+from conformance.protocol.stages import hole_test
 from conformance.tolerance import BOUNDS
-from stss_ref.holes import HoleLimits, holes
-from stss_ref.sample import taps
+from stss_ref.arrays import Array
+from stss_ref.constants import HoleLimits
+from stss_ref.holes import holes, squared_footprint
+from stss_ref.sample import between, taps
 
 Bool = NDArray[np.bool_]
 Float64 = NDArray[np.float64]
@@ -48,6 +51,7 @@ def expect_holes(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic, off: F
         arithmetic: of the port.
         off: (H, W, 2) largest error of the port's motion; pixels.
     """
+    test = hole_test(inputs["paper"])
     at = reach(inputs["motion"], arithmetic, off)
     inside, edge = within_frame(at)
     outside = Maybe(~inside & ~edge, ~inside | edge)
@@ -55,12 +59,13 @@ def expect_holes(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic, off: F
         s, s_off = _read(inputs["stencil_previous"][..., None], at, arithmetic)
         s, s_off = s[..., 0], s_off[..., 0]
         standing = _is_zero(inputs["stencil_previous"], s, s_off, at)
-        static = standing & _too_far(inputs, at, arithmetic)
+        static = standing & (_too_far if test == "paper" else _beyond_footprint)(inputs, at, arithmetic)
         moving = ~standing & _turned(inputs, at, arithmetic)
         difference = 3 * np.abs(s - inputs["stencil"])
         mesh = _exceeds(difference, 3 * s_off + 4 * arithmetic.unit * difference, LIMITS.mesh)
     hole = outside | static | moving | mesh
-    return {"valid": mask(holes(**inputs, limits=None), hole.possible & ~hole.sure)}
+    planes = {name: array for name, array in inputs.items() if name != "paper"}
+    return {"valid": mask(holes(**planes, test=test, limits=None), hole.possible & ~hole.sure)}
 
 
 def _exceeds(value: Float64, off: Float64, threshold: Float64 | float) -> Maybe:
@@ -76,6 +81,26 @@ def _is_zero(stencil: Float64, s: Float64, s_off: Float64, at: Reach) -> Maybe:
     own, around = peaks(stencil[..., None], at)
     peak = np.where(at.unsure, around[0][..., 0], own[..., 0])
     return Maybe(peak == 0, np.abs(s) <= s_off)
+
+
+def _beyond_footprint(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic) -> Maybe:
+    """Where the offset that is read exceeds the footprints allowed. Offsets of 0 at all pixels that count give exactly 0."""
+    unit, position, previous = arithmetic.unit, inputs["position"], inputs["position_previous"]
+    cell = taps(at.at)
+    four = [previous[j, i] - position for j in (cell.y0, cell.y1) for i in (cell.x0, cell.x1)]
+    distance = _length(between(four, cell))
+    own, around = peaks(previous, at, position)
+    # Within its own four pixels a place slips along a slope of at most twice their peak, beyond them along that of those around.
+    peak, contrast = np.where(at.unsure[..., None], around, (own, 2 * own))
+    wrong = BOUNDS["offset"].roundings * unit * peak + np.minimum(at.slip, 1)[..., None] * contrast
+    least = np.where(peak.max(axis=-1) > 0, SMALL, 0)
+    off = _length(wrong) + BOUNDS["length"].roundings * unit * distance + least
+    off = np.where(np.isnan(off), np.inf, off)  # by a pixel beside them that is not finite
+    limit = LIMITS.footprints * np.sqrt(squared_footprint(position))
+    limit_off = BOUNDS["length"].roundings * unit * limit + np.where(limit > 0, SMALL, 0)
+    # The square of a larger number may be infinite in float32, and then does not count as a footprint. What is infinite is a hole.
+    large = np.where(np.isfinite(distance), np.maximum(_length(peak), limit), limit) > 1 / SMALL
+    return Maybe(~(distance - off <= limit + limit_off) & ~large, ~(distance + off <= limit - limit_off) | large)
 
 
 def _too_far(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic) -> Maybe:
@@ -101,8 +126,11 @@ def _too_far(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic)
 
 
 def _distance(previous: list[Float64], position: Float64) -> Float64:
-    offsets = np.stack(previous) - position
-    return np.sqrt((offsets * offsets).sum(axis=-1)).max(axis=0)
+    return _length(np.stack(previous) - position).max(axis=0)
+
+
+def _length(vectors: Array) -> Float64:
+    return np.sqrt((vectors * vectors).sum(axis=-1, dtype=np.float64))
 
 
 def _turned(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic) -> Maybe:

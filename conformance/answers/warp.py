@@ -43,17 +43,20 @@ def interpolated(image: Float64, at: Reach, arithmetic: Arithmetic) -> tuple[Flo
         return bilinear(image, taps(at.at)).astype(np.float64), allowed + np.minimum(at.slip, 1)[..., None] * around[1]
 
 
-def peaks(image: Float64, at: Reach) -> tuple[Float64, tuple[Float64, Float64]]:
-    """Largest |value| of the taps that count; largest |value| and contrast of the 4 x 4 pixels around them; all (H, W, C)."""
+def peaks(image: Float64, at: Reach, origin: Float64 | float = 0.0) -> tuple[Float64, tuple[Float64, Float64]]:
+    """Largest |value| of the taps that count; largest |value| and contrast of the 4 x 4 pixels around them; all (H, W, C).
+
+    ``origin`` (H, W, C), or one number, is taken off each value.
+    """
     height, width, _ = image.shape
     cell = taps(at.at)
     # The left and the upper taps always count: a fraction of 1 was below 1 before rounding.
     counts = (cell.fx >= 0, cell.fx > 0, cell.fy > 0, (cell.fx > 0) & (cell.fy > 0))
     places = ((cell.y0, cell.x0), (cell.y0, cell.x1), (cell.y1, cell.x0), (cell.y1, cell.x1))
-    own = np.max([np.where(c[..., None], np.abs(image[p]), 0) for c, p in zip(counts, places, strict=True)], axis=0)
+    own = np.max([np.where(c[..., None], np.abs(image[p] - origin), 0) for c, p in zip(counts, places, strict=True)], axis=0)
     rows = [np.clip(cell.y0 + i, 0, height - 1) for i in range(-1, 3)]
     columns = [np.clip(cell.x0 + i, 0, width - 1) for i in range(-1, 3)]
-    near = np.stack([image[row, column] for row in rows for column in columns])
+    near = np.stack([image[row, column] - origin for row in rows for column in columns])
     return own, (np.abs(near).max(axis=0), near.max(axis=0) - near.min(axis=0))
 
 

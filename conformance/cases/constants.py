@@ -53,6 +53,7 @@ def _still(width: int) -> Inputs:
     return {
         "motion": np.zeros((1, width, 2)), "stencil_previous": flat, "stencil": flat, "normal_previous": up, "normal": up,
         "position_previous": none, "position": none, "nov": flat, "depth": flat,
+        "paper": np.ones(1, np.int32),
     }  # fmt: skip
 
 
@@ -66,6 +67,18 @@ def _far(facing: float, depth: float) -> Callable[[Generator], Inputs]:
         return {**_still(apart.size), **planes, "position_previous": moved}
 
     return make
+
+
+def _footprint(_: Generator) -> Inputs:
+    """Two rows of columns that are 8 cm apart in both directions, so that a footprint is 8 sqrt(2) cm."""
+    apart = np.sqrt(128) * LIMITS.footprints * np.array([1 - CLOSE, 1 + CLOSE, 1 - CLOSE])
+    here = np.zeros((2, apart.size, 3))
+    here[..., 0], here[..., 1] = 8 * np.arange(apart.size), 8 * np.arange(2)[:, None]
+    there = here.copy()
+    there[..., 2] = apart
+    still = _still(apart.size)
+    planes = {name: np.repeat(array, 2, axis=0) for name, array in still.items()}
+    return {**planes, "position": here, "position_previous": there, "paper": np.zeros(1, np.int32)}
 
 
 def _object(normal_previous: NDArray[np.float64]) -> Inputs:
@@ -137,6 +150,7 @@ def _dark(rng: Generator) -> tuple[Inputs, Weights]:
 
 
 CONSTANTS = (
+    Constant("distance in footprints", "1.5", "holes", _footprint),
     Constant("distance head-on", "7.5", "holes", _far(1, 0)),
     Constant("distance edge-on", "45", "holes", _far(0, 0)),
     Constant("distance by depth", "50", "holes", _far(1, 1)),

@@ -50,7 +50,7 @@ def _holes(rng: Generator) -> Inputs:
     return {
         "motion": rng.choice([0.0, -0.0, 1.0], (*SIZE, 2)), "stencil_previous": previous, "stencil": now,
         "normal_previous": up, "normal": up, "position_previous": none, "position": none,
-        "nov": rng.uniform(-1, 1, SIZE), "depth": rng.random(SIZE),
+        "nov": rng.uniform(-1, 1, SIZE), "depth": rng.random(SIZE), "paper": rng.integers(0, 2, 1, np.int32),
     }  # fmt: skip
 
 

@@ -56,7 +56,7 @@ def _holes(size: Size, rng: Generator) -> Inputs:
     return {
         "motion": moved, "stencil": stencil, "stencil_previous": stencil, "normal": normal, "position": position,
         "normal_previous": normal + rng.normal(0, 0.1, normal.shape), "position_previous": position + rng.normal(0, 8, normal.shape),
-        "nov": rng.uniform(-1, 1, size), "depth": rng.random(size),
+        "nov": rng.uniform(-1, 1, size), "depth": rng.random(size), "paper": rng.integers(0, 2, 1, np.int32),
     }  # fmt: skip
 
 

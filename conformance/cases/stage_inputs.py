@@ -12,10 +12,13 @@ from numpy.typing import NDArray
 
 from conformance.cases.planes import SEEDS, Size, colors, dyadic_motions, masks, motions, sizes
 from conformance.scenes import SCENES, Rendered, render
-from stss_ref.constants import HoleLimits
+from stss_ref.constants import HOLE_TESTS, HoleLimits, HoleTest
+from stss_ref.holes import squared_footprint
 from stss_ref.weights import SECOND_COLORS, TENSORS, SecondColor, Weights, random
 
 Inputs = dict[str, NDArray[Any]]
+PAPER = st.sampled_from([0, 1]).map(lambda paper: np.array([paper], np.int32))
+"""Stage holes' input that asks for the paper's test."""
 WEIGHT_KINDS = ("random", "sparse", "large", "small keys", "faint keys")
 
 
@@ -87,6 +90,7 @@ def holes_inputs(draw: st.DrawFn, largest: int = 16) -> Inputs:
         "position": position,
         "nov": rng.uniform(-1, 1, size),
         "depth": rng.random(size) if draw(st.booleans()) else np.full(size, rng.random()),
+        "paper": draw(PAPER),
     }
 
 
@@ -95,7 +99,8 @@ def thresholds(draw: st.DrawFn, largest: int = 16) -> Inputs:
     """Stage holes where one comparison decides, near its threshold: distance, angle, or another object."""
     size = draw(sizes(largest))
     rng = np.random.default_rng(draw(SEEDS))
-    what = draw(st.sampled_from(["far", "turned", "turned", "other"]))
+    what = draw(st.sampled_from(["far", "far", "turned", "turned", "other"]))
+    paper = draw(PAPER)
     normal = _unit(rng, size)
     position = rng.normal(0, draw(st.sampled_from([5.0, 500.0])), (*size, 3))
     nov, depth = rng.uniform(-1, 1, size), rng.random(size)
@@ -103,8 +108,10 @@ def thresholds(draw: st.DrawFn, largest: int = 16) -> Inputs:
     inputs = {"normal": normal, "normal_previous": normal, "position": position, "position_previous": position}
     if what == "far":
         limits = HoleLimits()
-        bias = limits.facing * np.abs(nov) + limits.grazing * (1 - np.abs(nov)) + limits.depth * depth
-        inputs["position_previous"] = position + _unit(rng, size) * (bias * rng.uniform(0.8, 1.2, size))[..., None]
+        limit = limits.facing * np.abs(nov) + limits.grazing * (1 - np.abs(nov)) + limits.depth * depth
+        if not paper[0]:
+            limit = limits.footprints * np.sqrt(squared_footprint(position))
+        inputs["position_previous"] = position + _unit(rng, size) * (limit * rng.uniform(0.8, 1.2, size))[..., None]
     if what == "turned":
         # Angles near that of cosine 0.98, or any angle. Lengths differ from 1, since a stage divides by only one of the two.
         aside = np.cross(normal, _unit(rng, size))
@@ -117,7 +124,7 @@ def thresholds(draw: st.DrawFn, largest: int = 16) -> Inputs:
     moved = draw(st.one_of(dyadic_motions(size, "still"), dyadic_motions(size, "short"), motions(size)))
     same = draw(st.booleans()) or what != "other"
     other = objects if same else np.zeros(size)
-    return {**inputs, "motion": moved, "stencil_previous": objects, "stencil": other, "nov": nov, "depth": depth}
+    return {**inputs, "motion": moved, "stencil_previous": objects, "stencil": other, "nov": nov, "depth": depth, "paper": paper}
 
 
 def _unit(rng: np.random.Generator, size: Size) -> NDArray[np.float64]:
@@ -255,12 +262,17 @@ def weights(draw: st.DrawFn) -> Weights:
 
 @st.composite
 def frame_weights(draw: st.DrawFn) -> Weights:
-    """The same with either second colour, which stage frame makes for them."""
-    return made_weights(draw(st.sampled_from(WEIGHT_KINDS)), draw(st.integers(0, 2)), draw(st.sampled_from(SECOND_COLORS)))
+    """The same for stage frame, with each second colour and each hole test."""
+    kind, second, test = (
+        draw(st.sampled_from(WEIGHT_KINDS)),
+        draw(st.sampled_from(SECOND_COLORS)),
+        draw(st.sampled_from(HOLE_TESTS)),
+    )
+    return made_weights(kind, 0, second, test)
 
 
 @lru_cache(32)
-def made_weights(kind: str, seed: int, second: SecondColor = "newest") -> Weights:
+def made_weights(kind: str, seed: int, second: SecondColor = "newest", test: HoleTest = "footprint") -> Weights:
     """Weights of ``stss_ref.weights.random``, as they are, thinned out, enlarged, or with keys near the clamps of spec 8."""
     made = dict(random(seed))
     rng = np.random.default_rng(seed)
@@ -271,7 +283,7 @@ def made_weights(kind: str, seed: int, second: SecondColor = "newest") -> Weight
             made[name] = made[name] * np.float32(2)
         elif kind in ("small keys", "faint keys") and name.startswith("KEncoder.4"):
             made[name] = made[name] * np.float32(1e-6 if kind == "small keys" else 1e-11)
-    return Weights(made, second)
+    return Weights(made, second, test)
 
 
 def _stencil(rng: np.random.Generator, size: Size, kind: str) -> NDArray[np.float64]:

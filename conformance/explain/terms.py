@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from conformance.answers.expected import largest
 from conformance.judging.findings import Finding
-from conformance.protocol.stages import reference
+from conformance.protocol.stages import hole_test, reference
 from stss_ref.constants import HoleLimits
+from stss_ref.holes import squared_footprint
 from stss_ref.motion_chain import chain_steps, gather_longest, truncated
 from stss_ref.occlusion_warp import FARTHEST, splat
-from stss_ref.sample import Place, bilinear, follow, leads_inside, taps
+from stss_ref.sample import Place, between, bilinear, follow, leads_inside, taps
 
 Float64 = NDArray[np.float64]
 Inputs = dict[str, NDArray[Any]]
@@ -115,16 +116,30 @@ def _holes(inputs: Inputs, y: int, x: int) -> list[Term]:
     four = taps(at)
     s = bilinear(inputs["stencil_previous"][..., None], four)[y, x, 0]
     n, now = bilinear(inputs["normal_previous"], four)[y, x], inputs["normal"][y, x]
-    corners = [(j[y, x], i[y, x]) for j in (four.y0, four.y1) for i in (four.x0, four.x1)]
-    distances = [float(np.sqrt(((inputs["position_previous"][p] - inputs["position"][y, x]) ** 2).sum())) for p in corners]
-    facing, depth = abs(inputs["nov"][y, x]), inputs["depth"][y, x]
-    bias = LIMITS.facing * facing + LIMITS.grazing * (1 - facing) + LIMITS.depth * depth
+    rows, columns = (four.y0, four.y1), (four.x0, four.x1)
+    here, previous = inputs["position"][y, x], inputs["position_previous"]
     length = np.sqrt((n * n).sum())
     static = [
-        ("static, as that is 0: |NoV|, depth", _shown([facing, depth])),
-        ("distances to the four", _shown(distances)),
-        ("bias, a hole unless all <=", _shown(bias)),
+        ("static, as that is 0: positions read", " ".join(_shown(previous[j[y, x], i[y, x]]) for j in rows for i in columns)),
+        ("position now", _shown(here)),
     ]
+    if hole_test(inputs["paper"]) == "paper":
+        distances = [float(np.sqrt(((previous[j[y, x], i[y, x]] - here) ** 2).sum())) for j in rows for i in columns]
+        facing, depth = abs(inputs["nov"][y, x]), inputs["depth"][y, x]
+        bias = LIMITS.facing * facing + LIMITS.grazing * (1 - facing) + LIMITS.depth * depth
+        static += [
+            ("|NoV|, depth", _shown([facing, depth])),
+            ("distances to the four", _shown(distances)),
+            ("bias, a hole unless all <=", _shown(bias)),
+        ]
+    else:
+        offset = between([previous[j, i] - inputs["position"] for j in rows for i in columns], four)[y, x]
+        footprint = np.sqrt(squared_footprint(inputs["position"])[y, x])
+        static += [
+            ("offset read between them", _shown(offset)),
+            ("its length", _shown(np.sqrt((offset * offset).sum()))),
+            (f"{LIMITS.footprints:g} footprints, a hole unless <=", _shown(LIMITS.footprints * footprint)),
+        ]
     moving = [
         ("moving: normal read there, and now", f"{_shown(n)} and {_shown(now)}"),
         (f"cosine, a hole if < {LIMITS.cosine:g}", _shown((now * n).sum() / (length + 1e-5))),

@@ -66,7 +66,7 @@ NETWORK = (
 )
 
 _FRAME = "frame.py"
-_CHAINED = "motions.get(step))"
+_CHAINED = "motions.get(step), test)"
 _STEPS = "enumerate(chained, start=1)"
 _MISSING = "missing = i > 0 and step == inputs.steps[i - 1]"
 _VALIDS = "valids.append(np.zeros_like(valid) if missing else valid)"
@@ -75,7 +75,7 @@ _STACK = "history = np.stack([np.concatenate([np.maximum(w, 0), m], axis=-1) for
 _FILL = "_, instead = occlusion_warp(inputs.colors[0], newest, motion, inputs.gbuffer[..., 3], valids[0])"
 _MASK_OUT = "masks[0][..., 0], "
 _WARPED = "warped.append(w)"
-_ONE = "w, valid = _warp_one(inputs, i, motions.get(step))"
+_ONE = "w, valid = _warp_one(inputs, i, motions.get(step), test)"
 
 
 def _frame(name: str, what: str, *change: str, more: Sequence[Change] = ()) -> Mistake:
@@ -120,7 +120,7 @@ _SECONDS = (
 )
 
 FRAME = (
-    _frame("newest_motion_for_all", "one motion for the three colours", _CHAINED, "motions.get(inputs.steps[0]))"),
+    _frame("newest_motion_for_all", "one motion for the three colours", _CHAINED, "motions.get(inputs.steps[0]), test)"),
     _frame("one_step_too_far", "each motion one frame too far", _STEPS, "enumerate(chained, start=0)"),
     _frame("one_step_short", "each motion one frame short", _STEPS, "enumerate(chained, start=2)"),
     _frame(
@@ -157,6 +157,7 @@ FRAME = (
         'def frame(inputs: FrameInputs, weights: Weights, gather: Gather = "longest")',
         'def frame(inputs: FrameInputs, weights: Weights, gather: Gather = "nearest")',
     ),
+    _frame("hole_test_ignored", "always the footprint's hole test", ", weights.hole_test)", ")"),
     _frame(
         "stencil_of_now",
         "the current stencils for the earlier ones",
@@ -214,7 +215,7 @@ FRAME = (
         "missing_not_warped",
         "a missing frame is not warped again",
         _ONE,
-        "w, valid = _warp_one(inputs, i, None if i > 0 and step == inputs.steps[i - 1] else motions.get(step))",
+        "w, valid = _warp_one(inputs, i, None if i > 0 and step == inputs.steps[i - 1] else motions.get(step), test)",
     ),
     _frame(
         "sf_without_holes",

@@ -8,9 +8,13 @@ from conformance.mistakes.variants import Change, Mistake, fault
 FILE = "holes.py"
 _FOLLOW = "place = follow(motion)"
 _AT = "at = taps(place)"
-_STATIC = "static = (s == 0) & ~(_largest_distance(position_previous, position, at) <= bias)"
-_DISTANCE = "return np.sqrt((offsets * offsets).sum(axis=-1)).max(axis=0)"
-_OFFSET = "previous[j, i] - position for j"
+_STATIC = "static = (s == 0) & ~near"
+_NEAR = "near = _squared(between(offsets, at)) <= limits.footprints**2 * squared_footprint(position)"
+_PAPER = "near = _largest_distance(offsets) <= bias"
+_FOOTPRINT = "return _nearer(position, axis=1) + _nearer(position, axis=0)"
+_NEAREST = "nearest = np.minimum(before, after)"
+_DISTANCE = "return np.sqrt(_squared(np.stack(offsets))).max(axis=0)"
+_OFFSET = "position_previous[j, i] - position for j"
 _ROWS = "for j in (at.y0, at.y1) for i in (at.x0, at.x1)"
 _COSINE = "cosine = (normal * n).sum(axis=-1) / (length + length.dtype.type(1e-5))"
 _BIAS = "limits.facing * facing + limits.grazing * (1 - facing) + limits.depth * depth"
@@ -56,6 +60,47 @@ HOLES = (
         _BIAS,
         "limits.grazing * facing + limits.facing * (1 - facing) + limits.depth * depth",
     ),
+    _limit("footprints_1", "1 footprint for 1.5", "footprints: float = 1.5", "footprints: float = 1.0"),
+    _holes("footprints_once", "1.5 for 1.5 * 1.5 beside squares", "limits.footprints**2", "limits.footprints"),
+    _holes(
+        "footprint_of_the_farther",
+        "the farther neighbour",
+        _NEAREST,
+        "nearest = np.where(before < np.inf, before, 0)\n    nearest = np.maximum(nearest, np.where(after < np.inf, after, 0))",
+    ),
+    _holes("footprint_to_the_right", "the right and the lower neighbour", _NEAREST, "nearest = after"),
+    _holes("footprint_across", "neighbours in the row alone", _FOOTPRINT, "return _nearer(position, axis=1)"),
+    _holes(
+        "footprint_of_the_longer_axis",
+        "the longer of the two axes for both",
+        _FOOTPRINT,
+        _FOOTPRINT.replace("return _nearer(position, axis=1) + ", "return np.maximum(_nearer(position, axis=1), ") + ")",
+    ),
+    _holes(
+        "footprint_before",
+        "the footprint in the earlier frame, there",
+        "squared_footprint(position)",
+        "squared_footprint(position_previous)[at.y0, at.x0]",
+    ),
+    _holes("footprint_beyond", "beyond the frame nothing is 0 apart", "constant_values=np.inf", "constant_values=0.0"),
+    _holes(
+        "footprint_lost", "a neighbour that is not finite counts", "np.where(apart < np.inf, apart, np.inf)  # NaN too", "apart"
+    ),
+    _holes(
+        "footprint_infinite",
+        "without a neighbour nothing is far",
+        "return np.where(nearest < np.inf, nearest, 0)",
+        "return nearest",
+    ),
+    _holes("offset_of_one", "the offset of the first of four", "_squared(between(offsets, at))", "_squared(offsets[0])"),
+    _holes(
+        "offset_of_the_farthest",
+        "the largest of four offsets",
+        "_squared(between(offsets, at))",
+        "_squared(np.stack(offsets)).max(axis=0)",
+    ),
+    _holes("paper_forgotten", "never the paper's test", 'if test == "paper":', "if False:"),
+    _holes("paper_always", "always the paper's test", 'if test == "paper":', "if True:"),
     _limit("facing_5", "5 cm for 7.5 cm", "facing: float = 7.5", "facing: float = 5.0"),
     _limit("grazing_40", "40 cm for 45 cm", "grazing: float = 45.0", "grazing: float = 40.0"),
     _limit("depth_missing", "no term of the depth", "depth: float = 50.0", "depth: float = 0.0"),
@@ -63,15 +108,15 @@ HOLES = (
     _limit("cosine_95", "cosine 0.95 for 0.98", "cosine: float = 0.98", "cosine: float = 0.95"),
     _holes("mesh_once", "stencils' difference taken once, not three times", "3 * np.abs(s - stencil)", "np.abs(s - stencil)"),
     _holes("mesh_signed", "only a larger earlier stencil is another object", "3 * np.abs(s - stencil)", "3 * (s - stencil)"),
-    _holes("metres", "distances in metres", _DISTANCE, f"{_DISTANCE} / 100"),
+    _holes("metres", "the paper's distances in metres", _DISTANCE, f"{_DISTANCE} / 100"),
     _holes("nearest_distance", "the smallest of four distances", _DISTANCE, _DISTANCE.replace(".max", ".min")),
     _holes("mean_distance", "the mean of four distances", _DISTANCE, _DISTANCE.replace(".max", ".mean")),
     _holes("first_distance", "the first of four taps", _DISTANCE, _DISTANCE.replace(".max(axis=0)", "[0]")),
     _holes(
         "interpolated_position",
         "interpolates the positions, then one distance",
-        "_largest_distance(position_previous, position, at) <= bias",
-        "np.sqrt(((bilinear(position_previous, at) - position) ** 2).sum(axis=-1)) <= bias",
+        _PAPER,
+        "near = np.sqrt(_squared(between(offsets, at))) <= bias",
     ),
     _holes(
         "weightless_taps_left_out",
@@ -87,19 +132,21 @@ HOLES = (
         "np.minimum(x0 + 1, width - 1), ",
         "(x0 + 1) % width, ",
     ),
-    _holes("squared_distance", "squared distances", _DISTANCE, "return (offsets * offsets).sum(axis=-1).max(axis=0)"),
-    _holes("sum_of_absolutes", "|dx| + |dy| + |dz|", _DISTANCE, "return np.abs(offsets).sum(axis=-1).max(axis=0)"),
+    _holes("squared_distance", "squared distances", _DISTANCE, "return _squared(np.stack(offsets)).max(axis=0)"),
+    _holes("sum_of_absolutes", "|dx| + |dy| + |dz|", _DISTANCE, "return np.abs(np.stack(offsets)).sum(axis=-1).max(axis=0)"),
     _holes(
         "half_position",
         "positions in half precision",
         _OFFSET,
-        "(previous[j, i].astype(np.float16) - position.astype(np.float16)).astype(position.dtype) for j",
+        "(position_previous[j, i].astype(np.float16) - position.astype(np.float16)).astype(position.dtype) for j",
     ),
-    _holes("position_there", "compares with this frame's position there", _OFFSET, "previous[j, i] - position[j, i] for j"),
-    _holes("nan_trusted", "d > bias: false for NaN", _STATIC, _STATIC.replace("~(", "(").replace("<=", ">")),
     _holes(
-        "nan_dropped", "a maximum that drops NaN", _DISTANCE, "return np.fmax.reduce(np.sqrt((offsets * offsets).sum(axis=-1)))"
+        "position_there", "compares with this frame's position there", _OFFSET, "position_previous[j, i] - position[j, i] for j"
     ),
+    _holes(
+        "nan_trusted", "d > 1.5 footprints: false for NaN", _NEAR, _NEAR.replace("near = ", "near = ~(").replace("<=", ">") + ")"
+    ),
+    _holes("nan_dropped", "a maximum that drops NaN", _DISTANCE, "return np.fmax.reduce(np.sqrt(_squared(np.stack(offsets))))"),
     _holes("static_everywhere", "distance tested on moving objects too", _STATIC, _STATIC.replace("(s == 0) & ", "")),
     _holes("static_by_current", "static by the current stencil", _STATIC, _STATIC.replace("s == 0", "stencil == 0")),
     _holes("moving_everywhere", "normals tested on static geometry too", "moving = (s != 0) & ", "moving = "),

@@ -8,7 +8,7 @@ from conformance.mistakes.variants import Mistake, fault
 _SAMPLE = "sample.py"
 _FOLLOW = "moved = np.where(finite[..., None], motion, 0)"
 _CLAMP = "x0, y0 = np.clip(at.x, 0, width - 1), np.clip(at.y, 0, height - 1)"
-_FRACTIONS = "fx, fy = at.fx[..., None], at.fy[..., None]"
+_BETWEEN = "return between([image[j, i]"
 _READ = "motion[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]"
 _WEIGHT = "weight = np.maximum((key[there] * query).sum(axis=-1, keepdims=True), 0)"
 _TAP = "tap = padded[u : u + height : stride, v : v + width : stride]"
@@ -36,10 +36,10 @@ SIZES = (
         _READ.replace("height - 1", "min(height - 1, 511)"),
     ),
     _large(
-        "warp", "pixel_65535", "an index of 16 bits where pixels are read", _SAMPLE, _FRACTIONS,
+        "warp", "pixel_65535", "an index of 16 bits where pixels are read", _SAMPLE, _BETWEEN,
         f"""i = (at.y0 * image.shape[1] + at.x0) % 65536
     at = at._replace(y0=i // image.shape[1], x0=i % image.shape[1])
-    {_FRACTIONS}""",
+    {_BETWEEN}""",
         also=("holes", "occlusion_warp"),
     ),
     _large(

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from conformance.protocol.array_specs import (
     ArraySpec,
@@ -23,6 +25,7 @@ from conformance.protocol.array_specs import (
 )
 from conformance.protocol.port import Arrays, Outputs
 from stss_ref.arrays import ArrayError
+from stss_ref.constants import HoleTest
 from stss_ref.decoder import decoder
 from stss_ref.encoder import encoder
 from stss_ref.erm import erm
@@ -78,8 +81,14 @@ def _warp(a: Arrays, _: Weights) -> Outputs:
     return {"warped": warped, "inside": inside}
 
 
+def hole_test(paper: NDArray[Any]) -> HoleTest:
+    """The test that stage ``holes`` is asked for: its input ``paper`` is 0, or not."""
+    return "paper" if paper[0] else "footprint"
+
+
 def _holes(a: Arrays, _: Weights) -> Outputs:
-    return {"valid": holes(**a, limits=None)}
+    planes = {name: array for name, array in a.items() if name != "paper"}
+    return {"valid": holes(**planes, test=hole_test(a["paper"]), limits=None)}
 
 
 def _occlusion_warp(a: Arrays, _: Weights) -> Outputs:
@@ -134,6 +143,7 @@ _ROWS = (
             "position": "H W 3",
             "nov": "H W",
             "depth": "H W",
+            "paper": "1 int",
         },
         {"valid": "H W uint8"},
         _holes,

@@ -42,7 +42,8 @@ def test_a_lost_position_is_a_hole(judge: Judge, case: tuple[Size, int, float]) 
     size, seed, lost = case
     rng = np.random.default_rng(seed)
     position = rng.integers(-8, 8, (*size, 3)) / 8
-    inputs = {name: np.zeros_like(array) for name, array in _quarters(size, seed).items()}
+    quarters = _quarters(size, seed)
+    inputs = {name: array if name == "paper" else np.zeros_like(array) for name, array in quarters.items()}
     broken = rng.random(size) < 0.2
     previous = np.where((broken & (rng.random(size) < 0.8))[..., None] & (rng.random((*size, 3)) < 0.7), lost, position)
     gone = ~np.asarray(np.isfinite(previous).all(axis=-1))
@@ -75,6 +76,31 @@ def test_the_origin_does_not_matter(judge: Judge, case: tuple[Size, int, float])
     moved = {name: array + shift if name.startswith("position") else array for name, array in inputs.items()}
     first, second = yield ask("holes", inputs), ask("holes", moved)
     judge.same("holes.valid", second["valid"], first["valid"])
+
+
+@cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS, st.sampled_from([-8.0, 0.25, 1024.0]))))
+def test_the_unit_does_not_matter(judge: Judge, case: tuple[Size, int, float]) -> Talk:
+    """By the footprint a world in other units, or one looked at in a mirror, has the same holes."""
+    size, seed, times = case
+    inputs = {**_quarters(size, seed), "paper": np.zeros(1, np.int32)}
+    other = {name: array * times if name.startswith("position") else array for name, array in inputs.items()}
+    first, second = yield [ask("holes", i) for i in (inputs, other)]
+    judge.same("holes.valid", second["valid"], first["valid"])
+
+
+@cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS)))
+def test_a_plane_that_slides_past_has_no_holes(judge: Judge, case: tuple[Size, int]) -> Talk:
+    """By the footprint a plane is trusted wherever its motion leads into the frame, however far apart its pixels lie."""
+    size, seed = case
+    rng = np.random.default_rng(seed)
+    inputs = {name: array if name.startswith("normal") else np.zeros_like(array) for name, array in _quarters(size, seed).items()}
+    motion, (y, x) = rng.integers(-6, 7, 2) / 4, np.indices(size)[..., None]
+    across, down = rng.integers(1, 8, (2, 3)) * 2.0 ** rng.integers(-2, 7)
+    position = x * across + y * down
+    moved = np.broadcast_to(motion, (*size, 2))
+    planes = {"motion": moved, "position": position, "position_previous": position - motion[0] * across - motion[1] * down}
+    valid = (yield ask("holes", {**inputs, **planes}))["valid"]
+    judge.same("holes.valid", valid, within_frame(reach(moved, judge.arithmetic))[0].astype(np.uint8))
 
 
 @cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS, st.permutations(range(3)))))
@@ -127,4 +153,5 @@ def _quarters(size: Size, seed: int) -> Inputs:
         "position": position,
         "nov": rng.integers(-8, 9, size) / 8,
         "depth": rng.integers(0, 9, size) / 8,
+        "paper": rng.integers(0, 2, 1, np.int32),
     }

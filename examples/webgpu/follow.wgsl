@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 // Where a motion leads, and the four pixels around it: the beginning of every shader that follows one (WGSL has no #include).
 
-struct Frame { width: i32, height: i32, channels: i32 }
+struct Frame { width: i32, height: i32, channels: i32, paper: i32 }
 
 struct Taps {
     x0: i32, y0: i32, x1: i32, y1: i32,  // columns and rows, within the frame

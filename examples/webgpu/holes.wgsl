@@ -11,13 +11,26 @@ struct Surface { normal: vec3<f32>, stencil: f32, position: vec3<f32>, unused: f
 @group(0) @binding(4) var<storage, read> view: array<vec2<f32>>;  // NoV, depth
 @group(0) @binding(5) var<storage, read_write> valid: array<f32>;
 
-// Whether the earlier position is further from this one than the bias. What is not finite is; a comparison need not say so in WGSL.
-fn is_far(there: vec3<f32>, here: vec3<f32>, bias: f32) -> bool {
-    let finite = is_finite(there.x) && is_finite(there.y) && is_finite(there.z)
-              && is_finite(here.x) && is_finite(here.y) && is_finite(here.z);
-    let offset = there - here;
-    let distance = sqrt(offset.x * offset.x + offset.y * offset.y + offset.z * offset.z);
-    return !finite || !(distance <= bias);
+fn squared(v: vec3<f32>) -> f32 { return v.x * v.x + v.y * v.y + v.z * v.z; }
+
+// Whether an offset is no longer than a limit, by their squares. Not if it is not finite; a comparison need not say so in WGSL.
+fn is_near(offset: vec3<f32>, squared_limit: f32) -> bool {
+    return is_finite(offset.x) && is_finite(offset.y) && is_finite(offset.z) && squared(offset) <= squared_limit;
+}
+
+// The squared distance to another pixel's position; far beyond any other outside the frame, or where it is not finite.
+const NOWHERE = 3e38;
+fn apart(p: vec2<i32>, other: vec2<i32>) -> f32 {
+    if (any(other < vec2<i32>(0)) || other.x >= frame.width || other.y >= frame.height) { return NOWHERE; }
+    let between = now[other.y * frame.width + other.x].position - now[p.y * frame.width + p.x].position;
+    let found = squared(between);
+    return select(NOWHERE, found, is_finite(found));
+}
+
+// The nearer of the two neighbours along an axis; 0 where there is none.
+fn nearer(p: vec2<i32>, axis: vec2<i32>) -> f32 {
+    let found = min(apart(p, p - axis), apart(p, p + axis));
+    return select(0.0, found, found < NOWHERE);
 }
 
 @compute @workgroup_size(8, 8)
@@ -38,12 +51,19 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         between(a.normal.y, b.normal.y, c.normal.y, d.normal.y, taps),
         between(a.normal.z, b.normal.z, c.normal.z, d.normal.z, taps));
 
-    // Static geometry: the furthest of all four taps counts, those with weight 0 too.
-    let facing = abs(view[index].x);
-    let bias = 7.5 * facing + 45.0 * (1.0 - facing) + 50.0 * view[index].y;
-    let far = is_far(a.position, here.position, bias) || is_far(b.position, here.position, bias)
-           || is_far(c.position, here.position, bias) || is_far(d.position, here.position, bias);
-    let is_static_hole = stencil == 0.0 && far;
+    // Static geometry: where the offset that is read, as the colour is, exceeds 1.5 footprints of this pixel.
+    let oa = a.position - here.position; let ob = b.position - here.position;
+    let oc = c.position - here.position; let od = d.position - here.position;
+    let offset = vec3<f32>(
+        between(oa.x, ob.x, oc.x, od.x, taps), between(oa.y, ob.y, oc.y, od.y, taps), between(oa.z, ob.z, oc.z, od.z, taps));
+    var near = is_near(offset, 2.25 * (nearer(p, vec2<i32>(1, 0)) + nearer(p, vec2<i32>(0, 1))));
+    if (frame.paper != 0) {
+        // The paper's test: the furthest of all four taps counts, those with weight 0 too.
+        let facing = abs(view[index].x);
+        let bias = 7.5 * facing + 45.0 * (1.0 - facing) + 50.0 * view[index].y;
+        near = bias >= 0.0 && is_near(oa, bias * bias) && is_near(ob, bias * bias) && is_near(oc, bias * bias) && is_near(od, bias * bias);
+    }
+    let is_static_hole = stencil == 0.0 && !near;
 
     // What moves: turned away. The divisor is the length of the earlier normal alone. Two normals of 0 are no surface.
     let length = sqrt(normal.x * normal.x + normal.y * normal.y + normal.z * normal.z);

@@ -105,10 +105,11 @@ class Maker(Calls):
         self.add("warp.main", color, 1, uniform, {1: color, 2: motion, 3: warped, 4: inside})
         return warped, inside
 
-    def holes(self, motion: Picture, earlier: Picture, now: Picture, view: Picture) -> Picture:
-        """``valid``; two pictures of `surface`, and NoV with depth."""
+    def holes(self, motion: Picture, earlier: Picture, now: Picture, view: Picture, *, paper: bool) -> Picture:
+        """``valid``; two pictures of `surface`, and NoV with depth; ``paper``: by the paper's test."""
         valid = self.empty(motion.height, motion.width)
-        self.add("holes.main", valid, 1, (valid.width, valid.height), {1: motion, 2: earlier, 3: now, 4: view, 5: valid})
+        uniform = valid.width, valid.height, 1, paper
+        self.add("holes.main", valid, 1, uniform, {1: motion, 2: earlier, 3: now, 4: view, 5: valid})
         return valid
 
     def occlusion_warp(
@@ -194,11 +195,12 @@ class Maker(Calls):
         chain = self.motion_chain([self.put(motion) for motion in given["motions"][: max(steps)]]) if max(steps) else []
         surfaces = [self.put(surface(*of)) for of in zip(given["normals"], given["stencils"], given["positions"], strict=True)]
         view = self.put(np.stack([given["nov"], depth], axis=-1))
+        paper = getattr(self.weights, "hole_test", "footprint") == "paper"
         warped, valid = list(colors), [self.put(np.ones((height, width))) for _ in steps]
         for i, step in enumerate(steps):
             if step:
                 warped[i], _ = self.warp(colors[i], chain[step - 1])
-                valid[i] = self.holes(chain[step - 1], surfaces[i + 1], surfaces[0], view)
+                valid[i] = self.holes(chain[step - 1], surfaces[i + 1], surfaces[0], view, paper=paper)
             if i and step == steps[i - 1]:
                 valid[i] = self.empty(height, width)  # a missing frame
         instead = warped[0]
@@ -220,7 +222,7 @@ def surface(normal: NDArray[Any], stencil: NDArray[Any], position: NDArray[Any])
 def _holes(make: Maker, given: Arrays) -> dict[str, Picture]:
     earlier, now = (surface(given[f"normal{of}"], given[f"stencil{of}"], given[f"position{of}"]) for of in ("_previous", ""))
     view = np.stack([given["nov"], given["depth"]], axis=-1)
-    return {"valid": make.holes(*map(make.put, (given["motion"], earlier, now, view)))}
+    return {"valid": make.holes(*map(make.put, (given["motion"], earlier, now, view)), paper=bool(given["paper"][0]))}
 
 
 def _by_name(method: str, inputs: str, outputs: str) -> Any:

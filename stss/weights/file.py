@@ -2,7 +2,7 @@
 """Read and write weights as files in the project's own format, and identify weights.
 
 The format is safetensors with the authors' 92 names (spec 10) and the metadata entry ``stss_weights_version``; in version 2 also
-``second_color``, see `stss_ref.weights.SecondColor`.
+``second_color``, see `stss_ref.weights.SecondColor`, and in version 3 ``hole_test``, see `stss_ref.constants.HoleTest`.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from stss_ground.errors import InputError
 from stss_ground.output.write_whole import write_named
 from stss_ground.regular_file import require_regular
 from stss_ref.weights import (
+    HOLE_TEST_KEY,
     SECOND_COLOR_KEY,
     TENSORS,
     Weights,
@@ -49,10 +50,10 @@ class LoadedWeights:
     """Weights and where they come from.
 
     Attributes:
-        weights: the 92 tensors, checked, and the second colour that they were trained with.
+        weights: the 92 tensors, checked, and the second colour and the hole test that they were trained with.
         source: file or name, as it was given.
         identity: `identity` of the weights.
-        metadata: the file's metadata, without the format's version and the second colour.
+        metadata: the file's metadata, without the format's version and these two.
     """
 
     weights: Weights = field(repr=False)
@@ -67,8 +68,10 @@ class LoadedWeights:
 
 
 def identity(weights: Weights) -> str:
-    """SHA-256 of names, shapes and numbers, and of a second colour that is not the newest frame's: equal for equal weights of any file."""
+    """SHA-256 of names, shapes and numbers, and of settings that are not the usual ones: equal for equal weights of any file."""
     digest = hashlib.sha256()
+    if weights.hole_test != "footprint":
+        digest.update(f"{HOLE_TEST_KEY} {weights.hole_test}\n".encode())
     if weights.second_color != "newest":
         digest.update(f"{SECOND_COLOR_KEY} {weights.second_color}\n".encode())
     for name in sorted(weights):
@@ -141,7 +144,7 @@ def save(path: str | Path, weights: Weights, metadata: Mapping[str, str]) -> Non
     Args:
         path: the file, ``.safetensors``.
         weights: checked before anything is written.
-        metadata: where they come from; the format's version, and a second colour that is not the newest frame, are added.
+        metadata: where they come from; the format's version, and settings that are not the usual ones, are added.
 
     Raises:
         InputError: the file can't be written.

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from stss_ground.errors import InputError
+from stss_ref.constants import HoleTest
 from stss_ref.weights import LAYERS, Layer, SecondColor, Use, Weights, uses
 
 
@@ -42,6 +43,7 @@ class Inspection:
     layers: tuple[LayerRow, ...]
     components: tuple[ComponentRow, ...]
     second_color: SecondColor
+    hole_test: HoleTest
 
 
 def inspect(weights: Weights, height: int, width: int) -> Inspection:
@@ -64,6 +66,7 @@ def inspect(weights: Weights, height: int, width: int) -> Inspection:
         rows,
         component_costs(height, width),
         weights.second_color,
+        weights.hole_test,
     )
 
 
@@ -129,6 +132,7 @@ def print_inspection(inspection: Inspection, console: Console) -> None:
             console.print(f"{what}: {', '.join(names)}")
     what = "the frame before, where it is valid" if inspection.second_color == "earlier" else "the newest frame"
     console.print(f"second colour: {inspection.second_color}, {what}")
+    console.print(f"hole test: {inspection.hole_test}")
 
 
 def _table(title: str, words: tuple[str, ...], numbers: tuple[str, ...]) -> Table:

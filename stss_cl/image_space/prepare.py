@@ -19,7 +19,8 @@ from stss_cl.device.launch import Launch, kernel
 from stss_cl.device.parts import Parts
 from stss_cl.device.program import build
 from stss_cl.image_space.frame_planes import MOST_STEPS, Source, Sources, check_steps, planes, upload
-from stss_cl.image_space.stages import LIMITS, Gather, program
+from stss_cl.image_space.stages import Gather, hole_options, program
+from stss_ref.constants import HoleTest
 from stss_ref.weights import SecondColor
 
 FINITE = ("colors", "gbuffer", "nov", "stencils", "normals")
@@ -67,7 +68,7 @@ class Prepare:
         height, width: of the frames.
         gather: how the motion chain reads between pixels.
         inputs: buffers to write to; None: buffers of its own. If they have change maps, only ``dirty`` tiles are computed.
-        second: the network's second colour, see ``stss_ref.frame.prepare``.
+        second, test: the network's second colour and the hole test, see ``stss_ref.frame.prepare``.
         frames: how many of the three colour frames are read, from the newest on; 2 only for an earlier second colour. With less than 3
             not all of ``inputs.earlier`` is written.
         tops: the rows of the frame at which the strips of ``inputs`` begin.
@@ -87,11 +88,13 @@ class Prepare:
         *,
         inputs: Inputs | None = None,
         second: SecondColor = "newest",
+        test: HoleTest = "footprint",
         frames: int = 3,
         tops: Sequence[int] = (0,),
     ) -> None:
         self.device, self.height, self.width, self._gather = device, height, width, gather
         self._frames, self._tops, self._takes_earlier = frames, tuple(tops), second == "earlier"
+        self._test: HoleTest = test
         rows, columns = ceil_div(height, 8) * 8, ceil_div(width, 8) * 8
         self.inputs = inputs_for(device, rows, columns, np.dtype(np.float32)) if inputs is None else inputs
         self.rows, self.columns = self.inputs.input.height, columns  # of a strip, where the frame goes in strips
@@ -119,7 +122,7 @@ class Prepare:
         inputs, (height, width) = self.inputs, (self.height, self.width)
         options = {"STORED": stored(inputs.input.dtype), "MARK": marks}
         gather = {"GATHER": f"gather_{self._gather}", "LONGEST": self._gather == "longest", "EIGHTS": self.device.is_cpu}
-        frame = program(self.device, "frame.cl", {**gather, **options, **LIMITS, "STREAM": self.device.streams})
+        frame = program(self.device, "frame.cl", {**gather, **options, **hole_options(self._test), "STREAM": self.device.streams})
         eighth = build(self.device, "downsample_8.cl", {"MASK": "uchar", **options})
         input_changes, history_changes, eighth_changes = self._maps if marks else 3 * (self.mask,)
         known: dict[str, Any] = {

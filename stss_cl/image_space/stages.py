@@ -20,14 +20,16 @@ from stss_cl.device.grid import grid
 from stss_cl.device.launch import typed
 from stss_cl.device.program import build
 from stss_ref.arrays import Array, ArrayError, require_dtype, require_finite, require_shape
-from stss_ref.constants import HoleLimits
+from stss_ref.constants import HoleLimits, HoleTest
 
 Gather = Literal["longest", "nearest", "bilinear"]
 Inputs = Mapping[str, NDArray[Any]]
 Outputs = dict[str, NDArray[Any]]
 
-LIMITS = {name.upper(): f"{value}f" for name, value in asdict(HoleLimits()).items()}
-"""The constants of the hole test (spec 4), as options of its kernel."""
+
+def hole_options(test: HoleTest) -> Mapping[str, object]:
+    """The hole test and its constants (spec 4), as options of its kernel."""
+    return {"PAPER": int(test == "paper")} | {name.upper(): f"{value}f" for name, value in asdict(HoleLimits()).items()}
 
 
 def program(device: Device, file: str, options: Mapping[str, object] | None = None) -> cl.Program:
@@ -79,9 +81,10 @@ class ImageStages:
         depth: cl.Buffer,
         height: int,
         width: int,
+        test: HoleTest = "footprint",
     ) -> cl.Buffer:
         """``valid`` (H, W)."""
-        kernel = kernels(self.device, "holes.cl", LIMITS)["holes"]
+        kernel = kernels(self.device, "holes.cl", hole_options(test))["holes"]
         valid = self._buffer(height * width, np.uint8)
         surfaces = (stencil_previous, stencil, normal_previous, normal, position_previous, position)
         launch(self.device, kernel, width, height, motion, *surfaces, nov, depth, valid, height, width)
@@ -185,9 +188,11 @@ def _holes(stages: ImageStages, inputs: Inputs) -> Outputs:
         nov=0,
         depth=0,
     )
+    require_shape("paper", inputs["paper"], (1,))
+    test: HoleTest = "paper" if inputs["paper"][0] else "footprint"
     motion, *others = (stages.upload(array) for array in arrays)
     stencil_0, stencil, normal_0, normal, position_0, position, nov, depth = others
-    valid = stages.holes(motion, stencil_0, stencil, normal_0, normal, position_0, position, nov, depth, *size)
+    valid = stages.holes(motion, stencil_0, stencil, normal_0, normal, position_0, position, nov, depth, *size, test)
     return {"valid": stages.download(valid, size, np.uint8)}
 
 

@@ -57,7 +57,13 @@ class FrameCache:
     def __init__(self, device: Device, layers: Layers, gather: Gather):
         self.layers, self.network = layers, PartialNetwork(layers)
         self.prepare = Prepare(
-            device, *layers.size, gather, inputs=layers.inputs, second=layers.second_color, frames=layers.colors_read
+            device,
+            *layers.size,
+            gather,
+            inputs=layers.inputs,
+            second=layers.second_color,
+            test=layers.hole_test,
+            frames=layers.colors_read,
         )
         self.last: Last | None = None
         self._is_first = True
@@ -110,7 +116,10 @@ class FrameCache:
 
 
 def _spread(changed: Tiles | None, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """The map of tiles to compute for a padded ``size``: changes spread since a pixel reads its right and lower neighbours."""
+    """The map of tiles to compute for a padded ``size``: changes spread since a pixel reads its right and lower neighbours.
+
+    Its footprint is of the left and upper ones, too, but where neither it nor anything it reads has changed, it has no offset to judge.
+    """
     rows, columns = (length // 4 for length in size)
     if changed is None:
         return np.ones((rows, columns), np.uint8)

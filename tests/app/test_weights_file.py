@@ -3,6 +3,7 @@
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -50,13 +51,24 @@ def test_another_second_colour_is_in_the_file_and_in_the_identity(path: Path):
         assert file.metadata() == {"made by": "test", "second_color": "earlier", "stss_weights_version": "2"}
 
 
+def test_the_papers_hole_test_is_in_the_file_and_in_the_identity(path: Path):
+    save(path, replace(random(1), hole_test="paper"), {})
+    loaded = load(path)
+    assert (loaded.weights.hole_test, loaded.weights.second_color) == ("paper", "newest")
+    assert loaded.identity == identity(loaded.weights) != identity(random(1))
+    with safe_open(path, "numpy") as file:
+        assert file.metadata() == {"hole_test": "paper", "second_color": "newest", "stss_weights_version": "3"}
+
+
 @pytest.mark.parametrize(("metadata", "message"), [
     ({"stss_weights_version": "2"}, r"second_color: expected one of newest, earlier in the metadata, found ''"),
     ({"stss_weights_version": "2", "second_color": "later" * 99}, "second_color: expected one of newest, earlier .*, found 'later"),
     ({"stss_weights_version": "1", "second_color": "earlier"}, "second_color: expected no such entry"),
-    ({"stss_weights_version": "3"}, "expected stss_weights_version 1 or 2 in the metadata, found '3'"),
+    ({"stss_weights_version": "3", "second_color": "newest", "hole_test": "none"}, "hole_test: expected one of footprint, paper in"),
+    ({"stss_weights_version": "2", "second_color": "newest", "hole_test": "paper"}, "hole_test: expected no such entry in the meta"),
+    ({"stss_weights_version": "4"}, "expected stss_weights_version 1, 2 or 3 in the metadata, found '4'"),
 ])  # fmt: skip
-def test_an_unknown_second_colour_is_refused(path: Path, metadata: dict[str, str], message: str):
+def test_unknown_settings_are_refused(path: Path, metadata: dict[str, str], message: str):
     safetensors_numpy.save_file(dict(random(1)), path, metadata)
     with pytest.raises(InputError, match=message):
         load(path)
@@ -128,10 +140,10 @@ def test_a_huge_file_is_refused_before_it_is_read(path: Path):
         load(path)
 
 
-@pytest.mark.parametrize("metadata", [None, {}, {"format": "pt"}, {"stss_weights_version": "3"}])
+@pytest.mark.parametrize("metadata", [None, {}, {"format": "pt"}, {"stss_weights_version": "4"}])
 def test_another_version_is_refused(path: Path, metadata: dict[str, str] | None):
     safetensors_numpy.save_file(dict(zeros()), path, metadata)
-    with pytest.raises(InputError, match=r"some\.safetensors: expected stss_weights_version 1 or 2 in the metadata, found"):
+    with pytest.raises(InputError, match=r"some\.safetensors: expected stss_weights_version 1, 2 or 3 in the metadata, found"):
         load(path)
 
 

@@ -13,6 +13,7 @@ from stss_cl.device.buffers import inputs_for, read
 from stss_cl.image_space.prepare import Prepare
 from stss_cl.image_space.stages import ImageStages
 from stss_ref.arrays import ArrayError
+from stss_ref.constants import HOLE_TESTS
 from stss_ref.frame import FrameInputs, prepare
 from stss_ref.motion_chain import motion_chain
 from stss_ref.occlusion_warp import occlusion_warp, splat
@@ -166,12 +167,12 @@ def arguments(inputs):
     return [getattr(inputs, field.name) for field in dataclasses.fields(inputs)]
 
 
-def assert_prepared(device, preparation, inputs, size, second="newest", frames=3):
+def assert_prepared(device, preparation, inputs, size, second="newest", frames=3, test="footprint"):
     """All that the network is given, padding and borders too; of the history what ``frames`` colour frames and ``second`` need."""
     rows, columns = preparation.rows, preparation.columns
     got = preparation.inputs
     with np.errstate(invalid="ignore", over="ignore"):
-        want = prepare(inputs, second=second)
+        want = prepare(inputs, second=second, test=test)
     color, gbuffer, mask = pad_to_8(want.color), pad_to_8(want.gbuffer), pad_to_8(want.mask[..., None])
     packed = np.concatenate([color, color * mask, gbuffer, np.zeros((rows, columns, 3), np.float32)], axis=-1)
     border = ((1, 1), (1, 1), (0, 0))
@@ -186,14 +187,15 @@ def assert_prepared(device, preparation, inputs, size, second="newest", frames=3
     assert_same(downloaded(device, preparation.mask, size, np.uint8), want.mask.astype(np.uint8))
 
 
-@settings(max_examples=200)
+@pytest.mark.parametrize("test", HOLE_TESTS)
+@settings(max_examples=100)
 @given(data=st.data(), size=sizes(26))
-def test_prepare(device, data, size):
+def test_prepare(device, test, data, size):
     """One frame after another in the same buffers: nothing of the first is left in the second."""
-    preparation = Prepare(device, *size)
+    preparation = Prepare(device, *size, test=test)
     for _ in range(2):
         inputs = data.draw(frame_inputs(size))
-        assert_prepared(device, prepared(preparation, inputs), inputs, size)
+        assert_prepared(device, prepared(preparation, inputs), inputs, size, test=test)
 
 
 @pytest.mark.parametrize("frames", [2, 3])
@@ -245,14 +247,15 @@ def test_prepare_in_wide_frames(device):
     assert_prepared(device, prepared(Prepare(device, *size), inputs), inputs, size)
 
 
+@pytest.mark.parametrize("test", HOLE_TESTS)
 @pytest.mark.parametrize("motion", [(1.5, 0.75), (-3.25, 0.0), (0.0, 0.0), (0.3, -2.9)])
-def test_prepare_where_hardly_anything_is_a_hole(device, motion):
+def test_prepare_where_hardly_anything_is_a_hole(device, test, motion):
     """A surface that slides past: eight pixels in a row are read at once and trusted, but where one of the eight is another surface."""
     size = (24, 70)
     random = np.random.default_rng(9)
     steps = (1, 3, 5)
     y, x = np.indices(size)
-    positions = np.stack([np.stack([x + s * motion[0], y + s * motion[1], 0 * x], -1) for s in (0, *steps)]).astype(np.float32)
+    positions = np.stack([np.stack([x - s * motion[0], y - s * motion[1], 0 * x], -1) for s in (0, *steps)]).astype(np.float32)
     stencils = np.zeros((4, *size), np.float32)
     for plane in range(4):
         for value in (400, np.nan, np.inf):
@@ -267,9 +270,9 @@ def test_prepare_where_hardly_anything_is_a_hole(device, motion):
         normals=random.normal(0, 1, (4, *size, 3)),
         positions=positions,
     )
-    preparation = Prepare(device, *size)
+    preparation = Prepare(device, *size, test=test)
     for _ in range(2):  # nothing that the first marked is left in the second
-        assert_prepared(device, prepared(preparation, inputs), inputs, size)
+        assert_prepared(device, prepared(preparation, inputs), inputs, size, test=test)
         assert not downloaded(device, preparation._keys, size, np.uint32).any()
     assert 0 < np.mean(downloaded(device, preparation.mask, size, np.uint8) == 0) < 0.2
 

@@ -7,7 +7,7 @@ stores in float16.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from functools import cache, partial
 from typing import Any
@@ -78,10 +78,11 @@ def multiply_add(a: Array, b: Array, c: Array) -> Array:
     return (a.astype(np.float64) * b + c).astype(c.dtype)
 
 
-def fused_bilinear(image: Array, at: sample.Taps) -> Array:
-    """`stss_ref.sample.bilinear` by fused multiply-adds."""
+def fused_between(four: Sequence[Array], at: sample.Taps) -> Array:
+    """`stss_ref.sample.between` by fused multiply-adds."""
+    nw, ne, sw, se = four
     fx, fy = at.fx[..., None], at.fy[..., None]
-    top, bottom = (multiply_add(image[y, at.x1] - image[y, at.x0], fx, image[y, at.x0]) for y in (at.y0, at.y1))
+    top, bottom = multiply_add(ne - nw, fx, nw), multiply_add(se - sw, fx, sw)
     return multiply_add(bottom - top, fy, top)
 
 
@@ -182,22 +183,23 @@ def turned(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
     return lambda x: np.ascontiguousarray(function(x.swapaxes(0, 1)).swapaxes(0, 1))
 
 
-def down_first(image: Array, at: sample.Taps) -> Array:
-    """`stss_ref.sample.bilinear`, rows before columns: one colour stays one colour, and whole pixels whole."""
+def down_first(four: Sequence[Array], at: sample.Taps) -> Array:
+    """`stss_ref.sample.between`, rows before columns: one colour stays one colour, and whole pixels whole."""
+    nw, ne, sw, se = four
     fx, fy = at.fx[..., None], at.fy[..., None]
-    left, right = (image[at.y0, x] + (image[at.y1, x] - image[at.y0, x]) * fy for x in (at.x0, at.x1))
+    left, right = nw + (sw - nw) * fy, ne + (se - ne) * fy
     return left + (right - left) * fx
 
 
 _TANH: list[Change] = [("conv.py", "return np.where(x >= 0, 1, small) / (1 + small)", "return (1 + np.tanh(x / 2)) / 2")]
 _BIAS = "limits.facing * facing + limits.grazing * (1 - facing) + limits.depth * depth"
 _OTHER_BIAS = "limits.depth * depth + (limits.grazing + (limits.facing - limits.grazing) * facing)"
-_DISTANCE = "(offsets * offsets).sum(axis=-1)"
-_OTHER_DISTANCE = "(offsets[..., 0] ** 2 + (offsets[..., 1] ** 2 + offsets[..., 2] ** 2))"
+_SQUARED = "return (vectors * vectors).sum(axis=-1)"
+_OTHER_SQUARED = "return vectors[..., 0] ** 2 + (vectors[..., 1] ** 2 + vectors[..., 2] ** 2)"
 _ORDERS: list[Change] = [
     ("conv.py", "return np.where(x >= 0, 1, small) / (1 + small)", "return 1 / (1 + np.exp(-x))"),
     ("holes.py", _BIAS, _OTHER_BIAS),
-    ("holes.py", _DISTANCE, _OTHER_DISTANCE),
+    ("holes.py", _SQUARED, _OTHER_SQUARED),
     ("holes.py", "(normal * n).sum", "(normal * n)[..., ::-1].sum"),
     ("holes.py", "(n * n).sum", "(n * n)[..., ::-1].sum"),
     ("erm.py", "for v in range(WINDOW):", "for v in reversed(range(WINDOW)):"),
@@ -212,7 +214,7 @@ _ORDERS: list[Change] = [
 
 _DOUBLE: list[Change] = [
     ("sample.py", "fraction = moved - whole", "fraction = moved.astype(np.float64) - whole"),
-    ("sample.py", "return top + (bottom - top) * fy", "return (top + (bottom - top) * fy).astype(image.dtype)"),
+    ("sample.py", "return top + (bottom - top) * fy", "return (top + (bottom - top) * fy).astype(nw.dtype)"),
 ]
 _POINTS_2 = tuple(Fraction(p) for p in (0, 1, -1))
 _POINTS_4 = tuple(Fraction(p) for p in (0, 1, -1, 2, -2))
@@ -235,7 +237,7 @@ _HALF = {
     "warp.warp": half_warp,
     "occlusion_warp.occlusion_warp": half_occlusion_warp,
 }
-_FMA = {**_conv(partial(convolved, add_fused)), "sample.bilinear": fused_bilinear, "resample._lerp_along": fused_lerp_along}
+_FMA = {**_conv(partial(convolved, add_fused)), "sample.between": fused_between, "resample._lerp_along": fused_lerp_along}
 _TURNED = {
     f"resample.{f.__name__}": turned(f) for f in (resample.upsample_corners, resample.upsample_centres, resample.downsample_8)
 }
@@ -245,7 +247,7 @@ PORTS: dict[str, dict[str, Any]] = {
     "in_order": {"functions": _conv(partial(convolved, add_in_order))},
     "pairwise": {"functions": _conv(partial(convolved, add_pairwise))},
     "fma": {"functions": _FMA, "changes": _TANH},
-    "orders": {"functions": {**_TURNED, "sample.bilinear": down_first}, "changes": _ORDERS},
+    "orders": {"functions": {**_TURNED, "sample.between": down_first}, "changes": _ORDERS},
     "double": {"changes": _DOUBLE},
     "flush": {"entry": flush_to_0},
     "winograd_2": {"functions": _conv(partial(winograd, 2, _POINTS_2)), "winograd": True},

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from conformance.cases.engine_inputs import ENGINE_STAGES, engine_inputs
 from conformance.protocol.port import Case
 from conformance.protocol.stages import STAGES
-from stss_ref.weights import SECOND_COLORS, Weights, random
+from stss_ref.constants import HoleTest
+from stss_ref.weights import SecondColor, Weights, random
 
 Float = NDArray[np.float32]
 Size = tuple[int, int]
@@ -93,7 +94,8 @@ def _holes(generator: np.random.Generator) -> Any:
         inputs = {key: a for name, b, n in pairs for key, a in ((f"{name}_previous", b), (name, n))}
         inputs["motion"] = motion(generator, size, kind) / 2
         inputs["nov"], inputs["depth"] = generator.uniform(-1, 1, size), generator.random(size)
-        yield inputs, None
+        for paper in (0, 1):
+            yield {**inputs, "paper": np.array([paper], np.int32)}, None
 
 
 def _occlusion_warp(generator: np.random.Generator) -> Any:
@@ -156,8 +158,10 @@ def _frame(generator: np.random.Generator) -> Any:
         inputs["colors"] = generator.uniform(-0.3, 1.3, (3, *size, 3))
         inputs["motions"] = np.stack([motion(generator, size, "short") / 4 for _ in range(5)])
         inputs["gbuffer"], inputs["nov"] = generator.random((*size, 9)), generator.uniform(-1, 1, size)
-        for second in SECOND_COLORS:
-            yield {**inputs, "steps": np.array(steps, np.int32)}, Weights(weights_of("plain"), second)
+        inputs["steps"] = np.array(steps, np.int32)
+        settings: tuple[tuple[SecondColor, HoleTest], ...] = (("newest", "footprint"), ("earlier", "paper"))
+        for second, test in settings:
+            yield inputs, Weights(weights_of("plain"), second, test)
 
 
 _SAMPLES: dict[str, Callable[[np.random.Generator], Any]] = {

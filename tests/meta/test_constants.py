@@ -25,6 +25,9 @@ NORMAL = "(length + length.dtype.type(1e-5))"
 FRAME = "color = np.maximum(np.concatenate([instead, other], axis=-1), 0)"
 HISTORY = "np.maximum(w, 0)"
 PLANTS = {
+    "distance in footprints": [
+        ("constants.py", "footprints: float = 1.5", f"footprints: float = {x}") for x in (1.49, 1.51, 0.0)
+    ],
     "distance head-on": [("constants.py", "facing: float = 7.5", f"facing: float = {x}") for x in (7.45, 7.55, 0.0)],
     "distance edge-on": [("constants.py", "grazing: float = 45.0", f"grazing: float = {x}") for x in (44.8, 45.2, 0.0)],
     "distance by depth": [("constants.py", "depth: float = 50.0", f"depth: float = {x}") for x in (49.8, 50.2, 0.0)],

@@ -15,7 +15,7 @@ from conformance.suite.run_suite import run_suite
 
 def terms(stage, inputs, output, wrong_at):
     """Of a port that is right but at one place."""
-    inputs = {name: np.asarray(a, np.uint8 if name == "valid" else np.float32) for name, a in inputs.items()}
+    inputs = {name: np.asarray(a, {"valid": np.uint8, "paper": np.int32}.get(name, np.float32)) for name, a in inputs.items()}
     want = reference(stage, {name: a.astype(float) if a.dtype.kind == "f" else a for name, a in inputs.items()})[output]
     got = want.copy()
     got[wrong_at] = 1 - got[wrong_at] if want.dtype == np.uint8 else got[wrong_at] + 1
@@ -31,6 +31,7 @@ def still(height, width):
         "normal_previous": np.ones((height, width, 3)), "normal": np.ones((height, width, 3)),
         "position_previous": np.zeros((height, width, 3)), "position": np.zeros((height, width, 3)),
         "nov": np.full((height, width), 0.5), "depth": np.full((height, width), 0.25),
+        "paper": np.zeros(1, np.int32),
     }  # fmt: skip
 
 
@@ -63,7 +64,11 @@ def test_motion_chain():
 def test_holes_of_what_stands():
     inputs = still(1, 2)
     inputs["position_previous"][0, 0] = 3, 4, 0
+    inputs["position"][0, 1] = 8, 0, 0
     found = terms("holes", inputs, "valid", (0, 0))
+    assert found["offset read between them"] == "(3, 4, 0)"
+    assert (found["its length"], found["1.5 footprints, a hole unless <="]) == ("5", "12")
+    found = terms("holes", {**inputs, "paper": np.ones(1, np.int32)}, "valid", (0, 0))
     # A frame of one row: both rows of taps are that one.
     assert found["distances to the four"] == "(5, 0, 5, 0)"
     assert found["bias, a hole unless all <="] == str(7.5 * 0.5 + 45 * 0.5 + 50 * 0.25)

@@ -10,8 +10,9 @@ from conformance.judging.judge import Judge, Tier
 from conformance.suite.run_suite import run_suite
 from stss.port import ReferencePort
 from stss_ref.arrays import ArrayError
+from stss_ref.constants import HoleLimits
 from stss_ref.depth import normalise_depth
-from stss_ref.holes import HoleLimits, holes
+from stss_ref.holes import holes, squared_footprint
 from stss_ref.loss import loss, upsample_mask
 from stss_ref.motion_chain import motion_chain
 from stss_ref.occlusion_warp import occlusion_warp, splat
@@ -194,6 +195,12 @@ def hole_inputs(size=(4, 4), **changed):
     return {name: np.asarray(changed.get(name, array), array.dtype) for name, array in inputs.items()}
 
 
+def slope(size=(4, 4), step=(3.0, 4.0), lift=0.0):
+    """Positions whose neighbours are ``step`` apart, across and down."""
+    y, x = np.indices(size)
+    return np.stack([step[0] * x, step[1] * y, 0 * x + lift], axis=-1)
+
+
 class TestHoles:
     def test_an_unmoved_scene_has_none(self):
         assert holes(**hole_inputs()).all()
@@ -207,14 +214,41 @@ class TestHoles:
         for distance, valid in ((bias, True), (np.nextafter(bias, np.inf), False)):
             position = constant((4, 4), distance, 0, 0)
             inputs = hole_inputs(position=position, nov=np.full((4, 4), nov), depth=np.full((4, 4), depth))
+            assert (holes(**inputs, test="paper") == valid).all()
+
+    def test_the_footprint_limits_a_static_surface(self):
+        """Footprints of 5: an offset of exactly 7.5 is no hole yet; the next number is. NoV and depth do not count."""
+        for distance, valid in ((7.5, True), (np.nextafter(7.5, np.inf), False)):
+            there = slope(lift=distance)
+            inputs = hole_inputs(position=slope(), position_previous=there, nov=np.zeros((4, 4)), depth=np.ones((4, 4)))
             assert (holes(**inputs) == valid).all()
 
-    def test_the_farthest_of_four_taps_counts_even_with_no_weight(self):
-        previous = constant((4, 4), 0, 0, 0)
-        previous[2, 2] = (100, 0, 0)
-        valid = holes(**hole_inputs(position_previous=previous))
+    def test_the_footprint_is_to_the_nearer_neighbour_that_counts(self):
+        position = slope()
+        position[1, 2] += (100, 0, 0)  # beyond a silhouette
+        position[3, 3] = np.nan
+        squared = squared_footprint(position)
+        assert squared[1, 1] == squared[3, 2] == squared[2, 3] == 25
+        assert squared[1, 2] == 97**2 + 100**2 + 16
+        assert squared_footprint(position[:1, :1]) == squared_footprint(position[3:, 3:]) == 0
+
+    @given(data=st.data(), size=sizes(8))
+    def test_a_plane_has_no_holes(self, data, size):
+        """However fast it slides past, and however far apart its pixels: what is read between four of its points is on it."""
+        motion = data.draw(st.tuples(st.integers(-12, 12), st.integers(-12, 12))) / np.array(4.0)
+        step = data.draw(st.tuples(st.integers(1, 4000), st.integers(1, 4000)))
+        previous = slope(size, step) - (step[0] * motion[0], step[1] * motion[1], 0)
+        inputs = hole_inputs(size, motion=constant(size, *motion), position=slope(size, step), position_previous=previous)
+        _, inside = warp(np.zeros((*size, 1)), inputs["motion"])
+        np.testing.assert_array_equal(holes(**inputs), inside)
+
+    def test_of_the_paper_s_four_taps_the_farthest_counts_even_with_no_weight(self):
+        previous = slope()
+        previous[2, 2] += (100, 0, 0)
+        valid = holes(**hole_inputs(position=slope(), position_previous=previous), test="paper")
         assert not valid[1:3, 1:3].any()
         assert valid.sum() == 12
+        assert (~holes(**hole_inputs(position=slope(), position_previous=previous))).sum() == 1
 
     def test_moving_objects_are_judged_by_their_normals(self):
         angle = np.arccos(0.97)
@@ -248,8 +282,11 @@ class TestHoles:
 
     def test_the_limits_are_parameters(self):
         inputs = hole_inputs(position=constant((4, 4), 10, 0, 0))
+        assert not holes(**inputs, test="paper").any()
+        assert holes(**inputs, test="paper", limits=HoleLimits(facing=11)).all()
+        inputs = hole_inputs(position=slope(), position_previous=slope(lift=10))
         assert not holes(**inputs).any()
-        assert holes(**inputs, limits=HoleLimits(facing=11)).all()
+        assert holes(**inputs, limits=HoleLimits(footprints=2)).all()
 
 
 class TestOcclusionWarp:

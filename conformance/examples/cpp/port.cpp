@@ -201,26 +201,56 @@ static std::pair<Image, Mask> warp(const Image &color, const Image &motion) {
 
 // ---- Stage holes ----
 
-constexpr float FACING = 7.5f, GRAZING = 45.0f, PER_DEPTH = 50.0f, COSINE = 0.98f, MESH = 1.0f;  // the first three in cm
+constexpr float FOOTPRINTS = 1.5f, FACING = 7.5f, GRAZING = 45.0f, PER_DEPTH = 50.0f, COSINE = 0.98f, MESH = 1.0f;  // three in cm
 
 // What the hole test reads of the current frame and of an earlier one.
 struct Surface {
     Image stencil, normal, position;
 };
 
-// Whether any of the four taps is further away than `bias`: also those whose weight is 0.
+// The test of static surfaces: by the footprint, or the paper's, for weights that were trained with it.
+enum class HoleTest { footprint, paper };
+
+static float squared(float dx, float dy, float dz) { return dx * dx + dy * dy + dz * dz; }
+
+static float squared_distance(const float *a, const float *b) { return squared(a[0] - b[0], a[1] - b[1], a[2] - b[2]); }
+
+// The paper's test: whether any of the four taps is further away than `bias`, also those whose weight is 0.
 static bool is_far(const Image &previous, const float *position, const Taps &at, float bias) {
     for (const int y : {at.y0, at.y1})
-        for (const int x : {at.x0, at.x1}) {
-            const float *there = previous.at(y, x);
-            const float dx = there[0] - position[0], dy = there[1] - position[1], dz = there[2] - position[2];
+        for (const int x : {at.x0, at.x1})
             // Not `distance > bias`, which is false for NaN; nor a maximum of the four, which may drop one.
-            if (!(std::sqrt(dx * dx + dy * dy + dz * dz) <= bias)) return true;
-        }
+            if (!(std::sqrt(squared_distance(previous.at(y, x), position)) <= bias)) return true;
     return false;
 }
 
-static Mask holes(const Image &motion, const Surface &previous, const Surface &current, const Image &nov, const Image &depth) {
+// A footprint's square along one axis: to the nearer of the two neighbours that lie in the frame and are finite; 0 without one.
+static float nearer(const Image &position, int y, int x, int down, int right) {
+    float nearest = INFINITY;
+    for (const int side : {-1, 1}) {
+        if (!position.holds(y + side * down, x + side * right)) continue;
+        const float apart = squared_distance(position.at(y + side * down, x + side * right), position.at(y, x));
+        if (apart < nearest) nearest = apart;  // false for NaN
+    }
+    return nearest < INFINITY ? nearest : 0.0f;
+}
+
+// Whether the offset from this position to the earlier one, read as the colour is, exceeds the footprints allowed; so does NaN.
+static bool is_beyond(const Image &previous, const Image &position, const Taps &at, int y, int x) {
+    float offset[3];
+    const float *here = position.at(y, x);
+    for (int c = 0; c < 3; ++c) {
+        const auto tap = [&](int row, int column) { return previous.at(row, column)[c] - here[c]; };
+        // Offsets, and not positions, are read between: far from the origin a position has lost the digits that count.
+        const float top = lerp(tap(at.y0, at.x0), tap(at.y0, at.x1), at.fx), bottom = lerp(tap(at.y1, at.x0), tap(at.y1, at.x1), at.fx);
+        offset[c] = lerp(top, bottom, at.fy);
+    }
+    const float reach = FOOTPRINTS * FOOTPRINTS * (nearer(position, y, x, 0, 1) + nearer(position, y, x, 1, 0));
+    return !(squared(offset[0], offset[1], offset[2]) <= reach);
+}
+
+static Mask holes(const Image &motion, const Surface &previous, const Surface &current, const Image &nov, const Image &depth,
+                  HoleTest test) {
     Mask valid(motion.height, motion.width, 1);
     each_pixel(valid, [&](int y, int x) {
         const Place to = follow(motion, y, x);
@@ -232,7 +262,8 @@ static Mask holes(const Image &motion, const Surface &previous, const Surface &c
         const float facing = std::fabs(*nov.at(y, x));
         const float bias = FACING * facing + GRAZING * (1.0f - facing) + PER_DEPTH * *depth.at(y, x);
         // s == 0 exactly, of the interpolated stencil: false at the edge of a moving object.
-        const bool is_static = s == 0.0f && is_far(previous.position, current.position.at(y, x), at, bias);
+        const bool is_static = s == 0.0f && (test == HoleTest::paper ? is_far(previous.position, current.position.at(y, x), at, bias)
+                                                                     : is_beyond(previous.position, current.position, at, y, x));
 
         // Only the warped normal is divided by its length, and only after it was interpolated.
         const float length = std::sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
@@ -326,6 +357,7 @@ struct Weights {
     fs::path file;
     std::map<std::string, Layer> layers;  // by the tensors' names, less .weight and .bias
     bool earlier = false;                 // the network's second colour is that of the frame before, where that is valid
+    HoleTest test = HoleTest::footprint;
 
     const Layer &layer(const std::string &name, int inputs) const {
         const auto found = layers.find(name);
@@ -593,7 +625,7 @@ static Image frame(const FrameInputs &in, const Weights &weights) {
         Mask valid(depth.height, depth.width, 1, 1);
         if (step > 0) {
             warped = warp(in.colors[i], motion).first;
-            valid = holes(motion, in.surfaces[i + 1], in.surfaces[0], in.nov, depth);
+            valid = holes(motion, in.surfaces[i + 1], in.surfaces[0], in.nov, depth, weights.test);
             if (i == 0) instead = occlusion_warp(in.colors[0], warped, motion, depth, valid).second;
         }
         // A step equal to the one before it stands for a frame that is missing: still warped, but nothing of it is trusted.
@@ -795,10 +827,15 @@ static const Weights &read_weights(const fs::path &path) {
     std::string bytes = read_file(path);
     if (bytes == last) return weights;
     last.clear();
-    weights = {path, {}, false};
+    weights = {path, {}, false, HoleTest::footprint};
     std::map<std::string, std::string> metadata;
     const std::map<std::string, Tensor> tensors = read_safetensors(path, bytes, metadata);
-    const std::string second_color = metadata["stss_weights_version"] == "2" ? metadata["second_color"] : "newest";
+    // Version 1 has neither entry, version 2 the first of them.
+    const std::string version = metadata["stss_weights_version"];
+    const std::string second_color = version == "2" || version == "3" ? metadata["second_color"] : "newest";
+    const std::string test = version == "3" ? metadata["hole_test"] : "footprint";
+    if (test != "footprint" && test != "paper") refuse(path, "hole_test: expected footprint or paper, got " + test);
+    weights.test = test == "paper" ? HoleTest::paper : HoleTest::footprint;
     if (second_color != "newest" && second_color != "earlier") refuse(path, "second_color: expected newest or earlier, got " + second_color);
     weights.earlier = second_color == "earlier";
     for (const auto &[name, weight] : tensors) {
@@ -896,7 +933,8 @@ static void run_holes(Case &c) {
     const auto surface = [&](const std::string &of) {
         return Surface{c.image("stencil" + of, "H W"), c.image("normal" + of, "H W 3"), c.image("position" + of, "H W 3")};
     };
-    c.write("valid", holes(motion, surface("_previous"), surface(""), c.image("nov", "H W"), c.image("depth", "H W")));
+    const HoleTest test = c.array<int32_t>("paper", "1").second[0] ? HoleTest::paper : HoleTest::footprint;
+    c.write("valid", holes(motion, surface("_previous"), surface(""), c.image("nov", "H W"), c.image("depth", "H W"), test));
 }
 
 static void run_occlusion_warp(Case &c) {
