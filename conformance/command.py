@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 import sys
 from pathlib import Path
@@ -22,6 +23,23 @@ from stss_ref.arrays import ArrayError
 from stss_ref.weights import WeightsError
 
 MAX_REPEAT = 1000
+MOST_PIXELS = 3840 * 2160
+LEAST_SIDE = 2048
+"""Rows and columns that every port takes: textures have had them for long, and only made cases have more."""
+MOST_SIDE = 2**17
+
+
+class Size(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
+    """``1280x720``, width first; (H, W)."""
+
+    name = "WxH"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """The two numbers."""
+        found = re.fullmatch(r"([1-9][0-9]{0,5})x([1-9][0-9]{0,5})", value)
+        if found is None or int(found[1]) * int(found[2]) > MOST_PIXELS:
+            self.fail(f"expected width x height such as 1280x720, of up to {MOST_PIXELS} pixels, got {value!r}", param, ctx)
+        return int(found[2]), int(found[1])
 
 
 @click.command()
@@ -29,6 +47,12 @@ MAX_REPEAT = 1000
 @click.option("--exec", "program", metavar="PROGRAM", help='A program that is called with a job folder: "./port --gpu 1".')
 @click.option("--stages", type=Names(), help="Stages to judge  [default: all that the port has]")
 @click.option("--tier", type=click.Choice(["quick", "full"]), default="quick", show_default=True, help="How many cases.")
+@click.option("--size", type=Size(), help="Judge each stage once at this size, too.")
+@click.option(
+    "--largest-side",
+    type=click.IntRange(LEAST_SIDE, MOST_SIDE),
+    help="Leave out cases with more rows or columns than the port takes.",
+)
 @click.option("--seed", type=click.IntRange(0, MAX_SEED), default=0, show_default=True, help="Another seed draws other cases.")
 @click.option(
     "--dtype", type=click.Choice(["float32", "float16"]), help="The port's arithmetic  [default: what the port says; float32]"
@@ -62,6 +86,8 @@ def conform(
     program: str | None,
     stages: tuple[str, ...] | None,
     tier: str,
+    size: tuple[int, int] | None,
+    largest_side: int | None,
     seed: int,
     dtype: str | None,
     winograd: bool,
@@ -106,7 +132,7 @@ def conform(
     port = load_port(spec, program, timeout, dtype, winograd, weights_version)
     if replay is not None:
         sys.exit(_replay(port, replay))
-    judge = Judge(port, TIERS[tier], seed, repeat=repeat)
+    judge = Judge(port, TIERS[tier], seed, repeat=repeat, size=size, largest_side=largest_side)
     try:
         known = read_known(known_failures) if known_failures is not None else ()
         running = RunningReport(judge, failures, _command(spec, program, dtype, weights_version, winograd=winograd), json_file)

@@ -21,7 +21,7 @@ from conformance.answers.expected import Expected
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.protocol.layers import reference_layers
 from conformance.protocol.port import Outputs
-from conformance.protocol.stages import STAGES
+from conformance.protocol.stages import STAGES, check_inputs
 from conformance.tolerance import BOUNDS, UNIT
 from stss_ref.weights import Tensors, Weights, astype
 
@@ -29,6 +29,8 @@ OPEN = 100.0
 """A gate's bias at which its sigmoid is 1."""
 TAIL = 4.0
 """The largest of many normal deviations, in rms. Where gates nearly close, a few deviations are larger, and then these count."""
+SAMPLE = 304
+"""Rows and columns that give a larger frame's bounds: its numbers are of one kind everywhere, so their mean square is one."""
 RUNS = 3
 """Runs with changed weights; every number of every output is a sample."""
 
@@ -44,7 +46,8 @@ def expect_with_weights(
         weights: float32.
         arithmetic: of the port.
     """
-    return _spread(partial(STAGES[stage].compute, inputs), weights, arithmetic)
+    compute, part = STAGES[stage].compute, _part(stage, inputs)
+    return _spread(partial(compute, inputs), weights, arithmetic, None if part is None else partial(compute, part))
 
 
 def expect_layers(stage: str, inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: Arithmetic) -> dict[str, Expected]:
@@ -55,17 +58,37 @@ def expect_layers(stage: str, inputs: dict[str, NDArray[Any]], weights: Weights,
     return _spread(partial(reference_layers, stage, inputs), weights, arithmetic)
 
 
-def _spread(compute: Callable[[Weights], Outputs], weights: Weights, arithmetic: Arithmetic) -> dict[str, Expected]:
-    """The outputs of ``compute`` for the weights, and how far changes of the weights of the size of rounding move them."""
+def _part(stage: str, inputs: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]] | None:
+    """The first rows and columns of a frame larger than ``SAMPLE`` both ways: enough numbers for a root mean square."""
+    specs = STAGES[stage].inputs
+    sizes = check_inputs(stage, inputs)
+    if min(sizes["H"], sizes["W"]) <= SAMPLE:
+        return None
+    sizes |= {"H": SAMPLE, "W": SAMPLE}
+    return {name: array[tuple(slice(n) for n in specs[name].shape(sizes))] for name, array in inputs.items()}
+
+
+def _spread(
+    compute: Callable[[Weights], Outputs],
+    weights: Weights,
+    arithmetic: Arithmetic,
+    compute_part: Callable[[Weights], Outputs] | None = None,
+) -> dict[str, Expected]:
+    """The outputs of ``compute`` for the weights, and how far changes of the weights of the size of rounding move them.
+
+    ``compute_part`` computes the part of a large frame by which its bounds are found.
+    """
     exact = astype(weights, np.dtype(np.float64))
     truth = compute(exact)
     random = np.random.default_rng(0)
     changes = _changes(exact, arithmetic)
-    runs = [compute(_changed(exact, changes, random)) for _ in range(RUNS)]
-    opened = compute(_opened(exact))
+    part = compute_part or compute
+    still = part(exact) if compute_part else truth
+    runs = [part(_changed(exact, changes, random)) for _ in range(RUNS)]
+    opened = part(_opened(exact))
     expected: dict[str, Expected] = {}
     for name, want in truth.items():
-        moved = np.abs([run[name] - want for run in runs])
+        moved = np.abs([run[name] - still[name] for run in runs])
         spread = max(float(np.sqrt(np.mean(moved * moved))), float(moved.max(initial=0)) / TAIL)
         ungated = BOUNDS["gate"].roundings * arithmetic.unit * np.abs(opened[name]).max(initial=0)
         floor = ungated + BOUNDS["image"].roundings * (arithmetic.unit * np.abs(want).max(initial=0) + arithmetic.tiny)

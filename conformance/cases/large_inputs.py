@@ -110,10 +110,35 @@ _IMAGE: dict[str, Callable[[Size, Generator], Inputs]] = {
 }  # fmt: skip
 
 
-def large_inputs(stage: str) -> tuple[Made, ...]:
-    """The large cases of a stage: inputs, and weights if the stage takes them; the slowest last."""
+def large_inputs(stage: str, most: int | None = None, size: Size | None = None, side: int | None = None) -> tuple[Made, ...]:
+    """The large cases of a stage: inputs, and weights if the stage takes them; the slowest last.
+
+    Args:
+        stage: its name.
+        most: the number of cases that are made at sizes of this module; None: all.
+        size: (H, W) of one more case; stages of the network but ``network`` and ``frame`` get the next larger multiples of 8.
+        side: the most rows or columns of any array, outputs too; larger cases are left out; None: any.
+    """
+    scale = 2 if stage in ("decoder", "network", "frame") else 1
+    own = [*_sizes(stage)[:most], *([_taken(stage, size)] if size is not None else [])]
+    return tuple(_made(stage, i, each) for i, each in enumerate(own) if side is None or scale * max(each) <= side)
+
+
+def _sizes(stage: str) -> tuple[Size, ...]:
     if stage in _IMAGE:
-        return tuple(partial(_IMAGE[stage], size) for size in IMAGE_SIZES)
+        return IMAGE_SIZES
+    return ANY_SIZES if stage in ("network", "frame") else NETWORK_SIZES
+
+
+def _taken(stage: str, size: Size) -> Size:
+    """A size that the stage takes, at least ``size``."""
+    height, width = size
+    return size if _sizes(stage) != NETWORK_SIZES else (-(-height // 8) * 8, -(-width // 8) * 8)
+
+
+def _made(stage: str, number: int, size: Size) -> Made:
+    if stage in _IMAGE:
+        return partial(_IMAGE[stage], size)
     if stage == "frame":
-        return tuple(partial(frame_case, size, second=SECOND_COLORS[i % 2]) for i, size in enumerate(ANY_SIZES))
-    return tuple(partial(network_case, stage, size) for size in (ANY_SIZES if stage == "network" else NETWORK_SIZES))
+        return partial(frame_case, size, second=SECOND_COLORS[number % 2])
+    return partial(network_case, stage, size)

@@ -53,6 +53,8 @@ class Judge:
         seed: of the cases; the same seed gives the same cases.
         shrink: make a failing case smaller.
         repeat: number of times that each case is computed; different bits in any of them are a departure.
+        size: (H, W) at which each stage is judged once, too; None: at the tier's sizes only.
+        largest_side: the most rows or columns of an array that the port takes; larger cases are left out; None: any.
 
     Attributes:
         record: of the test that runs now; the runner sets a new one before each test.
@@ -68,8 +70,11 @@ class Judge:
         *,
         shrink: bool = True,
         repeat: int = 1,
+        size: tuple[int, int] | None = None,
+        largest_side: int | None = None,
     ):
         self.port, self.tier, self.seed, self.shrink, self.repeat = port, tier, seed, shrink, repeat
+        self.size, self.largest_side = size, largest_side
         self.arithmetic = Arithmetic(port.dtype, bool(getattr(port, "winograd", False)))
         self.weights_version = int(getattr(port, "weights_version", 2))
         self.stages = port.stages()

@@ -31,6 +31,7 @@ def write_junit(path: Path, judge: Judge, results: Sequence[TestResult], folders
     about = {
         **versions_of_cases(), "port": printable(judge.port.name), "dtype": judge.arithmetic.dtype, "tier": judge.tier.name,
         "seed": judge.seed, "repeat": judge.repeat, "winograd": judge.arithmetic.winograd, "weights_version": judge.weights_version,
+        "largest_side": judge.largest_side or "any",
     }  # fmt: skip
     for stage, some in by_stage(results).items():
         counts = {

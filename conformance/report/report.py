@@ -102,6 +102,7 @@ def to_json(
         "dtype": judge.arithmetic.dtype,
         "winograd": judge.arithmetic.winograd,
         "weights_version": judge.weights_version,
+        "largest_side": judge.largest_side,
         "tier": judge.tier.name,
         "seed": judge.seed,
         "repeat": judge.repeat,
@@ -137,14 +138,21 @@ def judged_by_stage(results: Sequence[TestResult]) -> dict[str, list[TestResult]
 
 
 def judged_on(judge: Judge, results: Sequence[TestResult]) -> list[str]:
-    """The last lines of a report: the largest sizes, and weights that the port does not know."""
+    """The last lines of a report: the largest sizes, and what the port does not take."""
     sizes: dict[tuple[int, int], list[str]] = {}
     for stage, some in judged_by_stage(results).items():
         largest = max(r.record.largest[0] for r in some), max(r.record.largest[1] for r in some)
         if max(largest):
             sizes.setdefault(largest, []).append(stage)
     lines = [f"largest height {height}, largest width {width}: {', '.join(names)}" for (height, width), names in sizes.items()]
-    return lines if judge.weights_version > 1 else [*lines, "weights of version 1 only, as the port declares"]
+    return [*lines, *_declared(judge)]
+
+
+def _declared(judge: Judge) -> list[str]:
+    """What the port does not take, in words."""
+    old = ["weights of version 1 only, as the port declares"] if judge.weights_version == 1 else []
+    narrow = [f"no array of more than {judge.largest_side} rows or columns, as the port declares"] if judge.largest_side else []
+    return old + narrow
 
 
 def _stage(results: Sequence[TestResult]) -> dict[str, Any]:
@@ -188,7 +196,7 @@ def write_page(path: Path, judge: Judge, results: Sequence[TestResult], folders:
         InputError: the file cannot be written.
     """
     arithmetic = judge.arithmetic.dtype + (", Winograd" if judge.arithmetic.winograd else "")
-    arithmetic += "" if judge.weights_version > 1 else ", weights of version 1 only"
+    arithmetic = "; ".join([arithmetic, *_declared(judge)])
     counted = tallied([r.record for r in results])
     verdict = "passes" if passed(results) else "departs from the specification"
     verdict = "was not judged" if JUDGED in {r.id for r in results} else verdict

@@ -14,6 +14,7 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.errors import Flaky
 
+from conformance.cases.large_inputs import Made, large_inputs
 from conformance.explain.confirm import UNSTABLE, confirm
 from conformance.explain.diagnosis import diagnose
 from conformance.explain.first_layer import first_departure
@@ -44,22 +45,23 @@ def cases(strategy: st.SearchStrategy[Any], *, slow: bool = False) -> Callable[[
 
 
 def made_cases(
-    made: Sequence[Callable[[np.random.Generator], Any]],
+    made: Sequence[Made] | Callable[[Judge], Sequence[Made]],
     *,
-    large: bool = False,
-    about: Callable[[Callable[[np.random.Generator], Any]], str] = lambda _: "",
+    about: Callable[[Made], str] = lambda _: "",
 ) -> Callable[[Body], Callable[[Judge], None]]:
     """Make a test of a property on a few cases that are made, not drawn.
 
     Args:
-        made: each makes one case from a seeded generator.
-        large: the cases are large frames, the slowest last: the judge's tier says how many of them run.
+        made: each makes one case from a seeded generator; or what the judge asks for.
         about: words on a made case, for the message of its failure.
     """
 
+    def chosen(judge: Judge) -> Sequence[Made]:
+        return made(judge) if callable(made) else made
+
     def decorate(body: Body) -> Callable[[Judge], None]:
         def some(judge: Judge) -> list[Any]:
-            return [make(np.random.default_rng(judge.seed)) for make in made[: judge.tier.large if large else None]]
+            return [make(np.random.default_rng(judge.seed)) for make in chosen(judge)]
 
         @wraps(body)
         def test(judge: Judge) -> None:
@@ -67,12 +69,17 @@ def made_cases(
             with _confirmed(judge, body):
                 wrong = judge.first_wrong(body, some(judge))
                 if wrong is not None:
-                    judge.record.about = about(made[wrong])
+                    judge.record.about = about(chosen(judge)[wrong])
                     raise DepartureError(judge.failure().finding)
 
         return _as_test(test, body, some)
 
     return decorate
+
+
+def large_cases(stage: str) -> Callable[[Body], Callable[[Judge], None]]:
+    """Make a test of a property on large frames: as many as the judge's tier says, and one of the size that the judge is asked for."""
+    return made_cases(lambda judge: large_inputs(stage, judge.tier.large, judge.size, judge.largest_side))
 
 
 @contextmanager

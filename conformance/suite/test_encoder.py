@@ -6,11 +6,10 @@ from hypothesis import strategies as st
 
 from conformance.answers.expected import Expected
 from conformance.cases.exact_weights import LAST, exact_inputs, rounded_sums
-from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import cases, made_cases
+from conformance.suite.properties import cases, large_cases
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("encoder"), weights())
@@ -77,7 +76,7 @@ def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]) -> Ta
     yield from judge.rounds_either_way("encoder", "x1", *case, LAST["encoder"])
 
 
-@made_cases(large_inputs("encoder"), large=True)
+@large_cases("encoder")
 def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
     yield from judge.agrees("encoder", *case)

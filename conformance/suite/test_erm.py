@@ -6,12 +6,11 @@ from hypothesis import strategies as st
 
 from conformance.answers.expected import Expected
 from conformance.cases.constants import constant_cases, pinned_by
-from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import SEEDS
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import cases, made_cases
+from conformance.suite.properties import cases, large_cases, made_cases
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("erm", multiples(48)), weights())
@@ -89,7 +88,7 @@ def test_constants_are_those_of_the_specification(judge: Judge, case: tuple[Inpu
     yield from judge.agrees("erm", *case)
 
 
-@made_cases(large_inputs("erm"), large=True)
+@large_cases("erm")
 def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
     yield from judge.agrees("erm", *case)

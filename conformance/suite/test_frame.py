@@ -7,11 +7,10 @@ from hypothesis import strategies as st
 from conformance.cases.constants import constant_cases, pinned_by
 from conformance.cases.engine_inputs import engine_inputs
 from conformance.cases.every_buffer import frame_cases
-from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, frame_inputs, frame_weights, scene_inputs
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import cases, made_cases
+from conformance.suite.properties import cases, large_cases, made_cases
 from stss_ref.weights import Weights
 
 CASES = st.tuples(frame_inputs(), frame_weights())
@@ -88,7 +87,7 @@ def test_agrees_on_what_engines_send(judge: Judge, case: tuple[Inputs, Weights])
     yield from judge.agrees("frame", *case)
 
 
-@made_cases(large_inputs("frame"), large=True)
+@large_cases("frame")
 def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across and out of them."""
     yield from judge.agrees("frame", *case)

@@ -8,12 +8,11 @@ from conformance.answers.port_arithmetic import reach
 from conformance.answers.warp import within_frame
 from conformance.cases.constants import constant_cases, pinned_by
 from conformance.cases.engine_inputs import engine_inputs
-from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import SEEDS, Size, sizes
 from conformance.cases.stage_inputs import Inputs, holes_inputs, thresholds
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import cases, made_cases
+from conformance.suite.properties import cases, large_cases, made_cases
 
 
 @cases(holes_inputs())
@@ -132,7 +131,7 @@ def test_agrees_on_what_engines_send(judge: Judge, inputs: Inputs) -> Talk:
     yield from judge.agrees("holes", inputs)
 
 
-@made_cases(large_inputs("holes"), large=True)
+@large_cases("holes")
 def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
     """Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across and out of them."""
     yield from judge.agrees("holes", inputs)

@@ -5,12 +5,11 @@ import numpy as np
 from hypothesis import strategies as st
 
 from conformance.answers.expected import Expected
-from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import sizes
 from conformance.cases.stage_inputs import Inputs, network_inputs, weights
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import cases, made_cases
+from conformance.suite.properties import cases, large_cases
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("network", sizes(20)), weights())
@@ -55,7 +54,7 @@ def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     judge.same("network.image", second["image"], first["image"])
 
 
-@made_cases(large_inputs("network"), large=True)
+@large_cases("network")
 def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
     yield from judge.agrees("network", *case)

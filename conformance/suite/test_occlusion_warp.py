@@ -6,11 +6,10 @@ from hypothesis import strategies as st
 
 from conformance.cases.constants import constant_cases, pinned_by
 from conformance.cases.engine_inputs import engine_inputs
-from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, occlusion_inputs
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import cases, made_cases
+from conformance.suite.properties import cases, large_cases, made_cases
 
 
 @cases(occlusion_inputs())
@@ -94,7 +93,7 @@ def test_agrees_on_what_engines_send(judge: Judge, inputs: Inputs) -> Talk:
     yield from judge.agrees("occlusion_warp", inputs)
 
 
-@made_cases(large_inputs("occlusion_warp"), large=True)
+@large_cases("occlusion_warp")
 def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
     """Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across and out of them."""
     yield from judge.agrees("occlusion_warp", inputs)

@@ -3,11 +3,10 @@
 
 import numpy as np
 
-from conformance.cases.large_inputs import large_inputs
 from conformance.cases.stage_inputs import Inputs, rrm_inputs
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import cases, made_cases
+from conformance.suite.properties import cases, large_cases
 
 
 @cases(rrm_inputs())
@@ -32,7 +31,7 @@ def test_as_many_as_the_rectangle_has(judge: Judge, inputs: Inputs) -> Talk:
     judge.same("rrm.valid", np.array(valid.size - int(valid.sum())), np.array(int(height * width)))
 
 
-@made_cases(large_inputs("rrm"), large=True)
+@large_cases("rrm")
 def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
     """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
     yield from judge.agrees("rrm", inputs)

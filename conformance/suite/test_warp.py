@@ -6,12 +6,11 @@ from hypothesis import strategies as st
 
 from conformance.answers.expected import Expected
 from conformance.cases.engine_inputs import engine_inputs
-from conformance.cases.large_inputs import large_inputs
 from conformance.cases.planes import Float64, colors, dyadic_motions, sizes
 from conformance.cases.stage_inputs import Inputs, warp_inputs, wide_warp_inputs
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import cases, made_cases
+from conformance.suite.properties import cases, large_cases, made_cases
 
 
 @cases(warp_inputs())
@@ -121,7 +120,7 @@ def test_agrees_on_what_engines_send(judge: Judge, inputs: Inputs) -> Talk:
     yield from judge.agrees("warp", inputs)
 
 
-@made_cases(large_inputs("warp"), large=True)
+@large_cases("warp")
 def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
     """Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across and out of them."""
     yield from judge.agrees("warp", inputs)

@@ -73,7 +73,7 @@ SIZED = [
 @pytest.mark.parametrize(("stage", "kind"), SIZED, ids=str)
 def test_a_mistake_of_size_is_found_in_the_quick_tier(stage, kind):
     body, judge = find_property(f"{stage}.large_frames_agree_with_the_reference"), Judge(Sized(kind))
-    cases = [make(np.random.default_rng(0)) for make in large_inputs(stage)[: TIERS["quick"].large]]
+    cases = [make(np.random.default_rng(0)) for make in large_inputs(stage, TIERS["quick"].large)]
     with pytest.raises(DepartureError):
         any(judge.check(body, case) for case in cases)
 
