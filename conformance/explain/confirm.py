@@ -4,11 +4,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from time import monotonic
 
 from conformance.judging.findings import Failure
 from conformance.judging.judge import Body, Judge
 
 UNSTABLE = "differs from run to run"
+AGAIN = 3
+"""Times that a case has to fail after others, each time, before it is said to depend on them: a race does not."""
+ALONE = 20
+"""Times that a case is run alone if nothing makes it fail every time."""
+MOST_SECONDS = 60.0
+"""Most time for these."""
 
 
 def confirm(judge: Judge, body: Body) -> Failure:
@@ -29,14 +36,28 @@ def confirm(judge: Judge, body: Body) -> Failure:
     few = 1
     while first.before:
         before = first.before[-few:]
-        if (found := fails(judge, body, replace(first, before=before))) is not None:
+        after = replace(first, before=before)
+        if all((found := fails(judge, body, after)) is not None for _ in range(AGAIN)):
+            assert found is not None
             return _with_words(
                 found, f"depends on the {f'{len(before)} cases' if len(before) > 1 else 'case'} before: it passes alone"
             )
         if len(before) == len(first.before):
             break
         few *= 2
-    return _with_words(replace(first, before=()), f"{UNSTABLE}: it passed when it was run again")
+    return _counted(judge, body, replace(first, before=()))
+
+
+def _counted(judge: Judge, body: Body, failure: Failure) -> Failure:
+    """Run a case alone many times, and say how often it fails."""
+    end = monotonic() + MOST_SECONDS
+    times = times_wrong = 0
+    shown = failure
+    while times < ALONE and (monotonic() < end or not times):
+        times += 1
+        if (found := fails(judge, body, failure)) is not None:
+            shown, times_wrong = found, times_wrong + 1
+    return _with_words(shown, f"{UNSTABLE}: {times_wrong} of {times}, alone")
 
 
 def fails(judge: Judge, body: Body, failure: Failure) -> Failure | None:

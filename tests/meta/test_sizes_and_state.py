@@ -1,5 +1,7 @@
 """Mistakes that no small case shows, and those that a case alone does not: sizes, state, chance."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -104,17 +106,17 @@ class Remembering(ReferencePort):
 
 
 class Chance(ReferencePort):
-    """One wrong answer in 500."""
+    """One wrong answer in 500, or more often."""
 
-    def __init__(self):
-        self.random = np.random.default_rng(3)
+    def __init__(self, one_in=500, seed=3):
+        self.one_in, self.random = one_in, np.random.default_rng(seed)
 
     def stages(self):
         return frozenset({"warp"})
 
     def run(self, stage, inputs, weights=None):
         right = super().run(stage, inputs, weights)
-        return {**right, "inside": 1 - right["inside"]} if self.random.random() < 1 / 500 else right
+        return {**right, "inside": 1 - right["inside"]} if self.random.random() < 1 / self.one_in else right
 
 
 def messages(port, tier=TIERS["quick"], stage="warp"):
@@ -127,7 +129,18 @@ def test_the_answer_before_says_that_it_depends_on_the_case_before():
 
 def test_one_in_500_says_that_it_differs_from_run_to_run():
     (message,) = messages(Chance())
-    assert "differs from run to run: it passed when it was run again" in message
+    assert "differs from run to run: 0 of 20, alone" in message
+
+
+def test_one_in_50_depends_on_nothing_and_is_counted():
+    counted = []
+    for seed in range(8):
+        judge = Judge(Chance(50, seed), Tier("some", 200, 2))
+        failed = run_suite(judge, ["warp"], only="agrees_with")[0]
+        found = re.search(r"differs from run to run: (\d+) of 20, alone", failed.message)
+        assert found is not None or "depends" not in failed.message
+        counted.append(int(found[1]) if found else -1)
+    assert max(counted) > 0, counted
 
 
 def test_repeats_find_a_race_in_few_cases():
