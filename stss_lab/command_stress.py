@@ -24,9 +24,8 @@ from stss_ground.terminal import Terminal, echo
 @click.option("--device", help="Part of an OpenCL device's name (stss devices)  [default: $STSS_DEVICE, or the fastest]")
 @click.option("--weights", help="A .safetensors file  [default: random weights, different for each seed]")
 @click.option("--only", type=Names(), default="", help="Names of tables: magnitude,positions,...  [default: all]")
-@click.option("--full", is_flag=True, help="More seeds and larger frames: a quarter of an hour.")
+@click.option("--full", is_flag=True, help="More seeds and larger frames: some ten minutes.")
 @click.option("--json", "json_file", type=PATH, help="File for every number, the versions and the machine.")
-@click.option("--write", "page", type=PATH, help="Page to update between its markers; pictures go beside it, into pictures/.")
 def stress_command(
     backend: str,
     device: str | None,
@@ -34,19 +33,13 @@ def stress_command(
     only: tuple[str, ...],
     full: bool,
     json_file: Path | None,
-    page: Path | None,
 ) -> None:
-    """Measure where digits are lost: with magnitude, depth, size, order of summation, and in the worst places."""
-    from stss_ground.optional import require
-    from stss_lab.stress import plot as stress_plot
+    """Measure where digits are lost: with magnitude, depth, size, and in the worst places."""
     from stss_lab.stress import report as stress_report
     from stss_lab.stress.measure import MEASUREMENTS, Results, check_names, make_plan, stress
 
     check_names(only)
-    require_places({"--json": json_file, "--write": page}, [None if weights is None else Path(weights)])
-    if page is not None:  # before minutes are spent
-        stress_report.read_page(page)
-        require("matplotlib")
+    require_places({"--json": json_file}, [None if weights is None else Path(weights)])
     tensors = None if weights is None else load(weights).weights
     opened = _open(backend, device)
     plan = make_plan(opened, tensors, full=full)
@@ -64,9 +57,6 @@ def stress_command(
     stress_report.print_results(results, Terminal())
     if json_file is not None:
         stress_report.write_json(json_file, results)
-    if page is not None:
-        stress_report.write_page(page, results)
-        stress_plot.plot(results, page.parent / "pictures")
 
 
 def _open(backend: str, device: str | None) -> Any:

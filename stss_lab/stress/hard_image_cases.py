@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""Inputs made to lose digits in the image-space stages, on the reference's own functions and on other formulas."""
+"""Inputs made to lose digits in the image-space stages."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stss.color import LARGEST, transfer
+from stss.color import transfer
 from stss_lab.stress.inputs import REACH
 from stss_lab.stress.table import Cell, StressPlan, StressTable, short
 from stss_ref.arrays import Array, Image, Mask
-from stss_ref.depth import normalise_depth
 from stss_ref.holes import HoleLimits, holes
 from stss_ref.sample import Taps, follow, taps
 from stss_ref.warp import warp
@@ -23,10 +22,6 @@ PIXELS = 20000
 WIDTHS = (240, 480, 960, 1920, 3840, 7680)
 NEAR_WHOLE = 1e-4
 """Distance from whole pixels of the motions that are nearly whole; pixels."""
-DARK = 0.01
-"""Light below which the logarithmic curve is linear."""
-RELIEF = 2.0**-20
-"""Smallest relief, as a share of the depth, that the other formula would stretch to the full range."""
 
 
 def positions(plan: StressPlan) -> StressTable:
@@ -39,12 +34,9 @@ def positions(plan: StressPlan) -> StressTable:
             here, there, origin = _pairs(seed, far, limit)
             truth = np.sqrt(((there - here) ** 2).sum(axis=-1)) <= limit
             single, half = _stored(here, there, "float32"), _stored(here, there, "float16")
-            metres = ((here / 100).astype("float32") / 0.01, (there / 100).astype("float32") / 0.01)
             ways = (
                 _trusted(*single, "float32"),
                 _trusted(*single, "float64"),
-                _trusted(*metres, "float32"),
-                _trusted(single[0] - origin, single[1] - origin, "float32"),
                 _trusted(here - origin, there - origin, "float32"),
                 _trusted(*half, "float32"),
             )
@@ -52,7 +44,7 @@ def positions(plan: StressPlan) -> StressTable:
         step = float(np.spacing(np.float32(far)))
         rows.append((short(far), step, *(float(x) for x in np.max(shares, axis=0))))
     columns = (
-        "cm from the origin", "step of float32, cm", "float32", "its test in float64", "metres, float32", "origin taken off after reading",
+        "cm from the origin", "step of float32, cm", "float32", "its test in float64",
         "origin taken off by the renderer", "half",
     )  # fmt: skip
     return StressTable(
@@ -103,7 +95,7 @@ def motion(plan: StressPlan) -> StressTable:
         "wrong taps in %, apart",
     )
     title = f"Warped noise in [0, 1], motion up to {REACH:g} px: largest error; taps where within {short(NEAR_WHOLE)} px of whole pixels"
-    return StressTable("motion", title, columns, tuple(rows), tuple(map(float, WIDTHS)))
+    return StressTable("motion", title, columns, tuple(rows))
 
 
 def _motion_errors(seed: int, width: int) -> tuple[float, float, float, float]:
@@ -138,44 +130,9 @@ def tone(_: StressPlan) -> StressTable:
         color = np.full((1, 1, 3), value, np.float32)
         encoded = hdr.encode(color).astype(np.float64)
         losses = [abs(float(hdr.decode((encoded - by).astype(np.float32))[0, 0, 0]) / value - 1) for by in (0.0, 1e-6, 1e-3)]
-        losses.append(abs(_log_decode(_log_encode(value) - 1e-3) / value - 1))
         upwards = float(hdr.decode((encoded + 1e-3).astype(np.float32))[0, 0, 0])
-        rows.append((short(value), float(1 - encoded.max()), *losses[:3], upwards, losses[3]))
+        rows.append((short(value), float(1 - encoded.max()), *losses, upwards))
     columns = (
         "light", "1 - encoded", "there and back", "encoded - 1e-6", "encoded - 1e-3", "light of encoded + 1e-3",
-        "log curve, encoded - 1e-3",
     )  # fmt: skip
     return StressTable("tone", "Relative error of the light", columns, tuple(rows))
-
-
-def _log_encode(light: float) -> float:
-    return float(np.log1p(light / DARK) / np.log1p(LARGEST / DARK))
-
-
-def _log_decode(encoded: float) -> float:
-    return float(DARK * np.expm1(encoded * np.log1p(LARGEST / DARK)))
-
-
-def wall(plan: StressPlan) -> StressTable:
-    """Depth by ``scale`` of a flat wall that faces the camera: its only relief is float32's rounding."""
-    rows: list[tuple[Cell, ...]] = []
-    for far in (1.0, 10.0, 100.0, 1e3, 1e4):
-        depths = [_flat(seed, far) for seed in range(plan.seeds)]
-        found = max(float(np.ptp(normalise_depth(d, "scale"))) for d in depths)
-        other = max(float(np.ptp(_relief(d))) for d in depths)
-        rows.append((short(far), float(np.spacing(np.float32(far))), found, other))
-    columns = ("depth", "step of float32", "range of the normalised depth", f"divisor at least {short(RELIEF)} of the depth")
-    return StressTable("wall", "Normalised depth of a flat wall (exactly: 0 everywhere)", columns, tuple(rows))
-
-
-def _flat(seed: int, far: float) -> NDArray[np.float32]:
-    """(H, W) depth of points on a plane as a renderer computes it: their product with the view axis, in float32."""
-    random = np.random.default_rng(seed)
-    axis, one, other = np.linalg.qr(random.standard_normal((3, 3)))[0]
-    u, v = random.uniform(-0.5, 0.5, (2, 32, 32, 1)) * far
-    place = (far * axis + u * one + v * other).astype(np.float32)
-    return place @ axis.astype(np.float32)
-
-
-def _relief(d: Array) -> Array:
-    return (d - d.min()) / (d.max() - d.min() + max(1e-6, RELIEF * float(d.max())))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The inputs of `stss stress`, and weights that make the same sums in another order.
+"""The inputs of `stss stress`.
 
 Inputs are noise: nothing is flat or still. The inputs of a later stage are the outputs of earlier ones in float64, rounded to float32, so
 that they have the magnitude that they have in a frame.
@@ -7,8 +7,6 @@ that they have the magnitude that they have in a frame.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -16,8 +14,7 @@ from numpy.typing import NDArray
 
 from conformance.protocol.port import Arrays
 from stss_lab.stress.engines import features_of
-from stss_ref.arrays import Array
-from stss_ref.weights import LAYERS, Weights
+from stss_ref.weights import Weights
 
 MASKED = 0.2
 """Share of the pixels that are holes."""
@@ -86,57 +83,3 @@ def scaled(stage: str, inputs: Arrays, by: float) -> Given:
 def scaled_weights(weights: Weights, by: float, prefix: str = "") -> Weights:
     """The tensors whose names begin with ``prefix``, ``by`` times as large; the others as they are."""
     return weights | {n: (w * np.float32(by)).astype(np.float32) for n, w in weights.items() if n.startswith(prefix)}
-
-
-def _inner_edges() -> list[tuple[str, tuple[str, ...], int]]:
-    """``(layer, the layers that read it, its first channel there)``, where both belong to one stage."""
-    edges: list[tuple[str, tuple[str, ...], int]] = [("conv1", ("conv2",), 0)]
-    for name in ("down1", "down2", "down3"):
-        edges += [(f"{name}.downsample", (f"{name}.conv1",), 0), (f"{name}.conv1", (f"{name}.conv2",), 0)]
-    chain = [f"convHis{i}.{j}" for i in (1, 2, 3) for j in (0, 2, 4)]
-    edges += [(a, (b,), 0) for a, b in pairwise(chain)]
-    for name in ("latentEncoder", "KEncoder"):
-        edges += [(f"{name}.0", (f"{name}.2",), 0), (f"{name}.2", (f"{name}.4",), 0)]
-    edges.append(("KEncoder.4", (), 0))  # the attention sums over its channels
-    ups = [f"up{i}.conv.double_conv" for i in (1, 2, 3)]
-    edges += [(f"{name}.0", (f"{name}.2",), 0) for name in ups]
-    # The decoder's skip comes first in what the next level reads.
-    return [*edges, (f"{ups[0]}.2", (f"{ups[1]}.0",), 24), (f"{ups[1]}.2", (f"{ups[2]}.0",), 24), (f"{ups[2]}.2", ("outc",), 0)]
-
-
-def permuted(weights: Weights, seed: int) -> Weights:
-    """A network that computes the same function with its inner channels, and so the sums over them, in another order.
-
-    Channels that cross from one stage to another keep their place, so that the outputs of every stage can be compared.
-    """
-    random = np.random.default_rng(seed)
-    result = {name: np.array(tensor) for name, tensor in weights.items()}
-    outputs = {layer.name: layer.outputs for layer in LAYERS}
-    for layer, readers, first in _inner_edges():
-        order = random.permutation(outputs[layer])
-        made = f"{layer}.conv_feature" if f"{layer}.conv_feature.weight" in result else layer
-        for part in ("weight", "bias"):
-            result[f"{made}.{part}"] = result[f"{made}.{part}"][order]
-        for name in [n for reader in readers for n in result if n.startswith(f"{reader}.") and n.endswith("weight")]:
-            result[name][:, first : first + len(order)] = result[name][:, first + order]
-    last = (
-        np.tile(np.arange(32), 3).reshape(3, 32) + 32 * np.arange(3)[:, None]
-    )  # convHis3.4 is read three times, once for each frame
-    order = random.permutation(32)
-    for part in ("weight", "bias"):
-        result[f"convHis3.4.{part}"] = result[f"convHis3.4.{part}"][order]
-    for name in ("lowlevelGated.conv_feature.weight", "lowlevelGated.conv_mask.0.weight"):
-        result[name] = result[name][:, last[:, order].ravel()]
-    return weights | result
-
-
-def transposed(weights: Weights) -> Weights:
-    """The network for frames with rows and columns exchanged: every sum over a window then runs in the other order."""
-    result = weights.convert(lambda w: np.ascontiguousarray(w.swapaxes(2, 3)) if w.ndim == 4 else w)
-    exchanged = np.arange(12).reshape(3, 2, 2).swapaxes(1, 2).ravel()
-    return result | {f"outc.{part}": result[f"outc.{part}"][exchanged] for part in ("weight", "bias")}
-
-
-def transposed_arrays(arrays: Mapping[str, Array]) -> Given:
-    """Inputs or outputs of a stage with weights, rows and columns exchanged."""
-    return {n: np.ascontiguousarray(a.swapaxes(-3, -2) if n != "mask" else a.T) for n, a in arrays.items()}

@@ -25,9 +25,6 @@ MEASUREMENTS: dict[str, Callable[[StressPlan], StressTable]] = {
     "weights": sweeps.weight_scale,
     "size": sweeps.size,
     "depth": sweeps.depth,
-    "layers": sweeps.layers,
-    "monte_carlo": sweeps.monte_carlo,
-    "order": sweeps.order,
     "positions": cases.positions,
     "attention": network_cases.attention,
     "tone": cases.tone,
@@ -35,7 +32,6 @@ MEASUREMENTS: dict[str, Callable[[StressPlan], StressTable]] = {
     "motion": cases.motion,
     "huge": network_cases.huge,
     "overflow": network_cases.overflow,
-    "wall": cases.wall,
 }
 """Name of a table -> function that measures it, in the order of the report."""
 
@@ -54,10 +50,6 @@ class Results:
     device: str | None
     tables: tuple[StressTable, ...]
 
-    def table(self, key: str) -> StressTable | None:
-        """The table of this name, if it was measured."""
-        return next((table for table in self.tables if table.key == key), None)
-
 
 def check_names(only: Sequence[str]) -> None:
     """Raise InputError unless every name is one of ``MEASUREMENTS``."""
@@ -67,7 +59,7 @@ def check_names(only: Sequence[str]) -> None:
 
 
 def make_plan(device: Any, weights: Weights | None, *, full: bool = False) -> StressPlan:
-    """Plan how much to measure: about a minute and a half on two cores, or with ``full`` ten times as much.
+    """Plan how much to measure: about a minute on two cores, or with ``full`` ten times as much.
 
     Args:
         device: an open ``stss_cl.device.discovery.Device``; None: the reference alone.
@@ -78,7 +70,7 @@ def make_plan(device: Any, weights: Weights | None, *, full: bool = False) -> St
     if device is not None:
         engines += [OpenCLEngine(device, precision) for precision in ("float32", "float32-direct", "half")]
     if full:
-        return StressPlan(engines, seeds=10, size=(96, 128), sizes=(8, 16, 32, 64, 128, 256), runs=24, weights=weights)
+        return StressPlan(engines, seeds=10, size=(96, 128), sizes=(8, 16, 32, 64, 128, 256), weights=weights)
     return StressPlan(engines, weights=weights)
 
 

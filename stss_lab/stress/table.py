@@ -25,25 +25,16 @@ class StressTable:
     """One table of the report.
 
     Attributes:
-        key: its name in the page's markers, in the JSON and for ``--only``.
+        key: its name in the JSON and for ``--only``.
         title: its contents, with the unit of its numbers.
         columns: the headings.
         rows: a cell for each column.
-        axis: numbers that the last ``len(axis)`` columns stand for; empty if they stand for none.
     """
 
     key: str
     title: str
     columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
-    axis: tuple[float, ...] = ()
-
-    def series(self, *names: str) -> tuple[float, ...]:
-        """The numbers under the axis of the row that begins with ``names``; empty where there is none."""
-        for row in self.rows:
-            if row[: len(names)] == names:
-                return tuple(_number(cell) for cell in row[-len(self.axis) :])
-        return ()
 
     def column(self, name: str) -> tuple[float, ...]:
         """The numbers of a column; NaN for other cells."""
@@ -74,7 +65,6 @@ class StressPlan:
         seeds: how many draws of inputs, and of weights unless they are given; a number in a table is the worst of them.
         size: (H, W) of the frames where the size is not what varies; multiples of 8.
         sizes: sides of the square frames of the sweep over sizes.
-        runs: number of runs of the Monte Carlo arithmetic, and of orders of summation.
         weights: the 92 tensors; None: random ones, different for each seed.
     """
 
@@ -82,7 +72,6 @@ class StressPlan:
     seeds: int = 3
     size: tuple[int, int] = (48, 64)
     sizes: tuple[int, ...] = (8, 16, 32, 64, 128)
-    runs: int = 12
     weights: Weights | None = field(default=None, repr=False)
 
     def weights_of(self, seed: int) -> Weights:

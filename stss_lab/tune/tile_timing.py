@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -110,6 +110,11 @@ class Trials:
         if sizes is None:
             return np.inf
         return sum(shape.count * self.times[shape].get(sizes, np.inf) for shape in shapes)
+
+    def totals(self, kind: type[Sizes], shapes: Sequence[LayerShape]) -> dict[Sizes, float]:
+        """The total of all sizes of this kind that were timed."""
+        tried = dict.fromkeys(c for shape in shapes for c in self.times[shape] if isinstance(c, kind))
+        return {sizes: self.total(sizes, shapes) for sizes in tried}
 
 
 def winograd_candidates(device: Properties, outputs: int) -> list[Winograd]:

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Mapping
 from dataclasses import astuple, dataclass
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -14,23 +15,48 @@ from rich.table import Table
 from stss.devices.selection import choose
 from stss_cl.device.discovery import Device, DeviceError, Properties, matching
 from stss_cl.device.tuning import OUTPUTS, Direct, Local, Tuning, Winograd, built_in, store, stored, stored_path, to_toml
-from stss_lab.tune.tile_timing import SHAPES, LayerShape, Sizes, Trials, direct_candidates, local_candidates, winograd_candidates
+from stss_lab.tune.tile_timing import SHAPES, Sizes, Trials, direct_candidates, local_candidates, winograd_candidates
 
 MARGIN = 1.02
-"""Factor by which other sizes must be faster than the built-in ones to replace them."""
-ROUNDS, DUEL = 5, 12
-"""Interleaved timings of each candidate, and then of the best one and the built-in sizes: the best of many is partly luck."""
+"""Factor by which another choice must be faster than the built-in one to replace it."""
+ROUNDS = 8
+"""Interleaved timings of each candidate."""
+
+Choice = Sizes | str | None
+"""Tile sizes, the name of a kernel, or None where a row has none."""
 
 
 @dataclass(frozen=True)
 class Line:
-    """One class of layers: the built-in sizes, the fastest others or None, the seconds of both, and the decision."""
+    """What was decided about one class of layers.
+
+    Attributes:
+        what: the class.
+        built_in, best: the built-in choice and the fastest other one; None: no sizes.
+        seconds: of both; infinite where it was refused or not timed.
+    """
 
     what: str
-    built_in: Sizes | None
-    best: Sizes | None
+    built_in: Choice
+    best: Choice
     seconds: tuple[float, float]
-    decision: str
+
+    @property
+    def new(self) -> bool:
+        """Whether the other one wins."""
+        return self.seconds[1] * MARGIN < self.seconds[0]
+
+    @property
+    def taken(self) -> Any:
+        """The choice that wins."""
+        return self.best if self.new else self.built_in
+
+
+def decide(what: str, built_in: Choice, seconds: Mapping[Any, float]) -> Line:
+    """Compare the built-in choice with the fastest other one; ``seconds``: of each choice."""
+    others = {choice: s for choice, s in seconds.items() if choice != built_in}
+    best = min(others, key=lambda choice: others[choice], default=None)
+    return Line(what, built_in, best, (seconds.get(built_in, np.inf), others.get(best, np.inf)))
 
 
 def tune(
@@ -44,7 +70,7 @@ def tune(
         tell: called with the shape that is being timed.
 
     Returns:
-        The built-in row with the sizes that beat it, every timing, and one line for each class of layers.
+        The built-in row with the choices that beat it, every timing, and one line for each class of layers.
     """
     base, trials = built_in(device), Trials()
     for shape in SHAPES:
@@ -58,89 +84,30 @@ def tune(
             candidates += [base.winograd[shape.outputs]] if base.winograd else []
             candidates += winograd_candidates(device, shape.outputs)
         trials.time(device, shape, size, candidates, ROUNDS)
-    found, lines = _decide(device, size, base, trials)
-    return found, trials, lines
 
-
-def _decide(device: Device, size: tuple[int, int], base: Tuning, trials: Trials) -> tuple[Tuning, list[Line]]:
     lines: list[Line] = []
-    winograd: dict[int, Winograd] = {}
+    fast = [shape for shape in SHAPES if shape.fast]
+    first = base.winograd or dict.fromkeys(OUTPUTS)
     for outputs in OUTPUTS:
-        shapes = [s for s in SHAPES if s.outputs == outputs and s.fast]
-        first = base.winograd[outputs] if base.winograd else None
-        best, line = _better(device, size, trials, f"winograd {outputs}", first, winograd_candidates(device, outputs), shapes)
-        lines.append(line)
-        if isinstance(best, Winograd):
-            winograd[outputs] = best
-    fast = winograd if len(winograd) == len(OUTPUTS) and _worth_it(base, trials, winograd) else None
-
-    direct: dict[int, Direct] = {}
-    for outputs in OUTPUTS:
-        every = [s for s in SHAPES if s.outputs == outputs]
-        used = [s for s in every if not s.fast or fast is None]
-        first = base.direct[outputs]
-        # The precision float32-direct uses them everywhere: nothing may be lost there.
-        allowed = [c for c in direct_candidates(device, outputs) if trials.total(c, every) <= trials.total(first, every)]
-        best, line = _better(device, size, trials, f"direct {outputs}", first, allowed, used)
-        lines.append(line)
-        direct[outputs] = best if isinstance(best, Direct) else first
-    local, line = _local(device, base, trials, direct)
-    return Tuning(fast, direct, local), [*lines, *line]
-
-
-def _local(device: Device, base: Tuning, trials: Trials, direct: dict[int, Direct]) -> tuple[Local | None, list[Line]]:
-    """Rows of conv_local.cl for all layers, or none where the direct convolution is faster; what counts is decided by the margin."""
-    candidates = local_candidates(device)
-    if not candidates:
-        return base.local, []
-    seconds = {candidate: trials.total(candidate, SHAPES) for candidate in candidates}
-    best = min(candidates, key=lambda candidate: seconds[candidate])
+        these = [shape for shape in SHAPES if shape.outputs == outputs]
+        lines += [
+            decide(f"winograd {outputs}", first[outputs], trials.totals(Winograd, [shape for shape in these if shape.fast])),
+            decide(f"direct {outputs}", base.direct[outputs], trials.totals(Direct, these)),
+        ]
+    winograd, direct = ({n: line.taken for n, line in zip(OUTPUTS, lines[i::2], strict=True)} for i in (0, 1))
+    rows = None if base.local is None else Local(base.local.rows)
     plain = sum(trials.total(direct[shape.outputs], [shape]) for shape in SHAPES)
-    before = None if base.local is None else Local(base.local.rows)
-    now = plain if before is None else seconds[before]
+    local = decide("local", rows, trials.totals(Local, SHAPES) | {None: plain})
+    by_tiles, by_pixels = (sum(trials.total(kind[s.outputs], [s]) for s in fast) for kind in (winograd, direct))
+    by_pixels = min(by_pixels, trials.total(local.taken, fast))
+    kernel = decide("kernel", "winograd" if base.winograd else "direct", {"winograd": by_tiles, "direct": by_pixels})
     units = base.local is not None and base.local.matrix_units
-    if before is not None and plain * MARGIN < min(now, seconds[best]):
-        return None, [Line("local", before, None, (now, plain), "direct")]
-    wins = seconds[best] * MARGIN < now
-    taken = Local(best.rows, units) if wins else base.local
-    return taken, [Line("local", before, best, (now, seconds[best]), "new" if wins else "built-in")]
-
-
-def _worth_it(base: Tuning, trials: Trials, winograd: dict[int, Winograd]) -> bool:
-    """Whether to use Winograd: it beats the direct convolution, or it is built in and the direct one does not beat it."""
-    shapes = [s for s in SHAPES if s.fast]
-    fast = sum(trials.total(winograd[s.outputs], [s]) for s in shapes)
-    plain = 0.0
-    for outputs in OUTPUTS:
-        these = [s for s in shapes if s.outputs == outputs]
-        tried = {sizes for s in these for sizes in trials.times[s] if isinstance(sizes, Direct)}
-        plain += min((trials.total(sizes, these) for sizes in tried), default=np.inf)
-    plain = min(plain, *(trials.total(sizes, shapes) for sizes in (Local(1), Local(2))))
-    return fast * MARGIN < plain if base.winograd is None else fast < plain * MARGIN
-
-
-def _better(
-    device: Device,
-    size: tuple[int, int],
-    trials: Trials,
-    what: str,
-    first: Sizes | None,
-    candidates: Collection[Sizes],
-    shapes: list[LayerShape],
-) -> tuple[Sizes | None, Line]:
-    """The fastest candidate if it still beats the built-in sizes by the margin in a second round, else the built-in sizes."""
-    others = [c for c in candidates if c != first and np.isfinite(trials.total(c, shapes))]
-    if not shapes or not others:
-        return first, Line(what, first, None, (trials.total(first, shapes), np.inf), "not used" if not shapes else "built-in")
-    best = min(others, key=lambda c: trials.total(c, shapes))
-    seconds = trials.total(first, shapes), trials.total(best, shapes)
-    if first is not None and seconds[0] > MARGIN * seconds[1] and np.isfinite(seconds[0]):
-        again = Trials()
-        for shape in shapes:
-            again.time(device, shape, size, (first, best), DUEL)
-        seconds = again.total(first, shapes), again.total(best, shapes)
-    wins = first is None or seconds[0] > MARGIN * seconds[1]
-    return best if wins else first, Line(what, first, best, seconds, "new" if wins else "built-in")
+    row = Tuning(
+        winograd if kernel.taken == "winograd" else None,
+        direct,
+        None if local.taken is None else Local(local.taken.rows, units),
+    )
+    return row, trials, [*lines, local, kernel]
 
 
 def run(name: str | None, size: tuple[int, int], *, show: bool, console: Console, tell: Callable[[str], None]) -> None:
@@ -189,12 +156,16 @@ def print_lines(lines: list[Line], console: Console) -> None:
         before, after = line.seconds
         first, second = (f"{1e3 * x:.2f}" if np.isfinite(x) else "-" for x in line.seconds)
         ratio = f"{before / after:.3f}" if after and np.isfinite([before, after]).all() else "-"
-        table.add_row(line.what, _shown(line.built_in), first, _shown(line.best), second, ratio, line.decision)
+        table.add_row(
+            line.what, _shown(line.built_in), first, _shown(line.best), second, ratio, "new" if line.new else "built-in"
+        )
     console.print(table, markup=False, highlight=False)
 
 
-def _shown(sizes: Sizes | None) -> str:
-    return "-" if sizes is None else " ".join(str(int(number)) for number in astuple(sizes))
+def _shown(choice: Choice) -> str:
+    if choice is None or isinstance(choice, str):
+        return choice or "-"
+    return " ".join(str(int(number)) for number in astuple(choice))
 
 
 def _drop_wrong_rows(name: str | None, tell: Callable[[str], None]) -> None:

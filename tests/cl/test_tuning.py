@@ -14,6 +14,7 @@ from stss_cl.device.discovery import DeviceError, Properties
 from stss_cl.device.tuning import (
     OUTPUTS,
     Direct,
+    Local,
     Tuning,
     Winograd,
     built_in,
@@ -196,36 +197,37 @@ def test_what_does_not_build_is_refused(device):
 
 
 def timed(monkeypatch, seconds):
-    """Have ``seconds(sizes, again)`` in place of a measurement; ``again``: in the second round."""
+    """Have ``seconds(sizes, shape)`` in place of a measurement."""
 
     def time(self, device, shape, size, candidates, rounds):
-        self.times[shape] = {c: seconds(c, rounds == tune.DUEL) for c in candidates}
+        self.times[shape] = {sizes: seconds(sizes, shape) for sizes in candidates}
 
     monkeypatch.setattr(Trials, "time", time)
 
 
-@pytest.mark.parametrize(
-    ("first", "again", "taken"), [(0.97, 0.97, True), (0.985, 0.9, False), (0.9, 0.985, False), (1.1, 0.9, False)]
-)
-def test_the_built_in_stays_unless_beaten_twice(monkeypatch, first, again, taken):
-    """By more than 2 % among all candidates, and again one against one."""
-    device = fake()
-    quick = Winograd(12, 4, 3, True)
-    timed(monkeypatch, lambda sizes, second: (again if second else first) if sizes == quick else 1.0)
-    found, _, _ = tune.tune(device, (8, 8))
+@pytest.mark.parametrize(("seconds", "taken"), [(0.97, True), (0.985, False), (1.1, False)])
+def test_the_built_in_stays_unless_beaten_by_two_per_cent(monkeypatch, seconds, taken):
+    device, quick = fake(), Winograd(12, 4, 3, True)
+    timed(monkeypatch, lambda sizes, _: seconds if sizes == quick else 1.0)
     want = built_in(device)
-    assert found == (replace(want, winograd={**want.winograd, 24: quick}) if taken else want)
+    assert tune.tune(device, (8, 8))[0] == (replace(want, winograd={**want.winograd, 24: quick}) if taken else want)
 
 
 def test_direct_sizes_may_not_lose_elsewhere(monkeypatch):
-    """A CPU uses them at stride 2 only, but float32-direct everywhere."""
+    """Less than half of the direct convolutions have stride 2; float32-direct uses the sizes for all of them."""
     device, quick = fake(), Direct(2, 3, 1)
-
-    def time(self, device, shape, size, candidates, rounds):
-        self.times[shape] = {c: (0.5 if shape.stride == 2 else 1.5) if c == quick else 1.0 for c in candidates}
-
-    monkeypatch.setattr(Trials, "time", time)
+    timed(monkeypatch, lambda sizes, shape: (0.5 if shape.stride == 2 else 1.5) if sizes == quick else 1.0)
     assert tune.tune(device, (8, 8))[0] == built_in(device)
+
+
+@pytest.mark.parametrize(("seconds", "rows"), [((0.5, 1.0), 1), ((1.0, 0.5), 2), ((1.5, 1.5), None)])
+def test_rows_of_pixels_are_taken_where_they_are_faster(monkeypatch, seconds, rows):
+    device = fake(is_cpu=False)
+    timed(
+        monkeypatch, lambda sizes, _: seconds[sizes.rows - 1] if isinstance(sizes, Local) else 1.0 + isinstance(sizes, Winograd)
+    )
+    local = tune.tune(device, (8, 8))[0].local
+    assert (local and local.rows) == rows
 
 
 @pytest.mark.parametrize(("seconds", "wins"), [(0.5, True), (0.99, False), (2.0, False)])
