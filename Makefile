@@ -23,7 +23,7 @@ check: $(VENV)/.check
 	$(BIN)/pyright
 
 bench: $(VENV)/.bench
-	$(BIN)/stss bench --json bench.json --plot bench.png
+	$(BIN)/stss bench --json bench.json
 
 # The judge judged: planted faults that it must find, and right ports that it must let pass (half an hour).
 mutants alarms: $(VENV)/.test

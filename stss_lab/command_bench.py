@@ -42,7 +42,6 @@ from stss_ground.terminal import Terminal, echo
 @click.option("--weights", help="A .safetensors file  [default: random weights]")
 @click.option("--device", help="Part of the name of the OpenCL device.")
 @click.option("--json", "json_file", type=PATH, help="File for all times, the versions and the machine.")
-@click.option("--plot", type=PATH, help="File for a picture: .png, .svg or .pdf.")
 @click.option(
     "--pareto", is_flag=True, help="Measure time against error instead: every precision and skip mode, on the canonical scenes."
 )
@@ -63,7 +62,6 @@ def bench_command(
     weights: str | None,
     device: str | None,
     json_file: Path | None,
-    plot: Path | None,
     pareto: bool,
     scenes: tuple[str, ...] | None,
     settings: tuple[str, ...] | None,
@@ -77,7 +75,7 @@ def bench_command(
     from stss_lab.bench.ours import default_ours
     from stss_ref.weights import random as random_weights
 
-    require_places({"--json": json_file, "--plot": plot}, [None if weights is None else Path(weights)])
+    require_places({"--json": json_file}, [None if weights is None else Path(weights)])
     tensors = random_weights(0) if weights is None else load(weights).weights
     threads = available_threads()
     console = Terminal(stderr=True)
@@ -86,15 +84,13 @@ def bench_command(
         from stss_lab.bench.pareto import chosen_settings
         from stss_lab.bench.pareto_report import bench_pareto
 
-        bench_pareto(setups, scenes, chosen_settings(settings), frames, peers, repeat, console, json_file, plot)
+        bench_pareto(setups, scenes, chosen_settings(settings), frames, peers, repeat, console, json_file)
         return
     with console.status("") as status:
         results = run_bench(setups, default_ours() if ours is None else ours, peers, repeat, on_step=status.update)
     bench_report.print_results(results, Terminal())
     if json_file is not None:
         bench_report.write_json(json_file, results, identity(tensors), threads)
-    if plot is not None:
-        bench_report.plot(results, plot)
     sys.exit(1 if any(row.fault for result in results for row in result.rows) else 0)
 
 

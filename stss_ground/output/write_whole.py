@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import errno
-import io
 import os
 import re
 import secrets
@@ -12,7 +11,6 @@ import stat
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from stss_ground.errors import InputError
 
@@ -52,20 +50,6 @@ def write_named(path: Path, data: bytes | str) -> None:
                 file.write(data)
         else:
             _write_beside(path.resolve() if path.is_symlink() else path, data)
-
-
-def write_figure(path: Path, figure: Any, dpi: int) -> None:
-    """Write a Matplotlib figure as `write_named` does; the suffix decides on the format.
-
-    Raises:
-        InputError: it can't be written, or Matplotlib has no such format.
-    """
-    drawn = io.BytesIO()
-    try:
-        figure.savefig(drawn, dpi=dpi, format=path.suffix[1:] or None)
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from error
-    write_named(path, drawn.getvalue())
 
 
 def make_folder(path: Path) -> None:

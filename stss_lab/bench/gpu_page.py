@@ -32,9 +32,7 @@ def page(folder: Path, report: Mapping[str, Any]) -> str:
         _table(("what", "which"), machine.items()),
     ]
     if bench:
-        parts += ["\n## Times\n", _times(bench), "\n![times](bench.png)" if (folder / "bench.png").exists() else ""]
-    if (folder / "pareto.png").exists():
-        parts += ["\n## Time against error\n", "![time against error](pareto.png)"]
+        parts += ["\n## Times\n", _times(bench)]
     return "\n".join(parts) + "\n"
 
 

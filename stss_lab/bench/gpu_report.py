@@ -112,7 +112,7 @@ def steps(folder: Path, device: str, *, tiny: bool) -> list[Step]:
             "bench",
             (
                 *(*stss, "bench", *here, "--repeat", few, "--ours", OURS, "--peers", "" if tiny else PEERS),
-                *("--json", f"{to / 'bench.json'}", "--plot", f"{to / 'bench.png'}"),
+                *("--json", f"{to / 'bench.json'}"),
             ),
             300,
         ),
@@ -121,7 +121,7 @@ def steps(folder: Path, device: str, *, tiny: bool) -> list[Step]:
             "pareto",
             (
                 *(*stss, "bench", "--pareto", *here, "--frames", "10", "--peers", "", "--scenes", "object,pan"),
-                *("--json", f"{to / 'pareto.json'}", "--plot", f"{to / 'pareto.png'}"),
+                *("--json", f"{to / 'pareto.json'}"),
             ),
             150,
         ),

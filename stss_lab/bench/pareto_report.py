@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Report run time against error as a table, as JSON and as a picture."""
+"""Report run time against error as a table and as JSON."""
 
 from __future__ import annotations
 
@@ -22,8 +22,7 @@ from stss.weights.file import identity
 from stss_cl.device.discovery import open_device
 from stss_ground.errors import InputError
 from stss_ground.machine import cpu_model, versions
-from stss_ground.optional import require
-from stss_ground.output.write_whole import write_figure, write_named
+from stss_ground.output.write_whole import write_named
 from stss_ground.terminal import Terminal
 from stss_ground.version import VERSION
 from stss_lab.bench.contender import Setup
@@ -33,8 +32,6 @@ from stss_lab.bench.report import PACKAGES
 
 FORMAT = 1
 """Version of the JSON; raised when a field changes its meaning."""
-LEAST = 1e-8
-"""Errors of 0 are drawn at this value, since the axis is logarithmic."""
 
 
 def bench_pareto(
@@ -46,7 +43,6 @@ def bench_pareto(
     repeat: int,
     console: Console,
     json_file: Path | None,
-    picture: Path | None,
 ) -> None:
     """Run ``stss bench --pareto``: measure, print and write the points.
 
@@ -58,7 +54,7 @@ def bench_pareto(
         peers: other engines to time as well, if they are installed.
         repeat: timed runs of each peer.
         console: for progress and tables.
-        json_file, picture: files to write; None: no such file.
+        json_file: to write; None: none.
 
     Raises:
         InputError: there are several sizes, or a name is unknown.
@@ -78,8 +74,6 @@ def bench_pareto(
     print_points((), rows, Terminal())
     if json_file is not None:
         write_json(json_file, points, rows, identity(setup.weights), size)
-    if picture is not None:
-        plot(points, rows, picture)
 
 
 def in_its_own_process(setup: Setup, scene: str, settings: Sequence[ComputeOptions], frames: int) -> list[Point]:
@@ -167,44 +161,3 @@ def write_json(path: Path, points: Sequence[Point], peers: Sequence[Timing], wei
         ],
     }
     write_named(path, json.dumps(data, indent=1) + "\n")
-
-
-def plot(points: Sequence[Point], peers: Sequence[Timing], path: Path) -> None:
-    """Draw time against error to float64, one panel for each scene; a line joins the settings that no other setting beats in both.
-
-    Raises:
-        InputError: matplotlib is not installed, or the file can't be written.
-    """
-    require("matplotlib").use("Agg")
-    plt = require("matplotlib.pyplot")
-    scenes = list(dict.fromkeys(point.scene for point in points))
-    columns = min(4, len(scenes))
-    rows = -(-len(scenes) // columns)
-    figure, panels = plt.subplots(rows, columns, squeeze=False, figsize=(3.2 * columns, 3 * rows + 0.8), layout="constrained")
-    try:
-        for panel in panels.ravel()[len(scenes) :]:
-            panel.set_axis_off()
-        for scene, panel in zip(scenes, panels.ravel(), strict=False):
-            _panel(panel, scene, [point for point in points if point.scene == scene], peers)
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=7)
-        write_figure(path, figure, 110)
-    finally:
-        plt.close(figure)
-
-
-def _panel(panel: Any, scene: str, points: Sequence[Point], peers: Sequence[Timing]) -> None:
-    at = [(point.median * 1e3, max(point.error, LEAST)) for point in points]
-    best = [at[i] for i in frontier(at)]
-    panel.step([x for x, _ in best], [y for _, y in best], where="post", color="0.7", linewidth=1, zorder=0)
-    for i, (point, (x, y)) in enumerate(zip(points, at, strict=True)):
-        panel.plot(x, y, marker="osD^v<>pPX"[i % 10], color=f"C{i % 10}", linestyle="", markersize=5, label=point.setting.name)
-    for i, row in enumerate(row for row in peers if not row.fault):
-        y = max(row.error or 0.0, LEAST)
-        panel.plot(row.median * 1e3, y, marker="x+1234"[i % 6], color="0.3", linestyle="", label=f"{row.name}, network alone")
-    panel.set(xscale="log", yscale="log", xlabel="ms a frame, median", ylabel="largest error to float64")
-    # Ticks are plain numbers, few enough to fit side by side even if the axis spans less than a decade.
-    panel.xaxis.set_major_locator(require("matplotlib.ticker").LogLocator(subs=(1, 2, 5)))
-    panel.xaxis.set_major_formatter("{x:g}")
-    panel.xaxis.set_minor_formatter("")
-    panel.set_title(scene, loc="left", fontsize=10)

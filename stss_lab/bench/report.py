@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Report the benchmark's results as a table, as JSON and as a picture."""
+"""Report the benchmark's results as a table and as JSON."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from stss_ground.machine import cpu_model, versions
-from stss_ground.optional import require
-from stss_ground.output.write_whole import write_figure, write_named
+from stss_ground.output.write_whole import write_named
 from stss_ground.version import VERSION
 from stss_lab.bench.measure import PAUSE, SUMMARY, WARM_UP, SizeResult, Timing
 from stss_lab.bench.peers import PEERS
@@ -137,36 +136,3 @@ def _row(result: SizeResult, row: Timing) -> dict[str, Any]:
         "peak_memory_bytes": row.peak_memory,
         "details": row.details,
     }
-
-
-def plot(results: Sequence[SizeResult], path: Path) -> None:
-    """Draw one panel for each size, with a bar to the minimum of each contender and a line to its median; the suffix picks the format.
-
-    Raises:
-        InputError: matplotlib is not installed, or the file can't be written.
-    """
-    require("matplotlib").use("Agg")
-    plt = require("matplotlib.pyplot")
-    most = max(len(result.rows) for result in results)
-    figure, panels = plt.subplots(
-        len(results), squeeze=False, figsize=(7, (0.8 + 0.32 * most) * len(results)), layout="constrained"
-    )
-    try:
-        for result, panel in zip(results, panels[:, 0], strict=True):
-            _panel(result, panel)
-        write_figure(path, figure, 150)
-    finally:
-        plt.close(figure)
-
-
-def _panel(result: SizeResult, panel: Any) -> None:
-    rows = [row for row in result.rows if not row.fault]
-    names = [row.name for row in rows]
-    minima = [row.minimum * 1e3 for row in rows]
-    colors = ["tab:gray" if row.name in PEERS else "tab:blue" for row in rows]
-    to_median = [[0.0] * len(rows), [(row.median - row.minimum) * 1e3 for row in rows]]
-    bars = panel.barh(names, minima, color=colors, xerr=to_median, ecolor="black", capsize=2)
-    panel.bar_label(bars, [f" {value:.1f}" for value in minima], label_type="center", color="white", fontsize=8)
-    panel.invert_yaxis()
-    panel.set_xlabel("ms per frame: minimum, line to the median")
-    panel.set_title(f"{result.width} x {result.height} to {2 * result.width} x {2 * result.height}", loc="left", fontsize=10)

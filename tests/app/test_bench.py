@@ -11,7 +11,6 @@ import pytest
 from rich.console import Console
 
 from stss_ground.errors import InputError
-from stss_ground.optional import require
 from stss_lab.bench import measure
 from stss_lab.bench import report as bench_report
 from stss_lab.bench.contender import Setup
@@ -188,17 +187,6 @@ def test_json_can_be_read_and_names_no_place():
     assert size["noise"] == {"processes": 0.25, "guests": 0.031}
     assert platform.node() not in text
     assert "/home" not in text
-
-
-def test_a_picture_is_drawn(tmp_path):
-    try:
-        require("matplotlib")
-    except InputError as error:
-        pytest.skip(str(error))
-    bench_report.plot([RESULT, RESULT], tmp_path / "bench.png")
-    assert (tmp_path / "bench.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(InputError, match=r"bench\.txt"):
-        bench_report.plot([RESULT], tmp_path / "bench.txt")
 
 
 def test_inputs_are_the_same_in_every_process():

@@ -166,11 +166,10 @@ def test_no_table_that_is_read_is_an_output(finished, demo, weights, tmp_path, n
         ("weights", "import", "{w}", "-o", "{hard}"),
         ("export", "{w}", "-o", "{link}", "--size", "16x16"),
         ("bench", "--weights", "{w}", "--json", "{w}"),
-        ("bench", "--json", "{new}", "--plot", "{new}"),
-        ("bench", "--json", "{new}", "--plot", "{folder}/../new.safetensors"),
         ("stress", "--weights", "{w}", "--json", "{hard}"),
         ("conform", "--exec", "true", "--known-failures", "{w}", "--report", "{link}"),
         ("conform", "--exec", "true", "--junit", "{new}", "--json", "{new}"),
+        ("conform", "--exec", "true", "--junit", "{new}", "--json", "{folder}/../new.safetensors"),
     ],
 )
 def test_no_file_that_is_named_twice_is_written(weights, tmp_path, arguments):
