@@ -7,6 +7,9 @@ import os
 import platform
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
+
+from stss_ground.version import VERSION
 
 
 def cpu_model() -> str:
@@ -42,3 +45,12 @@ def versions(names: tuple[str, ...]) -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
+
+
+def conditions(packages: tuple[str, ...]) -> dict[str, Any]:
+    """What a JSON report begins with: versions and the machine, without names of hosts, users or folders."""
+    return {
+        "stss": VERSION,
+        "machine": {"cpu": cpu_model(), "system": platform.system(), "architecture": platform.machine()},
+        "packages": {"python": platform.python_version(), **versions(packages)},
+    }

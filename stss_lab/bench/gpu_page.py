@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The page of ``stss gpu-report``: faults first, then the figures."""
+"""The page of ``stss gpu-report``: what is wrong, the steps and the machine."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ from typing import Any
 
 
 def page(folder: Path, report: Mapping[str, Any]) -> str:
-    """The page as Markdown, without the figures of steps that have not run yet.
+    """The page as Markdown.
 
     Args:
         folder: has the files that the steps wrote.
         report: ``tiny``, ``machine`` and ``steps``, see ``stss_lab.bench.gpu_report``.
     """
     machine, steps = report["machine"], report["steps"]
-    bench = _read(folder / "bench.json")
-    wrong = [*_faults(steps), *_slower(bench)]
+    wrong = [*_faults(steps), *_slower(_read(folder / "bench.json"))]
     parts = [
         f"# {machine['device']}\n",
         *(["Small sizes, which show that every step runs. **The figures mean nothing.**\n"] if report["tiny"] else []),
@@ -31,8 +30,6 @@ def page(folder: Path, report: Mapping[str, Any]) -> str:
         "\n## Machine\n",
         _table(("what", "which"), machine.items()),
     ]
-    if bench:
-        parts += ["\n## Times\n", _times(bench)]
     return "\n".join(parts) + "\n"
 
 
@@ -60,25 +57,6 @@ def _slower(bench: Any) -> list[str]:
         if row["peer"] and same and not row.get("fault") and row["minimum_ms"] < same["minimum_ms"]:
             found.append(f"{row['name']} takes {row['minimum_ms']:.2f} ms, {same['name']} {same['minimum_ms']:.2f} ms")
     return found
-
-
-def _times(bench: Any) -> str:
-    rows = bench["sizes"][0]["rows"]
-    return _table(
-        ("engine", "precision", "ms", "median", "largest error"),
-        (
-            (
-                row["name"],
-                row["details"].get("precision", ""),
-                f"{row['minimum_ms']:.2f}",
-                f"{row['median_ms']:.2f}",
-                f"{float(row['error']):.1e}",
-            )
-            if not row.get("fault")
-            else (row["name"], "", "-", "-", _cell(row["fault"]))
-            for row in rows
-        ),
-    )
 
 
 def _table(titles: Iterable[str], rows: Iterable[Iterable[object]]) -> str:

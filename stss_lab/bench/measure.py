@@ -26,9 +26,6 @@ from stss_lab.bench.ours import FRAMES, OURS, contender, inputs_for, truth
 from stss_lab.bench.peers import PEERS
 from stss_ref.arrays import Image
 
-SIZES = ((360, 640), (540, 960), (1080, 1920))
-"""(H, W) of the inputs; the outputs are 720p, 1080p and 2160p (paper, Tab. "Time analysis on different resolutions")."""
-DEFAULT_PEERS = ("pytorch", "pytorch-tuned", "onnxruntime", "openvino", "openvino-default")
 WARM_UP = 2
 """Runs of each contender before its first timed run."""
 STAGE_RUNS = 5

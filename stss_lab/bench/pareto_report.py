@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import platform
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -21,10 +20,9 @@ from stss.sequence.scenes import check_request
 from stss.weights.file import identity
 from stss_cl.device.discovery import open_device
 from stss_ground.errors import InputError
-from stss_ground.machine import cpu_model, versions
+from stss_ground.machine import conditions
 from stss_ground.output.write_whole import write_named
 from stss_ground.terminal import Terminal
-from stss_ground.version import VERSION
 from stss_lab.bench.contender import Setup
 from stss_lab.bench.measure import Timing, bench
 from stss_lab.bench.pareto import CANONICAL, JUDGED, WARM, Point, frontier, measure
@@ -136,9 +134,7 @@ def write_json(path: Path, points: Sequence[Point], peers: Sequence[Timing], wei
     """
     data: dict[str, Any] = {
         "format": FORMAT,
-        "stss": VERSION,
-        "machine": {"cpu": cpu_model(), "system": platform.system(), "architecture": platform.machine()},
-        "packages": {"python": platform.python_version(), **versions(PACKAGES)},
+        **conditions(PACKAGES),
         "weights": weights,
         "input": [size[1], size[0]],
         "points": [

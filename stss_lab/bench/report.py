@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import platform
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,13 +12,12 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from stss_ground.machine import cpu_model, versions
+from stss_ground.machine import conditions
 from stss_ground.output.write_whole import write_named
-from stss_ground.version import VERSION
 from stss_lab.bench.measure import PAUSE, SUMMARY, WARM_UP, SizeResult, Timing
 from stss_lab.bench.peers import PEERS
 
-FORMAT = 2
+FORMAT = 3
 """Version of the JSON; raised when a field changes its meaning."""
 PACKAGES = ("numpy", "pyopencl", "pocl-binary-distribution", "torch", "onnx", "onnxruntime", "openvino", "ncnn", "pnnx")
 
@@ -86,9 +84,8 @@ def to_json(results: Sequence[SizeResult], weights: str, threads: int) -> str:
     """
     data = {
         "format": FORMAT,
-        "stss": VERSION,
-        "machine": {"cpu": cpu_model(), "threads": threads, "system": platform.system(), "architecture": platform.machine()},
-        "packages": {"python": platform.python_version(), **versions(PACKAGES)},
+        **conditions(PACKAGES),
+        "threads": threads,
         "weights": weights,
         "method": {
             "order": "in turns, one process each",

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import math
-import platform
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from rich.console import Console
 from rich.table import Table as RichTable
 
 from stss.weights.file import identity
-from stss_ground.machine import cpu_model, versions
+from stss_ground.machine import conditions, cpu_model, versions
 from stss_ground.output.write_whole import write_named
 from stss_ground.version import VERSION
 from stss_lab.stress.measure import Results
@@ -57,14 +56,8 @@ def to_json(results: Results) -> str:
     plan = results.plan
     data = {
         "format": FORMAT,
-        "stss": VERSION,
-        "machine": {
-            "cpu": cpu_model(),
-            "system": platform.system(),
-            "architecture": platform.machine(),
-            "device": results.device,
-        },
-        "packages": {"python": platform.python_version(), **versions(PACKAGES)},
+        **conditions(PACKAGES),
+        "device": results.device,
         "plan": {"seeds": plan.seeds, "size": plan.size, "sizes": plan.sizes},
         "weights": None if plan.weights is None else identity(plan.weights),
         "tables": [_table(table) for table in results.tables],

@@ -176,7 +176,7 @@ def test_a_system_that_counts_nothing_is_no_error(tmp_path, text):
 def test_json_can_be_read_and_names_no_place():
     text = bench_report.to_json([RESULT], "abc", 2)
     data = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
-    assert data["machine"]["threads"] == 2
+    assert data["threads"] == 2
     (size,) = data["sizes"]
     assert size["output"] == [1920, 1080]
     assert [row["peer"] for row in size["rows"]] == [False, False, True, True]

