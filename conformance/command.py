@@ -55,7 +55,9 @@ class Size(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
 )
 @click.option("--seed", type=click.IntRange(0, MAX_SEED), default=0, show_default=True, help="Another seed draws other cases.")
 @click.option(
-    "--dtype", type=click.Choice(["float32", "float16"]), help="The port's arithmetic  [default: what the port says; float32]"
+    "--dtype",
+    type=click.Choice(["float32", "float16", "bfloat16"]),
+    help="The port's arithmetic  [default: what the port says; float32]",
 )
 @click.option("--winograd", is_flag=True, help="The port computes convolutions by Winograd's method: wider bounds for them.")
 @click.option(

@@ -26,7 +26,7 @@ class OpenCLPort:
 
     def __init__(self, precision: str = "float32"):
         self.name = "cl" if precision == "float32" else f"cl-{precision.removeprefix('float32-')}"
-        self.dtype = "float16" if precision == "half" else "float32"
+        self.dtype = {"half": "float16", "bfloat16": "bfloat16"}.get(precision, "float32")
         self._precision = precision
         self._image = _module("stss_cl.image_space.stages")
         self._network = [module for name in WITH_WEIGHTS if (module := _module(name)) is not None]
@@ -36,7 +36,7 @@ class OpenCLPort:
     def winograd(self) -> bool:
         """Whether it uses Winograd convolutions."""
         return (
-            self._precision != "float32-direct"
+            self._precision not in ("float32-direct", "bfloat16")
             and import_module("stss_cl.device.tuning").tuning_for(self._device).winograd is not None
         )
 

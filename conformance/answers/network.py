@@ -106,8 +106,8 @@ def layer_change(terms: int, arithmetic: Arithmetic) -> float:
     change = (terms + BOUNDS["layer"].roundings) * UNIT["float32"]
     if arithmetic.winograd:
         change *= BOUNDS["layer.winograd"].roundings
-    if arithmetic.dtype == "float16":
-        change += BOUNDS["layer.float16"].roundings * arithmetic.unit
+    if arithmetic.dtype != "float32":
+        change += BOUNDS[f"layer.{arithmetic.dtype}"].roundings * arithmetic.unit
     return change
 
 

@@ -14,6 +14,14 @@ from conformance.tolerance import BOUNDS, UNIT
 from stss_ref.arrays import Plane
 from stss_ref.sample import Place, follow
 
+LIMITS = {
+    **{
+        name: tuple(float(n) for n in (i.max, i.tiny, i.smallest_subnormal))
+        for name, i in ((name, np.finfo(name)) for name in ("float32", "float16"))
+    },
+    "bfloat16": ((2 - 2.0**-7) * 2.0**127, 2.0**-126, 2.0**-133),
+}
+"""The largest number, the smallest normal number and the smallest number of each arithmetic."""
 Float64 = NDArray[np.float64]
 Bool = NDArray[np.bool_]
 
@@ -23,7 +31,8 @@ class Arithmetic:
     """The arithmetic of a port.
 
     Attributes:
-        dtype: ``float32`` or ``float16``, in which its numbers are stored; a float16 port computes with at least float32's range.
+        dtype: ``float32``, ``float16`` or ``bfloat16``, in which its numbers are stored; a port in 16 bits
+            computes with at least float32's range.
         winograd: it computes 3 x 3 convolutions by Winograd's algorithm, up to F(4x4).
     """
 
@@ -38,12 +47,12 @@ class Arithmetic:
     @property
     def tiny(self) -> float:
         """Smallest normal number; smaller numbers may become 0."""
-        return float(np.finfo(self.dtype).tiny)
+        return LIMITS[self.dtype][1]
 
     @property
     def spacing(self) -> float:
         """Distance between the smallest numbers, which is the most that storing a small number may lose."""
-        return float(np.finfo(self.dtype).smallest_subnormal)
+        return LIMITS[self.dtype][2]
 
     def flushed(self, x: NDArray[Any]) -> Float64:
         """Largest error of copying ``x``: a denormal number may become 0."""
@@ -52,16 +61,24 @@ class Arithmetic:
     def holds(self, x: Float64) -> Bool:
         """Where ``x`` is a number that the arithmetic has exactly."""
         with np.errstate(over="ignore"):
-            return np.asarray(x.astype(self.dtype) == x)
+            return np.asarray(self._stored(x) == x)
 
     def rounded(self, x: NDArray[Any], most: float | None = None) -> NDArray[Any]:
         """``x`` rounded to the port's numbers, as float32, finite where ``x`` is and at most ``most``; other kinds unchanged."""
         if x.dtype.kind != "f" or (most is None and x.dtype == np.float32 and self.dtype == "float32"):
             return np.ascontiguousarray(x)
-        most = float(np.finfo(self.dtype).max) if most is None else most
+        most = LIMITS[self.dtype][0] if most is None else most
         with np.errstate(over="ignore"):
-            held = np.where(np.isfinite(x), np.clip(x, -most, most), x).astype(self.dtype)
+            held = self._stored(np.where(np.isfinite(x), np.clip(x, -most, most), x))
         return np.ascontiguousarray(held.astype(np.float32))
+
+    def _stored(self, x: NDArray[Any]) -> NDArray[Any]:
+        """``x`` in the arithmetic's numbers, the nearest, ties to even."""
+        if self.dtype != "bfloat16":
+            return x.astype(self.dtype)
+        bits = x.astype(np.float32).view(np.uint32)
+        nearest = (bits + 0x7FFF + (bits >> 16 & 1) & 0xFFFF0000).view(np.float32)
+        return np.where(np.isnan(x), np.float32(np.nan), nearest)
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ def rounding(got: NDArray[Any], want: NDArray[Any], terms: int, arithmetic: Arit
     variance = (terms + BOUNDS["layer"].roundings) * UNIT["float32"] ** 2
     if arithmetic.winograd:
         variance *= BOUNDS["layer.winograd"].roundings ** 2
-    if arithmetic.dtype == "float16":
+    if arithmetic.dtype != "float32":
         variance += BOUNDS["layer.float16"].roundings * arithmetic.unit**2
     error = (got.astype(np.float64) - want) / (np.abs(want) * np.sqrt(variance / 3))
     return np.array([np.mean(error * error), np.sum(error) / np.sqrt(error.size)])

@@ -20,7 +20,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--exec", metavar="PROGRAM", help="a program that is called with a job folder")
     group.addoption("--tier", choices=sorted(TIERS), default="quick", help="how many cases")
     group.addoption("--case-seed", type=int, default=0, help="another seed draws other cases")
-    group.addoption("--dtype", choices=["float32", "float16"], help="the port's arithmetic")
+    group.addoption("--dtype", choices=["float32", "float16", "bfloat16"], help="the port's arithmetic")
     group.addoption("--winograd", action="store_true", help="it computes convolutions by Winograd's method")
     group.addoption("--start-timeout", type=float, default=120, help="seconds for one start of a program")
 

@@ -7,7 +7,7 @@ from conformance.suite.run_suite import run_suite
 from stss.port import OpenCLPort
 
 
-@pytest.mark.parametrize("precision", ["float32", "float32-direct", "half"])
+@pytest.mark.parametrize("precision", ["float32", "float32-direct", "half", "bfloat16"])
 @pytest.mark.usefixtures("opened")
 def test_conforms(precision):
     results = run_suite(Judge(OpenCLPort(precision), Tier("some", 4, 1)))

@@ -6,6 +6,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from conformance.answers.port_arithmetic import Arithmetic
 from conformance.tolerance import BOUNDS
 from tests.meta.right_ports import cook_toom
 
@@ -30,3 +31,10 @@ def test_the_row_for_winograd(outputs, points, expected):
 def test_our_own_points_lose_less():
     ours = (0, Fraction(5, 8), Fraction(-5, 8), Fraction(3, 2), Fraction(-3, 2))
     assert amplification(4, ours) < amplification(4, (0, 1, -1, 2, -2)) / 2
+
+
+def test_bfloat16_is_rounded_to_the_nearest_ties_to_even():
+    given = np.array([1 + 2.0**-8, 1 + 3 * 2.0**-8, 1 + 2.0**-7, 3.4e38, -np.inf, np.nan], np.float32)
+    largest = (2 - 2.0**-7) * 2.0**127
+    want = [1, 1 + 2.0**-6, 1 + 2.0**-7, largest, -np.inf, np.nan]
+    np.testing.assert_array_equal(Arithmetic("bfloat16").rounded(given), np.array(want, np.float32))
