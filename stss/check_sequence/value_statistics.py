@@ -15,13 +15,13 @@ from stss.sequence.profiles import BUFFERS
 from stss.sequence.raw_frame import FINITE, NonFinite, read_stored
 from stss.sequence.reader import Sequence
 from stss_ref.arrays import Array, Mask
-from stss_ref.constants import HoleLimits
+from stss_ref.holes import squared_footprint
 
 Level = Literal["error", "warning", "note"]
 Line = tuple[Level, str]
 
-HOLE_CM = HoleLimits().facing
-"""Smallest distance that the hole test can tell apart (spec 4); cm."""
+FINE = 1 / 8
+"""Steps of positions that are no longer than this share of a footprint, since the hole test looks for offsets of one and a half."""
 
 
 def motion_lines(verdict: ConventionVerdict, profile: str) -> list[Line]:
@@ -44,6 +44,7 @@ class Values:
         self._most: dict[str, float] = {}
         self._stencils: set[float] = set()
         self._non_finite: dict[str, str] = {}
+        self._footprints: list[float] = []
 
     def add(self, sequence: Sequence, number: int) -> None:
         """Look at one frame."""
@@ -68,6 +69,9 @@ class Values:
         count["off the frame"] += int((hit & ~(moved < max(sequence.size))).sum())
         self._highest("motion", moved)
         self._highest("position", np.abs(buffers.position[hit]))
+        footprints = np.sqrt(squared_footprint(buffers.position)[hit & np.isfinite(buffers.position).all(axis=-1)])
+        if footprints.size:
+            self._footprints.append(float(np.median(footprints)))
         self._add_color(buffers)
 
     def _add_color(self, buffers: Buffers) -> None:
@@ -171,13 +175,14 @@ class Values:
             return []
         unit, half = sequence.profile.units_per_cm, read_header(source.path).formats[source.names[0]] == "half"
         step = float(np.spacing(np.float32(self._most["position"] * unit))) * (2**13 if half else 1) / unit
-        coarse = step > HOLE_CM / 8
+        footprint = float(np.median(self._footprints)) if self._footprints else 0.0
+        coarse = step > FINE * footprint
         if not half and not coarse:
             return []
         level: Level = "warning" if coarse else "note"
         stored = "half" if half else "single"
         return [
-            (level, f"position: {stored} precision, in steps of {step:.2g} cm; the hole test looks for {HOLE_CM} cm and more")
+            (level, f"position: {stored} precision, in steps of {step:.2g} cm; a pixel covers {footprint:.2g} cm of a surface")
         ]
 
     def _color_lines(self, sequence: Sequence) -> list[Line]:

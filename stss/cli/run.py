@@ -138,5 +138,7 @@ def _report(summary: Summary, out: Path, console: Console) -> None:
     peak = max((frame.peak for frame in summary.frames), default=0.0)
     if peak > 1:
         console.print(f"highlights: up to {peak:.3g}; --format png and --transfer none clip at 1", soft_wrap=True)
+    if shares := [frame.static_holes for frame in summary.frames if frame.static_holes is not None]:
+        console.print(f"holes: {sum(shares) / len(shares):.1%} of the static surfaces, in {len(shares)} EF", soft_wrap=True)
     if costs := [frame.cost for frame in summary.frames if frame.cost]:
         console.print(told(costs), soft_wrap=True, markup=False, highlight=False)

@@ -90,6 +90,7 @@ class Comparison:
         notes: caveats about the numbers; one line each.
         made_with: method, weights, backend and transfer, as far as the output's files name them; several values if they differ.
         metrics: the metrics taken, of ``METRICS``.
+        static_holes: the mean share of the static surfaces that are holes, over the EFs that say it; None: none does.
         recpsnr: recPSNR of the last frame, dB; see `stss.quality.temporal_psnr`.
     """
 
@@ -100,6 +101,7 @@ class Comparison:
     notes: Sequence[str]
     made_with: Mapping[str, Sequence[str]]
     metrics: Sequence[str]
+    static_holes: float | None
     recpsnr: float
 
     def to_json(self) -> str:
@@ -112,6 +114,7 @@ class Comparison:
             "means": {m.name: {"frames": m.frames, **self._plain(m.scores)} for m in self.means},
             "without_truth": self.without_truth,
             "without_output": self.without_output,
+            "static_holes": self.static_holes,
             "recpsnr": _in_json(self.recpsnr),
             "notes": self.notes,
             "made_with": self.made_with,
@@ -183,6 +186,7 @@ def compare(
         notes,
         {name: values for name, values in made_with.items() if values},
         [name for name in METRICS if name not in ASKED_FOR or {"flip": flip, "vmaf": vmaf}[name]],
+        float(np.mean(shares)) if (shares := [p.static_holes for p in pairs.values() if p.static_holes is not None]) else None,
         recpsnr,
     )
 
@@ -213,6 +217,7 @@ def facts(comparison: Comparison) -> list[str]:
     lines = [
         *comparison.notes,
         _temporal(comparison),
+        *([] if comparison.static_holes is None else [f"holes: {comparison.static_holes:.1%} of the static surfaces of EFs"]),
         *(f"{name}: {', '.join(found)}" for name, found in comparison.made_with.items() if found),
     ]
     if comparison.without_truth:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stss.color import TRANSFERS, transfer
+from stss.images.headers import Value
 from stss.images.read_write import read_header, read_rgb
 from stss.sequence.find_files import frame_number
 from stss_ground.errors import InputError
@@ -31,6 +32,7 @@ class Pair:
         kind: "SF" or "EF"; None where the file does not say.
         transfer: the transfer by which its colours are shown; None where the file does not say.
         holes: the file of its warping holes; None without one.
+        static_holes: the share of its static surfaces that are holes, where the file says it.
         made_with: method, weights, backend and transfer, as far as the file names them.
     """
 
@@ -39,6 +41,7 @@ class Pair:
     kind: str | None
     transfer: str | None
     holes: Path | None
+    static_holes: float | None
     made_with: Mapping[str, str]
 
     def shown(self) -> tuple[Image, Image]:
@@ -118,4 +121,17 @@ def _pair(output: Path, truth: Path) -> Pair:
     if domain not in (*TRANSFERS, None):
         raise InputError(f"{output}: stss:transfer: expected one of {', '.join(TRANSFERS)}, found {domain!r}")
     holes = output.parent / "holes" / f"{output.stem}.png"
-    return Pair(output, truth, None if kind is None else str(kind), domain, holes if holes.exists() else None, made_with)
+    share = _share(output, attributes.get("stss:static-holes"))
+    kind = None if kind is None else str(kind)
+    return Pair(output, truth, kind, domain, holes if holes.exists() else None, share, made_with)
+
+
+def _share(path: Path, text: Value | None) -> float | None:
+    """A share that a file's metadata may say."""
+    try:
+        share = None if text is None else float(str(text))
+    except ValueError:
+        share = -1.0
+    if share is not None and not 0 <= share <= 1:
+        raise InputError(f"{path}: stss:static-holes: expected a number from 0 to 1, found {text!r}")
+    return share

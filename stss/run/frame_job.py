@@ -12,6 +12,7 @@ from typing import Literal, Protocol
 from stss.color import Transfer, transfer
 from stss.frames.backends import Backend, Cost
 from stss.frames.display_frame import WINDOW, DisplayFrame
+from stss.frames.static_holes import static_holes
 from stss.frames.supersample import Output, compute, decoded, shot_start
 from stss.images.headers import Value, read_header
 from stss.images.read_write import encode_mask, encode_rgb
@@ -29,6 +30,8 @@ from stss_ref.schedule import FrameKind, schedule
 
 HOLES, SKIPPED = "holes", "skipped"
 """Subfolders of the run's folder: the warping holes, and pictures of what was computed."""
+STATIC_HOLES = "stss:static-holes"
+"""Metadata of an EF: `stss.frames.static_holes.static_holes`."""
 Outcome = Literal["done", "kept", "left out"]
 
 
@@ -44,6 +47,7 @@ class FrameReport:
         fault: it was left out because something is wrong.
         cost: what computing it took.
         peak: the largest value of its image.
+        static_holes: the share of its static surfaces that are holes; None for an SF, or where nothing static is seen.
     """
 
     number: int
@@ -53,6 +57,7 @@ class FrameReport:
     fault: bool = False
     cost: Cost | None = None
     peak: float = 0.0
+    static_holes: float | None = None
 
 
 class Sink(Protocol):
@@ -85,6 +90,7 @@ class _Computed:
     output: Output
     cost: Cost | None
     activity: Array | None
+    static_holes: float | None
     copied: Mapping[str, Value]
 
 
@@ -175,7 +181,9 @@ class FrameJob:
             fault = schedule(number, self.rendered, reach=reach) is not None
             return FrameReport(number, FrameKind.EF, "left out", reason, fault=fault)
         activity = self.backend.activity if self.options.show_skipped else None
-        return _Computed(read.key, output, self.backend.cost, activity, read.copied)
+        newest = read.window[-1]
+        share = static_holes(newest.stencil, newest.gbuffer[..., :3], output.valid) if output.kind is FrameKind.EF else None
+        return _Computed(read.key, output, self.backend.cost, activity, share, read.copied)
 
     def write(self, made: _Computed | FrameReport) -> FrameReport:
         """Take it back through the transfer and write its files."""
@@ -192,9 +200,11 @@ class FrameJob:
         metadata: dict[str, Value] = {"stss:key": made.key, "stss:frame": str(output.number), "stss:kind": output.kind.value}
         more = {name: plane[..., 0] for name, plane in output.carried.items()} if self.options.format == "exr" else {}
         metadata |= {**self.metadata, **made.copied}
+        if made.static_holes is not None:
+            metadata[STATIC_HOLES] = f"{made.static_holes:.4f}"
         self._write_rgb(frame_name(output.number, self.options.format), image, metadata, more)
         peak = float(output.image.max())
-        return FrameReport(output.number, output.kind, "done", cost=made.cost, peak=peak)
+        return FrameReport(output.number, output.kind, "done", cost=made.cost, peak=peak, static_holes=made.static_holes)
 
     def _write_rgb(self, name: str, image: Image, metadata: Mapping[str, Value], more: Mapping[str, Plane] | None = None) -> None:
         self.sink.write(name, encode_rgb(self.sink.path / name, image, metadata=metadata, more=more))

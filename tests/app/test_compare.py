@@ -14,7 +14,7 @@ from rich.console import Console
 
 from stss.color import transfer
 from stss.images.read_write import read_header, read_rgb, write_mask, write_rgb
-from stss.quality.compare import compare, print_comparison
+from stss.quality.compare import compare, facts, print_comparison
 from stss_ground.errors import InputError
 
 SIZE = (24, 32)
@@ -109,6 +109,16 @@ def test_scores_in_holes_are_of_the_holes(out, truth):
     write_rgb(out / "frame.0003.png", image, metadata=labels("EF"))
     found = compare(out, truth).rows[0].scores
     assert found["holes"].psnr_rgb < found["all"].psnr_rgb
+
+
+def test_the_holes_of_static_surfaces_are_a_mean(out, truth):
+    for number, share in ((1, "0.1"), (2, None), (3, "0.5")):
+        write_pair(out, truth, number, "EF", 0)
+        more = {} if share is None else {"stss:static-holes": share}
+        write_rgb(out / f"frame.{number:04d}.png", flat(100), metadata={**labels("EF"), **more})
+    found = compare(out, truth)
+    assert json.loads(found.to_json())["static_holes"] == found.static_holes == 0.3
+    assert "holes: 30.0% of the static surfaces of EFs" in facts(found)
 
 
 @pytest.mark.parametrize("name", ["none", "srgb", "hdr"])
@@ -228,6 +238,7 @@ def test_folders_that_do_not_fit(out, truth, tmp_path):
     [
         ("stss:kind", "IF", "expected SF or EF, found 'IF'"),
         ("stss:transfer", "pq", "expected one of none, srgb, hdr, found 'pq'"),
+        ("stss:static-holes", "half", "expected a number from 0 to 1, found 'half'"),
     ],
 )
 def test_wrong_labels_are_named(out, truth, label, value, message):

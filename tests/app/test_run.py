@@ -341,6 +341,10 @@ def test_alpha_highlights_layers_and_metadata_come_out(write_frames, tmp_path):
     assert result.exit_code == 0, result.output
     assert "highlights: up to" in result.output
     assert "4 SF, 2 EF written" in result.output.replace("\n", " ")
+    shares = [read_header(path).attributes.get("stss:static-holes") for path in sorted((tmp_path / "out").glob("*.exr"))]
+    ef = [float(share) for share in shares if share is not None]
+    assert len(ef) == 2
+    assert f"holes: {sum(ef) / 2:.1%} of the static surfaces, in 2 EF" in result.output
     for number in range(3, 9):
         header = read_header(tmp_path / "out" / f"frame.{number:04d}.exr")
         assert {*header.channels} == {"R", "G", "B", "A", "light.R", "light.G"}
