@@ -9,6 +9,8 @@ from typing import Any, TypeVar
 
 import click
 
+from stss_ground.optional import require_own_conformance
+
 Command = TypeVar("Command", bound=Callable[..., Any])
 Sections = Mapping[str, Mapping[str, tuple[str, str]]]
 """Heading -> command -> ``module:attribute`` and what the command does, in one line."""
@@ -29,6 +31,7 @@ class Commands(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import a command; None where there is none of that name."""
         del ctx
+        require_own_conformance()  # before a command imports it
         for commands in self.sections.values():
             if cmd_name in commands:
                 module, _, attribute = commands[cmd_name][0].partition(":")

@@ -12,7 +12,7 @@ from stss_cl.device.caches import private
 from stss_ground.commands import Commands
 from stss_ground.errors import DeviceError
 from stss_ground.guard import run_guarded
-from stss_ground.optional import installed, require_own_conformance
+from stss_ground.optional import installed
 from stss_ground.version import VERSION
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import WeightsError
@@ -52,7 +52,6 @@ SECTIONS = {
 @click.version_option(VERSION, prog_name="stss")
 def stss() -> None:
     """Space-time supersampling: frames in, twice the resolution and twice the frame rate out."""
-    require_own_conformance()
 
 
 def main() -> None:

@@ -41,7 +41,7 @@ def frames(write_frames, monkeypatch):
 
 def on_cluster(sequence, out, where="threads", *, mixed=False, on_frame=lambda report: None, **options):
     return run_on_cluster(
-        sequence, out, Cluster(where, mixed), "network", load(BILINEAR), "ref", ComputeOptions(), RunOptions(**options), on_frame
+        sequence, out, Cluster(where, mixed), load(BILINEAR), "ref", ComputeOptions(), RunOptions(**options), on_frame
     )  # fmt: skip
 
 
@@ -115,7 +115,7 @@ def test_chunks_hold_each_frame_once(count, workers, size):
 def test_a_chunk_reads_five_frames_more_than_it_writes(frames, monkeypatch, tmp_path):
     reads, load_frame = [], Sequence.load
     monkeypatch.setattr(Sequence, "load", lambda self, n, **how: reads.append(n) or load_frame(self, n, **how))
-    work = Work(VERSION, frames, RENDERED, tmp_path, RunOptions(), "network", load(BILINEAR), "ref", ComputeOptions())
+    work = Work(VERSION, frames, RENDERED, tmp_path, RunOptions(), load(BILINEAR), "ref", ComputeOptions())
     chunk = compute_chunk(work.part([9, 10, 11]), [9, 10, 11])
     assert reads == [4, 5, 6, 7, 8, 9, 10, 11]
     assert [list(of_frame) for _, of_frame in chunk.frames] == [

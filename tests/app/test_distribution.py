@@ -56,7 +56,7 @@ def test_the_wheel_has_all_that_the_program_reads(wheel):
 def test_the_wheel_overwrites_nothing_of_others(wheel):
     tops = {name.split("/")[0] for name in zipfile.ZipFile(wheel).namelist()}
     information = f"{DISTRIBUTION.replace('-', '_')}-{VERSION}.dist-info"
-    assert tops == {"stss", "stss_cl", "stss_ref", "stss_ground", "stss_judge", "stss_judge.pth", information}
+    assert tops == {"stss", "stss_cl", "stss_ref", "stss_ground", "stss_lab", "stss_judge", "stss_judge.pth", information}
 
 
 def test_what_is_installed_finds_its_judge(site):

@@ -7,15 +7,18 @@ from pathlib import Path
 
 import pytest
 
+from stss.frames.backends import open_backend
 from stss.run.gather import gather
 from stss.run.job import run
 from stss.run.options import RunOptions
 from stss.sequence.reader import open_sequence
+from stss.weights.file import BILINEAR, load
 from stss_ground.errors import InputError
 from stss_ground.output.folder import SUMS
-from stss_lab.baselines.registry import MethodBackend
 
 TEMPLATE = Path(__file__).parents[2] / "examples" / "farm" / "stss.openjd.yaml"
+
+WEIGHTS = load(BILINEAR)
 
 
 @pytest.fixture
@@ -32,7 +35,9 @@ def frames(write_frames):
 
 
 def plain(frames, out, numbers=None, **options):
-    return run(open_sequence(frames, "stss"), out, MethodBackend("bilinear"), "none", RunOptions(frames=numbers, **options))
+    return run(
+        open_sequence(frames, "stss"), out, open_backend("ref", WEIGHTS), WEIGHTS.label, RunOptions(frames=numbers, **options)
+    )
 
 
 @pytest.fixture

@@ -164,9 +164,9 @@ def loads(monkeypatch):
     """The display frames whose pixels were read."""
     numbers, original = [], Sequence.load
 
-    def noted(self, number, *, color=True):
+    def noted(self, number, **options):
         numbers.append(number)
-        return original(self, number, color=color)
+        return original(self, number, **options)
 
     monkeypatch.setattr(Sequence, "load", noted)
     return numbers
