@@ -2,13 +2,21 @@
 
 import os
 import resource
+import signal
+import subprocess
 import sys
+import time
 
 import click
 import pytest
 
 from stss.demo import write_demo_sequence
+from stss.images.read_write import write_rgb
+from stss.run.job import run
+from stss.run.options import RunOptions
+from stss.sequence.reader import open_sequence
 from stss_ground.guard import run_guarded
+from stss_lab.baselines.registry import MethodBackend
 from tests.hostile.cases import refused, stss
 
 
@@ -17,6 +25,17 @@ def frames(tmp_path_factory):
     out = tmp_path_factory.mktemp("demo")
     write_demo_sequence(out, 4, (18, 32))
     return out / "frames"
+
+
+def test_a_closed_stream_is_no_file(frames, tmp_path):
+    """What would be printed to a closed stream does not get into the next file that is opened, and the status is the run's."""
+    out = tmp_path / "out"
+    words = f"{sys.executable} -m stss run {frames} -o {out} --weights bilinear --backend ref"
+    for streams in ("2>&-", "<&- >&- 2>&-"):
+        assert subprocess.run(["sh", "-c", f"{words} --overwrite {streams}"], check=False).returncode == 0
+        assert stss("run", frames, "-o", out, "--weights", "bilinear", "--backend", "ref", "--resume").stderr.count("4 kept") == 1
+    done = subprocess.run(["sh", "-c", f"{words} 2>&-"], stdout=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
 
 
 @pytest.mark.parametrize("mib", [400, 700])
@@ -44,3 +63,34 @@ def test_what_a_system_refuses_is_one_line(monkeypatch, capsys, error):
     said = capsys.readouterr().err
     assert ended.value.code == 2
     assert said in ("stss: out of memory: the system gives this process no more\n", "stss: Input/output error\n")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no signals")
+def test_an_interrupt_while_it_starts_says_nothing(tmp_path):
+    """As soon as Python has begun to import the package, and a little later."""
+    for delay in (0.0, 0.2, 0.5):
+        code = "import sys; print(flush=True); sys.argv = ['stss', '--help']; from stss.__main__ import main; main()"
+        with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+            process.stdout.readline()
+            time.sleep(0.05 + delay)
+            process.send_signal(signal.SIGINT)
+            _, said = process.communicate(timeout=60)
+        assert process.returncode in (0, 130)
+        assert not said
+
+
+def test_frames_and_list_that_were_edited_by_hand_are_made_again(frames, tmp_path):
+    """The file has the checksum of the list, and neither key nor kind; another is no image."""
+    sequence, out = open_sequence(frames, "stss"), tmp_path / "out"
+
+    def again():
+        return run(sequence, out, MethodBackend("bilinear"), "none", RunOptions(resume=True)).count("done")
+
+    assert again() == 4
+    write_rgb(out / "frame.0001.exr", [[[0.0, 0.0, 0.0]]])
+    (out / "frame.0002.exr").write_text("no image")
+    sums = subprocess.run(["sha256sum", "frame.0001.exr", "frame.0002.exr"], cwd=out, capture_output=True, text=True, check=True)
+    with (out / "stss.sha256").open("a") as file:
+        file.write(sums.stdout)
+    assert again() == 2
+    assert again() == 0

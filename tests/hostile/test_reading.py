@@ -1,6 +1,7 @@
 """What ``stss`` is handed: numbers, names and files that no renderer writes; each is refused in one line, at once."""
 
 import os
+import struct
 import subprocess
 
 import numpy as np
@@ -150,3 +151,13 @@ def test_an_unreadable_folder_is_one_line(tmp_path):
             open_sequence(folder, "stss")
     finally:
         os.seteuid(0)
+
+
+def test_a_header_that_claims_more_than_the_file_can_hold(sequence):
+    """Refused before memory is taken: 16384 x 16384 of 19 channels are 19 GiB."""
+    path = sequence / "seq.0002.exr"
+    for side in (4000, 16384, 2**31 - 1):
+        window = struct.pack("<4i", 0, 0, SIZE[1] - 1, SIZE[0] - 1)
+        path.write_bytes(path.read_bytes().replace(window, struct.pack("<4i", 0, 0, side - 1, side - 1)))
+        said(call("check", sequence, seconds=20), "seq.0002.exr: ")
+        write(path, 2)
