@@ -62,7 +62,8 @@ def judge_sampling(sequence: Sequence) -> Sampling:
             buffers = sequence.load(number)
         except InputError:
             continue
-        seen = np.isfinite(buffers.depth) & np.isfinite(buffers.normal).all(axis=-1)
+        # A sky may have a depth, of the far plane or of a dome, but it has no normal to be mixed.
+        seen = np.isfinite(buffers.depth) & np.isfinite(buffers.normal).all(axis=-1) & (buffers.normal != 0).any(axis=-1)
         length = np.linalg.norm(buffers.normal[seen].astype(np.float64), axis=-1)
         hit, mixed = hit + length.size, mixed + int((np.abs(length - 1) > NOT_UNIT).sum())
         found, of = _colors_between(buffers, linear=linear)

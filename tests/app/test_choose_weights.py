@@ -53,6 +53,18 @@ def test_frames_say_how_they_were_sampled(rendered, kind, antialiased, reason):
     assert reason in found.reason
 
 
+def test_a_sky_with_a_depth_mixes_nothing(write_frames):
+    """The far plane's, or a dome's: its normals are 0, not mixtures."""
+
+    def change(number, channels):
+        channels["depth.Z"][:8] = 8e4
+        for axis in "XYZ":
+            channels[f"normal.{axis}"][:8] = 0
+
+    found = judge_sampling(open_sequence(write_frames([1, 2], change=change), "stss"))
+    assert not found.antialiased, found.reason
+
+
 def test_the_choice_is_told_with_its_reason(rendered):
     for kind, name in (("aliased", "realtime"), ("all", "antialiased")):
         said = []
