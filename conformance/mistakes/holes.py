@@ -84,9 +84,6 @@ HOLES = (
     ),
     _holes("footprint_beyond", "beyond the frame nothing is 0 apart", "constant_values=np.inf", "constant_values=0.0"),
     _holes(
-        "footprint_lost", "a neighbour that is not finite counts", "np.where(apart < np.inf, apart, np.inf)  # NaN too", "apart"
-    ),
-    _holes(
         "footprint_infinite",
         "without a neighbour nothing is far",
         "return np.where(nearest < np.inf, nearest, 0)",

@@ -35,7 +35,7 @@ def film(changes=CHANGES):
 def on(device, frame):
     """The same frame on the device, as an engine's buffers wrapped into arrays."""
     held = {}
-    for name in (field.name for field in fields(frame) if field.name != "number"):
+    for name in (field.name for field in fields(frame) if field.name not in ("number", "carried")):
         array = getattr(frame, name)
         if array is not None:
             buffer = cl.Buffer(device.context, cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR, hostbuf=array)

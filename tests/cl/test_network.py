@@ -101,7 +101,7 @@ def test_all_convolutions_are_the_references(device, size, shape, gated, relu, v
     weights = tensors(random, "layer", first + second, outputs, gated)
     packed = pack(weights, "layer", tuple((n, n) for n in (first, second) if n))
 
-    wide = astype(weights, np.float64)
+    wide = {name: array.astype(np.float64) for name, array in weights.items()}
     feature = "layer.conv_feature" if gated else "layer"
     exact = x.astype(np.float64)
     want = reference.gated(exact, wide, "layer") if gated else reference.conv_named(exact, wide, "layer")
@@ -183,7 +183,7 @@ def test_every_second_pixel(device, size, shape, gated, vector, seed):
     source = padded(device, *x.shape[:2], inputs, np.dtype(np.float32))
     out = padded(device, *size, outputs, np.dtype(np.float32))
     write(device, source, x)
-    wide = astype(weights, np.float64)
+    wide = {name: array.astype(np.float64) for name, array in weights.items()}
     made = (reference.gated if gated else reference.conv_named)(x.astype(np.float64), wide, "layer", 2)
     packed = pack(weights, "layer", ((inputs, inputs),))
     conv(device, "test", "layer", packed, source, None, out, stride=2, side=0).enqueue(device.queue)

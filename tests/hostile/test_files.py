@@ -210,7 +210,7 @@ def test_overwrite_removes_nothing_before_the_new_frames_are_there(finished, dem
     shutil.copytree(demo / "frames", frames)
     (frames / "demo.0002.exr").write_bytes((frames / "demo.0002.exr").read_bytes()[:3000])
     before = contents(out)
-    refused(call("run", frames, "-o", out, "--overwrite", "--weights", "bilinear", "--backend", "ref"), "demo.0002.exr")
+    refused(call("run", frames, "-o", out, "--overwrite", "--depth", "clip", *PLAIN), "demo.0002.exr")
     after = contents(out)
     changed = {name for name in before if before[name] != after[name]}
     assert after.keys() == before.keys()
@@ -329,13 +329,14 @@ def test_no_picture_of_others_is_replaced(finished, demo, tmp_path, command):
 
 def kept(demo, out, **more):
     """Resume in this process: how many frames were kept."""
-    from stss.run.choose_backend import MethodBackend
+    from stss.frames.backends import open_backend
     from stss.run.job import run
     from stss.run.options import RunOptions
     from stss.sequence.reader import open_sequence
+    from stss.weights.file import load
 
-    sequence = open_sequence(demo / "frames", "stss")
-    return run(sequence, out, MethodBackend("bilinear"), "none", RunOptions(resume=True), **more).count("kept")
+    weights, sequence = load("bilinear"), open_sequence(demo / "frames", "stss")
+    return run(sequence, out, open_backend("ref", weights), weights.label, RunOptions(resume=True), **more).count("kept")
 
 
 def test_a_run_that_is_killed_can_be_resumed(finished, demo, tmp_path):
