@@ -46,7 +46,8 @@ def given(stage, dtype):
         return [
             (inputs, weights, reference(stage, exactly(inputs), weights), reference(stage, inputs, weights))
             for inputs, weights in [(held(case.inputs, dtype), case.weights) for case in samples(stage)]
-            if weights is not weights_of("loud") and all(np.isfinite(a).all() for a in inputs.values())  # half has no 65,536
+            if weights is not weights_of("loud")
+            and all(np.isfinite(a).all() for n, a in inputs.items() if n.startswith("stencil"))  # half has no 65,536
         ]
 
 
