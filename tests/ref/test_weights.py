@@ -162,7 +162,11 @@ def test_when_layers_run():
     for empty, never, once in (
         ({"outc"}, {layer.name for layer in LAYERS[:-1]}, {"outc"}),
         ({"KEncoder.0"}, set(), {f"KEncoder.{i}" for i in (0, 2, 4)}),
-        ({"up1.conv.double_conv.0"}, {n for n in BY_NAME if n.startswith(("convHis", "low", "latent", "KEn", "down3"))}, None),
+        (
+            {"up1.conv.double_conv.0"},
+            {n for n in BY_NAME if n.startswith(("convHis", "low", "latent", "KEn", "down2", "down3"))},
+            None,
+        ),
     ):
         made = uses(
             {n: w * (w.ndim < 4 or n.split(".conv_")[0].removesuffix(".weight") not in empty) for n, w in weights.items()}
