@@ -16,9 +16,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from stss.check_sequence.alignment import alignment_lines
 from stss.check_sequence.camera import camera_lines
 from stss.check_sequence.jitter import judge_jitter
 from stss.check_sequence.motion_convention import judge_motion
+from stss.check_sequence.static_positions import judge_positions, repetition_lines
 from stss.check_sequence.value_statistics import Level, Values, motion_lines
 from stss.images.headers import read_header
 from stss.sequence.antialiasing import judge_sampling
@@ -227,12 +229,19 @@ def _pixels(sequence: Sequence, numbers: list[int], non_finite: NonFinite, table
     tables["reprojection"] = dataclasses.asdict(verdict)
     jitter = judge_jitter((sequence.load(a), sequence.load(b)) for a, b in chosen)
     tables["jitter"] = dataclasses.asdict(jitter)
+    positions = judge_positions((sequence.load(a), sequence.load(b)) for a, b in chosen)
+    tables["positions"] = None if positions is None else dataclasses.asdict(positions)
     values = Values()
     for number in sorted({n for pair in chosen for n in pair}) or usable[:1]:
         values.add(sequence, number)
     tables["values"] = values.table()
     lines = [*motion_lines(verdict, sequence.profile.name), *values.lines(sequence, non_finite)]
     lines += camera_lines(sequence, usable[0]) if usable else []
+    lines += repetition_lines((sequence.load(a), sequence.load(b)) for a, b in chosen)
+    lines += [] if positions is None else positions.lines()
+    rendered = [n for n in sorted(sequence.rendered) if n in usable]
+    shown = rendered[1 :: max(1, len(rendered) // PAIRS)]
+    lines += alignment_lines(map(sequence.load, shown), linear=sequence.profile.color_domain == "linear")
     return [CheckFinding(level, text) for level, text in lines] + [CheckFinding("warning", text) for text in jitter.lines]
 
 

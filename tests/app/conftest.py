@@ -13,7 +13,7 @@ VELOCITY = (1.5, 0.75)
 
 
 def frame_channels(number, size=(48, 64), color=True):
-    """A textured plane that slides past a still camera at (0, 0, 0), 2 m away, looking along z."""
+    """A textured plane 2 m from a camera that looks along z and slides past it, from (0, 0, 0) at frame 0."""
     y, x = np.mgrid[: size[0], : size[1]].astype(np.float64)
     u, v = x - VELOCITY[0] * number, y - VELOCITY[1] * number
     one = np.ones(size)
@@ -24,8 +24,8 @@ def frame_channels(number, size=(48, 64), color=True):
         "normal.Y": 0 * one,
         "normal.Z": -one,
         "depth.Z": 200 * one,
-        "position.X": x - size[1] / 2,
-        "position.Y": y - size[0] / 2,
+        "position.X": u - size[1] / 2,
+        "position.Y": v - size[0] / 2,
         "position.Z": 200 * one,
         "stencil.X": np.where(x < 8, 0.0, 1.0),
         "nov.X": one,

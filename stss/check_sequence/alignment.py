@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: MIT
+"""Whether a frame's colour is that of its G-buffer: edges of the one must be edges of the other, and as strong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from stss.check_sequence.value_statistics import Line
+from stss.frames.buffers import Buffers
+from stss_ref.arrays import Array, Image, Mask, Plane
+from stss_ref.warp import warp
+
+CLEARLY = 0.05
+"""Another choice is better where its correlation is larger by this. Found: 0.2 and more where the G-buffer is another frame's."""
+DARK = 1e-3
+"""Light below which edges do not count."""
+SAME = 0.02
+"""Normals of one flat surface differ by less in each component."""
+PATTERN = 0.05
+"""Least step of a base colour's logarithm that counts."""
+ENOUGH = 500
+"""Fewest such steps that allow a judgement."""
+ENCODED = 0.65
+"""Steps of the colour's logarithm over those of the base colour's. Found: 0.87 to 0.98 in linear colours, 0.42 to 0.46 in encoded ones."""
+OTHERWISE = (
+    "the G-buffer is upside down, or the colour is",
+    "the G-buffer is that of the frame before",
+    "the G-buffer is that of the frame after",
+)
+
+
+def alignment_lines(frames: Iterable[Buffers], *, linear: bool) -> list[Line]:
+    """Findings about frames that have a colour, one in memory at a time; ``linear``: as the profile has it."""
+    found: list[Array] = []
+    steps: list[Array] = []
+    for frame in frames:
+        if frame.color is not None:
+            found.append(_correlations(frame))
+            steps.append(_steps(frame))
+    if not found:
+        return []
+    return _shown(found) or _encoded(np.concatenate(steps), linear=linear)  # edges that are not its own say nothing of its light
+
+
+def _shown(found: list[Array]) -> list[Line]:
+    own, *others = np.mean(found, axis=0)
+    best = int(np.argmax(others))
+    if not others[best] > own + CLEARLY:
+        return []
+    text = f"colour: its edges are not those of base colour and normal; it looks as if {OTHERWISE[best]}"
+    return [("warning", f"{text} (correlation {others[best]:.2f}, as it is {own:.2f})")]
+
+
+def _encoded(steps: Array, *, linear: bool) -> list[Line]:
+    """On a flat surface light hardly changes: a linear colour changes as much as its base colour, an encoded one less."""
+    if len(steps) < ENOUGH:
+        return []
+    slope = float(np.median(steps))
+    if (slope > ENCODED) == linear:
+        return []
+    looks, expected = ("encoded for a display", "linear") if linear else ("linear", "display-referred")
+    return [("warning", f"colour: looks {looks}, beside its base colours (power {slope:.2f}); the profile says {expected}")]
+
+
+def _steps(frame: Buffers) -> Array:
+    """Of neighbours on a flat surface with a pattern: the step of the colour's logarithm over that of the base colour's."""
+    assert frame.color is not None
+    color, base = (np.log(np.maximum(np.nan_to_num(of).mean(axis=-1), DARK)) for of in (frame.color, frame.base_color))
+    hit, normal = np.isfinite(frame.depth) & (frame.normal != 0).any(axis=-1), np.nan_to_num(frame.normal)
+    found: list[Array] = []
+    for axis in (0, 1):
+        flat = np.abs(np.diff(normal, axis=axis)).max(axis=-1, initial=0) < SAME
+        both = hit[1:] & hit[:-1] if axis == 0 else hit[:, 1:] & hit[:, :-1]
+        used = flat & both & (np.abs(np.diff(base, axis=axis)) > PATTERN)
+        found.append(np.diff(color, axis=axis)[used] / np.diff(base, axis=axis)[used])
+    return np.concatenate(found)
+
+
+def _correlations(frame: Buffers) -> Array:
+    """As the frame is, and as in `OTHERWISE`."""
+    assert frame.color is not None
+    seen = np.isfinite(frame.depth) & np.isfinite(frame.motion).all(axis=-1)
+    color = _edges(np.log(np.maximum(np.nan_to_num(frame.color), DARK)))
+    surfaces = _edges(np.nan_to_num(np.concatenate([frame.normal, frame.base_color], axis=-1)))
+    moved = [warp(surfaces[..., None], sign * frame.motion) for sign in (1, -1)]
+    choices = [(surfaces, seen), (surfaces[::-1], seen & seen[::-1]), *((w[..., 0], seen & inside) for w, inside in moved)]
+    return np.array([_correlation(color, edges, used) for edges, used in choices])
+
+
+def _edges(image: Image) -> Plane:
+    """(H, W) roots of the differences to the right and the lower neighbour, so that no single edge decides."""
+    across, down = (np.abs(np.diff(image, axis=axis)).sum(axis=-1) for axis in (1, 0))
+    return np.sqrt(np.pad(across, ((0, 0), (0, 1))) + np.pad(down, ((0, 1), (0, 0))))
+
+
+def _correlation(a: Plane, b: Plane, used: Mask) -> float:
+    if not used.any() or a[used].std() == 0 or b[used].std() == 0:
+        return 0.0
+    return float(np.corrcoef(a[used], b[used])[0, 1])

@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: MIT
+"""Whether motion, depth and normals are those of the positions: where static geometry is seen now must be where it was seen before."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from stss.check_sequence.projection import Projection, solve_projection
+from stss.check_sequence.value_statistics import Line
+from stss.frames.buffers import Buffers
+from stss.frames.static_holes import static_holes
+from stss_ref.arrays import Array, Mask
+from stss_ref.holes import holes
+from stss_ref.sample import follow, leads_inside
+
+LOOSE = 0.25
+"""Pixels: positions that no projection fits better say nothing."""
+AGREES = 0.1
+"""Pixels: the largest median error of motion that agrees with the positions, or three times what those are off by themselves."""
+BETTER = 0.25
+"""What else the motion may be is said where its error is below this share of the motion's own."""
+MOVES = 0.25
+"""Pixels: less motion tells nothing."""
+MANY = 0.2
+"""Share of static surfaces that are holes from which there is a warning, where motion and positions agree."""
+PROPORTIONAL = 0.05
+"""Largest median deviation of depths from the distance along the view, as a share of it."""
+ALONG = 0.9
+"""Least cosine between a normal and the surface that positions make, if it is that surface's."""
+MOST, FEWER = 0.9, 0.8
+"""Share of the surfaces with such normals: from the first on they agree, below the second they do not."""
+FLAT = 0.1
+"""A surface counts where its positions' second differences are below this share of the first."""
+
+
+@dataclass(frozen=True)
+class StaticVerdict:
+    """What the positions of static geometry say of the other buffers.
+
+    Attributes:
+        pixels: how many were compared.
+        residual: median distance of a pixel to where its own position is projected; pixels.
+        error: median error of the stored motion; pixels.
+        motion: what the stored motion seems to be, where that fits clearly better; empty otherwise.
+        fit: true motion over stored motion by least squares, ``(scale, offset)`` for x and y.
+        depth: median deviation from the distance along the view; -1 where depth falls with distance.
+        normals: share of the surfaces along which normals point, as stored and after the one turn that fits best.
+        holes: share of the static surfaces that are holes, over one frame; what leads off the frame does not count.
+    """
+
+    pixels: int
+    residual: float
+    error: float
+    motion: str
+    fit: tuple[tuple[float, float], ...]
+    depth: float
+    normals: tuple[float, float]
+    holes: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the stored motion is that of the positions."""
+        return self.error <= max(AGREES, 3 * self.residual)
+
+    def lines(self) -> list[Line]:
+        """Findings."""
+        if self.residual > LOOSE:
+            return [
+                (
+                    "note",
+                    f"position: no camera sees them where they are, to {self.residual:.2g} pixels; nothing was proved by them",
+                )
+            ]
+        return [*self._motion(), *self._holes(), *self._others()]
+
+    def _motion(self) -> list[Line]:
+        over = f"by the positions of {self.pixels} static pixels"
+        if self.agrees:
+            return [("note", f"motion: right to {self.error:.2g} pixels, {over}")]
+        fits = "; ".join(f"true {axis} = {s:.4g} x stored {o:+.2g}" for axis, (s, o) in zip("xy", self.fit, strict=True))
+        what = f"seems to be {self.motion}" if self.motion else f"is off by {self.error:.2g} pixels"
+        return [("warning", f"motion: {what}, {over} ({fits})")]
+
+    def _holes(self) -> list[Line]:
+        text = f"holes: {self.holes:.1%} of the static surfaces, from one frame to the next"
+        if self.agrees and self.holes > MANY:
+            return [("warning", f"{text}, though motion and positions agree: do positions have steps, or noise?")]
+        return [("note", text)]
+
+    def _others(self) -> list[Line]:
+        lines: list[Line] = []
+        if self.depth < 0:
+            lines.append(
+                ("warning", "depth: falls with the distance that positions have; expected linear depth, it looks reversed")
+            )
+        elif self.depth > PROPORTIONAL:
+            text = f"depth: {self.depth:.0%} off what is proportional to the distance along the view that positions have"
+            lines.append(("warning", f"{text}; expected linear depth, not that of a depth buffer"))
+        stored, turned = self.normals
+        if stored < FEWER and turned > MOST:
+            lines.append(
+                (
+                    "warning",
+                    "normal: in another space than positions, by a turn; expected world space of both: is one the camera's?",
+                )
+            )
+        return lines
+
+
+def judge_positions(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticVerdict | None:
+    """Look at pairs of neighbouring frames (t - 1, t), one in memory at a time; None where no pair shows enough of what stands still."""
+    found: list[tuple[Array, ...]] = []
+    single: list[tuple[float, float, float, float, float]] = []
+    size, mirrored = (0, 0), None
+    for before, now in pairs:
+        earlier, current = (solve_projection(f.position, _static(f)) for f in (before, now))
+        if _is_repeated(before, now) or earlier is None or current is None:
+            continue
+        size, mirrored = now.size, current.mirrored
+        static = _static(now) & np.isfinite(now.motion).all(axis=-1)
+        there, away = earlier.project(now.position[static].astype(np.float64))
+        kept = (away > 0) & (there >= 0).all(axis=-1) & (there <= (size[1] - 1, size[0] - 1)).all(axis=-1)
+        if not kept.any():
+            continue
+        here = np.argwhere(static)[kept, ::-1]
+        stored = [motion[static].astype(np.float64)[kept] for motion in (now.motion, np.nan_to_num(now.motion[::-1]))]
+        found.append((there[kept] - here, *stored))
+        surfaces = before.stencil, now.stencil, before.normal, now.normal, before.position, now.position
+        valid, inside = holes(now.motion, *surfaces, now.nov, now.depth), leads_inside(follow(now.motion))
+        share = static_holes(np.where(inside, now.stencil, 1), now.normal, valid) or 0.0
+        single.append((max(earlier.residual, current.residual), _depth(now, current), *_normals(now), share))
+    if not found:
+        return None
+    true, stored, reversed_rows = (np.concatenate(of) for of in zip(*found, strict=True))
+    residual, depth, along, turned, share = (float(np.median(of)) for of in zip(*single, strict=True))
+    errors = {what: _error(true, guess) for what, guess in _guesses(stored, reversed_rows, size, mirrored=mirrored).items()}
+    own, best = errors.pop(""), min(errors, key=lambda what: errors[what])
+    fit = tuple(_line(true[:, k], stored[:, k]) for k in (0, 1))
+    half, tells = _half_a_pixel(fit), errors[best] <= min(BETTER * own, max(AGREES, 3 * residual))
+    best, tells = half or best, tells or bool(half)
+    moves, claims = (float(np.median(np.linalg.norm(of, axis=-1))) for of in (true, stored))
+    if not stored.any() and moves > MOVES:
+        best, tells = "0, though the camera moves", True
+    if moves <= 3 * residual and claims > MOVES:
+        best, tells = "right if positions are the camera's: are they in view space?", True
+    return StaticVerdict(len(true), residual, own, best if tells else "", fit, depth, (along, turned), share)
+
+
+def repetition_lines(pairs: Iterable[tuple[Buffers, Buffers]]) -> list[Line]:
+    """A finding where frames have the positions of the frame before, and yet something moves."""
+    found = [str(now.number) for before, now in pairs if _is_repeated(before, now)]
+    text = (
+        f"position: in frames {', '.join(found)} that of the frame before, again; every display frame needs a G-buffer of its own"
+    )
+    return [("warning", text)] if found else []
+
+
+def _is_repeated(before: Buffers, now: Buffers) -> bool:
+    with np.errstate(over="ignore", invalid="ignore"):
+        claims = np.nanmedian(np.linalg.norm(now.motion.astype(np.float64), axis=-1))
+    same = (np.array_equal(getattr(before, of), getattr(now, of), equal_nan=True) for of in ("position", "normal", "base_color"))
+    return bool(claims > MOVES) and all(same)
+
+
+def _static(frame: Buffers) -> Mask:
+    return (
+        (frame.stencil == 0)
+        & np.isfinite(frame.depth)
+        & np.isfinite(frame.position).all(axis=-1)
+        & (frame.normal != 0).any(axis=-1)
+    )
+
+
+def _guesses(stored: Array, reversed_rows: Array, size: tuple[int, int], *, mirrored: bool | None) -> dict[str, Array]:
+    """What the stored motion may be -> the true motion then; "": itself."""
+    sides = np.array(size[::-1], np.float64)
+    scales = {
+        "": 1.0,
+        'in NDC, where 2 is the frame\'s side (unit = "ndc")': sides / 2,
+        'in UV, where 1 is the frame\'s side (unit = "uv")': sides,
+        "twice too long: in pixels of the output, or over two frames": 0.5,
+        "half too long": 2.0,
+    }
+    signs = {"": (1, 1), "from the frame before to this one": (-1, -1), "with y up": (1, -1), "with x to the left": (-1, 1)}
+    guesses = {", ".join(filter(None, (a, b))): stored * scale * sign for a, scale in scales.items() for b, sign in signs.items()}
+    guesses["x and y swapped"] = stored[:, ::-1]
+    guesses["upside down: its rows alone, from the bottom to the top"] = reversed_rows
+    if mirrored:  # or the world is left-handed, but then y is right
+        guesses["right if the file is upside down"] = guesses.pop("with y up")
+    return guesses
+
+
+def _half_a_pixel(fit: Iterable[tuple[float, float]]) -> str:
+    """What the fit says where it is but an offset of half a pixel; empty where it is not."""
+    words = ("left", "", "right"), ("upper", "", "lower")
+    sides: list[str] = []
+    for (scale, offset), names in zip(fit, words, strict=True):
+        steps = round(-2 * offset)
+        if abs(scale - 1) > AGREES or abs(2 * offset + steps) > AGREES or abs(steps) > 1:
+            return ""
+        sides.append(names[steps + 1])
+    across, down = sides
+    return f"half a pixel too far to the {' '.join(filter(None, (down, across)))}" if across or down else ""
+
+
+def _error(true: Array, guess: Array) -> float:
+    return float(np.median(np.linalg.norm(true - guess, axis=-1)))
+
+
+def _line(true: Array, stored: Array) -> tuple[float, float]:
+    """Scale and offset of a straight line, without the pixels that fit worst."""
+    used = np.ones(len(true), np.bool_)
+    scale, offset = 1.0, 0.0
+    for _ in range(3):
+        spread = float(stored[used].std())
+        scale = float(np.cov(true[used], stored[used], bias=True)[0, 1]) / spread**2 if spread > 0 else 0.0
+        offset = float(np.mean(true[used] - scale * stored[used]))
+        error = np.abs(true - scale * stored - offset)
+        used = error <= max(3 * float(np.median(error)), 1e-6)
+    return scale, offset
+
+
+def _depth(frame: Buffers, projection: Projection) -> float:
+    """Median deviation of depth from what is proportional to the distance along the view; -1 where it falls with distance."""
+    seen = _static(frame)
+    away = projection.project(frame.position[seen].astype(np.float64))[1]
+    depth = frame.depth[seen].astype(np.float64)
+    if np.cov(depth, away)[0, 1] < 0:
+        return -1.0
+    scale = float(np.median(depth / away))
+    return float(np.median(np.abs(depth / (scale * away) - 1)))
+
+
+def _normals(frame: Buffers) -> tuple[float, float]:
+    """The share of flat surfaces along which normals point, as stored and after the best turn; (1, 1) where nothing is flat."""
+    p = frame.position.astype(np.float64)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        across, down = (p[1:-1, 2:] - p[1:-1, :-2]), (p[2:, 1:-1] - p[:-2, 1:-1])
+        bend = np.abs(p[1:-1, 2:] + p[1:-1, :-2] - 2 * p[1:-1, 1:-1]) + np.abs(p[2:, 1:-1] + p[:-2, 1:-1] - 2 * p[1:-1, 1:-1])
+        flat = bend.sum(axis=-1) < FLAT * np.minimum(np.linalg.norm(across, axis=-1), np.linalg.norm(down, axis=-1))
+        made = np.cross(across, down)
+        made /= np.linalg.norm(made, axis=-1, keepdims=True)
+    used = flat & np.isfinite(made).all(axis=-1) & _static(frame)[1:-1, 1:-1]
+    if not used.any():
+        return 1.0, 1.0
+    a, b = frame.normal[1:-1, 1:-1][used].astype(np.float64), made[used]
+    u, _, v = np.linalg.svd(a.T @ b)  # the cross product may point away from the camera, but then it does so everywhere
+    sign = np.sign(np.median((a * b).sum(axis=-1)))
+    stored, turned = (float(((of * b).sum(axis=-1) > ALONG).mean()) for of in (sign * a, a @ (u @ v)))
+    return stored, turned

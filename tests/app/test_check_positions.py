@@ -1,0 +1,124 @@
+"""What static geometry proves: each mistake of a new user's is planted in frames of an analytic scene, and named."""
+
+import numpy as np
+import pytest
+
+from conformance.scenes import SCENES, render
+from stss.check_sequence.report import check
+from stss.demo import demo_path, frame_channels
+from stss.images.read_write import write_channels
+
+SIZE = (72, 128)
+NUMBERS = range(5)
+NDC = 'motion: seems to be in NDC, where 2 is the frame\'s side (unit = "ndc")'
+
+
+@pytest.fixture(scope="module")
+def rendered():
+    return [frame_channels(render(SCENES["flythrough"], number, *SIZE), rendered=True) for number in NUMBERS]
+
+
+@pytest.fixture
+def found(rendered, tmp_path):
+    """The report on the frames after ``change(channels, frames, number)``: warnings, and notes."""
+
+    def look(change=lambda channels, frames, number: None):
+        for number in NUMBERS:
+            channels = {name: plane.copy() for name, plane in rendered[number].items()}
+            change(channels, rendered, number)
+            write_channels(demo_path(tmp_path, number), {n: np.ascontiguousarray(p, np.float32) for n, p in channels.items()})
+        report = check(tmp_path, "stss")
+        return tuple([f.text for f in report.findings if f.level == level] for level in ("warning", "note"))
+
+    return look
+
+
+def of_motion(x, y=None):
+    """``x`` and ``y`` of each component."""
+
+    def change(channels, frames, number):
+        channels["motion.X"], channels["motion.Y"] = x(channels["motion.X"]), (y or x)(channels["motion.Y"])
+
+    return change
+
+
+def upside_down(channels, frames, number):
+    channels.update({name: plane[::-1] for name, plane in channels.items()})
+
+
+def gbuffer_upside_down(channels, frames, number):
+    channels.update({name: plane[::-1] for name, plane in channels.items() if name not in "RGB"})
+
+
+def rows_of_motion(channels, frames, number):
+    channels.update({name: channels[name][::-1] for name in ("motion.X", "motion.Y")})
+
+
+def late(channels, frames, number):
+    channels.update({name: plane for name, plane in frames[max(number - 1, 0)].items() if name not in "RGB"})
+
+
+def half_rate(channels, frames, number):
+    channels.update({name: plane for name, plane in frames[number // 2 * 2].items() if name not in "RGB"})
+
+
+def encoded(channels, frames, number):
+    for name in "RGB":
+        channels[name] = np.clip(channels[name], 0, 1) ** np.float32(1 / 2.2)
+
+
+def of_depth(function):
+    def change(channels, frames, number):
+        channels["depth.Z"] = np.where(channels["depth.Z"] < 1e9, function(channels["depth.Z"]), channels["depth.Z"])
+
+    return change
+
+
+def turned(name, how):
+    """A vector in the space of a camera that is turned, and that moves by (4, 1, 2) a frame."""
+
+    def change(channels, frames, number):
+        x, y, z = (channels[f"{name}.{axis}"] for axis in "XYZ")
+        channels.update({f"{name}.X": x, f"{name}.Y": how * y + z * 0.6, f"{name}.Z": how * z - y * 0.6})
+
+    return change
+
+
+def test_sound_frames(found):
+    warnings, notes = found()
+    assert not warnings
+    assert any(text.startswith("motion: right to ") for text in notes)
+    assert any(text.startswith("holes: ") for text in notes)
+
+
+@pytest.mark.parametrize(("change", "text"), [
+    (of_motion(lambda m: m + 0.5), "motion: seems to be half a pixel too far to the lower right"),
+    (of_motion(lambda m: m - 0.5, lambda m: m), "motion: seems to be half a pixel too far to the left"),
+    (of_motion(lambda m: m * 2 / SIZE[1], lambda m: m * 2 / SIZE[0]), "motion: seems to be in NDC, where 2 is the frame's side"),
+    (of_motion(lambda m: m / SIZE[1], lambda m: m / SIZE[0]), "motion: seems to be in UV, where 1 is the frame's side"),
+    (of_motion(lambda m: m * 2 / SIZE[1], lambda m: -m * 2 / SIZE[0]), f"{NDC}, with y up"),
+    (of_motion(lambda m: m * 2), "motion: seems to be twice too long"),
+    (of_motion(lambda m: m / 2), "motion: seems to be half too long"),
+    (of_motion(lambda m: m * 0), "motion: seems to be 0, though the camera moves"),
+    (of_motion(lambda m: -m), "motion: seems to be from the frame before to this one"),
+    (upside_down, "motion: seems to be right if the file is upside down"),
+    (rows_of_motion, "motion: "),
+    (gbuffer_upside_down, "colour: its edges are not those of base colour and normal; it looks as if the G-buffer is upside down"),
+    (late, "colour: its edges are not those of base colour and normal; it looks as if the G-buffer is that of the frame before"),
+    (half_rate, "position: in frames 1, "),
+    (encoded, "colour: looks encoded for a display"),
+    (of_depth(lambda z: 1 - 20 / z), "depth: "),
+    (of_depth(lambda z: 20 / z), "depth: falls with the distance"),
+    (turned("normal", 0.8), "normal: in another space than positions"),
+])  # fmt: skip
+def test_each_mistake_is_named(found, change, text):
+    warnings, _ = found(change)
+    assert any(line.startswith(text) for line in warnings), warnings
+
+
+def test_the_fit_is_told(found):
+    warnings, _ = found(of_motion(lambda m: m / 3))
+    (line,) = (text for text in warnings if text.startswith("motion: "))
+    assert "is off by" in line
+    assert "true x = 3" in line
+    assert "true y = 3" in line or "true y = 2.99" in line
