@@ -13,6 +13,8 @@ from conformance.reference_port import ReferencePort, answer_job
 from stss_ground.errors import InputError
 from stss_ref.weights import Weights
 
+__all__ = ["OpenCLPort", "ReferencePort", "cl_direct", "cl_half"]
+
 WITH_WEIGHTS = ("stss_cl.network.network", "stss_cl.frame")
 """Modules with the stages that take weights; each has ``STAGES`` and ``run_stage(stage, inputs, weights, device)``."""
 

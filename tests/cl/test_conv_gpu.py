@@ -18,7 +18,7 @@ from stss_cl.network.pack_weights import pack
 from stss_cl.network.tiles import TileList
 from stss_ground.errors import DeviceError
 from stss_ref import conv as reference
-from stss_ref.weights import astype
+from stss_ref.weights import Weights, astype
 from stss_ref.weights import random as random_weights
 from tests.cl.test_network import tensors
 
@@ -82,7 +82,7 @@ class Case:
 
     def bounds(self, dtype):
         """The reference in float64, and how far a sum in float32 and storing in ``dtype`` may be from it."""
-        wide, x = astype(self.weights, np.float64), self.x.astype(np.float64)
+        wide, x = astype(Weights(self.weights), np.float64), self.x.astype(np.float64)
         absolute = {name: np.abs(array) for name, array in wide.items()}
         feature = "layer.conv_feature" if self.gated else "layer"
         terms = 9 * (self.a + self.b) + 2

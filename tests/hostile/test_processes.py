@@ -67,9 +67,9 @@ def test_what_a_system_refuses_is_one_line(monkeypatch, capsys, error):
 
 @pytest.mark.skipif(os.name == "nt", reason="no signals")
 def test_an_interrupt_while_it_starts_says_nothing(tmp_path):
-    """As soon as Python has begun to import the package, and a little later."""
+    """As soon as the program begins to import its commands, and a little later."""
     for delay in (0.0, 0.2, 0.5):
-        code = "import sys; print(flush=True); sys.argv = ['stss', '--help']; from stss.__main__ import main; main()"
+        code = "import sys; from stss.__main__ import main; print(flush=True); sys.argv = ['stss', '--help']; main()"
         with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
             process.stdout.readline()
             time.sleep(0.05 + delay)
