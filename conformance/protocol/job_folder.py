@@ -326,12 +326,12 @@ def _mapped(path: Path) -> AnyArray:
     if not path.is_file():
         raise JobError(f"{path}: {'not a file' if path.exists() else 'missing'}")
     try:
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
+        array = np.lib.format.open_memmap(path, mode="r")
     except Exception as error:
         # A stranger's text, which NumPy evaluates as a literal: more than ValueError comes out.
         raise JobError(f"{path}: not a .npy file of numbers: {_first_line(error)}") from error
-    if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf" or array.dtype.subdtype is not None:
-        raise JobError(f"{path}: expected an array of numbers, got {_first_line(getattr(array, 'dtype', 'an archive'))}")
+    if array.dtype.kind not in "biuf" or array.dtype.subdtype is not None:
+        raise JobError(f"{path}: expected an array of numbers, got {_first_line(array.dtype)}")
     return array
 
 
