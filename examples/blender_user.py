@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 import stss
-from stss.color import transfer
+from stss.images.color import transfer
 from stss.images.read_write import write_rgb
 
 

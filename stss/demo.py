@@ -11,9 +11,9 @@ from rich.console import Console
 from rich.progress import Progress
 
 from conformance.scenes import DEMO, Rendered, render
-from stss.color import transfer
 from stss.frames.backends import DEFAULTS, open_backend
 from stss.frames.compute_options import ComputeOptions
+from stss.images.color import transfer
 from stss.images.contact_sheet import COMPARISON, comparison, contact_sheet, magnify
 from stss.images.read_write import encode_channels, encode_rgb, read_rgb
 from stss.pages.viewer import page_folder

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stss.color import transfer
+from stss.images.color import transfer
 from stss.images.contact_sheet import magnify
 from stss.images.read_write import read_rgb, write_rgb
 

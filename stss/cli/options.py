@@ -9,10 +9,10 @@ from typing import Any, TypeVar
 
 import click
 
-from stss.color import TRANSFERS
 from stss.frames.backends import BACKENDS
 from stss.frames.compute_options import PRECISIONS, SKIPS, ComputeOptions, Precision
 from stss.frames.display_frame import PLANE_TYPES
+from stss.images.color import TRANSFERS
 from stss.images.headers import MAX_SIDE
 from stss.sequence.choose_weights import AUTO
 from stss.sequence.find_files import MAX_DIGITS

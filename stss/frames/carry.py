@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from stss.color import LARGEST
+from stss.images.color import LARGEST
 from stss_ref.arrays import Array, Image, Mask
 from stss_ref.resample import upsample_centres
 from stss_ref.warp import warp

@@ -10,9 +10,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from stss.color import Transfer
 from stss.frames.buffers import Buffers
 from stss.frames.carry import HIGHLIGHTS, highlights
+from stss.images.color import Transfer
 from stss_ref.arrays import Array, Image, Mask, Plane
 from stss_ref.depth import DepthMode, normalise_depth
 from stss_ref.frame import FrameInputs

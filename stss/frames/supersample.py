@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from stss.color import LARGEST, Transfer
 from stss.frames.backends import Backend
 from stss.frames.carry import HIGHLIGHTS, carry
 from stss.frames.display_frame import DisplayFrame
+from stss.images.color import LARGEST, Transfer
 from stss_ground.errors import InputError
 from stss_ref.arrays import Image, Mask
 from stss_ref.schedule import FrameKind, Schedule, schedule

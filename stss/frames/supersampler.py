@@ -7,13 +7,13 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from typing import get_args
 
-from stss.color import transfer as transfer_named
 from stss.frames.backends import Backend, open_backend
 from stss.frames.buffers import Buffers
 from stss.frames.check_buffers import check_buffers
 from stss.frames.compute_options import ComputeOptions, Precision, Skip
 from stss.frames.display_frame import WINDOW, DisplayFrame, prepare
 from stss.frames.supersample import Output, compute, decoded
+from stss.images.color import transfer as transfer_named
 from stss.weights.file import DEFAULT, LoadedWeights
 from stss_ground.errors import InputError
 from stss_ref.depth import DepthMode

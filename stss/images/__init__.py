@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""EXR and PNG files, and pictures made for the eye."""
+"""EXR and PNG files, their transfer functions, and pictures made for the eye."""

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from stss.color import TRANSFERS, transfer
+from stss.images.color import TRANSFERS, transfer
 from stss.images.headers import Value
 from stss.images.read_write import read_header, read_rgb
 from stss.sequence.find_files import frame_number

@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from stss.color import transfer
 from stss.frames.backends import Backend, open_backend
 from stss.frames.compute_options import ComputeOptions, Skip
 from stss.frames.display_frame import DisplayFrame, prepare
 from stss.frames.supersample import choose_rendered
+from stss.images.color import transfer
 from stss.run import budget as budgeting
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
-from stss.color import Transfer, transfer
 from stss.frames.backends import Backend, Cost
 from stss.frames.display_frame import WINDOW, DisplayFrame
 from stss.frames.static_holes import static_holes
 from stss.frames.supersample import Output, compute, decoded, shot_start
+from stss.images.color import Transfer, transfer
 from stss.images.headers import Value, read_header
 from stss.images.read_write import encode_mask, encode_rgb
 from stss.run.options import RunOptions

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from stss.color import transfer
+from stss.images.color import transfer
 from stss.images.read_write import encode_rgb, read_rgb
 from stss.run.frame_job import FrameReport, frame_name
 from stss.run.job import folder_of

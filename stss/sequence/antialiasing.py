@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stss.color import transfer
 from stss.frames.buffers import Buffers
+from stss.images.color import transfer
 from stss.sequence.reader import Sequence
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from conformance.scenes import SCENES, Scene, render
-from stss.color import transfer
 from stss.frames.buffers import Buffers
 from stss.frames.display_frame import DisplayFrame, prepare
+from stss.images.color import transfer
 from stss.sequence.conventions import BACKGROUND_POSITION
 from stss_ground.errors import InputError
 from stss_ref.arrays import Image

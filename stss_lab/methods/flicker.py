@@ -13,8 +13,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from stss.color import transfer
 from stss.frames.display_frame import DisplayFrame, prepare
+from stss.images.color import transfer
 from stss.images.resample import enlarged
 from stss.quality.metrics import PEAK
 from stss.quality.output_and_truth import KINDS, Pair, find_pairs, require_size

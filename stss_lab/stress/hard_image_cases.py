@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stss.color import transfer
+from stss.images.color import transfer
 from stss_lab.stress.inputs import REACH
 from stss_lab.stress.table import Cell, StressPlan, StressTable, short
 from stss_ref.arrays import Array, Image, Mask

@@ -131,7 +131,7 @@ def test_resume_makes_anew_what_other_settings_made(sequence, by_default, tmp_pa
 
 
 def test_png_is_display_referred(sequence, by_default, tmp_path):
-    from stss.color import transfer
+    from stss.images.color import transfer
 
     stss("run", sequence / "frames", "-o", tmp_path / "png", "--format", "png")
     linear = read_rgb(by_default / "frame.0004.exr")

@@ -12,7 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from stss.color import BLOCK, LARGEST, TRANSFERS, transfer
+from stss.images.color import BLOCK, LARGEST, TRANSFERS, transfer
 from stss_ground.errors import InputError
 from stss_ref.arrays import ArrayError
 
@@ -139,11 +139,11 @@ def test_mistakes_are_named():
 def test_colour_science_is_imported_late_and_silently():
     """Starting `stss` does not wait for colour-science, and its warnings do not reach the user."""
     program = """if True:
-        import sys, numpy, stss.color
+        import sys, numpy, stss.images.color
         assert "colour" not in sys.modules
-        stss.color.transfer("none").encode(numpy.zeros((1, 1, 3)))
+        stss.images.color.transfer("none").encode(numpy.zeros((1, 1, 3)))
         assert "colour" not in sys.modules
-        stss.color.transfer("srgb").encode(numpy.zeros((1, 1, 3)))
+        stss.images.color.transfer("srgb").encode(numpy.zeros((1, 1, 3)))
         assert "colour" in sys.modules
     """
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from stss.color import transfer
+from stss.images.color import transfer
 from stss.images.read_write import read_header, read_rgb, write_mask, write_rgb
 from stss.quality.compare import compare, facts, print_comparison
 from stss_ground.errors import InputError

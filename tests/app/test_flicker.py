@@ -134,8 +134,8 @@ def test_sizes_must_fit_the_sequence(sequence, tmp_path):
 
 
 def test_motion_of_display_frames(sequence):
-    from stss.color import transfer
     from stss.frames.display_frame import prepare
+    from stss.images.color import transfer
 
     frames = sequence(-1, -2)
     before, now = (prepare(frames.load(n), transfer("none"), "scale") for n in (1, 2))

@@ -295,8 +295,8 @@ def test_the_steps_tell_every_gap(sequence):
     """What TAAU's restart rests on: with a step back there is an output of the frame before."""
     from itertools import product
 
-    from stss.color import transfer
     from stss.frames.display_frame import prepare
+    from stss.images.color import transfer
 
     made = [prepare(sequence.load(n, color=False), transfer("srgb"), "scale") for n in range(7)]
     for rendered in product([False, True], repeat=7):

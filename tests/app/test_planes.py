@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from stss.color import transfer
 from stss.demo import write_demo_sequence
 from stss.frames.display_frame import HALF, prepare
+from stss.images.color import transfer
 from stss.images.read_write import read_header, read_rgb
 from stss.sequence.reader import open_sequence
 from stss_ground.optional import installed

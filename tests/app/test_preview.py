@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from stss.cli.progress import A_MINUTE, LogLines
-from stss.color import transfer
+from stss.images.color import transfer
 from stss.images.read_write import read_header, read_rgb, write_rgb
 from stss.run.frame_job import FrameReport
 from stss.run.options import RunOptions

@@ -8,13 +8,13 @@ import pyopencl.array as cla
 import pytest
 
 from conformance.tolerance import ratio
-from stss.color import transfer
 from stss.demo import write_demo_sequence
 from stss.frames.backends import ReferenceBackend, open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import HALF as HALF_IN_FRAMES
 from stss.frames.display_frame import frame_inputs, halved, prepare, window_at
 from stss.frames.supersample import plan
+from stss.images.color import transfer
 from stss.sequence.reader import open_sequence
 from stss_cl.skip.planes import HALF, Planes
 from stss_cl.skip.stream import SKIPS, Stream

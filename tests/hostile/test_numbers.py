@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from stss.cli.main import stss
-from stss.color import transfer
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.frames.supersampler import supersample
+from stss.images.color import transfer
 from stss.images.read_write import read_channels
 from stss.sequence.reader import open_sequence
 from stss.weights.file import load
