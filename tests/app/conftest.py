@@ -1,5 +1,7 @@
 """A small sequence on disk, in the project's own layout; a browser where there is one."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,8 @@ from stss.weights.file import save
 from stss_ref.weights import random as random_weights
 from tests.app import browser
 
+PLAIN = ("--weights", "bilinear", "--backend", "ref")
+"""A run that needs neither network nor device."""
 VELOCITY = (1.5, 0.75)
 """Pixels a frame, right and down."""
 
@@ -65,6 +69,23 @@ def write_raw(path, channels, half=()):
         write_channels(path, channels, half=half)
     finally:
         encode.require_finite = finite
+
+
+def files(folder):
+    """Every file below, by its path."""
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in Path(folder).rglob("*") if path.is_file()}
+
+
+@pytest.fixture(scope="session")
+def blender_camera(tmp_path_factory):
+    """Where the camera of the Blender reference is, frame by frame."""
+    table = tmp_path_factory.mktemp("camera") / "camera.csv"
+    lines = ["frame,x,y,z"]
+    for frame in range(1, 15):
+        s = frame / 60
+        lines.append(f"{frame},{2.5 * np.sin(1.2 * s)},{-8 + 0.8 * s},{2.2 + 0.2 * np.sin(2 * s)}")
+    table.write_text("\n".join(lines) + "\n")
+    return table
 
 
 @pytest.fixture(scope="session")

@@ -7,20 +7,19 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from stss.cli.main import stss as stss_command
 from stss.frames.backends import ReferenceBackend
 from stss.images.encode import encode_exr
 from stss.images.headers import read_header
-from stss.images.read_write import read_channels, read_rgb
+from stss.images.read_write import read_channels
 from stss.run.job import run
 from stss.run.options import RunOptions
 from stss.run.pipeline import AHEAD, overlap
 from stss.sequence.reader import Sequence, open_sequence
 from stss.weights.file import BILINEAR, load
-from stss_ground.errors import InputError
 from stss_ref.arrays import ArrayError
+from tests.app.conftest import PLAIN
+from tests.hostile.cases import call
 
 SOON = 30
 """Seconds after which something that should happen at once counts as not happening."""
@@ -102,7 +101,7 @@ def test_after_an_item_that_cannot_be_written_no_other_is():
     assert steps.items("compute")[-1] > 1
 
 
-@pytest.mark.parametrize("slow", ["read", "compute", "write", "done"])
+@pytest.mark.parametrize("slow", ["compute", "write"])
 def test_the_look_ahead_is_bounded(slow):
     steps = Steps()
     steps.run(12, **{slow: 0.02})
@@ -118,20 +117,6 @@ def test_the_look_ahead_is_bounded(slow):
         assert most_ahead == AHEAD + 1
     if slow == "write":
         assert most_waiting == AHEAD
-
-
-def test_nothing_is_read_beside_the_first_item():
-    steps = Steps()
-    steps.run(4, compute=0.05)
-    assert steps.log.index(("compute end", 0)) < steps.log.index(("read", 1))
-
-
-@pytest.mark.parametrize("step", ["compute", "done"])
-def test_an_error_of_the_callers_thread_comes_after_the_items_before_it(step):
-    steps = Steps({(step, 4): InputError("frame 4")})
-    with pytest.raises(InputError, match="frame 4"):
-        steps.run(9, write=0.02)
-    assert steps.items("done")[:4] == [0, 1, 2, 3]
 
 
 def test_an_interrupt_loses_nothing_that_was_computed():
@@ -180,24 +165,19 @@ def hidden(out):
     return [path for path in out.rglob("*") if path.name.startswith(".")]
 
 
-def test_the_backend_is_used_from_the_callers_thread(sequence, tmp_path, loads):
-    backend = Noted()
-    reports = []
-    summary = run(sequence, tmp_path / "out", backend, "w", RunOptions(), reports.append)
-    assert backend.threads == [threading.get_ident()] * 12
-    assert loads == list(range(12))
-    assert reports == summary.frames
-    assert [report.number for report in reports] == list(range(12))
-
-
-def test_a_frame_is_on_disk_when_it_is_reported(sequence, tmp_path):
-    out = tmp_path / "out"
+def test_frames_are_on_disk_when_they_are_reported_by_the_callers_thread(sequence, tmp_path, loads):
+    out, backend, reports = tmp_path / "out", Noted(), []
 
     def check(report):
         assert report.number in written(out)
         assert report.number % 2 == 0 or (out / "holes" / f"frame.{report.number:04d}.png").exists()
+        reports.append(report)
 
-    run(sequence, out, Noted(), "w", RunOptions(), check)
+    summary = run(sequence, out, backend, "w", RunOptions(), check)
+    assert backend.threads == [threading.get_ident()] * 12
+    assert loads == list(range(12))
+    assert reports == summary.frames
+    assert [report.number for report in reports] == list(range(12))
 
 
 def test_resume_reads_only_what_is_computed(sequence, tmp_path, loads):
@@ -215,18 +195,6 @@ def test_resume_reads_only_what_is_computed(sequence, tmp_path, loads):
     assert {path: path.read_bytes() for path in out.rglob("*.*")} == whole
 
 
-def test_a_broken_frame_stops_the_run_at_its_turn(sequence, tmp_path):
-    broken = sequence.files(7)[0]
-    broken.write_bytes(broken.read_bytes()[:2000])
-    reports = []
-    with pytest.raises(InputError, match=broken.name):
-        run(sequence, tmp_path / "out", Noted(), "w", RunOptions(), reports.append)
-    assert [report.number for report in reports] == list(range(7))
-    assert written(tmp_path / "out") == list(range(7))
-    assert np.isfinite(read_rgb(tmp_path / "out" / "frame.0006.exr")).all()
-    assert not hidden(tmp_path / "out")
-
-
 def test_an_error_of_the_writer_stops_the_run(sequence, tmp_path):
     """A network's NaN is found as the image is converted, in the writer."""
     backend = Noted(lambda call, image: image * np.float32(np.nan) if call == 5 else image)
@@ -236,79 +204,6 @@ def test_an_error_of_the_writer_stops_the_run(sequence, tmp_path):
     assert 5 not in written(tmp_path / "out")
     assert len(backend.threads) <= 5 + 1 + AHEAD
     assert not hidden(tmp_path / "out")
-
-
-def test_what_was_skipped_is_told_and_shown(sequence, tmp_path):
-    from stss.frames.backends import open_backend
-    from stss.run.skip_report import told
-
-    out, weights = tmp_path / "out", load("realtime").weights
-    summary = run(sequence, out, open_backend("cl", weights), "w", RunOptions(show_skipped=True))
-    costs = [frame.cost for frame in summary.frames]
-    assert all(costs)
-    assert told(costs).startswith("network computed: ")
-    assert [path.name for path in sorted((out / "skipped").iterdir())] == [f"frame.{n:04}.png" for n in range(12)]
-    picture = read_png(out / "skipped" / "frame.0000.png")
-    assert picture.shape == (32, 48, 3)
-    assert (picture[..., 0] > picture[..., 2]).all()  # the first frame was computed everywhere
-    with pytest.raises(InputError, match="--show-skipped: expected the network on the backend cl"):
-        run(sequence, tmp_path / "ref", Noted(), "w", RunOptions(show_skipped=True))
-    assert not (tmp_path / "ref").exists()
-
-
-def read_png(path):
-    import cv2
-
-    return cv2.imread(str(path))[..., ::-1].astype(int)
-
-
-def test_the_line_about_a_run():
-    from stss.run.skip_report import Cost, told
-
-    costs = [Cost("whole", 1.0), Cost("changed", 0.1), Cost("changed", 0.3), Cost("none", 0.0)]
-    assert told(costs) == "network computed: 1 whole, 2 in part (20% of the inputs had changed), 1 not at all"
-
-
-def test_meanwhile_runs_beside_the_first_read():
-    """In the caller's thread: the read goes on only when it was seen, and nothing is computed before it ends."""
-    seen, log = threading.Event(), []
-
-    def read(item):
-        assert seen.wait(SOON)
-        return item
-
-    def meanwhile():
-        assert threading.current_thread() is threading.main_thread()
-        seen.set()
-        time.sleep(0.05)
-        log.append("meanwhile")
-
-    list(overlap(deque(range(3)), read, lambda item: log.append("compute"), lambda item: item, meanwhile))
-    assert log == ["meanwhile", *["compute"] * 3]
-
-
-class Expecting(ReferenceBackend):
-    """Notes what it is told to make ready for, and when frames come."""
-
-    def __init__(self):
-        super().__init__(load(BILINEAR).weights)
-        self.log = []
-
-    def expect(self, size):
-        self.log.append(size)
-
-    def compute(self, window, steps):
-        self.log.append(window[-1].number)
-        return super().compute(window, steps)
-
-
-def test_the_backend_is_told_the_size_before_the_first_frame(write_frames, tmp_path):
-    sequence, backend = open_sequence(write_frames(range(3), rendered=(0, 2), size=(16, 24)), "stss"), Expecting()
-    run(sequence, tmp_path, backend, "none", RunOptions())
-    assert backend.log == [(16, 24), 0, 1, 2]
-    again = Expecting()
-    run(sequence, tmp_path, again, "none", RunOptions(resume=True))
-    assert not again.log  # nothing is left to compute, so nothing is made ready
 
 
 def test_alpha_highlights_layers_and_metadata_come_out(write_frames, tmp_path):
@@ -323,28 +218,14 @@ def test_alpha_highlights_layers_and_metadata_come_out(write_frames, tmp_path):
     lr = write_frames(range(3, 9), change=change, rendered=(3, 5, 6, 8))
     for path in lr.glob("*.exr"):
         give_metadata(path, {"FramesPerSecond": (24, 1), "PixelAspectRatio": 2.0})
-    loop = [
-        "run",
-        str(lr),
-        "-o",
-        str(tmp_path / "out"),
-        "--weights",
-        "bilinear",
-        "--backend",
-        "ref",
-        "--cuts",
-        "6",
-        "--also",
-        "light",
-    ]
-    result = CliRunner().invoke(stss_command, loop, catch_exceptions=False)
-    assert result.exit_code == 0, result.output
-    assert "highlights: up to" in result.output
-    assert "4 SF, 2 EF written" in result.output.replace("\n", " ")
+    result = call("run", lr, "-o", tmp_path / "out", *PLAIN, "--cuts", "6", "--also", "light")
+    assert result.returncode == 0, result.stderr
+    assert "highlights: up to" in result.stderr
+    assert "4 SF, 2 EF written" in result.stderr
     shares = [read_header(path).attributes.get("stss:static-holes") for path in sorted((tmp_path / "out").glob("*.exr"))]
     ef = [float(share) for share in shares if share is not None]
     assert len(ef) == 2
-    assert f"holes: {sum(ef) / 2:.1%} of the static surfaces, in 2 EF" in result.output
+    assert f"holes: {sum(ef) / 2:.1%} of the static surfaces, in 2 EF" in result.stderr
     for number in range(3, 9):
         header = read_header(tmp_path / "out" / f"frame.{number:04d}.exr")
         assert {*header.channels} == {"R", "G", "B", "A", "light.R", "light.G"}
