@@ -1,7 +1,7 @@
 """``python -m tests.offline [TARGET ...]``: every program of the GPU rows compiled for GPUs that are not there, against budgets.
 
-Registers, stack, spills, local memory, and the share of multiply-adds in the hottest loop, from clang, libclc, ptxas and ocloc. The
-drivers' own compilers are others: the table shows what can be expected, not what they do.
+Registers, stack, spills and local memory, from clang, libclc, ptxas and ocloc. The drivers' own compilers are others: the table shows
+what can be expected, not what they do.
 """
 
 import argparse
@@ -19,13 +19,12 @@ from tests.offline.compilers import CompileError, MissingError, compiled, requir
 from tests.offline.programs import programs
 
 TARGETS = ("sm_80", "sm_90", "gfx1100", "gfx90a", "dg2")
-TITLES = ("kernel", "options", "registers", "stack", "spilled", "local", "multiply-adds", "over budget")
+TITLES = ("kernel", "options", "registers", "stack", "spilled", "local", "over budget")
 
 
 def main():
     parser = argparse.ArgumentParser(prog="python -m tests.offline", description=__doc__)
     parser.add_argument("targets", nargs="*", default=TARGETS, metavar="TARGET", help=f"default: {' '.join(TARGETS)}")
-    parser.add_argument("--network", action="store_true", help="the network's programs alone")
     given = parser.parse_args()
     wrong, examined = 0, []
     for target in given.targets:
@@ -34,37 +33,36 @@ def main():
         except MissingError as error:
             print(f"skipped: {target}: {error}", flush=True)
             continue
-        wrong += examine(target, network_only=given.network)
+        wrong += examine(target)
         examined.append(target)
     print(f"{', '.join(examined) or 'nothing'}: {wrong} over budget")
     sys.exit(1 if wrong else 0)
 
 
-def examine(target, *, network_only):
+def examine(target):
     """Print the table of one target; how many kernels exceed their budget."""
     wrong, table = 0, Table(*TITLES, title=target, box=None, pad_edge=False, title_justify="left")
     with tempfile.TemporaryDirectory() as folder:
-        for program in built_for(row_of(target), network_only=network_only):
+        for program in built_for(row_of(target)):
             try:
                 found = compiled(source(program.file), program.options, program.kernels, target, Path(folder))
             except CompileError as error:
                 wrong += 1
-                table.add_row(program.file, program.label, *5 * [""], str(error))
+                table.add_row(program.file, program.label, *4 * [""], str(error))
                 continue
             for kernel, code in found.items():
                 over = faults(kernel, code, target)
                 wrong += bool(over)
                 numbers = code.registers, code.stack, code.spilled, code.local
-                share = f"{code.loop.share:.0%} of {code.loop.instructions}"
-                table.add_row(kernel, program.label, *map(str, numbers), share, "; ".join(over))
+                table.add_row(kernel, program.label, *map(str, numbers), "; ".join(over))
     Console(width=None if sys.stdout.isatty() else 200).print(table, markup=False, highlight=False)
     return wrong
 
 
 @cache
-def built_for(row, *, network_only):
+def built_for(row):
     """The programs of a row, found once: to build them for the device at hand takes minutes."""
-    return programs(row, network_only=network_only)
+    return programs(row)
 
 
 def row_of(target):

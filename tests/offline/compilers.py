@@ -1,4 +1,4 @@
-"""Compilers for GPUs that run anywhere: clang with libclc, behind it ptxas and nvdisasm for NVIDIA; Intel's ocloc. Drivers have others."""
+"""Compilers for GPUs that run anywhere: clang with libclc, behind it ptxas for NVIDIA; Intel's ocloc. Drivers have others."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from functools import cache
 from pathlib import Path
 
 from stss_cl.device.program import MAKERS_OPTIONS
-from tests.offline import hottest_loop, intel
-from tests.offline.hottest_loop import Loop
+from tests.offline import intel
 
 BUILTINS = Path(os.environ.get("LIBCLC", "/usr/lib/clc"))
 OLDEST = 22
@@ -46,14 +45,12 @@ class Compiled:
         registers: of a work-item.
         stack: bytes of private memory; spilled: bytes or registers that had no room.
         local: bytes of a work-group.
-        loop: the hottest.
     """
 
     registers: int
     stack: int
     spilled: int
     local: int
-    loop: Loop
 
 
 @cache
@@ -73,19 +70,19 @@ def clang() -> str:
 
 
 @cache
-def nvidia_tool(name: str) -> str:
-    """ptxas or nvdisasm, of NVIDIA's wheels or on the path.
+def ptxas() -> str:
+    """NVIDIA's assembler, of its wheel or on the path.
 
     Raises:
         MissingError: it is not there.
     """
     spec = importlib.util.find_spec("nvidia")
     for place in spec.submodule_search_locations or () if spec else ():
-        for path in sorted(Path(place).glob(f"*/bin/{name}"), reverse=True):
+        for path in sorted(Path(place).glob("*/bin/ptxas"), reverse=True):
             return str(path)
-    if path := shutil.which(name):
+    if path := shutil.which("ptxas"):
         return path
-    raise MissingError(f"{name}: pip install nvidia-cuda-nvcc nvidia-cuda-nvdisasm")
+    raise MissingError("ptxas: pip install nvidia-cuda-nvcc")
 
 
 def ocloc() -> str:
@@ -115,8 +112,7 @@ def require(target: str) -> None:
         return
     clang()
     if target.startswith("sm_"):
-        for name in ("ptxas", "nvdisasm"):
-            nvidia_tool(name)
+        ptxas()
 
 
 def compiled(source: str, options: Sequence[str], kernels: Sequence[str], target: str, folder: Path) -> dict[str, Compiled]:
@@ -147,14 +143,12 @@ def compiled(source: str, options: Sequence[str], kernels: Sequence[str], target
     )  # fmt: skip
     if target.startswith("sm_"):
         return _nvidia(assembly, kernels, target, folder)
-    lines = assembly.read_text(encoding="utf-8")
-    return {kernel: _amd(told, lines, kernel) for kernel in kernels}
+    return {kernel: _amd(told, kernel) for kernel in kernels}
 
 
 def _nvidia(assembly: Path, kernels: Sequence[str], target: str, folder: Path) -> dict[str, Compiled]:
     binary = folder / "k.cubin"
-    told = _run([nvidia_tool("ptxas"), f"-arch={target}", "-v", str(assembly), "-o", str(binary)])
-    code = _run([nvidia_tool("nvdisasm"), "-c", str(binary)])
+    told = _run([ptxas(), f"-arch={target}", "-v", str(assembly), "-o", str(binary)])
     found: dict[str, Compiled] = {}
     for kernel in kernels:
         part = told.split(f"entry function '{kernel}'", 1)[-1].split("Compile time", 1)[0]
@@ -168,12 +162,11 @@ def _nvidia(assembly: Path, kernels: Sequence[str], target: str, folder: Path) -
             stack=number(r"(\d+) bytes stack frame"),
             spilled=number(r"(\d+) bytes spill stores"),
             local=number(r"(\d+) bytes smem"),
-            loop=hottest_loop.hottest(hottest_loop.nvidia(code, kernel)),
         )
     return found
 
 
-def _amd(told: str, code: str, kernel: str) -> Compiled:
+def _amd(told: str, kernel: str) -> Compiled:
     part = told.split(f"Function Name: {kernel} ", 1)[-1].split("Function Name:", 1)[0]
 
     def number(name: str) -> int:
@@ -185,7 +178,6 @@ def _amd(told: str, code: str, kernel: str) -> Compiled:
         stack=number(r"ScratchSize \[bytes/lane\]"),
         spilled=number("VGPRs Spill"),
         local=number(r"LDS Size \[bytes/block\]"),
-        loop=hottest_loop.hottest(hottest_loop.amd(code, kernel)),
     )
 
 

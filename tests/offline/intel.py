@@ -3,9 +3,6 @@
 import re
 from pathlib import Path
 
-from tests.offline import hottest_loop
-from tests.offline.hottest_loop import Instruction
-
 
 def listings(folder):
     """The listing and the description of each kernel: kernel -> (assembly, description).
@@ -22,7 +19,7 @@ def listings(folder):
 
 
 def figures(assembly, description):
-    """Registers (of 32 bytes, as many as the compiler was told), bytes of stack, of spills, of local memory; the hottest loop."""
+    """Registers (of 32 bytes, as many as the compiler was told), bytes of stack, of spills, of local memory."""
 
     def number(pattern, text):
         match = re.search(pattern, text)
@@ -33,18 +30,4 @@ def figures(assembly, description):
         "stack": number(r"PerThreadPrivateMemorySize\s*= (\d+)", description),
         "spilled": number(r"//\.spill size (\d+)", assembly),
         "local": number(r"TotalInlineLocalMemorySize\s*= (\d+)", description),
-        "loop": hottest_loop.hottest(instructions(assembly)),
     }
-
-
-def instructions(assembly):
-    """The instructions of one kernel. Multiply-adds of integers have the same name as those of floats, and are left out."""
-    found = []
-    for line in assembly.splitlines():
-        if label := re.match(r"(L\d+|_\d+_\d+):", line):
-            found.append(Instruction("", label[1]))
-        elif told := re.match(r"(?:\([^)]*\))?\s+([a-z][a-z0-9_.]*)\s(.*)", line):
-            name = "integer" if told[1].startswith("mad") and ":f" not in told[2] else told[1]
-            target = re.findall(r"\b(?:L\d+|_\d+_\d+)\b", told[2]) if told[1].startswith(("goto", "jmpi", "while", "br")) else []
-            found.append(Instruction(name, target[-1] if target else "", told[2]))
-    return found

@@ -35,13 +35,8 @@ class Program:
         return " ".join(option for option in self.options if option != "-D" and not option.startswith("-cl-"))
 
 
-def programs(row, *, network_only=False):
-    """The programs of one row of ``tuning.toml``, such as ``nvidia`` or ``amd``, in the order in which they are built.
-
-    Args:
-        row: its name.
-        network_only: leave out what surrounds the network.
-    """
+def programs(row):
+    """The programs of one row of ``tuning.toml``, such as ``nvidia`` or ``amd``, in the order in which they are built."""
     device = open_device(device_class="gpu")
     tuning = built_in_rows(BUILT_IN)[0][row]
     with trial(tuning), matrix_units.trial(row == "nvidia"), pytest.MonkeyPatch.context() as patch:
@@ -50,15 +45,14 @@ def programs(row, *, network_only=False):
         for precision in QUICK:
             for size in ((32, 48), (544, 960)):  # of few tiles, and of many
                 Network(WEIGHTS, device, precision).layers(*size)
-            for weights, skip in () if network_only else product((WEIGHTS, EARLIER), SKIPS):
+            for weights, skip in product((WEIGHTS, EARLIER), SKIPS):
                 stream = Stream(weights, device, precision, skip=skip)
                 for window, steps in _windows():
                     stream(window, steps)
                 for cache in stream._caches.values():  # what only some frames build
                     cache.network.changed_tiles()
-                    cache.prepare._unlooking  # noqa: B018
-            if not network_only:
-                Frame(WEIGHTS, device, precision)(**one_frame())
+                    cache.prepare._whole  # noqa: B018
+            Frame(WEIGHTS, device, precision)(**one_frame())
     return [
         Program(
             file,
@@ -77,17 +71,10 @@ def launch_nothing(patch):
 
 def one_frame():
     """The arguments of ``Frame``."""
-    counts = {
-        "colors": (3, 3),
-        "motions": (5, 2),
-        "gbuffer": (9,),
-        "nov": (),
-        "stencils": (4,),
-        "normals": (4, 3),
-        "positions": (4, 3),
-    }
-    shapes = {name: (*count[:1], *SIZE, *count[1:]) if len(count) == 2 else (*SIZE, *count) for name, count in counts.items()}
-    shapes["stencils"] = (4, *SIZE)
+    channels = {"colors": 3, "motions": 2, "normals": 3, "positions": 3}
+    planes = {"colors": 3, "motions": 5, "normals": 4, "positions": 4}
+    shapes = {name: (planes[name], *SIZE, count) for name, count in channels.items()}
+    shapes |= {"gbuffer": (*SIZE, 9), "nov": SIZE, "stencils": (4, *SIZE)}
     return {"steps": (1, 3, 5), **{name: np.zeros(shape, np.float32) for name, shape in shapes.items()}}
 
 
