@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.progress import Progress
 
 from conformance.scenes import DEMO, Rendered, render
 from stss.frames.backends import DEFAULTS, open_backend
@@ -28,6 +27,7 @@ from stss.sequence.reader import open_sequence
 from stss.weights.file import BILINEAR, load
 from stss_ground.output.apart import require_places
 from stss_ground.output.folder import OutputFolder
+from stss_ground.progress import show_progress
 from stss_ref.arrays import Array, Plane
 
 FRAMES = 16
@@ -92,16 +92,17 @@ def demo(
         load(weights)  # what is wrong with them is said before anything is rendered
     folders = [folder_of(out / "output"), folder_of(out / "bilinear"), page_folder(out / "page.html")]
     require_places(reads=[Path(weights)], folders=[_folder(out), *folders])
-    with Progress(console=console, transient=True) as progress:
-        task = progress.add_task("rendering", total=frames)
-        write_demo_sequence(out, frames, size, overwrite=overwrite, on_frame=lambda _: progress.advance(task))
+    with show_progress(console, frames, text="rendering") as advance:
+        write_demo_sequence(out, frames, size, overwrite=overwrite, on_frame=lambda _: advance("rendering"))
     sequence = open_sequence(out / "frames", "stss")
     loaded = choose_weights(weights, sequence, lambda line: console.print(line, soft_wrap=True, highlight=False, markup=False))
     methods = {"output": loaded} if weights == BILINEAR else {"bilinear": load(BILINEAR), "output": loaded}
     found: dict[str, Comparison] = {}
     for name, method in methods.items():
         engine = open_backend(backend, method.weights, compute)
-        run(sequence, out / name, engine, method.label, RunOptions(overwrite=overwrite), reads=[Path(weights)])
+        with show_progress(console, frames, text=method.source) as advance:
+            options = RunOptions(overwrite=overwrite)
+            run(sequence, out / name, engine, method.label, options, lambda _, made=advance: made(), [Path(weights)])
         console.print(f"{method.source} against the truth:", highlight=False, markup=False)
         found[name] = compare(out / name, out / "truth", frames=None, pictures=out / "pictures" / name)
         print_comparison(found[name], console)

@@ -23,6 +23,7 @@ from stss.pages.viewer import page_folder
 from stss.sequence.reader import open_sequence
 from stss_ground.option_kinds import PATH, Names
 from stss_ground.output.apart import require_places
+from stss_ground.progress import show_progress, track
 from stss_ground.terminal import Terminal, echo
 
 
@@ -79,7 +80,8 @@ def methods_command(
     folders = [*(folder_of(out / method) for method in chosen), *([] if html is None else [page_folder(html)])]
     require_places({"--html": html}, [*files.tables, *reads], folders=folders, inputs=files.images)
     console = Terminal(stderr=True)
-    with console.status("") as status:
+    first, last = options.frames or (files.numbers[0], files.numbers[-1])
+    with show_progress(console, len(chosen) * (last - first + 1)) as advance:
         results = method_table.run_methods(
             files,
             truth,
@@ -89,7 +91,7 @@ def methods_command(
             options,
             flip=flip,
             vmaf=vmaf,
-            on_step=status.update,
+            on_frame=advance,
             reads=reads,
         )
     if html is not None:
@@ -113,7 +115,8 @@ def flicker_command(
     """Measure how the frames in OUT change along the motion, compared with those in TRUTH: in 8-bit levels."""
     from stss_lab.methods.flicker import flicker, print_flicker
 
-    found = flicker(out, truth, open_sequence(sequence, profile, **options), frames=frames)
+    shown = partial(track, console=Terminal(stderr=True))
+    found = flicker(out, truth, open_sequence(sequence, profile, **options), frames=frames, track=shown)
     if as_json:
         click.echo(found.to_json())
     else:

@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from stss.frames.backends import BACKENDS
 from stss.weights.file import load
 from stss_ground.errors import InputError
 from stss_ground.option_kinds import PATH, Names
 from stss_ground.output.apart import require_places
+from stss_ground.progress import show_progress
 from stss_ground.terminal import Terminal, echo
 
 
@@ -44,15 +43,8 @@ def stress_command(
     opened = _open(backend, device)
     plan = make_plan(opened, tensors, full=full)
     console = Terminal(stderr=True)
-    with _progress(console) as progress:
-        task = progress.add_task("", total=len(only or MEASUREMENTS), name="")
-        begun: list[str] = []
-
-        def step(name: str) -> None:
-            progress.update(task, name=name, completed=len(begun))
-            begun.append(name)
-
-        tables = stress(plan, only, on_step=step)
+    with show_progress(console, len(only or MEASUREMENTS), "measurements") as advance:
+        tables = stress(plan, only, on_step=advance)
     results = Results(plan, None if opened is None else f"{opened.name}, {opened.driver}", tables)
     stress_report.print_results(results, Terminal())
     if json_file is not None:
@@ -68,11 +60,3 @@ def _open(backend: str, device: str | None) -> Any:
     if device is not None:
         raise InputError("backend ref: expected no device")
     return None
-
-
-def _progress(console: Console) -> Progress:
-    return Progress(
-        BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.fields[name]}"),
-        console=console,
-        disable=not console.is_terminal,
-    )  # fmt: skip

@@ -27,7 +27,8 @@ FLOORS = {
     "stss_lab": "command_bench command_methods command_stress command_tune > bench methods > stress tune baselines",
     "conformance": "command > report > suite > explain > judging reference_port > answers mistakes cases > protocol scenes tolerance",
     "stss_cl": "skip > frame > network image_space > device",
-    "stss_ground": "guard commands > optional output pages toml_table option_kinds > machine > errors terminal version regular_file",
+    "stss_ground": "guard commands > optional option_kinds output pages progress toml_table > machine > "
+    "errors terminal version regular_file",
 }
 """The rooms of a package from top to bottom: a room imports those on the floors below it, and none beside it."""
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import shlex
+from contextlib import ExitStack
 from pathlib import Path
 
 from conformance.judging.findings import Finding, TestResult
@@ -11,6 +12,7 @@ from conformance.judging.judge import Judge
 from conformance.report.failures import keep_failure
 from conformance.report.junit import write_junit
 from conformance.report.report import judged_on, passed, print_results, to_json, write_json, write_page
+from stss_ground.progress import Advance, show_progress
 from stss_ground.terminal import Terminal, echo
 
 
@@ -33,23 +35,25 @@ class RunningReport:
         self.folders: dict[str, Path] = {}
         self._judge, self._failures, self._again, self._json = judge, failures, again, json_file
         self._terminal = Terminal(stderr=True)
-        self._status = self._terminal.status("")
+        self._bar = ExitStack()
+        self._advance: Advance | None = None
         self._total = 0
         judge.tell = self._told_early
 
     def __enter__(self) -> RunningReport:
-        self._status.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._status.stop()
+        self._bar.close()
 
     def take(self, result: TestResult, total: int) -> None:
         """Take the next result; ``total`` is the number of tests in the run."""
+        if self._advance is None:
+            self._advance = self._bar.enter_context(show_progress(self._terminal, total, "tests"))
         self.results.append(result)
         self._total = total
         done = f"{len(self.results)} of {total} tests"
-        self._status.update(f"{done}: {result.id}: {result.outcome}")
+        self._advance(f"{result.id}: {result.outcome}")
         if result.outcome in ("failed", "error"):
             echo(f"{done}: {result.outcome}: {result.id}: {result.message}")
             for line in result.record.failure.finding.terms if result.record.failure is not None else ():

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
 from stss_ground.option_kinds import PATH
 from stss_ground.output.apart import require_places
+from stss_ground.progress import track
 from stss_ground.terminal import Terminal, echo
 
 
@@ -61,7 +63,8 @@ def compare_command(
         ],
         inputs=comparing.files_of(pairs),
     )
-    comparison = comparing.compare(out, truth, frames=frames, pictures=pictures, flip=flip, vmaf=vmaf)
+    shown = partial(track, console=Terminal(stderr=True))
+    comparison = comparing.compare(out, truth, frames=frames, pictures=pictures, flip=flip, vmaf=vmaf, track=shown)
     if as_json:
         click.echo(comparison.to_json())
     else:

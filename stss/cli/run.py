@@ -18,7 +18,7 @@ from stss.cli.options import (
     skip_options,
     weights_option,
 )
-from stss.cli.progress import shown_progress
+from stss.cli.progress import show_frames
 from stss.cluster.run import Cluster, require_no_budget, run_on_cluster
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions, Skip
@@ -94,7 +94,7 @@ def run(
     first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
     start = time.monotonic()
     try:
-        with shown_progress(console, last - first + 1, preview and Preview(preview, out, options)) as on_frame:
+        with show_frames(console, last - first + 1, preview and Preview(preview, out, options)) as on_frame:
             if cluster is not None:
                 require_no_budget(budget)
                 where = Cluster(cluster, mixed_devices)

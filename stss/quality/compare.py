@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -144,6 +144,7 @@ def compare(
     pictures: Path | None = None,
     flip: bool = False,
     vmaf: bool = False,
+    track: Callable[[Sequence[int]], Iterable[int]] = iter,
 ) -> Comparison:
     """Compare the frames of a folder with those of the same numbers in another.
 
@@ -158,6 +159,7 @@ def compare(
         frames: first and last to compare, both included; None: all.
         pictures: folder for pictures output | truth | 4 x difference, made if need be; None: none.
         flip, vmaf: take these too.
+        track: yields the numbers that it is given, and may show how far the comparison is.
 
     Raises:
         InputError: a folder is not there, the two have no frame in common, a file cannot be read, sizes differ, only
@@ -171,7 +173,7 @@ def compare(
         if folder is not None:
             require_places(folders=[folder], inputs=files_of(pairs))
             stack.enter_context(folder.opened(refusal=None))
-        rows, recpsnr = _rows(pairs, folder, flip=flip)
+        rows, recpsnr = _rows(pairs, track(list(pairs)), folder, flip=flip)
         if folder is not None:
             folder.finish(remove_others=False)
     if vmaf:
@@ -233,11 +235,14 @@ def _temporal(comparison: Comparison) -> str:
     return f"tPSNR of the steps: {', '.join(steps)}; recPSNR of the last frame: {comparison.recpsnr:.2f}"
 
 
-def _rows(pairs: Mapping[int, Pair], pictures: OutputFolder | None, *, flip: bool) -> tuple[list[FrameScores], float]:
+def _rows(
+    pairs: Mapping[int, Pair], numbers: Iterable[int], pictures: OutputFolder | None, *, flip: bool
+) -> tuple[list[FrameScores], float]:
     """The frames' rows, with the tPSNR of the step from the frame before where there is one; and the last frame's recPSNR."""
     rows: list[FrameScores] = []
     before: Shown | None = None
-    for number, pair in pairs.items():
+    for number in numbers:
+        pair = pairs[number]
         shown = pair.shown()
         row = _judge(number, pair, shown, pictures, flip=flip)
         if before is not None and rows[-1].number == number - 1:

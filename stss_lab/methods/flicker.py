@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
@@ -68,7 +68,14 @@ class Flicker:
         return json.dumps({"frames": frames, "means": means}, indent=2, allow_nan=False)
 
 
-def flicker(out: Path, truth: Path, sequence: Frames, *, frames: tuple[int, int] | None = None) -> Flicker:
+def flicker(
+    out: Path,
+    truth: Path,
+    sequence: Frames,
+    *,
+    frames: tuple[int, int] | None = None,
+    track: Callable[[Sequence[int]], Iterable[int]] = iter,
+) -> Flicker:
     """Follow each surface by the sequence's motion, and measure how its colour changes.
 
     ``d(p) = out_t(p) - out_{t-1}(p + motion_t(p))``, and ``d*`` is the same of the truth. Means run over the pixels whose motion leads
@@ -80,6 +87,7 @@ def flicker(out: Path, truth: Path, sequence: Frames, *, frames: tuple[int, int]
         truth: the frames that they should equal.
         sequence: has motion and G-buffer of every frame.
         frames: first and last to measure, both included; None: all. The first has no frame before it.
+        track: as for `stss.quality.compare.compare`.
 
     Raises:
         InputError: a folder does not exist, a file cannot be read, sizes do not fit, or no two frames follow each other.
@@ -90,7 +98,7 @@ def flicker(out: Path, truth: Path, sequence: Frames, *, frames: tuple[int, int]
         raise InputError(f"{out}: expected two frames in a row that {truth} and {sequence.path} have, found none")
     rows: list[FrameFlicker] = []
     before: tuple[int, tuple[Image, Image], DisplayFrame] | None = None
-    for number in numbers:
+    for number in track(numbers):
         if before is None or before[0] != number - 1:
             before = number - 1, _shown(pairs[number - 1], sequence), _load(sequence, number - 1)
         now, buffers = _shown(pairs[number], sequence), _load(sequence, number)

@@ -72,7 +72,7 @@ def run_methods(
     *,
     flip: bool = False,
     vmaf: bool = False,
-    on_step: Callable[[str], None] = lambda step: None,
+    on_frame: Callable[[str], None] = lambda method: None,
     reads: Sequence[Path] = (),
 ) -> list[MethodResult]:
     """Run each method into ``out/METHOD`` and compare its frames with the truth.
@@ -85,7 +85,7 @@ def run_methods(
         engine: returns a method's backend and the label of its weights.
         options: as for ``stss run``.
         flip, vmaf: take these metrics too.
-        on_step: called with the name of each step.
+        on_frame: called with the method when it has made a frame.
         reads: files that must not be written to, besides those of the sequence.
 
     Raises:
@@ -95,10 +95,8 @@ def run_methods(
     require_near(sequence, *(options.frames or (sequence.numbers[0], sequence.numbers[-1])))
     results: list[MethodResult] = []
     for method in methods:
-        on_step(f"{method}: running")
         backend, label = engine(method)
-        run(sequence, out / method, backend, label, options, reads=reads)
-        on_step(f"{method}: comparing")
+        run(sequence, out / method, backend, label, options, lambda _, method=method: on_frame(method), reads)
         scores = compare(out / method, truth, frames=options.frames, flip=flip, vmaf=vmaf)
         changes = flicker(out / method, truth, sequence, frames=options.frames)
         results.append(MethodResult(method, out / method, scores, changes))

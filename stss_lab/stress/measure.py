@@ -82,7 +82,7 @@ def stress(
     Args:
         plan: how much to measure.
         only: names of ``MEASUREMENTS``; empty: all.
-        on_step: called with the name of each table before it is measured.
+        on_step: called with the name of each table when it is measured.
 
     Raises:
         InputError: a name is unknown.
@@ -91,6 +91,6 @@ def stress(
     tables: list[StressTable] = []
     for name, measure in MEASUREMENTS.items():
         if not only or name in only:
-            on_step(name)
             tables.append(measure(plan))
+            on_step(name)
     return tuple(tables)

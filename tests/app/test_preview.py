@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from stss.cli.progress import A_MINUTE, LogLines
 from stss.images.color import transfer
 from stss.images.read_write import read_header, read_rgb, write_rgb
 from stss.run.frame_job import FrameReport
 from stss.run.options import RunOptions
 from stss.run.preview import EVERY, Preview, require_preview
 from stss_ground.errors import InputError
+from stss_ground.progress import A_MINUTE, show_progress
 from stss_ref.schedule import FrameKind
 
 
@@ -47,10 +47,10 @@ def test_a_place_that_cannot_be_is_said_before_the_run(tmp_path):
 def test_a_log_file_gets_a_line_a_minute():
     now = [0.0]
     console = Console(file=io.StringIO(), width=100)
-    lines = LogLines(console, 10, clock=lambda: now[0])
-    for _ in range(10):
-        now[0] += A_MINUTE / 2.5
-        lines.add()
+    with show_progress(console, 10, clock=lambda: now[0]) as advance:
+        for _ in range(10):
+            now[0] += A_MINUTE / 2.5
+            advance()
     assert console.file.getvalue().splitlines() == [
         "3 of 10 frames, 0.04 frames/s, 0:02:48 left",
         "6 of 10 frames, 0.04 frames/s, 0:01:36 left",
