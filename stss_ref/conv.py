@@ -35,7 +35,7 @@ def conv(x: Image, weight: Array, bias: Array, stride: int = 1) -> Image:
         raise ArrayError(f"conv: expected {inputs} channels (weight {weight.shape}), got {channels}")
 
     r = size // 2
-    padded = np.pad(x, ((r, r), (r, r), (0, 0)))
+    padded = surround_with_zeros(x, r)
     rows, columns = -(-height // stride), -(-width // stride)
     y = np.empty((rows, columns, outputs), x.dtype)
     y[...] = bias
@@ -46,6 +46,11 @@ def conv(x: Image, weight: Array, bias: Array, stride: int = 1) -> Image:
             tap = padded[u : u + height : stride, v : v + width : stride]
             y += np.matmul(tap, np.ascontiguousarray(weight[:, :, u, v].T), out=product)
     return y
+
+
+def surround_with_zeros(x: Image, r: int) -> Image:
+    """``x`` (H, W, C) with ``r`` rows and columns of zeros on each side."""
+    return np.pad(x, ((r, r), (r, r), (0, 0)))
 
 
 def sigmoid(x: Array) -> Array:

@@ -35,7 +35,7 @@ def encoder(color: Image, gbuffer: Image, mask: Plane, weights: Tensors) -> tupl
     require_shape("mask", mask, color.shape[:2])
 
     x = np.concatenate([concat_masked(color, mask), gbuffer], axis=-1)
-    x1 = relu(gated(relu(gated(x, weights, "conv1")), weights, "conv2"))
+    x1 = gated_relu(gated_relu(x, weights, "conv1"), weights, "conv2")
     x2 = _down(x1, weights, "down1")
     x3 = _down(x2, weights, "down2")
     x4 = _down(x3, weights, "down3")
@@ -45,4 +45,9 @@ def encoder(color: Image, gbuffer: Image, mask: Plane, weights: Tensors) -> tupl
 def _down(x: Image, weights: Tensors, name: str) -> Image:
     """One gated convolution with stride 2 and no ReLU, then two with ReLU."""
     x = gated(x, weights, f"{name}.downsample", stride=2)
-    return relu(gated(relu(gated(x, weights, f"{name}.conv1")), weights, f"{name}.conv2"))
+    return gated_relu(gated_relu(x, weights, f"{name}.conv1"), weights, f"{name}.conv2")
+
+
+def gated_relu(x: Image, weights: Tensors, name: str) -> Image:
+    """Gated convolution of stride 1, then ReLU."""
+    return relu(gated(x, weights, name))

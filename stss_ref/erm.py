@@ -3,16 +3,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from stss_ref.arrays import Image, Plane, require_shape
-from stss_ref.conv import conv_chain
+from stss_ref.conv import conv_chain, surround_with_zeros
 from stss_ref.resample import downsample_8
 from stss_ref.watch import part
 from stss_ref.weights import Tensors
 
 WINDOW = 5
 """Side of the attention window, in pixels at 1/8 size (paper, Eq. 5)."""
+LEAST_LENGTH, LEAST_SUM = 1e-12, 1e-6
+"""Least length of a key, and least sum of weights, that is divided by (spec 8)."""
 
 
 @part("reshaded")
@@ -43,14 +47,19 @@ def erm(x4: Image, gbuffer: Image, mask: Plane, weights: Tensors) -> Image:
     require_shape("mask", mask, (8 * height, 8 * width))
 
     f, m = downsample_8(gbuffer), downsample_8(mask[..., None])
-    light = conv_chain(np.concatenate([x4, f], axis=-1), weights, "latentEncoder", (1, 1, 1), last_relu=False) * m
+    light = conv_chain(np.concatenate([x4, f], axis=-1), weights, "latentEncoder", (1, 1, 1), last_relu=False)
     material = normalise(conv_chain(f, weights, "KEncoder", (1, 1, 1), last_relu=False))
-    return attend(material, material * m, light)
+    return reshade(light, material, m)
 
 
 def normalise(x: Image) -> Image:
     """``x`` (H, W, C) divided by its length over the channels, at least 1e-12."""
-    return x / np.maximum(np.sqrt((x * x).sum(axis=-1, keepdims=True)), x.dtype.type(1e-12))
+    return x / np.maximum(np.sqrt((x * x).sum(axis=-1, keepdims=True)), x.dtype.type(LEAST_LENGTH))
+
+
+def reshade(light: Image, material: Image, m: Image) -> Image:
+    """The light of like materials, of what is trusted (``m``, (H, W, 1)) alone."""
+    return attend(material, material * m, light * m)
 
 
 def attend(query: Image, key: Image, value: Image) -> Image:
@@ -64,15 +73,29 @@ def attend(query: Image, key: Image, value: Image) -> Image:
     Returns:
         (H, W, V).
     """
-    height, width, _ = query.shape
-    r = WINDOW // 2
-    key, value = (np.pad(a, ((r, r), (r, r), (0, 0))) for a in (key, value))
-    total = np.zeros((height, width, value.shape[-1]), value.dtype)
-    weight_sum = np.zeros((height, width, 1), value.dtype)
+    total = np.zeros_like(value)
+    weight_sum = np.zeros_like(value[..., :1])
+    for key_there, value_there in zip(window(key), window(value), strict=True):
+        weight = likeness(key_there, query)
+        total += weight * value_there
+        weight_sum += weight
+    return divide(total, weight_sum)
+
+
+def window(x: Image) -> Iterator[Image]:
+    """``x`` (H, W, C) at each place ``p + d`` of the window, row by row; outside the frame 0."""
+    height, width, _ = x.shape
+    padded = surround_with_zeros(x, WINDOW // 2)
     for v in range(WINDOW):
         for u in range(WINDOW):
-            there = np.s_[v : v + height, u : u + width]
-            weight = np.maximum((key[there] * query).sum(axis=-1, keepdims=True), 0)
-            total += weight * value[there]
-            weight_sum += weight
-    return total / np.maximum(weight_sum, weight_sum.dtype.type(1e-6))
+            yield padded[v : v + height, u : u + width]
+
+
+def likeness(key: Image, query: Image) -> Image:
+    """(H, W, 1) ``relu(key . query)``."""
+    return np.maximum((key * query).sum(axis=-1, keepdims=True), 0)
+
+
+def divide(total: Image, weight_sum: Image) -> Image:
+    """``total`` (H, W, V) by the sum of weights (H, W, 1), at least 1e-6."""
+    return total / np.maximum(weight_sum, weight_sum.dtype.type(LEAST_SUM))

@@ -87,36 +87,33 @@ def prepare(
     samples (decision 35). ``test``: of static surfaces, see `holes`.
     """
     _check(inputs)
-    motions = _motion_by_step(inputs.motions, inputs.steps, gather)
+    motions = motion_by_step(inputs.motions, inputs.steps, gather)
 
-    warped: list[Image] = []
-    valids: list[Mask] = []
-    for i, step in enumerate(inputs.steps):
-        w, valid = _warp_one(inputs, i, motions.get(step), test)
-        missing = i > 0 and step == inputs.steps[i - 1]
-        warped.append(w)
-        valids.append(np.zeros_like(valid) if missing else valid)
-
-    newest, instead = warped[0], warped[0]
-    other = np.where(valids[1][..., None], warped[1], newest) if second == "earlier" else newest
-    if (motion := motions.get(inputs.steps[0])) is not None:
-        _, instead = occlusion_warp(inputs.colors[0], newest, motion, inputs.gbuffer[..., 3], valids[0])
-    color = np.maximum(np.concatenate([instead, other], axis=-1), 0)
-    masks = [valid[..., None].astype(color.dtype) for valid in valids]
-    history = np.stack([np.concatenate([np.maximum(w, 0), m], axis=-1) for w, m in zip(warped, masks, strict=True)])
-    return NetworkInputs(color, inputs.gbuffer, masks[0][..., 0], np.ascontiguousarray(history[::-1]))
+    pairs = [warp_one(inputs, i, motions.get(step), test) for i, step in enumerate(inputs.steps)]
+    warped, valids = [w for w, _ in pairs], [valid for _, valid in pairs]
+    instead = fill(inputs, warped[0], valids[0], motions.get(inputs.steps[0]))
+    color = two_pictures(instead, second_picture(warped, valids, second))
+    return NetworkInputs(color, inputs.gbuffer, valids[0].astype(color.dtype), stack_history(warped, valids))
 
 
-def _motion_by_step(motions: Array, steps: Sequence[int], gather: Gather) -> dict[int, Image]:
+def motion_by_step(motions: Array, steps: Sequence[int], gather: Gather) -> dict[int, Image]:
     """The chained motion (H, W, 2) over each step that is not 0, by step."""
     chained = chain_steps(motions[: max(steps)], gather) if max(steps) > 0 else ()
     return {step: motion for step, motion in enumerate(chained, start=1) if step in steps}
 
 
-def _warp_one(inputs: FrameInputs, i: int, motion: Image | None, test: HoleTest) -> tuple[Image, Mask]:
-    """Colour frame ``i`` warped to the current one, and where to trust it; without motion the frame itself, trusted everywhere."""
+def is_missing(steps: Sequence[int], i: int) -> bool:
+    """Whether colour frame ``i`` stands for a missing one."""
+    return i > 0 and steps[i] == steps[i - 1]
+
+
+def warp_one(inputs: FrameInputs, i: int, motion: Image | None, test: HoleTest) -> tuple[Image, Mask]:
+    """Colour frame ``i`` warped to the current one, and where to trust it: nowhere if it is missing.
+
+    Without motion the frame itself, trusted everywhere.
+    """
     if motion is None:
-        return inputs.colors[i], np.ones(inputs.nov.shape, bool)
+        return inputs.colors[i], np.full(inputs.nov.shape, not is_missing(inputs.steps, i))
     warped, _ = warp(inputs.colors[i], motion)
     valid = holes(
         motion,
@@ -130,7 +127,31 @@ def _warp_one(inputs: FrameInputs, i: int, motion: Image | None, test: HoleTest)
         depth=inputs.gbuffer[..., 3],
         test=test,
     )
-    return warped, valid
+    return warped, valid & (not is_missing(inputs.steps, i))
+
+
+def fill(inputs: FrameInputs, warped: Image, valid: Mask, motion: Image | None) -> Image:
+    """The newest colour frame with its holes filled; without motion it has none."""
+    if motion is None:
+        return warped
+    _, instead = occlusion_warp(inputs.colors[0], warped, motion, inputs.gbuffer[..., 3], valid)
+    return instead
+
+
+def second_picture(warped: Sequence[Image], valids: Sequence[Mask], second: SecondColor) -> Image:
+    """The network's second colour: the newest frame as it is warped, or the earlier one where that is valid."""
+    return np.where(valids[1][..., None], warped[1], warped[0]) if second == "earlier" else warped[0]
+
+
+def two_pictures(first: Image, second: Image) -> Image:
+    """The network's colour (H, W, 6), at least 0."""
+    return np.maximum(np.concatenate([first, second], axis=-1), 0)
+
+
+def stack_history(warped: Sequence[Image], valids: Sequence[Mask]) -> Array:
+    """The network's history (3, H, W, 4), oldest first: colours, at least 0, and where to trust them."""
+    masks = [valid[..., None].astype(w.dtype) for w, valid in zip(warped, valids, strict=True)]
+    return np.stack([np.concatenate([np.maximum(w, 0), m], axis=-1) for w, m in zip(warped, masks, strict=True)][::-1])
 
 
 def _check(inputs: FrameInputs) -> None:

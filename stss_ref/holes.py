@@ -9,7 +9,10 @@ import numpy as np
 
 from stss_ref.arrays import Array, Image, Mask, Plane, require_shape
 from stss_ref.constants import HoleLimits, HoleTest
-from stss_ref.sample import between, bilinear, follow, leads_inside, taps
+from stss_ref.sample import Taps, between, bilinear, corners, follow, leads_inside, taps
+
+LEAST_LENGTH = 1e-5
+"""Added to a normal's length before division by it (spec 4)."""
 
 
 def holes(
@@ -69,23 +72,32 @@ def holes(
     n = bilinear(normal_previous, at)
 
     with np.errstate(invalid="ignore", over="ignore"):
-        offsets = [position_previous[j, i] - position for j in (at.y0, at.y1) for i in (at.x0, at.x1)]
+        four = offsets(position_previous, position, at)
+        # Not d > bias: a distance that is NaN must be a hole too.
         if test == "paper":
-            facing = np.abs(nov)
-            bias = limits.facing * facing + limits.grazing * (1 - facing) + limits.depth * depth
-            near = _largest_distance(offsets) <= bias
+            near = largest_distance(four) <= bias(nov, depth, limits)
         else:
-            near = _squared(between(offsets, at)) <= limits.footprints**2 * squared_footprint(position)
-    # Not d > bias: a distance that is NaN must be a hole too.
+            near = _squared(between(four, at)) <= limits.footprints**2 * squared_footprint(position)
     static = (s == 0) & ~near
-
-    length = np.sqrt((n * n).sum(axis=-1))
-    cosine = (normal * n).sum(axis=-1) / (length + length.dtype.type(1e-5))
-    surface = (length > 0) | (normal != 0).any(axis=-1)
-    moving = (s != 0) & (cosine < limits.cosine) & surface
-
-    mesh = 3 * np.abs(s - stencil) > limits.mesh
+    moving = (s != 0) & (cosine(normal, n) < limits.cosine) & is_surface(normal, n)
+    mesh = objects_apart(s, stencil) > limits.mesh
     return leads_inside(place) & ~static & ~moving & ~mesh
+
+
+def offsets(position_previous: Image, position: Image, at: Taps) -> list[Image]:
+    """How far the four earlier positions that each pixel reads lie from its own; four times (H, W, 3)."""
+    return [there - position for there in corners(position_previous, at)]
+
+
+def largest_distance(four: Sequence[Image]) -> Plane:
+    """(H, W) length of the longest of four offsets; NaN where any of them is."""
+    return np.sqrt(_squared(np.stack(four))).max(axis=0)
+
+
+def bias(nov: Plane, depth: Plane, limits: HoleLimits) -> Plane:
+    """(H, W) the paper's largest trusted distance."""
+    facing = np.abs(nov)
+    return limits.facing * facing + limits.grazing * (1 - facing) + limits.depth * depth
 
 
 def squared_footprint(position: Image) -> Plane:
@@ -101,23 +113,39 @@ def squared_footprint(position: Image) -> Plane:
         (H, W), in the square of their unit.
     """
     with np.errstate(invalid="ignore", over="ignore"):
-        return _nearer(position, axis=1) + _nearer(position, axis=0)
+        return nearer(*neighbours(position, axis=1)) + nearer(*neighbours(position, axis=0))
 
 
-def _nearer(position: Image, axis: int) -> Plane:
-    """(H, W) squared distance to the nearer of two neighbours."""
+def neighbours(position: Image, axis: int) -> tuple[Plane, Plane]:
+    """(H, W) squared distances to the neighbours before and after each pixel; infinite where there is none, or one is not finite."""
     apart = _squared(np.diff(position, axis=axis))
     apart = np.where(apart < np.inf, apart, np.inf)  # NaN too
     before, after = (
         np.pad(apart, [side if i == axis else (0, 0) for i in (0, 1)], constant_values=np.inf) for side in ((1, 0), (0, 1))
     )
+    return before, after
+
+
+def nearer(before: Plane, after: Plane) -> Plane:
+    """The smaller of two squared distances; 0 where both are infinite."""
     nearest = np.minimum(before, after)
     return np.where(nearest < np.inf, nearest, 0)
 
 
-def _largest_distance(offsets: Sequence[Image]) -> Plane:
-    """(H, W) length of the longest of four; NaN where any of them is."""
-    return np.sqrt(_squared(np.stack(offsets))).max(axis=0)
+def cosine(normal: Image, n: Image) -> Plane:
+    """(H, W) of the angle between a normal of length 1 and an earlier one of any length; 0 where that is 0."""
+    length = np.sqrt(_squared(n))
+    return (normal * n).sum(axis=-1) / (length + length.dtype.type(LEAST_LENGTH))
+
+
+def is_surface(normal: Image, n: Image) -> Mask:
+    """(H, W) False where both normals are 0, as on a background."""
+    return (np.sqrt(_squared(n)) > 0) | (normal != 0).any(axis=-1)
+
+
+def objects_apart(s: Plane, stencil: Plane) -> Plane:
+    """(H, W) how far the earlier stencil is from this frame's, over the three channels of the paper's."""
+    return 3 * np.abs(s - stencil)
 
 
 def _squared(vectors: Array) -> Array:

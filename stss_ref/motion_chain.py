@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from stss_ref.arrays import Image, Plane, require_shape
-from stss_ref.sample import Index, Place, follow
+from stss_ref.arrays import Array, Image, Mask, Plane, require_shape
+from stss_ref.sample import Index, Place, follow, lerp
 
 Gather = Literal["longest", "nearest", "bilinear"]
 
@@ -52,7 +52,7 @@ def chain_on(chained: Image, earlier: Image, gather: Gather = "longest") -> Imag
     return chained + np.where(at.finite[..., None], GATHERS[gather](earlier, at), 0)
 
 
-def _read(motion: Image, x: Index, y: Index) -> Image:
+def read_motion(motion: Image, x: Index, y: Index) -> Image:
     """``motion`` at whole pixels, 0 outside the frame."""
     height, width, _ = motion.shape
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
@@ -71,27 +71,34 @@ def gather_longest(motion: Image, at: Place) -> Image:
     wins. A non-finite motion is longer than any other.
     """
     x, y = truncated(at.x, at.fx), truncated(at.y, at.fy)
-    corners = np.stack([_read(motion, x + i, y + j) for j in (0, 1) for i in (0, 1)])
+    corners = np.stack([read_motion(motion, x + i, y + j) for j in (0, 1) for i in (0, 1)])
+    longest = np.take_along_axis(corners, squared_lengths(corners).argmax(axis=0)[None, ..., None], axis=0)[0]
+    return np.where(is_any_still(corners)[..., None], 0, longest)
+
+
+def squared_lengths(corners: Array) -> Array:
+    """(4, H, W) of four motions (4, H, W, 2); infinite where one is not finite."""
     with np.errstate(over="ignore", invalid="ignore"):
         length = (corners * corners).sum(axis=-1)
-    length = np.where(np.isfinite(corners).all(axis=-1), length, np.inf)
-    longest = np.take_along_axis(corners, length.argmax(axis=0)[None, ..., None], axis=0)[0]
-    still = (corners == 0).all(axis=-1).any(axis=0)
-    return np.where(still[..., None], 0, longest)
+    return np.where(np.isfinite(corners).all(axis=-1), length, np.inf)
+
+
+def is_any_still(corners: Array) -> Mask:
+    """(H, W) True where one of four motions (4, H, W, 2) is 0."""
+    return (corners == 0).all(axis=-1).any(axis=0)
 
 
 def gather_nearest(motion: Image, at: Place) -> Image:
     """The motion of the nearest pixel, ``floor(p + m(p) + 1/2)``."""
-    return _read(motion, at.x + (at.fx >= 0.5), at.y + (at.fy >= 0.5))
+    return read_motion(motion, at.x + (at.fx >= 0.5), at.y + (at.fy >= 0.5))
 
 
 def gather_bilinear(motion: Image, at: Place) -> Image:
     """The motion between the four pixels around ``p + m(p)``, with 0 outside the frame."""
     x0, y0, fx, fy = at.x, at.y, at.fx[..., None], at.fy[..., None]
-    nw, ne, sw, se = (_read(motion, x0 + i, y0 + j) for j in (0, 1) for i in (0, 1))
+    nw, ne, sw, se = (read_motion(motion, x0 + i, y0 + j) for j in (0, 1) for i in (0, 1))
     with np.errstate(invalid="ignore"):
-        top, bottom = nw + (ne - nw) * fx, sw + (se - sw) * fx
-        return top + (bottom - top) * fy
+        return lerp(lerp(nw, ne, fx), lerp(sw, se, fx), fy)
 
 
 GATHERS: dict[Gather, Callable[[Image, Place], Image]] = {

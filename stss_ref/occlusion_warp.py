@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from stss_ref.arrays import Array, Image, Mask, Plane, require_finite, require_shape
-from stss_ref.sample import bilinear, follow, taps
+from stss_ref.sample import Index, Place, bilinear, follow, taps
 
 FARTHEST = 10.0
 """Normalised depth that the splat's depth buffer starts with: a pixel of this depth or more never splats (spec 5)."""
@@ -42,10 +42,20 @@ def occlusion_warp(color: Image, warped: Image, motion: Image, depth: Plane, val
     require_finite("depth", depth)
     require_shape("valid", valid, (height, width))
 
-    lookup = taps(follow(motion))
-    occlusion_motion = splat(motion, depth)[lookup.y0, lookup.x0]
-    instead = bilinear(color, taps(follow(occlusion_motion)))
+    occlusion_motion = look_up(splat(motion, depth), motion)
+    instead = read_along(color, occlusion_motion)
     return occlusion_motion, np.where(valid.astype(bool)[..., None], warped, instead)
+
+
+def look_up(earlier: Image, motion: Image) -> Image:
+    """``earlier`` (H, W, C) at the pixel at or before the place that each motion leads to, clamped into the frame."""
+    at = taps(follow(motion))
+    return earlier[at.y0, at.x0]
+
+
+def read_along(color: Image, motion: Image) -> Image:
+    """``color`` (H, W, C) between the pixels around the place that each motion leads to."""
+    return bilinear(color, taps(follow(motion)))
 
 
 def splat(motion: Image, depth: Plane) -> Image:
@@ -64,14 +74,23 @@ def splat(motion: Image, depth: Plane) -> Image:
     height, width = depth.shape
     at = follow(motion)
     writes = at.finite & (depth < FARTHEST)
-    # Nearest surface first, raster order among equals (the sort is stable); written in reverse, so that the first is written last.
-    order = np.argsort(np.where(writes, depth, np.inf), axis=None, kind="stable")[: writes.sum()][::-1]
-    x0 = at.x.ravel()[order, None] + (0, 1, 0, 1)
-    y0 = at.y.ravel()[order, None] + (0, 0, 1, 1)
-    lands = (x0 >= 0) & (x0 < width) & (y0 >= 0) & (y0 < height)
+    order = writing_order(depth, writes)
+    x, y = written_pixels(at, order)
+    lands = (x >= 0) & (x < width) & (y >= 0) & (y < height)
 
     earlier = np.zeros_like(motion)
     source = np.broadcast_to(order[:, None], lands.shape)
     # NumPy keeps the last value assigned to a repeated index.
-    earlier[y0[lands], x0[lands]] = motion.reshape(-1, 2)[source[lands]]
+    earlier[y[lands], x[lands]] = motion.reshape(-1, 2)[source[lands]]
     return earlier
+
+
+def writing_order(depth: Plane, writes: Mask) -> Index:
+    """(N,) the pixels that write, by raster index: the farthest first, and of equals the last in raster order."""
+    # The sort is stable.
+    return np.argsort(np.where(writes, depth, np.inf), axis=None, kind="stable")[: writes.sum()][::-1]
+
+
+def written_pixels(at: Place, order: Index) -> tuple[Index, Index]:
+    """Columns and rows, (N, 4) each, of the pixels around the places of ``order``; some outside the frame."""
+    return at.x.ravel()[order, None] + (0, 1, 0, 1), at.y.ravel()[order, None] + (0, 0, 1, 1)

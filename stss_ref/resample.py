@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from stss_ref.arrays import Array, Image
+from stss_ref.sample import lerp
 
 
 def upsample_corners(x: Image) -> Image:
@@ -21,7 +22,7 @@ def upsample_corners(x: Image) -> Image:
     """
     for axis in (0, 1):
         n = x.shape[axis]
-        x = _lerp_along(x, np.arange(2 * n) * ((n - 1) / (2 * n - 1)), axis)
+        x = lerp_along(x, np.arange(2 * n) * ((n - 1) / (2 * n - 1)), axis)
     return x
 
 
@@ -38,17 +39,17 @@ def upsample_centres(x: Image) -> Image:
     """
     for axis in (0, 1):
         n = x.shape[axis]
-        x = _lerp_along(x, np.clip((np.arange(2 * n) + 0.5) / 2 - 0.5, 0, n - 1), axis)
+        x = lerp_along(x, np.clip((np.arange(2 * n) + 0.5) / 2 - 0.5, 0, n - 1), axis)
     return x
 
 
-def _lerp_along(x: Array, at: Array, axis: int) -> Array:
+def lerp_along(x: Array, at: Array, axis: int) -> Array:
     """``x`` read at positions ``at`` (float64, within the axis) along one axis; flat stays flat bit for bit."""
     low = np.floor(at).astype(np.intp)
     high = np.minimum(low + 1, x.shape[axis] - 1)
     t = (at - low).astype(x.dtype).reshape([-1 if i == axis else 1 for i in range(x.ndim)])
     a, b = np.take(x, low, axis), np.take(x, high, axis)
-    return a + (b - a) * t
+    return lerp(a, b, t)
 
 
 def downsample_8(x: Image) -> Image:

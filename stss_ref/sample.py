@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stss_ref.arrays import Image, Mask, Plane
+from stss_ref.arrays import Array, Image, Mask, Plane
 
 Index = NDArray[np.intp]
 
@@ -64,10 +64,13 @@ def follow(motion: Image) -> Place:
 def leads_inside(at: Place) -> Mask:
     """(H, W) True where the motion is finite and leads into [0, W-1] x [0, H-1]."""
     height, width = at.finite.shape
-    # Not x + fx <= width - 1: that sum is rounded.
-    across = (at.x >= 0) & (at.x + (at.fx > 0) <= width - 1)
-    down = (at.y >= 0) & (at.y + (at.fy > 0) <= height - 1)
-    return at.finite & across & down
+    return at.finite & is_within(at.x, at.fx, width) & is_within(at.y, at.fy, height)
+
+
+def is_within(whole: Index, fraction: Plane, size: int) -> Mask:
+    """Where a place lies in [0, size - 1] along one axis."""
+    # Not whole + fraction <= size - 1: that sum is rounded.
+    return (whole >= 0) & (whole + (fraction > 0) <= size - 1)
 
 
 def taps(at: Place) -> Taps:
@@ -84,16 +87,23 @@ def taps(at: Place) -> Taps:
 def bilinear(image: Image, at: Taps) -> Image:
     """``image`` (H, W, C) read between four taps.
 
-    ``a + (b - a) t`` and not ``a (1 - t) + b t``: a flat image then stays flat bit for bit, and whole-pixel motion reads the
-    pixel itself.
+    A flat image stays flat bit for bit, and whole-pixel motion reads the pixel itself: see `lerp`.
     """
-    return between([image[j, i] for j in (at.y0, at.y1) for i in (at.x0, at.x1)], at)
+    return between(corners(image, at), at)
+
+
+def corners(image: Image, at: Taps) -> list[Image]:
+    """``image`` (H, W, C) at four taps, row by row."""
+    return [image[j, i] for j in (at.y0, at.y1) for i in (at.x0, at.x1)]
 
 
 def between(four: Sequence[Image], at: Taps) -> Image:
     """What lies between the values (H, W, C) at four taps, row by row."""
     nw, ne, sw, se = four
     fx, fy = at.fx[..., None], at.fy[..., None]
-    top = nw + (ne - nw) * fx
-    bottom = sw + (se - sw) * fx
-    return top + (bottom - top) * fy
+    return lerp(lerp(nw, ne, fx), lerp(sw, se, fx), fy)
+
+
+def lerp(a: Array, b: Array, t: Array) -> Array:
+    """``a + (b - a) t`` and not ``a (1 - t) + b t``: between equal numbers it is that number."""
+    return a + (b - a) * t

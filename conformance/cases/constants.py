@@ -70,12 +70,13 @@ def _far(facing: float, depth: float) -> Callable[[Generator], Inputs]:
 
 
 def _footprint(_: Generator) -> Inputs:
-    """Two rows of columns that are 8 cm apart in both directions, so that a footprint is 8 sqrt(2) cm."""
-    apart = np.sqrt(128) * LIMITS.footprints * np.array([1 - CLOSE, 1 + CLOSE, 1 - CLOSE])
+    """Two rows of columns that are 8 cm apart in both directions, so that a footprint is 8 sqrt(2) cm; the last column has no position."""
+    apart = np.sqrt(128) * LIMITS.footprints * np.array([1 - CLOSE, 1 + CLOSE, 1 - CLOSE, 0])
     here = np.zeros((2, apart.size, 3))
     here[..., 0], here[..., 1] = 8 * np.arange(apart.size), 8 * np.arange(2)[:, None]
     there = here.copy()
     there[..., 2] = apart
+    here[:, -1] = np.nan
     still = _still(apart.size)
     planes = {name: np.repeat(array, 2, axis=0) for name, array in still.items()}
     return {**planes, "position": here, "position_previous": there, "paper": np.zeros(1, np.int32)}

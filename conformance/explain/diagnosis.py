@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from conformance.answers.expected import Expected
 from conformance.judging.findings import DepartureError, Finding
 from conformance.judging.judge import Judge
-from conformance.mistakes import Mistake, of_stage
-from conformance.mistakes.variants import Variant
+from conformance.mistakes import of_stage
+from conformance.mistakes.planting import Mistake, Variant
 from conformance.protocol.port import Outputs
 
 MOST_SECONDS = 20.0

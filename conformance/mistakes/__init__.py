@@ -8,28 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from conformance.mistakes.erm import DECODER, ERM
-from conformance.mistakes.frame import FRAME, NETWORK
+from conformance.mistakes.frame import FRAME
 from conformance.mistakes.holes import HOLES, OCCLUSION_WARP, RRM
 from conformance.mistakes.image import MOTION_CHAIN, WARP
-from conformance.mistakes.network import ENCODER, HISTORY
-from conformance.mistakes.sizes import SIZES
-from conformance.mistakes.variants import Mistake, Variant
+from conformance.mistakes.network import DECODER, ENCODER, ERM, HISTORY, NETWORK
+from conformance.mistakes.planting import Mistake, Variant
 
 MISTAKES: tuple[Mistake, ...] = (
-    *MOTION_CHAIN,
-    *WARP,
-    *HOLES,
-    *OCCLUSION_WARP,
-    *RRM,
-    *HISTORY,
-    *ENCODER,
-    *ERM,
-    *DECODER,
-    *NETWORK,
-    *FRAME,
-    *SIZES,
-)
+    *MOTION_CHAIN, *WARP, *HOLES, *OCCLUSION_WARP, *RRM, *HISTORY, *ENCODER, *ERM, *DECODER, *NETWORK, *FRAME,
+)  # fmt: skip
 
 
 def of_stage(stage: str, *, shared: bool = False) -> tuple[Mistake, ...]:

@@ -1,297 +1,308 @@
 # SPDX-License-Identifier: MIT
 """Mistakes in stages holes, occlusion_warp and rrm."""
 
-from collections.abc import Sequence
+# What is planted takes the reference's arrays.
+# pyright: reportUnknownLambdaType=false
 
-from conformance.mistakes.variants import Change, Mistake, fault
+from __future__ import annotations
 
-FILE = "holes.py"
-_FOLLOW = "place = follow(motion)"
-_AT = "at = taps(place)"
-_STATIC = "static = (s == 0) & ~near"
-_NEAR = "near = _squared(between(offsets, at)) <= limits.footprints**2 * squared_footprint(position)"
-_PAPER = "near = _largest_distance(offsets) <= bias"
-_FOOTPRINT = "return _nearer(position, axis=1) + _nearer(position, axis=0)"
-_NEAREST = "nearest = np.minimum(before, after)"
-_DISTANCE = "return np.sqrt(_squared(np.stack(offsets))).max(axis=0)"
-_OFFSET = "position_previous[j, i] - position for j"
-_ROWS = "for j in (at.y0, at.y1) for i in (at.x0, at.x1)"
-_COSINE = "cosine = (normal * n).sum(axis=-1) / (length + length.dtype.type(1e-5))"
-_BIAS = "limits.facing * facing + limits.grazing * (1 - facing) + limits.depth * depth"
-_SURFACE = "surface = (length > 0) | (normal != 0).any(axis=-1)"
-_UNION = "return leads_inside(place) & ~static & ~moving & ~mesh"
-_STENCIL = "s = bilinear(stencil_previous[..., None], at)[..., 0]"
-_LENGTH = "length = np.sqrt((n * n).sum(axis=-1))"
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from conformance.mistakes.planting import Mistake, Plant, fault, given, half, put, returns, wrap
+from stss_ref.constants import HoleLimits
+from stss_ref.holes import nearer, neighbours
+from stss_ref.sample import Place, Taps, between, bilinear, corners, follow, leads_inside, taps
+
+Change = Callable[..., Any]
 
 
-def _holes(name: str, what: str, *change: str, more: Sequence[Change] = ()) -> Mistake:
-    return fault("holes", name, what, FILE, *change, more=more)
+def limits(**numbers: float) -> Plant:
+    """Other constants of the hole test."""
+    return put("constants.HoleLimits", lambda: HoleLimits(**numbers))
 
 
-def _limit(name: str, what: str, *change: str) -> Mistake:
-    return fault("holes", name, what, "constants.py", *change)
+def _holes(name: str, what: str, *plants: Plant) -> Mistake:
+    return fault("holes", name, what, *plants)
+
+
+def _taken(name: str, what: str, **changes: Change) -> Mistake:
+    """The stage takes other inputs."""
+    return _holes(name, what, given("holes.holes", **changes))
+
+
+def _valid(name: str, what: str, change: Change) -> Mistake:
+    return _holes(name, what, returns("holes.holes", change))
+
+
+def _distance(name: str, what: str, change: Callable[[Any], Any]) -> Mistake:
+    """The paper's distance is ``change`` of the four offsets, (4, H, W, 3)."""
+    return _holes(name, what, put("holes.largest_distance", lambda four: change(np.stack(four))))
+
+
+def _nearer(name: str, what: str, change: Callable[[Any, Any], Any]) -> Mistake:
+    """``change`` of the squared distances to the neighbours before and after."""
+    return _holes(name, what, put("holes.nearer", change))
+
+
+def _footprint(name: str, what: str, change: Callable[[Any, Any], Any]) -> Mistake:
+    """The squared footprint is ``change`` of the nearer distances across and down."""
+
+    def wrong(position: Any) -> Any:
+        return change(nearer(*neighbours(position, 1)), nearer(*neighbours(position, 0)))
+
+    return _holes(name, what, put("holes.squared_footprint", wrong))
+
+
+def _cosine(name: str, what: str, change: Callable[[Any, Any, Any], Any]) -> Mistake:
+    """The cosine is ``change`` of the dot product and the lengths of the earlier normal and of this one."""
+    return _holes(
+        name, what, put("holes.cosine", lambda normal, n: change((normal * n).sum(axis=-1), _length(n), _length(normal)))
+    )
+
+
+def _length(vectors: Any) -> Any:
+    return np.sqrt((vectors * vectors).sum(axis=-1))
+
+
+def _bits(bits: int) -> dict[str, Change]:
+    return dict.fromkeys(("stencil", "stencil_previous"), lambda stencil: stencil % 2**bits)
+
+
+def _finite(distance: Any) -> Any:
+    return np.where(distance < np.inf, distance, 0)
+
+
+def _lost_neighbours(position: Any, axis: int) -> Any:
+    """The distances to the neighbours; one that is lost counts, one beyond the frame does not."""
+    apart = (np.diff(position, axis=axis) ** 2).sum(axis=-1)
+    sides = (((1, 0), (0, 1)) if i == axis else ((0, 0), (0, 0)) for i in (0, 1))
+    return tuple(np.pad(apart, side, constant_values=np.inf) for side in zip(*sides, strict=True))
+
+
+def _everywhere(number: float) -> Change:
+    """The stage's test of surfaces with this stencil, of all surfaces."""
+
+    def wrong(holes: Change, **inputs: Any) -> Any:
+        same = np.full_like(inputs["stencil"], number)
+        return holes(**inputs) & holes(**{**inputs, "stencil": same, "stencil_previous": same})
+
+    return wrong
+
+
+def _weightless(at: Taps) -> Taps:
+    return at._replace(x1=np.where(at.fx > 0, at.x1, at.x0), y1=np.where(at.fy > 0, at.y1, at.y0))
+
+
+def _there(previous: Any, position: Any, at: Taps) -> list[Any]:
+    return [a - b for a, b in zip(corners(previous, at), corners(position, at), strict=True)]
 
 
 HOLES = (
-    _holes("axes_swapped", "takes dx for dy", _FOLLOW, "place = follow(motion[..., ::-1])"),
-    _holes("not_followed", "reads the earlier buffers at p", _AT, "at = taps(follow(motion * 0))"),
+    _holes("axes_swapped", "takes dx for dy", given("holes.follow", motion=lambda motion: motion[..., ::-1])),
+    _holes("not_followed", "reads the earlier buffers at p", given("holes.follow", motion=lambda motion: motion * 0)),
+    _taken("stencil_of_8_bits", "stencils in 8 bits", **_bits(8)),
+    _taken("stencil_of_16_bits", "stencils in 16 bits", **_bits(16)),
+    _taken("stencil_here", "the current stencil in the place of the earlier one", stencil_previous=lambda _, stencil: stencil),
+    _taken("normal_here", "the current normal in the place of the earlier one", normal_previous=lambda _, normal: normal),
+    _taken("half_position", "positions in half precision", position=half, position_previous=half),
+    _taken("paper_forgotten", "never the paper's test", test=lambda _: "footprint"),
+    _taken("paper_always", "always the paper's test", test=lambda _: "paper"),
+    _taken("nov_clamped", "max(NoV, 0) for |NoV|", nov=lambda nov: np.maximum(nov, 0)),
+    _taken("depth_reversed", "1 - depth for depth", depth=lambda depth: 1 - depth),
+    _valid("inverted", "1 in the holes", np.logical_not),
+    _holes("off_screen_missing", "off screen is no hole", put("holes.leads_inside", lambda at: np.ones(at.x.shape, bool))),
     _holes(
-        "stencil_of_8_bits",
-        "stencils in 8 bits",
-        _FOLLOW,
-        f"{_FOLLOW}\n    stencil, stencil_previous = stencil % 256, stencil_previous % 256",
+        "static_missing",
+        "no test of static geometry",
+        put("holes.offsets", lambda _, position, __: [np.zeros_like(position)] * 4),
     ),
+    _holes("moving_missing", "no test of moving objects", limits(cosine=-np.inf)),
+    _holes("mesh_missing", "no test of the object", limits(mesh=np.inf)),
+    _holes("static_everywhere", "distance tested on moving objects too", wrap("holes.holes", _everywhere(0))),
+    _holes("moving_everywhere", "normals tested on static geometry too", wrap("holes.holes", _everywhere(1))),
     _holes(
-        "stencil_of_16_bits",
-        "stencils in 16 bits",
-        _FOLLOW,
-        f"{_FOLLOW}\n    stencil, stencil_previous = stencil % 65536, stencil_previous % 65536",
+        "nov_signed",
+        "NoV for |NoV|",
+        put("holes.bias", lambda nov, depth, limits: limits.facing * nov + limits.grazing * (1 - nov) + limits.depth * depth),
     ),
-    _holes("inverted", "1 in the holes", _UNION, "return ~(leads_inside(place) & ~static & ~moving & ~mesh)"),
-    _holes("off_screen_missing", "off screen is no hole", _UNION, "return ~static & ~moving & ~mesh"),
-    _holes("static_missing", "no test of static geometry", _UNION, "return leads_inside(place) & ~moving & ~mesh"),
-    _holes("moving_missing", "no test of moving objects", _UNION, "return leads_inside(place) & ~static & ~mesh"),
-    _holes("mesh_missing", "no test of the object", _UNION, "return leads_inside(place) & ~static & ~moving"),
-    _holes("nov_signed", "NoV for |NoV|", "facing = np.abs(nov)", "facing = nov"),
-    _holes("nov_clamped", "max(NoV, 0) for |NoV|", "facing = np.abs(nov)", "facing = np.maximum(nov, 0)"),
+    _holes("nov_reversed", "45 cm head-on, 7.5 cm edge-on", limits(facing=45, grazing=7.5)),
+    _holes("facing_5", "5 cm for 7.5 cm", limits(facing=5)),
+    _holes("grazing_40", "40 cm for 45 cm", limits(grazing=40)),
+    _holes("depth_missing", "no term of the depth", limits(depth=0)),
+    _holes("cosine_95", "cosine 0.95 for 0.98", limits(cosine=0.95)),
+    _holes("mesh_once", "stencils' difference taken once, not three times", limits(mesh=3)),
     _holes(
-        "nov_reversed",
-        "45 cm head-on, 7.5 cm edge-on",
-        _BIAS,
-        "limits.grazing * facing + limits.facing * (1 - facing) + limits.depth * depth",
+        "mesh_signed",
+        "only a larger earlier stencil is another object",
+        put("holes.objects_apart", lambda s, stencil: 3 * (s - stencil)),
     ),
-    _limit("footprints_1", "1 footprint for 1.5", "footprints: float = 1.5", "footprints: float = 1.0"),
-    _holes("footprints_once", "1.5 for 1.5 * 1.5 beside squares", "limits.footprints**2", "limits.footprints"),
-    _holes(
-        "footprint_of_the_farther",
-        "the farther neighbour",
-        _NEAREST,
-        "nearest = np.where(before < np.inf, before, 0)\n    nearest = np.maximum(nearest, np.where(after < np.inf, after, 0))",
+    _holes("footprints_1", "1 footprint for 1.5", limits(footprints=1)),
+    _holes("footprints_once", "1.5 for 1.5 * 1.5 beside squares", limits(footprints=1.5**0.5)),
+    _nearer(
+        "footprint_of_the_farther", "the farther neighbour", lambda before, after: np.maximum(_finite(before), _finite(after))
     ),
-    _holes("footprint_to_the_right", "the right and the lower neighbour", _NEAREST, "nearest = after"),
-    _holes("footprint_across", "neighbours in the row alone", _FOOTPRINT, "return _nearer(position, axis=1)"),
-    _holes(
-        "footprint_of_the_longer_axis",
-        "the longer of the two axes for both",
-        _FOOTPRINT,
-        _FOOTPRINT.replace("return _nearer(position, axis=1) + ", "return np.maximum(_nearer(position, axis=1), ") + ")",
-    ),
-    _holes(
-        "footprint_before",
-        "the footprint in the earlier frame, there",
-        "squared_footprint(position)",
-        "squared_footprint(position_previous)[at.y0, at.x0]",
-    ),
-    _holes("footprint_beyond", "beyond the frame nothing is 0 apart", "constant_values=np.inf", "constant_values=0.0"),
-    _holes(
-        "footprint_infinite",
-        "without a neighbour nothing is far",
-        "return np.where(nearest < np.inf, nearest, 0)",
-        "return nearest",
-    ),
-    _holes("offset_of_one", "the offset of the first of four", "_squared(between(offsets, at))", "_squared(offsets[0])"),
-    _holes(
-        "offset_of_the_farthest",
-        "the largest of four offsets",
-        "_squared(between(offsets, at))",
-        "_squared(np.stack(offsets)).max(axis=0)",
-    ),
-    _holes("paper_forgotten", "never the paper's test", 'if test == "paper":', "if False:"),
-    _holes("paper_always", "always the paper's test", 'if test == "paper":', "if True:"),
-    _limit("facing_5", "5 cm for 7.5 cm", "facing: float = 7.5", "facing: float = 5.0"),
-    _limit("grazing_40", "40 cm for 45 cm", "grazing: float = 45.0", "grazing: float = 40.0"),
-    _limit("depth_missing", "no term of the depth", "depth: float = 50.0", "depth: float = 0.0"),
-    _holes("depth_reversed", "1 - depth for depth", "limits.depth * depth", "limits.depth * (1 - depth)"),
-    _limit("cosine_95", "cosine 0.95 for 0.98", "cosine: float = 0.98", "cosine: float = 0.95"),
-    _holes("mesh_once", "stencils' difference taken once, not three times", "3 * np.abs(s - stencil)", "np.abs(s - stencil)"),
-    _holes("mesh_signed", "only a larger earlier stencil is another object", "3 * np.abs(s - stencil)", "3 * (s - stencil)"),
-    _holes("metres", "the paper's distances in metres", _DISTANCE, f"{_DISTANCE} / 100"),
-    _holes("nearest_distance", "the smallest of four distances", _DISTANCE, _DISTANCE.replace(".max", ".min")),
-    _holes("mean_distance", "the mean of four distances", _DISTANCE, _DISTANCE.replace(".max", ".mean")),
-    _holes("first_distance", "the first of four taps", _DISTANCE, _DISTANCE.replace(".max(axis=0)", "[0]")),
+    _nearer("footprint_to_the_right", "the right and the lower neighbour", lambda _, after: _finite(after)),
+    _nearer("footprint_infinite", "without a neighbour nothing is far", np.minimum),
+    _footprint("footprint_across", "neighbours in the row alone", lambda across, _: across),
+    _footprint("footprint_of_the_longer_axis", "the longer of the two axes for both", np.maximum),
+    _holes("footprint_lost", "a neighbour that is not finite counts", put("holes.neighbours", _lost_neighbours)),
+    _holes("offset_of_one", "the offset of the first of four", put("holes.between", lambda four, at: four[0])),
+    _distance("metres", "the paper's distances in metres", lambda four: _length(four).max(axis=0) / 100),
+    _distance("nearest_distance", "the smallest of four distances", lambda four: _length(four).min(axis=0)),
+    _distance("first_distance", "the first of four taps", lambda four: _length(four[0])),
+    _distance("squared_distance", "squared distances", lambda four: (four * four).sum(axis=-1).max(axis=0)),
+    _distance("nan_dropped", "a maximum that drops NaN", lambda four: np.fmax.reduce(_length(four))),
     _holes(
         "interpolated_position",
         "interpolates the positions, then one distance",
-        _PAPER,
-        "near = np.sqrt(_squared(between(offsets, at))) <= bias",
+        returns("holes.offsets", lambda four, at: [between(four, at)] * 4),
     ),
+    _holes("weightless_taps_left_out", "taps of weight 0 do not count", given("holes.offsets", at=_weightless)),
+    _holes("position_there", "compares with this frame's position there", put("holes.offsets", _there)),
     _holes(
-        "weightless_taps_left_out",
-        "taps of weight 0 do not count",
-        _ROWS,
-        "for j in (at.y0, np.where(at.fy > 0, at.y1, at.y0)) for i in (at.x0, np.where(at.fx > 0, at.x1, at.x0))",
-    ),
-    fault(
-        "holes",
         "last_tap_wraps",
         "the tap right of the frame is its first column",
-        "sample.py",
-        "np.minimum(x0 + 1, width - 1), ",
-        "(x0 + 1) % width, ",
-    ),
-    _holes("squared_distance", "squared distances", _DISTANCE, "return _squared(np.stack(offsets)).max(axis=0)"),
-    _holes("sum_of_absolutes", "|dx| + |dy| + |dz|", _DISTANCE, "return np.abs(np.stack(offsets)).sum(axis=-1).max(axis=0)"),
-    _holes(
-        "half_position",
-        "positions in half precision",
-        _OFFSET,
-        "(position_previous[j, i].astype(np.float16) - position.astype(np.float16)).astype(position.dtype) for j",
+        returns("holes.taps", lambda four, at: four._replace(x1=(four.x0 + 1) % at.x.shape[1])),
     ),
     _holes(
-        "position_there", "compares with this frame's position there", _OFFSET, "position_previous[j, i] - position[j, i] for j"
+        "nan_trusted",
+        "d > 1.5 footprints: false for NaN",
+        returns("holes.between", lambda offset: np.where(np.isnan(offset).any(axis=-1, keepdims=True), 0, offset)),
     ),
-    _holes(
-        "nan_trusted", "d > 1.5 footprints: false for NaN", _NEAR, _NEAR.replace("near = ", "near = ~(").replace("<=", ">") + ")"
-    ),
-    _holes("nan_dropped", "a maximum that drops NaN", _DISTANCE, "return np.fmax.reduce(np.sqrt(_squared(np.stack(offsets))))"),
-    _holes("static_everywhere", "distance tested on moving objects too", _STATIC, _STATIC.replace("(s == 0) & ", "")),
-    _holes("static_by_current", "static by the current stencil", _STATIC, _STATIC.replace("s == 0", "stencil == 0")),
-    _holes("moving_everywhere", "normals tested on static geometry too", "moving = (s != 0) & ", "moving = "),
     _holes(
         "stencil_nearest",
         "the nearest earlier stencil",
-        _STENCIL,
-        "s = stencil_previous[np.where(at.fy < 0.5, at.y0, at.y1), np.where(at.fx < 0.5, at.x0, at.x1)]",
+        given(
+            "holes.bilinear",
+            at=lambda at, image: at if image.shape[-1] > 1 else at._replace(fx=np.round(at.fx), fy=np.round(at.fy)),
+        ),
     ),
+    _cosine("length_of_current", "divides by the current normal's length", lambda dot, _, now: dot / (now + 1e-5)),
+    _cosine("length_missing", "does not divide by the length", lambda dot, _, __: dot),
+    _cosine("epsilon_missing", "no 1e-5 beside the length: no normal, no hole", lambda dot, then, _: dot / then),
+    _cosine("cosine_absolute", "|cos|: a surface turned round is the same", lambda dot, then, _: np.abs(dot) / (then + 1e-5)),
+    _holes("background_moves", "two normals of length 0 are a hole", put("holes.is_surface", lambda normal, n: np.True_)),
     _holes(
-        "stencil_here",
-        "the current stencil in the place of the earlier one",
-        _STENCIL,
-        "s = bilinear(stencil[..., None], at)[..., 0]",
+        "one_normal",
+        "one normal of length 0 is no hole",
+        put("holes.is_surface", lambda normal, n: (_length(n) > 0) & (normal != 0).any(axis=-1)),
     ),
-    _holes(
-        "normal_here",
-        "the current normal in the place of the earlier one",
-        "n = bilinear(normal_previous, at)",
-        "n = bilinear(normal, at)",
-    ),
-    _holes(
-        "length_of_current", "divides by the current normal's length", _LENGTH, "length = np.sqrt((normal * normal).sum(axis=-1))"
-    ),
-    _holes("length_of_both", "divides by both normals' lengths", _COSINE, f"{_COSINE} / np.sqrt((normal * normal).sum(axis=-1))"),
-    _holes("length_missing", "does not divide by the length", _COSINE, "cosine = (normal * n).sum(axis=-1)"),
-    _holes(
-        "epsilon_missing", "no 1e-5 beside the length: no normal, no hole", _COSINE, "cosine = (normal * n).sum(axis=-1) / length"
-    ),
-    _holes(
-        "cosine_absolute",
-        "|cos|: a surface turned round is the same",
-        _COSINE,
-        _COSINE.replace("(normal * n).sum(axis=-1)", "np.abs((normal * n).sum(axis=-1))"),
-    ),
-    _holes("background_moves", "two normals of length 0 are a hole", _SURFACE, "surface = np.True_"),
-    _holes("one_normal", "one normal of length 0 is no hole", _SURFACE, _SURFACE.replace("|", "&")),
 )
 
-FILL = "occlusion_warp.py"
-_ORDER = 'np.argsort(np.where(writes, depth, np.inf), axis=None, kind="stable")[: writes.sum()][::-1]'
-_KEY = "np.where(writes, depth, np.inf), axis=None"
-_LOOKUP = "lookup = taps(follow(motion))"
-_MAP = "splat(motion, depth)[lookup.y0, lookup.x0]"
-_CORNER = "at.x.ravel()"
-_RIGHT, _BELOW = "+ (0, 1, 0, 1)", "+ (0, 0, 1, 1)"
-_LANDS = "lands = (x0 >= 0) & (x0 < width) & (y0 >= 0) & (y0 < height)"
-_WRITE = "motion.reshape(-1, 2)"
-_FILLED = "np.where(valid.astype(bool)[..., None], warped, instead)"
-_AGAIN = "bilinear(color, taps(follow(occlusion_motion)))"
+
+def _fill(name: str, what: str, *plants: Plant, **marks: Any) -> Mistake:
+    return fault("occlusion_warp", name, what, *plants, **marks)
 
 
-def _fill(name: str, what: str, *change: str, more: Sequence[Change] = ()) -> Mistake:
-    return fault("occlusion_warp", name, what, FILL, *change, more=more)
+def _nearest(name: str, what: str, change: Callable[[Any], Any]) -> Mistake:
+    """The surface of the smallest ``change`` of the depth stays."""
+    return _fill(name, what, given("occlusion_warp.writing_order", depth=change))
+
+
+def _order(name: str, what: str, change: Callable[[Any, Any], Any]) -> Mistake:
+    return _fill(name, what, put("occlusion_warp.writing_order", change))
+
+
+def _written(name: str, what: str, change: Callable[[Place], Any]) -> Mistake:
+    """The pixels around another place are written to."""
+    return _fill(name, what, given("occlusion_warp.written_pixels", at=change))
+
+
+def _last_of_equals(depth: Any, writes: Any) -> Any:
+    return np.lexsort((-np.arange(depth.size), np.where(writes, depth, np.inf).ravel()))[: writes.sum()][::-1]
+
+
+def _if_first_lands(pixels: tuple[Any, Any], at: Place) -> tuple[Any, Any]:
+    (x, y), (height, width) = pixels, at.x.shape
+    first = (x[:, :1] >= 0) & (x[:, :1] < width) & (y[:, :1] >= 0) & (y[:, :1] < height)
+    return np.where(first, x, -1), y
+
+
+def _where_it_moves(pixels: tuple[Any, Any], at: Place, order: Any) -> tuple[Any, Any]:
+    x, y = pixels
+    return np.where((at.fx > 0).ravel()[order, None], x, x[:, :1]), y
 
 
 OCCLUSION_WARP = (
+    _order("last_of_equals", "<= for <: the last of equal depths stays", _last_of_equals),
+    _order("last_written", "no depth test", lambda _, writes: np.flatnonzero(writes)),
+    _order("first_written", "no depth test, the first one stays", lambda _, writes: np.flatnonzero(writes)[::-1]),
+    _nearest("farthest", "the farthest surface stays", np.negative),
+    _nearest("depth_of_8_bits", "depth in 8 bits", lambda depth: np.floor(depth * 255)),
+    _nearest("half_depth", "depth in half precision", half),
+    _nearest("minus_zero", "depth by its bits: -0 is the farthest", lambda depth: np.where(np.signbit(depth), 99, depth)),
+    _fill("starts_at_1", "the depth buffer starts at 1: a background at 1 does not splat", put("occlusion_warp.FARTHEST", 1.0)),
     _fill(
-        "last_of_equals",
-        "<= for <: the last of equal depths stays",
-        _ORDER,
-        "np.lexsort((-np.arange(depth.size), np.where(writes, depth, np.inf).ravel()))[: writes.sum()][::-1]",
+        "one_pixel", "writes one pixel of four", returns("occlusion_warp.written_pixels", lambda xy: (xy[0][:, :1], xy[1][:, :1]))
     ),
-    _fill("farthest", "the farthest surface stays", _KEY, "np.where(writes, -depth, np.inf), axis=None"),
-    _fill("last_written", "no depth test", _ORDER, "np.flatnonzero(writes)"),
-    _fill("first_written", "no depth test, the first one stays", _ORDER, "np.flatnonzero(writes)[::-1]"),
-    _fill("depth_of_8_bits", "depth in 8 bits", _KEY, "np.where(writes, np.floor(depth * 255), np.inf), axis=None"),
-    _fill("half_depth", "depth in half precision", _KEY, "np.where(writes, depth.astype(np.float16), np.inf), axis=None"),
-    _fill(
-        "minus_zero", "depth by its bits: -0 is the farthest", _KEY, "np.where(writes, depth, -np.inf).view(np.uint32), axis=None"
-    ),
-    _fill("starts_at_1", "the depth buffer starts at 1: a background at 1 does not splat", "FARTHEST = 10.0", "FARTHEST = 1.0"),
-    _fill("one_pixel", "writes one pixel of four", _RIGHT, "+ (0, 0, 0, 0)", more=[(FILL, _BELOW, "+ (0, 0, 0, 0)")]),
     _fill(
         "weighted_pixels",
         "whole-pixel motion writes no right neighbour",
-        _RIGHT,
-        f"{_RIGHT} * (at.fx > 0).ravel()[order, None]",
-    ),
-    _fill("truncated_splat", "trunc for floor in the splat", _CORNER, "(at.x + ((at.x < 0) & (at.fx > 0))).ravel()"),
-    _fill("rounded_splat", "splats around the nearest pixel", _CORNER, "(at.x + (at.fx >= 0.5)).ravel()"),
-    _fill("rounded_lookup", "looks up the nearest pixel", _LOOKUP, "lookup = taps(follow(np.rint(motion)))"),
-    _fill(
-        "corner_must_land",
-        "drops all four where the first is outside",
-        _LANDS,
-        "lands = (x0[:, :1] >= 0) & (x0 < width) & (y0[:, :1] >= 0) & (y0 < height)",
+        returns("occlusion_warp.written_pixels", _where_it_moves),
     ),
     _fill(
-        "unwritten_keep_motion",
-        "nobody wrote: the motion there, not 0",
-        "np.zeros_like(motion)",
-        "np.where(np.isfinite(motion), motion, 0)",
+        "corner_must_land", "drops all four where the first is outside", returns("occlusion_warp.written_pixels", _if_first_lands)
     ),
-    _fill(
-        "half_motion", "moves motion in half precision", _WRITE, "motion.astype(np.float16).astype(motion.dtype).reshape(-1, 2)"
-    ),
-    _fill("looked_up_here", "looks up the pixel itself", _MAP, "splat(motion, depth)"),
+    _written("truncated_splat", "trunc for floor in the splat", lambda at: at._replace(x=at.x + ((at.x < 0) & (at.fx > 0)))),
+    _written("rounded_splat", "splats around the nearest pixel", lambda at: at._replace(x=at.x + (at.fx >= 0.5))),
+    _fill("rounded_lookup", "looks up the nearest pixel", given("occlusion_warp.look_up", motion=np.rint)),
+    _fill("looked_up_here", "looks up the pixel itself", put("occlusion_warp.look_up", lambda earlier, _: earlier)),
     _fill(
         "interpolated_lookup",
         "interpolates the splatted map",
-        _MAP,
-        "bilinear(splat(motion, depth), lookup)",
+        put("occlusion_warp.look_up", lambda earlier, motion: bilinear(earlier, taps(follow(motion)))),
     ),
     _fill(
         "outside_looks_up_0",
         "off screen looks up 0, not the border",
-        _MAP,
-        f"{_MAP} * leads_inside(follow(motion))[..., None]",
-        more=[(FILL, "bilinear, follow, taps\n", "bilinear, follow, leads_inside, taps\n")],
+        returns("occlusion_warp.look_up", lambda found, motion: found * leads_inside(follow(motion))[..., None]),
     ),
-    _fill(
-        "read_from_lookup",
-        "the new motion starts at the place of the lookup",
-        _AGAIN,
-        _AGAIN.replace("(occlusion_motion)", "(motion + occlusion_motion)"),
-    ),
-    _fill(
-        "second_sign", "the new motion with the other sign", _AGAIN, _AGAIN.replace("(occlusion_motion)", "(-occlusion_motion)")
-    ),
+    _fill("half_motion", "moves motion in half precision", returns("occlusion_warp.splat", half)),
     _fill(
         "nan_splats",
         "non-finite motion splats as 0",
-        "writes = at.finite & ",
-        "writes = ",
-        more=[(FILL, _WRITE, "np.where(np.isfinite(motion).all(axis=-1)[..., None], motion, 0).reshape(-1, 2)")],
+        given("occlusion_warp.splat", motion=lambda motion: np.where(np.isfinite(motion).all(axis=-1)[..., None], motion, 0)),
     ),
-    _fill("unfilled", "holes are left as they are", _FILLED, "warped"),
-    _fill("filled_everywhere", "fills what needs no filling", _FILLED, "instead"),
-    _fill("valid_inverted", "fills all but the holes", _FILLED, _FILLED.replace("warped, instead", "instead, warped")),
+    _fill(
+        "added_to_motion",
+        "the new motion added to the one before",
+        returns("occlusion_warp.look_up", lambda found, motion: found + motion),
+    ),
+    _fill("second_sign", "the new motion with the other sign", given("occlusion_warp.read_along", motion=np.negative)),
+    _fill("unfilled", "holes are left as they are", given("occlusion_warp.occlusion_warp", valid=np.ones_like)),
+    _fill("filled_everywhere", "fills what needs no filling", given("occlusion_warp.occlusion_warp", valid=np.zeros_like)),
+    _fill("valid_inverted", "fills all but the holes", given("occlusion_warp.occlusion_warp", valid=np.logical_not)),
+    _fill(
+        "raster_65535",
+        "a raster index of 16 bits in the splat",
+        returns("occlusion_warp.writing_order", lambda order: order % 65536),
+        large=True,
+    ),
 )
 
-_MASKED = "masked[y : y + h, x : x + w] = 0"
 
+def _rrm(name: str, what: str, change: Callable[..., Any], value: int = 0) -> Mistake:
+    """The pixels ``change(y, x, h, w)`` of the mask become ``value``."""
 
-def _rrm(name: str, what: str, new: str, old: str = _MASKED) -> Mistake:
-    return fault("rrm", name, what, "rrm.py", old, new)
+    def wrong(valid: Any, rectangle: Sequence[int]) -> Any:
+        masked = valid.copy()
+        masked[change(*rectangle)] = value
+        return masked
+
+    return fault("rrm", name, what, put("rrm.rrm", wrong))
 
 
 RRM = (
-    _rrm("axes_swapped", "x first", "masked[x : x + w, y : y + h] = 0"),
-    _rrm("sides_swapped", "width before height", "masked[y : y + w, x : x + h] = 0"),
-    _rrm("corners", "two corners, not corner and size", "masked[y:h, x:w] = 0"),
-    _rrm("one_more", "the end included", "masked[y : y + h + 1, x : x + w + 1] = 0"),
-    _rrm("one_less", "without the last row", "masked[y : y + h - 1, x : x + w] = 0"),
-    _rrm("from_1", "counts from 1", "masked[max(y - 1, 0) : max(y + h - 1, 0), x : x + w] = 0"),
-    _rrm("filled", "1 in the rectangle", "masked[y : y + h, x : x + w] = 1"),
-    _rrm("outside", "0 outside the rectangle", "masked[:y] = masked[y + h :] = 0\n    masked[:, :x] = masked[:, x + w :] = 0"),
-    _rrm("toggled", "holes in the rectangle become valid", "masked[y : y + h, x : x + w] ^= 1"),
-    _rrm("holes_forgotten", "valid but for the rectangle", "masked = np.ones_like(valid)", "masked = valid.copy()"),
+    _rrm("axes_swapped", "x first", lambda y, x, h, w: np.s_[x : x + w, y : y + h]),
+    _rrm("sides_swapped", "width before height", lambda y, x, h, w: np.s_[y : y + w, x : x + h]),
+    _rrm("corners", "two corners, not corner and size", lambda y, x, h, w: np.s_[y:h, x:w]),
+    _rrm("one_more", "the end included", lambda y, x, h, w: np.s_[y : y + h + 1, x : x + w + 1]),
+    _rrm("one_less", "without the last row", lambda y, x, h, w: np.s_[y : y + h - 1, x : x + w]),
+    _rrm("from_1", "counts from 1", lambda y, x, h, w: np.s_[max(y - 1, 0) : max(y + h - 1, 0), x : x + w]),
+    _rrm("filled", "1 in the rectangle", lambda y, x, h, w: np.s_[y : y + h, x : x + w], 1),
+    fault("rrm", "outside", "0 outside the rectangle", returns("rrm.rrm", lambda masked, valid: valid ^ masked)),
+    fault("rrm", "holes_forgotten", "valid but for the rectangle", given("rrm.rrm", valid=np.ones_like)),
 )

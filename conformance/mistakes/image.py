@@ -1,276 +1,232 @@
 # SPDX-License-Identifier: MIT
 """Mistakes in stages motion_chain and warp, and in the code that warp shares with holes and occlusion_warp."""
 
-from collections.abc import Sequence
+# What is planted takes the reference's arrays.
+# pyright: reportUnknownLambdaType=false
+
+from __future__ import annotations
+
+from collections.abc import Callable
 from typing import Any
 
-from conformance.mistakes.variants import Change, Mistake, fault
+import numpy as np
 
+from conformance.mistakes.planting import Mistake, Plant, fault, given, half, put, returns, wrap
+from stss_ref.motion_chain import gather_bilinear, gather_nearest, read_motion
+from stss_ref.sample import Place, Taps, leads_inside
+
+Change = Callable[..., Any]
 BOTH = ("holes", "occlusion_warp")
-CHAIN = "motion_chain.py"
-SAMPLE = "sample.py"
-
-_FOLLOWED = "at = follow(chained)"
-_P = "p = np.stack(np.indices(chained.shape[:2])[::-1], axis=-1).astype(chained.dtype)"
-_SQUARES = "length = (corners * corners).sum(axis=-1)"
-_DEFAULT = "def motion_chain(motions: Image, gather: Gather = "
-_STILL = "still = (corners == 0).all(axis=-1).any(axis=0)"
-_OVER = "for earlier in motions[1:]:"
-_STEP = "chained = chain_on(chained, earlier, gather)"
+FILL = ("occlusion_warp",)
 
 
-def _chain(name: str, what: str, *change: str, more: Sequence[Change] = ()) -> Mistake:
-    return fault("motion_chain", name, what, CHAIN, *change, more=more)
+def _pixels(motion: Any) -> Any:
+    return np.stack(np.indices(motion.shape[:2])[::-1], axis=-1).astype(motion.dtype)
+
+
+def _times(x: float, y: float) -> Change:
+    return lambda motion: motion * np.array((x, y), motion.dtype)
+
+
+def _on_corners(motion: Any) -> Any:
+    height, width, _ = motion.shape
+    p, grid = _pixels(motion), np.array((width / max(width - 1, 1), height / max(height - 1, 1)), motion.dtype)
+    return ((p + motion) * grid - 0.5) - p
+
+
+FOLLOWS: tuple[tuple[str, str, Change, tuple[str, ...]], ...] = (
+    ("x_sign", "x to the left", _times(-1, 1), BOTH),
+    ("y_sign", "y upwards", _times(1, -1), BOTH),
+    ("backwards", "follows the motion backwards", _times(-1, -1), BOTH),
+    ("axes_swapped", "takes dx for dy", lambda motion: motion[..., ::-1], BOTH),
+    ("half_pixel", "pixel centres at halves", lambda motion: motion - 0.5, BOTH),
+    ("rounded_sum", "rounds p + m", lambda motion: (_pixels(motion) + motion) - _pixels(motion), BOTH),
+    ("half_position", "positions in half precision", lambda motion: half(_pixels(motion) + motion) - _pixels(motion), FILL),
+)
+"""What both stages may do to a motion before they follow it: name, words, the change, and the stages besides warp that show it."""
+
+
+def _first_again(image: Any) -> Any:
+    pixels = image.reshape(-1, image.shape[-1])
+    return pixels[np.arange(len(pixels)) % 65536].reshape(image.shape)
+
+
+READS: tuple[tuple[str, str, Change], ...] = (
+    ("column_255", "reads nothing behind column 255", lambda image: image[:, np.minimum(np.arange(image.shape[1]), 255)]),
+    ("row_511", "reads nothing below row 511", lambda image: image[np.minimum(np.arange(len(image)), 511)]),
+    ("pixel_65535", "an index of 16 bits where pixels are read", _first_again),
+)
+"""What both stages may read of a large image in its place."""
+
+
+def _chain(name: str, what: str, *plants: Plant, **marks: Any) -> Mistake:
+    return fault("motion_chain", name, what, *plants, **marks)
+
+
+def _followed(name: str, what: str, change: Change) -> Mistake:
+    return _chain(name, what, given("motion_chain.follow", motion=change))
+
+
+def _longest(name: str, what: str, change: Change) -> Mistake:
+    """Of four motions that of the largest ``change`` counts as the longest."""
+    return _chain(name, what, returns("motion_chain.squared_lengths", change))
+
+
+def _still(name: str, what: str, change: Change) -> Mistake:
+    return _chain(name, what, put("motion_chain.is_any_still", change))
+
+
+def _steps(name: str, what: str, change: Change) -> Mistake:
+    return _chain(name, what, given("motion_chain.chain_steps", motions=change))
+
+
+def _last_of_equals(length: Any) -> Any:
+    return np.where(length == length.max(axis=0), np.arange(4)[:, None, None], -1)
+
+
+def _clamped(motion: Any, x: Any, y: Any) -> Any:
+    return motion[np.clip(y, 0, motion.shape[0] - 1), np.clip(x, 0, motion.shape[1] - 1)]
+
+
+def _without_last_column(motion: Any, x: Any, y: Any) -> Any:
+    return np.where((x == motion.shape[1] - 1)[..., None], 0, read_motion(motion, x, y))
 
 
 MOTION_CHAIN = (
-    _chain("x_sign", "follows x to the other side", _FOLLOWED, "at = follow(chained * np.array((-1, 1), chained.dtype))"),
-    _chain("y_sign", "follows y to the other side", _FOLLOWED, "at = follow(chained * np.array((1, -1), chained.dtype))"),
-    _chain("backwards", "follows the motion backwards", _FOLLOWED, "at = follow(-chained)"),
-    _chain("axes_swapped", "takes dx for dy", _FOLLOWED, "at = follow(chained[..., ::-1])"),
-    _chain("not_followed", "adds the motions of one pixel", _FOLLOWED, "at = follow(chained * 0)"),
-    _chain("rounded_sum", "rounds p + m", _FOLLOWED, f"{_P}\n    at = follow((p + chained) - p)"),
-    _chain(
-        "half_position",
-        "positions in half precision",
-        _FOLLOWED,
-        f"{_P}\n    at = follow((p + chained).astype(np.float16).astype(chained.dtype) - p)",
+    *(_followed(name, what, change) for name, what, change, _ in FOLLOWS),
+    _followed("not_followed", "adds the motions of one pixel", _times(0, 0)),
+    _followed("truncated_motion", "truncates the motion, not the position", np.trunc),
+    _chain("floor", "floor for trunc, left of the frame and above it", put("motion_chain.truncated", lambda whole, _: whole)),
+    _longest("shortest", "the shortest of four", lambda length: -length),
+    _longest("first", "the first of four, not the longest", np.zeros_like),
+    _longest("last_of_equals", "the last of equally long ones", _last_of_equals),
+    _longest(
+        "sum_of_absolutes", "length as |dx| + |dy|", lambda _, corners: np.nan_to_num(np.abs(corners).sum(axis=-1), nan=np.inf)
     ),
-    _chain("floor", "floor for trunc, left of the frame and above it", "(whole == -1) & (fraction > 0)", "np.False_"),
-    _chain("half_pixel", "pixel centres at halves", _FOLLOWED, "at = follow(chained + chained.dtype.type(0.5))"),
-    _chain("truncated_motion", "truncates the motion, not the position", _FOLLOWED, "at = follow(np.trunc(chained))"),
-    _chain("shortest", "the shortest of four", "length.argmax(axis=0)", "length.argmin(axis=0)"),
-    _chain("first", "the first of four, not the longest", "length.argmax(axis=0)", "np.zeros(length.shape[1:], np.intp)"),
-    _chain("last_of_equals", "the last of equally long ones", "length.argmax(axis=0)", "(3 - length[::-1].argmax(axis=0))"),
-    _chain("sum_of_absolutes", "length as |dx| + |dy|", _SQUARES, "length = np.abs(corners).sum(axis=-1)"),
-    _chain("zero_ignored", "a still one among the four does not win", _STILL, "still = np.False_"),
-    _chain("zero_component", "dx = 0 alone counts as still", _STILL, "still = (corners == 0).any(axis=-1).any(axis=0)"),
-    _chain(
-        "still_by_bits",
-        "-0 does not count as still",
-        _STILL,
-        "still = (corners.view(f'u{corners.itemsize}') == 0).all(axis=-1).any(axis=0)",
+    _longest("nan_loses", "a non-finite motion is the shortest", lambda length: np.where(length < np.inf, length, -1)),
+    _still("zero_ignored", "a still one among the four does not win", lambda four: np.zeros(four.shape[1:3], bool)),
+    _still("zero_component", "dx = 0 alone counts as still", lambda four: (four == 0).any(axis=(0, -1))),
+    _still(
+        "still_by_bits", "-0 does not count as still", lambda four: ((four == 0) & ~np.signbit(four)).all(axis=-1).any(axis=0)
     ),
-    _chain("zero_corner", "only the first of four may be still", _STILL, "still = (corners[0] == 0).all(axis=-1)"),
-    _chain(
-        "zero_nearly",
-        "below 1/128 of a pixel counts as still",
-        _STILL,
-        "still = (np.abs(corners) < 2.0**-7).all(axis=-1).any(axis=0)",
+    _still("zero_corner", "only the first of four may be still", lambda four: (four[0] == 0).all(axis=-1)),
+    _still(
+        "zero_nearly", "below 1/128 of a pixel counts as still", lambda four: (np.abs(four) < 2.0**-7).all(axis=-1).any(axis=0)
     ),
-    _chain("one_step_short", "k - 1 steps", _OVER, "for earlier in motions[1:-1]:"),
-    _chain("newest_throughout", "reads the newest motion at every step", _STEP, _STEP.replace("earlier", "motions[0]")),
-    _chain(
-        "oldest_first",
-        "takes the motions as oldest first",
-        _OVER,
-        "for earlier in motions[-2::-1]:",
-        more=[(CHAIN, "chained = motions[0]", "chained = motions[-1]")],
+    _steps("one_step_short", "k - 1 steps", lambda motions: motions[: max(1, len(motions) - 1)]),
+    _steps(
+        "newest_throughout", "reads the newest motion throughout", lambda motions: np.broadcast_to(motions[:1], motions.shape)
     ),
-    _chain(
-        "border_clamped",
-        "the nearest pixel outside the frame, not 0",
-        "return np.where(inside[..., None], motion[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)], 0)",
-        "return motion[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]",
-    ),
-    _chain(
-        "far_is_corner",
-        "far outside reads the first pixel",
-        _FOLLOWED,
-        f"{_FOLLOWED}\n    far = (np.abs(chained) > max(chained.shape)).any(axis=-1)\n"
-        "    at = at._replace(x=np.where(far, 0, at.x), y=np.where(far, 0, at.y))",
-    ),
-    _chain("last_column_outside", "column W - 1 is outside", "(x < width) & (y >= 0)", "(x < width - 1) & (y >= 0)"),
-    _chain("nan_loses", "a non-finite motion is the shortest", ".all(axis=-1), length, np.inf)", ".all(axis=-1), length, -1)"),
-    _chain("nearest", "the nearest pixel's motion", f'{_DEFAULT}"longest"', f'{_DEFAULT}"nearest"'),
-    _chain("bilinear", "interpolates motion", f'{_DEFAULT}"longest"', f'{_DEFAULT}"bilinear"'),
+    _steps("oldest_first", "takes the motions as oldest first", lambda motions: motions[::-1]),
+    _chain("border_clamped", "the nearest pixel outside the frame, not 0", put("motion_chain.read_motion", _clamped)),
+    _chain("last_column_outside", "column W - 1 is outside", put("motion_chain.read_motion", _without_last_column)),
+    _chain("nearest", "the nearest pixel's motion", put("motion_chain.GATHERS", {"longest": gather_nearest})),
+    _chain("bilinear", "interpolates motion", put("motion_chain.GATHERS", {"longest": gather_bilinear})),
+    *(_chain(name, what, given("motion_chain.read_motion", motion=change), large=True) for name, what, change in READS),
 )
 
-_FOLLOW = "moved = np.where(finite[..., None], motion, 0)"
-_CLAMP = "x0, y0 = np.clip(at.x, 0, width - 1), np.clip(at.y, 0, height - 1)"
-_ACROSS, _DOWN = "(at.x + (at.fx > 0) <= width - 1)", "(at.y + (at.fy > 0) <= height - 1)"
-_INSIDE = "return at.finite & across & down"
-_FRACTION = "fx = np.where((at.x < 0) | (at.x >= width - 1), 0, at.fx)"
-_RETURN = "return bilinear(color, taps(at)), leads_inside(at)"
-_FRACTIONS = "fx, fy = at.fx[..., None], at.fy[..., None]"
-_WRAPPED_TAP = (SAMPLE, "np.minimum(x0 + 1, width - 1), ", "(x0 + 1) % width, ")
+
+def _warp(name: str, what: str, *plants: Plant, **marks: Any) -> Mistake:
+    return fault("warp", name, what, *plants, **marks)
 
 
-def _summed(position: str) -> str:
-    """Changed source that follows a motion through a position, which is a sum of pixel ``p`` and ``moved``."""
-    p = "p = np.stack(np.indices(motion.shape[:2])[::-1], axis=-1).astype(motion.dtype)"
-    return f"{_FOLLOW}\n    {p}\n    moved = {position} - p"
+def _taken(name: str, what: str, change: Change, also: tuple[str, ...] = BOTH, **marks: Any) -> Mistake:
+    """Motion is followed after a ``change``, but is lost where it was."""
+
+    def wrong(follow: Callable[[Any], Place], motion: Any) -> Place:
+        return follow(change(motion))._replace(finite=follow(motion).finite)
+
+    return _warp(name, what, wrap("sample.follow", wrong), also=also, **marks)
 
 
-def _warp(name: str, what: str, *change: str, **marks: Any) -> Mistake:
-    return fault("warp", name, what, *change, **marks)
+def _place(name: str, what: str, change: Callable[[Place, int, int], Place]) -> Mistake:
+    """Pixels are read around another place; the arguments of ``change`` are the place, height and width."""
+    return _warp(name, what, given("sample.taps", at=lambda at: change(at, *at.x.shape)), also=FILL)
+
+
+def _taps(name: str, what: str, change: Callable[[Taps, Place], Taps], also: tuple[str, ...] = FILL) -> Mistake:
+    return _warp(name, what, returns("sample.taps", change), also=also)
+
+
+def _inside(name: str, what: str, change: Callable[[Place, int, int], Any]) -> Mistake:
+    """``change`` says what is on screen; its arguments as those of `_place`."""
+    return _warp(name, what, put("sample.leads_inside", lambda at: change(at, *at.x.shape)), also=("holes",))
+
+
+def _fractions(name: str, what: str, change: Change, also: tuple[str, ...] = BOTH) -> Mistake:
+    return _warp(name, what, given("sample.between", at=lambda at: at._replace(fx=change(at.fx), fy=change(at.fy))), also=also)
+
+
+def _image(name: str, what: str, change: Change) -> Mistake:
+    return _warp(name, what, returns("warp.warp", lambda result: (change(*result), result[1])))
+
+
+def _tile_seam(at: Place) -> Place:
+    at.y[8::16] -= 1
+    return at
 
 
 WARP = (
-    _warp("x_sign", "x to the left", SAMPLE, _FOLLOW, f"{_FOLLOW} * np.array((-1, 1), motion.dtype)", also=BOTH),
-    _warp("y_sign", "y upwards", SAMPLE, _FOLLOW, f"{_FOLLOW} * np.array((1, -1), motion.dtype)", also=BOTH),
-    _warp("backwards", "follows the motion backwards", SAMPLE, _FOLLOW, f"{_FOLLOW} * -1", also=BOTH),
-    _warp("axes_swapped", "takes dx for dy", SAMPLE, _FOLLOW, f"{_FOLLOW}[..., ::-1]", also=BOTH),
-    _warp("half_pixel", "pixel centres at halves", SAMPLE, _FOLLOW, f"{_FOLLOW} - motion.dtype.type(0.5)", also=BOTH),
-    _warp("rounded_sum", "rounds p + m, and takes the fraction of that", SAMPLE, _FOLLOW, _summed("(p + moved)"), also=BOTH),
-    _warp(
-        "centres",
-        "rounds (p + 1/2) + m - 1/2, by way of pixel centres",
-        SAMPLE,
-        _FOLLOW,
-        _summed("((p + 0.5 + moved) - 0.5)"),
-        also=BOTH,
-    ),
-    _warp(
-        "corners_grid",
-        "normalises with corners aligned, samples with centres aligned",
-        SAMPLE,
-        _FOLLOW,
-        _summed("((p + moved) * np.array((width / max(width - 1, 1), height / max(height - 1, 1)), motion.dtype) - 0.5)"),
-        also=BOTH,
-    ),
-    _warp(
-        "border_wraps",
-        "outside the frame its other side",
-        SAMPLE,
-        _CLAMP,
-        "x0, y0 = at.x % width, at.y % height",
-        also=("occlusion_warp",),
-    ),
-    _warp(
-        "border_mirrored",
-        "outside the frame its mirror image",
-        SAMPLE,
-        _CLAMP,
-        "x0, y0 = np.clip(np.abs(at.x), 0, width - 1), np.clip(np.abs(at.y), 0, height - 1)",
-        also=("occlusion_warp",),
-    ),
-    _warp(
-        "border_black",
-        "0 outside the frame",
-        "warp.py",
-        _RETURN,
-        "return bilinear(color, taps(at)) * leads_inside(at)[..., None], leads_inside(at)",
-    ),
-    _warp(
-        "fraction_unclamped",
-        "clamps the pixels, keeps the fraction of the position",
-        SAMPLE,
-        _FRACTION,
-        "fx = at.fx",
-        also=("occlusion_warp",),
-    ),
-    _warp(
-        "clamped_to_width",
-        "clamps x to W, not W - 1: the last column blends into the next row",
-        SAMPLE,
-        _FRACTION,
-        "fx = np.where(at.x < 0, 0, np.where(at.x >= width, 1 - 2.0**-6, at.fx))",
-        more=[_WRAPPED_TAP],
-        also=("occlusion_warp",),
-    ),
-    _warp(
-        "last_column_unread",
-        "clamps x to W - 2, where two pixels still fit",
-        SAMPLE,
-        _CLAMP,
-        "x0, y0 = np.clip(at.x, 0, max(width - 2, 0)), np.clip(at.y, 0, height - 1)",
-        also=BOTH,
-    ),
-    _warp("inside_to_width", "between W - 1 and W is inside", SAMPLE, _ACROSS, "(at.x <= width - 1)", also=("holes",)),
-    _warp(
-        "inside_without_zero",
-        "x = 0 is outside",
-        SAMPLE,
-        "across = (at.x >= 0)",
-        "across = (at.x + at.fx > 0)",
-        also=("holes",),
-    ),
-    _warp("inside_without_last", "row H - 1 is outside", SAMPLE, _DOWN, _DOWN.replace("<=", "<"), also=("holes",)),
-    _warp("inside_x_only", "only x can be off screen", SAMPLE, _INSIDE, "return at.finite & across", also=("holes",)),
-    _warp(
-        "inside_sides_swapped",
-        "tests x against the height",
-        SAMPLE,
-        _ACROSS,
-        _ACROSS.replace("width", "height"),
-        more=[(SAMPLE, _DOWN, _DOWN.replace("height", "width"))],
-        also=("holes",),
-    ),
-    _warp("inside_clamped", "tests the position after clamping it", SAMPLE, _INSIDE, "return at.finite", also=("holes",)),
-    _warp(
-        "inside_inverted", "1 where it is off screen", "warp.py", _RETURN, "return bilinear(color, taps(at)), ~leads_inside(at)"
-    ),
-    _warp("nan_inside", "non-finite motion is on screen", SAMPLE, _INSIDE, "return across & down", also=("holes",)),
-    _warp(
+    *(_taken(name, what, change, also) for name, what, change, also in FOLLOWS),
+    _taken("corners_grid", "normalises with corners aligned, samples with centres aligned", _on_corners),
+    _taken(
         "nan_component",
         "only the non-finite component counts as 0",
-        SAMPLE,
-        _FOLLOW,
-        "moved = np.where(np.isfinite(motion), motion, 0)",
-        also=("occlusion_warp",),
+        lambda motion: np.where(np.isfinite(motion), motion, 0),
+        FILL,
     ),
-    _warp(
+    _taken(
         "nan_first_pixel",
         "non-finite motion, clamped, is the first pixel",
-        SAMPLE,
-        _FOLLOW,
-        "moved = np.where(finite[..., None], motion, -1e9)",
-        also=("occlusion_warp",),
+        lambda motion: np.where(np.isfinite(motion).all(axis=-1, keepdims=True), motion, -1e9),
+        FILL,
     ),
+    _taken(
+        "motion_32", "motion is clamped to 32 pixels", lambda motion: motion.clip(-32, 32), ("motion_chain", *BOTH), large=True
+    ),
+    _place(
+        "border_wraps", "outside the frame its other side", lambda at, height, width: at._replace(x=at.x % width, y=at.y % height)
+    ),
+    _place(
+        "border_mirrored", "outside the frame its mirror image", lambda at, _, __: at._replace(x=np.abs(at.x), y=np.abs(at.y))
+    ),
+    _taps(
+        "fraction_unclamped",
+        "clamps the pixels, keeps the fraction of the position",
+        lambda four, at: four._replace(fx=at.fx, fy=at.fy),
+    ),
+    _taps(
+        "last_column_unread",
+        "clamps x to W - 2, where two pixels still fit",
+        lambda four, at: four._replace(x0=np.minimum(four.x0, max(at.x.shape[1] - 2, 0))),
+        BOTH,
+    ),
+    _inside(
+        "inside_to_width", "between W - 1 and W is inside", lambda at, h, w: leads_inside(at._replace(fx=at.fx * 0, fy=at.fy * 0))
+    ),
+    _inside("inside_without_zero", "x = 0 is outside", lambda at, _, __: leads_inside(at) & (at.x + at.fx > 0)),
+    _inside("inside_without_last", "row H - 1 is outside", lambda at, height, _: leads_inside(at) & (at.y < height - 1)),
+    _inside("inside_x_only", "only x can be off screen", lambda at, _, __: leads_inside(at._replace(y=at.y * 0, fy=at.fy * 0))),
+    _inside("inside_clamped", "tests the position after clamping it", lambda at, _, __: at.finite),
+    _inside("nan_inside", "non-finite motion is on screen", lambda at, _, __: leads_inside(at) | ~at.finite),
     _warp(
         "lerp_of_products",
         "a (1 - t) + b t: a flat image is no longer flat",
-        SAMPLE,
-        "top = nw + (ne - nw) * fx",
-        "top = nw * (1 - fx) + ne * fx",
+        put("sample.lerp", lambda a, b, t: a * (1 - t) + b * t),
         bits=True,
     ),
-    _warp("fractions_swapped", "fx for fy", SAMPLE, _FRACTIONS, "fx, fy = at.fy[..., None], at.fx[..., None]", also=BOTH),
-    _warp(
-        "nearest",
-        "the nearest pixel",
-        SAMPLE,
-        _FRACTIONS,
-        "fx, fy = np.round(at.fx[..., None]), np.round(at.fy[..., None])",
-        also=BOTH,
-    ),
-    _warp(
-        "texture_fraction",
-        "a texture sampler, whose fraction has 8 bits",
-        SAMPLE,
-        _FRACTIONS,
-        "fx, fy = np.floor(at.fx[..., None] * 256) / 256, np.floor(at.fy[..., None] * 256) / 256",
-        also=("occlusion_warp",),
-    ),
-    _warp(
-        "half_position",
-        "positions in half precision",
-        SAMPLE,
-        _FOLLOW,
-        _summed("(p + moved).astype(np.float16)"),
-        also=("occlusion_warp",),
-    ),
-    _warp("bgr", "colours in reverse", "warp.py", "return bilinear(color,", "return bilinear(color[..., ::-1],"),
-    _warp(
-        "four_channels",
-        "channels from the fifth on stay 0",
-        "warp.py",
-        _RETURN,
-        "warped = bilinear(color, taps(at))\n    warped[..., 4:] = 0\n    return warped, leads_inside(at)",
-    ),
-    _warp(
+    _warp("fractions_swapped", "fx for fy", given("sample.between", at=lambda at: at._replace(fx=at.fy, fy=at.fx)), also=BOTH),
+    _fractions("nearest", "the nearest pixel", np.round),
+    _fractions("texture_fraction", "a texture sampler, whose fraction has 8 bits", lambda t: np.floor(t * 256) / 256, FILL),
+    _image("border_black", "0 outside the frame", lambda warped, inside: warped * inside[..., None]),
+    _image("four_channels", "channels from the fifth on stay 0", lambda image, _: image * (np.arange(image.shape[-1]) < 4)),
+    _image(
         "tail_of_row",
         "the last pixels of a row stay 0 where W is no multiple of 4",
-        "warp.py",
-        _RETURN,
-        "warped = bilinear(color, taps(at))\n    warped[:, motion.shape[1] // 4 * 4 :] = 0\n    return warped, leads_inside(at)",
+        lambda image, _: image * (np.arange(image.shape[1]) < image.shape[1] // 4 * 4)[:, None],
     ),
-    _warp(
-        "tile_seam",
-        "the first row of every other tile of 8 reads one row above",
-        "warp.py",
-        "at = follow(motion)",
-        "at = follow(motion)\n    at.y[8::16] -= 1",
-    ),
+    _warp("bgr", "colours in reverse", given("warp.warp", color=lambda color: color[..., ::-1])),
+    _warp("inside_inverted", "1 where it is off screen", returns("warp.leads_inside", np.logical_not)),
+    _warp("tile_seam", "the first row of every other tile of 8 reads one row above", returns("warp.follow", _tile_seam)),
+    *(_warp(name, what, given("sample.corners", image=change), also=BOTH, large=True) for name, what, change in READS),
 )

@@ -1,264 +1,416 @@
 # SPDX-License-Identifier: MIT
-"""Mistakes in stages history and encoder, and in the code that they share with erm and decoder."""
+"""Mistakes in stages history, encoder, erm, decoder and network, and in the code that they share."""
 
-from collections.abc import Sequence
+# What is planted takes the reference's arrays.
+# pyright: reportUnknownLambdaType=false
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from conformance.mistakes.variants import Change, Mistake, fault
+import numpy as np
 
-CONV = "conv.py"
+from conformance.mistakes.planting import Mistake, Plant, fault, given, half, put, returns, wrap
+from stss_ref.conv import conv_named, gated, relu
+from stss_ref.erm import WINDOW, attend
+from stss_ref.resample import lerp_along, pad_to_8, upsample_centres, upsample_corners
+
+Change = Callable[..., Any]
 OTHERS = ("history", "erm", "decoder")
 """Stages with convolutions, other than encoder."""
 
-_PAD = "padded = np.pad(x, ((r, r), (r, r), (0, 0)))"
-_BIAS = "y[...] = bias"
-_SUM = "y += np.matmul(tap, np.ascontiguousarray(weight[:, :, u, v].T), out=product)"
-_TAP_WEIGHT = "weight[:, :, u, v].T"
-_SIGMOID = "return np.where(x >= 0, 1, small) / (1 + small)"
-_SMALL = "small = np.exp(-np.abs(x))"
-_GATED = 'return feature * sigmoid(conv_named(x, weights, f"{name}.conv_mask.0", stride))'
-_RELU = "return np.maximum(x, 0)"
-_NO_HALO = f"""if u == 0:
-                tap = tap.copy()
-                tap[16::16] = 0
-            {_SUM}"""
 
-_HISTORY = "history.py"
-_EACH = "for x in history:"
-_FUSE = 'return gated(np.concatenate(embedded, axis=-1), weights, "lowlevelGated")'
-_CHAIN = "x = conv_chain(x, weights, name, (2, 1, 1))"
+def _relu_missing(module: str, after: int) -> Plant:
+    """No ReLU after one layer of the chains of a stage."""
+
+    def wrong(x: Any, weights: Any, name: str, layers: Sequence[int]) -> Any:
+        for i, stride in enumerate(layers):
+            x = conv_named(x, weights, f"{name}.{2 * i}", stride)
+            x = x if i == after else relu(x)
+        return x
+
+    return put(f"{module}.conv_chain", wrong)
 
 
-def _history(name: str, what: str, *change: str, more: Sequence[Change] = ()) -> Mistake:
-    return fault("history", name, what, _HISTORY, *change, more=more)
+def _gate_missing(module: str, of: str) -> Plant:
+    """Layers named ``of`` are not gated."""
+
+    def wrong(right: Change, x: Any, weights: Any, name: str, stride: int = 1) -> Any:
+        return conv_named(x, weights, f"{name}.conv_feature", stride) if name.endswith(of) else right(x, weights, name, stride)
+
+    return wrap(f"{module}.gated", wrong)
 
 
-def _reordered(channels: list[int]) -> str:
-    return f"for x in history[..., {channels}]:"
+def _history(name: str, what: str, change: Change) -> Mistake:
+    return fault("history", name, what, given("history.history_embedding", history=change))
+
+
+def _with_mask(change: Callable[[Any, Any], tuple[Any, Any]]) -> Change:
+    return lambda history: np.concatenate(change(history[..., :3], history[..., 3:]), axis=-1)
 
 
 HISTORY = (
-    _history("newest_first", "newest first", _EACH, "for x in history[::-1]:"),
-    _history("middle_first", "middle before oldest", _EACH, "for x in history[[1, 0, 2]]:"),
-    _history("newest_only", "the newest frame three times", _EACH, "for x in history[[2, 2, 2]]:"),
-    _history(
-        "mask_applied",
-        "colours times the mask",
-        _EACH,
-        "for x in np.concatenate([history[..., :3] * history[..., 3:], history[..., 3:]], axis=-1):",
-    ),
-    _history("mask_inverted", "1 - mask", _EACH, "for x in np.concatenate([history[..., :3], 1 - history[..., 3:]], axis=-1):"),
-    _history("mask_first", "mask before the colour", _EACH, _reordered([3, 0, 1, 2])),
-    _history("bgr", "colours in reverse", _EACH, _reordered([2, 1, 0, 3])),
-    _history(
-        "last_relu",
-        "ReLU after lowlevelGated",
-        _FUSE,
-        'return np.maximum(gated(np.concatenate(embedded, axis=-1), weights, "lowlevelGated"), 0)',
-    ),
-    _history(
-        "gate_missing",
-        "no gate in lowlevelGated",
-        _FUSE,
-        'return conv_named(np.concatenate(embedded, axis=-1), weights, "lowlevelGated.conv_feature")',
-        more=[(_HISTORY, "import conv_chain, gated", "import conv_chain, conv_named")],
-    ),
-    _history(
-        "third_relu_missing",
-        "no ReLU after the third convolution",
-        _CHAIN,
-        "x = conv_chain(x, weights, name, (2, 1, 1), last_relu=False)",
-    ),
-    fault(
-        "history",
-        "first_relu_missing",
-        "no ReLU after the convolution of stride 2",
-        CONV,
-        "if last_relu or i < len(layers) - 1:",
-        "if stride == 1 and (last_relu or i < len(layers) - 1):",
-    ),
-    fault(
-        "history",
-        "strided_side",
-        "stride 2 pads below and right only",
-        CONV,
-        _PAD,
-        "side = (r, r) if stride == 1 else (0, 2 * r)\n    padded = np.pad(x, (side, side, (0, 0)))",
-        also=("encoder",),
-    ),
-    fault(
-        "history", "leaky_relu", "a leaky ReLU", CONV, _RELU, "return np.maximum(x, x * 0.01)", also=("encoder", "erm", "decoder")
-    ),
+    _history("newest_first", "newest first", lambda history: history[::-1]),
+    _history("middle_first", "middle before oldest", lambda history: history[[1, 0, 2]]),
+    _history("newest_only", "the newest frame three times", lambda history: history[[2, 2, 2]]),
+    _history("mask_applied", "colours times the mask", _with_mask(lambda color, mask: (color * mask, mask))),
+    _history("mask_inverted", "1 - mask", _with_mask(lambda color, mask: (color, 1 - mask))),
+    _history("mask_first", "mask before the colour", _with_mask(lambda color, mask: (mask, color))),
+    _history("bgr", "colours in reverse", _with_mask(lambda color, mask: (color[..., ::-1], mask))),
+    fault("history", "last_relu", "ReLU after lowlevelGated", returns("history.gated", lambda y: np.maximum(y, 0))),
+    fault("history", "gate_missing", "no gate in lowlevelGated", _gate_missing("history", "lowlevelGated")),
+    fault("history", "first_relu_missing", "no ReLU after the convolution of stride 2", _relu_missing("history", 0)),
+    fault("history", "third_relu_missing", "no ReLU after the third convolution", _relu_missing("history", 2)),
 )
 
-_ENCODER = "encoder.py"
-_RRM = "rrm.py"
-_INPUT = "x = np.concatenate([concat_masked(color, mask), gbuffer], axis=-1)"
-_MASKED = "return np.concatenate([color, color * mask[..., None]], axis=-1)"
-_FIRST = 'x1 = relu(gated(relu(gated(x, weights, "conv1")), weights, "conv2"))'
-_STRIDED = 'x = gated(x, weights, f"{name}.downsample", stride=2)'
-_DOWN = 'return relu(gated(relu(gated(x, weights, f"{name}.conv1")), weights, f"{name}.conv2"))'
-_NAMED = (_ENCODER, "import gated, relu", "import conv_named, gated, relu")
+
+def _encoder(name: str, what: str, *plants: Plant, also: tuple[str, ...] = (), **marks: Any) -> Mistake:
+    return fault("encoder", name, what, *plants, also=also, **marks)
 
 
-def _encoder(name: str, what: str, *change: str, more: Sequence[Change] = ()) -> Mistake:
-    return fault("encoder", name, what, _ENCODER, *change, more=more)
+def _gbuffer(name: str, what: str, *channels: int) -> Mistake:
+    return _encoder(name, what, given("encoder.encoder", gbuffer=lambda gbuffer: gbuffer[..., list(channels)]))
 
 
-def _conv(name: str, what: str, *change: str, also: tuple[str, ...] = OTHERS, **marks: Any) -> Mistake:
-    return fault("encoder", name, what, CONV, *change, also=also, **marks)
+def _masked(name: str, what: str, change: Callable[[Any, Any], Iterable[Any]]) -> Mistake:
+    """Colour and colour times mask are ``change(color, mask)``."""
+    return _encoder(
+        name, what, put("rrm.concat_masked", lambda color, mask: np.concatenate([*change(color, mask[..., None])], axis=-1))
+    )
 
 
-def _gbuffer(channels: list[int]) -> str:
-    return _INPUT.replace("gbuffer", f"gbuffer[..., {channels}]")
+def _linear(name: str, what: str, of: str) -> Mistake:
+    """Layers named ``of`` without ReLU."""
+
+    def wrong(right: Change, x: Any, weights: Any, name: str) -> Any:
+        return gated(x, weights, name) if name == of or name.endswith(f".{of}") else right(x, weights, name)
+
+    return _encoder(name, what, wrap("encoder.gated_relu", wrong))
+
+
+def _conv(name: str, what: str, *, also: tuple[str, ...] = OTHERS, **changes: Change) -> Mistake:
+    """Every convolution is given others."""
+    return _encoder(name, what, given("conv.conv", **changes), also=also)
+
+
+def _sigmoid(name: str, what: str, change: Callable[[Any], Any]) -> Mistake:
+    return _encoder(name, what, put("conv.sigmoid", change), also=("history",))
+
+
+def _padded(name: str, what: str, change: Callable[[Any, int], Any], also: tuple[str, ...] = OTHERS) -> Mistake:
+    """``change(x, r)`` surrounds what is convolved."""
+    return _encoder(name, what, put("conv.surround_with_zeros", change), also=also)
+
+
+def _gate_unbiased(weights: Any, name: str) -> Any:
+    bias = f"{name}.conv_mask.0.bias"
+    return {**weights, bias: weights[bias] * 0}
+
+
+def _below_and_right(conv: Change, x: Any, weight: Any, bias: Any, stride: int = 1) -> Any:
+    return conv(x, weight, bias)[stride - 1 :: stride, stride - 1 :: stride]
+
+
+def _half_sum(conv: Change, x: Any, weight: Any, bias: Any, stride: int = 1) -> Any:
+    """Rounded after the products of each tap."""
+    (height, width, _), size = x.shape, weight.shape[-1]
+    y, padded = bias, np.pad(x, ((size // 2, size // 2), (size // 2, size // 2), (0, 0)))
+    for u, v in np.ndindex(size, size):
+        y = half(y + conv(padded[u : u + height, v : v + width], weight[:, :, u : u + 1, v : v + 1], bias * 0, stride))
+    return y
+
+
+def _tiles(axis: int, side: int) -> Plant:
+    """Each tile of rows (axis 0) or columns does not see the one before."""
+
+    def wrong(conv: Change, x: Any, weight: Any, bias: Any, stride: int = 1) -> Any:
+        y, unseen = conv(x, weight, bias, stride), weight.copy()
+        if weight.shape[-1] > 1:
+            unseen.swapaxes(2, 2 + axis)[:, :, 0] = 0
+            y.swapaxes(0, axis)[side::side] = conv(x, unseen, bias, stride).swapaxes(0, axis)[side::side]
+        return y
+
+    return wrap("conv.conv", wrong)
 
 
 ENCODER = (
     _encoder(
         "gbuffer_first",
         "G-buffer before the colour",
-        _INPUT,
-        "x = np.concatenate([gbuffer, concat_masked(color, mask)], axis=-1)",
+        given("encoder.gated", x=lambda x, name: np.roll(x, 9, axis=-1) if name == "conv1" else x),
     ),
-    _encoder("depth_first", "depth before the normal", _INPUT, _gbuffer([3, 0, 1, 2, 4, 5, 6, 7, 8])),
-    _encoder("metallic_first", "metallic before roughness", _INPUT, _gbuffer([0, 1, 2, 3, 5, 4, 6, 7, 8])),
-    _encoder("base_color_bgr", "base colour in reverse", _INPUT, _gbuffer([0, 1, 2, 3, 4, 5, 8, 7, 6])),
+    _gbuffer("depth_first", "depth before the normal", 3, 0, 1, 2, 4, 5, 6, 7, 8),
+    _gbuffer("metallic_first", "metallic before roughness", 0, 1, 2, 3, 5, 4, 6, 7, 8),
+    _gbuffer("base_color_bgr", "base colour in reverse", 0, 1, 2, 3, 4, 5, 8, 7, 6),
     _encoder(
         "last_channel_lost",
         "channel 21 lost in vectors of 4",
-        _INPUT,
-        "x = np.concatenate([concat_masked(color, mask), gbuffer[..., :8], gbuffer[..., 8:] * 0], axis=-1)",
+        given("encoder.encoder", gbuffer=lambda gbuffer: gbuffer * (np.arange(9) < 8)),
     ),
     _encoder(
-        "warped_first", "warped before occlusion_warp", _INPUT, _INPUT.replace("(color,", "(color[..., [3, 4, 5, 0, 1, 2]],")
+        "warped_first", "warped before occlusion_warp", given("encoder.encoder", color=lambda color: np.roll(color, 3, axis=-1))
     ),
-    fault(
-        "encoder",
-        "masked_first",
-        "color mask before color",
-        _RRM,
-        _MASKED,
-        "return np.concatenate([color * mask[..., None], color], axis=-1)",
+    _masked("masked_first", "color mask before color", lambda color, mask: (color * mask, color)),
+    _masked("mask_inverted", "color (1 - mask)", lambda color, mask: (color, color * (1 - mask))),
+    _masked("mask_ignored", "color twice", lambda color, mask: (color, color)),
+    _masked(
+        "mask_on_three", "mask times the first colour only", lambda color, mask: (color, color[..., :3] * mask, color[..., 3:])
     ),
-    fault(
-        "encoder",
-        "mask_inverted",
-        "color (1 - mask)",
-        _RRM,
-        _MASKED,
-        _MASKED.replace("* mask[..., None]", "* (1 - mask[..., None])"),
-    ),
-    fault("encoder", "mask_ignored", "color twice", _RRM, _MASKED, "return np.concatenate([color, color], axis=-1)"),
-    fault(
-        "encoder",
-        "mask_on_three",
-        "mask times the first colour only",
-        _RRM,
-        _MASKED,
-        "return np.concatenate([color, color[..., :3] * mask[..., None], color[..., 3:]], axis=-1)",
-    ),
-    fault(
-        "encoder",
-        "masked_twice",
-        "color masked in both places",
-        _RRM,
-        _MASKED,
-        _MASKED.replace("[color, ", "[color * mask[..., None], "),
-    ),
-    _encoder(
-        "conv1_relu_missing", "no ReLU after conv1", _FIRST, 'x1 = relu(gated(gated(x, weights, "conv1"), weights, "conv2"))'
-    ),
-    _encoder(
-        "conv2_relu_missing", "no ReLU after conv2", _FIRST, 'x1 = gated(relu(gated(x, weights, "conv1")), weights, "conv2")'
-    ),
+    _masked("masked_twice", "color masked in both places", lambda color, mask: (color * mask, color * mask)),
+    _linear("conv1_relu_missing", "no ReLU after conv1", "conv1"),
+    _linear("conv2_relu_missing", "no ReLU after conv2", "conv2"),
     _encoder(
         "relu_after_stride",
         "ReLU after the gate of stride 2",
-        _STRIDED,
-        'x = relu(gated(x, weights, f"{name}.downsample", stride=2))',
+        returns("encoder.gated", lambda y, stride: np.maximum(y, 0) if stride == 2 else y),
     ),
+    _encoder("strided_gate_missing", "no gate at stride 2", _gate_missing("encoder", "downsample")),
+    _encoder("down_gate_missing", "no gate in the last layer of down", _gate_missing("encoder", ".conv2")),
+    _sigmoid("gate_linear", "no sigmoid", lambda x: x),
+    _sigmoid("hard_sigmoid", "min(max(x / 6 + 1/2, 0), 1)", lambda x: np.clip(x / 6 + 0.5, 0, 1)),
+    _sigmoid("half_sigmoid", "exp in half precision", lambda x: 1 / (1 + half(np.exp(-x)))),
+    _encoder("gate_inverted", "1 - sigmoid", given("conv.sigmoid", x=np.negative), also=("history",)),
     _encoder(
-        "down_relu_missing",
-        "no ReLU after the last layer of down",
-        _DOWN,
-        'return gated(relu(gated(x, weights, f"{name}.conv1")), weights, f"{name}.conv2")',
-    ),
-    _encoder(
-        "strided_gate_missing",
-        "no gate at stride 2",
-        _STRIDED,
-        'x = conv_named(x, weights, f"{name}.downsample.conv_feature", stride=2)',
-        more=[_NAMED],
-    ),
-    _encoder(
-        "down_gate_missing",
-        "no gate in the last layer of down",
-        _DOWN,
-        _DOWN.replace("relu(gated(relu", "relu(conv_named(relu").replace(".conv2", ".conv2.conv_feature"),
-        more=[_NAMED],
-    ),
-    _conv("gate_inverted", "1 - sigmoid", _GATED, _GATED.replace("sigmoid(conv", "sigmoid(-conv"), also=("history",)),
-    _conv(
-        "gate_linear",
-        "no sigmoid",
-        _GATED,
-        'return feature * conv_named(x, weights, f"{name}.conv_mask.0", stride)',
-        also=("history",),
-    ),
-    _conv(
-        "gate_unbiased",
-        "the gate's bias forgotten",
-        _GATED,
-        'gate = f"{name}.conv_mask.0"\n'
-        '    return feature * sigmoid(conv(x, weights[f"{gate}.weight"], weights[f"{gate}.bias"] * 0, stride))',
-        also=("history",),
-    ),
-    _conv("hard_sigmoid", "min(max(x / 6 + 1/2, 0), 1)", _SIGMOID, "return np.clip(x / 6 + 0.5, 0, 1)", also=("history",)),
-    _conv(
-        "rational_sigmoid",
-        "a rational tanh, good to 2e-2",
-        _SIGMOID,
-        "t = np.clip(x / 2, -3, 3)\n    return 0.5 + 0.5 * t * (27 + t * t) / (27 + 9 * t * t)",
-        also=("history",),
-    ),
-    _conv(
-        "half_sigmoid",
-        "exp in half precision",
-        _SMALL,
-        "small = np.exp(-np.abs(x)).astype(np.float16).astype(x.dtype)",
-        also=("history",),
-    ),
-    _conv(
         "sigmoid_saturates",
         "sigmoid from a table that ends at 4",
-        _SMALL,
-        "small = np.exp(-np.minimum(np.abs(x), 4))",
+        given("conv.sigmoid", x=lambda x: np.clip(x, -4, 4)),
         also=("history",),
     ),
-    _conv("relu6", "ReLU that ends at 6", _RELU, "return np.clip(x, 0, 6)"),
-    _conv(
-        "replicated", "replicates the border instead of zeros", _PAD, 'padded = np.pad(x, ((r, r), (r, r), (0, 0)), mode="edge")'
+    _encoder("gate_unbiased", "the gate's bias forgotten", given("conv.gated", weights=_gate_unbiased), also=("history",)),
+    _encoder("relu6", "ReLU that ends at 6", returns("conv.relu", lambda y: np.minimum(y, 6)), also=OTHERS),
+    _encoder("leaky_relu", "a leaky ReLU", returns("conv.relu", lambda _, x: np.maximum(x, x * 0.01)), also=OTHERS),
+    _padded(
+        "replicated", "replicates the border instead of zeros", lambda x, r: np.pad(x, ((r, r), (r, r), (0, 0)), mode="edge")
     ),
-    _conv("row_above", "the window one row up", _PAD, "padded = np.pad(x, ((2 * r, 0), (r, r), (0, 0)))"),
-    _conv("transposed", "rows and columns of the kernel swapped", _TAP_WEIGHT, "weight[:, :, v, u].T"),
-    _conv("flipped", "convolution for cross-correlation", _TAP_WEIGHT, "weight[:, :, size - 1 - u, size - 1 - v].T"),
+    _padded("row_above", "the window one row up", lambda x, r: np.pad(x, ((2 * r, 0), (r, r), (0, 0)))),
+    _encoder("strided_side", "stride 2 pads below and right only", wrap("conv.conv", _below_and_right), also=("history",)),
+    _conv("transposed", "rows and columns of the kernel swapped", weight=lambda weight: weight.swapaxes(2, 3)),
+    _conv("flipped", "convolution for cross-correlation", weight=lambda weight: weight[:, :, ::-1, ::-1]),
     _conv(
         "outputs_first",
         "outputs for inputs where there are as many",
-        _TAP_WEIGHT,
-        "(weight if inputs != outputs else weight.transpose(1, 0, 2, 3))[:, :, u, v].T",
+        weight=lambda w: w.swapaxes(0, 1) if w.shape[0] == w.shape[1] else w,
         also=("history", "erm"),
     ),
-    _conv("unbiased", "no bias", _BIAS, "y[...] = 0"),
-    _conv("half_sum", "sums in half precision", _SUM, f"{_SUM}\n            y = y.astype(np.float16).astype(x.dtype)"),
-    _conv("half_weights", "weights in half precision", _TAP_WEIGHT, "weight[:, :, u, v].T.astype(np.float16).astype(x.dtype)"),
-    _conv(
-        "tf32",
-        "factors of 10 bits",
-        _SUM,
-        _SUM.replace("tap,", "tap.astype(np.float16).astype(x.dtype),").replace(
-            "v].T", "v].T.astype(np.float16).astype(x.dtype)"
-        ),
+    _conv("unbiased", "no bias", bias=np.zeros_like),
+    _conv("half_weights", "weights in half precision", weight=half),
+    _conv("tf32", "factors of 10 bits", x=half, weight=half),
+    _encoder("half_sum", "sums in half precision", wrap("conv.conv", _half_sum), also=OTHERS),
+    _encoder("tile_without_halo", "tiles of 16 rows do not see the row above", _tiles(0, 16), also=("history", "decoder")),
+    _encoder(
+        "tile_64", "tiles of 64 columns do not see the column before", _tiles(1, 64), also=("history", "decoder"), large=True
     ),
-    _conv("tile_without_halo", "tiles of 16 rows do not see the row above", _SUM, _NO_HALO, also=("history", "decoder")),
+)
+
+
+def _erm(name: str, what: str, *plants: Plant, **marks: Any) -> Mistake:
+    return fault("erm", name, what, *plants, **marks)
+
+
+def _window(name: str, what: str, change: Callable[..., Any], **marks: Any) -> Mistake:
+    """``change(right, x)`` in place of the places of the window."""
+    return _erm(name, what, wrap("erm.window", change), **marks)
+
+
+def _masks(name: str, what: str, change: Callable[[Any, Any, Any], tuple[Any, Any, Any]]) -> Mistake:
+    """Query, key and value are ``change`` of material, light and mask."""
+    return _erm(name, what, put("erm.reshade", lambda light, material, m: attend(*change(material, light, m))))
+
+
+def _weight(name: str, what: str, change: Callable[[Any], Any]) -> Mistake:
+    """A weight is ``change`` of key times query."""
+    return _erm(name, what, put("erm.likeness", lambda key, query: change((key * query).sum(axis=-1, keepdims=True))))
+
+
+def _sum(name: str, what: str, change: Callable[[Any, Any], Any]) -> Mistake:
+    return _erm(name, what, put("erm.divide", change))
+
+
+def _length(name: str, what: str, change: Callable[[Any], Any]) -> Mistake:
+    """What is normalised is divided by ``change`` of its square."""
+    return _erm(name, what, put("erm.normalise", lambda x: x / change((x * x).sum(axis=-1, keepdims=True))))
+
+
+def _down(name: str, what: str, rows: Callable[[Any], Any]) -> Mistake:
+    """To 1/8 size by ``rows``, and the same of columns."""
+    return _erm(name, what, put("resample.downsample_8", lambda x: rows(rows(x).swapaxes(0, 1)).swapaxes(0, 1)))
+
+
+ERM = (
+    _erm("window_3", "3 x 3", put("erm.WINDOW", 3)),
+    _erm("window_7", "7 x 7", put("erm.WINDOW", 7)),
+    _window("window_shifted", "the window one row up", lambda right, x: right(np.pad(x, ((1, 0), (0, 0), (0, 0)))[:-1])),
+    _erm(
+        "window_clamped",
+        "replicates the border instead of zeros",
+        put("erm.surround_with_zeros", lambda x, r: np.pad(x, ((r, r), (r, r), (0, 0)), mode="edge")),
+    ),
+    _window(
+        "own_pixel_left_out",
+        "the window's own pixel takes no part",
+        lambda right, x: (there * (i != WINDOW**2 // 2) for i, there in enumerate(right(x))),
+    ),
+    _window("value_mirrored", "V(p - d) for V(p + d)", lambda right, x: [*right(x)][:: -1 if x.shape[-1] == 64 else 1]),
+    _window(
+        "window_64",
+        "windows do not see across every 64th column",
+        lambda right, x: (
+            there * (np.arange(x.shape[1]) % 64 >= WINDOW // 2 - i % WINDOW)[:, None] for i, there in enumerate(right(x))
+        ),
+        large=True,
+    ),
+    _masks("key_unmasked", "the key is not masked", lambda k, v, m: (k, k, v * m)),
+    _masks("key_mask_inverted", "the key times 1 - m", lambda k, v, m: (k, k * (1 - m), v * m)),
+    _masks("query_masked", "masks the query instead of the key", lambda k, v, m: (k * m, k, v * m)),
+    _masks("query_masked_too", "masks query and key", lambda k, v, m: (k * m, k * m, v * m)),
+    _masks("value_unmasked", "the value is not masked", lambda k, v, m: (k, k * m, v)),
+    _masks("value_mask_inverted", "the value times 1 - m", lambda k, v, m: (k, k * m, v * (1 - m))),
+    _masks("value_masked_twice", "the value times m m", lambda k, v, m: (k, k * m, v * m * m)),
+    _masks("mask_yes_or_no", "a mask of 1/4 is 1", lambda k, v, m: (k, k * (m > 0), v * (m > 0))),
+    _masks("mask_threshold", "a mask below 1 is 0", lambda k, v, m: (k, k * (m == 1), v * (m == 1))),
+    _erm(
+        "gbuffer_first",
+        "f before x4",
+        given("erm.conv_chain", x=lambda x, name: np.roll(x, 9, axis=-1) if name == "latentEncoder" else x),
+    ),
+    _erm(
+        "light_relu",
+        "ReLU after the last layer of latentEncoder",
+        given("erm.conv_chain", last_relu=lambda _, name: name == "latentEncoder"),
+    ),
+    _erm(
+        "material_relu",
+        "ReLU after the last layer of KEncoder",
+        given("erm.conv_chain", last_relu=lambda _, name: name == "KEncoder"),
+    ),
+    _length("not_normalised", "K is not normalised", np.ones_like),
+    _length("not_rooted", "divides by the length's square", lambda square: np.maximum(square, 1e-12)),
+    _length("epsilon_added", "adds 1e-3 to the length", lambda square: np.sqrt(square) + 1e-3),
+    _length("epsilon_inside", "adds 1e-5 under the root", lambda square: np.sqrt(square + 1e-5)),
+    _weight("weight_relu_missing", "weights may be negative", lambda weight: weight),
+    _weight("weight_absolute", "|w| for relu(w)", np.abs),
+    _weight("softmax", "exp for ReLU", np.exp),
+    _weight("half_weight", "weights in half precision", lambda weight: half(np.maximum(weight, 0))),
+    _sum("undivided", "as in the paper: not divided by the sum", lambda total, _: total),
+    _sum("mean", "divides by the number of pixels", lambda total, _: total / WINDOW**2),
+    _sum("unclamped_sum", "0 / 0 where nothing is to be trusted", lambda total, weights: total / weights),
+    _sum("sum_epsilon", "adds 1e-3 to the sum", lambda total, weights: total / (weights + 1e-3)),
+    _down("down_4_and_5", "pixels 8i + 4 and 8i + 5", lambda x: (x[4::8] + x[5::8]) / 2),
+    _down("down_first", "pixel 8i", lambda x: x[::8]),
+    _down("down_nearest", "pixel 8i + 4", lambda x: x[4::8]),
+    _down("down_mean", "the mean of the 8 x 8 block", lambda x: x.reshape(len(x) // 8, 8, *x.shape[1:]).mean(axis=1)),
+)
+
+
+def _decoder(name: str, what: str, *plants: Plant) -> Mistake:
+    return fault("decoder", name, what, *plants)
+
+
+def _shuffle(name: str, what: str, order: Callable[[Any], Any]) -> Mistake:
+    """The pixel shuffle takes its channels for others: ``order`` of their numbers (colour, row, column)."""
+    channels = order(np.arange(12)).ravel()
+    return _decoder(name, what, given("resample.pixel_shuffle", x=lambda x: x[..., channels]))
+
+
+def _resampled(name: str, what: str, grid: str, at: Callable[[int], Any]) -> Mistake:
+    """Twice the size, from the positions ``at(n)`` of ``n`` pixels."""
+
+    def wrong(x: Any) -> Any:
+        for axis in (0, 1):
+            x = lerp_along(x, at(x.shape[axis]), axis)
+        return x
+
+    return _decoder(name, what, put(f"resample.upsample_{grid}", wrong))
+
+
+def _repeated(x: Any) -> Any:
+    return x.repeat(2, axis=0).repeat(2, axis=1)
+
+
+def _base(name: str, what: str, color: Callable[[Any], Any]) -> Mistake:
+    return _decoder(name, what, given("decoder.decoder", color=color))
+
+
+DECODER = (
+    _shuffle("shuffle_transposed", "rows and columns of the pixel shuffle swapped", lambda i: i.reshape(3, 2, 2).swapaxes(1, 2)),
+    _shuffle("shuffle_color_fastest", "depth to space with the colour fastest", lambda i: i.reshape(2, 2, 3).transpose(2, 0, 1)),
+    _shuffle("shuffle_upside_down", "rows of the pixel shuffle from below", lambda i: i.reshape(3, 2, 2)[:, ::-1]),
+    _resampled("corners_as_halves", "corners aligned: o / 2", "corners", lambda n: np.arange(2 * n) / 2),
+    _resampled("corners_over_n", "corners aligned: o (n - 1) / N", "corners", lambda n: np.arange(2 * n) * ((n - 1) / (2 * n))),
+    _resampled("centres_as_halves", "centres aligned: o / 2", "centres", lambda n: np.arange(2 * n) / 2),
+    _resampled(
+        "centres_unclamped",
+        "centres aligned: before the first pixel comes the last",
+        "centres",
+        lambda n: (np.arange(2 * n) + 0.5) / 2 - 0.5,
+    ),
+    _decoder(
+        "texture_fraction",
+        "a texture sampler, whose fraction has 8 bits",
+        given("resample.lerp_along", at=lambda at: np.floor(at * 256) / 256),
+    ),
+    _decoder("features_by_centres", "features upsampled with centres aligned", put("decoder.upsample_corners", upsample_centres)),
+    _decoder("features_nearest", "features upsampled by repeating pixels", put("decoder.upsample_corners", _repeated)),
+    _decoder("base_by_corners", "colour upsampled with corners aligned", put("decoder.upsample_centres", upsample_corners)),
+    _decoder("base_nearest", "colour upsampled by repeating pixels", put("decoder.upsample_centres", _repeated)),
+    _base("base_missing", "the residual alone", np.zeros_like),
+    _base("base_of_warped", "adds warped, not occlusion_warp", lambda color: np.roll(color, 3, axis=-1)),
+    _base("base_bgr", "adds the colours in reverse", lambda color: color[..., [2, 1, 0, 3, 4, 5]]),
+    _decoder("residual_subtracted", "the residual with the other sign", returns("decoder.pixel_shuffle", np.negative)),
+    _decoder("outc_relu", "ReLU after outc", returns("decoder.pixel_shuffle", lambda image: np.maximum(image, 0))),
+    _decoder("clipped", "clips the image to [0, 1]", returns("decoder.decoder", lambda image: np.clip(image, 0, 1))),
+    _decoder(
+        "history_first",
+        "feature before reshaded",
+        given("decoder.upsample_corners", x=lambda x: np.roll(x, 32, axis=-1) if x.shape[-1] == 96 else x),
+    ),
+    _decoder(
+        "skip_last",
+        "the skip after the upsampled features",
+        given("decoder.conv_chain", x=lambda x, name: np.roll(x, -32 if name.startswith("up1") else -24, axis=-1)),
+    ),
+    _decoder("first_relu_missing", "no ReLU between the two convolutions", _relu_missing("decoder", 0)),
+    _decoder("second_relu_missing", "no ReLU after the two convolutions", _relu_missing("decoder", 1)),
+)
+
+
+def _network(name: str, what: str, *plants: Plant) -> Mistake:
+    return fault("network", name, what, *plants)
+
+
+def _pad(x: Any, sides: Callable[[int], tuple[int, int]] = lambda n: (0, -n % 8), **how: Any) -> Any:
+    """With ``sides(height)`` more rows, and as many columns for the width."""
+    height, width = x.shape[-3:-1]
+    return np.pad(x, [(0, 0)] * (x.ndim - 3) + [sides(height), sides(width), (0, 0)], **how)
+
+
+def _to_8(name: str, what: str, *sides: Callable[[int], tuple[int, int]], **how: Any) -> Mistake:
+    return _network(name, what, put("resample.pad_to_8", lambda x: _pad(x, *sides, **how)))
+
+
+def _cropped_above(network: Change, color: Any, gbuffer: Any, mask: Any, history: Any, weights: Any) -> Any:
+    height, width, _ = color.shape
+    image = network(*map(pad_to_8, (color, gbuffer)), pad_to_8(mask[..., None])[..., 0], pad_to_8(history), weights)
+    return image[len(image) - 2 * height :, : 2 * width]
+
+
+NETWORK = (
+    _to_8("padded_with_zeros", "pads to multiples of 8 with zeros"),
+    _to_8("padded_by_mirror", "pads with the mirror image", mode="symmetric"),
+    _to_8("padded_above", "pads above and left, crops below and right", lambda n: (-n % 8, 0), mode="edge"),
+    _to_8("padded_always", "pads by 8 where nothing is missing", lambda n: (0, 8 - n % 8), mode="edge"),
+    _to_8("padded_to_16", "pads to multiples of 16", lambda n: (0, -n % 16), mode="edge"),
+    _network("cropped_above", "crops the first rows", wrap("network.network", _cropped_above)),
+    _network(
+        "mask_padded_with_zeros",
+        "what is padded is a hole",
+        wrap("network.pad_to_8", lambda right, x: right(x) if x.shape[-1] > 1 else _pad(x)),
+    ),
+    _network(
+        "history_padded_with_zeros",
+        "pads the history with zeros",
+        wrap("network.pad_to_8", lambda right, x: right(x) if x.ndim == 3 else _pad(x)),
+    ),
+    _network("erm_unmasked", "no mask in the ERM", given("network.erm", mask=np.ones_like)),
 )

@@ -17,7 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 import stss_ref.conv as plain
-from conformance.mistakes.variants import Change, Variant, load
+from conformance.mistakes.planting import Plant, Variant, load, put, returns, wrap
 from stss_ref import erm, occlusion_warp, resample, rrm, sample, warp
 
 Array = NDArray[Any]
@@ -78,20 +78,8 @@ def multiply_add(a: Array, b: Array, c: Array) -> Array:
     return (a.astype(np.float64) * b + c).astype(c.dtype)
 
 
-def fused_between(four: Sequence[Array], at: sample.Taps) -> Array:
-    """`stss_ref.sample.between` by fused multiply-adds."""
-    nw, ne, sw, se = four
-    fx, fy = at.fx[..., None], at.fy[..., None]
-    top, bottom = multiply_add(ne - nw, fx, nw), multiply_add(se - sw, fx, sw)
-    return multiply_add(bottom - top, fy, top)
-
-
-def fused_lerp_along(x: Array, at: Array, axis: int) -> Array:
-    """`stss_ref.resample._lerp_along` by fused multiply-adds."""
-    low = np.floor(at).astype(np.intp)
-    high = np.minimum(low + 1, x.shape[axis] - 1)
-    t = (at - low).astype(x.dtype).reshape([-1 if i == axis else 1 for i in range(x.ndim)])
-    a, b = np.take(x, low, axis), np.take(x, high, axis)
+def fused_lerp(a: Array, b: Array, t: Array) -> Array:
+    """`stss_ref.sample.lerp` by a fused multiply-add."""
     return multiply_add(b - a, t, a)
 
 
@@ -191,71 +179,74 @@ def down_first(four: Sequence[Array], at: sample.Taps) -> Array:
     return left + (right - left) * fx
 
 
-_TANH: list[Change] = [("conv.py", "return np.where(x >= 0, 1, small) / (1 + small)", "return (1 + np.tanh(x / 2)) / 2")]
-_BIAS = "limits.facing * facing + limits.grazing * (1 - facing) + limits.depth * depth"
-_OTHER_BIAS = "limits.depth * depth + (limits.grazing + (limits.facing - limits.grazing) * facing)"
-_SQUARED = "return (vectors * vectors).sum(axis=-1)"
-_OTHER_SQUARED = "return vectors[..., 0] ** 2 + (vectors[..., 1] ** 2 + vectors[..., 2] ** 2)"
-_ORDERS: list[Change] = [
-    ("conv.py", "return np.where(x >= 0, 1, small) / (1 + small)", "return 1 / (1 + np.exp(-x))"),
-    ("holes.py", _BIAS, _OTHER_BIAS),
-    ("holes.py", _SQUARED, _OTHER_SQUARED),
-    ("holes.py", "(normal * n).sum", "(normal * n)[..., ::-1].sum"),
-    ("holes.py", "(n * n).sum", "(n * n)[..., ::-1].sum"),
-    ("erm.py", "for v in range(WINDOW):", "for v in reversed(range(WINDOW)):"),
-    ("erm.py", "for u in range(WINDOW):", "for u in reversed(range(WINDOW)):"),
-    ("erm.py", "(key[there] * query).sum", "(key[there] * query)[..., ::-1].sum"),
-    ("erm.py", "return total / np.maximum(weight_sum, ", "return total * np.reciprocal(np.maximum(weight_sum, "),
-    ("erm.py", "weight_sum.dtype.type(1e-6))", "weight_sum.dtype.type(1e-6)))"),
-    ("erm.py", "return x / np.maximum(", "return x * np.reciprocal(np.maximum("),
-    ("erm.py", "x.dtype.type(1e-12))", "x.dtype.type(1e-12)))"),
-]
+def fractions_in_double(at: sample.Place, motion: Array) -> sample.Place:
+    moved = np.where(at.finite[..., None], motion, 0).astype(np.float64)
+    fraction = moved - np.floor(moved)
+    return at._replace(fx=fraction[..., 0], fy=fraction[..., 1])
 
 
-_DOUBLE: list[Change] = [
-    ("sample.py", "fraction = moved - whole", "fraction = moved.astype(np.float64) - whole"),
-    ("sample.py", "return top + (bottom - top) * fy", "return (top + (bottom - top) * fy).astype(nw.dtype)"),
-]
+def other_cosine(normal: Array, n: Array) -> Array:
+    return (normal * n)[..., ::-1].sum(axis=-1) / (np.sqrt((n * n)[..., ::-1].sum(axis=-1)) + n.dtype.type(1e-5))
+
+
 _POINTS_2 = tuple(Fraction(p) for p in (0, 1, -1))
 _POINTS_4 = tuple(Fraction(p) for p in (0, 1, -1, 2, -2))
 _POINTS_4_NEAR = tuple(Fraction(p, 8) for p in (0, 5, -5, 12, -12))
+WINOGRAD = {"winograd_2": (2, _POINTS_2), "winograd_4": (4, _POINTS_4), "winograd_4_near": (4, _POINTS_4_NEAR)}
 
 
-def _conv(function: Callable[..., Array]) -> dict[str, Callable[..., Any]]:
-    return {"conv.conv": function}
+def _conv(function: Callable[..., Array], *rest: Any) -> Plant:
+    return put("conv.conv", partial(function, *rest))
 
 
-_HALF = {
-    "conv.gated": stored(plain.gated),
-    "conv.conv_chain": half_chain,
-    "rrm.concat_masked": stored(rrm.concat_masked),
-    "resample.downsample_8": stored(resample.downsample_8),
-    "resample.upsample_corners": stored(resample.upsample_corners),
-    "resample.upsample_centres": stored(resample.upsample_centres),
-    "resample.pixel_shuffle": stored(resample.pixel_shuffle),
-    "erm.attend": half_attend,
-    "warp.warp": half_warp,
-    "occlusion_warp.occlusion_warp": half_occlusion_warp,
+_RESAMPLED = (resample.upsample_corners, resample.upsample_centres, resample.downsample_8)
+PLANTS: dict[str, tuple[Plant, ...]] = {
+    "as_is": (),
+    "in_order": (_conv(convolved, add_in_order),),
+    "pairwise": (_conv(convolved, add_pairwise),),
+    "fma": (
+        _conv(convolved, add_fused),
+        put("sample.lerp", fused_lerp),
+        put("conv.sigmoid", lambda x: (1 + np.tanh(x / 2)) / 2),
+    ),
+    "orders": (
+        *(put(f"resample.{f.__name__}", turned(f)) for f in _RESAMPLED),
+        put("sample.between", down_first),
+        put("conv.sigmoid", lambda x: 1 / (1 + np.exp(-x))),
+        put("holes.bias", lambda nov, depth, of: of.depth * depth + (of.grazing + (of.facing - of.grazing) * np.abs(nov))),
+        put("holes._squared", lambda v: v[..., 0] ** 2 + (v[..., 1] ** 2 + v[..., 2] ** 2)),
+        put("holes.cosine", other_cosine),
+        wrap("erm.window", lambda right, x: reversed([*right(x)])),
+        put("erm.likeness", lambda key, query: np.maximum((key * query)[..., ::-1].sum(axis=-1, keepdims=True), 0)),
+        put("erm.divide", lambda total, weights: total * np.reciprocal(np.maximum(weights, weights.dtype.type(1e-6)))),
+        put(
+            "erm.normalise",
+            lambda x: x * np.reciprocal(np.maximum(np.sqrt((x * x).sum(axis=-1, keepdims=True)), x.dtype.type(1e-12))),
+        ),
+    ),
+    "double": (
+        returns("sample.follow", fractions_in_double),
+        returns("sample.between", lambda image, four: image.astype(four[0].dtype)),
+    ),
+    "flush": (),
+    **{name: (_conv(winograd, *how),) for name, how in WINOGRAD.items()},
+    "half": (
+        put("conv.gated", stored(plain.gated)),
+        put("conv.conv_chain", half_chain),
+        put("rrm.concat_masked", stored(rrm.concat_masked)),
+        *(put(f"resample.{f.__name__}", stored(f)) for f in (*_RESAMPLED, resample.pixel_shuffle)),
+        put("erm.attend", half_attend),
+        put("warp.warp", half_warp),
+        put("occlusion_warp.occlusion_warp", half_occlusion_warp),
+    ),
 }
-_FMA = {**_conv(partial(convolved, add_fused)), "sample.between": fused_between, "resample._lerp_along": fused_lerp_along}
-_TURNED = {
-    f"resample.{f.__name__}": turned(f) for f in (resample.upsample_corners, resample.upsample_centres, resample.downsample_8)
-}
-
-PORTS: dict[str, dict[str, Any]] = {
-    "as_is": {},
-    "in_order": {"functions": _conv(partial(convolved, add_in_order))},
-    "pairwise": {"functions": _conv(partial(convolved, add_pairwise))},
-    "fma": {"functions": _FMA, "changes": _TANH},
-    "orders": {"functions": {**_TURNED, "sample.between": down_first}, "changes": _ORDERS},
-    "double": {"changes": _DOUBLE},
+HOW: dict[str, dict[str, Any]] = {
+    **{name: {"winograd": True} for name in WINOGRAD},
     "flush": {"entry": flush_to_0},
-    "winograd_2": {"functions": _conv(partial(winograd, 2, _POINTS_2)), "winograd": True},
-    "winograd_4": {"functions": _conv(partial(winograd, 4, _POINTS_4)), "winograd": True},
-    "winograd_4_near": {"functions": _conv(partial(winograd, 4, _POINTS_4_NEAR)), "winograd": True},
-    "half": {"functions": _HALF, "entry": to_half, "dtype": "float16"},
+    "half": {"entry": to_half, "dtype": "float16"},
 }
-"""By name, what `conformance.mistakes.variants.load` makes of the reference."""
+PORTS = tuple(PLANTS)
+"""Their names."""
 
 
 def ports() -> Iterator[Variant]:
@@ -265,7 +256,7 @@ def ports() -> Iterator[Variant]:
 
 def port(name: str) -> Variant:
     """The one of this name."""
-    return load(name, **PORTS[name])
+    return load(name, *PLANTS[name], **HOW.get(name, {}))
 
 
 def __getattr__(name: str) -> Callable[[], Variant]:

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conformance.cases.engine_inputs import ENGINE_STAGES, engine_inputs
-from conformance.protocol.port import Case
+from conformance.protocol.port import Case, Outputs
 from conformance.protocol.stages import STAGES
+from conformance.tolerance import ratio
 from stss_ref.constants import HoleTest
 from stss_ref.weights import SecondColor, Weights, random
 
@@ -173,3 +174,22 @@ _SAMPLES: dict[str, Callable[[np.random.Generator], Any]] = {
     "frame": _frame,
     **{stage: partial(_networks, stage) for stage in ("history", "encoder", "erm", "decoder", "network")},
 }
+
+
+def departs(got: Outputs, want: Outputs, row: str | None) -> bool:
+    """Whether outputs differ by more than ``row`` of the table of bounds allows, or at all if ``row`` is None; masks may never differ.
+
+    The row's floor is meant for numbers of order 1, so larger outputs are divided by their largest number.
+    """
+    for name, right in want.items():
+        if right.dtype == np.uint8 or row is None:
+            if not np.array_equal(got[name], right, equal_nan=right.dtype.kind == "f"):
+                return True
+            continue
+        finite = np.isfinite(right) & np.isfinite(got[name])
+        if not np.array_equal(got[name][~finite], right[~finite], equal_nan=True):
+            return True
+        largest = max(1, np.abs(right[finite]).max(initial=0))
+        if ratio(row, got[name][finite] / largest, right[finite] / largest) > 1:
+            return True
+    return False

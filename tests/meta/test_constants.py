@@ -1,7 +1,6 @@
 """Each constant of the specification is pinned by a case: whatever takes its place is beyond ten times the bound."""
 
 import ast
-import re
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,9 @@ import pytest
 from conformance.cases.constants import CONSTANTS
 from conformance.judging.findings import DepartureError
 from conformance.judging.judge import Judge
-from conformance.mistakes.variants import load
+from conformance.mistakes import find
+from conformance.mistakes.holes import limits
+from conformance.mistakes.planting import load, put
 from conformance.protocol.stages import STAGES
 from conformance.suite import test_occlusion_warp
 from conformance.suite.properties import find_property
@@ -19,60 +20,53 @@ from tests.meta import right_ports
 
 ROOT = Path(__file__).parents[2]
 BOUNDS = 10
-SUM = "np.maximum(weight_sum, weight_sum.dtype.type(1e-6))"
-LENGTH = "np.maximum(np.sqrt((x * x).sum(axis=-1, keepdims=True)), x.dtype.type(1e-12))"
-NORMAL = "(length + length.dtype.type(1e-5))"
-FRAME = "color = np.maximum(np.concatenate([instead, other], axis=-1), 0)"
-HISTORY = "np.maximum(w, 0)"
+
+
+def cosine(change):
+    """The lengths of normals by another formula."""
+    return put("holes.cosine", lambda normal, n: (normal * n).sum(axis=-1) / change(np.sqrt((n * n).sum(axis=-1))))
+
+
+def normalise(change):
+    return put("erm.normalise", lambda x: x / change(np.sqrt((x * x).sum(axis=-1, keepdims=True))))
+
+
+def divide(change):
+    return put("erm.divide", lambda total, weights: total / change(weights))
+
+
+def apart(times):
+    return put("holes.objects_apart", lambda s, stencil: times * np.abs(s - stencil))
+
+
 PLANTS = {
-    "distance in footprints": [
-        ("constants.py", "footprints: float = 1.5", f"footprints: float = {x}") for x in (1.49, 1.51, 0.0)
-    ],
-    "distance head-on": [("constants.py", "facing: float = 7.5", f"facing: float = {x}") for x in (7.45, 7.55, 0.0)],
-    "distance edge-on": [("constants.py", "grazing: float = 45.0", f"grazing: float = {x}") for x in (44.8, 45.2, 0.0)],
-    "distance by depth": [("constants.py", "depth: float = 50.0", f"depth: float = {x}") for x in (49.8, 50.2, 0.0)],
-    "cosine": [("constants.py", "cosine: float = 0.98", f"cosine: float = {x}") for x in (0.977, 0.983, 0.0)],
+    "distance in footprints": [*(limits(footprints=x) for x in (1.49, 1.51, 0.0)), *find("holes_footprint_lost").plants],
+    "distance head-on": [limits(facing=x) for x in (7.45, 7.55, 0.0)],
+    "distance edge-on": [limits(grazing=x) for x in (44.8, 45.2, 0.0)],
+    "distance by depth": [limits(depth=x) for x in (49.8, 50.2, 0.0)],
+    "cosine": [limits(cosine=x) for x in (0.977, 0.983, 0.0)],
     "what is added to a normal's length": [
-        ("holes.py", NORMAL, new)
-        for new in (
-            "length",
-            "np.maximum(length, 1e-5)",
-            NORMAL.replace("1e-5", "1e-6"),
-            NORMAL.replace("1e-5", "1e-4"),
-            "np.sqrt(length * length + 1e-10)",
-        )
+        *(put("holes.LEAST_LENGTH", x) for x in (0, 1e-6, 1e-4)),
+        cosine(lambda length: np.maximum(length, 1e-5)),
+        cosine(lambda length: np.sqrt(length * length + 1e-10)),
     ],
-    "difference of stencils": [("constants.py", "mesh: float = 1.0", f"mesh: float = {x}") for x in (0.99, 1.01, 0.0)],
-    "stencil's channels": [("holes.py", "mesh = 3 * np", f"mesh = {x} * np") for x in (1, 2, 4)],
+    "difference of stencils": [limits(mesh=x) for x in (0.99, 1.01, 0.0)],
+    "stencil's channels": [apart(x) for x in (1, 2, 4)],
     "beginning of the depth buffer": [
-        *(("occlusion_warp.py", "FARTHEST = 10.0", f"FARTHEST = {x}") for x in (1.0, 9.9, 10.1, np.finfo("f4").max)),
-        ("occlusion_warp.py", "(depth < FARTHEST)", "(depth <= FARTHEST)"),
+        *(put("occlusion_warp.FARTHEST", x) for x in (1.0, 9.9, 10.1, np.finfo("f4").max)),
+        put("occlusion_warp.FARTHEST", np.nextafter(10.0, 11)),
     ],
     "least length of a key": [
-        ("erm.py", LENGTH, new)
-        for new in (
-            "(np.sqrt((x * x).sum(axis=-1, keepdims=True)) + x.dtype.type(1e-12))",
-            LENGTH.replace("1e-12", "1e-11"),
-            LENGTH.replace("1e-12", "1e-13"),
-            LENGTH.replace("1e-12", "1e-30"),
-        )
+        normalise(lambda length: length + length.dtype.type(1e-12)),
+        *(put("erm.LEAST_LENGTH", x) for x in (1e-11, 1e-13, 1e-30)),
     ],
     "least sum of weights": [
-        ("erm.py", SUM, new)
-        for new in (
-            "(weight_sum + weight_sum.dtype.type(1e-6))",
-            SUM.replace("1e-6", "1e-7"),
-            SUM.replace("1e-6", "1e-5"),
-            SUM.replace("1e-6", "1e-38"),
-            "np.where(weight_sum > 0, weight_sum, 1)",
-        )
+        divide(lambda total: total + total.dtype.type(1e-6)),
+        divide(lambda total: np.where(total > 0, total, 1)),
+        *(put("erm.LEAST_SUM", x) for x in (1e-7, 1e-5, 1e-38)),
     ],
-    "window": [("erm.py", "WINDOW = 5", f"WINDOW = {x}") for x in (3, 7)],
-    "least colour": [
-        ("frame.py", FRAME, "color = np.concatenate([instead, other], axis=-1)"),
-        ("frame.py", HISTORY, "w"),
-        ("frame.py", HISTORY, "np.abs(w)"),
-    ],
+    "window": [put("erm.WINDOW", x) for x in (3, 7)],
+    "least colour": [find(f"frame_{name}").plants[0] for name in ("negative_color", "negative_history", "absolute_history")],
 }
 
 
@@ -89,13 +83,13 @@ def judged(port, constant):
 @pytest.mark.parametrize("constant", CONSTANTS, ids=lambda constant: constant.name)
 def test_without_it_or_with_another_the_answer_is_far_off(constant):
     assert judged(ReferencePort(), constant)[0] == ""
-    for change in PLANTS[constant.name]:
-        message, worst = judged(load("planted", [change]), constant)
-        assert worst >= BOUNDS, (change[2], message, worst)
+    for i, plant in enumerate(PLANTS[constant.name]):
+        message, worst = judged(load("planted", plant), constant)
+        assert worst >= BOUNDS, (i, message, worst)
 
 
 def test_a_failure_names_the_constant():
-    judge = Judge(load("planted", [PLANTS["beginning of the depth buffer"][0]]), shrink=True)
+    judge = Judge(load("planted", PLANTS["beginning of the depth buffer"][0]), shrink=True)
     with pytest.raises(DepartureError, match=r"; the case is made for beginning of the depth buffer \(10\)"):
         test_occlusion_warp.test_constants_are_those_of_the_specification(judge)
 
@@ -107,13 +101,13 @@ def test_right_ports_pass(name):
 
 
 def test_the_table_is_complete():
-    """Every constant has a plant, and every number of the reference's stages but 1/2, the place between two pixels, is in one."""
+    """Every constant has a plant, and every number of the reference's stages but 1/2, the place between two pixels, is a constant."""
     assert PLANTS.keys() == {constant.name for constant in CONSTANTS}
-    planted = {float(number) for changes in PLANTS.values() for _, old, _ in changes for number in re.findall(r"\d[\d.e-]*", old)}
+    known = {float(constant.value) for constant in CONSTANTS}
     for stage in (*STAGES, "constants", "resample", "conv", "sample"):
         for node in ast.walk(ast.parse((ROOT / "stss_ref" / f"{stage}.py").read_text())):
-            if isinstance(node, ast.Constant) and type(node.value) is float and node.value != 0.5:
-                assert node.value in planted, (stage, node.value)
+            if isinstance(node, ast.Constant) and type(node.value) is float and node.value not in (0, 0.5):
+                assert node.value in known, (stage, node.value)
 
 
 def test_the_page_has_the_table():

@@ -13,7 +13,7 @@ from conformance.answers.port_arithmetic import Arithmetic
 from conformance.explain.first_layer import first_departure
 from conformance.judging.findings import DepartureError
 from conformance.judging.judge import Judge, Tier, agreement
-from conformance.mistakes.variants import load
+from conformance.mistakes import find
 from conformance.protocol import FolderPort, PortError
 from conformance.protocol.job_folder import JobError, read_layers, write_job
 from conformance.protocol.layers import LAYERS_OF, check_layers, reference_layers
@@ -71,14 +71,12 @@ def test_of_few_layers_the_first_behind_the_mistake_is_named():
 
 def test_what_the_network_is_given_comes_first():
     """A mistake before the network: the history of stage frame in the wrong order."""
-    port = load("reversed", [("frame.py", "history[::-1]", "history")])
-    assert words(port, "frame").startswith("first departs at layer history: ")
+    assert words(find("frame_history_newest_first").port(), "frame").startswith("first departs at layer history: ")
 
 
 def test_what_lies_behind_all_layers_is_not_one_of_them():
     """The decoder's base upsampled on the wrong grid: every layer is right."""
-    port = load("base", [("decoder.py", "upsample_centres(color[..., :3])", "upsample_corners(color[..., :3])")])
-    assert words(port) == "none of the 35 layers that it hands over departs"
+    assert words(find("decoder_base_by_corners").port()) == "none of the 35 layers that it hands over departs"
 
 
 class Silent(Mangled):

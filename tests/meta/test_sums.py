@@ -10,7 +10,7 @@ from conformance.cases.stage_inputs import multiples
 from conformance.judging.findings import DepartureError
 from conformance.judging.judge import Judge, Tier
 from conformance.judging.search import for_all
-from conformance.mistakes.variants import load
+from conformance.mistakes.planting import load, put
 from conformance.suite.properties import find_property
 from tests.meta import right_ports as others
 
@@ -35,7 +35,7 @@ def add_in_half(factors, weights, bias):
 
 
 def port(add):
-    return load("planted", functions={"conv.conv": partial(others.convolved, add)})
+    return load("planted", put("conv.conv", partial(others.convolved, add)))
 
 
 def judged(port, stage, name, strategy):
