@@ -19,6 +19,8 @@ check: $(VENV)/.check
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/codespell
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/ci.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.citation-file-format CITATION.cff
 	$(BIN)/python tests/check_text.py
 	$(BIN)/pyright
 
@@ -58,7 +60,7 @@ lowest: $(VENV)/.base
 judge-wheel: $(VENV)/.python
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist ./packaging/judge
 
-# One stamp per extra, so that a target installs only what it needs, and only once.
+# One stamp per extra or group, so that a target installs only what it needs, and only once.
 $(VENV)/.python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10) and "stss needs Python 3.10 or newer; set PYTHON=...")'
 	$(PYTHON) -m venv $(VENV)
@@ -69,7 +71,11 @@ $(VENV)/.base: $(VENV)/.python pyproject.toml
 	$(BIN)/python -m pip install --quiet --editable .
 	@touch $@
 
-$(VENV)/.test $(VENV)/.check $(VENV)/.train $(VENV)/.bench $(VENV)/.offline: $(VENV)/.%: $(VENV)/.base
+$(VENV)/.test $(VENV)/.check $(VENV)/.offline: $(VENV)/.%: $(VENV)/.base
+	$(BIN)/python -m pip install --quiet --group $*
+	@touch $@
+
+$(VENV)/.train $(VENV)/.bench: $(VENV)/.%: $(VENV)/.base
 	$(BIN)/python -m pip install --quiet --editable '.[$*]'
 	@touch $@
 

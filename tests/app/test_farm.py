@@ -25,7 +25,7 @@ WEIGHTS = load(BILINEAR)
 def openjd():
     found = Path(sys.executable).with_name("openjd")
     if not found.exists():
-        pytest.skip("no openjd-cli: pip install '.[test]'")
+        pytest.skip("no openjd-cli: pip install --group test")
     return found
 
 
