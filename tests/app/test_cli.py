@@ -132,7 +132,6 @@ def test_half_planes_and_a_budget(frames, weights, by_network, tmp_path):
 @pytest.mark.parametrize(
     "others",
     [
-        (*PLAIN, "--cluster", "local:1"),
         ("--precision", "half", "--skip", "off", "--memory-limit", "9", "--transfer", "hdr", "--depth", "clip"),
         (*PLAIN, "--keep-going", "--non-finite", "mask", "--format", "png", "--rendered", "even"),
     ],
