@@ -274,7 +274,7 @@ HUNG = []
 def hang_once(work, numbers):
     if not HUNG:
         HUNG.append(numbers)
-        HELD.wait(60)
+        HELD.wait()
     return compute_chunk(work, numbers)
 
 
@@ -285,7 +285,6 @@ def test_a_worker_of_a_scheduler_may_hang(scheduler, frames, tmp_path, monkeypat
     try:
         on_cluster(frames, tmp_path / "many", scheduler.scheduler_address)
         assert HUNG
-        assert not HELD.is_set()
     finally:
         HELD.set()
     in_one_process(frames, tmp_path / "one")
