@@ -1,0 +1,183 @@
+"""The wheels of program and judge: all that they read is in them, and they overwrite nothing of others."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from stss.images.read_write import read_rgb
+from stss_ground.version import DISTRIBUTION, VERSION
+
+ROOT = Path(__file__).parents[2]
+DATA = (
+    *(f"stss_cl/kernels/{path.name}" for path in (ROOT / "kernels").iterdir()),
+    *(f"stss/sequence/profile_tables/{path.name}" for path in (ROOT / "stss/sequence/profile_tables").iterdir()),
+    "stss_cl/device/tuning.toml",
+    "stss/weights/realtime.safetensors",
+    "stss/weights/antialiased.safetensors",
+    *(f"stss_judge/conformance/suite/{path.name}" for path in (ROOT / "conformance/suite").glob("*.py")),
+    "stss_judge/conformance/examples/cpp/port.cpp",
+)
+ABSENT = ("pyopencl", "cv2", "OpenImageIO", "colour", "scipy", "torch", "matplotlib", "onnx")
+"""What the judge alone does without."""
+START = """
+import site, sys
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {absent!r}:
+            raise ModuleNotFoundError(f"not installed here: {{name}}", name=name)
+sys.meta_path.insert(0, Absent())
+at = len(sys.path); site.addsitedir({site!r}); sys.path[:] = {path!r} + sys.path[at:] + sys.path[:at]
+sys.argv = {words!r}
+"""
+PORT = """
+import numpy as np
+class Port:
+    name, dtype = "ours", "float32"
+    def stages(self): return frozenset({"rrm"})
+    def run(self, stage, inputs, weights=None):
+        y, x, h, w = (int(n) for n in inputs["rectangle"])
+        valid = inputs["valid"].copy()
+        valid[y:y + h, x:x + w] = 0
+        return {"valid": valid}
+class Wrong(Port):
+    def run(self, stage, inputs, weights=None):
+        return {"valid": 1 - inputs["valid"]}
+"""
+
+
+def build_wheel(project, folder):
+    """The wheel of a project, a path below the root, as `pip` builds it, and a folder in which it is installed."""
+    pytest.importorskip("hatchling", reason="hatchling is not installed: make test installs it")
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
+    subprocess.run(command, cwd=ROOT / project, check=True, capture_output=True)
+    wheel = next(folder.glob("*.whl"))
+    zipfile.ZipFile(wheel).extractall(folder / "site")
+    return wheel, folder / "site"
+
+
+TARGETS = {
+    "x86_64-manylinux_2_28": "",
+    "aarch64-manylinux_2_28": "",
+    "aarch64-apple-darwin": "",
+    "x86_64-apple-darwin": "",
+    "x86_64-pc-windows-msvc": "",
+    "x86_64-unknown-linux-musl": "openimageio",  # it has no wheels for musl
+}
+"""Platform -> the requirement that has no wheel there."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def resolved():
+    """What is asked of the package index on each platform, while the other tests here run; None: nobody is there to ask."""
+    uv = shutil.which("uv", path=str(Path(sys.executable).parent)) or shutil.which("uv")
+    command = [uv, "pip", "compile", "--quiet", "--only-binary", ":all:", "--python-version", "3.12", "pyproject.toml"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    platforms = () if uv is None else TARGETS
+    asked = {target: subprocess.Popen([*command, "--python-platform", target], cwd=ROOT, **pipes) for target in platforms}
+    yield asked
+    for process in asked.values():
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory):
+    return build_wheel(".", tmp_path_factory.mktemp("program"))
+
+
+@pytest.fixture(scope="module")
+def judge(tmp_path_factory):
+    return build_wheel("packaging/judge", tmp_path_factory.mktemp("judge"))
+
+
+def python(site, cwd, code, *words, path=(), absent=()):
+    """Python code where ``site`` is a site folder, after the folders of ``path`` and before the rest."""
+    start = START.format(absent=absent, site=str(site), path=[*map(str, path)], words=["stss", *map(str, words)])
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    command = [sys.executable, "-c", start + code]
+    return subprocess.run(command, cwd=cwd, env=environment, check=False, capture_output=True, text=True)
+
+
+def test_the_program_has_all_that_it_reads_and_overwrites_nothing_of_others(program):
+    names = set(zipfile.ZipFile(program[0]).namelist())
+    sources = {
+        str(path.relative_to(ROOT)) for package in ("stss", "stss_cl", "stss_ref") for path in (ROOT / package).rglob("*.py")
+    }
+    assert not {*DATA, *sources} - names
+    information = f"{DISTRIBUTION.replace('-', '_')}-{VERSION}.dist-info"
+    tops = {"stss", "stss_cl", "stss_ref", "stss_ground", "stss_lab", "stss_judge", "stss_judge.pth", information}
+    assert {name.split("/")[0] for name in names} == tops
+
+
+def test_another_package_of_the_judges_name_is_one_line(program, tmp_path):
+    """Theirs is imported, ours is untouched, and the line says where both are and what to do."""
+    site, command = program[1], "from stss.cli.main import main; main()"
+    (tmp_path / "conformance").mkdir()
+    (tmp_path / "conformance" / "__init__.py").write_text("")
+    done = python(site, tmp_path, command, "conform", path=[tmp_path])
+    assert done.returncode == 2
+    assert re.fullmatch(r"stss: conformance: expected .*\n", done.stderr), done.stderr
+    assert str(tmp_path / "conformance") in done.stderr
+    done = python(site, tmp_path, command, "conform", path=[site / "stss_judge", tmp_path])
+    assert "expected either --port" in done.stderr
+
+
+def test_the_judge_has_the_files_of_the_program_and_needs_what_it_imports(judge):
+    wheel = judge[0]
+    listed = [name for name in zipfile.ZipFile(wheel).namelist() if ".dist-info/" not in name]
+    assert {name.split("/")[0] for name in listed} == {"stss_ground", "stss_ref", "stss_judge", "stss_judge.pth"}
+    for name in listed:
+        assert (ROOT / name.removeprefix("stss_judge/")).is_file(), name
+    assert not [name for name in listed if "__pycache__" in name]
+    text = zipfile.ZipFile(wheel).read(f"spacetime_supersampling_judge-{VERSION}.dist-info/METADATA").decode()
+    required = [line for line in re.findall(r"^Requires-Dist: (.*)$", text, re.M) if "extra ==" not in line]
+    needed = {re.match("[a-z]+", line).group() for line in required}
+    assert needed == {"numpy", "safetensors", "click", "rich", "filelock", "pytest", "hypothesis"}
+    whole = (ROOT / "pyproject.toml").read_text()
+    for requirement in required:
+        assert f'"{requirement}"' in whole, requirement
+    assert wheel.stat().st_size < 1e6
+
+
+def test_the_judge_alone_judges(judge, tmp_path):
+    """Failures with pictures, mistakes to compare with, and replay; by the files of the wheel."""
+    (tmp_path / "ours.py").write_text(PORT)
+
+    def conform(*words):
+        return python(judge[1], tmp_path, "from conformance.command import main; main()", "conform", *words, absent=ABSENT)
+
+    done = conform("--port", "ours:Wrong", "--json", "f.json", "--report", "p.html")
+    assert done.returncode == 1, done.stderr
+    assert "looks like" in done.stdout
+    assert json.loads((tmp_path / "f.json").read_text())["stages"]["rrm"]["cases"] > 0
+    assert (tmp_path / "p.html").is_file()
+    kept = tmp_path / "conform-failures" / "rrm.agrees_with_the_reference"
+    assert "picture.png, from left to right: port, expected" in (kept / "README.txt").read_text()
+    assert read_rgb(kept / "picture.png").shape[2] == 3
+    assert conform("--port", "ours:Wrong", "--replay", kept).returncode == 1
+    assert conform("--port", "ours:Port", "--replay", kept).returncode == 0
+    places = python(judge[1], tmp_path, "import conformance, stss_ref; print(conformance.__file__, stss_ref.__file__)").stdout
+    assert places.split() == [str(judge[1] / place / "__init__.py") for place in ("stss_judge/conformance", "stss_ref")]
+
+
+def test_all_that_stss_needs_has_wheels(resolved):
+    """On every platform but those that lack one, which is named."""
+    if not resolved:
+        pytest.skip("uv is not installed")
+    for target, process in resolved.items():
+        found, said = process.communicate(timeout=300)
+        if "Failed to fetch" in said:
+            pytest.skip("the package index is not reached")
+        if TARGETS[target]:
+            assert process.returncode
+            assert f"{TARGETS[target]}>=" in said
+        else:
+            assert not process.returncode, said
+            assert ("pocl-binary-distribution" in found) == (target == "x86_64-manylinux_2_28")
