@@ -76,6 +76,11 @@ def files(folder):
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in Path(folder).rglob("*") if path.is_file()}
 
 
+def frames_of(out):
+    """The images and masks that a run wrote."""
+    return {name: data for name, data in files(out).items() if "frame." in name}
+
+
 @pytest.fixture(scope="session")
 def blender_camera(tmp_path_factory):
     """Where the camera of the Blender reference is, frame by frame."""

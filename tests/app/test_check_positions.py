@@ -8,8 +8,10 @@ from stss.check_sequence.report import check
 from stss.demo import demo_path, frame_channels
 from stss.images.read_write import write_channels
 
-SIZE = (72, 128)
-NUMBERS = range(5)
+SIZE = (54, 96)
+NUMBERS = range(4)
+ENCODED = "colour: looks encoded for a display"
+FALLS = "depth: falls with the distance"
 NDC = 'motion: seems to be in NDC, where 2 is the frame\'s side (unit = "ndc")'
 
 
@@ -74,14 +76,9 @@ def of_depth(function):
     return change
 
 
-def turned(name, how):
-    """A vector in the space of a camera that is turned, and that moves by (4, 1, 2) a frame."""
-
-    def change(channels, frames, number):
-        x, y, z = (channels[f"{name}.{axis}"] for axis in "XYZ")
-        channels.update({f"{name}.X": x, f"{name}.Y": how * y + z * 0.6, f"{name}.Z": how * z - y * 0.6})
-
-    return change
+def normal_of_a_turned_camera(channels, frames, number):
+    x, y, z = (channels[f"normal.{axis}"] for axis in "XYZ")
+    channels.update({"normal.X": x, "normal.Y": 0.8 * y + 0.6 * z, "normal.Z": 0.8 * z - 0.6 * y})
 
 
 def test_sound_frames(found):
@@ -91,34 +88,29 @@ def test_sound_frames(found):
     assert any(text.startswith("holes: ") for text in notes)
 
 
-@pytest.mark.parametrize(("change", "text"), [
-    (of_motion(lambda m: m + 0.5), "motion: seems to be half a pixel too far to the lower right"),
-    (of_motion(lambda m: m - 0.5, lambda m: m), "motion: seems to be half a pixel too far to the left"),
-    (of_motion(lambda m: m * 2 / SIZE[1], lambda m: m * 2 / SIZE[0]), "motion: seems to be in NDC, where 2 is the frame's side"),
-    (of_motion(lambda m: m / SIZE[1], lambda m: m / SIZE[0]), "motion: seems to be in UV, where 1 is the frame's side"),
-    (of_motion(lambda m: m * 2 / SIZE[1], lambda m: -m * 2 / SIZE[0]), f"{NDC}, with y up"),
-    (of_motion(lambda m: m * 2), "motion: seems to be twice too long"),
-    (of_motion(lambda m: m / 2), "motion: seems to be half too long"),
-    (of_motion(lambda m: m * 0), "motion: seems to be 0, though the camera moves"),
-    (of_motion(lambda m: -m), "motion: seems to be from the frame before to this one"),
-    (upside_down, "motion: seems to be right if the file is upside down"),
-    (rows_of_motion, "motion: "),
-    (gbuffer_upside_down, "colour: its edges are not those of base colour and normal; it looks as if the G-buffer is upside down"),
-    (late, "colour: its edges are not those of base colour and normal; it looks as if the G-buffer is that of the frame before"),
-    (half_rate, "position: in frames 1, "),
-    (encoded, "colour: looks encoded for a display"),
-    (of_depth(lambda z: 1 - 20 / z), "depth: "),
-    (of_depth(lambda z: 20 / z), "depth: falls with the distance"),
-    (turned("normal", 0.8), "normal: in another space than positions"),
-])  # fmt: skip
-def test_each_mistake_is_named(found, change, text):
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ((of_motion(lambda m: m + 0.5), encoded), ("motion: seems to be half a pixel too far to the lower right", ENCODED)),
+        ((of_motion(lambda m: m * 2 / SIZE[1], lambda m: -m * 2 / SIZE[0]),), (f"{NDC}, with y up",)),
+        ((of_motion(lambda m: m / SIZE[1], lambda m: m / SIZE[0]),), ("motion: seems to be in UV, where 1 is the frame's side",)),
+        ((of_motion(lambda m: m * 2),), ("motion: seems to be twice too long",)),
+        ((of_motion(lambda m: m * 0),), ("motion: seems to be 0, though the camera moves",)),
+        ((of_motion(lambda m: -m), of_depth(lambda z: 20 / z)), ("motion: seems to be from the frame before", FALLS)),
+        ((of_motion(lambda m: m / 3),), ("motion: ", "true x = 3")),
+        ((upside_down,), ("motion: seems to be right if the file is upside down",)),
+        ((rows_of_motion, normal_of_a_turned_camera), ("motion: ", "normal: in another space than positions")),
+        ((gbuffer_upside_down,), ("it looks as if the G-buffer is upside down",)),
+        ((late,), ("it looks as if the G-buffer is that of the frame before",)),
+        ((half_rate,), ("position: in frames 1, ",)),
+        ((of_depth(lambda z: 1 - 20 / z),), ("depth: ",)),
+    ],
+)
+def test_each_mistake_is_named(found, changes, said):
+    def change(*given):
+        for each in changes:
+            each(*given)
+
     warnings, _ = found(change)
-    assert any(line.startswith(text) for line in warnings), warnings
-
-
-def test_the_fit_is_told(found):
-    warnings, _ = found(of_motion(lambda m: m / 3))
-    (line,) = (text for text in warnings if text.startswith("motion: "))
-    assert "is off by" in line
-    assert "true x = 3" in line
-    assert "true y = 3" in line or "true y = 2.99" in line
+    for text in said:
+        assert any(text in line for line in warnings), warnings

@@ -15,7 +15,7 @@ from stss.images.color import transfer
 from stss.images.read_write import read_header, read_rgb
 from stss.run.skip_report import Cost, told
 from stss_ground.optional import installed
-from tests.app.conftest import PLAIN, files
+from tests.app.conftest import PLAIN, files, frames_of
 from tests.hostile.cases import call, refused
 
 SIZE = (18, 32)
@@ -67,10 +67,6 @@ def plain(frames, tmp_path_factory):
     out = tmp_path_factory.mktemp("plain") / "out"
     made(stss("run", frames, "-o", out, *PLAIN))
     return out
-
-
-def frames_of(out):
-    return {name: data for name, data in files(out).items() if "frame." in name}
 
 
 def names(out):

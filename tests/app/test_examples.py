@@ -7,8 +7,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from click.testing import CliRunner
 
+from conformance.judging.judge import TIERS, Tier
 from stss.cli.main import stss
 from stss.images.read_write import read_header, write_channels
 from tests.app.conftest import frame_channels
@@ -22,13 +24,19 @@ def run_example(monkeypatch, capsys, name, *words):
     return capsys.readouterr().out
 
 
+@pytest.fixture
+def few_cases(monkeypatch):
+    """The judge itself is tested elsewhere."""
+    monkeypatch.setitem(TIERS, "quick", Tier("quick", 6, 2, 0))
+
+
 def test_the_page_names_every_example():
     page = (EXAMPLES / "README.md").read_text()
     for path in EXAMPLES.glob("*.py"):
         assert f"`examples/{path.name}`" in page, path.name
 
 
-def test_the_porters_port_passes(monkeypatch):
+def test_the_porters_port_passes(monkeypatch, few_cases):
     monkeypatch.chdir(EXAMPLES)
     monkeypatch.syspath_prepend(str(EXAMPLES))
     result = CliRunner().invoke(stss, ["conform", "--port", "porter:Port", "--stages", "warp"], catch_exceptions=False)
@@ -70,7 +78,7 @@ def test_numbers_that_a_tester_gets(monkeypatch, capsys):
     assert "careless: a flat frame does not stay flat" in lines
 
 
-def test_the_workflow_of_a_port(tmp_path, monkeypatch):
+def test_the_workflow_of_a_port(tmp_path, monkeypatch, few_cases):
     """Its commands, for one stage of the reference."""
     text = re.sub(r">\n +(stss .*)\n +", r"\1 ", (EXAMPLES / "conform.yml").read_text())
     commands = re.findall(r"- run: (stss .*)", text)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import io
 import json
-import subprocess
 import sys
 
 import numpy as np
@@ -20,6 +19,7 @@ from stss.run.options import RunOptions
 from stss_ground.errors import InputError
 from stss_ground.optional import installed
 from stss_lab.methods.methods_table import run_methods
+from tests.hostile.cases import call
 
 needs_flip = pytest.mark.skipif(not installed("flip_evaluator"), reason="flip-evaluator is not installed: the extra metrics")
 needs_vmaf = pytest.mark.skipif(not installed("imageio_ffmpeg"), reason="imageio-ffmpeg is not installed: the extra metrics")
@@ -56,11 +56,6 @@ def folders(tmp_path):
             image[10:22, 14:38] = 1
         write_rgb(out / name, image, metadata={"stss:kind": kind, "stss:transfer": "none"})
     return out, truth
-
-
-def stss(*arguments):
-    command = [sys.executable, "-m", "stss", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
 
 
 @needs_flip
@@ -111,7 +106,10 @@ def test_vmaf_says_what_it_cannot_take():
 @needs_flip
 @needs_vmaf
 def test_compare_takes_them_when_asked(folders):
+    result = call("compare", *folders, "--flip", "--vmaf", "--json")
+    assert result.returncode == 0, result.stderr
     found = compare(*folders, flip=True, vmaf=True)
+    assert json.loads(result.stdout) == json.loads(found.to_json())
     sf, ef, mean = found.means
     assert sf.scores["all"].flip == 0
     assert 0 < ef.scores["all"].flip < ef.scores["holes"].flip
@@ -136,11 +134,3 @@ def test_a_missing_package_is_one_line(folders, monkeypatch, module, option):
         compare(*folders, **{option: True})
     with pytest.raises(InputError, match="is not installed"):  # before anything is run
         run_methods(None, folders[1], folders[0], ("bilinear",), None, RunOptions(), **{option: True})
-
-
-@needs_flip
-@needs_vmaf
-def test_the_command_line_has_both(folders):
-    result = stss("compare", *folders, "--flip", "--vmaf", "--json")
-    assert result.returncode == 0, result.stderr
-    assert {"flip", "vmaf"} <= set(json.loads(result.stdout)["means"]["EF"]["all"])

@@ -4,9 +4,6 @@
 from __future__ import annotations
 
 import json
-import re
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -15,31 +12,26 @@ import pytest
 
 from stss.demo import write_demo_sequence
 from stss.frames.backends import ReferenceBackend
-from stss.frames.display_frame import frame_inputs
-from stss.frames.supersample import plan
 from stss.frames.supersampler import supersample
 from stss.images.read_write import read_rgb
-from stss.images.resample import catmull_rom, enlarged, lanczos_centres
+from stss.images.resample import enlarged, lanczos_centres
 from stss.run.job import run
 from stss.run.options import RunOptions
 from stss.sequence.reader import open_sequence
 from stss.weights.file import BILINEAR, load
 from stss_ground.errors import InputError
 from stss_lab.baselines.fxaa import fxaa
-from stss_lab.baselines.registry import ACCUMULATING, METHODS, MethodBackend
+from stss_lab.baselines.registry import METHODS, MethodBackend
 from stss_lab.methods.methods_table import choose_methods
 from stss_ref.frame import FrameInputs
 from stss_ref.resample import upsample_centres
+from tests.app.conftest import frames_of
+from tests.hostile.cases import call, refused
 
 SF, EF = (0, 2, 4), (1, 3, 5)
 H, W = 20, 28
 MARGIN = 12
 """Pixels of the output; farther from the frame's edge no kernel and no motion of these tests reads beyond it."""
-
-
-def stss(*arguments):
-    command = [sys.executable, "-m", "stss", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
 
 
 def texture(x, y):
@@ -72,12 +64,12 @@ def inside(image):
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("motion", [(0.0, 0.0), (0.3, -1.6), (40.0, 0.0), (np.nan, 0.0)])
+@pytest.mark.parametrize("motion", [(0.3, -1.6), (np.nan, 0.0)])
 def test_one_colour_stays_one_colour(method, motion):
     """Whatever moves, and after many frames."""
     color = np.broadcast_to(np.float32([0.2, 0.5, 0.9]), (H, W, 3))
     backend = MethodBackend(method)
-    for steps in (SF, EF) * 4:
+    for steps in (SF, EF) * 2:
         image, valid = backend.frame(inputs(steps, [color] * 3, motion))
         assert image.shape == (2 * H, 2 * W, 3)
         assert image.dtype == np.float32
@@ -140,13 +132,6 @@ def test_lanczos_is_openimageio_s():
     assert np.abs(inside(upsample_centres(x) - expected)).max() > 1e-2
 
 
-@pytest.mark.parametrize("size", [(1, 1), (1, 5), (3, 2)])
-def test_the_smallest_frames(size):
-    x = np.full((*size, 3), 0.5, np.float32)
-    assert lanczos_centres(x).shape == (2 * size[0], 2 * size[1], 3)
-    np.testing.assert_array_equal(fxaa(x), x)
-
-
 def edge(slope, samples, size=48):
     """A white half-plane on black: its share of every pixel, by ``samples`` squared rays."""
     at = (np.arange(size * samples) + 0.5) / samples
@@ -155,7 +140,7 @@ def edge(slope, samples, size=48):
     return np.repeat(share[..., None], 3, axis=-1).astype(np.float32)
 
 
-@pytest.mark.parametrize("slope", [0.1, -0.15, 0.3, 1.0])
+@pytest.mark.parametrize("slope", [-0.15, 1.0])
 @pytest.mark.parametrize("upright", [False, True])
 def test_fxaa_smoothes_a_jagged_edge(slope, upright):
     jagged, truth = edge(slope, 1), edge(slope, 16)
@@ -177,22 +162,11 @@ def test_fxaa_leaves_alone_what_has_no_edge():
     np.testing.assert_array_equal(fxaa(jagged)[away], jagged[away])
 
 
-def test_catmull_rom_is_exact_at_pixels_and_for_parabolas():
-    image = noise().astype(np.float64)
-    y, x = np.indices((H, W)).astype(np.float64)
-    np.testing.assert_array_equal(catmull_rom(image, x, y), image)
-    np.testing.assert_array_equal(catmull_rom(image, x + 100, y), image[:, -1:].repeat(W, axis=1))
-    parabola = (x**2 - x * y)[..., None]
-    u, v = x[2:-2, 2:-2] + 0.3, y[2:-2, 2:-2] - 0.6
-    # Values up to 27^2 in float64, 16 products.
-    assert np.abs(catmull_rom(parabola, u, v)[..., 0] - (u**2 - u * v)).max() < 1e-10
-
-
 def test_taau_of_a_static_scene_is_its_upsampled_frame():
     """Nothing moves: nothing is blurred, however long it goes on, in EF as in SF."""
     backend, color = MethodBackend("taau"), noise()
     first, _ = backend.frame(inputs((0, 0, 0), [color] * 3))
-    for steps in (EF, SF) * 5:
+    for steps in (EF, SF) * 2:
         image, _ = backend.frame(inputs(steps, [color] * 3))
         np.testing.assert_array_equal(image, first)
     within = enlarged(color)
@@ -218,18 +192,10 @@ def test_taau_forgets_what_the_neighbourhood_denies():
     np.testing.assert_array_equal(backend.frame(inputs(SF, [black] * 3))[0], enlarged(black))
 
 
-@pytest.mark.parametrize("motion", [(60.0, 0.0), (np.nan, 1.0)])
-def test_taau_has_no_history_off_screen(motion):
-    backend = MethodBackend("taau")
-    backend.frame(inputs((0, 0, 0), [noise(1)] * 3))
-    found, _ = backend.frame(inputs(SF, [noise(2)] * 3, motion))
-    np.testing.assert_array_equal(found, MethodBackend("taau").frame(inputs((0, 0, 0), [noise(2)] * 3))[0])
-
-
 def test_taau_starts_anew_after_a_gap(write_frames):
     """Frame numbers that do not follow each other, or another size: what comes then knows nothing of what was."""
-    small = open_sequence(write_frames(range(8), rendered=range(0, 8, 2), size=(16, 24), folder="small"), "stss")
-    large = open_sequence(write_frames(range(8), rendered=range(0, 8, 2), size=(18, 24), folder="large"), "stss")
+    small = open_sequence(write_frames(range(8), rendered=range(0, 8, 2), size=(8, 12), folder="small"), "stss")
+    large = open_sequence(write_frames(range(8), rendered=range(0, 8, 2), size=(10, 12), folder="large"), "stss")
     later = [small.load(number) for number in range(4, 8)]
 
     def images(frames):
@@ -239,10 +205,6 @@ def test_taau_starts_anew_after_a_gap(write_frames):
     for before in ([small.load(0), small.load(1)], [large.load(2), large.load(3)]):
         for found, expected in zip(images([*before, *later])[-4:], alone, strict=True):
             np.testing.assert_array_equal(found, expected)
-
-
-def frames_of(out):
-    return {str(path.relative_to(out)): path.read_bytes() for path in sorted(out.rglob("frame.*"))}
 
 
 @pytest.fixture
@@ -259,21 +221,16 @@ def test_a_range_has_the_bits_of_the_whole(sequence, tmp_path, method):
     assert part.items() <= frames_of(tmp_path / "whole").items()
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_resume_keeps_what_is_right_or_is_refused(sequence, tmp_path, method):
-    run(sequence, tmp_path, MethodBackend(method), "none", RunOptions(frames=(0, 4)))
-    if method in ACCUMULATING:
-        with pytest.raises(InputError, match="--resume: taau makes each output from all before it"):
-            run(sequence, tmp_path, MethodBackend(method), "none", RunOptions(resume=True))
-    else:
-        summary = run(sequence, tmp_path, MethodBackend(method), "none", RunOptions(resume=True))
-        assert (summary.count("kept"), summary.count("done")) == (5, 4)
+def test_resume_keeps_what_is_right_or_is_refused(sequence, tmp_path):
+    def run_method(method, **options):
+        return run(sequence, tmp_path, MethodBackend(method), "none", RunOptions(**options))
 
-
-def test_resume_does_not_mix_methods(sequence, tmp_path):
-    run(sequence, tmp_path, MethodBackend("bilinear"), "none", RunOptions())
-    summary = run(sequence, tmp_path, MethodBackend("lanczos"), "none", RunOptions(resume=True))
-    assert summary.count("kept") == 0
+    run_method("bilinear", frames=(0, 4))
+    summary = run_method("bilinear", resume=True)
+    assert (summary.count("kept"), summary.count("done")) == (5, 4)
+    assert run_method("lanczos", resume=True).count("kept") == 0
+    with pytest.raises(InputError, match="--resume: taau makes each output from all before it"):
+        run_method("taau", resume=True)
 
 
 def test_taau_goes_on_after_a_frame_that_cannot_be_read(sequence, write_frames, tmp_path):
@@ -291,54 +248,21 @@ def test_taau_goes_on_after_a_frame_that_cannot_be_read(sequence, write_frames, 
         np.testing.assert_array_equal(found, expected)
 
 
-def test_the_steps_tell_every_gap(sequence):
-    """What TAAU's restart rests on: with a step back there is an output of the frame before."""
-    from itertools import product
-
-    from stss.frames.display_frame import prepare
-    from stss.images.color import transfer
-
-    made = [prepare(sequence.load(n, color=False), transfer("srgb"), "scale") for n in range(7)]
-    for rendered in product([False, True], repeat=7):
-        window = [replace(p, color=np.zeros((16, 24, 3), np.float32) if r else None) for p, r in zip(made, rendered, strict=True)]
-        plans = [plan(window[max(0, n - 5) : n + 1]) for n in range(7)]
-        for before, now, n in zip([None, *plans], plans, range(7), strict=False):
-            if now is not None and max(now.steps) > 0:
-                assert before is not None
-                assert len(frame_inputs(window[max(0, n - 5) : n + 1], now.steps).motions) > 0
-
-
-@pytest.fixture(scope="module")
-def demo(tmp_path_factory):
-    out = tmp_path_factory.mktemp("demo")
-    write_demo_sequence(out, 8, (24, 40))
-    return out
-
-
-def test_methods_side_by_side(demo, tmp_path):
+def test_methods_side_by_side(tmp_path):
     """A row and a folder for each; the scores are those of `stss compare`."""
-    arguments = ["methods", demo / "frames", demo / "truth", "-o", tmp_path, "--frames", "2:7"]
-    table = stss(*arguments)
+    write_demo_sequence(tmp_path / "demo", 8, (24, 40))
+    words = ["methods", tmp_path / "demo" / "frames", tmp_path / "demo" / "truth", "-o", tmp_path / "out", "--frames", "2:7"]
+    table = call(*words)
     assert table.returncode == 0, table.stderr
-    rows = {
-        line.split()[0]: line.split() for line in table.stdout.splitlines() if line.split()[:1] and line.split()[0] in METHODS
-    }
+    rows = {line.split()[0]: line.split() for line in table.stdout.splitlines() if line.strip().startswith(tuple(METHODS))}
     assert list(rows) == list(METHODS)  # no network, for its weights are bilinear
     assert "means of 3 SF and 3 EF" in table.stdout
-    found = json.loads(stss(*arguments, "--methods", "repeat,lanczos", "--json", "--overwrite").stdout)
-    alone = json.loads(stss("compare", tmp_path / "lanczos", demo / "truth", "--json").stdout)
+    found = json.loads(call(*words, "--methods", "repeat,lanczos", "--json", "--overwrite").stdout)
+    alone = json.loads(call("compare", tmp_path / "out" / "lanczos", tmp_path / "demo" / "truth", "--json").stdout)
     assert found["lanczos"]["means"] == alone["means"]
     assert rows["lanczos"][1] == f"{alone['means']['SF']['all']['psnr_rgb']:.2f}"
     assert rows["repeat"][-1] == f"{found['repeat']['flicker']['means']['EF']['error']:.2f}"
-
-
-def test_methods_of_choice(demo, tmp_path):
-    result = stss("methods", demo / "frames", demo / "truth", "-o", tmp_path, "--methods", "network,repeat", "--backend", "ref")
-    assert result.returncode == 0, result.stderr
-    assert re.search(r"^network .*\n\s*repeat ", result.stdout, re.MULTILINE)
-    result = stss("methods", demo / "frames", demo / "truth", "-o", tmp_path, "--methods", "dlss")
-    assert result.returncode == 2
-    assert "methods: expected some of repeat, extrapolate, bilinear" in result.stderr
+    refused(call(*words, "--overwrite", "--methods", "dlss"), "methods: expected some of repeat, extrapolate, bilinear")
     assert choose_methods((), "some.safetensors") == (*METHODS, "network")
     with pytest.raises(InputError, match="each once"):
         choose_methods(("taau", "taau"), BILINEAR)
