@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Make batches of stored samples: crops, turns, mirrors, exposure, colours, depths, and Random Reshading Masking (spec 6).
 
-Motion is not an input of the network: the pictures are warped already, so crops and turns need not change it. Normals are in
-world space. Turning the picture by 90 degrees is rolling the camera, which changes no normal. A mirrored picture shows a
-mirrored world, so normals are mirrored, too, in x. Nothing defines north, so the normals of a sample are turned about the
-vertical axis, z, by any angle. Up stays up, but half of the samples call it y, as half of the engines do.
+Motion is not an input of the network, only of the loss: it turns with the picture. Normals are in world space. Turning the picture
+by 90 degrees is rolling the camera, which changes no normal. A mirrored picture shows a mirrored world, so normals are mirrored, too,
+in x. Nothing defines north, so the normals of a sample are turned about the vertical axis, z, by any angle. Up stays up, but half of
+the samples call it y, as half of the engines do.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ BASE_COLOR = slice(9, 12)
 COLORS = (slice(0, 3), slice(12, 15), slice(16, 19), slice(20, 23))
 """Channels of the four pictures among the 24; a mask follows each of the last three."""
 MASK = 23
+MOTION = slice(24, 26)
 EXPOSURE = 0.3
 """Largest change of exposure: natural logarithm of the factor on display-referred values."""
 MIDDLE, BACKGROUND = (0.04, 0.7), 0.999
@@ -36,7 +37,8 @@ MIDDLE, BACKGROUND = (0.04, 0.7), 0.999
 class Batch(NamedTuple):
     """Inputs of the network and the truth, channels first, float32.
 
-    color (N, 6, H, W), gbuffer (N, 9, H, W), mask (N, 1, H, W) after RRM, history (N, 3, 4, H, W), truth (N, 3, 2H, 2W).
+    color (N, 6, H, W), gbuffer (N, 9, H, W), mask (N, 1, H, W) after RRM, history (N, 3, 4, H, W), truth (N, 3, 2H, 2W),
+    motion (N, 2, H, W) pixels of a sample to its partner, the one beside it: 0 and 1, 2 and 3.
     """
 
     color: NDArray[np.float32]
@@ -44,6 +46,7 @@ class Batch(NamedTuple):
     mask: NDArray[np.float32]
     history: NDArray[np.float32]
     truth: NDArray[np.float32]
+    motion: NDArray[np.float32]
 
 
 def crop(inputs: Array, truth: Array, corner: tuple[int, int], side: int) -> tuple[Array, Array]:
@@ -54,20 +57,23 @@ def crop(inputs: Array, truth: Array, corner: tuple[int, int], side: int) -> tup
 
 
 def augment(inputs: Array, truth: Array, random: Random, *, upright: bool = False) -> tuple[Array, Array]:
-    """Turn and mirror one crop, and change its exposure and colours; returns new float32 arrays.
+    """Turn and mirror crops, and change their exposure and colours, all alike; returns new float32 arrays.
 
     ``upright`` leaves out what no renderer's frames show: a camera on its side or its head, and colours that changed places. They are
     means against too few films; with enough of them, they cost what the network could learn in their place.
 
     Args:
-        inputs: (H, W, 24).
-        truth: (2H, 2W, 3).
+        inputs: (N, H, W, 26).
+        truth: (N, 2H, 2W, 3).
         random: where chance comes from.
     """
     quarters, mirrored = 0 if upright else int(random.integers(4)), bool(random.random() < 0.5)
-    inputs, truth = np.rot90(inputs, quarters).copy(), np.rot90(truth, quarters).copy()
+    inputs, truth = np.rot90(inputs, quarters, (1, 2)).copy(), np.rot90(truth, quarters, (1, 2)).copy()
+    for _ in range(quarters):
+        inputs[..., MOTION] = inputs[..., MOTION][..., ::-1] * np.float32([1, -1])
     if mirrored:
-        inputs, truth = inputs[:, ::-1].copy(), truth[:, ::-1].copy()
+        inputs, truth = inputs[:, :, ::-1].copy(), truth[:, :, ::-1].copy()
+        inputs[..., MOTION] *= np.float32([-1, 1])
     inputs[..., NORMAL] = inputs[..., NORMAL] @ turn_of_the_world(random.uniform(0, 2 * math.pi), mirrored=mirrored).T
     if random.random() < 0.5:
         inputs[..., NORMAL] = inputs[..., NORMAL] @ Y_UP.T
@@ -82,7 +88,7 @@ def augment(inputs: Array, truth: Array, random: Random, *, upright: bool = Fals
 
 
 def depths_at_random(depth: Array, random: Random) -> Array:
-    """Depth (H, W) in 0..1 as if the farthest thing were at another distance; one crop in four stays as it is.
+    """Depth (..., H, W) in 0..1 as if the farthest thing were at another distance; one crop in four stays as it is.
 
     Depth is put between the smallest and the largest of a frame (spec 0): a wide plain presses all that matters into a twentieth of
     the range, a room fills it. A network that saw the plain alone does not know the room's. Half of the crops
@@ -110,13 +116,14 @@ def mask_at_random(inputs: Array, random: Random) -> Array:
 
 
 def collate(inputs: Array, masks: Array, truth: Array) -> Batch:
-    """Make a batch of inputs (N, H, W, 24), masks (N, H, W) and truth (N, 2H, 2W, 3)."""
+    """Make a batch of inputs (N, H, W, 26), masks (N, H, W) and truth (N, 2H, 2W, 3)."""
     planes = np.ascontiguousarray(np.moveaxis(inputs, -1, 1), np.float32)
     n, _, height, width = planes.shape
     return Batch(
         color=np.concatenate([planes[:, :3], planes[:, 20:23]], axis=1),
         gbuffer=np.ascontiguousarray(planes[:, 3:12]),
         mask=np.ascontiguousarray(masks[:, None], np.float32),
-        history=np.ascontiguousarray(planes[:, 12:]).reshape(n, 3, 4, height, width),
+        history=np.ascontiguousarray(planes[:, 12:24]).reshape(n, 3, 4, height, width),
         truth=np.ascontiguousarray(np.moveaxis(truth, -1, 1), np.float32),
+        motion=np.ascontiguousarray(planes[:, MOTION]),
     )

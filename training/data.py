@@ -14,7 +14,8 @@ import numpy as np
 
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array
-from training.augment import MASK, Batch, augment, collate, crop, mask_at_random
+from training.augment import MASK, MOTION, Batch, augment, collate, crop, mask_at_random
+from training.samples import NOWHERE
 
 Kind = Literal["SF", "EF"]
 KINDS: tuple[Kind, Kind] = ("SF", "EF")
@@ -30,6 +31,7 @@ class Shard:
     name: str
     scene: str
     split: str
+    frames: tuple[int, ...]
     kinds: tuple[str, ...]
     inputs: Array = field(repr=False)
     truth: Array = field(repr=False)
@@ -54,7 +56,7 @@ def load_shards(folder: Path) -> list[Shard]:
         index = json.loads(path.read_text())
         inputs, truth = (np.load(path.parent / f"{name}.npy", mmap_mode="r") for name in ("inputs", "truth"))
         name = str(path.parent.relative_to(folder))
-        shards.append(Shard(name, index["scene"], index["split"], tuple(index["kinds"]), inputs, truth))
+        shards.append(Shard(name, index["scene"], index["split"], tuple(index["frames"]), tuple(index["kinds"]), inputs, truth))
     if not shards:
         raise InputError(f"{folder}: no samples; python -m training.samples makes them")
     splits: dict[str, str] = {}
@@ -69,16 +71,29 @@ def places(shards: list[Shard], split: str, kind: str) -> list[StoredSample]:
     return [StoredSample(s, i) for s in shards if s.split == split for i, k in enumerate(s.kinds) if k == kind]
 
 
-def sets(choice: list[StoredSample]) -> list[list[StoredSample]]:
-    """The samples grouped by the folder of their shard: training draws from each folder equally often, whatever its size."""
-    found: dict[str, list[StoredSample]] = {}
-    for place in choice:
-        found.setdefault(str(PurePath(place.shard.name).parent), []).append(place)
+def pairs(shards: list[Shard], split: str) -> list[tuple[StoredSample, StoredSample]]:
+    """Each SF of a split with the EF of a frame beside it, as frames follow one another; else with the EF of its own frame."""
+    found: list[tuple[StoredSample, StoredSample]] = []
+    for sf in places(shards, split, "SF"):
+        at = sf.shard.frames[sf.index]
+        efs = [StoredSample(sf.shard, i) for i, kind in enumerate(sf.shard.kinds) if kind == "EF"]
+        beside = [ef for ef in efs if abs(ef.shard.frames[ef.index] - at) == 1]
+        found += [(sf, ef) for ef in beside or efs if beside or ef.shard.frames[ef.index] == at]
+    return found
+
+
+def sets(choice: Sequence[tuple[StoredSample, ...]]) -> list[list[tuple[StoredSample, ...]]]:
+    """The draws grouped by the folder of their shard: training draws from each folder equally often, whatever its size."""
+    found: dict[str, list[tuple[StoredSample, ...]]] = {}
+    for drawn in choice:
+        found.setdefault(str(PurePath(drawn[0].shard.name).parent), []).append(drawn)
     return list(found.values())
 
 
 class Batches:
-    """Training batches, half SF and half EF. A batch depends only on the seed and its number, so a resumed run sees the same batches.
+    """Training batches of pairs, an SF and an EF, of consecutive frames where the shard has them.
+
+    A batch depends only on the seed and its number, so a resumed run sees the same batches.
 
     Ablations take other ``kinds`` than both in equal shares, or ``masking=False``, without Random Reshading Masking. ``upright``: see
     `training.augment.augment`.
@@ -95,9 +110,11 @@ class Batches:
         masking: bool = True,
         upright: bool = False,
     ):
-        self._kinds, self._masking, self._upright = kinds, masking, upright
-        self._sets = {kind: sets(places(shards, "training", kind)) for kind in KINDS}
-        if not all(self._sets.values()):
+        self._masking, self._upright = masking, upright
+        both = pairs(shards, "training")
+        self._sets = sets(both if len(kinds) > 1 else [(place,) for place in places(shards, "training", kinds[0])])
+        self._together = len(kinds)
+        if not both:
             raise InputError("the training split lacks SF or EF samples")
         smallest = min(min(s.inputs.shape[1:3]) for s in shards if s.split == "training")
         if side % 8 or not 8 <= side <= smallest:
@@ -110,22 +127,26 @@ class Batches:
     def __getitem__(self, step: int) -> Batch:
         random = np.random.default_rng([self._seed, step])
         made: list[tuple[Array, Array, Array]] = []
-        for i in range(self._batch):
-            drawn = [self._draw(self._kinds[i % len(self._kinds)], random) for _ in range(DRAWN)]
-            place, corner = max(drawn, key=lambda one: self._detail(*one))
-            taken = crop(place.shard.inputs[place.index], place.shard.truth[place.index], corner, self._side)
-            inputs, truth = augment(*taken, random, upright=self._upright)
-            mask = mask_at_random(inputs, random) if self._masking else inputs[..., MASK]
-            made.append((inputs, mask, truth))
-        inputs, masks, truth = (np.stack(arrays) for arrays in zip(*made, strict=True))
+        for _ in range(self._batch // self._together):
+            drawn = [self._draw(random) for _ in range(DRAWN)]
+            together, corner = max(drawn, key=lambda one: self._detail(one[0][0], one[1]))
+            taken = [crop(p.shard.inputs[p.index], p.shard.truth[p.index], corner, self._side) for p in together]
+            last = max(p.shard.frames[p.index] for p in together)
+            for place, (inputs, _) in zip(together, taken, strict=True):
+                if place.shard.frames[place.index] < last or len({p.shard.frames[p.index] for p in together}) == 1:
+                    inputs[..., MOTION] = NOWHERE
+            inputs, truth = augment(*map(np.stack, zip(*taken, strict=True)), random, upright=self._upright)
+            masks = [mask_at_random(one, random) for one in inputs] if self._masking else inputs[..., MASK]
+            made.append((inputs, np.asarray(masks), truth))
+        inputs, masks, truth = (np.concatenate(arrays) for arrays in zip(*made, strict=True))
         return collate(inputs, masks, truth)
 
-    def _draw(self, kind: Kind, random: np.random.Generator) -> tuple[StoredSample, tuple[int, int]]:
-        """Draw a sample, and the corner of a crop in it."""
-        chosen = self._sets[kind][int(random.integers(len(self._sets[kind])))]
-        place = chosen[int(random.integers(len(chosen)))]
-        height, width = place.shard.inputs.shape[1:3]
-        return place, (
+    def _draw(self, random: np.random.Generator) -> tuple[tuple[StoredSample, ...], tuple[int, int]]:
+        """Draw samples that belong together, and the corner of a crop in them."""
+        chosen = self._sets[int(random.integers(len(self._sets)))]
+        together = chosen[int(random.integers(len(chosen)))]
+        height, width = together[0].shard.inputs.shape[1:3]
+        return together, (
             int(random.integers(0, height - self._side, endpoint=True)),
             int(random.integers(0, width - self._side, endpoint=True)),
         )

@@ -62,6 +62,24 @@ def squared(output: Tensor, truth: Tensor, extrapolated: float = 0.5, trust: Ten
     return SQUARES * by_kind(squares.mean((1, 2, 3)), 2 * (1 - extrapolated), 2 * extrapolated)
 
 
+def unsteadiness(error: Tensor, motion: Tensor) -> Tensor:
+    """How the errors of consecutive frames differ along the motion: flicker's error as `stss flicker` takes it, of values to 1.
+
+    Args:
+        error: output less truth (N, 3, 2H, 2W); samples 0 and 1, 2 and 3 and so on are partners.
+        motion: (N, 2, H, W) low-resolution pixels, a sample to its partner. What leads outside the crop does not count.
+    """
+    partner = error.unflatten(0, (-1, 2)).flip(1).flatten(0, 1)
+    height, width = error.shape[-2:]
+    x, y = (2 * nn.functional.interpolate(motion, scale_factor=2.0)).unbind(1)
+    x = x + torch.arange(width, dtype=x.dtype, device=x.device)
+    y = y + torch.arange(height, dtype=y.dtype, device=y.device)[:, None]
+    followed = ((x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)).to(error.dtype)
+    grid = torch.stack([(2 * x + 1) / width - 1, (2 * y + 1) / height - 1], -1)
+    warped = nn.functional.grid_sample(partner, grid, padding_mode="border", align_corners=False)
+    return ((error - warped).abs().mean(1) * followed).sum() / followed.sum().clamp(min=1)
+
+
 def supervision(pictures: list[Tensor], truth: Tensor) -> Tensor:
     """Mean squared error of the pictures of `training.network.Heads` against the truth at their sizes, on the scale of `squared`."""
     errors = [(p - nn.functional.avg_pool2d(truth, truth.shape[-1] // p.shape[-1])).square().mean() for p in pictures]

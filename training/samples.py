@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Make training samples: the network's inputs for a display frame, from the project's own pipeline, and the truth.
 
-Each sequence has a folder with ``inputs.npy`` (N, H, W, 24) and ``truth.npy`` (N, 2H, 2W, 3), float16, display-referred, and
+Each sequence has a folder with ``inputs.npy`` (N, H, W, 26) and ``truth.npy`` (N, 2H, 2W, 3), float16, display-referred, and
 ``index.json``, which is written last: a folder without it does not count. Channels of the inputs: occlusion_warp 3, gbuffer 9,
-history 3 x (warped 3, mask 1). The network's color 6 and mask are among them (`unpack`).
+history 3 x (warped 3, mask 1), motion 2. The network's color 6 and mask are among them (`unpack`). Motion leads to the display frame
+before, in pixels; it is NOWHERE where the surface is not seen there.
 """
 
 from __future__ import annotations
@@ -37,12 +38,15 @@ from stss_ground.errors import InputError
 from stss_ref.arrays import Array, Image
 from stss_ref.frame import NetworkInputs
 from stss_ref.frame import prepare as warp_all
+from stss_ref.holes import holes
 from stss_ref.schedule import FrameKind
 from training.command import command
 from training.scenes import INPUTS, Film, random_film
 
 SPLITS = ("training", "validation", "test")
-CHANNELS = 24
+CHANNELS = 26
+NOWHERE = 1e4
+"""Motion of pixels that cannot be followed, finite as float16."""
 SAMPLES = 16
 """Number of rays for each pixel of the analytic truth."""
 SIDE = 3
@@ -55,7 +59,7 @@ START = 2
 
 @dataclass(frozen=True)
 class Sample:
-    """One display frame, as SF or as EF: ``inputs`` (H, W, 24), ``truth`` (2H, 2W, 3), display-referred."""
+    """One display frame, as SF or as EF: ``inputs`` (H, W, 26), ``truth`` (2H, 2W, 3), display-referred."""
 
     number: int
     kind: FrameKind
@@ -79,20 +83,36 @@ def samples(frames: Sequence[DisplayFrame], truths: Mapping[int, Image]) -> Iter
             ]
             planned = plan(window)
             if planned is not None:
-                yield Sample(last.number, kind, pack(warp_all(frame_inputs(window, planned.steps))), truths[last.number])
+                inputs = pack(warp_all(frame_inputs(window, planned.steps)), _motion(window[-2], last))
+                yield Sample(last.number, kind, inputs, truths[last.number])
 
 
-def pack(inputs: NetworkInputs) -> Image:
-    """The network's inputs as (H, W, 24); channels that occur twice are stored once."""
+def _motion(before: DisplayFrame, now: DisplayFrame) -> Image:
+    followed = holes(
+        now.motion,
+        stencil_previous=before.stencil,
+        stencil=now.stencil,
+        normal_previous=before.gbuffer[..., :3],
+        normal=now.gbuffer[..., :3],
+        position_previous=before.position,
+        position=now.position,
+        nov=now.nov,
+        depth=now.gbuffer[..., 3],
+    )
+    return np.where(followed[..., None], now.motion, np.float32(NOWHERE))
+
+
+def pack(inputs: NetworkInputs, motion: Image) -> Image:
+    """The network's inputs and the motion as (H, W, 26); channels that occur twice are stored once."""
     height, width, _ = inputs.gbuffer.shape
     history = np.moveaxis(inputs.history, 0, 2).reshape(height, width, 12)
-    return np.concatenate([inputs.color[..., :3], inputs.gbuffer, history], axis=-1)
+    return np.concatenate([inputs.color[..., :3], inputs.gbuffer, history, motion], axis=-1)
 
 
 def unpack(packed: Array) -> NetworkInputs:
-    """The inverse of `pack`."""
+    """The network's inputs of what `pack` made."""
     height, width, _ = packed.shape
-    history = np.moveaxis(packed[..., 12:].reshape(height, width, 3, 4), 2, 0)
+    history = np.moveaxis(packed[..., 12:24].reshape(height, width, 3, 4), 2, 0)
     color = np.concatenate([packed[..., :3], packed[..., 20:23]], axis=-1)
     return NetworkInputs(color, packed[..., 3:12], packed[..., 23], np.ascontiguousarray(history))
 

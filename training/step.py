@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from training.checkpoint import State
-from training.loss import STRUCTURE, by_kind, loss, squared, structure, supervision, trusted
+from training.loss import STRUCTURE, by_kind, loss, squared, structure, supervision, trusted, unsteadiness
 from training.network import Heads, Network, base, leak
 
 CLIP = 1.0
@@ -34,6 +34,7 @@ class Aims:
         squares: the squared error's share of the loss.
         similar: what 1 - SSIM is multiplied by, in SFs and in EFs.
         extrapolated, holes: see `training.loss.squared`.
+        steady: what `training.loss.unsteadiness` is multiplied by.
     """
 
     half: bool = False
@@ -42,6 +43,7 @@ class Aims:
     similar: tuple[float, float] = (STRUCTURE, STRUCTURE)
     extrapolated: float = 0.5
     holes: float = 1.0
+    steady: float = 0.0
 
 
 def advance(state: State, batch: tuple[Tensor, ...], rate: float, aims: Aims, *, compiled: bool = False) -> Tensor:
@@ -74,12 +76,12 @@ def objective(network: Network, heads: Heads, batch: tuple[Tensor, ...], enlarge
     Args:
         network: what is trained.
         heads: what helps a beginner.
-        batch: color, gbuffer, mask, history, truth, see `training.augment.Batch`.
+        batch: color, gbuffer, mask, history, truth, motion, see `training.augment.Batch`.
         enlarged: the colour at twice the size, `training.network.base`.
         trust: where the mask is above 0 at twice the size, `training.loss.trusted`.
         aims: see there.
     """
-    color, gbuffer, mask, history, truth = batch
+    color, gbuffer, mask, history, truth, motion = batch
     with torch.autocast(color.device.type, torch.bfloat16, enabled=aims.half):
         residual, features = network.residual(color, gbuffer, mask, history)
         pictures = heads(features) if aims.young else []
@@ -87,6 +89,8 @@ def objective(network: Network, heads: Heads, batch: tuple[Tensor, ...], enlarge
     value = (1 - squares) * loss(output, truth, trust, by_kind(structure(output, truth), *aims.similar))
     if squares:
         value = value + squares * squared(output, truth, aims.extrapolated, trust, aims.holes)
+    if aims.steady:
+        value = value + aims.steady * unsteadiness(output - truth, motion)
     if aims.young:
         value = value + aims.young * supervision([p.float() for p in pictures], truth)
     return value

@@ -44,6 +44,7 @@ class Settings:
     ``masking``: Random Reshading Masking. ``holes``: how often errors in reshading regions count in the squared error.
     ``upright``: see `training.augment.augment`.
     ``compiled``: whether a step is compiled, which changes its rounding. ``second_color``: see `stss_ref.frame.prepare`.
+    ``steady``: see `training.step.Aims`.
     """
 
     crop: int
@@ -63,6 +64,7 @@ class Settings:
     upright: bool = False
     compiled: bool = False
     second_color: SecondColor = "newest"
+    steady: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -174,6 +176,7 @@ def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan
         similar=(settings.structure, settings.structure_ef),
         extrapolated=settings.extrapolated,
         holes=settings.holes,
+        steady=settings.steady,
     )
     total, count, since = torch.zeros((), device=device), 0, time.perf_counter()
     for step, batch in batches.between(state.step, plan.steps):
@@ -220,6 +223,7 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--structure-ef", type=float, metavar="F", help="the same for EFs, where it is another")
     parser.add_argument("--extrapolated", type=float, default=0.5, help="share of EFs in the squared error")
     parser.add_argument("--holes", type=float, default=1.0, help="how often reshading regions count in the squared error")
+    parser.add_argument("--steady", type=float, default=0.0, metavar="F", help="how much flicker counts, beside the other errors")
     parser.add_argument("--no-masking", dest="masking", action="store_false", help="without Random Reshading Masking")
     parser.add_argument("--no-history", dest="history", action="store_false", help="weights that do not read the history")
     parser.add_argument(
@@ -269,6 +273,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         upright=chosen.upright,
         compiled=chosen.compile,
         second_color=chosen.second_color or before,
+        steady=chosen.steady,
     )
     state = start(settings, device, chosen.initial)
     path = chosen.out / "state.safetensors"

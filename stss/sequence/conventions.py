@@ -89,7 +89,8 @@ def to_specification(stored: dict[str, Array], profile: Profile, camera: CameraP
     stored["motion"] = motion_in_pixels(stored["motion"], profile.motion)
     stored["normal"] = normal
     stored["position"] = (position / profile.units_per_cm).astype(np.float32)
-    for buffer, background in (("normal", 0), ("nov", 0), ("position", BACKGROUND_POSITION), ("stencil", 0)):
+    for buffer in ("normal", "nov", "position", "stencil", "base_color", "roughness", "metallic"):
+        background = BACKGROUND_POSITION if buffer == "position" else 0
         stored[buffer] = np.where(missed[..., None], np.float32(background), stored[buffer])
     return np.where(missed, np.float32(np.inf), depth)
 

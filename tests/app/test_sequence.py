@@ -117,12 +117,13 @@ def test_no_sequence(tmp_path):
 def test_where_nothing_was_hit(write_frames, stored):
     def change(number, channels):
         channels["depth.Z"][5, 20] = stored
+        channels["metallic.X"][5, 20:22] = 1
 
     frame = open_sequence(write_frames([1], change=change), "stss").load(1)
     assert np.isinf(frame.depth[5, 20])
     assert np.isfinite(frame.depth).sum() == frame.depth.size - 1
     assert (frame.position[5, 20] == BACKGROUND_POSITION).all()
-    for name in ("normal", "nov", "stencil"):
+    for name in ("normal", "nov", "stencil", "base_color", "roughness", "metallic"):
         assert not getattr(frame, name)[5, 20].any(), name
         assert getattr(frame, name)[5, 21].any(), name
 

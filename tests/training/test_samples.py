@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import torch
 
 from conformance.scenes import SCENES
 from stss.frames.display_frame import OnArrays, prepare
@@ -13,7 +14,8 @@ from stss_ref.frame import NetworkInputs
 from stss_ref.resample import upsample_centres
 from stss_ref.schedule import FrameKind
 from training import samples as module
-from training.augment import MASK, NORMAL, augment, collate, depths_at_random, mask_at_random, turn_of_the_world
+from training.augment import MASK, MOTION, NORMAL, augment, collate, depths_at_random, mask_at_random, turn_of_the_world
+from training.loss import unsteadiness
 from training.samples import film_frames, pack, samples, split_of, unpack
 from training.scenes import INPUTS, Film, random_film
 
@@ -57,7 +59,7 @@ def test_pack_loses_nothing():
     newest = history[2]
     color = np.concatenate([random.random((6, 5, 3)), newest[..., :3]], axis=-1)
     inputs = NetworkInputs(color, random.random((6, 5, 9)), newest[..., 3], history)
-    for got, want in zip(vars(unpack(pack(inputs))).values(), vars(inputs).values(), strict=True):
+    for got, want in zip(vars(unpack(pack(inputs, np.zeros((6, 5, 2))))).values(), vars(inputs).values(), strict=True):
         np.testing.assert_array_equal(got, want)
 
 
@@ -88,7 +90,7 @@ def test_a_scene_is_in_one_split():
 def test_augmentation_keeps_what_belongs_together():
     """Where all pictures are one picture, they still are; normals keep their length and their up, y or z; masks stay masks."""
     random = np.random.default_rng(3)
-    inputs = np.zeros((16, 16, 24), np.float32)
+    inputs = np.zeros((16, 16, 26), np.float32)
     picture = random.random((16, 16, 3)).astype(np.float32)
     for first in (0, 12, 16, 20):
         inputs[..., first : first + 3] = picture
@@ -96,7 +98,7 @@ def test_augmentation_keeps_what_belongs_together():
     inputs[..., NORMAL] = [0.6, 0, 0.8]
     truth, ups = picture.repeat(2, 0).repeat(2, 1), list[int | None]()
     for seed in range(8):
-        new, large = augment(inputs, truth, np.random.default_rng(seed))
+        (new,), (large,) = augment(inputs[None], truth[None], np.random.default_rng(seed))
         for first in (12, 16, 20):
             np.testing.assert_array_equal(new[..., first : first + 3], new[..., :3])
         np.testing.assert_array_equal(large[::2, ::2], new[..., :3])
@@ -106,6 +108,23 @@ def test_augmentation_keeps_what_belongs_together():
         np.testing.assert_array_equal(new[..., NORMAL], np.broadcast_to(normal, (16, 16, 3)))
         assert abs(np.linalg.norm(normal) - 1) < 1e-6
     assert {*ups} == {1, 2}
+
+
+def test_motion_turns_with_the_picture():
+    """A picture that moved by (2, -1) pixels: however a pair is turned and mirrored, its motion leads to the same colours."""
+    random = np.random.default_rng(5)
+    inputs, picture = np.zeros((2, 16, 16, 26), np.float32), random.random((32, 32, 3)).astype(np.float32)
+    inputs[0, ..., MOTION], inputs[1, ..., MOTION] = module.NOWHERE, (2, -1)
+    truth = np.stack([picture, np.roll(picture, (2, -4), (0, 1))])
+    motions = set()
+    for seed in range(24):
+        new, large = augment(inputs, truth, np.random.default_rng(seed))
+        motions.add(tuple(new[1, 0, 0, MOTION]))
+        error = torch.from_numpy(np.moveaxis(large, -1, 1).copy())
+        motion = torch.from_numpy(np.moveaxis(new[..., MOTION], -1, 1).copy())
+        assert unsteadiness(error, motion) < 1e-5
+        assert unsteadiness(error, -motion) > 0.1
+    assert motions == {(2, -1), (-2, -1), (2, 1), (-2, 1), (1, 2), (-1, 2), (1, -2), (-1, -2)}
 
 
 @pytest.mark.parametrize("between", [(0.01, 0.05), (0.6, 0.95)])
@@ -137,7 +156,7 @@ def test_the_mirrored_world():
 
 
 def test_rrm_touches_the_newest_mask_alone():
-    inputs = np.ones((16, 16, 24), np.float32)
+    inputs = np.ones((16, 16, 26), np.float32)
     mask = mask_at_random(inputs, np.random.default_rng(0))
     assert 0 < (mask == 0).sum() <= 16
     batch = collate(inputs[None], mask[None], np.ones((1, 32, 32, 3)))
@@ -147,7 +166,7 @@ def test_rrm_touches_the_newest_mask_alone():
 
 
 def test_a_shard_is_whole_or_not_there(tmp_path):
-    sample = module.Sample(3, FrameKind.SF, np.full((8, 8, 24), 0.5), np.full((16, 16, 3), 0.25))
+    sample = module.Sample(3, FrameKind.SF, np.full((8, 8, 26), 0.5), np.full((16, 16, 3), 0.25))
     assert module.write(tmp_path / "one", "scene", "test", [sample]) == 1
     index = json.loads((tmp_path / "one" / "index.json").read_text())
     assert index == {"scene": "scene", "split": "test", "frames": [3], "kinds": ["SF"]}

@@ -15,7 +15,7 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test
 torch.set_num_threads(1)
 
 from training.average import main as average  # noqa: E402
-from training.data import Batches, details, load_shards  # noqa: E402
+from training.data import Batches, details, load_shards, pairs  # noqa: E402
 from training.step import Aims, advance, objective  # noqa: E402
 from training.train import Settings, main, rate_at, start  # noqa: E402
 from training.validate import tensors  # noqa: E402
@@ -126,7 +126,28 @@ def test_batches_are_half_and_half_and_depend_on_the_step_alone(data):
         (4, 1, 16, 16),
         (4, 3, 4, 16, 16),
         (4, 3, 32, 32),
+        (4, 2, 16, 16),
     ]
+
+
+def test_a_batch_has_the_frame_beside_and_the_motion_of_the_later_one(tmp_path):
+    """The truth says which frame a crop shows. Frames 3 and 4 go together, 9 with itself; no motion leads there."""
+    made = [
+        Sample(n, kind, np.full((16, 16, 26), 0.5), np.full((32, 32, 3), n / 16))
+        for n in (3, 4, 9)
+        for kind in (FrameKind.SF, FrameKind.EF)
+    ]
+    write(tmp_path / "one", "one", "training", made)
+    assert [(a.shard.frames[a.index], b.shard.frames[b.index]) for a, b in pairs(load_shards(tmp_path), "training")] == [
+        (3, 4),
+        (4, 3),
+        (9, 9),
+    ]
+    batches = Batches(load_shards(tmp_path), side=16, batch=2, seed=0)
+    for batch in (batches[step] for step in range(9)):
+        first, second = batch.truth.mean(axis=(1, 2, 3))
+        nowhere = (abs(batch.motion) > 100).all(axis=(1, 2, 3))
+        assert nowhere.tolist() == [first <= second, second <= first]
 
 
 def test_every_folder_of_shards_is_drawn_from_equally_often(tmp_path):
@@ -134,7 +155,7 @@ def test_every_folder_of_shards_is_drawn_from_equally_often(tmp_path):
     for folder, count in (("few", 1), ("many", 9)):
         for i in range(count):
             value = float(folder == "few")
-            made = [Sample(0, kind, np.zeros((16, 16, 24)), np.full((32, 32, 3), value)) for kind in (FrameKind.SF, FrameKind.EF)]
+            made = [Sample(0, kind, np.zeros((16, 16, 26)), np.full((32, 32, 3), value)) for kind in (FrameKind.SF, FrameKind.EF)]
             write(tmp_path / folder / str(i), f"{folder} {i}", "training", made)
     batches = Batches(load_shards(tmp_path), side=16, batch=20, seed=0)
     few = np.mean([(batches[step].truth.max(axis=(1, 2, 3)) > 0.5).mean() for step in range(5)])
@@ -152,16 +173,16 @@ def test_detail_of_a_crop_is_that_of_its_pixels():
 
 def test_batches_for_ablations(data):
     shards = load_shards(data)
-    for kind, others in (("SF", {"EF"}), ("EF", {"SF"})):
+    for kind in ("SF", "EF"):
         batches = Batches(shards, side=16, batch=4, seed=0, kinds=(kind,), masking=False)
-        batches._sets = {**batches._sets, **{key: [] for key in others}}  # to draw from the other would fail
+        assert {p.shard.kinds[p.index] for drawn in batches._sets for together in drawn for p in together} == {kind}
         assert (batches[0].mask == 1).all()
     masked = Batches(shards, side=16, batch=4, seed=0)
     assert any((masked[step].mask == 0).any() for step in range(4))
 
 
 def test_a_scene_in_two_splits_is_refused(data, tmp_path):
-    sample = Sample(0, FrameKind.SF, np.zeros((16, 16, 24)), np.zeros((32, 32, 3)))
+    sample = Sample(0, FrameKind.SF, np.zeros((16, 16, 26)), np.zeros((32, 32, 3)))
     for split in ("training", "test"):
         write(tmp_path / split, "the same", split, [sample])
     with pytest.raises(InputError, match="scene the same is in the splits"):

@@ -29,8 +29,8 @@ VALIDATION = ("scotland", "zengarden")
 """No clip of candela_city or black_forest is made: views of them are measured."""
 KARTS = ("tux", "konqi", "gnu", "kiki", "suzanne", "wilber", "puffy", "nolok", "pidgin", "xue")
 DAY, DUSK, NIGHT = ("park", "sky", "esplanade", "bridge", "venice"), ("dawn", "sunset", "sunrise"), ("night",)
-FRAMES, TRUTHS, SIZE = 4, (3,), (256, 144)
-"""Without the history an output needs three frames before its own."""
+FRAMES, TRUTHS, SIZE = 5, (3, 4), (256, 144)
+"""Without the history an output needs three frames before its own; two outputs in a row show what flickers."""
 SAMPLES = 4
 """The truth has SAMPLES x SAMPLES samples a pixel."""
 FAR = 1e7
