@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 import shlex
 import sys
 from pathlib import Path
@@ -13,7 +12,7 @@ import click
 
 from stss_ground.errors import InputError
 from stss_ground.guard import run_guarded
-from stss_ground.option_kinds import MAX_SECONDS, MAX_SEED, PATH, Names, Number
+from stss_ground.option_kinds import MAX_SECONDS, MAX_SEED, PATH, Names, Number, Size
 from stss_ground.optional import require as require_package
 from stss_ground.optional import require_own_conformance
 from stss_ground.output.apart import require_places
@@ -29,25 +28,12 @@ LEAST_SIDE = 2048
 MOST_SIDE = 2**17
 
 
-class Size(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
-    """``1280x720``, width first; (H, W)."""
-
-    name = "WxH"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        """The two numbers."""
-        found = re.fullmatch(r"([1-9][0-9]{0,5})x([1-9][0-9]{0,5})", value)
-        if found is None or int(found[1]) * int(found[2]) > MOST_PIXELS:
-            self.fail(f"expected width x height such as 1280x720, of up to {MOST_PIXELS} pixels, got {value!r}", param, ctx)
-        return int(found[2]), int(found[1])
-
-
 @click.command()
 @click.option("--port", "spec", metavar="MODULE:FACTORY", help="A Python object: package.module:factory.")
 @click.option("--exec", "program", metavar="PROGRAM", help='A program that is called with a job folder: "./port --gpu 1".')
 @click.option("--stages", type=Names(), help="Stages to judge  [default: all that the port has]")
 @click.option("--tier", type=click.Choice(["quick", "full"]), default="quick", show_default=True, help="How many cases.")
-@click.option("--size", type=Size(), help="Judge each stage once at this size, too.")
+@click.option("--size", type=Size(MOST_SIDE, MOST_PIXELS), help="Judge each stage once at this size, too.")
 @click.option(
     "--largest-side",
     type=click.IntRange(LEAST_SIDE, MOST_SIDE),
@@ -79,7 +65,6 @@ class Size(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
 )
 @click.option("--replay", type=PATH, help="Run only the case of one such folder again.")
 @click.option("--write-cases", type=PATH, help="Write cases with right answers and bounds into a new folder, and judge nothing.")
-@click.option("--list-mistakes", is_flag=True, help="Print the mistakes that wrong answers are compared with, and judge nothing.")
 @click.option("--json", "json_file", type=PATH, help="File for every result, written as it comes.")
 @click.option("--junit", type=PATH, help="File for JUnit XML.")
 @click.option("--report", type=PATH, help="File for an HTML page with pictures.")
@@ -102,7 +87,6 @@ def conform(
     failures: Path,
     replay: Path | None,
     write_cases: Path | None,
-    list_mistakes: bool,
     json_file: Path | None,
     junit: Path | None,
     report: Path | None,
@@ -116,20 +100,19 @@ def conform(
     from conformance.judging.judge import TIERS, Judge
     from conformance.judging.known_failures import KnownFailuresError, read_known
     from conformance.protocol.load_port import load_port
+    from conformance.report import case_archive
     from conformance.report.running_report import RunningReport
     from conformance.suite.run_suite import SUITE, run_suite
 
     require_places({"--json": json_file, "--junit": junit, "--report": report}, [known_failures])
     _require_folder(failures)
     _require_stages({"--stages": stages, "--require": require})
-    if list_mistakes:
-        _print_mistakes(stages)
-        return
     if write_cases is not None:
         if spec is not None or program is not None:
             raise InputError("--write-cases: expected neither --port nor --exec: what is right depends on no port")
         asked = [stage for stage in SUITE if stages is None or stage in stages]
-        _write_cases(write_cases, asked, dtype or "float32", winograd, tier, seed)
+        index = case_archive.write_cases(write_cases, asked, TIERS[tier], seed, dtype or "float32", winograd=winograd, tell=echo)
+        echo(f"{write_cases}: {len(index['cases'])} cases, inputs {index['inputs_sha256'][:16]}")
         return
     port = load_port(spec, program, timeout, dtype, winograd, weights_version)
     if replay is not None:
@@ -145,15 +128,6 @@ def conform(
     except OSError as error:
         raise InputError(f"{error.filename or known_failures}: {error.strerror or error}") from error
     sys.exit(0 if running.finish(report, junit) else 1)
-
-
-def _write_cases(folder: Path, stages: list[str], dtype: str, winograd: bool, tier: str, seed: int) -> None:
-    from conformance.answers.port_arithmetic import Arithmetic
-    from conformance.judging.judge import TIERS
-    from conformance.report.case_archive import write_cases
-
-    index = write_cases(folder, stages, Arithmetic(dtype, winograd), TIERS[tier], seed, echo)
-    echo(f"{folder}: {len(index['cases'])} cases, inputs {index['inputs_sha256'][:16]}")
 
 
 def _require_stages(named: dict[str, tuple[str, ...] | None]) -> None:
@@ -175,14 +149,6 @@ def _command(spec: str | None, program: str | None, dtype: str | None, weights_v
     words += ["--dtype", dtype] if dtype is not None else []
     words += ["--weights-version", str(weights_version)] if weights_version is not None else []
     return shlex.join([*words, *(["--winograd"] if winograd else [])])
-
-
-def _print_mistakes(stages: tuple[str, ...] | None) -> None:
-    from conformance.mistakes import MISTAKES
-
-    for mistake in MISTAKES:
-        if stages is None or mistake.stage in stages:
-            echo(f"{mistake.id}: {mistake.what}")
 
 
 def _replay(port: Any, folder: Path) -> int:

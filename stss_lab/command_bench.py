@@ -9,9 +9,10 @@ from pathlib import Path
 
 import click
 
-from stss.cli.options import MAX_COUNT, Size
+from stss.cli.options import MAX_COUNT
+from stss.images.headers import MAX_SIDE
 from stss.weights.file import identity, load
-from stss_ground.option_kinds import PATH, Names
+from stss_ground.option_kinds import PATH, Names, Size
 from stss_ground.output.apart import require_places
 from stss_ground.terminal import Terminal, echo
 
@@ -20,7 +21,7 @@ from stss_ground.terminal import Terminal, echo
 @click.option(
     "--size",
     "sizes",
-    type=Size(),
+    type=Size(MAX_SIDE),
     multiple=True,
     default=((540, 960),),
     show_default="960x540",
@@ -114,7 +115,9 @@ def gpu_report_command(out: Path, device: str | None, tiny: bool) -> None:
 @click.command()
 @click.argument("weights")
 @click.option("-o", "--out", type=PATH, required=True, help="The .onnx file to write.")
-@click.option("--size", type=Size(), default=(544, 960), show_default="960x544", help="Size of the inputs: multiples of 8.")
+@click.option(
+    "--size", type=Size(MAX_SIDE), default=(544, 960), show_default="960x544", help="Size of the inputs: multiples of 8."
+)
 def export(weights: str, out: Path, size: tuple[int, int]) -> None:
     """Write the network with WEIGHTS, for inputs of one size, as an ONNX model for other engines."""
     from stss_lab.bench import onnx_export

@@ -7,13 +7,14 @@ from functools import partial
 
 import click
 
-from stss.cli.options import Size
+from stss.images.headers import MAX_SIDE
+from stss_ground.option_kinds import Size
 from stss_ground.terminal import Terminal, echo
 
 
 @click.command()
 @click.option("--device", help="Part of the name of the OpenCL device.")
-@click.option("--size", type=Size(), default=(540, 960), show_default="960x540", help="Size of the inputs.")
+@click.option("--size", type=Size(MAX_SIDE), default=(540, 960), show_default="960x540", help="Size of the inputs.")
 @click.option("--show", is_flag=True, help="Print the tile sizes in use; time nothing.")
 def tune(device: str | None, size: tuple[int, int], show: bool) -> None:
     """Find the fastest tile sizes for a device and store them."""

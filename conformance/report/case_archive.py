@@ -28,16 +28,23 @@ INDEX, SUMS = "index.json", "SHA256SUMS"
 
 
 def write_cases(
-    folder: Path, stages: Sequence[str], arithmetic: Arithmetic, tier: Tier, seed: int, tell: Callable[[str], None]
+    folder: Path,
+    stages: Sequence[str],
+    tier: Tier,
+    seed: int = 0,
+    dtype: str = "float32",
+    *,
+    winograd: bool = False,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Write an archive, whole or not at all.
 
     Args:
         folder: the archive; a new folder.
         stages: the tests of these stages are stored.
-        arithmetic: of the ports that the archive is for.
         tier: decides the number of cases.
         seed: of the cases.
+        dtype, winograd: the arithmetic of the ports that the archive is for.
         tell: called with a line for each test.
 
     Returns:
@@ -55,15 +62,15 @@ def write_cases(
     try:
         with told(folder):
             archive = _Archive(made)
-            for test in stored_tests(stages, arithmetic, tier, seed):
+            for test in stored_tests(stages, Arithmetic(dtype, winograd), tier, seed):
                 archive.add(test)
                 tell(f"{test.id}: {f'{len(test.cases)} cases' if test.cases is not None else 'a property, not stored'}")
             asked = {
                 "stages": [*stages],
                 "tier": tier.name,
                 "seed": seed,
-                "dtype": arithmetic.dtype,
-                "winograd": arithmetic.winograd,
+                "dtype": dtype,
+                "winograd": winograd,
             }
             index = archive.finish(asked)
             made.chmod(0o755)

@@ -200,21 +200,6 @@ def perceptual_options(command: Command) -> Command:
     return grouped("Metrics", *options)(command)
 
 
-class Size(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
-    """``WIDTHxHEIGHT``, as (height, width)."""
-
-    name = "WxH"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        """Parse; a wrong size is the user's mistake."""
-        if isinstance(value, tuple):
-            return value
-        width, _, height = str(value).partition("x")
-        if not all(_is_whole(side, 5) and 1 <= int(side) <= MAX_SIDE for side in (width, height)):
-            self.fail(f"expected a size such as 960x540, at most {MAX_SIDE} a side, got {value!r}", param, ctx)
-        return int(height), int(width)
-
-
 def _is_whole(word: str, digits: int) -> bool:
     """Whether ``word`` is a whole number of at most ``digits`` ASCII digits; ``int`` raises for more than 4300."""
     return word.isascii() and word.isdecimal() and len(word.lstrip("0")) <= digits

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from conformance.answers.port_arithmetic import Arithmetic
 from conformance.judging.judge import Tier
 from conformance.mistakes import find
 from conformance.protocol.job_folder import read_weights
@@ -31,7 +30,7 @@ def reader():
 
 
 def written(folder, stages, tier=FEW, **arithmetic):
-    write_cases(folder, stages, Arithmetic(**arithmetic), tier, 0, lambda _: None)
+    write_cases(folder, stages, tier, **arithmetic)
     return json.loads((folder / "index.json").read_text())
 
 

@@ -10,7 +10,6 @@ from click.testing import CliRunner
 
 import conformance.report
 import stss_ref
-from conformance.answers.port_arithmetic import Arithmetic
 from conformance.judging.judge import Judge, Tier
 from conformance.judging.known_failures import KnownFailuresError, read_known
 from conformance.mistakes import find
@@ -45,7 +44,7 @@ def samples(tmp_path_factory):
     results = run_suite(judge, ["warp", "rrm", "erm"])
     wrong = Judge(find("warp_x_sign").port(), FEW, shrink=False)
     failed = run_suite(wrong, ["warp", "rrm"])
-    cases = write_cases(folder / "cases", ["rrm", "history"], Arithmetic(), FEW, 0, lambda _: None)
+    cases = write_cases(folder / "cases", ["rrm", "history"], FEW)
     return {
         "results": to_json(judge, results, {}, len(results)),
         "cases": cases,
