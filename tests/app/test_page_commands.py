@@ -1,4 +1,4 @@
-"""Every ``stss`` command that a page shows is one: it exists, and takes the options and words that it is given."""
+"""Every ``stss`` command that a page shows is one: it exists, and takes the options and words that it is given. Those of the README run."""
 
 import re
 import shlex
@@ -6,8 +6,10 @@ from pathlib import Path
 
 import click
 import pytest
+from click.testing import CliRunner
 
 from stss.cli.main import stss
+from stss.demo import write_demo_sequence
 
 ROOT = Path(__file__).parents[2]
 PAGES = [
@@ -56,6 +58,20 @@ def test_a_page_shows_commands_that_can_be_typed(page, line):
         pass
     except click.ClickException as error:
         pytest.fail(f"{page}: {line}: {error.format_message()}")
+
+
+def test_the_commands_of_the_readme_run_as_they_stand(tmp_path, monkeypatch):
+    write_demo_sequence(tmp_path, 4, (16, 24))
+    (tmp_path / "frames").rename(tmp_path / "shot")
+    (tmp_path / "truth").rename(tmp_path / "full")
+    monkeypatch.chdir(tmp_path)
+    section = (ROOT / "README.md").read_text(encoding="utf-8").partition("## Use it")[2]
+    lines = [shlex.split(line, comments=True) for line in BLOCK.search(section)[2].splitlines()]
+    assert [words[1] for words in lines] == ["check", "run", "compare"]
+    for words in lines:
+        assert CliRunner().invoke(stss, words[1:], catch_exceptions=False).exit_code == 0, words
+    assert len(list(Path("out").glob("frame.*.exr"))) == 4
+    assert Path("page.html").stat().st_size > 0
 
 
 @pytest.mark.parametrize("line", ["run a -o b --nothing", "nothing", "run a", "run a -o b --skip off|exact"])
