@@ -50,7 +50,7 @@ from stss_ground.terminal import Terminal, echo
 @click.option(
     "--settings",
     type=Names(),
-    help="With --pareto: the settings whose names contain one of these, such as float32,half off  [default: all]",
+    help="With --pareto: the settings whose names contain one of these, such as float32,half off  [default: all but bfloat16]",
 )
 @click.option(
     "--frames", type=click.IntRange(10, MAX_COUNT), default=20, show_default=True, help="With --pareto: frames a scene."

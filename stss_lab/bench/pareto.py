@@ -38,17 +38,19 @@ SETTINGS = (
     ComputeOptions(precision="float32-direct", skip="exact"),
     ComputeOptions(precision="half", skip="off"),
     ComputeOptions(precision="half", skip="exact"),
+    ComputeOptions(precision="bfloat16", skip="off"),
+    ComputeOptions(precision="bfloat16", skip="exact"),
 )
 FULL = SETTINGS[0]
 
 
 def chosen_settings(words: Sequence[str] | None) -> tuple[ComputeOptions, ...]:
-    """The settings of `SETTINGS` whose names contain one of ``words``; None: all settings.
+    """The settings of `SETTINGS` whose names contain one of ``words``; None: all but bfloat16, which is slow without matrix units.
 
     Raises:
         InputError: no name contains any of them.
     """
-    chosen = tuple(s for s in SETTINGS if words is None or any(word in s.name for word in words))
+    chosen = tuple(s for s in SETTINGS if (s.precision != "bfloat16" if words is None else any(word in s.name for word in words)))
     if not chosen:
         raise InputError(f"--settings: expected parts of {', '.join(s.name for s in SETTINGS)}, got {', '.join(words or ())}")
     return chosen

@@ -25,7 +25,7 @@ class Engine(Protocol):
 
     Attributes:
         name: its name in the tables.
-        dtype: ``float32`` or ``float16``: the type that its numbers are rounded to, which gives the unit of its errors.
+        dtype: ``float32``, ``float16`` or ``bfloat16``: the type that its numbers are rounded to, which gives the unit of its errors.
     """
 
     name: str
@@ -78,8 +78,8 @@ class OpenCLEngine:
     """``stss_cl`` in one precision, on one device; keeps the network of the last weights."""
 
     def __init__(self, device: Any, precision: str):
-        self.name = {"float32": "cl", "float32-direct": "cl direct", "half": "cl half"}[precision]
-        self.dtype = "float16" if precision == "half" else "float32"
+        self.name = {"float32": "cl", "float32-direct": "cl direct", "half": "cl half", "bfloat16": "cl bfloat16"}[precision]
+        self.dtype = {"half": "float16", "bfloat16": "bfloat16"}.get(precision, "float32")
         self._device, self._precision = device, precision
         self._weights: Weights | None = None
         self._network: Any = None

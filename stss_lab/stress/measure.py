@@ -68,7 +68,7 @@ def make_plan(device: Any, weights: Weights | None, *, full: bool = False) -> St
     """
     engines: list[Engine] = [ReferenceEngine()]
     if device is not None:
-        engines += [OpenCLEngine(device, precision) for precision in ("float32", "float32-direct", "half")]
+        engines += [OpenCLEngine(device, precision) for precision in ("float32", "float32-direct", "half", "bfloat16")]
     if full:
         return StressPlan(engines, seeds=10, size=(96, 128), sizes=(8, 16, 32, 64, 128, 256), weights=weights)
     return StressPlan(engines, weights=weights)

@@ -121,7 +121,13 @@ def bounds(plan: StressPlan) -> StressTable:
             inputs, weights = frame_noise(seed, *plan.size), plan.weights_of(seed)
             truth = reference("network", exact(inputs), weights)["image"]
             errors.append(float(np.abs(engine.run("network", inputs, weights)["image"] - truth).max()))
-        asked = {"ref": "float32", "cl": "cl.float32", "cl direct": "cl.float32-direct", "cl half": "cl.half"}[engine.name]
+        asked = {
+            "ref": "float32",
+            "cl": "cl.float32",
+            "cl direct": "cl.float32-direct",
+            "cl half": "cl.half",
+            "cl bfloat16": "cl.bfloat16",
+        }[engine.name]
         rows.append((engine.name, float(np.median(errors)), max(errors), BOUNDS[f"network.{asked}"].floor))
     columns = ("", "median seed", "worst seed", "asked")
     return StressTable("bounds", "Image of the network: largest absolute error", columns, tuple(rows))

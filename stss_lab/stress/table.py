@@ -95,5 +95,5 @@ def _ratio(got: Array, truth: Array) -> float:
 
 
 def in_units(error: float, arithmetic: Engine) -> float:
-    """A relative error in units of the arithmetic's rounding: 2^-24 of float32, 2^-11 of half."""
+    """A relative error in units of the arithmetic's rounding: 2^-24 of float32, 2^-11 of half, 2^-8 of bfloat16."""
     return error / UNIT[arithmetic.dtype]

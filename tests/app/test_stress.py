@@ -105,7 +105,7 @@ def test_the_backend_is_measured_in_each_of_its_precisions():
     except DeviceError as error:
         pytest.skip(str(error))
     plan = make_plan(device, WEIGHTS)
-    assert [engine.name for engine in plan.engines] == ["ref", "cl", "cl direct", "cl half"]
+    assert [engine.name for engine in plan.engines] == ["ref", "cl", "cl direct", "cl half", "cl bfloat16"]
     engine = OpenCLEngine(device, "half")
     features = engine.features(INPUTS["network"], WEIGHTS)
     alone = engine.run("encoder", INPUTS["encoder"], WEIGHTS)
