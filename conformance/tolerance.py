@@ -48,6 +48,10 @@ BOUNDS = {
     "layer.winograd": Bound(12, 0, "rms amplification of F(4x4,3x3) on 0, +-1, +-2: 10.8 (tests/meta/test_bounds.py)"),
     "gate": Bound(4, 0, "1 / (1 + exp(-x)) or (1 + tanh(x / 2)) / 2: absolutely, times what the gate is to close"),
     "spread": Bound(8, 0, "times the rms of the reference's answer to random changes of that size, or twice its largest"),
+    "rms": Bound(
+        1 / 6, 0, "rounding is a random walk, sqrt(n) below gamma_n, and a layer has n >= 36; scale: rms of what gamma_n moves"
+    ),
+    "rms.stored": Bound(1, 0, "of 3 roundings, each of up to u, the rms is u; changes of up to 3 u have sqrt(3) u"),
     "sums.square": Bound(2, 0, "mean of at least 1000 squared errors, each over its largest variance, n S^2 u^2 / 3"),
     "sums.signed": Bound(8, 0, "sum of N such errors over sqrt(N): standard deviations of what is rounded either way as often"),
     "image": Bound(16, 0, "upsampled colour: 10; pixel shuffle and its sum; the sigmoids' own; scale: largest output"),

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,12 +24,14 @@ class Expected:
         allowed: the allowed error of each number; shape of ``want``, or one number.
         others: further right answers, each of the shape of ``want``: where rounding decides, either side is right.
         vectors: whether the last axis belongs together: an answer is right as a whole, and non-finite as a whole.
+        rms: the largest root mean square of all errors together; infinite: no limit.
     """
 
     want: NDArray[Any]
     allowed: NDArray[Any] | float
     others: tuple[NDArray[Any], ...] = ()
     vectors: bool = False
+    rms: float = np.inf
 
     @property
     def undecided(self) -> int:
@@ -42,6 +44,17 @@ class Expected:
     def ratios(self, got: NDArray[Any]) -> Float64:
         """``error / allowed`` of each number, against the right answer nearest to it; a wrong mask is infinitely wrong."""
         return np.minimum.reduce([self._against(got, want) for want in (self.want, *self.others)])
+
+    def together(self, got: NDArray[Any]) -> float:
+        """Root mean square of all errors, over its limit."""
+        if np.isinf(self.rms) or got.shape != self.want.shape:
+            return 0.0
+        with np.errstate(over="ignore", invalid="ignore"):
+            return worst(np.sqrt(np.mean((got.astype(np.float64) - self.want) ** 2)), np.asarray(self.rms))
+
+    def closer(self, got: NDArray[Any]) -> Expected:
+        """The same, with the limit of the root mean square for each number if it is only by that that ``got`` is wrong."""
+        return replace(self, allowed=self.rms) if largest(self, got) <= 1 < self.together(got) else self
 
     def _against(self, got: NDArray[Any], want: NDArray[Any]) -> Float64:
         allowed = np.broadcast_to(np.asarray(self.allowed, np.float64), want.shape)

@@ -92,7 +92,8 @@ def _spread(
         spread = max(float(np.sqrt(np.mean(moved * moved))), float(moved.max(initial=0)) / TAIL)
         ungated = BOUNDS["gate"].roundings * arithmetic.unit * np.abs(opened[name]).max(initial=0)
         floor = ungated + BOUNDS["image"].roundings * (arithmetic.unit * np.abs(want).max(initial=0) + arithmetic.tiny)
-        expected[name] = Expected(want, float(BOUNDS["spread"].roundings * spread + floor))
+        rms = BOUNDS["rms" if arithmetic.dtype == "float32" else "rms.stored"].roundings * np.sqrt(np.mean(moved * moved)) + floor
+        expected[name] = Expected(want, float(BOUNDS["spread"].roundings * spread + floor), rms=float(rms))
     return expected
 
 

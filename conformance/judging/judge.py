@@ -23,6 +23,8 @@ from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
 
 MOST_FLOAT16 = 1.0
+RMS = "_rms"
+"""Added to an output's name: the root mean square of all its errors, over its limit."""
 MOST_BEFORE = BATCH - 1
 """Most cases that are remembered as those before a failure; together with the failing case they fill one run of a program."""
 MOST_WEIGHTS = 128
@@ -307,14 +309,22 @@ class Judge:
 
     def holds(self, output: str, got: NDArray[Any], expected: Expected) -> None:
         """Raise DepartureError unless ``got`` is right; ``output`` is ``stage.name``, as in the table of bounds."""
-        worst = largest(expected, got)
         self.record.undecided += expected.undecided
-        self.record.worst[output] = max(worst, self.record.worst.get(output, 0.0))
+        closer = expected.closer(got)
+        worst = largest(closer, got)
+        found = {output: largest(expected, got), **({f"{output}{RMS}": expected.together(got)} if expected.rms < np.inf else {})}
+        for name, ratio in found.items():
+            self.record.worst[name] = max(ratio, self.record.worst.get(name, 0.0))
         if worst > 1:
             assert self._last is not None
-            message = said(output, got, expected, worst)
-            raise DepartureError(Finding(message, self._last, output.rsplit(".", maxsplit=1)[-1], got, expected))
-        self.near[output] = max(worst, self.near.get(output, 0.0))
+            message = said(output, got, closer, worst)
+            if closer is not expected:
+                message = (
+                    f"{output}: rms of the errors {expected.together(got):.3g} of its limit, each within its own bound; {message}"
+                )
+            raise DepartureError(Finding(message, self._last, output.rsplit(".", maxsplit=1)[-1], got, closer))
+        for name, ratio in found.items():
+            self.near[name] = max(ratio, self.near.get(name, 0.0))
 
 
 def agreement(judge: Judge, case: Case) -> Talk:

@@ -1,0 +1,50 @@
+"""Fewer bits at one place of the network are found, by all numbers of an output together, and no right port comes near."""
+
+import numpy as np
+import pytest
+
+from conformance.answers.expected import Expected
+from conformance.judging.findings import DepartureError
+from conformance.judging.judge import RMS, TIERS, Judge
+from conformance.mistakes.planting import half, load
+from conformance.mistakes.precision import rounded_at
+from conformance.suite.properties import find_test
+from tests.meta import right_ports as others
+
+FAINT = [("erm", "KEncoder.0", "output"), ("encoder", "down3.downsample", "input")]
+"""Half here is within the bound of every number of the quick tier's cases."""
+NEAR = 1 / 3
+"""No right port comes nearer to the limit."""
+
+
+def worst(port, stage):
+    judge = Judge(port, TIERS["quick"], shrink=False)
+    test = find_test(f"{stage}.agrees_with_the_reference")
+    judge.check_all(test.property, test.some(judge))
+    return judge.record.worst
+
+
+@pytest.mark.parametrize(("stage", "layer", "what"), FAINT)
+def test_half_at_one_place_is_found_without_luck(stage, layer, what):
+    with pytest.raises(DepartureError, match="each within its own bound"):
+        worst(load("planted", *rounded_at(layer, what, half)), stage)
+
+
+@pytest.mark.parametrize(("name", "stage"), [("in_order", "frame"), ("fma", "history"), ("half", "erm")])
+def test_no_right_port_comes_near(name, stage):
+    """Those that come nearest."""
+    found = {output: ratio for output, ratio in worst(others.port(name), stage).items() if output.endswith(RMS)}
+    assert found
+    assert 0 < max(found.values()) < NEAR
+
+
+def test_the_limit_is_of_all_numbers_together():
+    want = np.zeros(100)
+    expected = Expected(want, 1.0, rms=0.2)
+    one, all_ = want.copy(), want + 0.3
+    one[7] = 0.9
+    assert expected.closer(one) is expected
+    assert round(expected.together(one), 9) == 0.45
+    closer = expected.closer(all_)
+    assert (closer.allowed, int((closer.ratios(all_) > 1).sum())) == (0.2, 100)
+    assert expected.closer(want + 2) is expected, "beyond the bound of each number"
