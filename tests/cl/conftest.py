@@ -3,6 +3,7 @@
 from functools import cache
 from weakref import WeakKeyDictionary
 
+import pyopencl as cl
 import pytest
 
 from stss_cl.device import discovery, program
@@ -83,3 +84,22 @@ def unoptimised(monkeypatch):
 
     monkeypatch.setattr(program, "_stored_or_built", quickly)
     monkeypatch.setattr(program, "_programs", WeakKeyDictionary())
+
+
+@pytest.fixture
+def launched(monkeypatch):
+    """The names of the kernels, in order, that would have been launched from now on."""
+    return launch_nothing(monkeypatch)
+
+
+def launch_nothing(patch):
+    """From now on build kernels without running them, where their results do not matter: processors take minutes for those of GPUs."""
+    names = []
+
+    def noted(queue, kernel, *_):
+        names.append(kernel.function_name)
+        return cl.enqueue_marker(queue)
+
+    patch.setattr(cl, "enqueue_nd_range_kernel", noted)
+    patch.setattr(cl.Kernel, "__call__", lambda kernel, queue, *_, **__: noted(queue, kernel))
+    return names

@@ -21,9 +21,7 @@ from tests.cl.test_network import tensors
 LAYERS = [
     # size, channels of both inputs, outputs, gated, stride
     ((9, 37), 24, 0, 24, True, 1),
-    ((6, 33), 24, 24, 24, False, 1),
     ((5, 70), 32, 96, 64, False, 1),
-    ((4, 5), 32, 16, 64, False, 1),
     ((7, 34), 32, 0, 32, True, 2),
     ((5, 40), 4, 0, 24, False, 2),
 ]

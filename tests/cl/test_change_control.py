@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from conformance.scenes import SCENES
-from stss.frames.supersample import plan
 from stss.sequence.scenes import display_frames
 from stss_cl.skip.change_control import RULES, ChangeControl
 from stss_cl.skip.stream import Stream
-from tests.cl.test_stream import UNREAD, WEIGHTS, assert_same, first_frame, next_frame
+from tests.cl.films import UNREAD, WEIGHTS, assert_same, calls_of
+from tests.cl.films import film as noise
 
 MOVING = 28
 RECTANGLES = 8 * ("nothing",) + 40 * ("rectangle",)
@@ -28,17 +28,6 @@ def film():
     return frames
 
 
-def noise(seed, changes):
-    """Display frames of noise, each with a change."""
-    rng = np.random.default_rng(seed)
-    frames = [first_frame(rng, (24, 40), rendered=True)]
-    color = frames[0].color
-    for i, change in enumerate(changes, start=1):
-        made, color = next_frame(rng, frames[-1], color, change, rendered=i % 2 == 0)
-        frames.append(made)
-    return frames
-
-
 def read(decisions):
     """``w 3c`` is ``wccc``."""
     return "".join(word[-1] * int(word[:-1]) if word[0].isdigit() else word for word in decisions.split())
@@ -46,9 +35,8 @@ def read(decisions):
 
 def shown(stream, frames):
     """For each frame the part of the network that was run, and what came out."""
-    for i in range(len(frames)):
-        window = frames[max(0, i - 5) : i + 1]
-        image = stream(window, plan(window).steps)
+    for call in calls_of(frames):
+        image = stream(*call)
         yield stream.report.network, image
 
 
@@ -60,17 +48,17 @@ def shown(stream, frames):
         (STOPS, "55w 5c 9n 20c 30w"),
     ],
 )
-def test_where_something_changes(device, changes, decisions):
+def test_where_something_changes(gpu, changes, decisions):
     """What changed is computed; after frames that changed everywhere nobody looks for a while."""
-    seen = "".join(network[0] for network, _ in shown(Stream(WEIGHTS, device), noise(3, changes)))
+    seen = "".join(network[0] for network, _ in shown(Stream(WEIGHTS, gpu), noise(changes, seed=3)))
     assert seen == read(decisions)
 
 
 @pytest.mark.parametrize(("weights", "decisions"), [(WEIGHTS, "34w 4c 6n"), (UNREAD, "32w 2c 10n")], ids=["read", "unread"])
-def test_a_camera_that_stops(device, film, weights, decisions, monkeypatch):
+def test_a_camera_that_stops(processor, film, weights, decisions, monkeypatch):
     """The bits are those of `off`, also in the frames for whose changes nobody looked, and in those after them."""
     monkeypatch.setattr("stss_cl.skip.change_control.RULES", replace(RULES, rest=4))
-    plain, keeping, seen = Stream(weights, device, skip="off"), Stream(weights, device), ""
+    plain, keeping, seen = Stream(weights, processor, skip="off"), Stream(weights, processor), ""
     for (network, got), (_, want) in zip(shown(keeping, film), shown(plain, film), strict=True):
         assert_same(got, want)
         seen += network[0]

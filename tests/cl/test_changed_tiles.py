@@ -9,20 +9,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from conformance.cases.planes import SEEDS, sizes
-from conformance.tolerance import ratio
-from stss_cl.device.buffers import incoming, padded, read
-from stss_cl.device.grid import grid
-from stss_cl.device.program import build
-from stss_cl.device.tuning import Direct, Tuning, Winograd, trial
+from stss_cl.device.buffers import incoming
 from stss_cl.network.layers import Layers
-from stss_cl.network.network import PRECISIONS
 from stss_cl.network.strips import OVERLAP
 from stss_cl.skip.partial_network import PartialNetwork
-from stss_ref.network import network
 from stss_ref.weights import random as random_weights
-from tests.cl.conftest import QUICK
 
-few = settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
+few = settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
 CHANGES = st.lists(st.tuples(st.sampled_from(["nothing", "pixel", "rectangle", "all", "back"]), SEEDS), min_size=1, max_size=5)
 
 
@@ -151,7 +144,7 @@ def step(inputs, first, kind, seed):
     return made
 
 
-@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("precision", ["float32", "half"])
 @few
 @given(size=sizes(72), changes=CHANGES, seed=SEEDS)
 def test_the_image_is_that_of_computing_everything(device, precision, size, changes, seed):
@@ -164,54 +157,8 @@ def test_the_image_is_that_of_computing_everything(device, precision, size, chan
         np.testing.assert_array_equal(bits(sequence.show()), bits(sequence.fresh(inputs)), kind)
 
 
-@pytest.mark.parametrize(
-    ("precision", "tuning"),
-    [
-        # The smallest and large ones in one row, with vectors of 8 from half storage: two rows would be built for a minute.
-        (
-            "half",
-            Tuning(
-                {24: Winograd(2, 2, 3), 32: Winograd(9, 3, 4), 64: Winograd(1, 1, 1)},
-                {n: Direct(1, 1, 2) for n in (24, 32, 64)},
-            ),
-        ),
-        ("float32", Tuning(None, {n: Direct(4, n // 8, 4) for n in (24, 32, 64)})),
-    ],
-    ids=["winograd", "direct"],
-)
-@settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(size=sizes(72), changes=CHANGES)
-def test_other_tile_sizes(processor, unoptimised, precision, tuning, size, changes):
-    """Without the history, whose layers would be a third of the kernels."""
-    weights = random_weights(5)
-    weights |= {n: np.zeros_like(w) for n, w in weights.items() if n.startswith("lowlevelGated.") and n.endswith(".weight")}
-    with trial(tuning):
-        sequence = Sequence(processor, size, precision, weights)
-        inputs = first = noise(np.random.default_rng(0), size)
-        sequence.first(inputs)
-        want = network(*(x.astype(np.float64) for x in inputs), sequence.weights)
-        assert ratio(f"network.cl.{precision}", sequence.show(), want) <= 1
-        for kind, seed in changes:
-            inputs = step(inputs, first, kind, seed)
-            sequence.next(inputs)
-            np.testing.assert_array_equal(bits(sequence.show()), bits(sequence.fresh(inputs)), kind)
-
-
-def test_work_items_of_two_rows(few_units, unoptimised):
-    """Of conv_local.cl, in layers with enough tiles for all units; the other tests' layers have too few."""
-    sequence = Sequence(few_units, (72, 40), "half")
-    assert {launch.source.options.get("ROWS") for launch in sequence.layers.launches if launch.tiling.images > 1} == {1, 2}
-    inputs = first = noise(np.random.default_rng(0), sequence.size)
-    sequence.first(inputs)
-    for seed, kind in enumerate(("rectangle", "pixel", "nothing", "all", "rectangle", "back")):
-        inputs = step(inputs, first, kind, seed)
-        sequence.next(inputs)
-        np.testing.assert_array_equal(bits(sequence.show()), bits(sequence.fresh(inputs)), kind)
-
-
-@pytest.mark.parametrize("tall", [False, True])
-@pytest.mark.parametrize("precision", QUICK)
-@settings(few, max_examples=6)
+@pytest.mark.parametrize(("precision", "tall"), [("float32-direct", False), ("float32", True), ("half", False)])
+@settings(few, max_examples=4)
 @given(across=st.integers(0, 15), along=st.integers(0, 799), seed=SEEDS)
 def test_far_from_a_change_nothing_is_written(device, precision, tall, across, along, seed):
     """No further than the strips' overlap, and everything that did change is."""
@@ -242,42 +189,16 @@ def far(device, precision, tall=False):
     return _far[device, precision, tall]
 
 
-@few
-@given(left=st.integers(0, 60), seed=SEEDS)
+@settings(few, max_examples=5)
+@given(left=st.integers(0, 15), seed=SEEDS)
 def test_the_attention_sees_keys_that_changed_alone(device, left, seed):
     """Where its values are the same everywhere nothing else brings the change to it."""
     weights = random_weights(5)
     weights |= {name: np.zeros_like(tensor) for name, tensor in weights.items() if "latentEncoder" in name and "weight" in name}
-    sequence = Sequence(device, (64, 512), weights=weights)
+    sequence = Sequence(device, (40, 128), weights=weights)
     inputs = noise(np.random.default_rng(0), sequence.size)
     sequence.first(inputs)
     changed = [array.copy() for array in inputs]
-    changed[1][:, 8 * left : 8 * left + 8] = np.random.default_rng(seed).random((64, 8, 9))
+    changed[1][:, 8 * left : 8 * left + 8] = np.random.default_rng(seed).random((40, 8, 9))
     sequence.next(changed)
     np.testing.assert_array_equal(bits(sequence.show()), bits(sequence.fresh(changed)))
-
-
-@few
-@given(size=sizes(72), seed=SEEDS)
-def test_the_input_at_an_eighth_marks_what_changed(device, size, seed):
-    random = np.random.default_rng(seed)
-    _, gbuffer, mask, _ = noise(random, size)
-    other = gbuffer.copy()
-    other[random.integers(size[0]) :, random.integers(size[1]) :] += 1
-    rows, columns = (-(-n // 8) for n in size)
-    held = padded(device, rows, columns, 16, np.dtype(np.float32), changes=True)
-    program = build(device, "downsample_8.cl", {"MASK": "float", "MARK": True})
-    kernel = cl.Kernel(program, "downsample_8")
-
-    def run(gbuffer):
-        buffers = [incoming(device, array) for array in (gbuffer, mask)]
-        numbers = (np.int32(n) for n in (*size, rows, columns, held.columns, 0))
-        kernel(device.queue, *grid(device, columns, rows), *buffers, held.data, *numbers, held.changes)
-        device.queue.finish()
-        return contents(device, held)
-
-    before = run(gbuffer)
-    cl.enqueue_fill_buffer(device.queue, held.changes, np.zeros(1, np.uint8), 0, held.changes.size)
-    after = run(other)
-    np.testing.assert_array_equal(raw(device, held.changes).reshape(1, -(-rows // 4), -(-columns // 4)), tiles(before, after))
-    assert read(device, held).shape == (rows, columns, 16)

@@ -1,4 +1,4 @@
-"""The convolutions for GPUs, on any device: against the plain kernel and the reference, over all tiles and over some."""
+"""The convolutions for GPUs, on any device, against the reference; those for processors, too, over the tiles of a list."""
 
 from dataclasses import replace
 from weakref import WeakKeyDictionary
@@ -11,7 +11,7 @@ from conformance.tolerance import sum_bound, worst
 from stss_cl.device import matrix_units
 from stss_cl.device.buffers import constant, padded, read, write
 from stss_cl.device.discovery import open_device
-from stss_cl.device.tuning import Local, built_in, trial
+from stss_cl.device.tuning import Direct, Local, Winograd, built_in, trial
 from stss_cl.network.conv import conv
 from stss_cl.network.layers import Layers
 from stss_cl.network.pack_weights import pack
@@ -28,11 +28,11 @@ FLOAT, HALF = np.dtype(np.float32), np.dtype(np.float16)
 LAYERS = [
     # size, channels of both inputs, outputs, gated, stride
     ((37, 53), 24, 0, 24, True, 1),
-    ((40, 65), 24, 24, 24, False, 1),
-    ((19, 33), 32, 96, 64, False, 1),
+    ((17, 65), 24, 24, 24, False, 1),
+    ((9, 35), 32, 96, 64, False, 1),
     ((5, 7), 16, 0, 32, False, 1),
     ((11, 35), 24, 32, 32, False, 1),
-    ((21, 70), 96, 0, 32, True, 1),
+    ((5, 70), 96, 0, 32, True, 1),
     ((20, 36), 24, 0, 24, True, 2),
     ((12, 33), 32, 0, 32, False, 2),
     ((11, 35), 4, 0, 24, False, 2),
@@ -63,7 +63,9 @@ class Case:
         self.out = replace(self.out, changes=marks)
 
     def layer(self, local, side=4):
-        row = replace(built_in(self.device), winograd=None, local=local)
+        return self.by(replace(built_in(self.device), winograd=None, local=local), side)
+
+    def by(self, row, side=4):
         with trial(row):
             return conv(
                 self.device, "test", "layer", self.packed, self.inputs[0], (*self.inputs, None)[1], self.out,
@@ -99,9 +101,7 @@ class Case:
         return want, allowed + (0 if dtype == FLOAT else 2.0**-11 * np.abs(want) + 2.0**-24)
 
 
-@pytest.mark.parametrize("rows", [1, 2])
-@pytest.mark.parametrize("dtype", [FLOAT, HALF], ids=str)
-@pytest.mark.parametrize("layer", LAYERS, ids=str)
+@pytest.mark.parametrize(("layer", "dtype", "rows"), [*zip(LAYERS, 5 * (FLOAT, HALF), 3 * (1, 1, 2, 2), strict=False)], ids=str)
 def test_local(device, layer, dtype, rows):
     case = Case(device, layer, dtype)
     made = case.layer(Local(rows))
@@ -151,12 +151,25 @@ def test_weights_in_another_order_are_found(device, monkeypatch):
             assert not matrix_units.proved(device)
 
 
-@pytest.mark.parametrize("local", [Local(1), Local(2), MATRIX], ids=str)
+ROWS = {
+    "local": {"winograd": None, "local": Local(1)},
+    "local, two rows": {"winograd": None, "local": Local(2)},
+    "matrix units": {"winograd": None, "local": MATRIX},
+    "plain": {"winograd": None, "local": None, "direct": {24: Direct(4, 3, 4)}},
+    "plain, few at once": {"winograd": None, "local": None, "direct": {24: Direct(1, 1, 2)}},
+    "Winograd": {"winograd": {24: Winograd(9, 3, 3)}},
+    "Winograd, few at once": {"winograd": {24: Winograd(1, 1, 1)}},
+    "Winograd, vectors of 16": {"winograd": {24: Winograd(2, 2, 2, vector=16)}},
+}
+
+
+@pytest.mark.parametrize("name", ROWS)
 @pytest.mark.parametrize("layer", [LAYERS[0], LAYERS[6]], ids=str)
-def test_tiles_of_a_list(device, layer, local):
+def test_tiles_of_a_list(device, processor, layer, name):
     """Only the listed tiles are written, whatever the number of work-groups; a tile is marked if its bits now differ."""
+    device = device if ROWS[name].get("local") else processor
     case = Case(device, layer, HALF)
-    made = case.layer(local)
+    made = case.by(replace(built_in(device), **ROWS[name]))
     whole = case.run(made)
     tiling = made.tiling
     tall, wide = (pixels // case.stride for pixels in tiling.step)
@@ -172,20 +185,20 @@ def test_tiles_of_a_list(device, layer, local):
     assert np.isnan(got[~inside]).all()
     marks = np.empty((-(-case.size[0] // 4), -(-case.size[1] // 4)), np.uint8)
     cl.enqueue_copy(device.queue, marks, case.out.changes)
-    np.testing.assert_array_equal(np.repeat(np.repeat(marks, 4, 0), 4, 1)[: case.size[0], : case.size[1]] > 0, inside)
+    rows, columns = (range(0, length, 4) for length in case.size)
+    np.testing.assert_array_equal(marks > 0, np.logical_or.reduceat(np.logical_or.reduceat(inside, rows, 0), columns, 1))
 
 
-@pytest.mark.parametrize("precision", ["float32", "half"])
-def test_launches_of_a_frame(device, precision):
-    """The history's images go together, and the attention is one."""
-    layers = Layers(device, random_weights(5), 24, 40, precision, keep=True).launches
+def test_launches_of_a_frame(few_units):
+    """The history's images go together, the attention is one, and work-items have two rows where tiles are enough for all units."""
+    layers = Layers(few_units, random_weights(5), 72, 40, "half", keep=True).launches
     assert len(layers) == 38
     assert [layer.tiling.images for layer in layers].count(3) == 9
-    assert len(Layers(device, random_weights(5), 24, 40, "float32-direct").launches) == 56
+    assert {layer.source.options.get("ROWS") for layer in layers if layer.tiling.images > 1} == {1, 2}
+    assert len(Layers(few_units, random_weights(5), 24, 40, "float32-direct").launches) == 56
 
 
-@pytest.mark.parametrize("local", [Local(1), Local(2), MATRIX], ids=str)
-@pytest.mark.parametrize("joined", [False, True])
+@pytest.mark.parametrize(("local", "joined"), [(Local(1), False), (Local(2), True), (MATRIX, True)], ids=str)
 def test_three_images_in_one_launch(device, local, joined):
     """The same bits as one after the other, into images or into channels."""
     case = Case(device, ((9, 35), 24, 0, 24, True, 1), HALF)

@@ -2,15 +2,8 @@
 
 from collections import Counter
 
-import pyopencl as cl
-import pytest
-
-from stss.frames.display_frame import window_at
-from stss.frames.supersample import plan
-from stss_cl.network.layers import Layers
 from stss_cl.skip.stream import Stream
-from tests.cl.test_device_frames import film
-from tests.cl.test_stream import EARLIER, UNREAD, WEIGHTS
+from tests.cl.films import EARLIER, UNREAD, WEIGHTS, calls_of, film
 
 NETWORK = {"gpu": 38, "cpu": 56}
 AROUND = {
@@ -26,28 +19,12 @@ AROUND = {
 """Launches before the network, of a frame that is compared with none."""
 
 
-@pytest.fixture
-def launched(monkeypatch):
-    """The names of the kernels, in order, that would have been launched: their results do not matter here."""
-    names = []
-
-    def noted(queue, kernel, *_):
-        names.append(kernel.function_name)
-        return cl.enqueue_marker(queue)
-
-    monkeypatch.setattr(cl, "enqueue_nd_range_kernel", noted)
-    monkeypatch.setattr(cl.Kernel, "__call__", lambda kernel, queue, *_, **__: noted(queue, kernel))
-    return names
-
-
-@pytest.mark.parametrize("skip", ["off", "exact"])
-def test_launches_of_a_whole_frame(device, launched, skip):
-    frames, stream, found = film(["moving"] * 7), Stream(WEIGHTS, device, skip=skip), {}
-    for i in range(len(frames)):
+def test_launches_of_a_whole_frame(device, launched):
+    stream, found = Stream(WEIGHTS, device), {}
+    for window, steps in calls_of(film(["moving"] * 7)):
         stream._control.frames_unlooked = 100
-        window = window_at(frames, i)
         launched.clear()
-        stream(window, plan(window).steps)
+        stream(window, steps)
         found["EF" if window[-1].color is None else "SF"] = Counter(launched)
     which = device.device_class
     counts = {kind: sum(names.values()) for kind, names in found.items()}
@@ -56,19 +33,14 @@ def test_launches_of_a_whole_frame(device, launched, skip):
 
 def test_an_earlier_second_colour_costs_a_launch(device, launched):
     """Its frame is prepared before the newest one; an SF has a chain of motion for it."""
-    frames, found = film(["moving"] * 7), {}
+    found = {}
     for weights in (UNREAD, EARLIER):
         stream = Stream(weights, device, skip="off")
-        for i in range(len(frames)):
-            window = window_at(frames, i)
+        for window, steps in calls_of(film(["moving"] * 7)):
             launched.clear()
-            stream(window, plan(window).steps)
+            stream(window, steps)
             found[weights is EARLIER, window[-1].color is None] = Counter(launched)
     for extrapolated in (False, True):
         more = found[True, extrapolated] - found[False, extrapolated]
         assert more.pop("prepare_older") == 1
         assert set(more) <= {"chain_steps"}
-
-
-def test_launches_of_the_network(device):
-    assert len(Layers(device, WEIGHTS, 24, 40, "float32").launches) == NETWORK[device.device_class]

@@ -80,81 +80,87 @@ def winograd_scale(x, weight, side, stride=1):
     return scale[: height // stride, : width // stride]
 
 
-@settings(few, max_examples=6)  # each compiles two kernels or three
-@example(size=(5, 7), shape=(24, 24, 24), gated=False, relu=True, vector=8, seed=0)
-@example(size=(5, 43), shape=(24, 24, 24), gated=False, relu=True, vector=16, seed=0)
-@example(size=(5, 43), shape=(24, 0, 24), gated=True, relu=True, vector=16, seed=0)
-@example(size=(5, 43), shape=(24, 24, 24), gated=False, relu=True, vector="small", seed=0)
-@given(
-    size=sizes(21),
-    shape=st.sampled_from([(24, 0, 24), (32, 0, 32), (24, 24, 24), (96, 0, 32), (32, 16, 64), (32, 96, 64)]),
-    gated=st.booleans(),
-    relu=st.booleans(),
-    vector=st.sampled_from(list(VECTORS)),
-    seed=SEEDS,
+def bounds(x, weights, stride, side, *, gated):
+    """The layer in float64, and how far sums in float32 may be from it: of the plain convolution, or of Winograd's for ``side``."""
+    exact, wide = x.astype(np.float64), {name: array.astype(np.float64) for name, array in weights.items()}
+    absolute = {name: np.abs(array) for name, array in wide.items()}
+    feature, gate = ("layer.conv_feature", "layer.conv_mask.0") if gated else ("layer", None)
+
+    def allowed(branch):
+        if side:
+            scale = winograd_scale(x, weights[f"{branch}.weight"], side, stride) + absolute[f"{branch}.bias"]
+            return sum_bound(x.shape[-1] + 28, scale, np.float32)
+        return sum_bound(9 * x.shape[-1] + 2, reference.conv_named(exact, absolute, branch, stride), np.float32)
+
+    if not gated:
+        return reference.conv_named(exact, wide, "layer", stride), allowed(feature)
+    # The gate's error counts a quarter (the sigmoid's steepest slope) times the feature; the sigmoid's own 8 roundings too.
+    magnitude = reference.conv_named(exact, absolute, feature, stride)
+    return reference.gated(exact, wide, "layer", stride), allowed(feature) + magnitude * (allowed(gate) / 4 + 8 * 2.0**-24)
+
+
+@pytest.mark.parametrize(
+    ("size", "channels", "gated", "relu", "stride", "vector"),
+    [
+        ((5, 7), (24, 24, 24), False, True, 1, 8),
+        ((5, 43), (24, 24, 24), False, False, 1, 16),
+        ((5, 43), (24, 0, 24), True, True, 1, 16),
+        ((5, 43), (24, 24, 24), False, True, 1, "small"),
+        ((13, 21), (32, 0, 32), True, False, 1, 8),
+        ((9, 10), (96, 0, 32), False, True, 1, 16),
+        ((6, 11), (32, 16, 64), True, True, 1, 8),
+        ((7, 17), (32, 96, 64), False, True, 1, 16),
+        ((5, 9), (4, 0, 24), False, True, 2, 8),
+        ((7, 11), (24, 0, 24), True, True, 2, 16),
+        ((6, 7), (24, 0, 32), False, True, 2, 8),
+        ((9, 5), (32, 0, 32), True, True, 2, 16),
+    ],
+    ids=str,
 )
-def test_all_convolutions_are_the_references(device, size, shape, gated, relu, vector, seed):
+def test_all_convolutions_are_the_references(processor, size, channels, gated, relu, stride, vector):
     """Direct and Winograd, tiles and vectors of either size, one and two inputs, gated or not: within the bound of their arithmetic."""
-    first, second, outputs = shape
-    random = np.random.default_rng(seed)
-    x = random.random((*size, first + second), dtype=np.float32)
+    first, second, outputs = channels
+    random = np.random.default_rng(0)
+    x = random.random((stride * size[0], stride * size[1], first + second), dtype=np.float32)
     weights = tensors(random, "layer", first + second, outputs, gated)
     packed = pack(weights, "layer", tuple((n, n) for n in (first, second) if n))
-
-    wide = {name: array.astype(np.float64) for name, array in weights.items()}
-    feature = "layer.conv_feature" if gated else "layer"
-    exact = x.astype(np.float64)
-    want = reference.gated(exact, wide, "layer") if gated else reference.conv_named(exact, wide, "layer")
-    want = reference.relu(want) if relu else want
-    absolute = {name: np.abs(array) for name, array in wide.items()}
-    terms = 9 * (first + second) + 2
-
-    buffers = [padded(device, *size, n, np.dtype(np.float32)) for n in (first, second, outputs) if n]
-    write(device, buffers[0], x[..., :first])
-    if second:
-        write(device, buffers[1], x[..., first:])
-    for side in (0, 2, 4):
+    inputs = [padded(processor, *x.shape[:2], n, np.dtype(np.float32)) for n in (first, second) if n]
+    out = padded(processor, *size, outputs, np.dtype(np.float32))
+    for buffer, channel in zip(inputs, (0, first), strict=False):
+        write(processor, buffer, x[..., channel : channel + buffer.channels])
+    for side in (0, 2, 4) if stride == 1 else (0, 2):
         with trial(SMALL if vector == "small" else VECTORS[vector]):
-            launch = conv(
-                device, "test", "layer", packed, buffers[0], buffers[1] if second else None, buffers[-1], relu=relu, side=side
+            made = conv(
+                processor, "test", "layer", packed, inputs[0], (*inputs, None)[1], out, stride=stride, relu=relu, side=side
             )
-        launch.enqueue(device.queue)
-        got = read(device, buffers[-1])
-        if side:
-            names = [feature, "layer.conv_mask.0"] if gated else [feature]
-            scales = {b: winograd_scale(x, weights[f"{b}.weight"], side) for b in names}
-            allowed = sum_bound(first + second + 28, scales[feature] + absolute[f"{feature}.bias"], np.float32)
-            spread = sum_bound(first + second + 28, scales["layer.conv_mask.0"] + 1, np.float32) if gated else 0
-        else:
-            allowed = sum_bound(terms, reference.conv_named(exact, absolute, feature), np.float32)
-            spread = sum_bound(terms, reference.conv_named(exact, absolute, "layer.conv_mask.0"), np.float32) if gated else 0
-        # The gate's error counts a quarter (the sigmoid's steepest slope) times the feature; the sigmoid's own 8 roundings too.
-        if gated:
-            magnitude = reference.conv_named(exact, absolute, feature)
-            allowed = allowed + magnitude * (spread / 4 + 8 * 2.0**-24)
-        assert worst(np.abs(got - want), allowed) <= 1, f"tiles of {side}" if side else "direct"
+        made.enqueue(processor.queue)
+        by_winograd = side if made.source.file == "winograd.cl" else 0
+        want, allowed = bounds(x, weights, stride, by_winograd, gated=gated)
+        want = reference.relu(want) if relu else want
+        assert worst(np.abs(read(processor, out) - want), allowed) <= 1, f"tiles of {side}" if side else "direct"
 
 
 @few
-@given(at=st.tuples(st.integers(0, 19), st.integers(0, 22)), gated=st.booleans(), seed=SEEDS)
-def test_rounding_stays_within_a_tile(device, at, gated, seed):
-    """One changed input changes bits no farther away than a tile's side, with the direct convolution one pixel: decision 21."""
+@given(at=st.tuples(st.integers(0, 19), st.integers(0, 23)), gated=st.booleans(), stride=st.sampled_from([1, 2]), seed=SEEDS)
+def test_rounding_stays_within_a_tile(processor, at, gated, stride, seed):
+    """One changed input changes bits no farther away than a tile's side, or, without tiles and at stride 2, what reads it: decision 21."""
     random = np.random.default_rng(seed)
-    weights = tensors(random, "layer", 24, 24, gated)
-    packed = pack(weights, "layer", ((24, 24),))
-    x = random.random((20, 23, 24), dtype=np.float32)
-    source, out = (padded(device, 20, 23, 24, np.dtype(np.float32)) for _ in range(2))
-    far = np.abs(np.stack(np.mgrid[:20, :23], -1) - at).max(axis=-1)
+    packed = pack(tensors(random, "layer", 24, 24, gated), "layer", ((24, 24),))
+    x = random.random((20, 24, 24), dtype=np.float32)
+    source, out = (padded(processor, 20 // n, 24 // n, 24, np.dtype(np.float32)) for n in (1, stride))
+    far = np.abs(stride * np.stack(np.mgrid[: 20 // stride, : 24 // stride], -1) - at).max(axis=-1)
     for side in (0, 2, 4):
         images = []
         for value in (x[at], 1 - x[at]):
             x[at] = value
-            write(device, source, x)
-            conv(device, "test", "layer", packed, source, None, out, relu=False, side=side).enqueue(device.queue)
-            images.append(read(device, out))
+            write(processor, source, x)
+            conv(processor, "test", "layer", packed, source, None, out, stride=stride, relu=False, side=side).enqueue(
+                processor.queue
+            )
+            images.append(read(processor, out))
         differs = (images[0] != images[1]).any(axis=-1)
-        assert differs[at]
-        assert not differs[far > max(side, 1)].any(), side
+        assert differs[far <= 1].all()
+        assert not differs[far > (max(side, 1) if stride == 1 else 1)].any(), side
 
 
 def test_small_tiles_at_an_eighth(device):
@@ -163,61 +169,6 @@ def test_small_tiles_at_an_eighth(device):
     fast = [x for x in layers.launches if x.source.options.get("STRIDE") == 1 and "SIDE" in x.source.options]
     sides = {(x.source.options["SIDE"], x.tiling.rows) for x in fast}
     assert not fast or sides == {(4, 32 // 4), (4, 16 // 4), (4, 8 // 4), (2, 4 // 2)}
-
-
-@settings(few, max_examples=6)  # each compiles two kernels
-@given(
-    size=sizes(13),
-    shape=st.sampled_from([(4, 24), (24, 24), (24, 32), (32, 32)]),
-    gated=st.booleans(),
-    vector=st.sampled_from(list(VECTORS)),
-    seed=SEEDS,
-)
-def test_every_second_pixel(device, size, shape, gated, vector, seed):
-    """Stride 2, direct and by Winograd, for which four channels are too few."""
-    random = np.random.default_rng(seed)
-    inputs, outputs = shape
-    gated = gated and inputs % 8 == 0
-    x = random.random((2 * size[0], 2 * size[1], inputs), dtype=np.float32)
-    weights = tensors(random, "layer", inputs, outputs, gated)
-    source = padded(device, *x.shape[:2], inputs, np.dtype(np.float32))
-    out = padded(device, *size, outputs, np.dtype(np.float32))
-    write(device, source, x)
-    wide = {name: array.astype(np.float64) for name, array in weights.items()}
-    made = (reference.gated if gated else reference.conv_named)(x.astype(np.float64), wide, "layer", 2)
-    packed = pack(weights, "layer", ((inputs, inputs),))
-    conv(device, "test", "layer", packed, source, None, out, stride=2, side=0).enqueue(device.queue)
-    assert ratio("conv.stride_2", read(device, out), reference.relu(made), 9 * inputs) <= 1
-    with trial(VECTORS[vector]):
-        conv(device, "test", "layer", packed, source, None, out, stride=2).enqueue(device.queue)
-    feature = "layer.conv_feature" if gated else "layer"
-    allowed = sum_bound(
-        inputs + 28, winograd_scale(x, weights[f"{feature}.weight"], 2, 2) + np.abs(wide[f"{feature}.bias"]), np.float32
-    )
-    if gated:
-        spread = sum_bound(inputs + 28, winograd_scale(x, weights["layer.conv_mask.0.weight"], 2, 2) + 1, np.float32)
-        magnitude = reference.conv_named(x.astype(np.float64), {name: np.abs(array) for name, array in wide.items()}, feature, 2)
-        allowed = allowed + magnitude * (spread / 4 + 8 * 2.0**-24)
-    assert worst(np.abs(read(device, out) - reference.relu(made)), allowed) <= 1
-
-
-@few
-@given(at=st.tuples(st.integers(0, 19), st.integers(0, 22)), gated=st.booleans(), seed=SEEDS)
-def test_at_stride_2_rounding_does_not_spread(device, at, gated, seed):
-    """One changed input changes the bits only of what reads it: strips and skipping count on it."""
-    random = np.random.default_rng(seed)
-    packed = pack(tensors(random, "layer", 24, 24, gated), "layer", ((24, 24),))
-    x = random.random((20, 24, 24), dtype=np.float32)
-    source, out = (padded(device, 20 // n, 24 // n, 24, np.dtype(np.float32)) for n in (1, 2))
-    reads = (np.abs(2 * np.stack(np.mgrid[:10, :12], -1) - at) <= 1).all(axis=-1)
-    images = []
-    for value in (x[at], 1 - x[at]):
-        x[at] = value
-        write(device, source, x)
-        conv(device, "test", "layer", packed, source, None, out, stride=2, relu=False).enqueue(device.queue)
-        images.append(read(device, out))
-    differs = (images[0] != images[1]).any(axis=-1)
-    np.testing.assert_array_equal(differs, reads)
 
 
 def network_inputs(size, seed, share=0.7):
@@ -229,6 +180,8 @@ def network_inputs(size, seed, share=0.7):
 
 @pytest.fixture(scope="module", params=PRECISIONS)
 def net(request, device):
+    if request.param == "bfloat16" and not device.is_cpu:
+        pytest.skip("the same kernels on either class")
     return Network(random_weights(5), device, request.param)
 
 
@@ -255,7 +208,7 @@ def test_the_image_with_vectors_of_16(processor, unoptimised):
     assert ratio("network.cl.half", image, want) <= 1
 
 
-@pytest.mark.parametrize("name", ["arena_small", "arena_mid", "lewis_wide"])
+@pytest.mark.parametrize("name", ["arena_small", "lewis_wide"])
 def test_the_image_is_the_authors(reference_data, device, name):
     from safetensors.numpy import load_file
 
@@ -293,10 +246,7 @@ def test_layers_that_nobody_reads_are_left_out(device, keep):
         assert layers.reads_history == (tensors_of is weights)
 
 
-@pytest.mark.parametrize(
-    "layers",
-    [("lowlevelGated",), ("up2.conv.double_conv.0", "conv1"), ("up1.conv.double_conv.0",), ("down3.conv2", "KEncoder.4")],
-)
+@pytest.mark.parametrize("layers", [("lowlevelGated",), ("up1.conv.double_conv.0",), ("down3.conv2", "KEncoder.4")])
 def test_what_is_left_out_changes_no_bit(processor, layers, monkeypatch):
     weights = without(random_weights(3), *layers)
     inputs = network_inputs((16, 24), 3)

@@ -1,7 +1,7 @@
 """Frames of a stream one ahead: the bits of calls, and what waits for what where planes arrive and images leave meanwhile.
 
 Nothing here depends on which of two threads is faster: a queue is held by an event of ours until something has been seen to happen, or
-to not have happened after a second in which it could have.
+to not have happened after a moment in which it could have.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -16,28 +16,17 @@ import pyopencl.array as cla
 import pytest
 from hypothesis import given, settings
 
-from stss.frames.display_frame import window_at
-from stss.frames.supersample import plan
 from stss_cl.device.staging import staging
 from stss_cl.skip.stream import SKIPS, Stream
 from stss_ref.arrays import ArrayError
-from tests.cl.test_device_frames import SIZE, film, on, stopped_before
-from tests.cl.test_stream import WEIGHTS, assert_same, sequences, windows
+from tests.cl.films import WEIGHTS, assert_same, calls_of, film, on
+from tests.cl.test_device_frames import stopped_before
+from tests.cl.test_stream import sequences, windows
 
-MOMENT = 1.0
+MOMENT = 0.5
 """Seconds in which what may happen does, and what must wait is seen to."""
 LONG = 120.0
 """Seconds after which what should have happened is given up."""
-
-
-def calls_of(frames, first=0):
-    return [(window_at(frames, i), plan(window_at(frames, i)).steps) for i in range(first, len(frames))]
-
-
-def rendered(count):
-    """Frames that all have a colour: each of the kind of the one before it."""
-    rng, frames = np.random.default_rng(5), film(["moving"] * (count - 1))
-    return [replace(frame, color=rng.random((*SIZE, 3), np.float32)) for frame in frames]
 
 
 def right(device, calls):
@@ -78,8 +67,7 @@ def held_for_a_moment(*queues):
 # Bits
 
 
-@pytest.mark.parametrize("there", [False, True], ids=["host", "device"])
-@pytest.mark.parametrize("skip", SKIPS)
+@pytest.mark.parametrize(("skip", "there"), [("off", False), ("exact", False), ("exact", True)])
 def test_frames_one_ahead_have_the_bits_of_calls(device, skip, there):
     """SF and EF in turns, of which some change nowhere, some in part and some everywhere; every image is held to the end."""
     frames = film()
@@ -122,11 +110,10 @@ def test_calls_are_taken_one_ahead(gpu):
         assert len(taken) == min(i + 2, 5)
 
 
-@pytest.mark.parametrize("skip", SKIPS)
-def test_calls_may_come_between(gpu, skip):
+def test_calls_may_come_between(gpu):
     """Of frames that the iterator has begun, and of others."""
     calls = calls_of(film())
-    stream, want = Stream(WEIGHTS, gpu, skip=skip), right(gpu, calls)
+    stream, want = Stream(WEIGHTS, gpu), right(gpu, calls)
     for i, made in enumerate(stream.frames(calls)):
         between = (i * 3) % len(calls)
         assert_same(stream(*calls[between]), want[between])
@@ -144,14 +131,12 @@ def broken(frame, how):
     return replace(frame, position=frame.position[1:])
 
 
-@pytest.mark.parametrize("looking", [True, False])
-@pytest.mark.parametrize("skip", SKIPS)
-@pytest.mark.parametrize("how", ["NaN", "shape", "caller"])
-def test_an_error_comes_in_its_turn(gpu, how, skip, looking):
+@pytest.mark.parametrize(("how", "looking"), [("NaN", True), ("NaN", False), ("shape", True), ("caller", False)])
+def test_an_error_comes_in_its_turn(gpu, how, looking):
     """After all frames before it, and with nothing for its own; the stream goes on with the frames that are right."""
     frames = film(["moving"] * 9)
     calls, want = calls_of(frames), right(gpu, calls_of(frames))
-    stream = Stream(WEIGHTS, gpu, skip=skip)
+    stream = Stream(WEIGHTS, gpu)
     stream._control.frames_unlooked = 0 if looking else 100
     bad = [*frames[:6], broken(frames[6], how), *frames[7:]]
 
@@ -192,8 +177,7 @@ def begun(stream, calls):
     return stream
 
 
-@pytest.mark.parametrize("last", [3, 8])
-@pytest.mark.parametrize("skip", SKIPS)
+@pytest.mark.parametrize(("skip", "last"), [("off", 8), ("exact", 3), ("exact", 8)])
 def test_a_frame_arrives_while_the_one_before_it_is_computed_and_no_earlier(gpu, monkeypatch, skip, last):
     """The rule: planes of n + 1 arrive while the launches of n stand still; those of n + 2 wait for them, if memory serves again."""
     frames = film(["moving"] * 10)
@@ -218,52 +202,13 @@ def test_a_frame_arrives_while_the_one_before_it_is_computed_and_no_earlier(gpu,
         assert_same(each.finish(), want[i])
 
 
-@pytest.mark.parametrize("skip", SKIPS)
-def test_planes_dropped_at_a_jump_are_read_to_the_end(gpu, monkeypatch, skip):
-    """Where frames do not follow those before them, all planes are dropped at once, while launches may still read them."""
-    frames, others = film(["moving"] * 7), film(["moving"] * 8)[::-1][:7]
-    others = [replace(frame, number=i, color=frames[i].color) for i, frame in enumerate(others)]
-    calls, jumped = calls_of(frames), calls_of(others)[-1]
-    want = right(gpu, [calls[-1], jumped])
-    stream = begun(Stream(WEIGHTS, gpu, skip=skip), calls[:-1])
-    stop = stopped_before(monkeypatch, gpu, "chain")  # an EF: the first kernel that reads planes
-    with ThreadPoolExecutor(1) as caller:
-        try:
-            first = stream._begin(*calls[-1])
-            second = caller.submit(stream._begin, *jumped)
-            with pytest.raises(NotYet):
-                second.result(timeout=MOMENT)
-        finally:
-            stop.set_status(cl.command_execution_status.COMPLETE)
-        made = [first.finish(), second.result(timeout=LONG).finish()]
-    for got, expected in zip(made, want, strict=True):
-        assert_same(got, expected)
-
-
-def test_planes_have_memory_that_is_never_anything_else(gpu):
-    """Other memory is reused in the order of the launches, for which planes do not wait."""
-    calls = calls_of(film()[:4])
-    stream = begun(Stream(WEIGHTS, gpu), calls[:2])
-    content = np.arange(SIZE[0] * SIZE[1], dtype=np.float32).reshape(SIZE)  # as large as a plane
-    here, there = (cla.to_device(gpu.queue, content, allocator=gpu.pool) for _ in range(2))
-    there.fill(0)
-    gpu.queue.finish()
-    with held(gpu.queue):
-        cl.enqueue_copy(gpu.queue, there.base_data, here.base_data)
-        del here
-        made = stream._begin(*calls[2])
-    made.finish()
-    np.testing.assert_array_equal(there.get(), content)
-
-
 @pytest.mark.parametrize("queue", ["uploads", "downloads", "launches"])
 @pytest.mark.parametrize("looking", [True, False])
-@pytest.mark.parametrize("skip", SKIPS)
-def test_a_frame_is_whole_however_late_a_queue_is(gpu, skip, looking, queue):
+def test_a_frame_is_whole_however_late_a_queue_is(gpu, looking, queue):
     """Launches wait for what arrives, the download for them, and the caller for the download."""
     frames = film(["moving"] * 8)
     calls, want = calls_of(frames), right(gpu, calls_of(frames))
-    stream = begun(Stream(WEIGHTS, gpu, skip=skip), calls[:7])
+    stream = begun(Stream(WEIGHTS, gpu), calls[:7])
     stream._control.frames_unlooked = 0 if looking else 100
     made = staging(gpu)
     with held_for_a_moment({"uploads": made.uploads, "downloads": made.downloads, "launches": gpu.queue}[queue]):
@@ -271,16 +216,19 @@ def test_a_frame_is_whole_however_late_a_queue_is(gpu, skip, looking, queue):
             assert_same(here(stream(*calls[i])), want[i])
 
 
-@pytest.mark.parametrize("skip", SKIPS)
-def test_nothing_is_written_where_something_still_leaves(gpu, skip):
-    """Two frames of a kind: image and mask of the first leave while the second is computed."""
-    frames = rendered(10)
+@pytest.mark.parametrize("all_rendered", [False, True])
+def test_nothing_is_written_where_something_still_leaves(gpu, all_rendered):
+    """Images and masks of frames, of one kind or of both in turns, leave while the next ones are computed."""
+    frames = film(["moving"] * 9)
+    if all_rendered:
+        frames = [replace(frame, color=frame.gbuffer[..., :3].copy()) for frame in frames]
     calls, want = calls_of(frames), right(gpu, calls_of(frames))
-    stream = begun(Stream(WEIGHTS, gpu, skip=skip), calls[:7])
+    assert all_rendered or (want[7][1] != want[9][1]).any()
+    stream = begun(Stream(WEIGHTS, gpu), calls[:7])
     with held(staging(gpu).downloads):
-        made = [stream._begin(*call) for call in calls[7:9]]
+        made = [stream._begin(*call) for call in calls[7:10]]
         gpu.queue.finish()
-    for got, expected in zip(made, want[7:9], strict=True):
+    for got, expected in zip(made, want[7:10], strict=True):
         assert_same(got.finish(), expected)
 
 
@@ -299,16 +247,3 @@ def test_what_an_engine_enqueues_is_waited_for(gpu, looking):
         cl.enqueue_copy(gpu.queue, late.data, right_nov.data)
         made = here(stream(*calls_of(theirs)[-1]))
     assert_same(made, wanted)
-
-
-def test_a_mask_leaves_from_memory_of_its_own(gpu):
-    """The next frame's mask is another; the one that was handed out stays."""
-    frames = film(["moving"] * 10)
-    calls, want = calls_of(frames), right(gpu, calls_of(frames))
-    assert (want[7][1] != want[9][1]).any()
-    stream = begun(Stream(WEIGHTS, gpu), calls[:7])
-    with held(staging(gpu).downloads):
-        made = [stream._begin(*call) for call in calls[7:10]]
-        gpu.queue.finish()
-    for got, expected in zip(made, want[7:10], strict=True):
-        assert_same(got.finish(), expected)

@@ -54,13 +54,6 @@ ROW = Tuning(
 )
 
 
-def test_the_built_in_rows():
-    assert built_in(fake()).winograd is not None
-    assert built_in(fake(is_cpu=False)).winograd is None
-    for row in (built_in(fake()), built_in(fake(is_cpu=False))):
-        assert tuple(row.direct) == OUTPUTS
-
-
 def test_a_row_has_what_it_does_not_say_from_its_class(tmp_path):
     path = tmp_path / "tuning.toml"
     text = tuning.BUILT_IN.read_text()
@@ -71,11 +64,8 @@ def test_a_row_has_what_it_does_not_say_from_its_class(tmp_path):
     assert nvidia == replace(gpu, local=nvidia.local) != gpu
     cpu, wide = rows.classes["cpu"], rows.targets["rocketlake"]
     assert wide == replace(cpu, winograd=wide.winograd) != cpu
-    for section in ("[gpu.direct]", "[cpu.direct]"):
-        assert text.count(section) == 1
-        path.write_text(text.replace(section, section.replace("direct", "direkt")))
-        with pytest.raises(DeviceError, match="direct: expected a table, found nothing"):
-            built_in_rows(path)
+    assert rows.classes["gpu"].winograd is None
+    assert all(tuple(row.direct) == OUTPUTS for row in rows.classes.values())
     path.write_text(text.replace("[nvidia]", "[nvidia]\nrows = 2"))
     with pytest.raises(DeviceError, match=r"nvidia\.rows: unknown key"):
         built_in_rows(path)
@@ -128,7 +118,6 @@ def test_other_kernels_need_other_rows(monkeypatch):
     ("old", "new", "message"),
     [
         ("tiles = 4, tiles_held = 2", "tiles = 4, tiles_held = 3", r"winograd\.24\.tiles_held: expected a divisor of 4, found 3"),
-        ("pixels = 4, eights", "pixels = 8, eights", r"direct\.32\.pixels: expected a whole number from 1 to 4, found 8"),
         ("prefetch = true", "prefetch = true, lanes = 8", r"winograd\.24\.lanes: unknown key"),
         ("[direct]", "[strip]", r"direct: expected a table, found nothing"),
         ('"P: one"', '"P: two"', r"device: expected 'P: one', found 'P: two'"),
@@ -162,7 +151,7 @@ def shape_like(outputs, stride, gated):
     return next(s for s in SHAPES if (s.outputs, s.stride, s.gated) == (outputs, stride, gated))
 
 
-@pytest.mark.parametrize("shape", [shape_like(24, 1, True), shape_like(24, 2, False), shape_like(64, 1, False)], ids=str)
+@pytest.mark.parametrize("shape", [shape_like(24, 1, True), shape_like(24, 2, False)], ids=str)
 def test_what_departs_from_the_plain_kernel_is_refused(device, shape, monkeypatch):
     """Rows left out by one candidate, one wrong bias by another: neither has a time; the others do."""
     short, wrong, good = Direct(2, shape.outputs // 8, 1), Direct(4, 1, 1), Direct(2, 1, 1)
@@ -189,13 +178,6 @@ def test_what_departs_from_the_plain_kernel_is_refused(device, shape, monkeypatc
     assert 0 < found.total(good, [shape]) < np.inf
 
 
-def test_what_does_not_build_is_refused(device):
-    shape, wide = shape_like(24, 2, False), Direct(1, 3, 2**20)
-    found = Trials()
-    found.time(device, shape, (16, 16), [wide], 1)
-    assert found.refused[24, wide]
-
-
 def timed(monkeypatch, seconds):
     """Have ``seconds(sizes, shape)`` in place of a measurement."""
 
@@ -205,7 +187,7 @@ def timed(monkeypatch, seconds):
     monkeypatch.setattr(Trials, "time", time)
 
 
-@pytest.mark.parametrize(("seconds", "taken"), [(0.97, True), (0.985, False), (1.1, False)])
+@pytest.mark.parametrize(("seconds", "taken"), [(0.97, True), (0.985, False)])
 def test_the_built_in_stays_unless_beaten_by_two_per_cent(monkeypatch, seconds, taken):
     device, quick = fake(), Winograd(12, 4, 3, True)
     timed(monkeypatch, lambda sizes, _: seconds if sizes == quick else 1.0)
@@ -228,13 +210,6 @@ def test_rows_of_pixels_are_taken_where_they_are_faster(monkeypatch, seconds, ro
     )
     local = tune.tune(device, (8, 8))[0].local
     assert (local and local.rows) == rows
-
-
-@pytest.mark.parametrize(("seconds", "wins"), [(0.5, True), (0.99, False), (2.0, False)])
-def test_winograd_comes_where_it_is_faster(monkeypatch, seconds, wins):
-    device = fake(is_cpu=False)
-    timed(monkeypatch, lambda sizes, _: seconds if isinstance(sizes, Winograd) else 1.0)
-    assert (tune.tune(device, (8, 8))[0].winograd is not None) == wins
 
 
 def run(device, monkeypatch, **kwargs):

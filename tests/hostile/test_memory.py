@@ -15,7 +15,7 @@ from stss.frames.supersample import plan
 from stss_cl.network.network import Network
 from stss_cl.skip.stream import Stream
 from stss_ref.arrays import ArrayError
-from tests.cl.test_stream import CHANGES, UNREAD, WEIGHTS, assert_same, first_frame, next_frame
+from tests.cl.films import CHANGES, UNREAD, WEIGHTS, assert_same, first_frame, next_frame
 
 PLANES = ("color", "motion", "gbuffer", "nov", "stencil", "position")
 EVERY_SECOND, ALL, MOST = (True, False), (True,), (True, False, True, True)

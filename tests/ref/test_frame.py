@@ -45,6 +45,7 @@ def network_inputs(size, seed, dtype=np.float64):
     return [random.random(shape).astype(dtype) for shape in shapes]
 
 
+@settings(max_examples=15)
 @given(size=sizes(12), seed=SEEDS)
 def test_a_still_scene_needs_no_extrapolation(size, seed):
     """Nothing moves: the extrapolation frame is the supersampled one, bit for bit."""
@@ -55,6 +56,7 @@ def test_a_still_scene_needs_no_extrapolation(size, seed):
     np.testing.assert_array_equal(ef, sf)
 
 
+@settings(max_examples=15)
 @given(data=st.data(), size=sizes(10), seed=SEEDS)
 def test_without_a_residual_it_is_the_bilinear_image(data, size, seed):
     """The `bilinear` weights add exactly 0, for any motion."""
@@ -107,6 +109,7 @@ def test_an_earlier_second_colour_is_the_frame_before_where_that_is_valid(steps,
     assert color[0, :, 3].tolist() == (4 * [0.25] if missing else [0.5, 0.25, 0.5, 0.5])
 
 
+@settings(max_examples=15)
 @given(data=st.data(), size=sizes(10), seed=SEEDS)
 def test_the_weights_say_what_the_second_colour_is(data, size, seed):
     """Which is part of no other input; in holes of the frame before it is what it would be without."""
@@ -123,15 +126,7 @@ def test_the_weights_say_what_the_second_colour_is(data, size, seed):
         np.testing.assert_array_equal(frame(inputs, given_weights)[0], want)
 
 
-def test_a_frame_off_screen_is_all_hole():
-    """Everything came from outside: no pixel is valid, and the result is still a finite image."""
-    inputs = replace(still_scene((9, 7), 5), motions=np.full((5, 9, 7, 2), 1e6))
-    image, valid = frame(inputs, random_weights(1))
-    assert not valid.any()
-    assert np.isfinite(image).all()
-
-
-@settings(max_examples=25)
+@settings(max_examples=5)
 @given(size=sizes(20), seed=SEEDS)
 def test_any_size_gives_twice_the_size_in_the_dtype_given(size, seed):
     weights = random_weights(seed)
@@ -141,7 +136,7 @@ def test_any_size_gives_twice_the_size_in_the_dtype_given(size, seed):
         assert image.dtype == dtype
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(size=sizes(20), seed=SEEDS)
 def test_padding_is_repeating_the_last_row_and_column(size, seed):
     """Extending the inputs by hand to multiples of 8 gives the same image, bit for bit."""

@@ -4,7 +4,6 @@
 import math
 import pickle
 from collections.abc import Callable
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -63,18 +62,6 @@ def test_a_layer_is_counted_once_for_each_output_pixel_and_history_frame():
     assert counted["outc"] == 16 * 24 * 12 * 24
 
 
-def test_no_layer_reads_another_grid_than_the_one_before_it_writes():
-    """A stride of 2 halves the grid; otherwise the grid of a layer's neighbour in the same module is its own."""
-    by_module: dict[str, list[Any]] = {}
-    for layer in LAYERS:
-        by_module.setdefault(layer.name.split(".")[0], []).append(layer)
-    for layers in by_module.values():
-        assert len({layer.divisor for layer in layers}) == 1
-        assert [layer.stride for layer in layers[1:]] == [1] * (len(layers) - 1)
-        for before, after in pairwise(layers):
-            assert after.inputs == before.outputs
-
-
 @pytest.mark.parametrize("make", [zeros, lambda: random(3)])
 def test_weights_to_start_from_pass_the_check(make: Callable[[], Weights]):
     weights = make()
@@ -113,16 +100,10 @@ def _spoilt(value: float) -> Any:
         (dict[str, Any].clear, "conv1.conv_feature.weight: missing (and 91 more), of 92 tensors"),
         (_with("outc.scale", np.zeros(1, np.float32)), "'outc.scale': not a tensor of this network"),
         (_with("outc.bias", np.zeros(13, np.float32)), "outc.bias: expected shape (12,), got (13,)"),
-        (_with("outc.bias", np.zeros((), np.float32)), "outc.bias: expected shape (12,), got ()"),
         (_with("outc.bias", np.zeros(12)), "outc.bias: expected dtype float32, got float64"),
         (_with("outc.bias", np.zeros(12, ">f4")), "outc.bias: expected dtype float32, got >f4"),
-        (_with("outc.bias", np.zeros(12, np.int32)), "outc.bias: expected dtype float32, got int32"),
         (
             _with("conv1.conv_feature.weight", _spoilt(np.nan)),
-            "conv1.conv_feature.weight: 2 non-finite values, first at index (2, 3, 1, 0)",
-        ),
-        (
-            _with("conv1.conv_feature.weight", _spoilt(-np.inf)),
             "conv1.conv_feature.weight: 2 non-finite values, first at index (2, 3, 1, 0)",
         ),
     ],

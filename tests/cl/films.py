@@ -1,0 +1,93 @@
+"""Display frames of noise, of which chosen parts change from one to the next, and the calls that a stream is given for them."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pyopencl as cl
+import pyopencl.array as cla
+
+from stss.frames.display_frame import DisplayFrame, window_at
+from stss.frames.supersample import plan
+from stss_ref.weights import Weights
+from stss_ref.weights import random as random_weights
+
+WEIGHTS = random_weights(3)
+UNREAD = WEIGHTS | {n: w * 0 for n, w in WEIGHTS.items() if n.startswith("lowlevelGated.") and n.endswith(".weight")}
+"""The same, but that do not read the history."""
+EARLIER = Weights(UNREAD, "earlier")
+"""The same again, whose second colour is that of the frame before."""
+CHANGES = ("nothing", "nothing", "pixel", "color", "rectangle", "moving", "everything")
+SIZE = 24, 40
+MIXED = (*5 * ["nothing"], "nothing", "pixel", "moving", "nothing", "rectangle")
+"""Changes of a film of which some frames are computed whole, some in part, and some not at all."""
+
+
+def first_frame(rng, size, *, rendered=True):
+    return DisplayFrame(
+        number=0,
+        color=rng.random((*size, 3), np.float32) if rendered else None,
+        motion=np.zeros((*size, 2), np.float32),
+        gbuffer=rng.random((*size, 9), np.float32),
+        nov=rng.random(size, np.float32),
+        stencil=np.zeros(size, np.float32),
+        position=(rng.random((*size, 3), np.float32) * 20).astype(np.float32),
+    )
+
+
+def next_frame(rng, before, color, change, *, rendered):
+    """The frame after ``before``, all of it in new arrays; ``color``: of the last frame that had one."""
+    height, width = before.nov.shape
+    planes = {name: getattr(before, name).copy() for name in ("gbuffer", "nov", "stencil", "position")}
+    color, motion = color.copy(), np.zeros((height, width, 2), np.float32)
+    y, x = int(rng.integers(height)), int(rng.integers(width))
+    where = (
+        np.s_[y : y + 1, x : x + 1]
+        if change == "pixel"
+        else np.s_[y : y + int(rng.integers(1, 9)), x : x + int(rng.integers(1, 9))]
+    )
+    where = np.s_[:, :] if change == "everything" else where
+    if change != "nothing":
+        color[where] = rng.random(color[where].shape, np.float32)
+    if change in {"pixel", "rectangle", "everything"}:
+        name = str(rng.choice(list(planes)))
+        planes[name][where] = (
+            rng.integers(0, 3, planes[name][where].shape) if name == "stencil" else rng.random(planes[name][where].shape)
+        )
+    if change in {"moving", "everything"}:
+        motion[where] = rng.normal(0, 2, motion[where].shape)
+        planes["stencil"][where] = 1
+    return DisplayFrame(before.number + 1, color if rendered else None, motion, **planes), color
+
+
+def film(changes=MIXED, size=SIZE, seed=4):
+    """A first frame, and one more for each change; every second has a colour."""
+    rng = np.random.default_rng(seed)
+    frames = [first_frame(rng, size)]
+    color = frames[0].color
+    for i, change in enumerate(changes, start=1):
+        frame, color = next_frame(rng, frames[-1], color, change, rendered=i % 2 == 0)
+        frames.append(frame)
+    return frames
+
+
+def calls_of(frames):
+    """The window and the steps of each frame."""
+    windows = [window_at(frames, i) for i in range(len(frames))]
+    return [(window, plan(window).steps) for window in windows]
+
+
+def on(device, frame):
+    """The same frame on the device, as an engine's buffers wrapped into arrays."""
+    held = {}
+    for name in (field.name for field in fields(frame) if field.name not in ("number", "carried")):
+        array = getattr(frame, name)
+        if array is not None:
+            buffer = cl.Buffer(device.context, cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR, hostbuf=array)
+            held[name] = cla.Array(device.queue, array.shape, array.dtype, data=buffer)
+    return replace(frame, **held)
+
+
+def assert_same(got, want):
+    """The bits of an image, and its mask."""
+    np.testing.assert_array_equal(got[0].view(np.uint32), want[0].view(np.uint32))
+    np.testing.assert_array_equal(got[1], want[1])
