@@ -97,15 +97,11 @@ class Judge:
         """Whether the port computes many cases at one start."""
         return hasattr(self.port, "run_many")
 
-    def check_all(self, body: Body, drawn: Sequence[Any]) -> None:
+    def check(self, body: Body, *drawn: Any) -> None:
         """Run a property on some of its cases; DepartureError if it does not hold, with the failure in ``record``."""
+        self.near = {}
         if self.first_wrong(body, drawn) is not None:
             raise DepartureError(self.failure().finding)
-
-    def check(self, body: Body, case: Any) -> None:
-        """Run a property on one of its cases, as ``check_all``."""
-        self.near = {}
-        self.check_all(body, [case])
 
     def failure(self) -> Failure:
         """The failure of the test that runs now."""

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from time import monotonic
 from typing import Any
 
@@ -15,6 +15,8 @@ from hypothesis import strategies as st
 from conformance.judging.findings import DepartureError, Failure
 from conformance.judging.judge import Body, Judge
 
+Maker = Callable[[np.random.Generator], Any]
+Makers = Sequence[Maker]
 EVERY_CHECK: list[HealthCheck] = [*HealthCheck]  # pyright: ignore[reportAssignmentType]
 SHRINK_SECONDS = 60.0
 """Most time for making a failing case smaller; seconds."""
@@ -22,53 +24,86 @@ TELL_SECONDS = 5.0
 """A failure that has been made smaller for so long is told before it is as small as it gets; seconds."""
 
 
-def draw(
-    judge: Judge, strategy: st.SearchStrategy[Any], take: Callable[[Any], None], phases: list[Phase], *, slow: bool = False
-) -> None:
-    """Call ``take`` with as many cases as the tier says; the same seed gives the same cases, unless ``take`` raises."""
+class Drawn:
+    """Cases of a strategy, as many as the judge's tier says; the same seed gives the same ones.
 
-    @hypothesis.seed(judge.seed)
-    @settings(
-        max_examples=judge.tier.slow if slow else judge.tier.fast, phases=phases, database=None, deadline=None,
-        report_multiple_bugs=False, suppress_health_check=EVERY_CHECK, print_blob=False,
-    )  # fmt: skip
-    @hypothesis.given(strategy)
-    def run(case: Any) -> None:
-        take(case)
-
-    run()
-
-
-def drawn_cases(judge: Judge, strategy: st.SearchStrategy[Any], *, slow: bool = False) -> list[Any]:
-    """The cases of a tier, without a port: those that a program is judged on."""
-    drawn: list[Any] = []
-    draw(judge, strategy, drawn.append, [Phase.generate], slow=slow)
-    return drawn
-
-
-def for_all(judge: Judge, strategy: st.SearchStrategy[Any], body: Body, *, slow: bool = False) -> None:
-    """Run ``body`` on cases of ``strategy``, and make a case that fails smaller.
-
-    The cases of a port in this process are steered towards larger errors. Those of a program are drawn first and computed together; they
-    are drawn again only if one of them fails. Of ``slow`` cases fewer are drawn.
-
-    Raises:
-        DepartureError: the property does not hold; the failure is in the judge's ``record``.
+    Args:
+        strategy: draws the cases.
+        slow: a case runs the network, which takes time: fewer cases are drawn.
     """
-    right = None
-    if judge.is_program:
-        right = judge.first_wrong(body, drawn_cases(judge, strategy, slow=slow))
-        if right is None:
-            return
-        if not judge.shrink:
+
+    def __init__(self, strategy: st.SearchStrategy[Any], *, slow: bool = False):
+        self._strategy, self._slow = strategy, slow
+
+    def cases(self, judge: Judge) -> list[Any]:
+        """The cases, without a port: those that a program is judged on."""
+        drawn: list[Any] = []
+        self._draw(judge, drawn.append, [Phase.generate])
+        return drawn
+
+    def check(self, judge: Judge, body: Body) -> None:
+        """Run ``body`` on the cases, and make a case that fails smaller.
+
+        The cases of a port in this process are steered towards larger errors. Those of a program are drawn first and computed together;
+        they are drawn again only if one of them fails.
+
+        Raises:
+            DepartureError: the property does not hold; the failure is in the judge's ``record``.
+        """
+        right = None
+        if judge.is_program:
+            right = judge.first_wrong(body, self.cases(judge))
+            if right is None:
+                return
+            if not judge.shrink:
+                raise DepartureError(judge.failure().finding)
+        search = _Search(judge, body, right)
+        phases = [Phase.generate, *([] if judge.is_program else [Phase.target]), *([Phase.shrink] if judge.shrink else [])]
+        try:
+            self._draw(judge, search.run, phases)
+        except _EnoughError:
+            judge.record.failure = search.smallest or judge.failure()
+            raise DepartureError(judge.failure().finding) from None
+
+    def _draw(self, judge: Judge, take: Callable[[Any], None], phases: list[Phase]) -> None:
+        """Call ``take`` with the cases, up to one that it raises at."""
+
+        @hypothesis.seed(judge.seed)
+        @settings(
+            max_examples=judge.tier.slow if self._slow else judge.tier.fast, phases=phases, database=None, deadline=None,
+            report_multiple_bugs=False, suppress_health_check=EVERY_CHECK, print_blob=False,
+        )  # fmt: skip
+        @hypothesis.given(self._strategy)
+        def each(case: Any) -> None:
+            take(case)
+
+        each()
+
+
+class Made:
+    """Cases that are made, not drawn.
+
+    Args:
+        made: each makes one case from a seeded generator; or what the judge asks for.
+        about: words on a made case, for the message of its failure.
+    """
+
+    def __init__(self, made: Makers | Callable[[Judge], Makers], about: Callable[[Maker], str] = lambda _: ""):
+        self._made, self._about = made, about
+
+    def cases(self, judge: Judge) -> list[Any]:
+        """The cases."""
+        return [make(np.random.default_rng(judge.seed)) for make in self._chosen(judge)]
+
+    def check(self, judge: Judge, body: Body) -> None:
+        """Run ``body`` on the cases; DepartureError if the property does not hold, with the failure in the judge's ``record``."""
+        wrong = judge.first_wrong(body, self.cases(judge))
+        if wrong is not None:
+            judge.record.about = self._about(self._chosen(judge)[wrong])
             raise DepartureError(judge.failure().finding)
-    search = _Search(judge, body, right)
-    phases = [Phase.generate, *([] if judge.is_program else [Phase.target]), *([Phase.shrink] if judge.shrink else [])]
-    try:
-        draw(judge, strategy, search.run, phases, slow=slow)
-    except _EnoughError:
-        judge.record.failure = search.smallest or judge.failure()
-        raise DepartureError(judge.failure().finding) from None
+
+    def _chosen(self, judge: Judge) -> Makers:
+        return self._made(judge) if callable(self._made) else self._made
 
 
 class _EnoughError(BaseException):

@@ -98,7 +98,7 @@ class _Collector(Judge):
         self._found, self._undecided = [], 0
         words = " ".join((test.__doc__ or "").split())
         try:
-            for case in test.some(self):
+            for case in test.source.cases(self):
                 for _ in test.property(self, case):
                     raise _PropertyError
         except _PropertyError:

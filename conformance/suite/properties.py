@@ -3,83 +3,58 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import wraps
 from importlib import import_module
 from typing import Any
 
-import numpy as np
 from hypothesis import strategies as st
 from hypothesis.errors import Flaky
 
-from conformance.cases.large_inputs import Made, large_inputs
+from conformance.cases.large_inputs import large_inputs
 from conformance.explain.confirm import UNSTABLE, confirm
 from conformance.explain.diagnosis import diagnose
 from conformance.explain.first_layer import first_departure
 from conformance.explain.terms import terms_at_worst
 from conformance.judging.findings import DepartureError, Failure, Record
 from conformance.judging.judge import Body, Judge
-from conformance.judging.search import drawn_cases, for_all
+from conformance.judging.search import Drawn, Made, Maker, Makers
 
 
 def cases(strategy: st.SearchStrategy[Any], *, slow: bool = False) -> Callable[[Body], Callable[[Judge], None]]:
-    """Make a test of a property, which runs on as many drawn cases as the judge's tier says.
-
-    Args:
-        strategy: draws the cases.
-        slow: a case runs the network, which takes time: fewer cases are drawn.
-    """
-
-    def decorate(body: Body) -> Callable[[Judge], None]:
-        @wraps(body)
-        def test(judge: Judge) -> None:
-            __tracebackhide__ = True
-            with _confirmed(judge, body):
-                for_all(judge, strategy, body, slow=slow)
-
-        return _as_test(test, body, lambda judge: drawn_cases(judge, strategy, slow=slow))
-
-    return decorate
+    """Make a test of a property on drawn cases: see `Drawn`."""
+    return _tested_on(Drawn(strategy, slow=slow))
 
 
 def made_cases(
-    made: Sequence[Made] | Callable[[Judge], Sequence[Made]],
-    *,
-    about: Callable[[Made], str] = lambda _: "",
+    made: Makers | Callable[[Judge], Makers], *, about: Callable[[Maker], str] = lambda _: ""
 ) -> Callable[[Body], Callable[[Judge], None]]:
-    """Make a test of a property on a few cases that are made, not drawn.
-
-    Args:
-        made: each makes one case from a seeded generator; or what the judge asks for.
-        about: words on a made case, for the message of its failure.
-    """
-
-    def chosen(judge: Judge) -> Sequence[Made]:
-        return made(judge) if callable(made) else made
-
-    def decorate(body: Body) -> Callable[[Judge], None]:
-        def some(judge: Judge) -> list[Any]:
-            return [make(np.random.default_rng(judge.seed)) for make in chosen(judge)]
-
-        @wraps(body)
-        def test(judge: Judge) -> None:
-            __tracebackhide__ = True
-            with _confirmed(judge, body):
-                wrong = judge.first_wrong(body, some(judge))
-                if wrong is not None:
-                    judge.record.about = about(chosen(judge)[wrong])
-                    raise DepartureError(judge.failure().finding)
-
-        return _as_test(test, body, some)
-
-    return decorate
+    """Make a test of a property on a few cases that are made: see `Made`."""
+    return _tested_on(Made(made, about))
 
 
 def large_cases(stage: str) -> Callable[[Body], Callable[[Judge], None]]:
     """Make a test of a property on large frames: as many as the judge's tier says, and one of the size that the judge is asked for."""
     return made_cases(lambda judge: large_inputs(stage, judge.tier.large, judge.size, judge.largest_side))
+
+
+def _tested_on(source: Drawn | Made) -> Callable[[Body], Callable[[Judge], None]]:
+    def decorate(body: Body) -> Callable[[Judge], None]:
+        @wraps(body)
+        def test(judge: Judge) -> None:
+            __tracebackhide__ = True
+            with _confirmed(judge, body):
+                source.check(judge, body)
+
+        # pytest looks for fixtures in the signature, and the case is no fixture.
+        made: Any = test
+        del made.__wrapped__
+        made.property, made.source = body, source
+        return made
+
+    return decorate
 
 
 @contextmanager
@@ -109,13 +84,6 @@ def _diagnosed(judge: Judge, failure: Failure, first: Failure | None) -> Failure
     judge.record = met
     message = "; ".join(filter(None, [failure.finding.message, met.about, *words]))
     return replace(failure, finding=replace(failure.finding, message=message, terms=terms_at_worst(failure.finding)))
-
-
-def _as_test(test: Any, body: Body, some: Callable[[Judge], list[Any]]) -> Callable[[Judge], None]:
-    # pytest looks for fixtures in the signature, and the case is no fixture.
-    del test.__wrapped__
-    test.property, test.some = body, some
-    return test
 
 
 def find_test(test: str) -> Any:

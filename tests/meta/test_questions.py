@@ -68,7 +68,7 @@ def test_a_job_that_fails_as_a_whole_is_a_failure_though_its_cases_pass():
 
     program = Program(crash)
     with pytest.raises(DepartureError, match=r"depends on the cases before: .* one of 40 in a job: ended by SIGSEGV"):
-        Judge(program).check_all(find_property("warp.nothing_moves"), [still(i + 1) for i in range(40)])
+        Judge(program).check(find_property("warp.nothing_moves"), *(still(i + 1) for i in range(40)))
     assert program.starts == [40, 1]
 
 
@@ -81,7 +81,7 @@ def test_the_case_at_which_a_job_failed_is_found_at_one_more_start():
     program = Program(crash)
     judge = Judge(program)
     with pytest.raises(DepartureError, match="warp: ended by SIGSEGV"):
-        judge.check_all(find_property("warp.nothing_moves"), [still(i + 1) for i in range(40)])
+        judge.check(find_property("warp.nothing_moves"), *(still(i + 1) for i in range(40)))
     assert program.starts == [40, 1]
     assert judge.record.failure.drawn["color"].shape == (2, 8, 1)
 
@@ -99,7 +99,7 @@ def test_what_is_asked_together_is_computed_together():
         yield ask("warp", still(columns + 5))
 
     program = Program(note)
-    Judge(program).check_all(body, [10, 20])
+    Judge(program).check(body, 10, 20)
     assert program.starts == [6, 2]
     assert asked == [10, 11, 20, 21, 10, 20, 15, 25]
 
