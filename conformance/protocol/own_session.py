@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: MIT
-"""Run an unknown program in a session of its own: its process group ends with it, and its time and its output are limited."""
+"""Run an unknown program in a session of its own: its time and its output are limited, and what it started ends with it.
+
+On Linux that is all that it started (`reaper`). Elsewhere it is its process group: a program that leaves it, as ``setsid`` does, runs on.
+"""
 
 from __future__ import annotations
 
 import os
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -20,6 +24,10 @@ TAIL_BYTES = 2000
 """Bytes of the end of stderr that are shown."""
 MOST_SAID = 64 * 2**20
 """Most bytes of stdout, and of stderr: a program that writes more is stopped."""
+ON_LINUX = sys.platform == "linux"
+REAPER = (sys.executable, "-I", "-S", Path(__file__).with_name("reaper.py"))
+GRACE = 10.0
+"""Seconds that the reaper has to end what is left."""
 LOOK = 0.1
 """Seconds between two checks of the time and of the output's size; a program that ends is seen at once."""
 
@@ -48,7 +56,7 @@ def run_alone(
     folder: Path | None = None,
     env: Mapping[str, str] | None = None,
 ) -> Ending:
-    """Run a program to its end, or stop it; then stop what is left of its process group.
+    """Run a program to its end, or stop it; then stop what is left of what it started.
 
     Args:
         command: program and arguments.
@@ -61,9 +69,16 @@ def run_alone(
     Raises:
         OSError: it cannot be started.
     """
-    process = subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=out, stderr=err, cwd=folder, env=env, start_new_session=True
-    )
+    reading, writing = os.pipe() if ON_LINUX else (None, None)
+    try:
+        process = subprocess.Popen(
+            [*REAPER, str(writing), *command] if ON_LINUX else command,
+            stdin=subprocess.DEVNULL, stdout=out, stderr=err, cwd=folder, env=env, start_new_session=True,
+            pass_fds=() if writing is None else (writing,),
+        )  # fmt: skip
+    finally:
+        if writing is not None:
+            os.close(writing)
     ended, stopped, end = Event(), list[str](), time.monotonic() + timeout
 
     def watch() -> None:
@@ -73,7 +88,7 @@ def run_alone(
             elif time.monotonic() > end:
                 stopped.append("time")
             if stopped:
-                kill_group(process)
+                stop(process)
                 return
 
     watcher = Thread(target=watch, daemon=True)
@@ -83,18 +98,37 @@ def run_alone(
     finally:
         ended.set()
         watcher.join()
-        kill_group(process)
-        process.wait()
+        stop(process)
+        report = b""
+        if reading is not None:
+            report = os.read(reading, 64)
+            os.close(reading)
+    if ON_LINUX and not stopped:
+        status = reported(report, command[0])
     return Ending(None if stopped else status, "output" in stopped, tail(err))
 
 
-def kill_group(process: subprocess.Popen[bytes]) -> None:
-    """Kill a program that leads a session, with all of its process group that still runs."""
+def reported(report: bytes, program: str | Path) -> int:
+    """The status of a program as its reaper reports it; without a report the reaper was killed, and the program with it."""
+    kind, _, number = report.partition(b" ")
+    if kind == b"errno":
+        raise OSError(int(number), os.strerror(int(number)), str(program))
+    return int(number) if kind == b"status" else -signal.SIGKILL
+
+
+def stop(process: subprocess.Popen[bytes]) -> None:
+    """End a program with all that can be reached of what it started."""
+    if ON_LINUX:
+        process.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(GRACE)
+            return
     if os.name != "posix":
         process.kill()
-        return
-    with suppress(ProcessLookupError, PermissionError):
-        os.killpg(process.pid, signal.SIGKILL)
+    else:
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
 
 
 def described(status: int) -> str:

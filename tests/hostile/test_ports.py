@@ -152,9 +152,17 @@ def processes_of(folder):
     return sessions
 
 
-def test_a_child_that_is_left_ends_with_its_program(program, tmp_path):
-    """The answer counts, and nothing goes on running."""
-    assert program(f"right(); {CHILD}").run("warp", smallest_case("warp").inputs).keys() == {"warped", "inside"}
+@pytest.mark.skipif(sys.platform != "linux", reason="what leaves its process group ends on Linux alone")
+@pytest.mark.parametrize("stays", [False, True])
+def test_what_a_program_leaves_ends_with_it(program, tmp_path, stays):
+    """A child, and one with a session and an environment of its own whose parent has ended; after a right answer, and after its time."""
+    away = CHILD.replace(")'])", ")'], start_new_session=True, env={})")
+    left = f"{CHILD}; subprocess.run([sys.executable, '-c', \"import subprocess, sys; {away}\"])"
+    if stays:
+        with pytest.raises(PortError, match="stopped after 3 s"):
+            program(f"{left}; time.sleep(600)", 3).run("warp", smallest_case("warp").inputs)
+    else:
+        assert program(f"right(); {left}").run("warp", smallest_case("warp").inputs).keys() == {"warped", "inside"}
     assert not processes_of(tmp_path)
 
 

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: MIT
+"""A program of its own, on Linux: starts another and adopts all that it leaves, so that nothing of it outlives it.
+
+``python reaper.py FD PROGRAM ARGUMENT ...`` writes ``status N`` (negative for a signal) or ``errno N`` to the file descriptor. It ends
+what it started on SIGTERM, and when the process that started it ends.
+"""
+
+import ctypes
+import os
+import signal
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36
+RESTORED = [signal.SIGPIPE, signal.SIGXFSZ]
+"""Signals that Python ignores and a program expects not to be."""
+
+
+class StoppedError(Exception):
+    """SIGTERM came."""
+
+
+def main() -> None:
+    """Run the program to its end, then end what is left of it."""
+    report, command = int(sys.argv[1]), sys.argv[2:]
+    os.set_inheritable(report, False)
+    signal.signal(signal.SIGTERM, _stop)
+    control = ctypes.CDLL(None).prctl
+    control(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+    control(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+    with suppress(StoppedError):
+        try:
+            program = os.posix_spawnp(command[0], command, os.environ, setsid=True, setsigdef=RESTORED)
+            _, status = os.waitpid(program, 0)
+            os.write(report, b"status %d" % os.waitstatus_to_exitcode(status))
+        except OSError as error:
+            os.write(report, b"errno %d" % (error.errno or 0))
+        finally:
+            signal.signal(signal.SIGTERM, signal.SIG_IGN)
+            end_all()
+
+
+def _stop(*_: object) -> None:
+    raise StoppedError
+
+
+def end_all() -> None:
+    """Kill all children, and theirs, which become ours as their parents end."""
+    while sum(killed(child) for child in children()):
+        os.wait()
+
+
+def killed(child: int) -> bool:
+    """Whether a process could be sent SIGKILL; one of another user cannot."""
+    try:
+        os.kill(child, signal.SIGKILL)
+    except (ProcessLookupError, PermissionError):
+        return False
+    return True
+
+
+def children() -> list[int]:
+    """The processes whose parent is this one, those that have ended but were not waited for too."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            # The name before the last parenthesis may hold anything; then come state and parent.
+            if int(path.read_text(errors="replace").rpartition(")")[2].split()[1]) == os.getpid():
+                found.append(int(path.parent.name))
+    return found
+
+
+if __name__ == "__main__":
+    main()
