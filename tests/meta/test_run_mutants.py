@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Every planted fault is found out by the quick tier, with the seed that a user gets. ``make mutants`` prints which test did it."""
+"""Planted faults are found out by the quick tier, with the seed that a user gets: some of each stage. ``make mutants`` tries all."""
 
 import pytest
 
@@ -8,17 +8,13 @@ from conformance.report.failures import keep_failure, replay
 from stss.port import ReferencePort
 from tests.meta.run_mutants import failed
 
-NAMES = [mutant.id for mutant in MISTAKES]
-REPLAYED = set(NAMES[::8])
-"""Some of each stage: a replay computes the right answers again, and those are most of what a test takes."""
+NAMES = [mutant.id for mutant in MISTAKES][1::16]
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_found_out(name, tmp_path):
     """And from the folder that is kept the mutant fails again, while a mended port, the reference, passes."""
     (result,) = failed(name)
-    if name not in REPLAYED:
-        return
     kept = keep_failure(tmp_path, result.id, result.record.failure, "stss conform")
     assert replay(ReferencePort(), kept).failure is None
     assert replay(find(name).port(), kept).failure is not None
@@ -45,5 +41,5 @@ def test_a_kept_failure_replaces_one_of_an_earlier_run_alone(tmp_path, capsys):
     assert (tmp_path / "elsewhere" / "README.txt").exists()
 
 
-def test_some_of_each_stage_are_replayed():
-    assert {mutant.stage for mutant in MISTAKES} == {find(name).stage for name in REPLAYED}
+def test_some_of_each_stage_are_tried():
+    assert {mutant.stage for mutant in MISTAKES} == {find(name).stage for name in NAMES}
