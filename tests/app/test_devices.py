@@ -21,7 +21,7 @@ from stss.devices.selection import choose
 from stss.devices.verdicts import Verdict, known, run_selftest, verdict
 from stss_cl.device import amx, program
 from stss_cl.device import discovery as cl_device
-from stss_cl.device.discovery import DeviceError, found, open_device
+from stss_cl.device.discovery import DeviceError, open_device
 
 PASSED = {"why": "", "gflops": 5.0}
 NAME = "A: cpu"
@@ -74,22 +74,21 @@ def passed(gflops):
     return Verdict("passed", gflops=gflops)
 
 
-def test_the_fastest_processor_is_the_default(machine):
-    machine({"A: slow": (CPU, passed(1)), "B: fast": (CPU, passed(3)), "C: wrong": (CPU, Verdict("failed", "exp"))})
-    assert choose() == "B: fast"
-
-
-def test_a_graphics_processor_goes_before_and_processors_are_not_tested(machine):
+def test_a_graphics_processor_goes_before_the_fastest_processor_unless_it_fails(machine):
     tested = machine({"A: cpu": (CPU, passed(100)), "B: gpu": (GPU, passed(1)), "C: gpu": (GPU, passed(2))})
     assert choose() == "C: gpu"
     assert tested == ["B: gpu", "C: gpu"]
-
-
-def test_a_graphics_processor_that_fails_is_passed_over_and_named(machine):
-    machine({"A: cpu": (CPU, passed(1)), "B: gpu": (GPU, Verdict("hung", "no answer within 60 s"))})
+    hung = Verdict("hung", "no answer within 60 s")
+    machine({"A: slow": (CPU, passed(1)), "B: fast": (CPU, passed(3)), "C: gpu": (GPU, hung)})
     said = []
-    assert choose(None, said.append) == "A: cpu"
-    assert said[-1] == "not used: B: gpu hung: no answer within 60 s"
+    assert choose(None, said.append) == "B: fast"
+    assert said[-1] == "not used: C: gpu hung: no answer within 60 s"
+    with pytest.raises(DeviceError, match=r"^device 'radeon': expected part of one of A: slow, B: fast, C: gpu$"):
+        choose("radeon")
+    machine({})
+    for ask in (choose, devices.rows):
+        with pytest.raises(DeviceError, match=r"^no OpenCL device: pip install"):
+            ask()
 
 
 def test_a_named_device_is_taken_however_slow(machine, monkeypatch):
@@ -113,19 +112,6 @@ def test_a_named_device_that_failed_is_refused_unless_trusted(machine, monkeypat
     assert choose("gpu") == "B: gpu"
 
 
-def test_a_device_that_is_not_there_lists_those_that_are(machine):
-    machine({"A: cpu": (CPU, passed(1)), "B: gpu": (GPU, passed(2))})
-    with pytest.raises(DeviceError, match=r"^device 'radeon': expected part of one of A: cpu, B: gpu$"):
-        choose("radeon")
-
-
-def test_no_device_says_what_to_install(machine):
-    machine({})
-    for ask in (choose, devices.rows):
-        with pytest.raises(DeviceError, match=r"^no OpenCL device: pip install"):
-            ask()
-
-
 def test_the_table_has_every_device_the_best_first(machine, monkeypatch):
     monkeypatch.setattr(amx, "missing", lambda device: "" if device.kind == "CPU" else "no processor")
     machine({"A: wrong": (CPU, Verdict("failed", "x")), "B: cpu": (CPU, passed(7)), "C: gpu": (GPU, passed(1))})
@@ -146,12 +132,9 @@ def test_the_table_has_every_device_the_best_first(machine, monkeypatch):
     ("target", "flags", "said"),
     [
         ("generic", {"sse2", "avx2"}, "AVX2"),
-        ("x86-64", {"avx2", "avx512f"}, "AVX-512"),
         ("znver3", {"avx2", "avx512f"}, "AVX-512"),
         ("znver3", {"avx2"}, None),
-        ("generic", {"sse2"}, None),
         ("generic", set(), None),
-        ("rocketlake", {"avx2", "avx512f"}, None),
         ("some-new-name", {"avx2", "avx512f"}, None),
     ],
 )
@@ -180,21 +163,13 @@ def answer(result):
     return child(f"print('a driver says hello'); print({json.dumps(json.dumps(result))})")
 
 
-def test_a_failure_says_why():
-    got = run_selftest("any", answer({"why": "exp: off by 90 ulp", "gflops": 0}))
-    assert str(got) == "failed: exp: off by 90 ulp"
-
-
-def test_the_child_is_told_the_name():
-    got = run_selftest("A: b #2", child("print(json.dumps({'why': sys.argv[1], 'gflops': 0}))"))
-    assert got.why == "A: b #2"
-
-
-@pytest.mark.skipif(os.name != "posix", reason="no signals on this system")
-def test_a_crash_names_its_signal():
+def test_a_failure_says_why_and_a_crash_names_its_signal():
+    assert str(run_selftest("any", answer({"why": "exp: off by 90 ulp", "gflops": 0}))) == "failed: exp: off by 90 ulp"
+    assert run_selftest("A: b #2", child("print(json.dumps({'why': sys.argv[1], 'gflops': 0}))")).why == "A: b #2"
+    if os.name != "posix":
+        return
     got = run_selftest("any", child("print('llvm: out of luck', file=sys.stderr, flush=True); os.kill(os.getpid(), 11)"))
     assert str(got) == "crashed: SIGSEGV: llvm: out of luck"
-    assert run_selftest("any", child("os.kill(os.getpid(), 6)")).why == "SIGABRT"
 
 
 @pytest.mark.parametrize(
@@ -202,7 +177,6 @@ def test_a_crash_names_its_signal():
     [
         ("raise ImportError('no numpy')", "ImportError: no numpy"),
         ("sys.exit(3)", "ended with status 3 and no result"),
-        ("print('done')", "ended with status 0 and no result"),
         ("print('[]')", "ended with status 0 and no result"),
     ],
 )
@@ -210,7 +184,7 @@ def test_no_result_is_a_failure(text, why):
     assert str(run_selftest("any", child(text))) == f"failed: {why}"
 
 
-@pytest.mark.parametrize("limit", ["soon", "", "0", "-1", "nan", "inf", "1e308", "86401"])
+@pytest.mark.parametrize("limit", ["soon", "0", "nan", "86401"])
 def test_a_wrong_time_limit_is_the_users_mistake(monkeypatch, limit):
     monkeypatch.setenv("STSS_SELFTEST_SECONDS", limit)
     with pytest.raises(DeviceError, match=r"^STSS_SELFTEST_SECONDS: expected a number of seconds > 0, 86400 at most, got"):
@@ -241,6 +215,7 @@ def test_a_verdict_lapses_when_anything_changes(monkeypatch):
         lambda m: m.setattr(verdicts, "VERSION", "0"),
         lambda m: m.setattr(verdicts, "_sources", lambda: "others"),
         lambda m: m.setenv("POCL_WORK_GROUP_METHOD", "cbs"),
+        lambda m: m.setenv("STSS_DEVICE_CLASS", "gpu"),
     ):
         with monkeypatch.context() as changed:
             change(changed)
@@ -317,11 +292,8 @@ def test_what_does_not_last_is_not_kept(monkeypatch, kind):
     assert not first.passed
     assert known(NAME, HANDLE) is None
     assert verdict(NAME, HANDLE, command=child(ANSWER)).passed
-
-
-def test_a_fault_of_the_driver_is_kept():
-    verdict(NAME, HANDLE, command=child(f"os.kill(os.getpid(), {int(signal.SIGSEGV)})"))
-    assert known(NAME, HANDLE).outcome == "crashed"
+    verdict("A fault of the driver", HANDLE, command=child(f"os.kill(os.getpid(), {int(signal.SIGSEGV)})"))
+    assert known("A fault of the driver", HANDLE).outcome == "crashed"
 
 
 @pytest.mark.skipif(os.name == "nt", reason="the test holds a lock by flock")
@@ -353,23 +325,7 @@ def test_one_process_tests_while_others_wait(tmp_path):
     assert sorted(line.split()[0] for line in told) == ["first", "waiting", "waiting", "waiting"]
 
 
-# What the user edits
-
-
-def test_the_key_of_a_verdict_names_kernels_bounds_and_reference():
-    names = {path.name for path in verdicts._judged()}
-    kernels = {path.name for path in program.KERNELS.iterdir() if path.suffix in (".cl", ".clh")}
-    assert names >= kernels | {"tuning.toml", "tolerance.py", "selftest.py", "warp.py", "caches.py", "stream.py", "conv.py"}
-
-
 # A real device
-
-
-@pytest.fixture(scope="module")
-def device():
-    if not found():
-        pytest.skip("no OpenCL device")
-    return open_device()
 
 
 @pytest.mark.parametrize("check", selftest.CHECKS[:-1], ids=lambda check: check.__name__)
@@ -381,9 +337,7 @@ def test_the_device_here_passes(device, check):
     ("kernel", "wrong", "check", "why"),
     [
         ("a[i] * b[i] + c[i]", "fma(a[i], b[i], c[i])", "arithmetic", r"a \* b \+ c: \d+ of 1003 wrong"),
-        ("(a[i] + b[i]) + c[i]", "a[i] + (b[i] + c[i])", "arithmetic", r"\(a \+ b\) \+ c: "),
         ("exp(c[i])", "exp2(c[i] * 1.44269504f)", "arithmetic", "exp: off by .* ulp, 3.0 allowed"),
-        ("a[i] / b[i]", "a[i] * (float)(half_recip(b[i]) * 1.00001f)", "arithmetic", "divide: off by .* ulp"),
         ("vload8(i, in + 1)", "vload8(i, in)", "vectors", "vload8: "),
         ("atomic_min(", "atomic_max(", "nearest", "atomic_min: 50 of 50 wrong"),
         ("k < steps", "k < min(steps, 65535)", "turns", "turns of a loop: 8 of 8 wrong"),
@@ -398,10 +352,3 @@ def test_a_device_that_computes_wrongly_is_found_out(device, monkeypatch, tmp_pa
     monkeypatch.setattr(program, "KERNELS", tmp_path)
     with pytest.raises(selftest.MismatchError, match=why):
         getattr(selftest, check)(open_device(device.name), np.random.default_rng(0))
-
-
-def test_a_verdict_counts_for_its_class_only(device, monkeypatch):
-    monkeypatch.delenv("STSS_DEVICE_CLASS", raising=False)
-    plain = verdicts._path("P: one", device.handle)
-    monkeypatch.setenv("STSS_DEVICE_CLASS", "gpu")
-    assert verdicts._path("P: one", device.handle) != plain

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -11,14 +12,14 @@ import numpy as np
 import pytest
 
 from conformance.protocol import job_folder as jobs
-from conformance.protocol.port import Case, PortError, Unsupported
-from conformance.protocol.program_port import FolderPort, smallest_case
-from conformance.protocol.stages import STAGES, check_inputs, reference
+from conformance.protocol.port import Case, PortError
+from conformance.protocol.program_port import FolderPort
+from conformance.protocol.stages import STAGES, reference
 from stss import port as ports
 from stss_ground.errors import InputError
 from stss_ref.weights import Weights
 from stss_ref.weights import random as random_weights
-from stss_ref.weights import zeros as zero_weights
+from tests.hostile.cases import call
 
 DOCS = Path(__file__).parents[2] / "docs" / "ports.md"
 ANY_SIZE = ("motion_chain", "warp", "holes", "occlusion_warp", "rrm", "network", "frame")
@@ -64,14 +65,6 @@ def job(tmp_path):
     return write
 
 
-def read_inputs(case, stage):
-    return jobs.read_inputs(case, stage)
-
-
-def read_outputs(case, of):
-    return jobs.read_outputs(case, of.stage, check_inputs(of.stage, of.inputs))
-
-
 def refused(job, *words, backend="ref"):
     with pytest.raises(InputError) as caught:
         ports.run_job(job, backend)
@@ -90,10 +83,12 @@ def bits(arrays):
 
 def test_the_reference_as_a_program_has_the_bits_of_the_reference():
     """Every stage, from 1 x 1 up where it takes any size, at one start of the program."""
-    cases = [random_case(stage, size, seed) for stage in ANY_SIZE for seed, size in enumerate([(1, 1), (1, 7), (5, 3)])]
-    cases += [random_case(stage, size, 9) for stage in STAGES if stage not in ANY_SIZE for size in [(8, 8), (8, 24), (16, 8)]]
+    cases = [random_case(stage, size, seed) for stage in ANY_SIZE for seed, size in enumerate([(1, 1), (5, 3)])]
+    cases += [random_case(stage, size, 9) for stage in STAGES if stage not in ANY_SIZE for size in [(8, 8), (16, 24)]]
     cases.append(random_case("motion_chain", (6, 5), k=1))
     cases.append(random_case("warp", (6, 5), channels=1))
+    cases.append(random_case("warp", (3, 4)))
+    cases[-1].inputs["motion"][0, 0] = np.nan, -np.inf
     last = random_case("frame", (8, 8), 9)
     cases.append(replace(last, weights=Weights(last.weights, "earlier")))
 
@@ -102,15 +97,6 @@ def test_the_reference_as_a_program_has_the_bits_of_the_reference():
     for case, got in zip(cases, results, strict=True):
         assert bits(got) == bits(reference(case.stage, case.inputs, case.weights)), case.stage
     assert bits(results[-1]) != bits(reference("frame", last.inputs, last.weights))
-
-
-def test_non_finite_motion_goes_through_a_job(job):
-    case = warp_case()
-    case.inputs["motion"][0, 0] = np.nan
-    case.inputs["motion"][1, 1, 0] = -np.inf
-    folder = job(case)
-    read = read_inputs(folder / "0000", "warp")
-    assert bits(read) == bits(case.inputs)
 
 
 def test_files_are_plain(job):
@@ -124,24 +110,9 @@ def test_files_are_plain(job):
         assert data.startswith(b"\x93NUMPY\x01\x00")
         kind = b"<i4" if name == "steps" else b"<f4"
         assert b"'descr': '" + kind + b"', 'fortran_order': False" in data[:128]
-    assert bits(read_inputs(folder, "frame")) == bits(case.inputs)
+    assert bits(jobs.read_inputs(folder, "frame")) == bits(case.inputs)
     path = folder / "in" / "weights.safetensors"
     assert bits(jobs.read_weights(path.read_bytes(), path)) == bits(case.weights)
-
-
-def test_other_layouts_are_read(tmp_path):
-    """Programs write with libraries of their own: Fortran's order and the other order of bytes hold the same numbers."""
-    array = np.arange(24, dtype=np.float32).reshape(2, 3, 4)
-    for name, written in {"f": np.asfortranarray(array), "big": array.astype(">f4")}.items():
-        np.save(tmp_path / f"{name}.npy", written)
-        assert bits({"a": jobs.read_array(tmp_path / f"{name}.npy")}) == bits({"a": array})
-
-
-def test_cases_come_in_the_order_of_their_numbers(tmp_path):
-    for name in ("10000", "0002", "9999", "0000", "notes", "12"):
-        (tmp_path / name).mkdir()
-    (tmp_path / "0003").touch()
-    assert [path.name for path in jobs.case_folders(tmp_path)] == ["0000", "0002", "9999", "10000"]
 
 
 def test_results_of_two_runs_never_stand_side_by_side(job):
@@ -173,8 +144,6 @@ def damaged(path, damage):
         path.write_bytes(path.read_bytes()[:-1])
     elif damage == "objects":
         np.save(path, array.astype(object), allow_pickle=True)
-    elif damage == "names":
-        np.save(path, np.zeros(3, [("x", "f4")]))
 
 
 @pytest.mark.parametrize(
@@ -182,11 +151,9 @@ def damaged(path, damage):
     [
         (b"", "not a .npy file"),
         (literal(shape="(1000000, 1000000, 1000000)"), "not a .npy file"),
-        (literal(shape="(-1, -1, 24)"), "not a .npy file"),
         (literal(descr="'<U0'"), "expected an array of numbers"),
         ("cut", "not a .npy file"),
         ("objects", "not a .npy file"),
-        ("names", "expected an array of numbers"),
     ],
 )
 def test_a_damaged_array_is_named(job, damage, word):
@@ -199,10 +166,7 @@ def test_a_damaged_array_is_named(job, damage, word):
     ("array", "words"),
     [
         (np.zeros((3, 4, 2), np.float64), ["dtype float32", "float64"]),
-        (np.zeros((3, 4, 2), np.int32), ["dtype float32", "int32"]),
         (np.zeros((4, 3, 2), np.float32), ["shape (3, 4, 2)", "(4, 3, 2)"]),
-        (np.zeros((3, 4), np.float32), ["shape (3, 4, 2)", "(3, 4)"]),
-        (np.float32(1), ["shape (3, 4, 2)", "()"]),
         (np.zeros((0, 4, 2), np.float32), ["shape (3, 4, 2)", "(0, 4, 2)"]),
     ],
 )
@@ -212,15 +176,11 @@ def test_an_array_that_does_not_fit_is_named(job, array, words):
     refused(path.parents[2], path, *words)
 
 
-def test_a_mask_of_other_numbers_is_named(job):
+def test_numbers_and_sizes_that_a_stage_does_not_take_are_named(job):
     path = job(random_case("rrm", (3, 4))) / "0000" / "in" / "valid.npy"
     np.save(path, np.full((3, 4), 255, np.uint8))
     refused(path.parents[2], path, "expected 0 and 1, got 255, first at index (0, 0)")
-    np.save(path, np.ones((3, 4), bool))
-    refused(path.parents[2], path, "dtype uint8", "bool")
-
-
-def test_sizes_that_a_stage_does_not_take_are_named(job):
+    shutil.rmtree(path.parents[2])
     path = job(random_case("encoder", (8, 8))) / "0000" / "in" / "color.npy"
     np.save(path, np.zeros((9, 8, 6), np.float32))
     refused(path.parents[2], path.with_name("gbuffer.npy"), "(9, 8, 9)")
@@ -241,7 +201,7 @@ def test_missing_and_foreign_files_are_named(job, tmp_path):
     refused(folder, case / "in" / "motion.npy", "missing")
     (case / "in").rename(case / "into")
     refused(folder, case / "in", "no such folder")
-    for text in (b"", b"warp\nholes\n", b"\xff\xfe\0", b"../warp", b"warp" * 1000):
+    for text in (b"warp\nholes\n", b"\xff\xfe\0", b"../warp"):
         (case / "stage").write_bytes(text)
         refused(folder, case / "stage", "one line")
     (case / "stage").unlink()
@@ -260,13 +220,6 @@ def test_wrong_weights_are_named(job):
     refused(path.parents[2], path, "larger")
     path.unlink()
     refused(path.parents[2], path)
-
-
-def test_what_the_stage_itself_refuses_names_the_case(job):
-    case = warp_case()
-    case.inputs["color"][0, 1, 2] = np.nan
-    folder = job(case)
-    refused(folder, folder / "0000", "color: 1 non-finite values, first at index (0, 1, 2)")
 
 
 # backends
@@ -298,15 +251,10 @@ def test_the_opencl_backend_is_a_port():
 def test_the_command(job):
     folder = job()
 
-    def run(*arguments):
-        return subprocess.run(
-            [sys.executable, "-m", "stss", "port", *arguments], capture_output=True, text=True, timeout=60, check=False
-        )
-
-    assert run("--backend", "ref", str(folder)).returncode == 0
+    assert call("port", "--backend", "ref", folder).returncode == 0
     assert (folder / "0000" / "out" / "inside.npy").exists()
     (folder / "0000" / "in" / "color.npy").unlink()
-    result = run("--backend", "ref", str(folder))
+    result = call("port", "--backend", "ref", folder)
     assert result.returncode == 2
     assert result.stderr.splitlines() == [f"stss: {folder / '0000' / 'in' / 'color.npy'}: missing"]
 
@@ -332,14 +280,3 @@ def test_the_page_can_be_followed(tmp_path):
     assert len(blocks) >= 2
     text = "\n".join(blocks).replace('["./my_port"]', json.dumps(command("ref")))
     subprocess.run([sys.executable, "-W", "error", "-c", text], cwd=tmp_path, check=True, timeout=60)
-
-
-def test_unsupported_is_an_error_only_where_outputs_are_asked_for(monkeypatch, tmp_path):
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    program = "import pathlib, sys; [(p.parent / 'unsupported').touch() for p in pathlib.Path(sys.argv[1]).glob('*/stage')]"
-    port = FolderPort([sys.executable, "-c", program], timeout=60)
-    assert port.stages() == frozenset()
-    assert port.run_many([smallest_case("erm")]) == [Unsupported("erm")]
-    with pytest.raises(PortError, match="stage erm is unsupported"):
-        port.run("erm", smallest_case("erm").inputs, zero_weights())
-    assert not list(tmp_path.iterdir())
