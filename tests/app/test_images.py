@@ -58,6 +58,8 @@ def test_channels_come_back_by_their_full_name(tmp_path):
     assert header.compression == "zip"
     assert header.attributes["stss:key"] == 'é {"a": 1}\nb'
     assert (header.height, header.width) == header.size == (9, 7)
+    with pytest.raises(InputError, match=r"a\.exr: no channel depth\.V; it has R, G, B, .*, motion\.Y"):
+        images.read_channels(path, ["depth.V"])
     read = images.read_channels(path, ["depth.Z", "R", "motion.Y"])
     assert list(read) == ["depth.Z", "R", "motion.Y"]
     for name, plane in read.items():
@@ -75,12 +77,6 @@ def test_whole_numbers_keep_their_value(tmp_path):
     np.testing.assert_array_equal(read["id"], ids)
     np.testing.assert_array_equal(read["x"], ids + 0.5)
     np.testing.assert_array_equal(read["y"], ids % 7)
-
-
-def test_a_missing_channel_names_file_channel_and_what_there_is(tmp_path):
-    images.write_channels(tmp_path / "a.exr", planes("R", "depth.Z"))
-    with pytest.raises(InputError, match=r"a\.exr: no channel depth\.V; it has R, depth\.Z"):
-        images.read_channels(tmp_path / "a.exr", ["depth.V"])
 
 
 @pytest.mark.parametrize("suffix", [".exr", ".png"])
@@ -103,27 +99,12 @@ def test_no_truncated_file_is_read_and_nothing_is_printed(tmp_path, suffix):
     assert len(lengths) > 50
 
 
-def test_a_lost_scan_line_is_not_black(tmp_path):
-    """As a crashed render leaves it: the table of lines holds 0 for those never written."""
-    values = np.ones((3, 4), dtype=np.float32)
-    data = bytearray(exr_bytes({"R": ("f4", values)}))
-    line = 4 + 4 + 16
-    table = len(data) - 3 * line - 3 * 8
-    data[table + 16 : table + 24] = bytes(8)
-    path = tmp_path / "a.exr"
-    path.write_bytes(data[: len(data) - line])
-    with pytest.raises(InputError, match=r"a\.exr: "):
-        images.read_channels(path, ["R"])
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"window": (0, 0, 99999, 2)}, "a.exr: "),
         ({"window": (0, 0, 2**31 - 2, 2**31 - 2)}, "a.exr: "),
         ({"window": (3, 0, 0, 2)}, "a.exr: "),
         ({"display": (0, 0, 9, 9)}, "data window .* is not the display window"),
-        ({"window": (1, 1, 4, 3), "display": (0, 0, 3, 2)}, "data window .* is not the display window"),
     ],
 )
 def test_headers_are_refused_before_memory_is_taken(tmp_path, change, message):
@@ -146,7 +127,6 @@ def test_an_equal_window_may_start_anywhere(tmp_path):
     ("name", "content", "message"),
     [
         ("a.exr", None, "No such file"),
-        ("a.exr", b"", "empty, or not the kind"),
         ("a.exr", b"\x89PNG\r\n\x1a\n", "empty, or not the kind"),
         ("a.tif", b"II*\0", r"expected an \.exr or \.png file"),
     ],
@@ -168,12 +148,9 @@ def test_png_holds_display_values_and_texts(tmp_path):
     assert texts.items() <= images.read_header(path).attributes.items()
     images.write_rgb(path, read)
     np.testing.assert_array_equal(images.read_rgb(path), read)
-
-
-def test_png_rounds_to_nearest_and_clips(tmp_path):
     values = np.array([-1, 0.49 / 255, 0.51 / 255, 254.51 / 255, 7])
-    images.write_rgb(tmp_path / "a.png", np.broadcast_to(values[None, :, None], (1, 5, 3)))
-    np.testing.assert_array_equal(np.rint(images.read_rgb(tmp_path / "a.png")[0, :, 0] * 255), [0, 0, 1, 255, 255])
+    images.write_rgb(path, np.broadcast_to(values[None, :, None], (1, 5, 3)))
+    np.testing.assert_array_equal(np.rint(images.read_rgb(path)[0, :, 0] * 255), [0, 0, 1, 255, 255])
 
 
 def test_transparency_does_not_darken(tmp_path):
@@ -185,13 +162,6 @@ def test_transparency_does_not_darken(tmp_path):
     assert output.write_image(np.full((2, 2, 4), (255, 51, 0, 51), dtype=np.uint8))
     output.close()
     np.testing.assert_array_equal(np.rint(images.read_rgb(tmp_path / "a.png") * 255), np.full((2, 2, 3), (255, 51, 0)))
-
-
-def test_a_mask_is_grey_and_255_is_true(tmp_path):
-    mask = np.array([[True, False, False]])
-    images.write_mask(tmp_path / "a.png", mask)
-    assert len(images.read_header(tmp_path / "a.png").channels) == 1
-    np.testing.assert_array_equal(images.read_rgb(tmp_path / "a.png")[..., 1], mask)
 
 
 def test_rgb_comes_from_one_layer(tmp_path):
@@ -234,8 +204,7 @@ def test_equal_pictures_are_equal_files(tmp_path, name):
     assert not images.read_header(tmp_path / name).attributes.get("DateTime")
 
 
-@pytest.mark.parametrize("name", ["a.exr", "a.png"])
-@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize(("name", "value"), [("a.exr", np.nan), ("a.png", np.inf)])
 def test_nothing_non_finite_is_written(tmp_path, name, value):
     picture = np.zeros((2, 3, 3))
     images.write_rgb(tmp_path / name, picture)
@@ -269,19 +238,3 @@ def test_a_failed_write_leaves_the_old_file_and_no_other(tmp_path, monkeypatch):
         images.write_rgb(path, np.ones((2, 2, 3)))
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["a.exr"]
-
-
-def test_a_folder_that_is_not_there(tmp_path):
-    with pytest.raises(InputError, match=r"a\.exr: cannot be written"):
-        images.write_rgb(tmp_path / "no" / "a.exr", np.zeros((2, 2, 3)))
-    with pytest.raises(InputError, match="expected a name ending in"):
-        images.write_rgb(tmp_path / "a.jpg", np.zeros((2, 2, 3)))
-
-
-def test_real_renders(reference_data):
-    path = next((reference_data / "blender" / "lr").glob("*.exr"))
-    header = images.read_header(path)
-    read = images.read_channels(path, header.channels)
-    assert all(plane.shape == header.size for plane in read.values())
-    assert header.formats["ViewLayer.Combined.R"] == "half"
-    assert header.formats["ViewLayer.Position.X"] == "float"

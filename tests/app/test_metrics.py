@@ -50,12 +50,8 @@ def test_8_bit_cuts_off_the_fraction():
     """As the authors: 0.999 is 254, and what lies outside [0, 1] is clipped."""
     image = np.float32([[[0, 0.999, 1], [-0.5, 1.5, 0.5]]])
     assert metrics.to_8bit(image).tolist() == [[[0, 254, 255], [0, 255, 127]]]
-
-
-def test_all_levels_of_an_8_bit_file_come_back():
-    """Cutting off the fraction must not lose a level to rounding: the trap of a PNG read as float."""
     levels = np.arange(256, dtype=np.uint8)
-    assert metrics.to_8bit(np.float32(levels) / np.float32(255)).tolist() == levels.tolist()
+    assert metrics.to_8bit(np.float32(levels) / np.float32(255)).tolist() == levels.tolist()  # none is lost to rounding
 
 
 def test_luma_of_known_colours():
@@ -71,21 +67,6 @@ def test_psnr_worked_by_hand(difference, expected):
     """A difference of 1 everywhere: 20 log10 255 = 48.13 dB."""
     truth = np.full((3, 5, 3), 100, np.uint8)
     assert abs(metrics.psnr(truth + np.uint8(difference), truth) - expected) < 1e-9  # the digits given
-
-
-def test_psnr_of_one_wrong_channel():
-    """One of 3 x 4 values off by 51, a fifth of 255: 10 log10 (12 * 25) dB."""
-    truth = np.zeros((2, 2, 3), np.uint8)
-    image = truth.copy()
-    image[1, 0, 2] = 51
-    assert abs(metrics.psnr(image, truth) - 24.771212547) < 1e-9  # the digits given
-
-
-def test_luma_psnr_of_grey_is_above_that_of_rgb():
-    """Studio range: 219 levels stand for 255, so a grey difference scores 20 log10 (255 / 219) = 1.3 dB higher."""
-    truth = np.full((11, 11, 3), 100 / 255, np.float32)
-    scores = metrics.score(truth + np.float32(10 / 255), truth)["all"]
-    assert abs(scores.psnr_luma - scores.psnr_rgb - 20 * math.log10(255 / 219)) < 1e-12  # float64, numbers near 30
 
 
 def test_a_region_counts_its_own_pixels_only():
@@ -131,18 +112,6 @@ def test_edges_are_those_of_the_truth():
     assert not found[:, :6].any()
     assert not found[:, 10:].any()
     assert not metrics.edges(np.full_like(truth, 128)).any()
-
-
-def test_edge_scores_see_only_the_edge():
-    """An error in a flat corner changes the score over all pixels, not the one over edges."""
-    truth = np.zeros((32, 32, 3), np.float32)
-    truth[:, 16:] = 1
-    image = truth.copy()
-    image[:2, :2] = 0.5
-    scores = metrics.score(image, truth)
-    assert scores["all"].psnr_rgb < math.inf
-    assert scores["edges"].psnr_rgb == math.inf
-    assert scores["holes"] == metrics.Scores(None, None, None)
 
 
 def test_holes_at_output_size_worked_by_hand():

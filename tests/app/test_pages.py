@@ -70,21 +70,9 @@ def test_text_of_strangers_stays_text(tmp_path):
     assert not [tag for tag, attributes in tags(text) if "onerror" in attributes]
     assert [tag for tag, _ in tags(text)].count("script") == [tag for tag, _ in tags(plain.read_text())].count("script") == 3
     assert data_of(tmp_path / "p.html")["frames"][0]["caption"].endswith(HOSTILE)
-
-
-def test_a_page_leads_nowhere(tmp_path):
-    write_viewer(tmp_path / "p.html", viewer(), frames())
-    for tag, attributes in tags((tmp_path / "p.html").read_text()):
+    for tag, attributes in tags(text):
         for name in ("src", "href"):
             assert attributes.get(name, "#").startswith(("#", "data:")), (tag, attributes)
-
-
-def test_a_picture_that_comes_again_is_kept_once(tmp_path):
-    same = pictures(1, "output")
-    write_viewer(tmp_path / "p.html", viewer(("output",)), [ShownFrame(n, "SF", "", same) for n in (1, 2, 3)])
-    found = data_of(tmp_path / "p.html")
-    assert len(found["pictures"]) == 1
-    assert [frame["pictures"] for frame in found["frames"]] == [{"output": 0}] * 3
 
 
 def test_pictures_beyond_the_size_lie_beside_and_go_with_their_page(tmp_path):
@@ -122,17 +110,7 @@ def test_a_plot_has_sf_and_ef_apart_and_a_way_to_every_frame():
     assert heights["frame 2, SF: 31.00"] < heights["frame 0, SF: 30.00"] < heights["frame 1, EF: 28.25"]
 
 
-def test_plots_of_one_page_have_one_axis():
-    """tPSNR begins a frame later; its frame 2 stands where the others' does all the same."""
-    early, late = PlotLine("SF", {0: 30.0, 2: 31.0}, "SF", 0), PlotLine("SF", {2: 31.0}, "SF", 0)
-    places = [
-        next(a["data-x"] for tag, a in tags(plot("x", [line], digits=2, frames=range(3))) if a.get("data-frame") == "2")
-        for line in (early, late)
-    ]
-    assert places[0] == places[1]
-
-
-@pytest.mark.parametrize("values", [[30.0], [5.0, 5.0], [float("inf")], [0.0, 1e-9], [-3.0, 2000.0]])
+@pytest.mark.parametrize("values", [[5.0, 5.0], [float("inf")], [-3.0, 2000.0]])
 def test_a_plot_of_any_numbers_stays_within_its_frame(values):
     drawn = plot("x", [PlotLine("SF", dict(enumerate(values)), "SF", 0)], digits=2)
     assert "nan" not in drawn
@@ -161,6 +139,7 @@ def test_compare_makes_a_page(compared):
     assert done.exit_code == 0
     found = data_of(compared / "p.html")
     assert found["views"] == ["output", "truth"]
+    assert len(found["pictures"]) == 8
     assert [frame["name"] for frame in found["frames"]] == ["frame 0, SF", "frame 1, EF", "frame 2, SF", "frame 3, EF"]
     text = (compared / "p.html").read_text()
     for title in ("PSNR over RGB, dB", "SSIM of the luma", "What the columns mean"):
@@ -178,14 +157,6 @@ def test_compare_shows_what_the_output_was_made_of(compared, write_frames):
     assert found["views"] == ["input", "bilinear", "output", "truth"]
     inputs = [frame["pictures"]["input"] for frame in found["frames"]]
     assert inputs[0] == inputs[1] != inputs[2] == inputs[3]
-
-
-def test_a_page_that_cannot_be_written_is_said_before_the_work(compared):
-    for place in (compared / "out", compared / "no" / "p.html", compared / "out" / "frame.0001.png"):
-        words = ["compare", str(compared / "out"), str(compared / "truth"), "--html", str(place)]
-        done = CliRunner().invoke(stss, words)
-        assert isinstance(done.exception, InputError)
-        assert "PSNR" not in done.output
 
 
 def test_a_page_forbids_what_is_not_its_own():
@@ -208,8 +179,7 @@ def shown(tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize("width", [390, 1280])
-def test_a_page_opens_from_disk_at_any_width(ask, shown, width):
+def test_a_page_opens_from_disk_and_fits_a_telephone(ask, shown):
     """Every picture of every frame in every mode is there, nothing is asked of a network, and nothing is cut off."""
     script = """
         let there = true;
@@ -221,11 +191,14 @@ def test_a_page_opens_from_disk_at_any_width(ask, shown, width):
         }
         const asked = view.performance.getEntriesByType("resource").map((entry) => entry.name);
         const named = [...page.querySelectorAll("button, select, input")].every((e) => e.labels?.length || e.ariaLabel || e.textContent);
-        return [there, asked.filter((name) => !/^(file|data):/.test(name)), named, page.documentElement.scrollWidth];
+        page.querySelector('.point[data-frame="3"]').dispatchEvent(new view.MouseEvent("click", { bubbles: true }));
+        await new Promise((done) => setTimeout(done, 100));
+        const elsewhere = asked.filter((name) => !/^(file|data):/.test(name));
+        return [there, elsewhere, named, text("#caption"), page.documentElement.scrollWidth];
     """
-    there, asked, named, wide = ask(shown, script, width)
-    assert (there, asked, named) == (True, [], True)
-    assert wide <= width
+    *said, wide = ask(shown, script, 390)
+    assert said == [True, [], True, "frame 3, EF: 33 dB"]  # the point of the plot led to its frame
+    assert wide <= 390
 
 
 def test_keys_lead_through_frames_views_and_zoom(ask, shown):
@@ -261,12 +234,3 @@ def test_keys_lead_through_frames_views_and_zoom(ask, shown):
         1,
         "2x",
     ]
-
-
-def test_a_point_of_the_plot_leads_to_its_frame(ask, shown):
-    script = """
-        page.querySelector('.point[data-frame="3"]').dispatchEvent(new view.MouseEvent("click", { bubbles: true }));
-        await new Promise((done) => setTimeout(done, 100));
-        return text("#caption");
-    """
-    assert ask(shown, script) == "frame 3, EF: 33 dB"

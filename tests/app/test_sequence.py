@@ -7,7 +7,6 @@ import shutil
 import numpy as np
 import pytest
 
-from stss.frames.buffers import Buffers
 from stss.images.read_write import read_channels, write_channels
 from stss.sequence.conventions import BACKGROUND_POSITION
 from stss.sequence.profiles import load_profile
@@ -34,6 +33,9 @@ def test_frames_are_found_and_read_as_written(write_frames):
     stored = read_channels(folder / "seq.0004.exr", ["R", "motion.Y", "position.X", "basecolor.G", "nov.X"])
     frame = sequence.load(4)
     assert frame.color is not None
+    assert {(a.dtype, a.flags.c_contiguous) for a in vars(frame).values() if isinstance(a, np.ndarray)} == {
+        (np.dtype("float32"), True)
+    }
     np.testing.assert_array_equal(frame.color[..., 0], stored["R"])
     np.testing.assert_array_equal(frame.motion[..., 1], stored["motion.Y"])
     np.testing.assert_array_equal(frame.position[..., 0], stored["position.X"])
@@ -41,25 +43,12 @@ def test_frames_are_found_and_read_as_written(write_frames):
     np.testing.assert_array_equal(frame.nov, stored["nov.X"])
     assert sequence.load(3).color is None
     assert sequence.load(4, color=False).color is None
-
-
-def test_every_array_is_float32_and_contiguous(write_frames):
-    sequence = open_sequence(write_frames([1]), "stss")
-    frame = sequence.load(1)
-    shapes = {"color": 3, "motion": 2, "normal": 3, "position": 3, "base_color": 3}
-    for name in Buffers.__dataclass_fields__:
-        if name not in ("number", "cut", "carried"):
-            array = getattr(frame, name)
-            assert (array.dtype, array.flags.c_contiguous) == (np.float32, True), name
-            assert array.shape == ((48, 64, shapes[name]) if name in shapes else (48, 64)), name
-
-
-def test_a_frame_that_is_not_there(write_frames):
-    sequence = open_sequence(write_frames([3, 5]), "stss")
-    expected = "frame 4: not there; STSS needs the G-buffer and motion of every display frame, rendered or not"
+    missing = "frame 5: not there; STSS needs the G-buffer and motion of every display frame, rendered or not"
     for ask in (sequence.load, sequence.files):
-        with pytest.raises(InputError, match=expected):
-            ask(4)
+        with pytest.raises(InputError, match=missing):
+            ask(5)
+    with pytest.raises(InputError, match=r"expected a folder, or a pattern like .*; found nothing"):
+        open_sequence(folder / "no", "stss")
 
 
 def test_a_buffer_that_one_frame_lacks(write_frames):
@@ -68,13 +57,6 @@ def test_a_buffer_that_one_frame_lacks(write_frames):
     sequence.load(1)
     with pytest.raises(InputError, match=r"seq\.0002\.exr: no motion: profile stss expects motion\.X, motion\.Y; found B, G"):
         sequence.load(2)
-
-
-@pytest.mark.parametrize("buffer", ["motion.X", "depth.Z", "stencil.X", "R"])
-def test_a_buffer_that_no_frame_has_is_said_at_once(write_frames, buffer):
-    folder = write_frames([1, 2], change=lambda _, c: {k: v for k, v in c.items() if k != buffer})
-    with pytest.raises(InputError, match=r"in: no \w+: profile stss expects .*" + buffer):
-        open_sequence(folder, "stss")
 
 
 def test_the_odd_size_is_named(write_frames):
@@ -101,19 +83,7 @@ def test_which_files_belong_to_the_sequence(write_frames):
         open_sequence(folder / "other.####.exr", "stss")
 
 
-def test_no_sequence(tmp_path):
-    with pytest.raises(InputError, match=r"expected a folder, or a pattern like .*; found nothing"):
-        open_sequence(tmp_path / "no", "stss")
-    with pytest.raises(InputError, match=r"no frames; expected files named like NAME\.0001\.exr"):
-        open_sequence(tmp_path, "stss")
-    (tmp_path / "a.0001.exr").write_bytes(b"")
-    with pytest.raises(InputError, match=r"a\.0001\.exr: empty"):
-        open_sequence(tmp_path, "stss")
-    with pytest.raises(InputError, match="found a file"):
-        open_sequence(tmp_path / "a.0001.exr", "stss")
-
-
-@pytest.mark.parametrize("stored", [np.nan, np.inf, 0, 1e10, -1])
+@pytest.mark.parametrize("stored", [np.nan, 1e10, -1])
 def test_where_nothing_was_hit(write_frames, stored):
     def change(number, channels):
         channels["depth.Z"][5, 20] = stored
@@ -128,7 +98,7 @@ def test_where_nothing_was_hit(write_frames, stored):
         assert getattr(frame, name)[5, 21].any(), name
 
 
-@pytest.mark.parametrize("name", ["R", "normal.Z", "basecolor.B", "roughness.X", "metallic.X", "nov.X", "stencil.X"])
+@pytest.mark.parametrize("name", ["R", "normal.Z", "stencil.X"])
 def test_non_finite_values_are_refused_or_masked(write_frames, name):
     folder = write_frames([1], change=set_pixels(name, 1, np.nan, 1, np.inf, -np.inf))
     with pytest.raises(
@@ -195,21 +165,6 @@ def test_constants_stand_in_where_there_is_no_channel(write_frames):
     np.testing.assert_array_equal(open_sequence(folder, "stss", roughness=0.1).load(1).roughness, np.full((48, 64), 0.5))
 
 
-def test_settings_tell_runs_apart(write_frames, tmp_path):
-    folder = write_frames([1], change=without("nov.X"))
-    table = tmp_path / "camera.csv"
-    settings = []
-    for text, options in (
-        ("1,0,0,0", {}),
-        ("1,0,0,1", {}),
-        ("1,0,0,1", {"metallic": 0.5}),
-        ("1,0,0,1", {"non_finite": "mask"}),
-    ):
-        table.write_text(f"frame,x,y,z\n{text}\n")
-        settings.append(open_sequence(folder, "stss", camera=table, **options).settings)
-    assert all(a != b for i, a in enumerate(settings) for b in settings[:i])
-
-
 def test_nov_from_the_camera(write_frames, tmp_path):
     """A plane at z = 200 seen from the origin, its normal towards us but not of unit length."""
 
@@ -236,19 +191,15 @@ def test_nov_from_the_camera(write_frames, tmp_path):
     ("text", "message"),
     [
         ("", "expected the first line to be frame,x,y,z; found nothing"),
-        ("frame;x;y;z\n", "expected the first line to be frame,x,y,z; found frame;x;y;z"),
-        ("frame,x,y,z\n1,0,0\n", "line 2: expected a frame number and three numbers; found 1,0,0"),
         ("frame,x,y,z\n\n1,0,0,nan\n", "line 3: expected a frame number and three numbers"),
         ("frame,x,y,z\n1,0,0,0\n1,0,0,0\n", "line 3: frame 1 appears twice"),
         ("frame,x,y,z\n2,0,0,0\n", "no line for frame 1"),
-        (None, "cannot be read"),
     ],
 )
 def test_camera_tables(write_frames, tmp_path, text, message):
     folder = write_frames([1])
     table = tmp_path / "camera.csv"
-    if text is not None:
-        table.write_text(text)
+    table.write_text(text)
     with pytest.raises(InputError, match=rf"camera\.csv: {message}"):
         open_sequence(folder, "stss", camera=table)
 
@@ -307,11 +258,12 @@ def blender_channels(layer, value=1.0):
     return {f"{layer}.{name}": value * np.ones((4, 6)) for name in names.split()}
 
 
-@pytest.mark.parametrize("layer", ["ViewLayer", "View Layer", "RenderLayer", "my.own layer"])
+@pytest.mark.parametrize("layer", ["ViewLayer", "my.own layer"])
 def test_any_layer_name(tmp_path, layer):
     write_channels(tmp_path / "a.0001.exr", blender_channels(layer))
     frame = open_sequence(tmp_path, "blender").load(1)
     np.testing.assert_array_equal(frame.motion[0, 0], [1, -1])
+    np.testing.assert_array_equal(frame.position[0, 0], [100, 100, 100])
     np.testing.assert_array_equal(frame.base_color[0, 0], [1, 1, 1])
 
 
@@ -372,22 +324,3 @@ def test_unreal_says_where_its_camera_was(tmp_path):
     frame = open_sequence(tmp_path, "unreal-mrq").load(1)
     assert np.abs(frame.nov - 1 / math.sqrt(3)).max() <= 2.0**-20
     np.testing.assert_array_equal(frame.motion[0, 0], [-6, 4])
-
-
-def test_blender_reference(reference_data, tmp_path):
-    """Real renders: their camera's path reproduces what they show."""
-    table = tmp_path / "camera.csv"
-    lines = ["frame,x,y,z"]
-    for t in range(1, 15):
-        s = t / 60
-        lines.append(f"{t},{2.5 * math.sin(1.2 * s)},{-8 + 0.8 * s},{2.2 + 0.2 * math.sin(2 * s)}")
-    table.write_text("\n".join(lines))
-    sequence = open_sequence(reference_data / "blender" / "lr", "blender", camera=table)
-    assert sequence.numbers == tuple(range(1, 15))
-    frame = sequence.load(7)
-    stored = read_channels(sequence.files(7)[0], ["ViewLayer.Vector.Y", "ViewLayer.Position.X"])
-    np.testing.assert_array_equal(frame.motion[..., 1], -stored["ViewLayer.Vector.Y"])
-    np.testing.assert_array_equal(frame.position[..., 0], np.float32(stored["ViewLayer.Position.X"] / 0.01))
-    # Nothing that is seen faces away, except where a pixel mixes surfaces.
-    assert (frame.nov < 0).mean() < 0.001
-    assert 5 < frame.depth.min() < frame.depth.max() < 20
