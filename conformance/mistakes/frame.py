@@ -53,11 +53,6 @@ def _roughness_for_depth(gbuffer: Any) -> Any:
     return gbuffer[..., [0, 1, 2, 4, 4, 5, 6, 7, 8]]
 
 
-def _warped(name: str, what: str, change: Callable[..., Any]) -> Mistake:
-    """What is warped, and where to trust it, are ``change`` of both, the inputs, and the number of the colour frame."""
-    return _frame(name, what, returns("frame.warp_one", lambda pair, inputs, i: change(*pair, inputs, i)))
-
-
 def _missing(inputs: Any, i: int) -> bool:
     return i > 0 and inputs.steps[i] == inputs.steps[i - 1]
 
@@ -77,11 +72,6 @@ def _signed_history(warped: Any, valids: Any, change: Callable[[Any], Any] = np.
     """The history with ``change`` of the colours in place of what is at least 0."""
     masks = stack_history(warped, valids)[..., 3:]
     return np.concatenate([np.stack([change(w) for w in warped[::-1]]), masks], axis=-1)
-
-
-def _filled_history(made: Any) -> Any:
-    newest = np.concatenate([made.color[..., :3], made.history[2, ..., 3:]], axis=-1)
-    return np.stack([*made.history[:2], newest])
 
 
 def _second(name: str, what: str, change: Change) -> Mistake:
@@ -161,11 +151,9 @@ FRAME = (
     _frame("nearest_chain", "the chain by the nearest pixel", given("frame.motion_by_step", gather=lambda _: "nearest")),
     _frame("hole_test_ignored", "always the footprint's hole test", given("frame.prepare", test=lambda _: "footprint")),
     _order("stencil_of_now", "the current stencils for the earlier ones", "stencils", 0, 0, 0, 0),
-    _order("stencil_of_newest", "the newest colour's stencils throughout", "stencils", 0, 1, 1, 1),
     _order("normal_one_off", "normals of the next newer frame", "normals", 0, 0, 1, 2),
     _order("normal_of_newest", "the newest colour's normals throughout", "normals", 0, 1, 1, 1),
     _order("position_one_off", "positions of the next newer frame", "positions", 0, 0, 1, 2),
-    _order("position_of_newest", "the newest colour's positions throughout", "positions", 0, 1, 1, 1),
     _other("warp_one", "roughness_for_depth", "roughness for depth in the holes", "gbuffer", _roughness_for_depth),
     _other("fill", "splat_by_roughness", "roughness for depth in the splat", "gbuffer", _roughness_for_depth),
     _other("fill", "filled_from_middle", "fills from the middle frame", "colors", lambda colors: colors[[1, 1, 2]]),
@@ -180,12 +168,6 @@ FRAME = (
         "a missing frame is not warped again",
         given("frame.warp_one", motion=lambda motion, inputs, i: None if _missing(inputs, i) else motion),
     ),
-    _warped("missing_is_black", "a missing frame has no colours", lambda w, v, inputs, i: (w * (not _missing(inputs, i)), v)),
-    _warped(
-        "sf_without_holes",
-        "an SF's older frames have no holes",
-        lambda w, v, inputs, i: (w, v | (inputs.steps[0] == 0 and not _missing(inputs, i))),
-    ),
     _frame(
         "holes_not_masked",
         "only off screen is a hole",
@@ -194,29 +176,13 @@ FRAME = (
     _picture("warped_first", "warped before occlusion_warp", first=lambda _, second: second, second=lambda _, first: first),
     _picture("warped_twice", "warped in the place of occlusion_warp", first=lambda _, second: second),
     _picture("filled_twice", "occlusion_warp in the place of warped", second=lambda _, first: first),
-    _frame(
-        "filled_by_oldest_motion",
-        "fills by the oldest frame's motion",
-        given(
-            "frame.fill",
-            motion=lambda motion, inputs: None if motion is None else motion_chain(inputs.motions[: inputs.steps[2]]),
-        ),
-    ),
     _frame("filled_everywhere", "fills what needs no filling", given("frame.fill", valid=np.zeros_like)),
     _frame("history_newest_first", "history newest first", returns("frame.stack_history", lambda history: history[::-1])),
-    _frame(
-        "history_masked",
-        "the history's colours times their masks",
-        returns(
-            "frame.stack_history", lambda history: history * np.concatenate([history[..., [3, 3, 3]], history[..., 3:] ** 0], -1)
-        ),
-    ),
     _frame(
         "history_mask_of_newest",
         "the newest mask with all three",
         given("frame.stack_history", valids=lambda valids: valids[:1] * 3),
     ),
-    _prepared("history_filled", "occlusion_warp in the history", history=_filled_history),
     _prepared("mask_of_oldest", "the oldest mask as the network's", mask=lambda made: made.history[0, ..., 3]),
     _prepared("mask_of_all", "the network's mask: valid in all three", mask=lambda made: made.history[..., 3].prod(axis=0)),
     _prepared("mask_all_valid", "the network's mask all 1", mask=lambda made: np.ones_like(made.mask)),
@@ -229,9 +195,4 @@ FRAME = (
         put("frame.stack_history", lambda warped, valids: _signed_history(warped, valids, np.abs)),
     ),
     _frame("color_up_to_1", "colours above 1 become 1", returns("frame.two_pictures", lambda color: np.minimum(color, 1))),
-    _frame(
-        "history_up_to_1",
-        "colours above 1 become 1 in the history",
-        returns("frame.stack_history", lambda history: np.minimum(history, 1)),
-    ),
 )

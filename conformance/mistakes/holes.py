@@ -14,7 +14,7 @@ import numpy as np
 from conformance.mistakes.planting import Mistake, Plant, fault, given, half, put, returns, wrap
 from stss_ref.constants import HoleLimits
 from stss_ref.holes import nearer, neighbours
-from stss_ref.sample import Place, Taps, between, bilinear, corners, follow, leads_inside, taps
+from stss_ref.sample import Place, Taps, between, bilinear, follow, leads_inside, taps
 
 Change = Callable[..., Any]
 
@@ -45,15 +45,6 @@ def _distance(name: str, what: str, change: Callable[[Any], Any]) -> Mistake:
 def _nearer(name: str, what: str, change: Callable[[Any, Any], Any]) -> Mistake:
     """``change`` of the squared distances to the neighbours before and after."""
     return _holes(name, what, put("holes.nearer", change))
-
-
-def _footprint(name: str, what: str, change: Callable[[Any, Any], Any]) -> Mistake:
-    """The squared footprint is ``change`` of the nearer distances across and down."""
-
-    def wrong(position: Any) -> Any:
-        return change(nearer(*neighbours(position, 1)), nearer(*neighbours(position, 0)))
-
-    return _holes(name, what, put("holes.squared_footprint", wrong))
 
 
 def _cosine(name: str, what: str, change: Callable[[Any, Any, Any], Any]) -> Mistake:
@@ -94,10 +85,6 @@ def _everywhere(number: float) -> Change:
 
 def _weightless(at: Taps) -> Taps:
     return at._replace(x1=np.where(at.fx > 0, at.x1, at.x0), y1=np.where(at.fy > 0, at.y1, at.y0))
-
-
-def _there(previous: Any, position: Any, at: Taps) -> list[Any]:
-    return [a - b for a, b in zip(corners(previous, at), corners(position, at), strict=True)]
 
 
 HOLES = (
@@ -146,8 +133,11 @@ HOLES = (
     ),
     _nearer("footprint_to_the_right", "the right and the lower neighbour", lambda _, after: _finite(after)),
     _nearer("footprint_infinite", "without a neighbour nothing is far", np.minimum),
-    _footprint("footprint_across", "neighbours in the row alone", lambda across, _: across),
-    _footprint("footprint_of_the_longer_axis", "the longer of the two axes for both", np.maximum),
+    _holes(
+        "footprint_across",
+        "neighbours in the row alone",
+        put("holes.squared_footprint", lambda position: nearer(*neighbours(position, 1))),
+    ),
     _holes("footprint_lost", "a neighbour that is not finite counts", put("holes.neighbours", _lost_neighbours)),
     _holes("offset_of_one", "the offset of the first of four", put("holes.between", lambda four, at: four[0])),
     _distance("metres", "the paper's distances in metres", lambda four: _length(four).max(axis=0) / 100),
@@ -161,7 +151,6 @@ HOLES = (
         returns("holes.offsets", lambda four, at: [between(four, at)] * 4),
     ),
     _holes("weightless_taps_left_out", "taps of weight 0 do not count", given("holes.offsets", at=_weightless)),
-    _holes("position_there", "compares with this frame's position there", put("holes.offsets", _there)),
     _holes(
         "last_tap_wraps",
         "the tap right of the frame is its first column",
@@ -171,14 +160,6 @@ HOLES = (
         "nan_trusted",
         "d > 1.5 footprints: false for NaN",
         returns("holes.between", lambda offset: np.where(np.isnan(offset).any(axis=-1, keepdims=True), 0, offset)),
-    ),
-    _holes(
-        "stencil_nearest",
-        "the nearest earlier stencil",
-        given(
-            "holes.bilinear",
-            at=lambda at, image: at if image.shape[-1] > 1 else at._replace(fx=np.round(at.fx), fy=np.round(at.fy)),
-        ),
     ),
     _cosine("length_of_current", "divides by the current normal's length", lambda dot, _, now: dot / (now + 1e-5)),
     _cosine("length_missing", "does not divide by the length", lambda dot, _, __: dot),

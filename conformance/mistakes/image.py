@@ -187,9 +187,6 @@ WARP = (
     _place(
         "border_wraps", "outside the frame its other side", lambda at, height, width: at._replace(x=at.x % width, y=at.y % height)
     ),
-    _place(
-        "border_mirrored", "outside the frame its mirror image", lambda at, _, __: at._replace(x=np.abs(at.x), y=np.abs(at.y))
-    ),
     _taps(
         "fraction_unclamped",
         "clamps the pixels, keeps the fraction of the position",

@@ -14,7 +14,7 @@ import numpy as np
 from conformance.mistakes.planting import Mistake, Plant, fault, given, half, put, returns, wrap
 from stss_ref.conv import conv_named, gated, relu
 from stss_ref.erm import WINDOW, attend
-from stss_ref.resample import lerp_along, pad_to_8, upsample_centres, upsample_corners
+from stss_ref.resample import lerp_along, upsample_centres, upsample_corners
 
 Change = Callable[..., Any]
 OTHERS = ("history", "erm", "decoder")
@@ -40,6 +40,11 @@ def _gate_missing(module: str, of: str) -> Plant:
         return conv_named(x, weights, f"{name}.conv_feature", stride) if name.endswith(of) else right(x, weights, name, stride)
 
     return wrap(f"{module}.gated", wrong)
+
+
+def _rolled(by: int, layer: str = "") -> Change:
+    """The last ``by`` channels come first, in one layer or in all."""
+    return lambda x, name="": np.roll(x, by, axis=-1) if not layer or name == layer else x
 
 
 def _history(name: str, what: str, change: Change) -> Mistake:
@@ -94,8 +99,8 @@ def _conv(name: str, what: str, *, also: tuple[str, ...] = OTHERS, **changes: Ch
     return _encoder(name, what, given("conv.conv", **changes), also=also)
 
 
-def _sigmoid(name: str, what: str, change: Callable[[Any], Any]) -> Mistake:
-    return _encoder(name, what, put("conv.sigmoid", change), also=("history",))
+def _gate(name: str, what: str, plant: Plant) -> Mistake:
+    return _encoder(name, what, plant, also=("history",))
 
 
 def _padded(name: str, what: str, change: Callable[[Any, int], Any], also: tuple[str, ...] = OTHERS) -> Mistake:
@@ -135,22 +140,14 @@ def _tiles(axis: int, side: int) -> Plant:
 
 
 ENCODER = (
-    _encoder(
-        "gbuffer_first",
-        "G-buffer before the colour",
-        given("encoder.gated", x=lambda x, name: np.roll(x, 9, axis=-1) if name == "conv1" else x),
-    ),
+    _encoder("gbuffer_first", "G-buffer before the colour", given("encoder.gated", x=_rolled(9, "conv1"))),
     _gbuffer("depth_first", "depth before the normal", 3, 0, 1, 2, 4, 5, 6, 7, 8),
     _gbuffer("metallic_first", "metallic before roughness", 0, 1, 2, 3, 5, 4, 6, 7, 8),
     _gbuffer("base_color_bgr", "base colour in reverse", 0, 1, 2, 3, 4, 5, 8, 7, 6),
     _encoder(
-        "last_channel_lost",
-        "channel 21 lost in vectors of 4",
-        given("encoder.encoder", gbuffer=lambda gbuffer: gbuffer * (np.arange(9) < 8)),
+        "last_channel_lost", "channel 21 lost in vectors of 4", given("encoder.encoder", gbuffer=lambda g: g * (np.arange(9) < 8))
     ),
-    _encoder(
-        "warped_first", "warped before occlusion_warp", given("encoder.encoder", color=lambda color: np.roll(color, 3, axis=-1))
-    ),
+    _encoder("warped_first", "warped before occlusion_warp", given("encoder.encoder", color=_rolled(3))),
     _masked("masked_first", "color mask before color", lambda color, mask: (color * mask, color)),
     _masked("mask_inverted", "color (1 - mask)", lambda color, mask: (color, color * (1 - mask))),
     _masked("mask_ignored", "color twice", lambda color, mask: (color, color)),
@@ -167,17 +164,12 @@ ENCODER = (
     ),
     _encoder("strided_gate_missing", "no gate at stride 2", _gate_missing("encoder", "downsample")),
     _encoder("down_gate_missing", "no gate in the last layer of down", _gate_missing("encoder", ".conv2")),
-    _sigmoid("gate_linear", "no sigmoid", lambda x: x),
-    _sigmoid("hard_sigmoid", "min(max(x / 6 + 1/2, 0), 1)", lambda x: np.clip(x / 6 + 0.5, 0, 1)),
-    _sigmoid("half_sigmoid", "exp in half precision", lambda x: 1 / (1 + half(np.exp(-x)))),
-    _encoder("gate_inverted", "1 - sigmoid", given("conv.sigmoid", x=np.negative), also=("history",)),
-    _encoder(
-        "sigmoid_saturates",
-        "sigmoid from a table that ends at 4",
-        given("conv.sigmoid", x=lambda x: np.clip(x, -4, 4)),
-        also=("history",),
-    ),
-    _encoder("gate_unbiased", "the gate's bias forgotten", given("conv.gated", weights=_gate_unbiased), also=("history",)),
+    _gate("gate_linear", "no sigmoid", put("conv.sigmoid", lambda x: x)),
+    _gate("hard_sigmoid", "min(max(x / 6 + 1/2, 0), 1)", put("conv.sigmoid", lambda x: np.clip(x / 6 + 0.5, 0, 1))),
+    _gate("half_sigmoid", "exp in half precision", put("conv.sigmoid", lambda x: 1 / (1 + half(np.exp(-x))))),
+    _gate("gate_inverted", "1 - sigmoid", given("conv.sigmoid", x=np.negative)),
+    _gate("sigmoid_saturates", "sigmoid from a table that ends at 4", given("conv.sigmoid", x=lambda x: np.clip(x, -4, 4))),
+    _gate("gate_unbiased", "the gate's bias forgotten", given("conv.gated", weights=_gate_unbiased)),
     _encoder("relu6", "ReLU that ends at 6", returns("conv.relu", lambda y: np.minimum(y, 6)), also=OTHERS),
     _encoder("leaky_relu", "a leaky ReLU", returns("conv.relu", lambda _, x: np.maximum(x, x * 0.01)), also=OTHERS),
     _padded(
@@ -206,6 +198,10 @@ ENCODER = (
 
 def _erm(name: str, what: str, *plants: Plant, **marks: Any) -> Mistake:
     return fault("erm", name, what, *plants, **marks)
+
+
+def _last_relu(name: str, of: str) -> Mistake:
+    return _erm(name, f"ReLU after the last layer of {of}", given("erm.conv_chain", last_relu=lambda _, name: name == of))
 
 
 def _window(name: str, what: str, change: Callable[..., Any], **marks: Any) -> Mistake:
@@ -269,21 +265,9 @@ ERM = (
     _masks("value_masked_twice", "the value times m m", lambda k, v, m: (k, k * m, v * m * m)),
     _masks("mask_yes_or_no", "a mask of 1/4 is 1", lambda k, v, m: (k, k * (m > 0), v * (m > 0))),
     _masks("mask_threshold", "a mask below 1 is 0", lambda k, v, m: (k, k * (m == 1), v * (m == 1))),
-    _erm(
-        "gbuffer_first",
-        "f before x4",
-        given("erm.conv_chain", x=lambda x, name: np.roll(x, 9, axis=-1) if name == "latentEncoder" else x),
-    ),
-    _erm(
-        "light_relu",
-        "ReLU after the last layer of latentEncoder",
-        given("erm.conv_chain", last_relu=lambda _, name: name == "latentEncoder"),
-    ),
-    _erm(
-        "material_relu",
-        "ReLU after the last layer of KEncoder",
-        given("erm.conv_chain", last_relu=lambda _, name: name == "KEncoder"),
-    ),
+    _erm("gbuffer_first", "f before x4", given("erm.conv_chain", x=_rolled(9, "latentEncoder"))),
+    _last_relu("light_relu", "latentEncoder"),
+    _last_relu("material_relu", "KEncoder"),
     _length("not_normalised", "K is not normalised", np.ones_like),
     _length("not_rooted", "divides by the length's square", lambda square: np.maximum(square, 1e-12)),
     _length("epsilon_added", "adds 1e-3 to the length", lambda square: np.sqrt(square) + 1e-3),
@@ -341,9 +325,9 @@ DECODER = (
     _resampled("centres_as_halves", "centres aligned: o / 2", "centres", lambda n: np.arange(2 * n) / 2),
     _resampled(
         "centres_unclamped",
-        "centres aligned: before the first pixel comes the last",
+        "centres aligned: the last pixel before the first",
         "centres",
-        lambda n: (np.arange(2 * n) + 0.5) / 2 - 0.5,
+        lambda n: np.arange(2 * n) / 2 - 0.25,
     ),
     _decoder(
         "texture_fraction",
@@ -355,7 +339,7 @@ DECODER = (
     _decoder("base_by_corners", "colour upsampled with corners aligned", put("decoder.upsample_centres", upsample_corners)),
     _decoder("base_nearest", "colour upsampled by repeating pixels", put("decoder.upsample_centres", _repeated)),
     _base("base_missing", "the residual alone", np.zeros_like),
-    _base("base_of_warped", "adds warped, not occlusion_warp", lambda color: np.roll(color, 3, axis=-1)),
+    _base("base_of_warped", "adds warped, not occlusion_warp", _rolled(3)),
     _base("base_bgr", "adds the colours in reverse", lambda color: color[..., [2, 1, 0, 3, 4, 5]]),
     _decoder("residual_subtracted", "the residual with the other sign", returns("decoder.pixel_shuffle", np.negative)),
     _decoder("outc_relu", "ReLU after outc", returns("decoder.pixel_shuffle", lambda image: np.maximum(image, 0))),
@@ -389,19 +373,12 @@ def _to_8(name: str, what: str, *sides: Callable[[int], tuple[int, int]], **how:
     return _network(name, what, put("resample.pad_to_8", lambda x: _pad(x, *sides, **how)))
 
 
-def _cropped_above(network: Change, color: Any, gbuffer: Any, mask: Any, history: Any, weights: Any) -> Any:
-    height, width, _ = color.shape
-    image = network(*map(pad_to_8, (color, gbuffer)), pad_to_8(mask[..., None])[..., 0], pad_to_8(history), weights)
-    return image[len(image) - 2 * height :, : 2 * width]
-
-
 NETWORK = (
     _to_8("padded_with_zeros", "pads to multiples of 8 with zeros"),
     _to_8("padded_by_mirror", "pads with the mirror image", mode="symmetric"),
     _to_8("padded_above", "pads above and left, crops below and right", lambda n: (-n % 8, 0), mode="edge"),
     _to_8("padded_always", "pads by 8 where nothing is missing", lambda n: (0, 8 - n % 8), mode="edge"),
     _to_8("padded_to_16", "pads to multiples of 16", lambda n: (0, -n % 16), mode="edge"),
-    _network("cropped_above", "crops the first rows", wrap("network.network", _cropped_above)),
     _network(
         "mask_padded_with_zeros",
         "what is padded is a hole",
