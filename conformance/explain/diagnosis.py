@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import lru_cache
 from time import process_time
 from typing import Any
@@ -13,53 +15,93 @@ from numpy.typing import NDArray
 from conformance.answers.expected import Expected
 from conformance.judging.findings import DepartureError, Finding
 from conformance.judging.judge import Judge
-from conformance.mistakes import of_stage
-from conformance.mistakes.planting import Mistake, Variant
-from conformance.protocol.port import Outputs
+from conformance.mistakes import Mistake, of_stage
+from conformance.mistakes.planting import Variant
+from conformance.mistakes.precision import EVERYWHERE, PRECISION
+from conformance.protocol.port import Case, Outputs
+from conformance.protocol.stages import STAGES
 
 MOST_SECONDS = 20.0
 """Most computing time of one diagnosis; seconds."""
-MOST_NAMED = 3
+MOST_NAMED = 2
+RARE = frozenset((*EVERYWHERE, *PRECISION))
+"""Tried if nothing else explains the numbers."""
 INSIDE = ("history", "encoder", "erm", "decoder")
 CONTAINS = {"network": INSIDE, "frame": ("motion_chain", "warp", "holes", "occlusion_warp", "network", *INSIDE)}
 ALIKE = 0.99
 """Share of the wrong numbers that a mistake has to explain."""
+NEARER = 0.5
+"""Distance of the port's number from the mistake's, at most; as a part of its distance from the truth."""
+AS_NEAR = 2.0
+"""A mistake that is further off than the nearest one by more than this factor is not named beside it."""
 
 
-def diagnose(judge: Judge, finding: Finding) -> str:
-    """Name the known mistakes that a wrong answer looks like.
+@dataclass(frozen=True)
+class _Answered:
+    """A case, the port's answer, the right ones, and where the port's is wrong."""
+
+    case: Case
+    got: Outputs
+    right: dict[str, Expected]
+
+    @property
+    def wrong(self) -> dict[str, NDArray[np.bool_]]:
+        return {name: expected.ratios(self.got[name]) > 1 for name, expected in self.right.items()}
+
+
+def diagnose(judge: Judge, findings: Iterable[Finding]) -> str:
+    """Name the known mistakes that a port's wrong answers look like: all of them, and its right answers, too.
+
+    Args:
+        judge: has the port, and the last cases that it answered.
+        findings: failures of one property, the first and the smallest.
 
     Returns:
         ``looks like: ...``, the nearest first; or that no known mistake gives these numbers. "" where there is nothing to compare: the
         port gave no answer, or its answer is right by itself and only two of its answers together are wrong.
     """
-    if finding.expected is None:
+    failed = [each for each in (_again(judge, finding) for finding in findings) if each is not None]
+    if not failed:
         return ""
-    case = finding.case
-    try:
-        got = judge.run(case.stage, case.inputs, case.weights)
-    except DepartureError:
-        return ""
-    right = judge.right(case.stage, case.inputs, case.weights, got)
-    wrong = {name: expected.ratios(got[name]) > 1 for name, expected in right.items()}
-    if not any(w.any() for w in wrong.values()):
-        return ""
-    known, end = _shown_by(case.stage), process_time() + MOST_SECONDS
+    others = [_answered(judge, case, got) for case, got in judge.answered if case.stage == failed[0].case.stage]
+    known, end = _shown_by(failed[0].case.stage), process_time() + MOST_SECONDS
     found: list[tuple[float, Mistake]] = []
     for tried, mistake in enumerate(known):
-        if process_time() > end:
+        if process_time() > end or (mistake in RARE and any(each not in RARE for _, each in found)):
             return _named(found, tried)
-        made = _port(mistake).run(case.stage, case.inputs, case.weights)
-        if (share := explained(got, made, right, wrong)) >= ALIKE:
-            found.append((share, mistake))
+        distances = [_distance(mistake, failed[0])]
+        if distances[0] < np.inf:
+            distances += [_distance(mistake, each) for each in [*failed[1:], *others]]
+        if max(distances) < np.inf:
+            found.append((distances[0], mistake))
     return _named(found, len(known))
 
 
+def _again(judge: Judge, finding: Finding) -> _Answered | None:
+    """A failure, asked again; None if no answer of it is wrong by itself."""
+    case = finding.case
+    if finding.expected is None:
+        return None
+    try:
+        found = _answered(judge, case, judge.run(case.stage, case.inputs, case.weights))
+    except DepartureError:
+        return None
+    return found if any(wrong.any() for wrong in found.wrong.values()) else None
+
+
+def _answered(judge: Judge, case: Case, got: Outputs) -> _Answered:
+    right = judge.right(case.stage, case.inputs, case.weights, got)
+    return _Answered(case, got, {name: expected.closer(got[name]) for name, expected in right.items()})
+
+
 def _shown_by(stage: str) -> tuple[Mistake, ...]:
-    """Those that large frames show first, since there all take long; then the stage's own, then those of code it shares."""
-    inside = [mistake for part in CONTAINS.get(stage, ()) for mistake in of_stage(part)]
+    """Those that large frames show first, since there all take long; then the stage's own, those of code it shares, and of precision."""
+    parts = (stage, *CONTAINS.get(stage, ()))
+    inside = [mistake for part in parts for mistake in of_stage(part)]
     known = dict.fromkeys([*of_stage(stage), *of_stage(stage, shared=True), *inside])
-    return tuple(sorted(known, key=lambda mistake: not mistake.large))
+    places = [mistake for mistake in PRECISION if mistake.stage in parts]
+    ordered = sorted(known, key=lambda mistake: not mistake.large)
+    return (*ordered, *(EVERYWHERE if STAGES[stage].weights else ()), *places)
 
 
 @lru_cache(512)
@@ -67,22 +109,37 @@ def _port(mistake: Mistake) -> Variant:
     return mistake.port()
 
 
-def explained(got: Outputs, made: Outputs, right: dict[str, Expected], wrong: dict[str, NDArray[np.bool_]]) -> float:
-    """The share of the wrong numbers that a mistake gives too, within twice their bound, or of the others, whichever is smaller."""
-    shares = [1.0]
-    for name, expected in right.items():
-        if made[name].shape != got[name].shape:
-            return 0.0
+def _distance(mistake: Mistake, answered: _Answered) -> float:
+    """How far a port's wrong numbers are from a mistake's, as a part of their distance from the truth; infinite: it does not explain them.
+
+    It explains them if its own numbers are wrong there, too, and nearer to the port's than the truth is; and if it gives the port's
+    numbers, within twice their bound, wherever those are right.
+    """
+    case = answered.case
+    made = _port(mistake).run(case.stage, case.inputs, case.weights)
+    distances = [0.0]
+    for name, expected in answered.right.items():
+        got, wrong = answered.got[name], answered.wrong[name]
+        if made[name].shape != got.shape:
+            return np.inf
         allowed: Any = 2 * np.asarray(expected.allowed)
-        alike = Expected(made[name].astype(np.float64), allowed, vectors=expected.vectors).ratios(got[name]) <= 1
-        for where in (wrong[name], ~wrong[name]):
-            if where.any():
-                shares.append(float(alike[where].mean()))
-    return min(shares)
+        theirs = Expected(made[name].astype(np.float64), allowed, vectors=expected.vectors)
+        same = (got == made[name]) | (np.isnan(got) & np.isnan(made[name]))
+        alike = same | (theirs.ratios(got) <= 1)
+        with np.errstate(invalid="ignore"):
+            away, off = np.abs(got - made[name].astype(np.float64)), np.abs(got - expected.want)
+            part = np.where(same, 0, away / np.where(off > 0, off, 1))
+        explained = alike & (expected.ratios(made[name]) > 1) & (part <= NEARER)
+        if any(where.any() and shown[where].mean() < ALIKE for where, shown in ((wrong, explained), (~wrong, alike))):
+            return np.inf
+        if wrong.any():
+            distances.append(float(np.mean(part[wrong & explained])))
+    return max(distances)
 
 
 def _named(found: list[tuple[float, Mistake]], tried: int) -> str:
     if not found:
         return f"looks like none of the {tried} mistakes that were compared"
-    found.sort(key=lambda each: -each[0])
-    return "looks like: " + "; or ".join(mistake.what for _, mistake in found[:MOST_NAMED])
+    found.sort(key=lambda each: each[0])
+    near = [mistake for distance, mistake in found if distance <= AS_NEAR * found[0][0]]
+    return "looks like: " + "; or ".join(mistake.what for mistake in near[:MOST_NAMED])

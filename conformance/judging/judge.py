@@ -27,6 +27,8 @@ RMS = "_rms"
 """Added to an output's name: the root mean square of all its errors, over its limit."""
 MOST_BEFORE = BATCH - 1
 """Most cases that are remembered as those before a failure; together with the failing case they fill one run of a program."""
+OTHERS = 6
+"""Cases besides a failure that a mistake has to explain."""
 MOST_WEIGHTS = 128
 """Most sets of weights that are remembered in the form that the port gets; one test has fewer."""
 
@@ -62,6 +64,7 @@ class Judge:
         record: of the test that runs now; the runner sets a new one before each test.
         tell: called with a failure that takes long to be made smaller.
         near: largest error / bound of each output in the last case.
+        answered: the last cases of this test that were compared with the reference, and the port's answers.
     """
 
     def __init__(
@@ -84,6 +87,7 @@ class Judge:
         self.tell: Callable[[Finding], None] = lambda _: None
         self._last: Case | None = None
         self.near: dict[str, float] = {}
+        self.answered: deque[tuple[Case, Outputs]] = deque(maxlen=OTHERS)
         self._before: deque[Any] = deque(maxlen=MOST_BEFORE)
         self._weights: dict[int, tuple[Weights, Weights]] = {}
 
@@ -91,6 +95,7 @@ class Judge:
         """Begin another test: forget the record and cases of the last one."""
         self.record = Record()
         self._before.clear()
+        self.answered.clear()
 
     @property
     def is_program(self) -> bool:
@@ -268,6 +273,8 @@ class Judge:
         expected = self.right(stage, inputs, weights, outputs)
         if not expected:
             self._finite(stage, outputs)
+        else:
+            self.answered.append((self._last, outputs))
         for name, right in expected.items():
             self.holds(f"{stage}.{name}", outputs[name], right)
 

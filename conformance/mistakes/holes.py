@@ -76,9 +76,9 @@ def _lost_neighbours(position: Any, axis: int) -> Any:
 def _everywhere(number: float) -> Change:
     """The stage's test of surfaces with this stencil, of all surfaces."""
 
-    def wrong(holes: Change, **inputs: Any) -> Any:
+    def wrong(holes: Change, motion: Any, **inputs: Any) -> Any:
         same = np.full_like(inputs["stencil"], number)
-        return holes(**inputs) & holes(**{**inputs, "stencil": same, "stencil_previous": same})
+        return holes(motion, **inputs) & holes(motion, **{**inputs, "stencil": same, "stencil_previous": same})
 
     return wrong
 

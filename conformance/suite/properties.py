@@ -72,7 +72,7 @@ def _confirmed(judge: Judge, body: Body) -> Generator[None]:
 
 
 def _diagnosed(judge: Judge, failure: Failure, first: Failure | None) -> Failure:
-    """Add to the message what the failure looks like, judged by the case that failed first: the smallest case fits many mistakes.
+    """Add to the message what the failure looks like, by the case that failed first, the smallest, and those that were answered last.
 
     The test's record does not count the cases that the port computes for this.
     """
@@ -80,7 +80,7 @@ def _diagnosed(judge: Judge, failure: Failure, first: Failure | None) -> Failure
     words: list[str] = []
     # What does not come back alone cannot be asked for again.
     if not failure.before and UNSTABLE not in failure.finding.message:
-        words = [first_departure(judge, failure.finding), diagnose(judge, (first or failure).finding)]
+        words = [first_departure(judge, failure.finding), diagnose(judge, [(first or failure).finding, failure.finding])]
     judge.record = met
     message = "; ".join(filter(None, [failure.finding.message, met.about, *words]))
     return replace(failure, finding=replace(failure.finding, message=message, terms=terms_at_worst(failure.finding)))

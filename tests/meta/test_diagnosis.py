@@ -7,6 +7,8 @@ from conformance.explain.diagnosis import diagnose
 from conformance.judging.findings import DepartureError
 from conformance.judging.judge import Judge
 from conformance.mistakes import find
+from conformance.mistakes.planting import half, load, returns
+from conformance.mistakes.precision import rounded_at
 from conformance.suite.properties import find_property
 from stss.port import ReferencePort
 from tests.meta.samples import samples
@@ -19,7 +21,7 @@ def said(port, stage):
         try:
             judge.check(body, case.inputs if case.weights is None else (case.inputs, case.weights))
         except DepartureError as error:
-            return diagnose(judge, error.finding)
+            return diagnose(judge, [error.finding])
     return None
 
 
@@ -35,6 +37,29 @@ def test_a_planted_mistake_is_named(name):
 def test_what_contains_a_stage_names_its_mistakes():
     mistake = find("history_newest_first")
     assert mistake.what in said(mistake.port(), "network")
+
+
+@pytest.mark.parametrize("what", ["input", "weights"])
+def test_the_place_of_fewer_bits_is_named(what):
+    port = load("planted", *rounded_at("latentEncoder.2", what, half))
+    assert f"half precision at the {what} of latentEncoder.2" in said(port, "erm")
+
+
+def test_a_mistake_without_effect_explains_nothing():
+    """What is off by less than twice the bound is near to any mistake that changes no number of the case."""
+    port = load("planted", returns("warp.warp", lambda result: (result[0] * np.float32(1 + 2.0**-20), result[1])))
+    assert "none of the" in said(port, "warp")
+
+
+def test_the_answers_that_are_right_count_too():
+    """A mistake that explains the failure is not named if it were wrong where the port is right."""
+    case = samples("warp")[0]
+    judge = Judge(find("warp_x_sign").port())
+    with pytest.raises(DepartureError) as caught:
+        judge.check(find_property("warp.agrees_with_the_reference"), case.inputs)
+    assert "to the left" in diagnose(judge, [caught.value.finding])
+    judge.answered.append((case, ReferencePort().run("warp", case.inputs)))
+    assert "to the left" not in diagnose(judge, [caught.value.finding])
 
 
 class Odd(ReferencePort):
@@ -54,4 +79,4 @@ def test_a_right_answer_looks_like_nothing():
     judge, case = Judge(Odd()), samples("warp")[0]
     with pytest.raises(DepartureError) as caught:
         judge.check(find_property("warp.agrees_with_the_reference"), case.inputs)
-    assert diagnose(Judge(ReferencePort()), caught.value.finding) == ""
+    assert diagnose(Judge(ReferencePort()), [caught.value.finding]) == ""
