@@ -16,9 +16,6 @@ from stss_lab.bench import report as bench_report
 from stss_lab.bench.contender import Setup
 from stss_lab.bench.measure import SUMMARY, SizeResult, Timing, bench
 from stss_lab.bench.noise import Noise, processor_time
-from stss_lab.bench.ours import FRAMES, OURS, default_ours, frame_inputs, inputs_for, truth
-from stss_lab.bench.peers import PEERS
-from stss_ref.frame import FrameInputs, prepare
 from stss_ref.weights import random as random_weights
 
 WEIGHTS = random_weights(2)
@@ -89,7 +86,6 @@ def test_a_process_that_dies_is_a_row(monkeypatch):
 @pytest.mark.parametrize(
     ("ours", "peers", "repeat", "said"),
     [
-        (["pytorch"], [], 1, "ours: expected"),
         ([], ["cl"], 1, "peers: expected"),
         ([], [], 1, "at least one"),
         (["ref"], [], 0, "at least one"),
@@ -102,11 +98,10 @@ def test_wrong_names_are_one_line(ours, peers, repeat, said):
 
 def test_the_peers_run_in_turns_with_ours():
     pytest.importorskip("torch", reason="PyTorch is not installed: make test-training")
-    (result,) = bench([setup()], ["ref"], ["pytorch", "pytorch-tuned"], repeat=2)
+    (result,) = bench([setup()], ["ref"], ["pytorch"], repeat=2)
     assert [(row.name, row.fault, len(row.times)) for row in result.rows] == [
         ("ref", None, 2),
         ("pytorch", None, 2),
-        ("pytorch-tuned", None, 2),
     ]
     assert result.shares(result.rows[1]) == dict.fromkeys(SUMMARY, 1)
 
@@ -132,22 +127,6 @@ def test_the_table_shows_stages_faults_and_noise():
     assert "Meanwhile other processes had 25% of this machine, other guests of its host 3%." in text
 
 
-def test_processor_time_is_the_processes_own(monkeypatch):
-    sleeps = SimpleNamespace(details={}, prepare=lambda _: None, run=lambda: time.sleep(0.05), image=lambda: None)
-    sent, orders = [], iter(["time", "finish"])
-    monkeypatch.setattr(measure, "contender", lambda *_: sleeps)
-    pipe = SimpleNamespace(send=sent.append, recv=lambda: next(orders))
-    measure._serve(pipe, "ref", setup())
-    good, (wall, used) = sent[1]
-    assert good
-    assert used < 0.5 * wall
-
-
-def test_processor_time_is_divided_by_the_threads():
-    one, two = (bench([setup(threads=n)], ["ref"], [], repeat=1)[0].rows[0] for n in (1, 64))
-    assert 0 < two.cpu_times[0] < one.cpu_times[0] / 8
-
-
 STAT = """cpu  {} 200 300 {} 50 10 20 {} 999 0
 cpu0 1 2 3 4 5 6 7 8 9 10
 """
@@ -163,13 +142,7 @@ def test_noise_is_what_others_had(tmp_path):
     # 4 s in all; busy 3 s, of which 2 were ours
     assert [round(share, 6) for share in after.noise_since(before, 2.0)] == [0.25, 0.05]
     assert after.noise_since(before, 3.5).processes == 0
-
-
-@pytest.mark.parametrize("text", [None, "", "cpu  1 2 3\n", "no numbers at all here, not a single one of them\n"])
-def test_a_system_that_counts_nothing_is_no_error(tmp_path, text):
-    file = tmp_path / "stat"
-    if text is not None:
-        file.write_text(text)
+    file.write_text("no numbers at all here, not a single one of them\n")
     assert processor_time(file) is None
 
 
@@ -189,23 +162,6 @@ def test_json_can_be_read_and_names_no_place():
     assert "/home" not in text
 
 
-def test_inputs_are_the_same_in_every_process():
-    for name in ("cl", "cl-frame"):
-        first, second = (vars(inputs_for(name, 8, 16)) for _ in range(2))
-        for key, value in first.items():
-            np.testing.assert_array_equal(value, second[key])
-
-
-def test_whole_frames_have_holes_only_where_the_plane_enters():
-    inputs = frame_inputs(16, 24)
-    assert isinstance(inputs, FrameInputs)
-    mask = prepare(inputs, "longest").mask
-    want = np.zeros((16, 24))
-    want[:15, :22] = 1  # the newest frame is one step back: 1.5 to the right, 0.75 down
-    np.testing.assert_array_equal(mask, want)
-    assert truth(inputs, WEIGHTS).shape == (32, 48, 3)
-
-
 def test_the_time_of_a_run_is_that_of_one_of_its_frames(monkeypatch):
     told, orders = [], iter(["time", "end"])
     pipe = SimpleNamespace(send=told.append, recv=lambda: next(orders))
@@ -214,10 +170,6 @@ def test_the_time_of_a_run_is_that_of_one_of_its_frames(monkeypatch):
     )
     monkeypatch.setattr(measure, "contender", lambda name, setup: made)
     measure._serve(pipe, "cl-stream", setup())
-    assert 0.001 <= told[1][1][0] < 0.05
-
-
-def test_no_name_means_two_things():
-    assert not OURS.keys() & PEERS.keys()
-    assert OURS.keys() >= FRAMES
-    assert set(default_ours()) <= OURS.keys()
+    wall, used = told[1][1]
+    assert 0.001 <= wall < 0.05
+    assert used < 0.5 * wall  # it sleeps: processor time is its own

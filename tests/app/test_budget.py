@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 
 from conformance.scenes import SCENES
-from stss.frames.backends import ReferenceBackend, open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.run import budget
 from stss.run.budget import SETTINGS, choose
 from stss.run.choose_backend import with_skipping
-from stss.sequence.scenes import display_frames, truth
-from stss.weights.file import BILINEAR, load
+from stss.sequence.scenes import display_frames
 from stss_ground.errors import InputError
 from stss_lab.bench.pareto import frontier
 
@@ -73,18 +71,7 @@ def test_options_that_do_not_go_together(chosen, words):
         with_skipping(ComputeOptions(), **options)
 
 
-def test_the_reference_needs_none_of_them():
-    compute = with_skipping(ComputeOptions(), None, None, possible=False)
-    backend = open_backend("ref", load(BILINEAR), compute)
-    assert isinstance(backend, ReferenceBackend)
-
-
 def test_frontier():
     """By hand: what another one beats in both is out."""
     assert frontier([(3, 1), (1, 5), (2, 2), (2.5, 4), (4, 1)]) == [1, 2, 0]
     assert frontier([]) == []
-
-
-def test_scene_frames_alternate_and_have_a_truth(frames):
-    assert [frame.color is not None for frame in frames[:4]] == [True, False, True, False]
-    assert truth(SCENES["static"], (8, 8), 0).shape == (16, 16, 3)

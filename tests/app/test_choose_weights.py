@@ -9,7 +9,7 @@ import pytest
 from conformance.scenes import DEMO, render
 from stss.check_sequence.report import check
 from stss.demo import demo_path, frame_channels
-from stss.images.read_write import read_header, write_channels
+from stss.images.read_write import write_channels
 from stss.sequence.antialiasing import judge_sampling
 from stss.sequence.choose_weights import AUTO, choose_weights
 from stss.sequence.reader import open_sequence
@@ -48,9 +48,26 @@ def rendered(tmp_path_factory):
     ],
 )
 def test_frames_say_how_they_were_sampled(rendered, kind, antialiased, reason):
-    found = judge_sampling(open_sequence(rendered / kind, "stss"))
+    sequence, said = open_sequence(rendered / kind, "stss"), []
+    found, name = judge_sampling(sequence), "antialiased" if antialiased else "realtime"
     assert found.antialiased == antialiased
     assert reason in found.reason
+    loaded = choose_weights(AUTO, sequence, said.append)
+    assert loaded.label == f"{name} {load(name).identity}" == choose_weights("default", sequence, said.append).label
+    assert said[0].startswith(f"weights: {name} (")
+    report = check(rendered / kind, "stss")
+    assert any(f"stss run takes the weights {name}" in finding.text for finding in report.findings)
+    assert json.loads(report.to_json())["sampling"]["antialiased"] is antialiased
+
+
+def test_where_nothing_is_to_be_chosen_nothing_is_said(rendered):
+    """A name overrides the frames, and a method without a network needs none; a wrong name is wrong all the same."""
+    said, sequence = [], open_sequence(rendered / "aliased", "stss")
+    assert choose_weights("antialiased", sequence, said.append).source == "antialiased"
+    assert choose_weights(AUTO, sequence, said.append, needed=False).source == "bilinear"
+    assert said == []
+    with pytest.raises(InputError):
+        choose_weights("bicubic", sequence, said.append, needed=False)
 
 
 def test_a_sky_with_a_depth_mixes_nothing(write_frames):
@@ -63,38 +80,6 @@ def test_a_sky_with_a_depth_mixes_nothing(write_frames):
 
     found = judge_sampling(open_sequence(write_frames([1, 2], change=change), "stss"))
     assert "mixtures" not in found.reason
-
-
-def test_the_choice_is_told_with_its_reason(rendered):
-    for kind, name in (("aliased", "realtime"), ("all", "antialiased")):
-        said = []
-        loaded = choose_weights(AUTO, open_sequence(rendered / kind, "stss"), said.append)
-        assert loaded.source == name
-        assert loaded.label == f"{name} {load(name).identity}"
-        assert said[0].startswith(f"weights: {name} (")
-
-
-def test_a_name_overrides_the_frames_and_nothing_is_said(rendered):
-    said = []
-    loaded = choose_weights("antialiased", open_sequence(rendered / "aliased", "stss"), said.append)
-    assert (loaded.source, said) == ("antialiased", [])
-
-
-def test_a_method_without_a_network_needs_no_choice(rendered):
-    said = []
-    sequence = open_sequence(rendered / "aliased", "stss")
-    assert choose_weights(AUTO, sequence, said.append, needed=False).source == "bilinear"
-    assert said == []
-    with pytest.raises(InputError):  # a wrong name is wrong all the same
-        choose_weights("bicubic", sequence, said.append, needed=False)
-
-
-def test_check_says_which_weights_a_run_takes_and_why(rendered):
-    report = check(rendered / "all", "stss")
-    assert any("mixtures, not of unit length); stss run takes the weights antialiased" in f.text for f in report.findings)
-    assert json.loads(report.to_json())["sampling"]["antialiased"] is True
-    report = check(rendered / "aliased", "stss")
-    assert any("stss run takes the weights realtime" in finding.text for finding in report.findings)
 
 
 def test_a_part_of_a_sequence_gets_the_weights_of_the_whole(rendered, tmp_path):
@@ -111,36 +96,3 @@ def test_where_nothing_tells_frames_count_as_an_engine_gives_them(write_frames):
     found = judge_sampling(open_sequence(write_frames([1, 2, 3]), "stss"))
     assert not found.antialiased
     assert "only 0 edges" in found.reason
-
-
-def test_a_frame_that_cannot_be_read_is_left_to_the_run(write_frames):
-    folder = write_frames([1, 2, 3])
-    (folder / "seq.0003.exr").write_bytes((folder / "seq.0003.exr").read_bytes()[:2000])
-    try:
-        sequence = open_sequence(folder, "stss")
-    except InputError:
-        pytest.skip("the sequence itself is refused")
-    assert not judge_sampling(sequence).antialiased
-
-
-def test_every_file_names_the_weights(rendered, tmp_path):
-    from click.testing import CliRunner
-
-    from stss.cli.main import stss
-
-    done = CliRunner().invoke(
-        stss, ["run", str(rendered / "all"), "-o", str(tmp_path), "--backend", "ref"], catch_exceptions=False
-    )
-    assert done.exit_code == 0
-    assert "weights: antialiased (" in done.output
-    for number in range(2):
-        made = read_header(tmp_path / f"frame.{number:04d}.exr").attributes["stss:weights"]
-        assert made == f"antialiased {load('antialiased').identity}"
-
-
-def test_default_is_chosen_where_there_are_frames_and_realtime_where_there_are_none(rendered):
-    said = []
-    for kind in ("aliased", "all"):
-        sequence = open_sequence(rendered / kind, "stss")
-        assert choose_weights("default", sequence, said.append).identity == choose_weights(AUTO, sequence, said.append).identity
-    assert load("default").source == "realtime"

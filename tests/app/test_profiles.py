@@ -37,25 +37,16 @@ def test_a_profile_is_a_file_like_any_other(tmp_path):
     [
         ("units_per_cm = 1", "", "units_per_cm: expected a number > 0, found nothing"),
         ("units_per_cm = 1", "units_per_cm = 0", "units_per_cm: expected a number > 0, found 0"),
-        ("units_per_cm = 1", "units_per_cm = true", "units_per_cm: expected a number > 0, found True"),
         ("units_per_cm = 1", "units_per_cm = 1\nunits = 2", "units: unknown key; known are name, title"),
         ('"linear"', '"srgb"', "color_domain: expected one of linear, display, found 'srgb'"),
-        ('"scale"', '"minmax"', "depth_normalisation: expected one of clip, scale, found 'minmax'"),
         ('y = "down"', "", "motion.y: expected one of up, down, found nothing"),
-        ('"to_previous"', '"back"', "motion.direction: expected one of to_previous, from_previous, found 'back'"),
-        ('"pixels"', "7", "motion.unit: expected one of pixels, uv, ndc, found 7"),
-        ("bias = [0, 0]", "bias = [0]", "motion.bias: expected 2 numbers, found [0]"),
         ("scale = [1, 1]", "scale = [1, nan]", "motion.scale: expected 2 numbers, found [1, nan]"),
         ('[["motion.X", "motion.Y"]]', '[["motion.X"]]', "channels.motion: expected a list of lists of 2 names"),
-        ('[["depth.Z"]]', '["depth.Z"]', "channels.depth: expected a list of lists of 1 names"),
-        ('depth = [["depth.Z"]]', "", "channels.depth: expected a list of lists of 1 names each, found nothing"),
         ("nov =", "NoV =", "channels.nov: expected a list of lists of 1 names each, found nothing"),
         ("[normal]", "[files]\nalbedo = 'x'\n[normal]", "files.albedo: unknown key; known are color, motion"),
         ("[normal]", "[constants]\nroughness = 'x'\n[normal]", "constants.roughness: expected a number, found 'x'"),
-        ("[normal]", "[constants]\ndepth = 1\n[normal]", "constants.depth: unknown key"),
         ("[normal]", "[hints]\ndepth = ''\n[normal]", "hints.depth: expected one line of text, found ''"),
         ('kind = "planar"', 'kind = "device"', "depth.near: expected a number > 0, found nothing"),
-        ("background = 1e9", "", "depth.background: expected a number > 0, found nothing"),
         ("bias = 0\nscale = 1", "bias = 0\nscale = 1\nspace = 'view'", "normal.space: unknown key"),
         ("[normal]", "[normal", "cannot be read as TOML"),
     ],
@@ -87,20 +78,6 @@ def test_motion_of_every_profile(name, stored, motion):
     pixels = motion_in_pixels(values, load_profile(name).motion)
     assert pixels.dtype == np.float32
     np.testing.assert_array_equal(np.rint(pixels * 1000), np.broadcast_to(np.array(motion) * 1000, (20, 40, 2)))
-
-
-def test_unreal_motion_is_that_of_a_public_decoder():
-    """x = -(R - 0.5) * 2 * W, y = (G - 0.5) * 2 * H."""
-    stored = np.array([[[0.25, 0.75], [0.5, 0.5]]], dtype=np.float32)
-    pixels = motion_in_pixels(stored, load_profile("unreal-mrq").motion)
-    np.testing.assert_array_equal(pixels, [[[1, 0.5], [0, 0]]])
-
-
-def test_units_of_motion():
-    stored = np.full((20, 40, 2), 0.25, dtype=np.float32)
-    for unit, want in (("pixels", (0.25, 0.25)), ("uv", (10, 5)), ("ndc", (5, 2.5))):
-        rule = MotionRule("to_previous", unit, "down", (0, 0), (1, 1))
-        np.testing.assert_array_equal(motion_in_pixels(stored, rule)[0, 0], want)
 
 
 def test_motion_keeps_what_is_not_finite_and_what_is_huge():

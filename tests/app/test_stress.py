@@ -11,9 +11,9 @@ from stss_ground.errors import InputError
 from stss_lab.command_stress import stress_command
 from stss_lab.stress import report as stress_report
 from stss_lab.stress.engines import OpenCLEngine, ReferenceEngine
-from stss_lab.stress.inputs import image_noise, scaled, stage_inputs
+from stss_lab.stress.inputs import scaled, stage_inputs
 from stss_lab.stress.measure import MEASUREMENTS, Results, make_plan, stress
-from stss_lab.stress.table import StressPlan, StressTable, relative_error, short
+from stss_lab.stress.table import StressPlan, StressTable
 from stss_ref.weights import random as random_weights
 
 WEIGHTS = random_weights(1)
@@ -28,49 +28,6 @@ def results():
 
 def table(results, key):
     return next(table for table in results.tables if table.key == key)
-
-
-def test_scaling_leaves_masks_and_positions_of_taps_alone():
-    by = scaled("network", INPUTS["network"], 1e-6)
-    np.testing.assert_array_equal(by["mask"], INPUTS["network"]["mask"])
-    np.testing.assert_array_equal(by["history"][..., 3], INPUTS["network"]["history"][..., 3])
-    assert by["color"].max() <= 1e-6
-    image = image_noise(1, 8, 16)
-    assert (scaled("warp", image["warp"], 100)["motion"] == image["warp"]["motion"]).all()
-    assert (scaled("motion_chain", image["motion_chain"], 2)["motions"] == 2 * image["motion_chain"]["motions"]).all()
-
-
-def test_relative_error():
-    one = {"a": np.array([1.0, -4.0])}
-    assert relative_error({"a": np.array([1.0, -3.0])}, one) == 0.25
-    assert relative_error(one, one) == 0
-    assert relative_error({"a": np.array([1.0, np.nan])}, one) == np.inf
-
-
-@pytest.mark.parametrize(
-    ("number", "text"),
-    [
-        (0, "0"),
-        (1234.5, "1230"),
-        (12345, "1.2e4"),
-        (3.21, "3.2"),
-        (1e-3, "0.001"),
-        (1e-7, "1e-7"),
-        (np.inf, "inf"),
-        (np.nan, "-"),
-    ],
-)
-def test_numbers_are_short(number, text):
-    assert short(number) == text
-
-
-def test_every_table_is_whole(results):
-    assert [table.key for table in results.tables] == list(MEASUREMENTS)
-    for table in results.tables:
-        assert table.rows
-        assert all(len(row) == len(table.columns) for row in table.rows), table.key
-        numbers = [cell for row in table.rows for cell in row if isinstance(cell, float)]
-        assert all(number >= 0 for number in numbers), table.key
 
 
 def test_the_hole_test_loses_nothing_itself(results):
@@ -118,6 +75,9 @@ def test_the_backend_is_measured_in_each_of_its_precisions():
 def test_json_can_be_read(results):
     broken = StressTable("x", "y", ("a", "b"), (("a", float("inf")),))
     text = stress_report.to_json(Results(SMALL, None, (*results.tables, broken)))
+    for found in results.tables:
+        assert found.rows
+        assert all(len(row) == len(found.columns) for row in found.rows), found.key
     data = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
     assert [table["key"] for table in data["tables"]] == [*MEASUREMENTS, "x"]
     assert data["tables"][-1]["rows"] == [["a", "inf"]]
@@ -137,10 +97,6 @@ def test_the_command(tmp_path):
     [
         (["--only", "tones"], "only: expected some of bounds"),
         (["--backend", "ref", "--device", "x"], "expected no device"),
-        (
-            ["--backend", "ref", "--only", "tone", "--json", "no/such/folder.json"],
-            "--json no/such/folder.json: expected a file in a folder that exists",
-        ),
     ],
 )
 def test_mistakes_are_one_line(options, said, tmp_path, monkeypatch):
