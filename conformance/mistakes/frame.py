@@ -96,6 +96,11 @@ def _trusted(by: Any, picture: Any, otherwise: Any) -> Any:
 
 SECONDS = (
     _second("ignored", "the newest frame is the second colour, whatever the weights say", lambda o, m, n, *_: n[..., :3]),
+    _frame(
+        "second_black",
+        "a black image for weights that want the earlier frame",
+        returns("frame.frame", lambda got, weights: (got[0] * (weights.second_color == "newest"), got[1])),
+    ),
     _second("unmasked", "the earlier frame is the second colour in its holes, too", lambda o, m, n, *_: m[..., :3]),
     _second("of_oldest", "the oldest frame for the earlier one as the second colour", lambda o, m, n, *_: _trusted(o, o, n)),
     _second("by_newest_mask", "the newest frame's holes for the earlier one's", lambda o, m, n, *_: _trusted(n, m, n)),

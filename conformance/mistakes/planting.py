@@ -12,46 +12,44 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial, update_wrapper
-from importlib import import_module
 from importlib.util import find_spec, module_from_spec
 from inspect import signature
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import stss_ref
 from conformance.protocol.layers import chosen
 from conformance.protocol.port import AnyArray, Arrays, Outputs
 from conformance.protocol.stages import STAGES
 from stss_ref.weights import Weights
 
-SHARED = ("arrays", "weights")
+SHARED = ("stss_ref.arrays", "stss_ref.weights")
 """Modules that a copy has in common with the reference: they compute nothing, and are known by their classes."""
-MODULES = tuple(sorted({path.stem for path in Path(stss_ref.__file__).parent.glob("*.py")} - {"__init__", *SHARED}))
-STAGES_TABLE = "conformance.protocol.stages"
 
 
 class PlantError(ValueError):
     """The reference has no such name."""
 
 
+def _copied() -> list[str]:
+    return [name for name in sys.modules if name.partition(".")[0] == "stss_ref" and name not in SHARED]
+
+
 class Copy:
-    """All modules of the reference once more, and the table of stages."""
+    """The table of stages and the modules of the reference that it needs, once more."""
 
     def __init__(self) -> None:
-        names = ["stss_ref", *(f"stss_ref.{word}" for word in MODULES)]
-        held = {name: sys.modules.pop(name) for name in names if name in sys.modules}
+        held = {name: sys.modules.pop(name) for name in _copied()}
         try:
-            self._modules = {word: import_module(f"stss_ref.{word}") for word in MODULES}
-            spec = find_spec(STAGES_TABLE)
+            spec = find_spec("conformance.protocol.stages")
             assert spec is not None
             assert spec.loader is not None
-            self._modules["stages"] = module_from_spec(spec)
-            spec.loader.exec_module(self._modules["stages"])
+            stages = module_from_spec(spec)
+            spec.loader.exec_module(stages)
+            self._modules = {"stages": stages, **{name.partition(".")[2]: sys.modules[name] for name in _copied()}}
         finally:
-            for name in names:
-                sys.modules.pop(name, None)
+            for name in _copied():
+                del sys.modules[name]
             sys.modules.update(held)
 
     def get(self, name: str) -> Any:
@@ -81,7 +79,12 @@ def put(name: str, value: Any) -> Plant:
 
 def wrap(name: str, wrong: Callable[..., Any]) -> Plant:
     """``wrong`` in place of a function, which it is handed before the arguments."""
-    return lambda copy: copy.put(name, update_wrapper(partial(wrong, right := copy.get(name)), right))
+
+    def plant(copy: Copy) -> None:
+        right = copy.get(name)
+        copy.put(name, update_wrapper(partial(wrong, right), right))
+
+    return plant
 
 
 def given(name: str, **changes: Callable[..., Any]) -> Plant:
