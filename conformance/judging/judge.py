@@ -153,13 +153,11 @@ class Judge:
 
     def _advance(self, dialogue: Dialogue, answers: Sequence[Outputs] | None) -> DepartureError | None:
         """Let a property go on to its next questions."""
+        if answers is not None:
+            last = dialogue.asked[-1]
+            self._last = self.asked(last.stage, last.inputs, last.weights)
         try:
-            if answers is None:
-                dialogue.begin()
-            else:
-                last = dialogue.asked[-1]
-                self._last = self.asked(last.stage, last.inputs, last.weights)
-                dialogue.go_on(answers)
+            dialogue.go_on(answers)
         except DepartureError as error:
             return error
         return None

@@ -123,15 +123,9 @@ class Dialogue:
         self._talk = talk
         self._alone = False
 
-    def begin(self) -> None:
-        """Run up to the first questions."""
-        self._take(None)
-
-    def go_on(self, answers: Sequence[Outputs]) -> None:
-        """Hand over the answers to what it asked. What the property raises comes out here."""
-        self._take(answers[0] if self._alone else tuple(answers))
-
-    def _take(self, sent: Any) -> None:
+    def go_on(self, answers: Sequence[Outputs] | None) -> None:
+        """Hand over the answers to what it asked, None to begin. What the property raises comes out here."""
+        sent = None if answers is None else answers[0] if self._alone else tuple(answers)
         self.asked = ()
         try:
             wanted = self._talk.send(sent)
