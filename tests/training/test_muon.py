@@ -9,7 +9,7 @@ torch.set_num_threads(1)
 from training.muon import Muon, orthogonal  # noqa: E402
 
 
-@pytest.mark.parametrize("shape", [(24, 216), (64, 18), (1, 5)])
+@pytest.mark.parametrize("shape", [(24, 216), (1, 5)])
 def test_the_singular_vectors_stay_and_the_values_come_near_one(shape):
     matrices = torch.from_numpy(np.random.default_rng(0).normal(size=(3, *shape)) * [[[1e-3]], [[1.0]], [[50.0]]])
     for matrix, made in zip(matrices, orthogonal(matrices), strict=True):

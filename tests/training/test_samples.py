@@ -10,13 +10,12 @@ from conformance.scenes import SCENES
 from stss.frames.display_frame import OnArrays, prepare
 from stss.frames.supersampler import supersample
 from stss_ground.errors import InputError
-from stss_ref.frame import NetworkInputs
 from stss_ref.resample import upsample_centres
 from stss_ref.schedule import FrameKind
 from training import samples as module
-from training.augment import MASK, MOTION, NORMAL, augment, collate, depths_at_random, mask_at_random, turn_of_the_world
+from training.augment import MASK, MOTION, NORMAL, augment, collate, depths_at_random, mask_at_random
 from training.loss import unsteadiness
-from training.samples import film_frames, pack, samples, split_of, unpack
+from training.samples import film_frames, samples, split_of, unpack
 from training.scenes import INPUTS, Film, random_film
 
 SIZE = (24, 32)
@@ -53,25 +52,10 @@ def test_samples_are_what_the_tool_feeds_the_network(film):
             np.testing.assert_array_equal(inputs.mask.astype(bool), outputs[sample.number].valid)
 
 
-def test_pack_loses_nothing():
-    random = np.random.default_rng(0)
-    history = random.random((3, 6, 5, 4))
-    newest = history[2]
-    color = np.concatenate([random.random((6, 5, 3)), newest[..., :3]], axis=-1)
-    inputs = NetworkInputs(color, random.random((6, 5, 9)), newest[..., 3], history)
-    for got, want in zip(vars(unpack(pack(inputs, np.zeros((6, 5, 2))))).values(), vars(inputs).values(), strict=True):
-        np.testing.assert_array_equal(got, want)
-
-
 def test_random_films_differ_and_repeat():
     images = [next(film_frames(random_film(seed), SIZE, 1)).color for seed in (1, 1, 2)]
     np.testing.assert_array_equal(images[0], images[1])
     assert (images[0] != images[2]).any()
-
-
-def test_films_of_one_scene_are_in_one_split_however_they_are_sampled():
-    scenes = {random_film(3, inputs).scene.name for inputs in INPUTS}
-    assert len(scenes) == 1
 
 
 @pytest.mark.parametrize("inputs", INPUTS)
@@ -149,10 +133,6 @@ def test_depths_keep_their_order_and_the_background_while_their_middle_moves(bet
     assert 0.5 < max(moved) <= 0.71
     nothing = np.ones((8, 8), np.float32)
     assert (depths_at_random(nothing, np.random.default_rng(0)) == 1).all()
-
-
-def test_the_mirrored_world():
-    np.testing.assert_array_equal(turn_of_the_world(0, mirrored=True) @ [1, 2, 3], [-1, 2, 3])
 
 
 def test_rrm_touches_the_newest_mask_alone():
