@@ -185,6 +185,7 @@ def test_a_missing_frame_is_named(changeable, tmp_path):
         ("run {frames} -o out --frames 5:20", ["5:20", "0:9"]),
         ("run {frames} -o out --rendered odd", ["odd", "frame 1"]),
         ("run {frames} -o out --transfer log", ["log", "srgb"]),
+        ("run {frames} -o out --cluster local:2 --budget 40ms", ["--cluster", "--budget"]),
         ("run {frames} -o out --planes quarter", ["quarter"]),
         ("run {frames} -o out --weights {frames}/demo.0000.exr", ["demo.0000.exr"]),
         ("run {frames} -o {frames}/demo.0000.exr", ["demo.0000.exr"]),

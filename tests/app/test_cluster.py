@@ -17,7 +17,7 @@ import pytest
 
 from stss.cluster import run as module
 from stss.cluster.chunk import Work, compute_chunk
-from stss.cluster.run import Cluster, cut, require_no_budget, run_on_cluster
+from stss.cluster.run import Cluster, cut, run_on_cluster
 from stss.cluster.workers import LocalWorkers, connected
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
@@ -306,8 +306,3 @@ def test_an_address_that_is_none_is_one_line(address, said, monkeypatch):
     with pytest.raises(InputError, match=said) as caught, connected(address):
         pass
     assert "\n" not in str(caught.value)
-
-
-def test_what_cannot_be_cut_is_refused():
-    with pytest.raises(InputError, match="--cluster"):
-        require_no_budget(0.04)

@@ -13,7 +13,6 @@ import pytest
 from stss.demo import write_demo_sequence
 from stss.frames.backends import ReferenceBackend
 from stss.frames.supersampler import supersample
-from stss.images.read_write import read_rgb
 from stss.images.resample import enlarged, lanczos_centres
 from stss.run.job import run
 from stss.run.options import RunOptions
@@ -153,15 +152,6 @@ def test_fxaa_smoothes_a_jagged_edge(slope, upright):
     assert smooth.max() <= 1
 
 
-def test_fxaa_leaves_alone_what_has_no_edge():
-    """Flat, and a ramp too shallow for an edge; and around an edge, whatever is not next to it."""
-    ramp = np.linspace(0.2, 0.9, W, dtype=np.float32)[None, :, None] * np.ones((H, 1, 3), np.float32)
-    np.testing.assert_array_equal(fxaa(ramp), ramp)
-    jagged = edge(0.1, 1)
-    away = np.ptp([np.roll(jagged, (j, i), (0, 1)) for j in (-1, 0, 1) for i in (-1, 0, 1)], axis=0) == 0
-    np.testing.assert_array_equal(fxaa(jagged)[away], jagged[away])
-
-
 def test_taau_of_a_static_scene_is_its_upsampled_frame():
     """Nothing moves: nothing is blurred, however long it goes on, in EF as in SF."""
     backend, color = MethodBackend("taau"), noise()
@@ -183,13 +173,6 @@ def test_taau_takes_a_new_frame_a_tenth_at_a_time_within_its_neighbourhood():
     after, _ = backend.frame(inputs(SF, [1 - checker] * 3))
     alone, _ = MethodBackend("taau").frame(inputs((0, 0, 0), [1 - checker] * 3))
     assert np.abs(inside(after - (0.9 * before + 0.1 * alone))).max() < 4 * 2**-23  # four roundings of values below 1
-
-
-def test_taau_forgets_what_the_neighbourhood_denies():
-    backend = MethodBackend("taau")
-    backend.frame(inputs((0, 0, 0), [np.ones((H, W, 3), np.float32)] * 3))
-    black = np.zeros((H, W, 3), np.float32)
-    np.testing.assert_array_equal(backend.frame(inputs(SF, [black] * 3))[0], enlarged(black))
 
 
 def test_taau_starts_anew_after_a_gap(write_frames):
@@ -231,21 +214,6 @@ def test_resume_keeps_what_is_right_or_is_refused(sequence, tmp_path):
     assert run_method("lanczos", resume=True).count("kept") == 0
     with pytest.raises(InputError, match="--resume: taau makes each output from all before it"):
         run_method("taau", resume=True)
-
-
-def test_taau_goes_on_after_a_frame_that_cannot_be_read(sequence, write_frames, tmp_path):
-    """A frame that is left out is a cut: the frames after it are as in a sequence that starts there."""
-    files = sorted(sequence.path.iterdir())
-    files[3].write_bytes(files[3].read_bytes()[:3000])
-    run(sequence, tmp_path / "all", MethodBackend("taau"), "none", RunOptions(keep_going=True))
-    alone = tmp_path / "alone"
-    alone.mkdir()
-    for path in files[4:]:
-        (alone / path.name).write_bytes(path.read_bytes())
-    run(open_sequence(alone, "stss"), tmp_path / "rest", MethodBackend("taau"), "none", RunOptions())
-    for number in range(4, 9):
-        found, expected = (read_rgb(tmp_path / name / f"frame.{number:04d}.exr") for name in ("all", "rest"))
-        np.testing.assert_array_equal(found, expected)
 
 
 def test_methods_side_by_side(tmp_path):

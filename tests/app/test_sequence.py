@@ -1,7 +1,6 @@
 """Sequences of files as frames in the conventions of the specification."""
 
 import math
-import re
 import shutil
 
 import numpy as np
@@ -12,15 +11,6 @@ from stss.sequence.conventions import BACKGROUND_POSITION
 from stss.sequence.profiles import load_profile
 from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
-
-
-def set_pixels(name, *values):
-    """A change for `write_frames`: the first values of a channel."""
-
-    def change(number, channels):
-        channels[name].ravel()[: len(values)] = values
-
-    return change
 
 
 def test_frames_are_found_and_read_as_written(write_frames):
@@ -96,25 +86,6 @@ def test_where_nothing_was_hit(write_frames, stored):
     for name in ("normal", "nov", "stencil", "base_color", "roughness", "metallic"):
         assert not getattr(frame, name)[5, 20].any(), name
         assert getattr(frame, name)[5, 21].any(), name
-
-
-@pytest.mark.parametrize("name", ["R", "normal.Z", "stencil.X"])
-def test_non_finite_values_are_refused_or_masked(write_frames, name):
-    folder = write_frames([1], change=set_pixels(name, 1, np.nan, 1, np.inf, -np.inf))
-    with pytest.raises(
-        InputError, match=rf"seq\.0001\.exr: channel {re.escape(name)}: 3 non-finite values, first at \(y=0, x=1\)"
-    ):
-        open_sequence(folder, "stss").load(1)
-    frame = open_sequence(folder, "stss", non_finite="mask").load(1)
-    untrusted = np.isnan(frame.position).all(axis=-1)
-    expected = np.zeros(frame.size, dtype=bool)
-    expected[0, [1, 3, 4]] = name == "R"
-    np.testing.assert_array_equal(untrusted, expected)
-    for buffer in ("color", "normal", "base_color", "roughness", "metallic", "nov", "stencil"):
-        assert np.isfinite(getattr(frame, buffer)).all()
-    assert frame.color is not None
-    if name == "R":
-        assert not frame.color[0, [1, 3, 4], 0].any()
 
 
 def test_non_finite_values_that_mean_something(write_frames):
