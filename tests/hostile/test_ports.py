@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from conformance.cases import stage_inputs as drawn
 from conformance.judging.findings import DepartureError
 from conformance.judging.judge import Judge, agreement
+from conformance.protocol import program_port
 from conformance.protocol.job_folder import write_job
 from conformance.protocol.port import Case, PortError
 from conformance.protocol.program_port import FolderPort, smallest_case
@@ -24,6 +25,7 @@ from conformance.suite.run_suite import run_suite
 from stss.cli.main import stss as command
 from stss.port import ReferencePort
 from stss_ground.errors import InputError
+from stss_ref.arrays import ArrayError
 from stss_ref.weights import random as random_weights
 
 
@@ -120,6 +122,20 @@ FAULTS = {
     "removes a case": ("shutil.rmtree(case)", "warped.npy: missing"),
     "answers with a link": (f"right(); {LINKED}", "npy: a link"),
     "talks without end": ("while True: os.write(2, b'x' * 2**20)", "stopped: more than 64 MiB"),
+    "fails": ("sys.exit(3)", "ended with status 3"),
+    "crashes": ("import signal; os.kill(os.getpid(), signal.SIGSEGV)", "ended by SIGSEGV"),
+    "leaves a mask out": ("right(); (out / 'inside.npy').unlink()", "inside.npy: missing"),
+    "turns an image": (
+        "right(); np.save(out / 'warped.npy', np.zeros((3, 8, 8), 'f4'))",
+        "expected shape (8, 8, 3), got (3, 8, 8)",
+    ),
+    "answers in float64": ("right(); np.save(out / 'warped.npy', np.zeros((8, 8, 3)))", "expected dtype float32, got float64"),
+    "masks with 255": (
+        "right(); np.save(out / 'inside.npy', np.full((8, 8), 255, 'u1'))",
+        "inside.npy: expected 0 and 1, got 255",
+    ),
+    "answers with a pickle": ("right(); np.save(out / 'warped.npy', np.zeros(3, object))", "warped.npy: not a .npy file"),
+    "answers and refuses": ("right(); (case / 'unsupported').touch()", "unsupported"),
     "writes a terminal's orders": ("sys.stderr.write('\\x1b[2J!'); sys.exit(1)", "\\x1b[2J!"),
 }
 
@@ -137,6 +153,9 @@ def test_a_faulty_program_says_what_it_did(program, tmp_path, fault):
     assert all(line.isprintable() for line in str(caught.value).splitlines())
     assert everything(tmp_path / "outside") == before
     assert not processes_of(tmp_path)
+    for job in (tmp_path / "jobs").iterdir():
+        assert str(job) in str(caught.value)
+        assert (job / "stderr.txt").is_file()
 
 
 def processes_of(folder):
@@ -164,6 +183,54 @@ def test_what_a_program_leaves_ends_with_it(program, tmp_path, stays):
     else:
         assert program(f"right(); {left}").run("warp", smallest_case("warp").inputs).keys() == {"warped", "inside"}
     assert not processes_of(tmp_path)
+
+
+def test_a_right_program_leaves_nothing_behind(program, tmp_path):
+    """Files beside the named outputs, and noise, do no harm; NaN is left to the judge."""
+    port = program(
+        "right(); print('hello'); print('starting', file=sys.stderr); (out / 'notes').touch()\n"
+        "np.save(out / 'debug.npy', np.ones(3, object)); np.save(out / 'warped.npy', np.full((8, 8, 3), np.nan, 'f4'))"
+    )
+    assert np.isnan(port.run("warp", smallest_case("warp").inputs)["warped"]).all()
+    assert port.stderr == "starting"
+    assert not list((tmp_path / "jobs").iterdir())
+
+
+def test_the_second_of_two_cases_is_named(program):
+    with pytest.raises(PortError, match=r"0001.out.warped.npy: missing"):
+        program("right()").run_many([smallest_case("warp")] * 2)
+
+
+def test_a_program_that_cannot_be_started(tmp_path):
+    plain = tmp_path / "plain"
+    plain.write_text("not a program")
+    for path, word in ((tmp_path / "nowhere", "No such file"), (plain, "Permission denied"), (tmp_path, "Permission denied")):
+        with pytest.raises(PortError, match=rf"{path}.*{word}"):
+            FolderPort([str(path)], 5).run("warp", smallest_case("warp").inputs)
+
+
+def test_wrong_inputs_and_no_cases_start_nothing():
+    port, inputs = FolderPort(["/nowhere/port"], 1), smallest_case("warp").inputs
+    for wrong in ({}, {**inputs, "more": np.zeros(1)}, {name: a.astype("f8") for name, a in inputs.items()}):
+        with pytest.raises(ArrayError):
+            port.run("warp", wrong)
+    with pytest.raises(ArrayError, match="stage"):
+        port.run("wrap", inputs)
+    assert port.run_many([]) == []
+
+
+def test_jobs_lie_in_memory_where_there_is_room(monkeypatch, tmp_path):
+    """Unless the user wants them elsewhere."""
+    some = [smallest_case("warp")]
+    monkeypatch.setattr(program_port, "MEMORY", tmp_path)
+    monkeypatch.setattr("tempfile.tempdir", "/tmp")
+    assert program_port.place_for(some) == tmp_path
+    for place, value in (("ROOM", 2**60), ("MEMORY", tmp_path / "nowhere")):
+        with monkeypatch.context() as patch:
+            patch.setattr(program_port, place, value)
+            assert program_port.place_for(some) is None
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "jobs"))
+    assert program_port.place_for(some) is None
 
 
 # Nothing judged is no success.

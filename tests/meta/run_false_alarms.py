@@ -9,16 +9,16 @@ from time import perf_counter
 
 from conformance.judging.judge import TIERS, Judge
 from conformance.protocol.stages import STAGES
-from conformance.suite.run_suite import run_suite
+from conformance.suite.run_suite import SUITE, run_suite
 from tests.meta.right_ports import PORTS, port
 
 PAGE = Path(__file__).parents[2] / "docs" / "conformance.md"
 FIRST, LAST = "<!-- written by make alarms -->", "<!-- end -->"
 
 
-def judged(name, tier=TIERS["full"]):
+def judged(name, tier=TIERS["full"], stages=SUITE):
     """The tests a right port fails, its largest error / bound by stage, and the number of cases, undecided numbers and cases not judged."""
-    results = run_suite(Judge(port(name), tier))
+    results = run_suite(Judge(port(name), tier), stages)
     worst = dict.fromkeys(STAGES, 0.0)
     for result in results:
         for output, ratio in result.record.worst.items():

@@ -45,13 +45,13 @@ def judged(port, stage, name, strategy):
 
 
 @pytest.mark.parametrize("direction", ["zero", "down"])
-@pytest.mark.parametrize("stage", ["history", "encoder", "decoder"])
+@pytest.mark.parametrize("stage", ["encoder", "decoder"])
 def test_a_sum_that_rounds_to_one_side_is_found(stage, direction):
     with pytest.raises(DepartureError, match=f"{stage}.rounding: error / bound"):
         judged(port(partial(one_way, direction)), stage, "sums_round_either_way", rounded_sums(stage))
 
 
-@pytest.mark.parametrize("stage", ["history", "encoder", "decoder"])
+@pytest.mark.parametrize("stage", ["encoder", "decoder"])
 def test_one_rounding_is_one_too_many_where_none_is_needed(stage):
     def off_by_a_bit(factors, weights, bias):
         return np.nextafter(factors.T @ weights + bias, np.float32(9))
@@ -62,9 +62,9 @@ def test_one_rounding_is_one_too_many_where_none_is_needed(stage):
         judged(port(add_in_half), stage, "sums_round_either_way", rounded_sums(stage))
 
 
-@pytest.mark.parametrize("name", ["in_order", "pairwise", "winograd_2", "winograd_4_near"])
+@pytest.mark.parametrize("name", ["pairwise", "winograd_4_near"])
 def test_right_ports_pass(name):
     """Those that ``test_run_false_alarms`` leaves out."""
-    for stage in ("history", "encoder", "decoder"):
+    for stage in ("encoder", "decoder"):
         judged(others.port(name), stage, "what_needs_no_rounding_is_exact", exact_inputs(stage, multiples()))
         assert max(judged(others.port(name), stage, "sums_round_either_way", rounded_sums(stage)).values()) < 1
