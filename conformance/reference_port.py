@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from conformance.protocol.job_folder import (
 )
 from conformance.protocol.layers import reference_layers
 from conformance.protocol.port import Arrays, Outputs
+from conformance.protocol.served import DONE, READY
 from conformance.protocol.stages import STAGES, reference
 from stss_ground.errors import DeviceError, InputError
 from stss_ref.arrays import ArrayError
@@ -52,18 +54,30 @@ class ReferencePort:
         return {} if weights is None else reference_layers(stage, inputs, weights)
 
 
-def answer_job(job: Path, port: Any, *, dump: bool = False) -> None:
+def serve(port: Any, *, dump: bool = False) -> None:
+    """Compute the jobs whose folders come line by line on standard input, up to its end: ``PROGRAM --serve``; errors as `answer_job`."""
+    weights = WeightsFiles()
+    sys.stdout.write(f"{READY}\n")
+    sys.stdout.flush()
+    for line in sys.stdin:
+        answer_job(Path(line.rstrip("\n")), port, dump=dump, weights=weights)
+        sys.stdout.write(f"{DONE}{line}")
+        sys.stdout.flush()
+
+
+def answer_job(job: Path, port: Any, *, dump: bool = False, weights: WeightsFiles | None = None) -> None:
     """Compute every case of a job folder.
 
     Args:
         job: the job folder; outputs, or ``unsupported``, go into its cases.
         port: see `conformance.protocol.port.Port`; it may have ``layers`` too, as `ReferencePort` has.
         dump: write the activations of the network's layers to the folder ``layers`` of each case, and make that folder if need be.
+        weights: those of earlier jobs; None: none.
 
     Raises:
         InputError: the job is malformed or needs more memory than there is, and the message names the file.
     """
-    weights = _WeightsFiles()
+    weights = weights or WeightsFiles()
     try:
         # A job may have any numbers: if they overflow, that is the answer and needs no warning.
         with np.errstate(all="ignore"):
@@ -73,7 +87,7 @@ def answer_job(job: Path, port: Any, *, dump: bool = False) -> None:
         raise InputError(str(error)) from error
 
 
-def _run_case(case: Path, port: Any, weights: _WeightsFiles, *, dump: bool) -> None:
+def _run_case(case: Path, port: Any, weights: WeightsFiles, *, dump: bool) -> None:
     clear(case)
     stage = read_stage(case)
     if stage not in STAGES or stage not in port.stages():
@@ -94,13 +108,14 @@ def _run_case(case: Path, port: Any, weights: _WeightsFiles, *, dump: bool) -> N
         write_outputs(case, layers, LAYERS)
 
 
-class _WeightsFiles:
+class WeightsFiles:
     """Weights files, each read once: many cases of a job share one, and a backend uploads the same object only once."""
 
     def __init__(self):
         self._read: dict[str, Weights] = {}
 
     def read(self, case: Path) -> Weights:
+        """The weights of a case; JobError if they are damaged."""
         path = case / "in" / WEIGHTS
         data = read_bytes(path, MOST_WEIGHTS_BYTES)
         digest = hashlib.sha256(data).hexdigest()

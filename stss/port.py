@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import Any
 
 from conformance.protocol.port import Arrays, Outputs
-from conformance.reference_port import ReferencePort, answer_job
+from conformance.reference_port import ReferencePort, answer_job, serve
 from stss_ground.errors import InputError
 from stss_ref.weights import Weights
 
@@ -95,12 +95,15 @@ PORTS = {"ref": ReferencePort, "cl": OpenCLPort}
 """The backends by the names that ``run_job`` takes; each class is also a factory for ``module:factory``."""
 
 
-def run_job(job: Path, backend: str, *, dump: bool = False) -> None:
-    """Compute every case of a job folder: `answer_job` with a backend of ``PORTS``.
+def run_job(job: Path | None, backend: str, *, dump: bool = False) -> None:
+    """Compute every case of a job folder, or serve (None): `answer_job` or `serve` with a backend of ``PORTS``.
 
     Raises:
         InputError: as `answer_job`; or there is no such backend or device.
     """
     if backend not in PORTS:
         raise InputError(f"backend: expected one of {', '.join(PORTS)}, got {backend!r}")
-    answer_job(job, PORTS[backend](), dump=dump)
+    if job is None:
+        serve(PORTS[backend](), dump=dump)
+    else:
+        answer_job(job, PORTS[backend](), dump=dump)

@@ -16,7 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event, Thread
-from typing import BinaryIO
+from typing import Any, BinaryIO, cast
 
 from stss_ground.terminal import printable
 
@@ -69,16 +69,8 @@ def run_alone(
     Raises:
         OSError: it cannot be started.
     """
-    reading, writing = os.pipe() if ON_LINUX else (None, None)
-    try:
-        process = subprocess.Popen(
-            [*REAPER, str(writing), *command] if ON_LINUX else command,
-            stdin=subprocess.DEVNULL, stdout=out, stderr=err, cwd=folder, env=env, start_new_session=True,
-            pass_fds=() if writing is None else (writing,),
-        )  # fmt: skip
-    finally:
-        if writing is not None:
-            os.close(writing)
+    session = Session(command, stdin=subprocess.DEVNULL, stdout=out, stderr=err, cwd=folder, env=env)
+    process = session.process
     ended, stopped, end = Event(), list[str](), time.monotonic() + timeout
 
     def watch() -> None:
@@ -94,18 +86,42 @@ def run_alone(
     watcher = Thread(target=watch, daemon=True)
     watcher.start()
     try:
-        status = process.wait()
+        process.wait()
     finally:
         ended.set()
         watcher.join()
-        stop(process)
+        report = session.close()
+    return Ending(None if stopped else session.status(report), "output" in stopped, tail(err))
+
+
+class Session:
+    """A program that has been started in a session of its own; ``options`` are those of ``subprocess.Popen``."""
+
+    def __init__(self, command: Sequence[str], **options: Any):
+        self._program = command[0]
+        self._reading, writing = os.pipe() if ON_LINUX else (None, None)
+        try:
+            taken = [*REAPER, str(writing), *command] if ON_LINUX else command
+            fds = () if writing is None else (writing,)
+            started = subprocess.Popen(taken, start_new_session=True, pass_fds=fds, **options)
+            self.process = cast("subprocess.Popen[bytes]", started)
+        finally:
+            if writing is not None:
+                os.close(writing)
+
+    def close(self) -> bytes:
+        """Stop what still runs of it; what its reaper reports, at the first time."""
+        stop(self.process)
         report = b""
-        if reading is not None:
-            report = os.read(reading, 64)
-            os.close(reading)
-    if ON_LINUX and not stopped:
-        status = reported(report, command[0])
-    return Ending(None if stopped else status, "output" in stopped, tail(err))
+        if self._reading is not None:
+            report = os.read(self._reading, 64)
+            os.close(self._reading)
+        self._reading = None
+        return report
+
+    def status(self, report: bytes) -> int:
+        """Its exit status, negative for a signal; OSError if it could not be started."""
+        return reported(report, self._program) if ON_LINUX else self.process.returncode
 
 
 def reported(report: bytes, program: str | Path) -> int:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import shutil
 import tempfile
@@ -15,6 +16,7 @@ import numpy as np
 from conformance.protocol.job_folder import DTYPE, JobError, read_layers, read_outputs, require_real, write_job
 from conformance.protocol.own_session import MOST_SAID, Ending, described, run_alone
 from conformance.protocol.port import Arrays, Case, Outputs, PortError, Unsupported
+from conformance.protocol.served import Server
 from conformance.protocol.stages import STAGES, check_inputs
 from stss_ref.weights import Weights, zeros
 
@@ -54,6 +56,15 @@ class FolderPort:
         self._command = list(command)
         self._timeout = timeout
         self._stages: frozenset[str] | None = None
+        self._server: Server | None = None
+        self._serves = True
+        atexit.register(self.restart)
+
+    def restart(self) -> None:
+        """Forget what the program may remember: the next job is computed by a new process."""
+        if self._server is not None:
+            self._server.close()
+        self._server = None
 
     def stages(self) -> frozenset[str]:
         """The stages that the program supports at some size: asked once, with a small and a larger case of each stage."""
@@ -121,7 +132,20 @@ class FolderPort:
         return results
 
     def _start(self, job: Path) -> None:
-        """Run the program on ``job`` to its end."""
+        """Let the program compute ``job``: one that serves goes on, any other is run to its end."""
+        try:
+            server = self._serving()
+        except OSError as error:
+            raise PortError(f"{self._command[0]}: cannot be started: {error.strerror or error}") from error
+        if server is not None:
+            try:
+                server.run(job, self._timeout)
+            except JobError:
+                self._server = None
+                raise
+            finally:
+                self.stderr = server.stderr
+            return
         with (job / "stdout.txt").open("w+b") as out, (job / "stderr.txt").open("w+b") as err:
             try:
                 ending = run_alone([*self._command, str(job)], out, err, self._timeout)
@@ -130,6 +154,17 @@ class FolderPort:
             self.stderr = ending.stderr
         if failed := _failed(ending, self._timeout):
             raise JobError(failed)
+
+    def _serving(self) -> Server | None:
+        """The program, if it serves; asked once."""
+        if self._server is None and self._serves:
+            server = Server(self._command)
+            if server.is_ready(self._timeout):
+                self._server = server
+            else:
+                server.close()
+                self._serves = False
+        return self._server
 
     def _said(self) -> str:
         return f"\n{self.stderr}" if self.stderr else ""

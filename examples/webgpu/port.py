@@ -17,7 +17,7 @@ import numpy as np
 from gpu import Calls, Picture
 from numpy.typing import NDArray
 
-from conformance.reference_port import answer_job
+from conformance.reference_port import answer_job, serve
 
 Arrays = Mapping[str, NDArray[Any]]
 COPIED, CORNERS, CENTRES, EIGHTH = range(4)
@@ -270,4 +270,7 @@ STAGES: dict[str, Callable[[Maker, Arrays], dict[str, Picture]]] = {
 
 
 if __name__ == "__main__":
-    answer_job(Path(sys.argv[1]), Port())
+    if sys.argv[1] == "--serve":
+        serve(Port())
+    else:
+        answer_job(Path(sys.argv[1]), Port())

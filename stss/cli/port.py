@@ -7,15 +7,19 @@ from pathlib import Path
 
 import click
 
+from stss_ground.errors import InputError
 from stss_ground.option_kinds import PATH
 
 
 @click.command()
-@click.argument("job", type=PATH)
+@click.argument("job", type=PATH, required=False)
 @click.option("--backend", type=click.Choice(["ref", "cl"]), default="ref", show_default=True)
 @click.option("--dump", is_flag=True, help="Leave what each layer of the network gives, too: folder layers of a case.")
-def port(job: Path, backend: str, dump: bool) -> None:
+@click.option("--serve", is_flag=True, help="Compute the jobs whose folders come on standard input, a line each.")
+def port(job: Path | None, backend: str, dump: bool, serve: bool) -> None:
     """Compute every case of the folder JOB, as any port does: see docs/ports.md."""
     from stss.port import run_job
 
+    if (job is None) != serve:
+        raise InputError("expected either a job folder or --serve")
     run_job(job, backend, dump=dump)

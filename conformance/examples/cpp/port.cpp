@@ -15,6 +15,7 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <iostream>
 #include <map>
 #include <sstream>
 #include <stdexcept>
@@ -1043,8 +1044,13 @@ static void run_job(const fs::path &job) {
 
 int main(int argc, char **argv) {
     try {
-        if (argc != 2) throw std::runtime_error("usage: port JOB");
-        run_job(argv[1]);
+        if (argc != 2) throw std::runtime_error("usage: port JOB, or port --serve");
+        if (std::string(argv[1]) == "--serve") {
+            std::cout << "stss serve 1" << std::endl;
+            for (std::string job; std::getline(std::cin, job); std::cout << "done " << job << std::endl) run_job(job);
+        } else {
+            run_job(argv[1]);
+        }
         return 0;
     } catch (const std::exception &error) {
         std::string line = error.what();

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: MIT
+"""A program that is started once, as ``PROGRAM --serve``, and computes job after job: docs/ports.md."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from tempfile import TemporaryFile
+from threading import Thread
+
+from conformance.protocol.job_folder import JobError
+from conformance.protocol.own_session import GRACE, LOOK, MOST_SAID, Session, described, tail
+
+SERVE = "--serve"
+READY = "stss serve 1"
+"""The line that a program says first; 1 is the version of the protocol."""
+DONE = "done "
+"""Before the job folder that has been computed."""
+READY_SECONDS = 10.0
+"""Most time until a program says that it serves; devices may be opened later."""
+MOST_LINE = 1 << 16
+
+
+class Server:
+    """A program that serves; close it at the end.
+
+    Args:
+        command: program and arguments, without ``--serve``.
+
+    Attributes:
+        stderr: the end of what it wrote to stderr during its last job.
+    """
+
+    def __init__(self, command: Sequence[str]):
+        self._err = TemporaryFile("w+b", buffering=0)  # noqa: SIM115
+        self._session = Session([*command, SERVE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._err)
+        self._process = self._session.process
+        self._lines: SimpleQueue[str | None] = SimpleQueue()
+        self._said = 0
+        self.stderr = ""
+        self._listener = Thread(target=self._listen, daemon=True)
+        self._listener.start()
+
+    def is_ready(self, timeout: float) -> bool:
+        """Whether it says that it serves; any other program has ended, or says something else."""
+        end = time.monotonic() + min(timeout, READY_SECONDS)
+        while time.monotonic() < end and not self._too_much():
+            try:
+                return self._lines.get(timeout=LOOK) == READY
+            except Empty:
+                continue
+        return False
+
+    def run(self, job: Path, timeout: float) -> None:
+        """Hand over a job, and wait until it is computed; the program is stopped if it is not.
+
+        Raises:
+            JobError: it ends, takes or says too much, or answers for another job.
+        """
+        self._said = 0
+        self._err.seek(0)
+        self._err.truncate()
+        wrong = self._asked(job, timeout)
+        (job / "stderr.txt").write_bytes(os.pread(self._err.fileno(), MOST_SAID, 0))
+        self.stderr = tail(self._err)
+        if wrong:
+            self.close()
+            raise JobError(wrong)
+
+    def close(self) -> None:
+        """Stop it, and what it started."""
+        self._session.close()
+        self._listener.join(GRACE)
+        for file in (self._process.stdin, self._process.stdout, self._err):
+            with suppress(OSError):
+                file.close()  # pyright: ignore[reportOptionalMemberAccess]
+
+    def _asked(self, job: Path, timeout: float) -> str:
+        """What went wrong; "" if nothing did."""
+        assert self._process.stdin is not None
+        end = time.monotonic() + timeout
+        try:
+            self._process.stdin.write(f"{job}\n".encode())
+            self._process.stdin.flush()
+        except OSError:
+            return self._ended()
+        while True:
+            try:
+                line = self._lines.get(timeout=LOOK)
+            except Empty:
+                line = ""
+            if line is None:
+                return self._ended()
+            if line.startswith(DONE):
+                return (
+                    "" if line == f"{DONE}{job}" else f"answered for another job: expected {job}, got {line[len(DONE) :][:200]}"
+                )
+            if self._too_much():
+                return f"stopped: more than {MOST_SAID >> 20} MiB on its output"
+            if time.monotonic() > end:
+                return f"stopped after {timeout:g} s"
+
+    def _ended(self) -> str:
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(GRACE)
+        return f"{described(self._session.status(self._session.close()))} while it served"
+
+    def _too_much(self) -> bool:
+        return max(self._said, os.fstat(self._err.fileno()).st_size) > MOST_SAID
+
+    def _listen(self) -> None:
+        """Take its lines, of which those beyond ``MOST_LINE`` are no answers."""
+        assert self._process.stdout is not None
+        held = b""
+        while some := os.read(self._process.stdout.fileno(), MOST_LINE):
+            self._said += len(some)
+            *lines, held = (held + some).split(b"\n")
+            for line in lines:
+                self._lines.put(line.decode(errors="replace").rstrip("\r"))
+            held = held[-MOST_LINE:]
+        self._lines.put(None)
