@@ -106,15 +106,6 @@ def test_the_peers_run_in_turns_with_ours():
     assert result.shares(result.rows[1]) == dict.fromkeys(SUMMARY, 1)
 
 
-def test_shares_are_of_the_first_peer_that_ran_and_not_of_whole_frames():
-    ours, frame, broken, peer = map(RESULT.shares, RESULT.rows)
-    assert {name: round(share, 6) for name, share in ours.items()} == {
-        "wall_min": 0.333333, "wall_median": 0.357143, "cpu_min": 0.36, "cpu_median": 0.316667,
-    }  # fmt: skip
-    assert frame == broken == {}
-    assert peer == dict.fromkeys(SUMMARY, 1)
-
-
 def test_the_table_shows_stages_faults_and_noise():
     text = printed([RESULT])
     assert "960 x 540 to 1920 x 1080, 3 runs" in text

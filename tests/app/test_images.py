@@ -98,20 +98,12 @@ def test_no_truncated_file_is_read_and_nothing_is_printed(tmp_path, suffix):
     assert len(lengths) > 50
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"window": (0, 0, 2**31 - 2, 2**31 - 2)}, "a.exr: "),
-        ({"display": (0, 0, 9, 9)}, "data window .* is not the display window"),
-    ],
-)
-def test_headers_are_refused_before_memory_is_taken(tmp_path, change, message):
+def test_a_part_of_a_picture_is_refused(tmp_path):
     path = tmp_path / "a.exr"
-    path.write_bytes(exr_bytes({"R": ("f4", np.ones((3, 4)))}, **change))
-    with pytest.raises(InputError, match=message):
-        images.read_header(path)
-    with pytest.raises(InputError, match=message):
-        images.read_channels(path, ["R"])
+    path.write_bytes(exr_bytes({"R": ("f4", np.ones((3, 4)))}, display=(0, 0, 9, 9)))
+    for read in (images.read_header, lambda path: images.read_channels(path, ["R"])):
+        with pytest.raises(InputError, match=r"data window .* is not the display window"):
+            read(path)
 
 
 @pytest.mark.parametrize(

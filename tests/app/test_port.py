@@ -131,37 +131,6 @@ def test_results_of_two_runs_never_stand_side_by_side(job):
 # malformed jobs
 
 
-def literal(descr="'<f4'", shape="(3, 4, 2)"):
-    text = f"{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n".encode()
-    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
-
-
-def damaged(path, damage):
-    array = np.load(path)
-    if isinstance(damage, bytes):
-        path.write_bytes(damage)
-    elif damage == "cut":
-        path.write_bytes(path.read_bytes()[:-1])
-    elif damage == "objects":
-        np.save(path, array.astype(object), allow_pickle=True)
-
-
-@pytest.mark.parametrize(
-    ("damage", "word"),
-    [
-        (b"", "not a .npy file"),
-        (literal(shape="(1000000, 1000000, 1000000)"), "not a .npy file"),
-        (literal(descr="'<U0'"), "expected an array of numbers"),
-        ("cut", "not a .npy file"),
-        ("objects", "not a .npy file"),
-    ],
-)
-def test_a_damaged_array_is_named(job, damage, word):
-    path = job() / "0000" / "in" / "motion.npy"
-    damaged(path, damage)
-    refused(path.parents[2], path, word)
-
-
 @pytest.mark.parametrize(
     ("array", "words"),
     [
