@@ -11,9 +11,7 @@ from click.testing import CliRunner
 
 from stss.cli.main import stss
 from stss.images.read_write import write_mask, write_rgb
-from stss.pages.viewer import Pane, ShownFrame, Viewer, page_folder, write_viewer
-from stss_ground.errors import InputError
-from stss_ground.output.apart import require_places
+from stss.pages.viewer import Pane, ShownFrame, Viewer, write_viewer
 from stss_ground.pages.page import asset, page, table
 from stss_ground.pages.plot import PlotLine, plot
 
@@ -87,16 +85,6 @@ def test_pictures_beyond_the_size_lie_beside_and_go_with_their_page(tmp_path):
     assert sorted(p.name for p in folder.glob("*.png")) == sorted(place.split("/")[1] for place in outside)
     write_viewer(path, viewer(), frames(), within=1 << 20)
     assert not list(folder.glob("*.png"))
-
-
-def test_a_page_replaces_nothing_that_is_read(tmp_path):
-    (tmp_path / "p_files").mkdir()
-    write_rgb(tmp_path / "p_files" / "0001-0.png", pictures(1, "x")["x"])
-    with pytest.raises(InputError, match="the same file"):
-        require_places(reads=[tmp_path / "p_files" / "0001-0.png"], folders=[page_folder(tmp_path / "p.html")])
-    with pytest.raises(InputError, match="not from an earlier run"):
-        write_viewer(tmp_path / "p.html", viewer(), frames(), within=0)
-    assert not (tmp_path / "p.html").exists()
 
 
 def test_a_plot_has_sf_and_ef_apart_and_a_way_to_every_frame():
