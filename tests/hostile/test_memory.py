@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -119,6 +121,21 @@ def test_a_frame_that_left_the_window_and_comes_again_is_a_new_one(device):
     for last in (5, 6, 7):
         window = frames[last + 1 - WINDOW : last + 1]
         assert_same(keeping(window, plan(window).steps), plain(window, plan(window).steps))
+
+
+def test_a_stream_that_is_dropped_is_freed_at_once(device):
+    """No cycle keeps its buffers until garbage is collected, and no cache keeps them for ever."""
+    stream, frames = Stream(WEIGHTS, device), still_with("nothing", at=0)
+    for i in range(6):
+        window = frames[: i + 1]
+        stream(window, plan(window).steps)
+    gone = [weakref.ref(each) for each in (stream, stream._uploaded, *stream._caches.values())]
+    gc.disable()
+    try:
+        del stream
+        assert [ref() for ref in gone] == [None] * 4
+    finally:
+        gc.enable()
 
 
 def test_nobody_can_write_to_what_is_kept(device):

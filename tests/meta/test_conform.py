@@ -20,12 +20,9 @@ from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected, largest
 from conformance.answers.network import expect_layers
 from conformance.answers.port_arithmetic import Arithmetic
-from conformance.judging.findings import DepartureError
-from conformance.judging.judge import Judge, Tier, agreement
-from conformance.mistakes import find
+from conformance.judging.judge import Judge, Tier
 from conformance.protocol.layers import LAYERS_OF
 from conformance.protocol.load_port import load_port
-from conformance.protocol.port import Case
 from conformance.report.picture import draw
 from conformance.suite.run_suite import run_suite
 from stss.cli.main import stss
@@ -157,18 +154,6 @@ def test_what_an_interrupted_run_found_is_left(here):
     found = json.loads((here / "found.json").read_text())
     assert [test["outcome"] for test in found["tests"]] == ["passed"]
     assert not found["complete"]
-
-
-def test_an_output_that_nothing_judged_says_so(here):
-    (here / "lost.py").write_text(
-        "from stss.port import ReferencePort\n"
-        "class Port(ReferencePort):\n"
-        "    def stages(self): return frozenset({'warp'})\n"
-        "    def run(self, *given): raise MemoryError('no device')\n"
-    )
-    done = run("--port", "lost:Port", "--stages", "warp", "--fail-fast", "--report", "page.html")
-    assert "warped not judged, inside not judged" in " ".join(done.output.split())
-    assert '<td>inside<td class="n wrap">not judged' in (here / "page.html").read_text()
 
 
 def test_pytest_alone_judges_a_port(here):
@@ -317,12 +302,6 @@ def test_the_nearest_right_answer_counts():
     assert largest(expected, np.array([[1.0, 6.0], [np.nan, 1.0]])) > 1  # half of one, half of the other
     assert largest(expected, np.array([[1.0, 2.0], [0.0, 1.0]])) == np.inf
     assert largest(expected, np.zeros((1, 2))) == np.inf
-
-
-def test_a_departure_says_where():
-    judge = Judge(find("rrm_filled").port())
-    with pytest.raises(DepartureError, match=r"rrm\.valid: wrong at \[\d+, \d+\]: got"):
-        judge.check(agreement, Case("rrm", {"valid": np.ones((4, 4), np.uint8), "rectangle": np.array([1, 1, 2, 2], np.int32)}))
 
 
 @pytest.mark.skipif(not shutil.which("make") or not shutil.which("g++"), reason="needs make and g++")

@@ -2,7 +2,6 @@
 """Every planted fault still applies to the reference, runs as a port must, and is no reference in other words."""
 
 import sys
-from collections import Counter
 from functools import cache
 
 import numpy as np
@@ -85,13 +84,6 @@ def test_an_unchanged_copy_is_the_reference(stage):
     assert copy.stages() == set(STAGES)
     assert not is_found_out(copy, stage, bits=True)
     assert not is_found_out(copy, stage, bits=False)
-
-
-def test_there_are_enough():
-    counts = Counter(mutant.stage for mutant in MISTAKES)
-    assert set(counts) == set(STAGES)
-    assert min(counts.values()) >= 8
-    assert len({mutant.id for mutant in MISTAKES}) == len(MISTAKES) >= 70
 
 
 def test_they_are_found_by_stage_and_by_name():
