@@ -24,6 +24,8 @@ NETWORK_SIZES: tuple[Size, ...] = ((8, 528), (264, 8), (72, 136), (8, 2080), (52
 """(H, W) for stages of the network: at 1/8 they have up to 33 rows and 260 columns; the last has more than 65,536 pixels."""
 ANY_SIZES: tuple[Size, ...] = ((7, 301), (261, 5), (67, 131), (515, 13), (257, 259))
 """(H, W) for stages network and frame, which pad them."""
+USER_SIZE: Size = (720, 1280)
+"""Of a user: a feature of 24 channels has more numbers than float32 counts, and beside another more bytes than 128 MiB."""
 Made = Callable[[Generator], Any]
 
 
@@ -122,6 +124,12 @@ def large_inputs(stage: str, most: int | None = None, size: Size | None = None, 
     scale = 2 if stage in ("decoder", "network", "frame") else 1
     own = [*_sizes(stage)[:most], *([_taken(stage, size)] if size is not None else [])]
     return tuple(_made(stage, i, each) for i, each in enumerate(own) if side is None or scale * max(each) <= side)
+
+
+def user_inputs(stage: str, most: int, side: int | None = None) -> tuple[Made, ...]:
+    """Stage network or frame at ``USER_SIZE``; none for ports that do not take it, and in a tier of fewer large frames than four."""
+    fits = side is None or 2 * max(USER_SIZE) <= side
+    return (_made(stage, 1, USER_SIZE),) if fits and most >= 4 else ()
 
 
 def _sizes(stage: str) -> tuple[Size, ...]:

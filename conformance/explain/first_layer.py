@@ -21,7 +21,7 @@ def first_departure(judge: Judge, finding: Finding) -> str:
     """Words on the first layer that departs; empty where the stage has none, or the port hands over none."""
     case = finding.case
     specs = LAYERS_OF.get(case.stage, {})
-    if not specs or case.weights is None:
+    if not specs or case.weights is None or finding.expected is None:
         return ""
     try:
         got = _handed_over(judge, finding)

@@ -15,10 +15,11 @@ from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected, largest
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.answers.sums import expected_rounding, rounding
+from conformance.answers.windows import expect_windows
 from conformance.judging.findings import DepartureError, Failure, Finding, Record, said
 from conformance.judging.questions import BATCH, Answer, Dialogue, Talk, answers_of, ask, repeated
 from conformance.protocol.port import Arrays, Case, Outputs, Port, PortError
-from conformance.protocol.stages import STAGES, check_inputs, check_outputs
+from conformance.protocol.stages import STAGES, check_inputs, check_outputs, network_inputs
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
 
@@ -295,6 +296,20 @@ class Judge:
         terms = int(np.prod(weights[f"{layer}.weight"].shape[1:]))
         found = rounding(got[sums], want[sums], terms, self.arithmetic)
         self.holds(f"{stage}.rounding", found, expected_rounding(self.arithmetic))
+
+    def agrees_in_windows(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights) -> Talk:
+        """Ask for a large frame, and compare a few windows of its image; a wrong one is not compared with mistakes, which takes long."""
+        image = (yield ask(stage, inputs, weights))["image"]
+        self._last = self.asked(stage, inputs, weights)
+        exact, given = self.exactly(inputs, stage), self._given_weights(weights)
+        if stage == "frame":
+            exact = network_inputs(exact, given)
+        for (rows, columns), right in expect_windows(exact, given, self.arithmetic):
+            try:
+                self.holds(f"{stage}.image", image[rows, columns], right)
+            except DepartureError as error:
+                where = f"{error.finding.message}, counted from row {rows.start}, column {columns.start}"
+                raise DepartureError(replace(error.finding, message=where, got=None, expected=None)) from error
 
     def _finite(self, stage: str, outputs: Outputs) -> None:
         """Expect finite numbers only, of an answer that cannot be judged since rounding decides on the whole of it."""

@@ -29,7 +29,7 @@ from stss_ref.constants import HoleTest
 from stss_ref.decoder import decoder
 from stss_ref.encoder import encoder
 from stss_ref.erm import erm
-from stss_ref.frame import FrameInputs, frame
+from stss_ref.frame import FrameInputs, frame, prepare
 from stss_ref.history import history_embedding
 from stss_ref.holes import holes
 from stss_ref.motion_chain import motion_chain
@@ -121,11 +121,20 @@ def _network(a: Arrays, weights: Weights) -> Outputs:
     return {"image": network(**a, weights=weights)}
 
 
-def _frame(a: Arrays, weights: Weights) -> Outputs:
+def _frame_inputs(a: Arrays) -> FrameInputs:
     newest, middle, oldest = (int(n) for n in a["steps"])
-    buffers = {name: array for name, array in a.items() if name != "steps"}
-    image, _ = frame(FrameInputs(**buffers, steps=(newest, middle, oldest)), weights)
+    return FrameInputs(**{name: array for name, array in a.items() if name != "steps"}, steps=(newest, middle, oldest))
+
+
+def _frame(a: Arrays, weights: Weights) -> Outputs:
+    image, _ = frame(_frame_inputs(a), weights)
     return {"image": image}
+
+
+def network_inputs(a: Arrays, weights: Weights) -> Outputs:
+    """The inputs of stage ``network`` that stage ``frame`` makes of its own."""
+    made = prepare(_frame_inputs(a), second=weights.second_color, test=weights.hole_test)
+    return {"color": made.color, "gbuffer": made.gbuffer, "mask": made.mask, "history": made.history}
 
 
 _ROWS = (

@@ -13,7 +13,7 @@ from typing import Any
 from hypothesis import strategies as st
 from hypothesis.errors import Flaky
 
-from conformance.cases.large_inputs import large_inputs
+from conformance.cases.large_inputs import large_inputs, user_inputs
 from conformance.explain.confirm import UNSTABLE, confirm
 from conformance.explain.diagnosis import diagnose
 from conformance.explain.first_layer import first_departure
@@ -55,6 +55,11 @@ def _tested_on(source: Drawn | Made) -> Callable[[Body], Callable[[Judge], None]
         return made
 
     return decorate
+
+
+def user_cases(stage: str) -> Callable[[Body], Callable[[Judge], None]]:
+    """Make a test of a property on a frame of a user's size."""
+    return made_cases(lambda judge: user_inputs(stage, judge.tier.large, judge.largest_side))
 
 
 @contextmanager

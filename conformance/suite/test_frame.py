@@ -10,7 +10,7 @@ from conformance.cases.every_buffer import frame_cases
 from conformance.cases.stage_inputs import Inputs, frame_inputs, frame_weights, scene_inputs
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import cases, large_cases, made_cases
+from conformance.suite.properties import cases, large_cases, made_cases, user_cases
 from stss_ref.weights import Weights
 
 CASES = st.tuples(frame_inputs(), frame_weights())
@@ -91,3 +91,9 @@ def test_agrees_on_what_engines_send(judge: Judge, case: tuple[Inputs, Weights])
 def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across and out of them."""
     yield from judge.agrees("frame", *case)
+
+
+@user_cases("frame")
+def test_a_users_size_agrees_in_windows(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
+    """A frame of 720 x 1280 agrees, too, at the left, in the middle and at the right of its last rows."""
+    yield from judge.agrees_in_windows("frame", *case)

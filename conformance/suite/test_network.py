@@ -9,7 +9,7 @@ from conformance.cases.planes import sizes
 from conformance.cases.stage_inputs import Inputs, network_inputs, weights
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import cases, large_cases
+from conformance.suite.properties import cases, large_cases, user_cases
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("network", sizes(20)), weights())
@@ -58,6 +58,12 @@ def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
 def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
     """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
     yield from judge.agrees("network", *case)
+
+
+@user_cases("network")
+def test_a_users_size_agrees_in_windows(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
+    """A frame of 720 x 1280 agrees, too, at the left, in the middle and at the right of its last rows."""
+    yield from judge.agrees_in_windows("network", *case)
 
 
 def _pad(array: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:

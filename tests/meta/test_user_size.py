@@ -5,13 +5,16 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from conformance.answers.windows import expect_windows
 from conformance.cases.large_inputs import IMAGE_SIZES, large_inputs
 from conformance.command import conform
 from conformance.judging.judge import Judge, Tier
 from conformance.protocol.port import Arrays, Outputs
+from conformance.protocol.stages import network_inputs, reference
 from conformance.reference_port import ReferencePort
 from conformance.report.report import judged_on
 from conformance.suite.run_suite import run_suite
+from conformance.tolerance import ratio
 from stss_ref.weights import Weights
 
 FEW = Tier("few", 1, 1, 1)
@@ -61,3 +64,38 @@ def test_a_size_that_is_none_is_refused(words: str):
     result = CliRunner().invoke(conform, ["--size", words])
     assert result.exit_code == 2
     assert "1280x720" in result.output
+
+
+@pytest.mark.parametrize("stage", ["network", "frame"])
+def test_windows_are_those_of_the_whole(stage: str, monkeypatch: pytest.MonkeyPatch):
+    """A window's numbers are the whole's to float64's rounding, at each end of the last rows and between."""
+    monkeypatch.setattr("conformance.answers.windows.SIDE", 16)
+    inputs, weights = large_inputs(stage, 0, (149, 331))[0](np.random.default_rng(0))
+    judge = Judge(ReferencePort())
+    exact = judge.exactly(inputs, stage)
+    whole = reference(stage, exact, weights)["image"]
+    network = network_inputs(exact, weights) if stage == "frame" else exact
+    places = []
+    for (rows, columns), right in expect_windows(network, weights, judge.arithmetic):
+        assert ratio("network.float64", right.want, whole[rows, columns]) < 1
+        places.append((rows.stop, columns.start, columns.stop))
+    assert places == [(298, 0, 32), (298, 314, 346), (298, 630, 662)]
+
+
+def test_an_index_in_float32_is_found_at_a_users_size(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("conformance.cases.large_inputs.USER_SIZE", (160, 300))
+
+    class Indexed(ReferencePort):
+        """Reads the wrong one of two neighbours where a float has no odd number."""
+
+        def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
+            image = super().run(stage, inputs, weights)["image"]
+            flat = image.reshape(-1, 3)
+            index = np.arange(len(flat))
+            return {"image": flat[np.where(index > 150_000, index // 2 * 2, index)].reshape(image.shape)}
+
+    (result,) = run_suite(Judge(Indexed(), Tier("some", 1, 1, 4)), ["network"], only="users_size")
+    assert result.outcome == "failed"
+    assert "counted from row 256, column 0" in result.message
+    (result,) = run_suite(Judge(ReferencePort(), Tier("some", 1, 1, 4)), ["network"], only="users_size")
+    assert (result.outcome, result.record.largest) == ("passed", (160, 300))
