@@ -254,7 +254,7 @@ def scheduler():
     distributed = pytest.importorskip("distributed", reason="the extra cluster is not installed")
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, memory_limit=0, silence_logs=50, processes=False, protocol="tcp",
-        dashboard_address=None, worker_dashboard_address=None,
+        scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"}, worker_dashboard_address=None,
     ) as cluster:  # fmt: skip
         yield cluster
 
