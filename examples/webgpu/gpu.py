@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Calls of shaders: written down first, then played on a WebGPU device, here by wgpu-py or in a browser (index.html)."""
+"""Calls of shaders: written down first, then played on a WebGPU device, here by wgpu-py or in a browser (page.py)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import wgpu  # pyright: ignore[reportMissingImports]
 from numpy.typing import NDArray
 
 FOLDER = Path(__file__).parent
@@ -92,6 +91,8 @@ def code(file: str) -> str:
 @cache
 def device() -> Any:
     """The best device that there is, with buffers as large as it allows; opened once. RuntimeError where there is none."""
+    import wgpu  # pyright: ignore[reportMissingImports]
+
     adapter = wgpu.gpu.request_adapter_sync(power_preference="high-performance")
     large = ("max-buffer-size", "max-storage-buffer-binding-size")
     return adapter.request_device_sync(required_limits={name: adapter.limits[name] for name in large})
