@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """A page that supersamples a sequence in the browser, by the shaders beside this file. It needs no network and no server.
 
-    make demo
-    python examples/webgpu/page.py demo/frames page.html
+make demo
+python examples/webgpu/page.py demo/frames page.html
 """
 
 from __future__ import annotations
