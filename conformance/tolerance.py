@@ -51,6 +51,7 @@ BOUNDS = {
     "rms": Bound(
         1 / 6, 0, "rounding is a random walk, sqrt(n) below gamma_n, and a layer has n >= 36; scale: rms of what gamma_n moves"
     ),
+    "rms.winograd": Bound(1, 0, "its transformed weights round once for all pixels: no random walk"),
     "rms.stored": Bound(1, 0, "of 3 roundings, each of up to u, the rms is u; changes of up to 3 u have sqrt(3) u"),
     "sums.square": Bound(2, 0, "mean of at least 1000 squared errors, each over its largest variance, n S^2 u^2 / 3"),
     "sums.signed": Bound(8, 0, "sum of N such errors over sqrt(N): standard deviations of what is rounded either way as often"),

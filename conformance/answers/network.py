@@ -86,13 +86,14 @@ def _spread(
     still = part(exact) if compute_part else truth
     runs = [part(_changed(exact, changes, random)) for _ in range(RUNS)]
     opened = part(_opened(exact))
+    kind = ".stored" if arithmetic.dtype != "float32" else ".winograd" if arithmetic.winograd else ""
     expected: dict[str, Expected] = {}
     for name, want in truth.items():
         moved = np.abs([run[name] - still[name] for run in runs])
         spread = max(float(np.sqrt(np.mean(moved * moved))), float(moved.max(initial=0)) / TAIL)
         ungated = BOUNDS["gate"].roundings * arithmetic.unit * np.abs(opened[name]).max(initial=0)
         floor = ungated + BOUNDS["image"].roundings * (arithmetic.unit * np.abs(want).max(initial=0) + arithmetic.tiny)
-        rms = BOUNDS["rms" if arithmetic.dtype == "float32" else "rms.stored"].roundings * np.sqrt(np.mean(moved * moved)) + floor
+        rms = BOUNDS[f"rms{kind}"].roundings * spread + floor
         expected[name] = Expected(want, float(BOUNDS["spread"].roundings * spread + floor), rms=float(rms))
     return expected
 

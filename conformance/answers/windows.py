@@ -45,15 +45,19 @@ def expect_windows(inputs: Inputs, weights: Weights, arithmetic: Arithmetic) -> 
     rows = slice(height - SIDE, height)
     for left in (0, (width - SIDE) // 2, width - SIDE):
         columns = slice(left, left + SIDE)
-        around = [
+        high, wide = (
             slice(max(0, s.start - REACH) // 8 * 8, min(n, -(-(s.stop + REACH) // 8) * 8))
             for s, n in zip((rows, columns), whole, strict=True)
-        ]
-        first = around[0].start, around[1].start
-        port = load(
-            "window", put("resample.upsample_corners", _corners_of(first, whole, tuple(s.stop - s.start for s in around)))
         )
-        got = port.run("network", {name: _cut(array, *around, name) for name, array in padded.items()}, weights)["image"]
+        first = high.start, wide.start
+        port = load(
+            "window",
+            put(
+                "resample.upsample_corners",
+                _corners_of(first, whole, (high.stop - high.start, wide.stop - wide.start)),
+            ),
+        )
+        got = port.run("network", {name: _cut(array, high, wide, name) for name, array in padded.items()}, weights)["image"]
         own = tuple(slice(2 * (s.start - at), 2 * (s.stop - at)) for s, at in zip((rows, columns), first, strict=True))
         place = slice(2 * rows.start, 2 * rows.stop), slice(2 * columns.start, 2 * columns.stop)
         yield place, replace(bound, want=got[own])
