@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from conformance.answers.expected import Expected
 from conformance.answers.network import expect_with_weights
 from conformance.answers.port_arithmetic import Arithmetic
-from conformance.mistakes.planting import load, put
+from conformance.protocol.reference_copy import load, put
 from stss_ref.resample import lerp_along, pad_to_8
 from stss_ref.weights import Weights
 

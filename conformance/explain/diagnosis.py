@@ -16,9 +16,9 @@ from conformance.answers.expected import Expected
 from conformance.judging.findings import DepartureError, Finding
 from conformance.judging.judge import Judge
 from conformance.mistakes import Mistake, of_stage
-from conformance.mistakes.planting import Variant
 from conformance.mistakes.precision import EVERYWHERE, PRECISION
 from conformance.protocol.port import Case, Outputs
+from conformance.protocol.reference_copy import Variant
 from conformance.protocol.stages import STAGES
 
 MOST_SECONDS = 20.0

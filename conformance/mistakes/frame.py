@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from conformance.mistakes.planting import Mistake, Plant, fault, given, put, returns
+from conformance.protocol.reference_copy import Mistake, Plant, fault, given, put, returns
 from stss_ref.frame import stack_history
 from stss_ref.motion_chain import motion_chain
 from stss_ref.sample import follow, leads_inside

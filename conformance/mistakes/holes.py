@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from conformance.mistakes.planting import Mistake, Plant, fault, given, half, put, returns, wrap
+from conformance.protocol.reference_copy import Mistake, Plant, fault, given, half, put, returns, wrap
 from stss_ref.constants import HoleLimits
 from stss_ref.holes import nearer, neighbours
 from stss_ref.sample import Place, Taps, between, bilinear, follow, leads_inside, taps

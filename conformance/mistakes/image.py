@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from conformance.mistakes.planting import Mistake, Plant, fault, given, half, put, returns, wrap
+from conformance.protocol.reference_copy import Mistake, Plant, fault, given, half, put, returns, wrap
 from stss_ref.motion_chain import gather_bilinear, gather_nearest, read_motion
 from stss_ref.sample import Place, Taps, leads_inside
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from conformance.mistakes.planting import Mistake, Plant, fault, given, half, put, returns, wrap
+from conformance.protocol.reference_copy import Mistake, Plant, fault, given, half, put, returns, wrap
 from stss_ref.conv import conv_named, gated, relu
 from stss_ref.erm import WINDOW, attend
 from stss_ref.resample import lerp_along, upsample_centres, upsample_corners

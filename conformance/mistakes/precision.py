@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from conformance.mistakes.planting import Mistake, Plant, fault, given, half, returns
 from conformance.protocol.port import AnyArray
+from conformance.protocol.reference_copy import Mistake, Plant, fault, given, half, returns
 from stss_ref.weights import LAYERS
 
 

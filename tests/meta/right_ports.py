@@ -17,7 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 import stss_ref.conv as plain
-from conformance.mistakes.planting import Plant, Variant, load, put, returns, wrap
+from conformance.protocol.reference_copy import Plant, Variant, load, put, returns, wrap
 from stss_ref import erm, occlusion_warp, resample, rrm, sample, warp
 
 Array = NDArray[Any]

@@ -11,7 +11,7 @@ from conformance.judging.findings import DepartureError
 from conformance.judging.judge import Judge
 from conformance.mistakes import find
 from conformance.mistakes.holes import limits
-from conformance.mistakes.planting import load, put
+from conformance.protocol.reference_copy import load, put
 from conformance.protocol.stages import STAGES
 from conformance.suite import test_occlusion_warp
 from conformance.suite.properties import find_property

@@ -7,8 +7,8 @@ from conformance.explain.diagnosis import diagnose
 from conformance.judging.findings import DepartureError
 from conformance.judging.judge import Judge
 from conformance.mistakes import find
-from conformance.mistakes.planting import half, load, returns
 from conformance.mistakes.precision import rounded_at
+from conformance.protocol.reference_copy import half, load, returns
 from conformance.suite.properties import find_property
 from stss.port import ReferencePort
 from tests.meta.samples import samples

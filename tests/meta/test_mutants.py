@@ -12,7 +12,7 @@ from conformance import mistakes
 from conformance.cases.large_inputs import large_inputs
 from conformance.judging.judge import TIERS, Judge
 from conformance.mistakes import MISTAKES, find, of_stage
-from conformance.mistakes.planting import PlantError, load, put
+from conformance.protocol.reference_copy import PlantError, load, put
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs, reference
 from stss.port import ReferencePort
 from stss_ref.sample import follow

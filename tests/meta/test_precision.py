@@ -6,8 +6,8 @@ import pytest
 from conformance.answers.expected import Expected
 from conformance.judging.findings import DepartureError
 from conformance.judging.judge import RMS, TIERS, Judge
-from conformance.mistakes.planting import half, load
 from conformance.mistakes.precision import rounded_at
+from conformance.protocol.reference_copy import half, load
 from conformance.suite.properties import find_test
 from tests.meta import right_ports as others
 

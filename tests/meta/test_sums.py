@@ -10,7 +10,7 @@ from conformance.cases.stage_inputs import multiples
 from conformance.judging.findings import DepartureError
 from conformance.judging.judge import Judge, Tier
 from conformance.judging.search import Drawn
-from conformance.mistakes.planting import load, put
+from conformance.protocol.reference_copy import load, put
 from conformance.suite.properties import find_property
 from tests.meta import right_ports as others
 
