@@ -69,15 +69,19 @@ def unsteadiness(error: Tensor, motion: Tensor) -> Tensor:
         error: output less truth (N, 3, 2H, 2W); samples 0 and 1, 2 and 3 and so on are partners.
         motion: (N, 2, H, W) low-resolution pixels, a sample to its partner. What leads outside the crop does not count.
     """
-    partner = error.unflatten(0, (-1, 2)).flip(1).flatten(0, 1)
-    height, width = error.shape[-2:]
+    warped, followed = led_along(error.unflatten(0, (-1, 2)).flip(1).flatten(0, 1), motion)
+    return ((error - warped).abs().mean(1) * followed).sum() / followed.sum().clamp(min=1)
+
+
+def led_along(planes: Tensor, motion: Tensor) -> tuple[Tensor, Tensor]:
+    """The planes (N, C, 2H, 2W) where ``motion`` (N, 2, H, W) leads, and 1 where that lies within them, else 0, (N, 2H, 2W)."""
+    height, width = planes.shape[-2:]
     x, y = (2 * nn.functional.interpolate(motion, scale_factor=2.0)).unbind(1)
     x = x + torch.arange(width, dtype=x.dtype, device=x.device)
     y = y + torch.arange(height, dtype=y.dtype, device=y.device)[:, None]
-    followed = ((x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)).to(error.dtype)
+    followed = ((x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)).to(planes.dtype)
     grid = torch.stack([(2 * x + 1) / width - 1, (2 * y + 1) / height - 1], -1)
-    warped = nn.functional.grid_sample(partner, grid, padding_mode="border", align_corners=False)
-    return ((error - warped).abs().mean(1) * followed).sum() / followed.sum().clamp(min=1)
+    return nn.functional.grid_sample(planes, grid, padding_mode="border", align_corners=False), followed
 
 
 def supervision(pictures: list[Tensor], truth: Tensor) -> Tensor:
