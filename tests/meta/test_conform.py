@@ -317,7 +317,7 @@ def test_the_example_in_cpp_passes(tmp_path):
         layers = port.layers(stage, case.inputs, case.weights)
         assert list(layers) == list(names)
         assert max(largest(right[name], layers[name]) for name in names) <= 1
-    results = run_suite(Judge(port, Tier("some", 4, 1)))
+    results = run_suite(Judge(port, Tier("some", 4, 1, 0)))
     assert not [f"{result.id}: {result.message}" for result in results if result.outcome != "passed"]
     earlier = [replace(case, weights=Weights(case.weights, "earlier")) for case in samples("frame")]
     for case in earlier:

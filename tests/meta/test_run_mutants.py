@@ -9,7 +9,7 @@ from stss.port import ReferencePort
 from tests.meta.run_mutants import failed
 
 STAGES = sorted({mutant.stage for mutant in MISTAKES})
-NAMES = [name for stage in STAGES for name in [mutant.id for mutant in MISTAKES if mutant.stage == stage][::24]]
+NAMES = [name for stage in STAGES for name in [mutant.id for mutant in MISTAKES if mutant.stage == stage][::-24]]
 
 
 @pytest.mark.parametrize("name", NAMES)
