@@ -17,14 +17,14 @@ from rich.text import Text
 
 WIDE = 200
 """Columns where there is no terminal: a number in a file that is cut to fit 80 of them is lost."""
-MOST = 2000
+MAX_LENGTH = 2000
 """Most characters of a message; text from a file may be longer and is cut."""
 
 
 def printable(text: str) -> str:
-    """One line that any terminal can show, of `MOST` characters at most; printable text as it is."""
-    if len(text) > MOST:
-        text = f"{text[: MOST // 2]} ... {text[-MOST // 2 :]}"
+    """One line that any terminal can show, of `MAX_LENGTH` characters at most; printable text as it is."""
+    if len(text) > MAX_LENGTH:
+        text = f"{text[: MAX_LENGTH // 2]} ... {text[-MAX_LENGTH // 2 :]}"
     return text if text.isprintable() else "".join(map(_shown, text))
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from conformance.answers.expected import Expected
 from conformance.protocol.port import Case
 
-LEAST = 2.0**-126
+DENORMAL = 2.0**-126
 """A bound up to here lets a denormal number be 0, and nothing else."""
 LARGE = 48
 """Rows or columns of a frame that no drawn case has."""
@@ -142,11 +142,11 @@ def said(output: str, got: NDArray[Any], expected: Expected, worst: float) -> st
     ratios = expected.ratios(got)
     place = tuple(int(i) for i in np.unravel_index(int(ratios.argmax()), ratios.shape))
     allowed = float(np.broadcast_to(np.asarray(expected.allowed), got.shape)[place])
-    by = "wrong" if allowed <= LEAST else f"error / bound {worst:.3g}"
+    by = "wrong" if allowed <= DENORMAL else f"error / bound {worst:.3g}"
     share = float((ratios > 1).mean())
     return (
         f"{output}: {by} at {list(place)}: got {got[place]:.9g}, expected {expected.want[place]:.9g}"
-        f"{f', allowed {allowed:.3g}' if allowed > LEAST else ''}; {share:.1%} of {got.size} numbers depart{_from(ratios > 1)}"
+        f"{f', allowed {allowed:.3g}' if allowed > DENORMAL else ''}; {share:.1%} of {got.size} numbers depart{_from(ratios > 1)}"
     )
 
 

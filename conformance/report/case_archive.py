@@ -20,7 +20,7 @@ from conformance.protocol.job_folder import WEIGHTS, link, write_job
 from conformance.report.stored_cases import StoredCase, StoredTest, stored_tests
 from conformance.report.versions import versions_of_cases
 from stss_ground.errors import InputError
-from stss_ground.output.write_whole import told
+from stss_ground.output.write_whole import tell_errors
 
 FORMAT = 1
 """Version of the archive; raised when a field of the index, or a file, changes its meaning."""
@@ -57,10 +57,10 @@ def write_cases(
         raise InputError(f"--write-cases {folder}: expected a folder that does not exist yet")
     if not folder.absolute().parent.is_dir():
         raise InputError(f"--write-cases {folder}: expected a folder in a folder that exists")
-    with told(folder):
+    with tell_errors(folder):
         made = Path(tempfile.mkdtemp(prefix=".stss-", dir=folder.absolute().parent))
     try:
-        with told(folder):
+        with tell_errors(folder):
             archive = _Archive(made)
             for test in stored_tests(stages, Arithmetic(dtype, winograd), tier, seed):
                 archive.add(test)

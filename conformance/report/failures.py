@@ -34,7 +34,7 @@ from conformance.report.picture import draw, png
 from conformance.suite.properties import find_property
 from stss_ground.errors import InputError
 from stss_ground.output.folder import SUMS, move_aside, sums_below
-from stss_ground.output.write_whole import make_folder, told, write_whole
+from stss_ground.output.write_whole import make_folder, tell_errors, write_whole
 
 CASE = "0000"
 DRAWN = "property"
@@ -52,10 +52,10 @@ def keep_failure(folder: Path, name: str, failure: Failure, replay: str) -> Path
     """
     place = folder / name
     make_folder(folder)
-    with told(folder):
+    with tell_errors(folder):
         made = Path(tempfile.mkdtemp(prefix=".", dir=folder))
     try:
-        with told(place):
+        with tell_errors(place):
             _write_failure(made, failure.finding, f"{replay} --replay {shlex.quote(str(place))}")
             (made / DRAWN).mkdir()
             write_drawn(made / DRAWN, name, [*failure.before, failure.drawn])

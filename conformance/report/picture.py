@@ -18,7 +18,7 @@ DECADES = 3
 """Decades of error / bound that a picture shows below 1, and at least as many above."""
 SIDE, LEAST_WIDTH = 240, 60
 """Approximate length of a panel's longer side, and least width of a panel; pixels on the screen."""
-MOST = 120
+MAX_SIDE = 120
 """Most rows and columns of a frame that a panel shows."""
 GAP, PAPER = 8, 33
 """Width of the space between panels, pixels; its grey level, 0 to 255."""
@@ -79,8 +79,8 @@ def draw(got: NDArray[Any], expected: Expected) -> Picture | None:
 
 def _window(length: int, worst: int) -> slice:
     """The part of an axis that a panel shows: all of a short one, else the part around the worst pixel."""
-    start = min(max(worst - MOST // 2, 0), max(length - MOST, 0))
-    return slice(start, min(start + MOST, length))
+    start = min(max(worst - MAX_SIDE // 2, 0), max(length - MAX_SIDE, 0))
+    return slice(start, min(start + MAX_SIDE, length))
 
 
 def png(pixels: NDArray[np.uint8]) -> bytes:

@@ -20,7 +20,7 @@ SAME = 0.02
 """Normals of one flat surface differ by less in each component."""
 PATTERN = 0.05
 """Least step of a base colour's logarithm that counts."""
-ENOUGH = 500
+MIN_STEPS = 500
 """Fewest such steps that allow a judgement."""
 ENCODED = 0.65
 """Steps of the colour's logarithm over those of the base colour's. Found: 0.87 to 0.98 in linear colours, 0.42 to 0.46 in encoded ones."""
@@ -55,7 +55,7 @@ def _shown(found: list[Array]) -> list[Line]:
 
 def _encoded(steps: Array, *, linear: bool) -> list[Line]:
     """On a flat surface light hardly changes: a linear colour changes as much as its base colour, an encoded one less."""
-    if len(steps) < ENOUGH:
+    if len(steps) < MIN_STEPS:
         return []
     slope = float(np.median(steps))
     if (slope > ENCODED) == linear:

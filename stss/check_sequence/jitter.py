@@ -12,7 +12,7 @@ from stss.frames.buffers import Buffers
 from stss_ref.arrays import Array
 from stss_ref.warp import warp
 
-ENOUGH = 200
+MIN_PIXELS = 200
 """Fewest pixels from which the shift of a pair of frames is taken."""
 FLAT = 0.1
 """A surface counts as flat where the position's second difference is below this share of its first."""
@@ -20,9 +20,9 @@ COMMON = 0.05
 """A shift is common to the frame when half of the pixels lie this near the median; pixels."""
 ALIKE = 0.99
 """Share of the static pixels that must move alike for the camera to count as standing still."""
-LEAST = 0.05
+MIN_JITTER = 0.05
 """Shifts that differ by less than this from frame to frame are no jitter; pixels."""
-MOST = 1.5
+MAX_JITTER = 1.5
 """A jitter shifts two frames against each other by at most this; pixels."""
 
 
@@ -78,12 +78,12 @@ def _changing(shifts: tuple[tuple[float, float], ...]) -> float:
         return 0.0
     array = np.array(shifts)
     spread, size = np.ptp(array, axis=0).max(), np.abs(array).max()
-    return float(size) if spread > LEAST and size < MOST else 0.0
+    return float(size) if spread > MIN_JITTER and size < MAX_JITTER else 0.0
 
 
 def _common(shifts: Array, share: float = 0.5) -> tuple[float, float] | None:
     """The median of shifts (pixels, 2), or None if fewer than ``share`` of them lie near it."""
-    if len(shifts) < ENOUGH:
+    if len(shifts) < MIN_PIXELS:
         return None
     median = np.median(shifts, axis=0)
     near = (np.abs(shifts - median).max(axis=-1) < COMMON).mean()

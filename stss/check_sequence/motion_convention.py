@@ -14,7 +14,7 @@ from stss_ref.warp import warp
 
 MOVING = 0.25
 """Least motion of a pixel that counts; pixels."""
-ENOUGH = 200
+MIN_PIXELS = 200
 """Fewest pixels that must tell the choices apart."""
 VISIBLE = 1e-3
 """A pixel tells choices apart when their errors differ by this share of the buffer's largest value."""
@@ -67,7 +67,7 @@ def judge_motion(pairs: Iterable[tuple[Buffers, Buffers]]) -> ConventionVerdict:
     for before, now in pairs:
         for guide in GUIDES:
             samples = _differences(before, now, guide)
-            if len(samples) >= ENOUGH:
+            if len(samples) >= MIN_PIXELS:
                 told.append((guide, samples))
                 break
     if not told:
@@ -77,7 +77,7 @@ def judge_motion(pairs: Iterable[tuple[Buffers, Buffers]]) -> ConventionVerdict:
     ratios: dict[str, float] = {}
     for choice, error in zip(CHOICES, together.T, strict=True):
         differ = np.abs(error - together[:, 0]) > VISIBLE
-        if differ.sum() >= ENOUGH:
+        if differ.sum() >= MIN_PIXELS:
             medians = np.median(error[differ]), np.median(together[differ, 0])
             ratios[choice] = float(medians[0] / max(medians[1], VISIBLE * VISIBLE))
     return ConventionVerdict(tuple(dict.fromkeys(guide for guide, _ in told)), len(together), errors, ratios)

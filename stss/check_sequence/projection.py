@@ -11,7 +11,7 @@ from stss_ref.arrays import Array, Image, Mask
 
 PIXELS = 20_000
 """Most pixels that are looked at, evenly spread."""
-LEAST = 100
+MIN_PIXELS = 100
 """Fewest pixels that determine the unknowns with something to spare."""
 ROUNDS = 5
 """Fits, each without the pixels that the one before it fits worst."""
@@ -64,7 +64,7 @@ def solve_projection(position: Image, seen: Mask) -> Projection | None:
     if len(y) > PIXELS:
         some = np.linspace(0, len(y) - 1, PIXELS).astype(int)
         y, x = y[some], x[some]
-    if len(y) < LEAST:
+    if len(y) < MIN_PIXELS:
         return None
     p = position[y, x].astype(np.float64)
     origin = np.median(p, axis=0)

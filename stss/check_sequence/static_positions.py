@@ -30,7 +30,7 @@ PROPORTIONAL = 0.05
 """Largest median deviation of depths from the distance along the view, as a share of it."""
 ALONG = 0.9
 """Least cosine between a normal and the surface that positions make, if it is that surface's."""
-MOST, FEWER = 0.9, 0.8
+AGREE, DISAGREE = 0.9, 0.8
 """Share of the surfaces with such normals: from the first on they agree, below the second they do not."""
 FLAT = 0.1
 """A surface counts where its positions' second differences are below this share of the first."""
@@ -100,7 +100,7 @@ class StaticVerdict:
             text = f"depth: {self.depth:.0%} off what is proportional to the distance along the view that positions have"
             lines.append(("warning", f"{text}; expected linear depth, not that of a depth buffer"))
         stored, turned = self.normals
-        if stored < FEWER and turned > MOST:
+        if stored < DISAGREE and turned > AGREE:
             lines.append(
                 (
                     "warning",

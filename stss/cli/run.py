@@ -28,7 +28,7 @@ from stss.run.job import Summary
 from stss.run.job import run as run_sequence
 from stss.run.options import RunOptions
 from stss.run.preview import Preview, require_preview
-from stss.run.skip_report import told
+from stss.run.skip_report import describe_costs
 from stss.sequence.choose_weights import choose_weights
 from stss.sequence.reader import open_sequence
 from stss_ground.commands import GroupedOptions
@@ -141,4 +141,4 @@ def _report(summary: Summary, out: Path, console: Console) -> None:
     if shares := [frame.static_holes for frame in summary.frames if frame.static_holes is not None]:
         console.print(f"holes: {sum(shares) / len(shares):.1%} of the static surfaces, in {len(shares)} EF", soft_wrap=True)
     if costs := [frame.cost for frame in summary.frames if frame.cost]:
-        console.print(told(costs), soft_wrap=True, markup=False, highlight=False)
+        console.print(describe_costs(costs), soft_wrap=True, markup=False, highlight=False)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stss.cluster.chunk import Chunk, Introduction, Work, compute_chunk, introduce
-from stss.cluster.workers import Workers, connected
+from stss.cluster.workers import Workers, connect
 from stss.frames.backends import NETWORK
 from stss.frames.compute_options import ComputeOptions
 from stss.images.headers import read_header
@@ -23,20 +23,20 @@ from stss.weights.file import LoadedWeights
 from stss_ground.errors import InputError
 from stss_ground.version import VERSION
 
-CHUNK = 48
+MAX_CHUNK = 48
 """Most frames of a chunk, before which five more are read."""
-CHUNKS = 3
-"""Chunks for each worker, unless they would have fewer than `LEAST` frames or more than `CHUNK`."""
-LEAST = 8
-MOST_BYTES = 1 << 30
+CHUNKS_PER_WORKER = 3
+"""Chunks for each worker, unless they would have fewer than `MIN_CHUNK` frames or more than `MAX_CHUNK`."""
+MIN_CHUNK = 8
+MAX_CHUNK_BYTES = 1 << 30
 """Most bytes of a chunk's images: worker and writer hold them in memory."""
-AHEAD = 2
+CHUNKS_AHEAD = 2
 """Chunks for each worker that are handed out at a time."""
-FIRST = 3600.0
+FIRST_TIMEOUT = 3600.0
 """Seconds that the first answer may take: it builds kernels, and nothing is known of the workers' speed."""
-SHORTEST, PATIENCE = 60.0, 10.0
+MIN_TIMEOUT, TIMEOUT_FACTOR = 60.0, 10.0
 """If for so many seconds, and for so many times the duration of the slowest chunk, no chunk comes in, the workers that have one hang."""
-MOST_FAILURES = 3
+MAX_FAILURES = 3
 """How many times in a row workers may die or hang before a chunk comes in."""
 
 
@@ -45,7 +45,7 @@ class Cluster:
     """The user's choices about the cluster.
 
     Attributes:
-        address: see ``stss.cluster.workers.connected``.
+        address: see ``stss.cluster.workers.connect``.
         mixed: accept workers whose backends differ, and so the bits of their frames.
     """
 
@@ -78,7 +78,7 @@ def run_on_cluster(
     require_unread(planned, sequence, reads)
     work = Work(VERSION, sequence, planned.rendered, out, options, loaded, backend, compute)
     with (
-        connected(cluster.address) as workers,
+        connect(cluster.address) as workers,
         planned.folder.opened(refusal=None if options.resume or options.overwrite else REFUSAL),
     ):
         summary = _Run(workers, work, planned, on_frame, mixed=cluster.mixed).run()
@@ -92,10 +92,10 @@ def require_no_budget(budget: float | None) -> None:
         raise InputError("--cluster: expected no --budget: a time is one machine's")
 
 
-def cut(numbers: Sequence[int], workers: int, size: tuple[int, int]) -> list[list[int]]:
+def cut_into_chunks(numbers: Sequence[int], workers: int, size: tuple[int, int]) -> list[list[int]]:
     """Cut display frames into chunks; ``size`` is (H, W) of the inputs, whose images have 24 bytes for each of their pixels."""
-    share = math.ceil(len(numbers) / (CHUNKS * workers))
-    count = max(1, min(CHUNK, max(LEAST, share), MOST_BYTES // (24 * size[0] * size[1])))
+    share = math.ceil(len(numbers) / (CHUNKS_PER_WORKER * workers))
+    count = max(1, min(MAX_CHUNK, max(MIN_CHUNK, share), MAX_CHUNK_BYTES // (24 * size[0] * size[1])))
     return [list(numbers[start : start + count]) for start in range(0, len(numbers), count)]
 
 
@@ -124,7 +124,7 @@ class _Run:
             except (*self._workers.deaths(), Timeout) as error:
                 hangs = isinstance(error, Timeout)
                 self._failures += 1
-                if self._failures > MOST_FAILURES:
+                if self._failures > MAX_FAILURES:
                     what = f"frames {self._chunks[0][0]} to {self._chunks[0][-1]}" if self._chunks else "as they began"
                     raise InputError(
                         f"--cluster: workers died or hung {self._failures} times, {what}; --resume goes on"
@@ -138,13 +138,13 @@ class _Run:
     def _attempt(self, executor: Executor) -> None:
         """Go on until all is done, or a worker dies or hangs. After that one chunk goes alone, so that it is known which one does it."""
         if self._chunks is None:
-            self._begin(executor.submit(introduce, self._work.part(self._planned.numbers[:1])).result(FIRST))
+            self._begin(executor.submit(introduce, self._work.part(self._planned.numbers[:1])).result(FIRST_TIMEOUT))
         waiting, tasks = list(self._chunks or ()), dict[Future[Chunk], list[int]]()
         while self._chunks:
-            while waiting and len(tasks) < (1 if self._failures else AHEAD * self._workers.count()):
+            while waiting and len(tasks) < (1 if self._failures else CHUNKS_AHEAD * self._workers.count()):
                 numbers = waiting.pop(0)
                 tasks[executor.submit(compute_chunk, self._work.part(numbers), numbers)] = numbers
-            limit = FIRST if self._slowest is None else max(SHORTEST, PATIENCE * self._slowest)
+            limit = FIRST_TIMEOUT if self._slowest is None else max(MIN_TIMEOUT, TIMEOUT_FACTOR * self._slowest)
             done = wait(tasks, limit, FIRST_COMPLETED).done
             if not done:
                 raise Timeout
@@ -157,7 +157,7 @@ class _Run:
             raise InputError(f"--cluster: a worker cannot begin: {who.error}")
         self._backend = who.backend
         todo = [number for number in self._planned.numbers if not self._is_kept(number, who)]
-        self._chunks = cut(todo, self._workers.count(), self._work.sequence.size)
+        self._chunks = cut_into_chunks(todo, self._workers.count(), self._work.sequence.size)
 
     def _is_kept(self, number: int, who: Introduction) -> bool:
         work, options, folder = self._work, self._work.options, self._planned.folder

@@ -18,7 +18,7 @@ from stss_ground.optional import require
 
 LOCAL = "local:"
 MAX_LOCAL = 256
-WAIT = 60.0
+TIMEOUT = 60.0
 """Seconds for a scheduler to answer, and for a worker to come."""
 
 
@@ -129,7 +129,7 @@ class DaskWorkers:
 
 
 @contextmanager
-def connected(address: str) -> Generator[Workers, None, None]:
+def connect(address: str) -> Generator[Workers, None, None]:
     """Start processes, or connect to a scheduler.
 
     Args:
@@ -149,12 +149,12 @@ def connected(address: str) -> Generator[Workers, None, None]:
     dask = require("distributed", "cluster")
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what a lost worker means is said by us, in one line
     try:
-        client = dask.Client(address, timeout=WAIT)
+        client = dask.Client(address, timeout=TIMEOUT)
     except (OSError, dask.TimeoutError, ValueError) as error:
         raise InputError(f"--cluster {address}: no scheduler answers: {str(error).splitlines()[0]}") from error
     with client:
         try:
-            client.wait_for_workers(1, timeout=WAIT)
+            client.wait_for_workers(1, timeout=TIMEOUT)
         except dask.TimeoutError as error:
-            raise InputError(f"--cluster {address}: no worker within {WAIT:g} s") from error
+            raise InputError(f"--cluster {address}: no worker within {TIMEOUT:g} s") from error
         yield DaskWorkers(client)

@@ -77,12 +77,12 @@ def read_header(path: Path) -> Header:
     Raises:
         InputError: the file is not there, not an EXR or PNG, broken, too large, cropped or deep.
     """
-    with opened(path) as image:
+    with open_image(path) as image:
         return locate(path, image)[0]
 
 
 @contextmanager
-def opened(path: Path) -> Generator[oiio.ImageInput, None, None]:
+def open_image(path: Path) -> Generator[oiio.ImageInput, None, None]:
     """Open a file for reading and check its kind; errors that are left pending are fetched, or they would be printed."""
     magic = _MAGIC.get(path.suffix.lower())
     if magic is None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from stss.images.encode import encode_exr, encode_png, require_finite
-from stss.images.headers import Header, Value, last_error, locate, opened, read_header
+from stss.images.headers import Header, Value, last_error, locate, open_image, read_header
 from stss_ground.errors import InputError
 from stss_ground.output.write_whole import write_whole
 from stss_ref.arrays import Image, Mask, Plane
@@ -29,7 +29,7 @@ def read_channels(path: Path, names: Sequence[str]) -> dict[str, Plane]:
     Raises:
         InputError: as `read_header`; a channel is not there; or a pixel of the file cannot be decoded.
     """
-    with opened(path) as image:
+    with open_image(path) as image:
         header, places = locate(path, image)
         for name in names:
             if name not in places:

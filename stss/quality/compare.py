@@ -18,14 +18,14 @@ from rich.table import Table
 from stss.images.read_write import encode_rgb, read_rgb
 from stss.quality.flip_vmaf import require_packages, vmaf_scores
 from stss.quality.metrics import REGIONS, Scores, mean_scores, score, to_8bit, upsample_holes
-from stss.quality.output_and_truth import FALLBACK, KINDS, MADE_WITH, Pair, find_pairs, listed, require_size
+from stss.quality.output_and_truth import FALLBACK, KINDS, MADE_WITH, Pair, find_pairs, list_numbers, require_size
 from stss.quality.tables import print_whole
 from stss.quality.temporal_psnr import Shown, recurrent_psnr, temporal_psnr
 from stss_ground.errors import InputError
 from stss_ground.output.apart import require_places
 from stss_ground.output.folder import OutputFolder
 
-__all__ = ["Comparison", "FrameScores", "Mean", "cells", "compare", "facts", "listed", "print_comparison"]
+__all__ = ["Comparison", "FrameScores", "Mean", "cells", "compare", "facts", "list_numbers", "print_comparison"]
 
 BRIGHTENED = 4
 """Factor by which the pictures brighten the difference."""
@@ -223,9 +223,9 @@ def facts(comparison: Comparison) -> list[str]:
         *(f"{name}: {', '.join(found)}" for name, found in comparison.made_with.items() if found),
     ]
     if comparison.without_truth:
-        lines.append(f"not compared, no truth: {listed(comparison.without_truth)}")
+        lines.append(f"not compared, no truth: {list_numbers(comparison.without_truth)}")
     if comparison.without_output:
-        lines.append(f"not compared, no output: {listed(comparison.without_output)}")
+        lines.append(f"not compared, no output: {list_numbers(comparison.without_output)}")
     return lines
 
 
@@ -286,14 +286,14 @@ def _notes(out: Path, pairs: Mapping[int, Pair]) -> list[str]:
     notes: list[str] = []
     unknown = [n for n, pair in pairs.items() if pair.kind is None]
     if unknown and len(unknown) < len(pairs):
-        raise InputError(f"{out}: {listed(unknown)} without stss:kind, the others with it; expected files of one origin")
+        raise InputError(f"{out}: {list_numbers(unknown)} without stss:kind, the others with it; expected files of one origin")
     if unknown:
         notes.append(f"{out}: kinds of frame are not known (no stss:kind); means are over all frames")
     if any(p.transfer is None and ".exr" in (p.output.suffix.lower(), p.truth.suffix.lower()) for p in pairs.values()):
         notes.append(f"{out}: no transfer named (no stss:transfer); EXR is taken as scene-linear and shown as {FALLBACK}")
     lacking = [n for n, pair in pairs.items() if pair.holes is None and pair.kind != "SF"]
     if lacking:
-        notes.append(f"{out / 'holes'}: no holes of {listed(lacking)}; not scored there")
+        notes.append(f"{out / 'holes'}: no holes of {list_numbers(lacking)}; not scored there")
     return notes
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from stss_ground.errors import InputError
 from stss_ground.optional import require
-from stss_ground.output.write_whole import told
+from stss_ground.output.write_whole import tell_errors
 from stss_ref.arrays import Image, Plane, require_shape
 
 EXTRA = "metrics"
@@ -75,7 +75,7 @@ def vmaf_scores(frames: Iterable[Iterable[Bytes]]) -> list[float]:
         raise InputError(f"VMAF: {str(error).splitlines()[0]}") from None
     with tempfile.TemporaryDirectory(prefix="stss-vmaf-") as name:
         folder = Path(name)
-        with told(folder):
+        with tell_errors(folder):
             height, width = _write_raw(folder, frames)
         source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-video_size", f"{width}x{height}", "-framerate", "60"]
         planes = "format=yuv444p"

@@ -69,8 +69,8 @@ def find_pairs(out: Path, truth: Path, frames: tuple[int, int] | None = None) ->
     outputs, truths = _numbered(out, frames), _numbered(truth, frames)
     pairs = {n: _pair(outputs[n], truths[n]) for n in sorted(outputs.keys() & truths.keys())}
     if not pairs:
-        found = f"found {listed(truths)}" + (f" within {frames[0]} to {frames[1]}" if frames else "")
-        raise InputError(f"{truth}: expected a frame that {out} has, one of {listed(outputs)}; {found}")
+        found = f"found {list_numbers(truths)}" + (f" within {frames[0]} to {frames[1]}" if frames else "")
+        raise InputError(f"{truth}: expected a frame that {out} has, one of {list_numbers(outputs)}; {found}")
     return pairs, sorted(outputs.keys() - truths.keys()), sorted(truths.keys() - outputs.keys())
 
 
@@ -81,7 +81,7 @@ def require_size(path: Path, image: Image, other: Path, size: tuple[int, ...]) -
         raise InputError(f"{path}: expected {expected} pixels to go with {other}, found {found}")
 
 
-def listed(numbers: Iterable[int]) -> str:
+def list_numbers(numbers: Iterable[int]) -> str:
     """Numbers in words: "frames 1 to 5, 7", "frame 7", "no frames"."""
     runs: list[list[int]] = []
     for n in sorted(numbers):

@@ -11,7 +11,7 @@ from stss.run.job import REFUSAL, folder_of
 from stss_ground.errors import InputError
 from stss_ground.output.apart import require_places
 from stss_ground.output.folder import SUMS, OutputFolder
-from stss_ground.output.write_whole import told
+from stss_ground.output.write_whole import tell_errors
 
 
 def gather(parts: Path, out: Path, sequence: Path | None = None, *, overwrite: bool = False) -> int:
@@ -37,7 +37,7 @@ def gather(parts: Path, out: Path, sequence: Path | None = None, *, overwrite: b
     inputs = [path for folder in folders for path in folder_of(folder).present()]
     if sequence is not None:
         frames = sequence if sequence.is_dir() else sequence.parent
-        with told(frames):
+        with tell_errors(frames):
             inputs += [path for path in frames.iterdir() if path.is_file()]
     require_places(folders=[target], inputs=inputs)
     with target.opened(refusal=None):
@@ -48,7 +48,7 @@ def gather(parts: Path, out: Path, sequence: Path | None = None, *, overwrite: b
             with _opened(folder) as part:
                 for name in part.sums():
                     if part.holds(name):
-                        with told(folder / name):
+                        with tell_errors(folder / name):
                             target.write(name, (folder / name).read_bytes())
                     else:
                         target.keep(name)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Generator
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from typing import TypeVar
 
-AHEAD = 2
+FRAMES_AHEAD = 2
 """Most items that are read ahead of the one being computed, and most of those before it that may still wait to be written."""
 
 Item = TypeVar("Item")
@@ -73,13 +73,13 @@ def overlap(
         while reading:
             try:
                 ready = reading.popleft().result()
-                yield from finished(AHEAD - 1)
+                yield from finished(FRAMES_AHEAD - 1)
                 computed = compute(ready)
             except (Exception, KeyboardInterrupt):
                 yield from finished(0)
                 raise
             writing.append(writer.submit(write_in_turn, computed))
-            begin_to_read(AHEAD + 1)
+            begin_to_read(FRAMES_AHEAD + 1)
         yield from finished(0)
     finally:
         reader.shutdown(cancel_futures=True)

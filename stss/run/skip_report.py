@@ -16,7 +16,7 @@ DIM = 0.5
 """Brightness of the rest, which is grey, as a share of the frame's."""
 
 
-def told(costs: Sequence[Cost]) -> str:
+def describe_costs(costs: Sequence[Cost]) -> str:
     """One line that says how much of the network a run computed; ``costs`` are those of its frames."""
     whole, part, none = ([cost for cost in costs if cost.network == network] for network in ("whole", "changed", "none"))
     parts = [f"{len(whole)} whole"] if whole else []

@@ -23,7 +23,7 @@ MIXED_NORMALS = 0.02
 MIXED_COLORS = 0.47
 """Share of edges with a colour in between from which frames count as antialiased. Found: up to 0.34 in aliased frames, by their
 textures; 0.59 and more in antialiased ones."""
-ENOUGH = 50
+MIN_EDGES = 50
 """Fewest edges that allow a judgement."""
 SAME, STEP = 0.05, 0.3
 """Normals of one surface differ by less than `SAME` in each component, those of two surfaces by more than `STEP` in one."""
@@ -70,7 +70,7 @@ def judge_sampling(sequence: Sequence) -> Sampling:
         edges, between = edges + of, between + found
     if mixed > MIXED_NORMALS * hit:
         return Sampling(True, f"{mixed / hit:.1%} of the normals are mixtures, not of unit length")
-    if edges < ENOUGH:
+    if edges < MIN_EDGES:
         return Sampling(False, f"normals are of unit length, and only {edges} edges show whether colours are")
     share = f"{between / edges:.0%} of the surfaces' edges have a colour in between"
     return Sampling(between > MIXED_COLORS * edges, share)

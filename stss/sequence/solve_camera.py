@@ -14,7 +14,7 @@ ROUNDS = 4
 """Fits, each without the pixels that the one before it fits worst: mixtures at silhouettes."""
 PIXELS = 20_000
 """Most pixels that are looked at, evenly spread."""
-LEAST = 16
+MIN_PIXELS = 16
 """Fewest pixels that determine the unknowns with something to spare."""
 
 
@@ -50,7 +50,7 @@ def solve_camera(depth: Plane, position: Image, *, ray: bool = False) -> SolvedC
     if len(y) > PIXELS:
         some = np.linspace(0, len(y) - 1, PIXELS).astype(int)
         y, x = y[some], x[some]
-    if len(y) < LEAST:
+    if len(y) < MIN_PIXELS:
         return None
     d, p = depth[y, x].astype(np.float64), position[y, x].astype(np.float64)
     middle = p.mean(axis=0)
@@ -68,7 +68,7 @@ def solve_camera(depth: Plane, position: Image, *, ray: bool = False) -> SolvedC
             return None
         solution /= scale[:, None]
         error = np.linalg.norm(unknowns @ solution - known, axis=1)
-        kept = error <= max(3 * float(np.median(error[kept])), float(np.sort(error)[LEAST - 1]))
+        kept = error <= max(3 * float(np.median(error[kept])), float(np.sort(error)[MIN_PIXELS - 1]))
     camera: Array = solution[:3, 0] if ray else solution[0]
     away = float(np.median(np.linalg.norm(p - camera, axis=1)))
     typical = float(np.median(error)) / (2 * away if ray else 1.0)

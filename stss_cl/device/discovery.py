@@ -25,7 +25,7 @@ __all__ = [
     "Device",
     "DeviceError",
     "Properties",
-    "found",
+    "find_devices",
     "full_name",
     "is_gpu",
     "matching",
@@ -219,7 +219,7 @@ def _class_of(handle: cl.Device, named: str | None) -> DeviceClass:
     raise DeviceError(f"{what}: expected one of {', '.join(CLASSES)}, got {wanted!r}")
 
 
-def found() -> list[cl.Device]:
+def find_devices() -> list[cl.Device]:
     """Every device of every platform, sorted by name: the loader's order is not stable.
 
     Raises:
@@ -243,10 +243,10 @@ def found() -> list[cl.Device]:
 
 
 def named() -> dict[str, cl.Device]:
-    """Every device of ``found()`` by a unique name: of equal names the second gets the suffix `` #2``, and so on."""
+    """Every device of ``find_devices()`` by a unique name: of equal names the second gets the suffix `` #2``, and so on."""
     seen: Counter[str] = Counter()
     devices: dict[str, cl.Device] = {}
-    for handle in found():
+    for handle in find_devices():
         seen[name := full_name(handle)] += 1
         devices[name if seen[name] == 1 else f"{name} #{seen[name]}"] = handle
     return devices
@@ -289,7 +289,7 @@ def open_device(name: str | None = None, device_class: str | None = None) -> Dev
 
 
 def open_handle(handle: cl.Device, device_class: str | None = None) -> Device:
-    """Open a device of ``found()``; ``device_class``: see ``Properties``.
+    """Open a device of ``find_devices()``; ``device_class``: see ``Properties``.
 
     Raises:
         DeviceError: the driver refuses.

@@ -62,7 +62,7 @@ def arrange(weight: NDArray[Any]) -> NDArray[Any]:
     return weight.transpose(*range(len(before)), *(len(before) + i for i in (3, 4, 1, 0, 2))).reshape(*before, -1)
 
 
-def proved(device: Device) -> bool:
+def prove(device: Device) -> bool:
     """Whether one product came out right to the last bit, tested once for each context."""
     if not may_have(device):
         return False

@@ -158,7 +158,7 @@ def _shape(
     if tuning.winograd is not None and whole_eights:
         return _winograd(device, packed, out, side if stride == 1 else 2, stride, final)
     if tuning.local is not None:
-        if tuning.local.matrix_units and stored(out.dtype) == "HALF" and whole_eights and matrix_units.proved(device):
+        if tuning.local.matrix_units and stored(out.dtype) == "HALF" and whole_eights and matrix_units.prove(device):
             return conv_gpu.on_matrix_units(device, packed, out, stride, tuning.local.rows, images)
         return conv_gpu.local(device, packed, out, stride, tuning.local.rows, images)
     return _direct(device, packed, out, stride, final)

@@ -9,7 +9,7 @@ from pathlib import Path
 from stss_ground.errors import InputError
 from stss_ground.output.folder import SUMS, OutputFolder
 from stss_ground.output.lock import LOCK
-from stss_ground.output.write_whole import keys_of, same_place, told
+from stss_ground.output.write_whole import keys_of, same_place, tell_errors
 
 
 def require_places(
@@ -39,7 +39,7 @@ def require_places(
     lists = [folder / name for folder in {path.parent for path in read} for name in (SUMS, LOCK)]
     taken = {key: f"{path}, which is read" for path in read for key in keys_of(path)}
     for folder in folders:
-        with told(folder.path):
+        with tell_errors(folder.path):
             for path in folder.present():
                 _require_free(str(path), path, taken)
             among = {path.parent for path in inputs}
@@ -50,7 +50,7 @@ def require_places(
     for option, path in (files or {}).items():
         if path is None:
             continue
-        with told(path):
+        with tell_errors(path):
             if path.is_dir() or (not path.absolute().parent.is_dir() and not _will_be(path.parent, folders)):
                 raise InputError(f"{option} {path}: expected a file in a folder that exists")
             if path.exists() and not path.is_file():

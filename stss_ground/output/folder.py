@@ -14,7 +14,7 @@ from typing import BinaryIO
 
 from stss_ground.errors import InputError
 from stss_ground.output.lock import LOCK, locked
-from stss_ground.output.write_whole import UNFINISHED, make_folder, same_place, sync, told, write_whole
+from stss_ground.output.write_whole import UNFINISHED, make_folder, same_place, sync, tell_errors, write_whole
 from stss_ground.terminal import echo
 
 SUMS = "stss.sha256"
@@ -80,15 +80,15 @@ class OutputFolder:
         """
         make_folder(self.path)
         with locked(self.path):
-            with told(self.path):
+            with tell_errors(self.path):
                 self._claim(refusal)
             write_whole(self.path / SUMS, self._lines())
-            with told(self.path / SUMS):
+            with tell_errors(self.path / SUMS):
                 self._log = (self.path / SUMS).open("ab", buffering=0)
             try:
                 yield
             finally:
-                with told(self.path / SUMS):
+                with tell_errors(self.path / SUMS):
                     self._log.close()
 
     def write(self, name: str, data: bytes) -> None:
@@ -99,10 +99,10 @@ class OutputFolder:
         """
         path, digest = self.path / name, hashlib.sha256(data).hexdigest()
         assert self._log is not None
-        with told(path):
+        with tell_errors(path):
             self._clear(name)
         self._sums.setdefault(name, []).append(digest)
-        with told(self.path / SUMS):
+        with tell_errors(self.path / SUMS):
             line = f"{digest}  {name}\n".encode()
             if self._log.write(line) != len(line):
                 raise OSError("no room for a line")
@@ -143,7 +143,7 @@ class OutputFolder:
             InputError: a file can't be removed or written.
         """
         for name in sorted(self._sums.keys() - self._written) if remove_others else ():
-            with told(self.path / name):
+            with tell_errors(self.path / name):
                 self._clear(name)
                 (self.path / name).unlink(missing_ok=True)
         self._sums = {name: digests[-1:] for name, digests in self._sums.items() if (self.path / name).is_file()}

@@ -17,7 +17,7 @@ from pathlib import Path
 from filelock import BaseFileLock, FileLock, SoftFileLock, Timeout
 
 from stss_ground.errors import InputError
-from stss_ground.output.write_whole import told
+from stss_ground.output.write_whole import tell_errors
 from stss_ground.terminal import printable
 
 LOCK = ".stss-lock"
@@ -43,7 +43,7 @@ def locked(folder: Path) -> Generator[None, None, None]:
         InputError: another process has it, the folder can't be written to, or a file of somebody else has the lock's name.
     """
     path = folder / LOCK
-    with told(folder):
+    with tell_errors(folder):
         lock = _take(path)
     try:
         yield

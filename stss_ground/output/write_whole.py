@@ -29,7 +29,7 @@ def write_whole(path: Path, data: bytes) -> None:
     Raises:
         InputError: it can't be written; ``path`` is as it was, and nothing is left beside it.
     """
-    with told(path):
+    with tell_errors(path):
         _write_beside(path, data)
 
 
@@ -44,7 +44,7 @@ def write_named(path: Path, data: bytes | str) -> None:
         InputError: it can't be written.
     """
     data = data.encode() if isinstance(data, str) else data
-    with told(path):
+    with tell_errors(path):
         if path.exists() and not path.is_file() and not path.is_dir():
             with path.open("wb") as file:
                 file.write(data)
@@ -65,7 +65,7 @@ def make_folder(path: Path) -> None:
 
 
 @contextmanager
-def told(path: Path) -> Generator[None, None, None]:
+def tell_errors(path: Path) -> Generator[None, None, None]:
     """Turn a system error about ``path`` into an InputError."""
     try:
         yield

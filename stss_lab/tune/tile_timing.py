@@ -20,7 +20,7 @@ from stss_cl.network.conv import conv
 from stss_cl.network.pack_weights import Packed, pack
 from stss_ref.arrays import Array
 
-SHORTEST = 2e-3
+MIN_DURATION = 2e-3
 """Least duration of one timing, reached by repetition; seconds."""
 CHECKED = (45, 75)
 """Output size (H, W) at which a candidate is compared with the plain kernel: no tile size divides it, and it has several strips."""
@@ -99,7 +99,7 @@ class Trials:
                 continue
             launch = frame.launch(sizes)
             _seconds(device, launch, 1)
-            launches[sizes] = launch, max(1, round(SHORTEST / _seconds(device, launch, 1)))
+            launches[sizes] = launch, max(1, round(MIN_DURATION / _seconds(device, launch, 1)))
         best = self.times[shape] = dict.fromkeys(launches, np.inf)
         for _ in range(rounds):
             for sizes, (launch, repeat) in launches.items():

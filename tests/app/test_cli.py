@@ -13,7 +13,7 @@ from stss.cli.main import main
 from stss.demo import demo_path, write_demo_sequence
 from stss.images.color import transfer
 from stss.images.read_write import read_header, read_rgb
-from stss.run.skip_report import Cost, told
+from stss.run.skip_report import Cost, describe_costs
 from stss_ground.optional import installed
 from tests.app.conftest import PLAIN, files, frames_of
 from tests.hostile.cases import call, refused
@@ -113,7 +113,7 @@ def test_a_range_has_the_bits_of_the_whole_and_shows_what_was_skipped(frames, we
     assert (shown[..., 0] > shown[..., 2]).all()  # the first frame was computed everywhere
     refused(stss("run", frames, "-o", tmp_path / "ref", "--show-skipped", *PLAIN), "--show-skipped: expected the network on")
     costs = [Cost("whole", 1.0), Cost("changed", 0.1), Cost("changed", 0.3), Cost("none", 0.0)]
-    assert told(costs) == "network computed: 1 whole, 2 in part (20% of the inputs had changed), 1 not at all"
+    assert describe_costs(costs) == "network computed: 1 whole, 2 in part (20% of the inputs had changed), 1 not at all"
 
 
 def test_half_planes_and_a_budget(frames, weights, by_network, tmp_path):

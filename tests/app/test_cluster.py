@@ -18,7 +18,7 @@ import pytest
 from stss.cluster import run as module
 from stss.cluster.chunk import Work, compute_chunk
 from stss.cluster.run import Cluster, run_on_cluster
-from stss.cluster.workers import LocalWorkers, connected
+from stss.cluster.workers import LocalWorkers, connect
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.run.job import run
@@ -37,7 +37,7 @@ RENDERED = frozenset(range(0, 20, 2))
 @pytest.fixture
 def frames(write_frames, monkeypatch):
     """A sequence that is cut into chunks of four frames where there are two workers."""
-    monkeypatch.setattr(module, "LEAST", 2)
+    monkeypatch.setattr(module, "MIN_CHUNK", 2)
     return open_sequence(write_frames(FRAMES, rendered=RENDERED, size=SIZE), "stss")
 
 
@@ -89,11 +89,11 @@ def threads(monkeypatch):
 
     def set_up(becomes=lambda handed, arguments: None):
         @contextmanager
-        def connected(address):
+        def connect(address):
             with Threads(becomes) as workers:
                 yield workers
 
-        monkeypatch.setattr(module, "connected", connected)
+        monkeypatch.setattr(module, "connect", connect)
 
     return set_up
 
@@ -156,8 +156,8 @@ def test_a_chunk_whose_worker_ends_is_computed_again(threads, frames, tmp_path, 
         return None
 
     if how == "hangs":
-        monkeypatch.setattr(module, "SHORTEST", 1.0)
-        monkeypatch.setattr(module, "PATIENCE", 5.0)
+        monkeypatch.setattr(module, "MIN_TIMEOUT", 1.0)
+        monkeypatch.setattr(module, "TIMEOUT_FACTOR", 5.0)
     doomed = set()
     threads(becomes)
     on_cluster(frames, tmp_path / "many")
@@ -271,8 +271,8 @@ def hang_once(work, numbers):
 
 
 def test_a_worker_of_a_scheduler_may_hang(scheduler, frames, tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "SHORTEST", 1.0)
-    monkeypatch.setattr(module, "PATIENCE", 3.0)
+    monkeypatch.setattr(module, "MIN_TIMEOUT", 1.0)
+    monkeypatch.setattr(module, "TIMEOUT_FACTOR", 3.0)
     monkeypatch.setattr(module, "compute_chunk", hang_once)
     try:
         on_cluster(frames, tmp_path / "many", scheduler.scheduler_address)
@@ -294,7 +294,7 @@ def test_a_worker_of_a_scheduler_may_hang(scheduler, frames, tmp_path, monkeypat
 def test_an_address_that_is_none_is_one_line(address, said, monkeypatch):
     if address.startswith("tcp"):
         pytest.importorskip("distributed", reason="the extra cluster is not installed")
-    monkeypatch.setattr("stss.cluster.workers.WAIT", 1)
-    with pytest.raises(InputError, match=said) as caught, connected(address):
+    monkeypatch.setattr("stss.cluster.workers.TIMEOUT", 1)
+    with pytest.raises(InputError, match=said) as caught, connect(address):
         pass
     assert "\n" not in str(caught.value)

@@ -56,7 +56,7 @@ def machine(monkeypatch):
 
     def make(table):
         handles = {name: fake(*name.split(": "), kind) for name, (kind, _) in table.items()}
-        monkeypatch.setattr(cl_device, "found", lambda: sorted(handles.values(), key=cl_device.full_name))
+        monkeypatch.setattr(cl_device, "find_devices", lambda: sorted(handles.values(), key=cl_device.full_name))
         monkeypatch.setattr(devices, "open_handle", cl_device.full_name)
         tested = []
 
@@ -142,7 +142,7 @@ def test_the_table_has_every_device_the_best_first(machine, monkeypatch):
 def test_what_a_processor_has_and_the_compiler_does_not_use_is_said(monkeypatch, target, flags, said, kind):
     monkeypatch.setattr(compiled_for, "cpu_flags", lambda: frozenset(flags))
     handle = fake("P", "one", kind, target=target)
-    monkeypatch.setattr(cl_device, "found", lambda: [handle])
+    monkeypatch.setattr(cl_device, "find_devices", lambda: [handle])
     monkeypatch.setattr(devices, "verdict", lambda *_, **__: passed(1))
     out = io.StringIO()
     rows = devices.rows()

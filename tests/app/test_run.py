@@ -14,7 +14,7 @@ from stss.images.headers import read_header
 from stss.images.read_write import read_channels
 from stss.run.job import run
 from stss.run.options import RunOptions
-from stss.run.pipeline import AHEAD, overlap
+from stss.run.pipeline import FRAMES_AHEAD, overlap
 from stss.sequence.reader import Sequence, open_sequence
 from stss.weights.file import BILINEAR, load
 from stss_ref.arrays import ArrayError
@@ -93,12 +93,12 @@ def test_the_look_ahead_is_bounded(slow):
         ahead += (name == "read") - (name == "compute end")
         waiting += (name == "compute end") - (name == "write end")
         most_ahead, most_waiting = max(most_ahead, ahead), max(most_waiting, waiting)
-    assert most_ahead <= AHEAD + 1  # with the one that is computed
-    assert most_waiting <= AHEAD  # with the one that is written
+    assert most_ahead <= FRAMES_AHEAD + 1  # with the one that is computed
+    assert most_waiting <= FRAMES_AHEAD  # with the one that is written
     if slow == "compute":
-        assert most_ahead == AHEAD + 1
+        assert most_ahead == FRAMES_AHEAD + 1
     if slow == "write":
-        assert most_waiting == AHEAD
+        assert most_waiting == FRAMES_AHEAD
 
 
 def test_an_interrupt_loses_nothing_that_was_computed():
@@ -184,7 +184,7 @@ def test_an_error_of_the_writer_stops_the_run(sequence, tmp_path):
         run(sequence, tmp_path / "out", backend, "w", RunOptions())
     assert written(tmp_path / "out") == list(range(5))
     assert written(tmp_path / "out" / "holes") == [1, 3]
-    assert len(backend.threads) <= 5 + 1 + AHEAD
+    assert len(backend.threads) <= 5 + 1 + FRAMES_AHEAD
     assert not hidden(tmp_path / "out")
 
 

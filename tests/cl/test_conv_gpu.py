@@ -134,10 +134,10 @@ def test_what_is_not_proved_is_not_used(device, monkeypatch):
     for name, fault in (("constant", lambda device, array: constant(device, array * 2)), ("build", not_built)):
         with monkeypatch.context() as patch:
             patch.setattr(matrix_units, "_proved", WeakKeyDictionary())
-            assert matrix_units.proved(device)
+            assert matrix_units.prove(device)
             patch.setattr(matrix_units, "_proved", WeakKeyDictionary())
             patch.setattr(matrix_units, name, fault)
-            assert not matrix_units.proved(device)
+            assert not matrix_units.prove(device)
             assert Case(device, LAYERS[0], HALF).layer(MATRIX).source.file == "conv_local.cl"
 
 
@@ -148,7 +148,7 @@ def test_weights_in_another_order_are_found(device, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr(matrix_units, "_proved", WeakKeyDictionary())
             patch.setattr(matrix_units, "arrange", lambda weight, at=tuple(swapped): right(weight[at]))
-            assert not matrix_units.proved(device)
+            assert not matrix_units.prove(device)
 
 
 ROWS = {

@@ -41,7 +41,7 @@ def machine(monkeypatch):
         fake("Other", "cpu"),
         fake("Sim", "ulator", cl.device_type.CPU | cl.device_type.GPU),
     ]
-    monkeypatch.setattr(devices, "found", lambda: sorted(handles, key=devices.full_name))
+    monkeypatch.setattr(devices, "find_devices", lambda: sorted(handles, key=devices.full_name))
     return handles
 
 

@@ -39,7 +39,7 @@ def programs(row):
     tuning, frames = built_in_rows(BUILT_IN).classes[row], film(7 * ["nothing"], SIZE)
     frames[-1] = halved(frames[-1])
     with trial(tuning), matrix_units.trial(row == "nvidia"), pytest.MonkeyPatch.context() as patch:
-        matrix_units.proved(device)  # builds, and launches, what asks for them
+        matrix_units.prove(device)  # builds, and launches, what asks for them
         launch_nothing(patch)
         for precision in QUICK:
             for size in ((32, 48), (544, 960)):  # of few tiles, and of many

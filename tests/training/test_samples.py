@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-import torch
 
 from conformance.scenes import SCENES
 from stss.frames.display_frame import OnArrays, prepare
@@ -14,9 +13,12 @@ from stss_ref.resample import upsample_centres
 from stss_ref.schedule import FrameKind
 from training import samples as module
 from training.augment import MASK, MOTION, NORMAL, augment, collate, depths_at_random, mask_at_random
-from training.loss import unsteadiness
 from training.samples import film_frames, samples, split_of, unpack
 from training.scenes import INPUTS, Film, random_film
+
+torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test-training")
+
+from training.loss import unsteadiness  # noqa: E402
 
 SIZE = (24, 32)
 
