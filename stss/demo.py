@@ -109,7 +109,7 @@ def demo(
     outputs = {number: out / "output" / frame_name(number, "exr") for number in sequence.numbers}
     versions = [Version(n, _MEANINGS[n], find_pairs(out / n, out / "truth")[0], compared) for n, compared in found.items()]
     folder = _folder(out)
-    with folder.opened(refusal=None):
+    with folder.open(refusal=None):
         folder.write("sheet.png", encode_rgb(out / "sheet.png", demo_sheet(out, outputs)))
         write_comparison(
             out / "page.html",
@@ -148,7 +148,7 @@ def write_demo_sequence(
     folder = _folder(out)
     refusal = None if overwrite else "holds frames of an earlier demo; --overwrite replaces them"
     height, width = size
-    with folder.opened(refusal=refusal):
+    with folder.open(refusal=refusal):
         for number in range(frames):
             low = render(DEMO, number, height, width, samples=INPUT_SAMPLES)
             channels = frame_channels(low, rendered=number % 2 == 0)

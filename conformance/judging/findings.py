@@ -119,7 +119,7 @@ class TestResult:
     record: Record = field(default_factory=Record)
 
 
-def tallied(records: Sequence[Record]) -> Counter[str]:
+def tally(records: Sequence[Record]) -> Counter[str]:
     """Total cases, undecided numbers and unjudged cases of several tests."""
     return Counter({
         "cases": sum(r.cases for r in records),

@@ -156,7 +156,7 @@ class Judge:
         """Let a property go on to its next questions."""
         if answers is not None:
             last = dialogue.asked[-1]
-            self._last = self.asked(last.stage, last.inputs, last.weights)
+            self._last = self.make_case(last.stage, last.inputs, last.weights)
         try:
             dialogue.go_on(answers)
         except DepartureError as error:
@@ -167,7 +167,7 @@ class Judge:
         """The port's answers to all that these wait for; a departure where one is none; None where nobody was asked."""
         asked = [question for dialogue in dialogues for question in repeated(dialogue.asked, self.repeat)]
         order = sorted(range(len(asked)), key=lambda i: asked[i].again)
-        cases = [self.asked(question.stage, question.inputs, question.weights) for question in asked]
+        cases = [self.make_case(question.stage, question.inputs, question.weights) for question in asked]
         found = dict(zip(order, answers_of(self.port, [cases[i] for i in order]), strict=True))
         answers = [self._checked(case, found[i]) for i, case in enumerate(cases)]
         result: list[list[Outputs] | DepartureError | None] = []
@@ -187,7 +187,7 @@ class Judge:
             for i, outputs in enumerate(answers):
                 question = dialogue.asked[i // self.repeat]
                 if i % self.repeat:
-                    self._last = self.asked(question.stage, question.inputs, question.weights)
+                    self._last = self.make_case(question.stage, question.inputs, question.weights)
                     self._same_bits(question.stage, outputs, first[i // self.repeat])
         except DepartureError as error:
             return error
@@ -220,7 +220,7 @@ class Judge:
         Raises:
             DepartureError: the port fails, or an output is missing or has the wrong shape or dtype.
         """
-        case = self.asked(stage, inputs, weights)
+        case = self.make_case(stage, inputs, weights)
         (found,) = answers_of(self.port, [case])
         got = self._checked(case, found)
         if isinstance(got, DepartureError):
@@ -229,9 +229,9 @@ class Judge:
         assert got is not None
         return got
 
-    def asked(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Case:
+    def make_case(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Case:
         """The case that the port gets for these inputs."""
-        return Case(stage, self.given(inputs, stage), None if weights is None else self._given_weights(weights))
+        return Case(stage, self.round_inputs(inputs, stage), None if weights is None else self._given_weights(weights))
 
     def _given_weights(self, weights: Weights) -> Weights:
         """The weights as the port gets them, the same object for the same weights, so that a job has them once."""
@@ -242,7 +242,7 @@ class Judge:
             self._weights[id(weights)] = weights, given if self.weights_version > 1 else replace(given, second_color="newest")
         return self._weights[id(weights)][1]
 
-    def given(self, arrays: Arrays, stage: str = "") -> dict[str, NDArray[Any]]:
+    def round_inputs(self, arrays: Arrays, stage: str = "") -> dict[str, NDArray[Any]]:
         """``arrays`` as the port gets them: float32, rounded to numbers that its arithmetic has.
 
         Stages of the network of a float16 port get no number beyond ``MOST_FLOAT16``, so that activations fit into float16, too.
@@ -251,8 +251,8 @@ class Judge:
         return {name: self.arithmetic.rounded(array, MOST_FLOAT16 if narrow else None) for name, array in arrays.items()}
 
     def exactly(self, arrays: Arrays, stage: str) -> dict[str, NDArray[Any]]:
-        """The numbers of ``given`` in float64, for the reference."""
-        given = self.given(arrays, stage)
+        """The numbers of ``round_inputs`` in float64, for the reference."""
+        given = self.round_inputs(arrays, stage)
         return {name: array.astype(np.float64) if array.dtype.kind == "f" else array for name, array in given.items()}
 
     def right(
@@ -268,7 +268,7 @@ class Judge:
 
     def compare(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None, outputs: Outputs) -> None:
         """Raise DepartureError unless every output is within its bound of the float64 reference."""
-        self._last = self.asked(stage, inputs, weights)
+        self._last = self.make_case(stage, inputs, weights)
         expected = self.right(stage, inputs, weights, outputs)
         if not expected:
             self._finite(stage, outputs)
@@ -300,7 +300,7 @@ class Judge:
     def agrees_in_windows(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights) -> Talk:
         """Ask for a large frame, and compare a few windows of its image; a wrong one is not compared with mistakes, which takes long."""
         image = (yield ask(stage, inputs, weights))["image"]
-        self._last = self.asked(stage, inputs, weights)
+        self._last = self.make_case(stage, inputs, weights)
         exact, given = self.exactly(inputs, stage), self._given_weights(weights)
         if stage == "frame":
             exact = network_inputs(exact, given)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from conformance.protocol.reference_copy import Mistake, Plant, fault, given, put, returns
+from conformance.protocol.reference_copy import Mistake, Plant, change_arguments, fault, put, returns
 from stss_ref.frame import stack_history
 from stss_ref.motion_chain import motion_chain
 from stss_ref.sample import follow, leads_inside
@@ -34,13 +34,15 @@ def _steps(name: str, what: str, by: int) -> Mistake:
 
 
 def _motions(name: str, what: str, change: Change) -> Mistake:
-    return _frame(name, what, given("frame.motion_by_step", motions=change))
+    return _frame(name, what, change_arguments("frame.motion_by_step", motions=change))
 
 
 def _other(where: str, name: str, what: str, buffer: str, change: Callable[[Any], Any]) -> Mistake:
     """A function is given the change of one buffer."""
     return _frame(
-        name, what, given(f"frame.{where}", inputs=lambda inputs: replace(inputs, **{buffer: change(getattr(inputs, buffer))}))
+        name,
+        what,
+        change_arguments(f"frame.{where}", inputs=lambda inputs: replace(inputs, **{buffer: change(getattr(inputs, buffer))})),
     )
 
 
@@ -127,7 +129,7 @@ SECONDS = (
 
 
 def _picture(name: str, what: str, **changes: Change) -> Mistake:
-    return _frame(name, what, given("frame.two_pictures", **changes))
+    return _frame(name, what, change_arguments("frame.two_pictures", **changes))
 
 
 FRAME = (
@@ -141,7 +143,9 @@ FRAME = (
     _frame(
         "steps_ignored",
         "every frame an EF of 1, 3, 5",
-        given("frame.prepare", inputs=lambda inputs: replace(inputs, steps=(1, 3, 5)) if len(inputs.motions) > 4 else inputs),
+        change_arguments(
+            "frame.prepare", inputs=lambda inputs: replace(inputs, steps=(1, 3, 5)) if len(inputs.motions) > 4 else inputs
+        ),
     ),
     _motions("motions_oldest_first", "motions taken as oldest first", lambda motions, steps: motions[: max(steps)][::-1]),
     _motions(
@@ -150,11 +154,19 @@ FRAME = (
     _frame(
         "lost_motion_is_still",
         "motion that is not finite counts as 0",
-        given("frame.warp_one", motion=lambda motion: None if motion is None else _or_0(motion)),
+        change_arguments("frame.warp_one", motion=lambda motion: None if motion is None else _or_0(motion)),
     ),
-    _frame("lost_position_is_0", "a position that is not finite counts as 0", given("frame.holes", position_previous=_or_0)),
-    _frame("nearest_chain", "the chain by the nearest pixel", given("frame.motion_by_step", gather=lambda _: "nearest")),
-    _frame("hole_test_ignored", "always the footprint's hole test", given("frame.prepare", test=lambda _: "footprint")),
+    _frame(
+        "lost_position_is_0",
+        "a position that is not finite counts as 0",
+        change_arguments("frame.holes", position_previous=_or_0),
+    ),
+    _frame(
+        "nearest_chain", "the chain by the nearest pixel", change_arguments("frame.motion_by_step", gather=lambda _: "nearest")
+    ),
+    _frame(
+        "hole_test_ignored", "always the footprint's hole test", change_arguments("frame.prepare", test=lambda _: "footprint")
+    ),
     _order("stencil_of_now", "the current stencils for the earlier ones", "stencils", 0, 0, 0, 0),
     _order("normal_one_off", "normals of the next newer frame", "normals", 0, 0, 1, 2),
     _order("normal_of_newest", "the newest colour's normals throughout", "normals", 0, 1, 1, 1),
@@ -171,7 +183,7 @@ FRAME = (
     _frame(
         "missing_not_warped",
         "a missing frame is not warped again",
-        given("frame.warp_one", motion=lambda motion, inputs, i: None if _missing(inputs, i) else motion),
+        change_arguments("frame.warp_one", motion=lambda motion, inputs, i: None if _missing(inputs, i) else motion),
     ),
     _frame(
         "holes_not_masked",
@@ -181,12 +193,12 @@ FRAME = (
     _picture("warped_first", "warped before occlusion_warp", first=lambda _, second: second, second=lambda _, first: first),
     _picture("warped_twice", "warped in the place of occlusion_warp", first=lambda _, second: second),
     _picture("filled_twice", "occlusion_warp in the place of warped", second=lambda _, first: first),
-    _frame("filled_everywhere", "fills what needs no filling", given("frame.fill", valid=np.zeros_like)),
+    _frame("filled_everywhere", "fills what needs no filling", change_arguments("frame.fill", valid=np.zeros_like)),
     _frame("history_newest_first", "history newest first", returns("frame.stack_history", lambda history: history[::-1])),
     _frame(
         "history_mask_of_newest",
         "the newest mask with all three",
-        given("frame.stack_history", valids=lambda valids: valids[:1] * 3),
+        change_arguments("frame.stack_history", valids=lambda valids: valids[:1] * 3),
     ),
     _prepared("mask_of_oldest", "the oldest mask as the network's", mask=lambda made: made.history[0, ..., 3]),
     _prepared("mask_of_all", "the network's mask: valid in all three", mask=lambda made: made.history[..., 3].prod(axis=0)),

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from conformance.protocol.reference_copy import Mistake, Plant, fault, given, half, put, returns, wrap
+from conformance.protocol.reference_copy import Mistake, Plant, change_arguments, fault, half, put, returns, wrap
 from stss_ref.constants import HoleLimits
 from stss_ref.holes import nearer, neighbours
 from stss_ref.sample import Place, Taps, between, bilinear, follow, leads_inside, taps
@@ -30,7 +30,7 @@ def _holes(name: str, what: str, *plants: Plant) -> Mistake:
 
 def _taken(name: str, what: str, **changes: Change) -> Mistake:
     """The stage takes other inputs."""
-    return _holes(name, what, given("holes.holes", **changes))
+    return _holes(name, what, change_arguments("holes.holes", **changes))
 
 
 def _valid(name: str, what: str, change: Change) -> Mistake:
@@ -88,8 +88,8 @@ def _weightless(at: Taps) -> Taps:
 
 
 HOLES = (
-    _holes("axes_swapped", "takes dx for dy", given("holes.follow", motion=lambda motion: motion[..., ::-1])),
-    _holes("not_followed", "reads the earlier buffers at p", given("holes.follow", motion=lambda motion: motion * 0)),
+    _holes("axes_swapped", "takes dx for dy", change_arguments("holes.follow", motion=lambda motion: motion[..., ::-1])),
+    _holes("not_followed", "reads the earlier buffers at p", change_arguments("holes.follow", motion=lambda motion: motion * 0)),
     _taken("stencil_of_8_bits", "stencils in 8 bits", **_bits(8)),
     _taken("stencil_of_16_bits", "stencils in 16 bits", **_bits(16)),
     _taken("stencil_here", "the current stencil in the place of the earlier one", stencil_previous=lambda _, stencil: stencil),
@@ -150,7 +150,7 @@ HOLES = (
         "interpolates the positions, then one distance",
         returns("holes.offsets", lambda four, at: [between(four, at)] * 4),
     ),
-    _holes("weightless_taps_left_out", "taps of weight 0 do not count", given("holes.offsets", at=_weightless)),
+    _holes("weightless_taps_left_out", "taps of weight 0 do not count", change_arguments("holes.offsets", at=_weightless)),
     _holes(
         "last_tap_wraps",
         "the tap right of the frame is its first column",
@@ -180,7 +180,7 @@ def _fill(name: str, what: str, *plants: Plant, **marks: Any) -> Mistake:
 
 def _nearest(name: str, what: str, change: Callable[[Any], Any]) -> Mistake:
     """The surface of the smallest ``change`` of the depth stays."""
-    return _fill(name, what, given("occlusion_warp.writing_order", depth=change))
+    return _fill(name, what, change_arguments("occlusion_warp.writing_order", depth=change))
 
 
 def _order(name: str, what: str, change: Callable[[Any, Any], Any]) -> Mistake:
@@ -189,7 +189,7 @@ def _order(name: str, what: str, change: Callable[[Any, Any], Any]) -> Mistake:
 
 def _written(name: str, what: str, change: Callable[[Place], Any]) -> Mistake:
     """The pixels around another place are written to."""
-    return _fill(name, what, given("occlusion_warp.written_pixels", at=change))
+    return _fill(name, what, change_arguments("occlusion_warp.written_pixels", at=change))
 
 
 def _last_of_equals(depth: Any, writes: Any) -> Any:
@@ -229,7 +229,7 @@ OCCLUSION_WARP = (
     ),
     _written("truncated_splat", "trunc for floor in the splat", lambda at: at._replace(x=at.x + ((at.x < 0) & (at.fx > 0)))),
     _written("rounded_splat", "splats around the nearest pixel", lambda at: at._replace(x=at.x + (at.fx >= 0.5))),
-    _fill("rounded_lookup", "looks up the nearest pixel", given("occlusion_warp.look_up", motion=np.rint)),
+    _fill("rounded_lookup", "looks up the nearest pixel", change_arguments("occlusion_warp.look_up", motion=np.rint)),
     _fill("looked_up_here", "looks up the pixel itself", put("occlusion_warp.look_up", lambda earlier, _: earlier)),
     _fill(
         "interpolated_lookup",
@@ -245,17 +245,21 @@ OCCLUSION_WARP = (
     _fill(
         "nan_splats",
         "non-finite motion splats as 0",
-        given("occlusion_warp.splat", motion=lambda motion: np.where(np.isfinite(motion).all(axis=-1)[..., None], motion, 0)),
+        change_arguments(
+            "occlusion_warp.splat", motion=lambda motion: np.where(np.isfinite(motion).all(axis=-1)[..., None], motion, 0)
+        ),
     ),
     _fill(
         "added_to_motion",
         "the new motion added to the one before",
         returns("occlusion_warp.look_up", lambda found, motion: found + motion),
     ),
-    _fill("second_sign", "the new motion with the other sign", given("occlusion_warp.read_along", motion=np.negative)),
-    _fill("unfilled", "holes are left as they are", given("occlusion_warp.occlusion_warp", valid=np.ones_like)),
-    _fill("filled_everywhere", "fills what needs no filling", given("occlusion_warp.occlusion_warp", valid=np.zeros_like)),
-    _fill("valid_inverted", "fills all but the holes", given("occlusion_warp.occlusion_warp", valid=np.logical_not)),
+    _fill("second_sign", "the new motion with the other sign", change_arguments("occlusion_warp.read_along", motion=np.negative)),
+    _fill("unfilled", "holes are left as they are", change_arguments("occlusion_warp.occlusion_warp", valid=np.ones_like)),
+    _fill(
+        "filled_everywhere", "fills what needs no filling", change_arguments("occlusion_warp.occlusion_warp", valid=np.zeros_like)
+    ),
+    _fill("valid_inverted", "fills all but the holes", change_arguments("occlusion_warp.occlusion_warp", valid=np.logical_not)),
     _fill(
         "raster_65535",
         "a raster index of 16 bits in the splat",
@@ -285,5 +289,5 @@ RRM = (
     _rrm("from_1", "counts from 1", lambda y, x, h, w: np.s_[max(y - 1, 0) : max(y + h - 1, 0), x : x + w]),
     _rrm("filled", "1 in the rectangle", lambda y, x, h, w: np.s_[y : y + h, x : x + w], 1),
     fault("rrm", "outside", "0 outside the rectangle", returns("rrm.rrm", lambda masked, valid: valid ^ masked)),
-    fault("rrm", "holes_forgotten", "valid but for the rectangle", given("rrm.rrm", valid=np.ones_like)),
+    fault("rrm", "holes_forgotten", "valid but for the rectangle", change_arguments("rrm.rrm", valid=np.ones_like)),
 )

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from conformance.protocol.reference_copy import Mistake, Plant, fault, given, half, put, returns, wrap
+from conformance.protocol.reference_copy import Mistake, Plant, change_arguments, fault, half, put, returns, wrap
 from stss_ref.motion_chain import gather_bilinear, gather_nearest, read_motion
 from stss_ref.sample import Place, Taps, leads_inside
 
@@ -64,7 +64,7 @@ def _chain(name: str, what: str, *plants: Plant, **marks: Any) -> Mistake:
 
 
 def _followed(name: str, what: str, change: Change) -> Mistake:
-    return _chain(name, what, given("motion_chain.follow", motion=change))
+    return _chain(name, what, change_arguments("motion_chain.follow", motion=change))
 
 
 def _longest(name: str, what: str, change: Change) -> Mistake:
@@ -77,7 +77,7 @@ def _still(name: str, what: str, change: Change) -> Mistake:
 
 
 def _steps(name: str, what: str, change: Change) -> Mistake:
-    return _chain(name, what, given("motion_chain.chain_steps", motions=change))
+    return _chain(name, what, change_arguments("motion_chain.chain_steps", motions=change))
 
 
 def _last_of_equals(length: Any) -> Any:
@@ -122,7 +122,10 @@ MOTION_CHAIN = (
     _chain("last_column_outside", "column W - 1 is outside", put("motion_chain.read_motion", _without_last_column)),
     _chain("nearest", "the nearest pixel's motion", put("motion_chain.GATHERS", {"longest": gather_nearest})),
     _chain("bilinear", "interpolates motion", put("motion_chain.GATHERS", {"longest": gather_bilinear})),
-    *(_chain(name, what, given("motion_chain.read_motion", motion=change), large=True) for name, what, change in READS),
+    *(
+        _chain(name, what, change_arguments("motion_chain.read_motion", motion=change), large=True)
+        for name, what, change in READS
+    ),
 )
 
 
@@ -141,7 +144,7 @@ def _taken(name: str, what: str, change: Change, also: tuple[str, ...] = BOTH, *
 
 def _place(name: str, what: str, change: Callable[[Place, int, int], Place]) -> Mistake:
     """Pixels are read around another place; the arguments of ``change`` are the place, height and width."""
-    return _warp(name, what, given("sample.taps", at=lambda at: change(at, *at.x.shape)), also=FILL)
+    return _warp(name, what, change_arguments("sample.taps", at=lambda at: change(at, *at.x.shape)), also=FILL)
 
 
 def _taps(name: str, what: str, change: Callable[[Taps, Place], Taps], also: tuple[str, ...] = FILL) -> Mistake:
@@ -154,7 +157,9 @@ def _inside(name: str, what: str, change: Callable[[Place, int, int], Any]) -> M
 
 
 def _fractions(name: str, what: str, change: Change, also: tuple[str, ...] = BOTH) -> Mistake:
-    return _warp(name, what, given("sample.between", at=lambda at: at._replace(fx=change(at.fx), fy=change(at.fy))), also=also)
+    return _warp(
+        name, what, change_arguments("sample.between", at=lambda at: at._replace(fx=change(at.fx), fy=change(at.fy))), also=also
+    )
 
 
 def _image(name: str, what: str, change: Change) -> Mistake:
@@ -212,7 +217,12 @@ WARP = (
         put("sample.lerp", lambda a, b, t: a * (1 - t) + b * t),
         bits=True,
     ),
-    _warp("fractions_swapped", "fx for fy", given("sample.between", at=lambda at: at._replace(fx=at.fy, fy=at.fx)), also=BOTH),
+    _warp(
+        "fractions_swapped",
+        "fx for fy",
+        change_arguments("sample.between", at=lambda at: at._replace(fx=at.fy, fy=at.fx)),
+        also=BOTH,
+    ),
     _fractions("nearest", "the nearest pixel", np.round),
     _fractions("texture_fraction", "a texture sampler, whose fraction has 8 bits", lambda t: np.floor(t * 256) / 256, FILL),
     _image("border_black", "0 outside the frame", lambda warped, inside: warped * inside[..., None]),
@@ -222,8 +232,8 @@ WARP = (
         "the last pixels of a row stay 0 where W is no multiple of 4",
         lambda image, _: image * (np.arange(image.shape[1]) < image.shape[1] // 4 * 4)[:, None],
     ),
-    _warp("bgr", "colours in reverse", given("warp.warp", color=lambda color: color[..., ::-1])),
+    _warp("bgr", "colours in reverse", change_arguments("warp.warp", color=lambda color: color[..., ::-1])),
     _warp("inside_inverted", "1 where it is off screen", returns("warp.leads_inside", np.logical_not)),
     _warp("tile_seam", "the first row of every other tile of 8 reads one row above", returns("warp.follow", _tile_seam)),
-    *(_warp(name, what, given("sample.corners", image=change), also=BOTH, large=True) for name, what, change in READS),
+    *(_warp(name, what, change_arguments("sample.corners", image=change), also=BOTH, large=True) for name, what, change in READS),
 )

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from conformance.protocol.reference_copy import Mistake, Plant, fault, given, half, put, returns, wrap
+from conformance.protocol.reference_copy import Mistake, Plant, change_arguments, fault, half, put, returns, wrap
 from stss_ref.conv import conv_named, gated, relu
 from stss_ref.erm import WINDOW, attend
 from stss_ref.resample import lerp_along, upsample_centres, upsample_corners
@@ -48,7 +48,7 @@ def _rolled(by: int, layer: str = "") -> Change:
 
 
 def _history(name: str, what: str, change: Change) -> Mistake:
-    return fault("history", name, what, given("history.history_embedding", history=change))
+    return fault("history", name, what, change_arguments("history.history_embedding", history=change))
 
 
 def _with_mask(change: Callable[[Any, Any], tuple[Any, Any]]) -> Change:
@@ -75,7 +75,7 @@ def _encoder(name: str, what: str, *plants: Plant, also: tuple[str, ...] = (), *
 
 
 def _gbuffer(name: str, what: str, *channels: int) -> Mistake:
-    return _encoder(name, what, given("encoder.encoder", gbuffer=lambda gbuffer: gbuffer[..., list(channels)]))
+    return _encoder(name, what, change_arguments("encoder.encoder", gbuffer=lambda gbuffer: gbuffer[..., list(channels)]))
 
 
 def _masked(name: str, what: str, change: Callable[[Any, Any], Iterable[Any]]) -> Mistake:
@@ -96,7 +96,7 @@ def _linear(name: str, what: str, of: str) -> Mistake:
 
 def _conv(name: str, what: str, *, also: tuple[str, ...] = OTHERS, **changes: Change) -> Mistake:
     """Every convolution is given others."""
-    return _encoder(name, what, given("conv.conv", **changes), also=also)
+    return _encoder(name, what, change_arguments("conv.conv", **changes), also=also)
 
 
 def _gate(name: str, what: str, plant: Plant) -> Mistake:
@@ -140,14 +140,16 @@ def _tiles(axis: int, side: int) -> Plant:
 
 
 ENCODER = (
-    _encoder("gbuffer_first", "G-buffer before the colour", given("encoder.gated", x=_rolled(9, "conv1"))),
+    _encoder("gbuffer_first", "G-buffer before the colour", change_arguments("encoder.gated", x=_rolled(9, "conv1"))),
     _gbuffer("depth_first", "depth before the normal", 3, 0, 1, 2, 4, 5, 6, 7, 8),
     _gbuffer("metallic_first", "metallic before roughness", 0, 1, 2, 3, 5, 4, 6, 7, 8),
     _gbuffer("base_color_bgr", "base colour in reverse", 0, 1, 2, 3, 4, 5, 8, 7, 6),
     _encoder(
-        "last_channel_lost", "channel 21 lost in vectors of 4", given("encoder.encoder", gbuffer=lambda g: g * (np.arange(9) < 8))
+        "last_channel_lost",
+        "channel 21 lost in vectors of 4",
+        change_arguments("encoder.encoder", gbuffer=lambda g: g * (np.arange(9) < 8)),
     ),
-    _encoder("warped_first", "warped before occlusion_warp", given("encoder.encoder", color=_rolled(3))),
+    _encoder("warped_first", "warped before occlusion_warp", change_arguments("encoder.encoder", color=_rolled(3))),
     _masked("masked_first", "color mask before color", lambda color, mask: (color * mask, color)),
     _masked("mask_inverted", "color (1 - mask)", lambda color, mask: (color, color * (1 - mask))),
     _masked("mask_ignored", "color twice", lambda color, mask: (color, color)),
@@ -167,9 +169,13 @@ ENCODER = (
     _gate("gate_linear", "no sigmoid", put("conv.sigmoid", lambda x: x)),
     _gate("hard_sigmoid", "min(max(x / 6 + 1/2, 0), 1)", put("conv.sigmoid", lambda x: np.clip(x / 6 + 0.5, 0, 1))),
     _gate("half_sigmoid", "exp in half precision", put("conv.sigmoid", lambda x: 1 / (1 + half(np.exp(-x))))),
-    _gate("gate_inverted", "1 - sigmoid", given("conv.sigmoid", x=np.negative)),
-    _gate("sigmoid_saturates", "sigmoid from a table that ends at 4", given("conv.sigmoid", x=lambda x: np.clip(x, -4, 4))),
-    _gate("gate_unbiased", "the gate's bias forgotten", given("conv.gated", weights=_gate_unbiased)),
+    _gate("gate_inverted", "1 - sigmoid", change_arguments("conv.sigmoid", x=np.negative)),
+    _gate(
+        "sigmoid_saturates",
+        "sigmoid from a table that ends at 4",
+        change_arguments("conv.sigmoid", x=lambda x: np.clip(x, -4, 4)),
+    ),
+    _gate("gate_unbiased", "the gate's bias forgotten", change_arguments("conv.gated", weights=_gate_unbiased)),
     _encoder("relu6", "ReLU that ends at 6", returns("conv.relu", lambda y: np.minimum(y, 6)), also=OTHERS),
     _encoder("leaky_relu", "a leaky ReLU", returns("conv.relu", lambda _, x: np.maximum(x, x * 0.01)), also=OTHERS),
     _padded(
@@ -201,7 +207,9 @@ def _erm(name: str, what: str, *plants: Plant, **marks: Any) -> Mistake:
 
 
 def _last_relu(name: str, of: str) -> Mistake:
-    return _erm(name, f"ReLU after the last layer of {of}", given("erm.conv_chain", last_relu=lambda _, name: name == of))
+    return _erm(
+        name, f"ReLU after the last layer of {of}", change_arguments("erm.conv_chain", last_relu=lambda _, name: name == of)
+    )
 
 
 def _window(name: str, what: str, change: Callable[..., Any], **marks: Any) -> Mistake:
@@ -265,7 +273,7 @@ ERM = (
     _masks("value_masked_twice", "the value times m m", lambda k, v, m: (k, k * m, v * m * m)),
     _masks("mask_yes_or_no", "a mask of 1/4 is 1", lambda k, v, m: (k, k * (m > 0), v * (m > 0))),
     _masks("mask_threshold", "a mask below 1 is 0", lambda k, v, m: (k, k * (m == 1), v * (m == 1))),
-    _erm("gbuffer_first", "f before x4", given("erm.conv_chain", x=_rolled(9, "latentEncoder"))),
+    _erm("gbuffer_first", "f before x4", change_arguments("erm.conv_chain", x=_rolled(9, "latentEncoder"))),
     _last_relu("light_relu", "latentEncoder"),
     _last_relu("material_relu", "KEncoder"),
     _length("not_normalised", "K is not normalised", np.ones_like),
@@ -294,7 +302,7 @@ def _decoder(name: str, what: str, *plants: Plant) -> Mistake:
 def _shuffle(name: str, what: str, order: Callable[[Any], Any]) -> Mistake:
     """The pixel shuffle takes its channels for others: ``order`` of their numbers (colour, row, column)."""
     channels = order(np.arange(12)).ravel()
-    return _decoder(name, what, given("resample.pixel_shuffle", x=lambda x: x[..., channels]))
+    return _decoder(name, what, change_arguments("resample.pixel_shuffle", x=lambda x: x[..., channels]))
 
 
 def _resampled(name: str, what: str, grid: str, at: Callable[[int], Any]) -> Mistake:
@@ -313,7 +321,7 @@ def _repeated(x: Any) -> Any:
 
 
 def _base(name: str, what: str, color: Callable[[Any], Any]) -> Mistake:
-    return _decoder(name, what, given("decoder.decoder", color=color))
+    return _decoder(name, what, change_arguments("decoder.decoder", color=color))
 
 
 DECODER = (
@@ -332,7 +340,7 @@ DECODER = (
     _decoder(
         "texture_fraction",
         "a texture sampler, whose fraction has 8 bits",
-        given("resample.lerp_along", at=lambda at: np.floor(at * 256) / 256),
+        change_arguments("resample.lerp_along", at=lambda at: np.floor(at * 256) / 256),
     ),
     _decoder("features_by_centres", "features upsampled with centres aligned", put("decoder.upsample_corners", upsample_centres)),
     _decoder("features_nearest", "features upsampled by repeating pixels", put("decoder.upsample_corners", _repeated)),
@@ -347,12 +355,12 @@ DECODER = (
     _decoder(
         "history_first",
         "feature before reshaded",
-        given("decoder.upsample_corners", x=lambda x: np.roll(x, 32, axis=-1) if x.shape[-1] == 96 else x),
+        change_arguments("decoder.upsample_corners", x=lambda x: np.roll(x, 32, axis=-1) if x.shape[-1] == 96 else x),
     ),
     _decoder(
         "skip_last",
         "the skip after the upsampled features",
-        given("decoder.conv_chain", x=lambda x, name: np.roll(x, -32 if name.startswith("up1") else -24, axis=-1)),
+        change_arguments("decoder.conv_chain", x=lambda x, name: np.roll(x, -32 if name.startswith("up1") else -24, axis=-1)),
     ),
     _decoder("first_relu_missing", "no ReLU between the two convolutions", _relu_missing("decoder", 0)),
     _decoder("second_relu_missing", "no ReLU after the two convolutions", _relu_missing("decoder", 1)),
@@ -389,5 +397,5 @@ NETWORK = (
         "pads the history with zeros",
         wrap("network.pad_to_8", lambda right, x: right(x) if x.ndim == 3 else _pad(x)),
     ),
-    _network("erm_unmasked", "no mask in the ERM", given("network.erm", mask=np.ones_like)),
+    _network("erm_unmasked", "no mask in the ERM", change_arguments("network.erm", mask=np.ones_like)),
 )

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from conformance.protocol.port import AnyArray
-from conformance.protocol.reference_copy import Mistake, Plant, fault, given, half, returns
+from conformance.protocol.reference_copy import Mistake, Plant, change_arguments, fault, half, returns
 from stss_ref.weights import LAYERS
 
 
@@ -52,7 +52,7 @@ def rounded_at(layer: str, what: str, rounded: Callable[[Any], Any]) -> tuple[Pl
             returns(each, lambda y, name: rounded(y) if layer in ("", name) else y) for each in ("conv.conv_named", "conv.gated")
         )
     taken = {"input": ["x"], "weights": ["weights"], "factors": [*changes]}[what]
-    return (given("conv.conv_named", **{name: changes[name] for name in taken}),)
+    return (change_arguments("conv.conv_named", **{name: changes[name] for name in taken}),)
 
 
 def _precision(stage: str, layer: str, what: str, name: str) -> Mistake:

@@ -54,10 +54,10 @@ def reference_layers(stage: str, inputs: Arrays, weights: Weights) -> Outputs:
     """What the reference computes in the layers of ``stage``, in the dtype of the inputs; errors as `reference`."""
     with watched() as seen:
         reference(stage, inputs, weights)
-    return chosen(stage, seen)
+    return choose(stage, seen)
 
 
-def chosen(stage: str, seen: Seen) -> Outputs:
+def choose(stage: str, seen: Seen) -> Outputs:
     """Of all that was seen, the layers of a stage."""
     found: Outputs = {}
     for name in LAYERS_OF.get(stage, {}):

@@ -147,7 +147,7 @@ def stop(process: subprocess.Popen[bytes]) -> None:
     process.wait()
 
 
-def described(status: int) -> str:
+def describe(status: int) -> str:
     """A status in words."""
     if status >= 0:
         return f"ended with status {status}"

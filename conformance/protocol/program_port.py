@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from conformance.protocol.job_folder import DTYPE, JobError, read_layers, read_outputs, require_real, write_job
-from conformance.protocol.own_session import MOST_SAID, Ending, described, run_alone
+from conformance.protocol.own_session import MOST_SAID, Ending, describe, run_alone
 from conformance.protocol.port import Arrays, Case, Outputs, PortError, Unsupported
 from conformance.protocol.served import Server
 from conformance.protocol.stages import STAGES, check_inputs
@@ -195,7 +195,7 @@ def _failed(ending: Ending, timeout: float) -> str:
     """The reason why none of the program's outputs counts; "" if there is none."""
     if ending.status is None:
         return f"stopped after {timeout:g} s" if not ending.talked else f"stopped: more than {MOST_SAID >> 20} MiB on its output"
-    return described(ending.status) if ending.status != 0 else ""
+    return describe(ending.status) if ending.status != 0 else ""
 
 
 def smallest_case(stage: str, size: tuple[int, int] = PROBED[0]) -> Case:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Copies of the reference in which functions are replaced, as ports: mistakes, and correct ports with other arithmetic.
 
-A *plant* changes one name of a copy: ``put``, ``given``, ``returns`` and ``wrap`` make one. A name is ``module.name``: of the module that
-defines it, and the whole copy gets the new one, as ``sample.follow``; or of a module that imports it, and that module alone does, as
-``warp.follow``. A copy computes in the dtype of its inputs, so in float32 as a port.
+A *plant* changes one name of a copy: ``put``, ``change_arguments``, ``returns`` and ``wrap`` make one. A name is ``module.name``: of
+the module that defines it, and the whole copy gets the new one, as ``sample.follow``; or of a module that imports it, and that module
+alone does, as ``warp.follow``. A copy computes in the dtype of its inputs, so in float32 as a port.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from conformance.protocol.layers import chosen
+from conformance.protocol.layers import choose
 from conformance.protocol.port import AnyArray, Arrays, Outputs
 from conformance.protocol.stages import STAGES
 from stss_ref.weights import Weights
@@ -87,7 +87,7 @@ def wrap(name: str, wrong: Callable[..., Any]) -> Plant:
     return plant
 
 
-def given(name: str, **changes: Callable[..., Any]) -> Plant:
+def change_arguments(name: str, **changes: Callable[..., Any]) -> Plant:
     """A function is given the change of each argument that is named; a change may read other arguments, which it names as its own."""
 
     def wrong(right: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
@@ -200,7 +200,7 @@ class Variant:
         """Activations of the stage's layers, see `conformance.protocol.layers`."""
         with self._watched() as seen:
             self.run(stage, inputs, weights)
-        return chosen(stage, seen)
+        return choose(stage, seen)
 
 
 def load(name: str, *plants: Plant, **port: Any) -> Variant:

@@ -14,7 +14,7 @@ from tempfile import TemporaryFile
 from threading import Thread
 
 from conformance.protocol.job_folder import JobError
-from conformance.protocol.own_session import GRACE, LOOK, MOST_SAID, Session, described, tail
+from conformance.protocol.own_session import GRACE, LOOK, MOST_SAID, Session, describe, tail
 
 SERVE = "--serve"
 READY = "stss serve 1"
@@ -108,7 +108,7 @@ class Server:
     def _ended(self) -> str:
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(GRACE)
-        return f"{described(self._session.status(self._session.close()))} while it served"
+        return f"{describe(self._session.status(self._session.close()))} while it served"
 
     def _too_much(self) -> bool:
         return max(self._said, os.fstat(self._err.fileno()).st_size) > MOST_SAID

@@ -15,7 +15,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from conformance.judging.findings import TestResult, tallied
+from conformance.judging.findings import TestResult, tally
 from conformance.judging.judge import Judge
 from conformance.protocol.stages import STAGES
 from conformance.report.versions import versions_of_cases
@@ -52,7 +52,7 @@ def print_results(results: Sequence[TestResult], console: Console) -> None:
             [*(f"{name.split('.')[-1]} {_number(ratio)}" for name, ratio in met.items()),
              *(f"{name} not judged" for name in _outputs(stage) if f"{OUTPUT_STAGE.get(stage, stage)}.{name}" not in met)]
         )  # fmt: skip
-        counted = tallied([r.record for r in some])
+        counted = tally([r.record for r in some])
         note = f"; {counted['undecided']} numbers decided by rounding" if counted["undecided"] else ""
         note += f"; {counted['unjudged']} cases not judged" if counted["unjudged"] else ""
         table.add_row(stage, str(len(some)), str(bad or "-"), str(counted["cases"]), worst + note)
@@ -157,7 +157,7 @@ def _declared(judge: Judge) -> list[str]:
 
 def _stage(results: Sequence[TestResult]) -> dict[str, Any]:
     """What a stage was judged on."""
-    counted = tallied([r.record for r in results])
+    counted = tally([r.record for r in results])
     return {
         "tests": len(results),
         "cases": counted["cases"],
@@ -197,7 +197,7 @@ def write_page(path: Path, judge: Judge, results: Sequence[TestResult], folders:
     """
     arithmetic = judge.arithmetic.dtype + (", Winograd" if judge.arithmetic.winograd else "")
     arithmetic = "; ".join([arithmetic, *_declared(judge)])
-    counted = tallied([r.record for r in results])
+    counted = tally([r.record for r in results])
     verdict = "passes" if passed(results) else "departs from the specification"
     verdict = "was not judged" if JUDGED in {r.id for r in results} else verdict
     rows = "".join(_row(r) for r in results)

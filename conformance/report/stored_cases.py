@@ -116,7 +116,7 @@ class _Collector(Judge):
         yield from ()
 
     def _take(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None, *, exactly: bool) -> None:
-        case = self.asked(stage, inputs, weights)
+        case = self.make_case(stage, inputs, weights)
         key = fingerprint([stage, dict(case.inputs), case.weights])
         expected = self.right(stage, inputs, weights)
         if key not in self._seen:

@@ -26,7 +26,7 @@ def test_each_output_channel_has_its_place(judge: Judge, case: tuple[Inputs, Wei
     inputs, given = case
     still = given.convert(lambda tensor: tensor * 0) | {"outc.bias": given["outc.bias"]}
     got = (yield ask("decoder", {**inputs, "color": inputs["color"] * 0}, still))["image"]
-    bias = judge.given(still)["outc.bias"].reshape(3, 2, 2).transpose(1, 2, 0)
+    bias = judge.round_inputs(still)["outc.bias"].reshape(3, 2, 2).transpose(1, 2, 0)
     judge.same("decoder.image", got, np.tile(bias, (got.shape[0] // 2, got.shape[1] // 2, 1)))
 
 
@@ -36,7 +36,7 @@ def test_one_colour_stays_one_colour(judge: Judge, case: tuple[Inputs, Weights])
     inputs, given = case
     still = given.convert(lambda tensor: tensor * 0)
     got = (yield ask("decoder", inputs, still))["image"]
-    judge.same("decoder.image", got, np.broadcast_to(judge.given(inputs, "decoder")["color"][:1, :1, :3], got.shape))
+    judge.same("decoder.image", got, np.broadcast_to(judge.round_inputs(inputs, "decoder")["color"][:1, :1, :3], got.shape))
 
 
 @cases(CASES, slow=True)

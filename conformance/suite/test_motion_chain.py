@@ -22,7 +22,7 @@ def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
 def test_over_still_frames_it_is_the_newest(judge: Judge, case: tuple[Float64, int]) -> Talk:
     """If only the newest frame moves, the chained motion is that frame's, bit for bit, over any number of frames."""
     newest, more = case
-    given = judge.given({"motions": np.concatenate([newest[None], np.zeros((more, *newest.shape))])})["motions"]
+    given = judge.round_inputs({"motions": np.concatenate([newest[None], np.zeros((more, *newest.shape))])})["motions"]
     got = (yield ask("motion_chain", {"motions": given}))["motion"]
     finite = np.isfinite(given[0]).all(axis=-1, keepdims=True)
     judge.same("motion_chain.motion", np.where(finite, got, 0), np.where(finite, given[0], 0))

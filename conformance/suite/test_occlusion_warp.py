@@ -22,7 +22,7 @@ def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
 def test_what_is_valid_is_left_alone(judge: Judge, inputs: Inputs) -> Talk:
     """Outside the holes the warped colour comes back bit for bit."""
     got = (yield ask("occlusion_warp", inputs))["occlusion_warp"]
-    given = judge.given(inputs, "occlusion_warp")
+    given = judge.round_inputs(inputs, "occlusion_warp")
     valid = given["valid"][..., None] == 1
     judge.same("occlusion_warp.occlusion_warp", np.where(valid, got, 0), np.where(valid, given["warped"], 0))
 
@@ -34,7 +34,7 @@ def test_as_one_pixel_after_the_other(judge: Judge, inputs: Inputs) -> Talk:
     judge.same(
         "occlusion_warp.occlusion_motion",
         got,
-        _looped(inputs["motion"], judge.given(inputs, "occlusion_warp")["depth"]).astype(np.float32),
+        _looped(inputs["motion"], judge.round_inputs(inputs, "occlusion_warp")["depth"]).astype(np.float32),
     )
 
 
@@ -50,7 +50,7 @@ def test_only_the_order_of_depths_counts(judge: Judge, inputs: Inputs) -> Talk:
 @cases(occlusion_inputs())
 def test_one_colour_fills_with_itself(judge: Judge, inputs: Inputs) -> Talk:
     """In a frame of one colour every hole is filled with that colour, bit for bit."""
-    flat = np.broadcast_to(judge.given(inputs, "occlusion_warp")["color"][:1, :1], inputs["color"].shape)
+    flat = np.broadcast_to(judge.round_inputs(inputs, "occlusion_warp")["color"][:1, :1], inputs["color"].shape)
     got = (yield ask("occlusion_warp", {**inputs, "color": flat, "warped": flat}))["occlusion_warp"]
     judge.same("occlusion_warp.occlusion_warp", got, flat)
 
@@ -69,7 +69,7 @@ def test_lost_motion_writes_nothing(judge: Judge, case: tuple[Inputs, float]) ->
     motion = inputs["motion"].copy()
     motion[np.random.default_rng(0).random(motion.shape[:2]) < 0.5, 0] = lost
     got = (yield ask("occlusion_warp", {**inputs, "motion": motion}))["occlusion_motion"]
-    want = _looped(motion, judge.given(inputs, "occlusion_warp")["depth"]).astype(np.float32)
+    want = _looped(motion, judge.round_inputs(inputs, "occlusion_warp")["depth"]).astype(np.float32)
     judge.same("occlusion_warp.occlusion_motion", got, want)
 
 

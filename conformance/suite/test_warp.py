@@ -29,14 +29,14 @@ def test_wide_frames_lose_nothing(judge: Judge, inputs: Inputs) -> Talk:
 def test_one_colour_stays_one_colour(judge: Judge, inputs: Inputs) -> Talk:
     """A flat frame comes back bit for bit: no weight is lost, nothing leaks in at the border."""
     got = yield ask("warp", inputs)
-    judge.same("warp.warped", got["warped"], judge.given(inputs, "warp")["color"])
+    judge.same("warp.warped", got["warped"], judge.round_inputs(inputs, "warp")["color"])
 
 
 @cases(warp_inputs(motion="still"))
 def test_nothing_moves(judge: Judge, inputs: Inputs) -> Talk:
     """Without motion the warped colour is the frame, bit for bit, and every pixel is inside."""
     got = yield ask("warp", inputs)
-    judge.same("warp.warped", got["warped"], judge.given(inputs, "warp")["color"])
+    judge.same("warp.warped", got["warped"], judge.round_inputs(inputs, "warp")["color"])
     judge.same("warp.inside", got["inside"], np.ones_like(got["inside"]))
 
 
@@ -44,7 +44,7 @@ def test_nothing_moves(judge: Judge, inputs: Inputs) -> Talk:
 def test_whole_pixels_move_exactly(judge: Judge, inputs: Inputs) -> Talk:
     """Motion of whole pixels copies pixels; outside the frame, it copies the nearest border pixel."""
     got = yield ask("warp", inputs)
-    color, motion = judge.given(inputs, "warp")["color"], inputs["motion"].astype(int)
+    color, motion = judge.round_inputs(inputs, "warp")["color"], inputs["motion"].astype(int)
     height, width, _ = color.shape
     y, x = np.indices((height, width))
     x, y = x + motion[..., 0], y + motion[..., 1]
@@ -103,7 +103,7 @@ def test_lost_motion_is_off_screen(judge: Judge, case: tuple[Float64, Float64, f
     got, clean = yield [ask("warp", {"color": color, "motion": m}) for m in (broken, motion)]
     finite = np.isfinite(broken).all(axis=-1)
     judge.same("warp.inside", got["inside"], np.where(finite, clean["inside"], 0))
-    own = judge.given({"color": color})["color"]
+    own = judge.round_inputs({"color": color})["color"]
     judge.same("warp.warped", got["warped"], np.where(finite[..., None], clean["warped"], own))
 
 

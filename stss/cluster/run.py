@@ -79,7 +79,7 @@ def run_on_cluster(
     work = Work(VERSION, sequence, planned.rendered, out, options, loaded, backend, compute)
     with (
         connect(cluster.address) as workers,
-        planned.folder.opened(refusal=None if options.resume or options.overwrite else REFUSAL),
+        planned.folder.open(refusal=None if options.resume or options.overwrite else REFUSAL),
     ):
         summary = _Run(workers, work, planned, on_frame, mixed=cluster.mixed).run()
         planned.folder.finish(remove_others=options.overwrite)

@@ -14,7 +14,7 @@ from rich.table import Table
 from stss.devices.compiled_for import remark
 from stss.devices.verdicts import Tell, Verdict, verdict
 from stss_cl.device import amx
-from stss_cl.device.discovery import Device, DeviceError, Properties, is_gpu, matching, named, no_device, open_handle
+from stss_cl.device.discovery import Device, DeviceError, Properties, is_gpu, matching, name_devices, no_device, open_handle
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def rows(*, again: bool = False, tell: Tell = lambda line: None) -> list[Row]:
     Raises:
         DeviceError: there is no device.
     """
-    found = [_row(n, h, verdict(n, h, again=again, tell=tell)) for n, h in named().items()]
+    found = [_row(n, h, verdict(n, h, again=again, tell=tell)) for n, h in name_devices().items()]
     if not found:
         raise DeviceError(no_device())
     return sorted(found, key=lambda row: (row.kind != "GPU", not row.verdict.passed, -row.verdict.gflops))

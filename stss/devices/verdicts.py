@@ -89,17 +89,17 @@ def verdict(
     """The stored verdict on a device, or the verdict of a self-test now; one process tests, and others that ask meanwhile wait for it.
 
     Args:
-        name: the device's name by ``stss_cl.device.discovery.named``.
+        name: the device's name by ``stss_cl.device.discovery.name_devices``.
         handle: the device of this name.
         again: test even where a verdict is stored.
         command: the command that tests the device whose name is appended.
         tell: called with a line if there is something to wait for.
     """
-    if not again and (stored := known(name, handle)):
+    if not again and (stored := find_verdict(name, handle)):
         return stored
     limit, path = _limit(), _path(name, handle)
     with _alone(path.with_suffix(".lock"), lambda: tell(f"waiting for another process, which tests {name}")):
-        if not again and (stored := known(name, handle)):
+        if not again and (stored := find_verdict(name, handle)):
             return stored
         tell(
             f"self-test of {name}" if again else f"first start: building kernels for {name} and testing it, half a minute or more"
@@ -114,7 +114,7 @@ def verdict(
     return found
 
 
-def known(name: str, handle: cl.Device) -> Verdict | None:
+def find_verdict(name: str, handle: cl.Device) -> Verdict | None:
     """The verdict stored for this device, its driver, this version of stss and these kernels; None if there is none."""
     try:
         stored: Any = json.loads(read(_path(name, handle), _MOST_BYTES) or b"")

@@ -30,7 +30,7 @@ class DisplayFrame:
     """A display frame as stage ``frame`` takes it, made once and used by up to six outputs.
 
     ``color`` (H, W, 3) display-referred or None, ``motion`` (H, W, 2), ``gbuffer`` (H, W, 9), ``nov`` and ``stencil`` (H, W),
-    ``position`` (H, W, 3) in cm; float32, or some of them float16 (``halved``). ``carried``: planes (H, W, C) of a rendered frame that pass
+    ``position`` (H, W, 3) in cm; float32, or some of them float16 (``halve``). ``carried``: planes (H, W, C) of a rendered frame that pass
     the network by, see `stss.frames.carry`.
     """
 
@@ -47,7 +47,7 @@ class DisplayFrame:
 def prepare(
     buffers: Buffers, to_display: Transfer, depth: DepthMode, dtype: PlaneType = "float32", *, copy: bool = True
 ) -> DisplayFrame:
-    """Make a display frame: colour through the transfer, depth normalised to [0, 1], G-buffer stacked; with "half" then ``halved``.
+    """Make a display frame: colour through the transfer, depth normalised to [0, 1], G-buffer stacked; with "half" then ``halve``.
 
     ``copy`` False: motion, NoV, stencil and position stay the caller's arrays where they are float32; the caller must not write to them
     while the frame is in use.
@@ -73,7 +73,7 @@ def prepare(
         position=own(buffers.position),
         carried={} if buffers.color is None else _carried(buffers, buffers.color, to_display),
     )
-    return made if dtype == "float32" else halved(made)
+    return made if dtype == "float32" else halve(made)
 
 
 def _carried(buffers: Buffers, color: Image, to_display: Transfer) -> dict[str, Image]:
@@ -82,7 +82,7 @@ def _carried(buffers: Buffers, color: Image, to_display: Transfer) -> dict[str, 
     return planes if above is None else {**planes, HIGHLIGHTS: above}
 
 
-def halved(frame: DisplayFrame) -> DisplayFrame:
+def halve(frame: DisplayFrame) -> DisplayFrame:
     """The frame with colour, G-buffer, NoV and stencil rounded to float16, nearest even.
 
     Motion and position stay float32: a motion of 16 pixels would have steps of 1/64 pixel, a position of 1000 cm steps of 0.5 cm. So

@@ -59,7 +59,7 @@ def compute(window: Sequence[DisplayFrame], backend: Backend) -> Output | None:
     return Output(newest.number, planned.kind, image, valid, carried)
 
 
-def decoded(output: Output, curve: Transfer) -> Output:
+def decode(output: Output, curve: Transfer) -> Output:
     """Take an output of `compute` back to the domain that its colours came in, with its highlights."""
     image = curve.decode(output.image)
     carried = dict(output.carried)

@@ -12,7 +12,7 @@ from stss.frames.buffers import Buffers
 from stss.frames.check_buffers import check_buffers
 from stss.frames.compute_options import ComputeOptions, Precision, Skip
 from stss.frames.display_frame import WINDOW, DisplayFrame, prepare
-from stss.frames.supersample import Output, compute, decoded
+from stss.frames.supersample import Output, compute, decode
 from stss.images.color import transfer as transfer_named
 from stss.weights.file import DEFAULT, LoadedWeights
 from stss_ground.errors import InputError
@@ -94,7 +94,7 @@ class Supersampler:
             self.reset()
         self._window.append(prepared)
         output = compute(tuple(self._window), self.backend)
-        return None if output is None else decoded(output, self._curve)
+        return None if output is None else decode(output, self._curve)
 
     def __call__(self, frames: Iterable[Buffers]) -> Iterator[Output]:
         """Push frame after frame; yields every output before the next frame is asked for."""

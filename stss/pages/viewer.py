@@ -100,7 +100,7 @@ def write_viewer(
         InputError: it can't be written.
     """
     with ExitStack() as stack:
-        store = _Store(path, within, lambda folder: stack.enter_context(folder.opened(refusal=None)))
+        store = _Store(path, within, lambda folder: stack.enter_context(folder.open(refusal=None)))
         shown = [store.keep(frame) for frame in frames]
         data = {
             "views": [view.name for view in viewer.views],

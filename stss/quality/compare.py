@@ -172,12 +172,12 @@ def compare(
         folder = None if pictures is None else picture_folder(pictures)
         if folder is not None:
             require_places(folders=[folder], inputs=files_of(pairs))
-            stack.enter_context(folder.opened(refusal=None))
+            stack.enter_context(folder.open(refusal=None))
         rows, recpsnr = _rows(pairs, track(list(pairs)), folder, flip=flip)
         if folder is not None:
             folder.finish(remove_others=False)
     if vmaf:
-        found = vmaf_scores(map(to_8bit, pair.shown()) for pair in pairs.values())
+        found = vmaf_scores(map(to_8bit, pair.load()) for pair in pairs.values())
         rows = [_with(row, vmaf=value) for row, value in zip(rows, found, strict=True)]
     made_with = {name: sorted({p.made_with[name] for p in pairs.values() if name in p.made_with}) for name in MADE_WITH}
     return Comparison(
@@ -243,7 +243,7 @@ def _rows(
     before: Shown | None = None
     for number in numbers:
         pair = pairs[number]
-        shown = pair.shown()
+        shown = pair.load()
         row = _judge(number, pair, shown, pictures, flip=flip)
         if before is not None and rows[-1].number == number - 1:
             row = _with(row, tpsnr=temporal_psnr(shown, before))

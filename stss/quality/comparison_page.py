@@ -77,7 +77,7 @@ class RenderedInputs:
         self._rendered = {number for number in sequence.rendered if number % 2 in parities}
         self._last: tuple[int, Image] | None = None
 
-    def shown(self, number: int) -> Image | None:
+    def load(self, number: int) -> Image | None:
         """(H, W, 3) the frame itself, or the last rendered one before it; None where there is none."""
         source = max((n for n in self._rendered if n <= number), default=None)
         if source is None:
@@ -170,13 +170,13 @@ def _lines(versions: Sequence[Version], metric: str) -> list[PlotLine]:
 def _frames(versions: Sequence[Version], inputs: RenderedInputs | None) -> Iterator[ShownFrame]:
     for row in versions[-1].comparison.rows:
         pictures: dict[str, Image] = {}
-        low = None if inputs is None else inputs.shown(row.number)
+        low = None if inputs is None else inputs.load(row.number)
         if low is not None:
             pictures |= {INPUT: low, BILINEAR: upsample_centres(low)}
         said: list[str] = []
         for version in versions:
             # A version called bilinear takes the place of the enlarged input: it is warped to an EF's time.
-            pictures[version.name], truth = version.pairs[row.number].shown()
+            pictures[version.name], truth = version.pairs[row.number].load()
             pictures[TRUTH] = truth
             scores = next(r.scores["all"] for r in version.comparison.rows if r.number == row.number)
             named = f"{version.name} " if len(versions) > 1 else ""

@@ -44,7 +44,7 @@ class Pair:
     static_holes: float | None
     made_with: Mapping[str, str]
 
-    def shown(self) -> tuple[Image, Image]:
+    def load(self) -> tuple[Image, Image]:
         """Output and truth as a screen shows them: (H, W, 3) float32, in [0, 1]; raises InputError where sizes differ."""
         curve = transfer(self.transfer or FALLBACK)
         image, truth = (

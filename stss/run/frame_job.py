@@ -12,7 +12,7 @@ from typing import Literal, Protocol
 from stss.frames.backends import Backend, Cost
 from stss.frames.display_frame import WINDOW, DisplayFrame
 from stss.frames.static_holes import static_holes
-from stss.frames.supersample import Output, compute, decoded, shot_start
+from stss.frames.supersample import Output, compute, decode, shot_start
 from stss.images.color import Transfer, transfer
 from stss.images.headers import Value, read_header
 from stss.images.read_write import encode_mask, encode_rgb
@@ -189,7 +189,7 @@ class FrameJob:
         """Take it back through the transfer and write its files."""
         if isinstance(made, FrameReport):
             return made
-        output = decoded(made.output, self.curve)
+        output = decode(made.output, self.curve)
         if made.activity is not None:
             self._write_rgb(frame_name(output.number, "png", SKIPPED), picture(made.output.image, made.activity), {})
         if output.kind is FrameKind.EF:

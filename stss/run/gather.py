@@ -40,7 +40,7 @@ def gather(parts: Path, out: Path, sequence: Path | None = None, *, overwrite: b
         with tell_errors(frames):
             inputs += [path for path in frames.iterdir() if path.is_file()]
     require_places(folders=[target], inputs=inputs)
-    with target.opened(refusal=None):
+    with target.open(refusal=None):
         sums = _checked(folders, target)
         if not overwrite and any(sums.get(name) != digest for name, digest in target.sums().items()):
             raise InputError(f"{out}: {REFUSAL}")
@@ -87,5 +87,5 @@ def _remove(folder: Path) -> None:
 @contextmanager
 def _opened(folder: Path) -> Generator[OutputFolder, None, None]:
     part = folder_of(folder)
-    with part.opened(refusal=None):
+    with part.open(refusal=None):
         yield part

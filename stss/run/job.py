@@ -92,7 +92,7 @@ def run(
     require_unread(planned, sequence, reads)
     summary = Summary([])
 
-    with folder.opened(refusal=None if options.resume or options.overwrite else REFUSAL):
+    with folder.open(refusal=None if options.resume or options.overwrite else REFUSAL):
         if backend.accumulates:
             for number in range(sequence.numbers[0], planned.numbers[0]):
                 job.compute(job.read(number))

@@ -65,7 +65,7 @@ class Padded:
         return slice(1, self.height + 1), slice(1, self.width + 1)
 
 
-def stored(dtype: np.dtype[Any]) -> str:
+def storage(dtype: np.dtype[Any]) -> str:
     """The option ``STORED`` of kernels for activations of this dtype (kernels/common.clh)."""
     return {np.dtype(np.float16): "HALF", BFLOAT16: "BFLOAT16"}.get(dtype, "FLOAT")
 

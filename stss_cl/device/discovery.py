@@ -29,7 +29,7 @@ __all__ = [
     "full_name",
     "is_gpu",
     "matching",
-    "named",
+    "name_devices",
     "no_device",
     "open_device",
     "open_handle",
@@ -242,7 +242,7 @@ def find_devices() -> list[cl.Device]:
     return sorted(handles, key=full_name)
 
 
-def named() -> dict[str, cl.Device]:
+def name_devices() -> dict[str, cl.Device]:
     """Every device of ``find_devices()`` by a unique name: of equal names the second gets the suffix `` #2``, and so on."""
     seen: Counter[str] = Counter()
     devices: dict[str, cl.Device] = {}
@@ -260,7 +260,7 @@ def matching(name: str | None) -> dict[str, cl.Device]:
     Raises:
         DeviceError: no device fits.
     """
-    devices = named()
+    devices = name_devices()
     if not devices:
         raise DeviceError(no_device())
     wanted = "" if name is None else _one_line(name).lower()

@@ -82,7 +82,7 @@ def tuning_for(device: Properties) -> Tuning:
     Raises:
         DeviceError: the stored row is wrong; the message names file and key.
     """
-    return _trial.get() or stored(device) or built_in(device)
+    return _trial.get() or read_tuning(device) or built_in(device)
 
 
 def built_in(device: Properties) -> Tuning:
@@ -122,7 +122,7 @@ def built_in_rows(path: Path) -> Rows:
     return Rows(classes, targets, single)
 
 
-def stored(device: Properties) -> Tuning | None:
+def read_tuning(device: Properties) -> Tuning | None:
     """The row that ``store`` wrote; None if there is none for this driver and these kernels.
 
     Raises:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from stss_cl.device.buffers import Inputs, inputs_for, stored
+from stss_cl.device.buffers import Inputs, inputs_for, storage
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, grid
 from stss_cl.device.launch import Launch, kernel
@@ -120,7 +120,7 @@ class Prepare:
 
     def _made(self, *, marks: bool) -> _Launches:
         inputs, (height, width) = self.inputs, (self.height, self.width)
-        options = {"STORED": stored(inputs.input.dtype), "MARK": marks}
+        options = {"STORED": storage(inputs.input.dtype), "MARK": marks}
         gather = {"GATHER": f"gather_{self._gather}", "LONGEST": self._gather == "longest", "EIGHTS": self.device.is_cpu}
         frame = program(self.device, "frame.cl", {**gather, **options, **hole_options(self._test), "STREAM": self.device.streams})
         eighth = build(self.device, "downsample_8.cl", {"MASK": "uchar", **options})

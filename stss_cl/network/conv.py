@@ -9,7 +9,7 @@ from typing import Any
 import pyopencl as cl
 
 from stss_cl.device import amx, matrix_units
-from stss_cl.device.buffers import Padded, constant, map_bytes, stored
+from stss_cl.device.buffers import Padded, constant, map_bytes, storage
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, list_size
 from stss_cl.device.tuning import tuning_for
@@ -136,7 +136,7 @@ def _source(shape: Shape, packed: Packed, a: Padded, b: Padded | None, out: Padd
         **({"OUT_CHANNELS": out.channels} if "SIDE" in shape.options else {}),
         "GATED": packed.gate_direct is not None,
         "RELU": relu,
-        "STORED": stored(out.dtype),
+        "STORED": storage(out.dtype),
     }
     return KernelSource(
         shape.file,
@@ -151,14 +151,14 @@ def _shape(
 ) -> Shape:
     """The fastest kernel for this layer by the row of tile sizes; the plain one for ``side`` 0."""
     tuning, whole_eights = tuning_for(device), a.channels % 8 == 0
-    if stored(out.dtype) == "BFLOAT16":
+    if storage(out.dtype) == "BFLOAT16":
         return _on_amx(device, packed, a, out, stride)
     if side == 0 or packed.direct.shape[0] != 3:
         return _direct(device, packed, out, stride, final)
     if tuning.winograd is not None and whole_eights:
         return _winograd(device, packed, out, side if stride == 1 else 2, stride, final)
     if tuning.local is not None:
-        if tuning.local.matrix_units and stored(out.dtype) == "HALF" and whole_eights and matrix_units.prove(device):
+        if tuning.local.matrix_units and storage(out.dtype) == "HALF" and whole_eights and matrix_units.prove(device):
             return conv_gpu.on_matrix_units(device, packed, out, stride, tuning.local.rows, images)
         return conv_gpu.local(device, packed, out, stride, tuning.local.rows, images)
     return _direct(device, packed, out, stride, final)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from stss_cl.device.buffers import BFLOAT16, ChangeMaps, Inputs, Padded, padded, stored
+from stss_cl.device.buffers import BFLOAT16, ChangeMaps, Inputs, Padded, padded, storage
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import GROUP, list_size
 from stss_cl.device.launch import Arguments
@@ -113,7 +113,7 @@ class LayerBuilder:
         # Interpolation is not contracted, so that it has the reference's bits.
         flags = FAST_MULTIPLY_ADD if stage == "erm" else ""
         workers = 1 if self._device.is_cpu else workers
-        source = KernelSource(file, name, {**options, "WORKERS": workers, "STORED": stored(self._dtype)}, flags)
+        source = KernelSource(file, name, {**options, "WORKERS": workers, "STORED": storage(self._dtype)}, flags)
         group = 1 if self._device.is_cpu else max(GROUP, workers)
         size = list_size(self._device, tiling.most, workers=workers, group=group)
         maps = tuple(held.changes for held in reads if held.changes is not None)

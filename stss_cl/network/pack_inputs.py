@@ -8,7 +8,7 @@ from math import gcd
 import numpy as np
 import pyopencl as cl
 
-from stss_cl.device.buffers import FLAGS, Inputs, stored
+from stss_cl.device.buffers import FLAGS, Inputs, storage
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import grid
 from stss_cl.device.program import build
@@ -20,7 +20,7 @@ class PackInputs:
 
     def __init__(self, device: Device, inputs: Inputs, height: int, width: int):
         self._device, self._inputs, self._size = device, inputs, (np.int32(height), np.int32(width))
-        options: dict[str, object] = {"STORED": stored(inputs.input.dtype)}
+        options: dict[str, object] = {"STORED": storage(inputs.input.dtype)}
         program = build(device, "encoder.cl", {**options, "STREAM": device.streams})
         eighth = build(device, "downsample_8.cl", {"MASK": "float", **options}, FAST_MULTIPLY_ADD)
         self._input, self._history = cl.Kernel(program, "pack_input"), cl.Kernel(program, "pack_history")

@@ -69,7 +69,7 @@ class OutputFolder:
         return [path for path in (*found, self.path / SUMS) if os.path.lexists(path)]
 
     @contextmanager
-    def opened(self, *, refusal: str | None) -> Generator[None, None, None]:
+    def open(self, *, refusal: str | None) -> Generator[None, None, None]:
         """Hold the folder's lock and make the folder if need be. No finished file is removed.
 
         Args:

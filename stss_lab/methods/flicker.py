@@ -165,7 +165,7 @@ def print_flicker(found: Flicker, console: Console) -> None:
 
 
 def _shown(pair: Pair, sequence: Frames) -> tuple[Image, Image]:
-    image, truth = pair.shown()
+    image, truth = pair.load()
     require_size(pair.output, image, sequence.path, (2 * sequence.size[0], 2 * sequence.size[1]))
     return image, truth
 

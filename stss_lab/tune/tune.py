@@ -14,7 +14,7 @@ from rich.table import Table
 
 from stss.devices.selection import choose
 from stss_cl.device.discovery import Device, DeviceError, Properties, matching
-from stss_cl.device.tuning import OUTPUTS, Direct, Local, Tuning, Winograd, built_in, store, stored, stored_path, to_toml
+from stss_cl.device.tuning import OUTPUTS, Direct, Local, Tuning, Winograd, built_in, read_tuning, store, stored_path, to_toml
 from stss_lab.tune.tile_timing import SHAPES, Sizes, Trials, direct_candidates, local_candidates, winograd_candidates
 
 MARGIN = 1.02
@@ -127,7 +127,7 @@ def run(name: str | None, size: tuple[int, int], *, show: bool, console: Console
         _drop_wrong_rows(name, tell)
     device = choose(name, tell)
     if show:
-        row = stored(device)
+        row = read_tuning(device)
         source = f"stored in {stored_path(device)}" if row else "built-in"
         console.print(
             f"# {device.name}, {device.driver}: {source}",
@@ -173,7 +173,7 @@ def _drop_wrong_rows(name: str | None, tell: Callable[[str], None]) -> None:
     for handle in matching(os.environ.get("STSS_DEVICE") if name is None else name).values():
         device = Properties(handle)
         try:
-            stored(device)
+            read_tuning(device)
         except DeviceError as error:
             tell(f"removed: {error}")
             store(device, None)

@@ -18,7 +18,7 @@ from rich.console import Console
 from stss.devices import compiled_for, selftest, verdicts
 from stss.devices import selection as devices
 from stss.devices.selection import choose
-from stss.devices.verdicts import Verdict, known, run_selftest, verdict
+from stss.devices.verdicts import Verdict, find_verdict, run_selftest, verdict
 from stss_cl.device import amx, program
 from stss_cl.device import discovery as cl_device
 from stss_cl.device.discovery import DeviceError, open_device
@@ -199,9 +199,9 @@ NEVER = child("raise SystemExit('a kept verdict needs no child')")
 
 def test_a_verdict_is_kept_until_told_otherwise():
     handle = fake("A", "cpu")
-    assert known("A: cpu", handle) is None
+    assert find_verdict("A: cpu", handle) is None
     first = verdict("A: cpu", handle, command=answer(PASSED))
-    assert verdict("A: cpu", handle, command=NEVER) == first == known("A: cpu", handle)
+    assert verdict("A: cpu", handle, command=NEVER) == first == find_verdict("A: cpu", handle)
     assert verdict("A: cpu", handle, again=True, command=answer({"why": "x", "gflops": 0})).why == "x"
     assert verdict("A: cpu", handle, command=NEVER).why == "x"
 
@@ -209,8 +209,8 @@ def test_a_verdict_is_kept_until_told_otherwise():
 def test_a_verdict_lapses_when_anything_changes(monkeypatch):
     handle = fake("A", "cpu")
     verdict("A: cpu", handle, command=answer(PASSED))
-    assert known("A: cpu #2", handle) is None
-    assert known("A: cpu", fake("A", "cpu", driver="2")) is None
+    assert find_verdict("A: cpu #2", handle) is None
+    assert find_verdict("A: cpu", fake("A", "cpu", driver="2")) is None
     for change in (
         lambda m: m.setattr(verdicts, "VERSION", "0"),
         lambda m: m.setattr(verdicts, "_sources", lambda: "others"),
@@ -219,8 +219,8 @@ def test_a_verdict_lapses_when_anything_changes(monkeypatch):
     ):
         with monkeypatch.context() as changed:
             change(changed)
-            assert known("A: cpu", handle) is None
-    assert known("A: cpu", handle)
+            assert find_verdict("A: cpu", handle) is None
+    assert find_verdict("A: cpu", handle)
 
 
 # A busy machine
@@ -290,10 +290,10 @@ def test_what_does_not_last_is_not_kept(monkeypatch, kind):
     monkeypatch.setenv("STSS_SELFTEST_SECONDS", "1")
     first = verdict(NAME, HANDLE, command=child(NOT_THE_DEVICE[kind]))
     assert not first.passed
-    assert known(NAME, HANDLE) is None
+    assert find_verdict(NAME, HANDLE) is None
     assert verdict(NAME, HANDLE, command=child(ANSWER)).passed
     verdict("A fault of the driver", HANDLE, command=child(f"os.kill(os.getpid(), {int(signal.SIGSEGV)})"))
-    assert known("A fault of the driver", HANDLE).outcome == "crashed"
+    assert find_verdict("A fault of the driver", HANDLE).outcome == "crashed"
 
 
 @pytest.mark.skipif(os.name == "nt", reason="the test holds a lock by flock")

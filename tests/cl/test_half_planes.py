@@ -12,7 +12,7 @@ from stss.demo import write_demo_sequence
 from stss.frames.backends import ReferenceBackend, open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import HALF as HALF_IN_FRAMES
-from stss.frames.display_frame import frame_inputs, halved, prepare, window_at
+from stss.frames.display_frame import frame_inputs, halve, prepare, window_at
 from stss.frames.supersample import plan
 from stss.images.color import transfer
 from stss.sequence.reader import open_sequence
@@ -52,7 +52,7 @@ def test_every_half_is_widened(device, shape, there):
 @pytest.mark.parametrize(("skip", "where"), [("exact", "host"), ("exact", "device"), ("off", "mixed"), ("exact", "mixed")])
 def test_frames_of_half_have_the_bits_of_the_same_values_in_float32(device, skip, where):
     """One by one and one ahead; mixed: every third frame comes in float32, though its values are those of half."""
-    frames = [halved(made) for made in film()]
+    frames = [halve(made) for made in film()]
     want = right(device, calls_of([*map(widened, frames)]))
     if where == "device":
         frames = [on(device, made) for made in frames]
@@ -71,7 +71,7 @@ def test_frames_of_half_have_the_bits_of_the_same_values_in_float32(device, skip
 @pytest.mark.parametrize("precision", ["float32", "half"])
 def test_the_error_is_that_of_the_rounded_planes(device, precision):
     """Against the reference in float64 of the planes as they were rounded: the rows of the table that hold for float32."""
-    frames = [halved(made) for made in film(["moving"] * 6)]
+    frames = [halve(made) for made in film(["moving"] * 6)]
     stream, weights, judged = Stream(WEIGHTS, device, precision), astype(WEIGHTS, np.float64), 0
     for window, steps in calls_of(frames):
         inputs = vars(frame_inputs(window, steps))
@@ -100,7 +100,7 @@ def test_motion_and_position_stay_float32(device, name, there):
 @pytest.mark.parametrize("there", [False, True], ids=["host", "device"])
 @pytest.mark.parametrize("name", HALF)
 def test_what_is_not_finite_in_half_is_named(device, name, there):
-    frames = [halved(made) for made in film(["moving"] * 4)]
+    frames = [halve(made) for made in film(["moving"] * 4)]
     getattr(frames[4], name).reshape(-1)[77] = np.inf
     shown = [on(device, made) for made in frames] if there else frames
     with pytest.raises(ArrayError, match=f"^{name}: 1 non-finite values"):
@@ -112,13 +112,13 @@ def test_halved_rounds_what_half_can_hold():
     color = made.color.copy()
     color[0, 0] = 1 + 2.0**-11, 1 + 3 * 2.0**-11, 2.0**-25  # ties go to the even neighbour
     stencil = np.full(SIZE, 2048, np.float32)
-    rounded = halved(replace(made, color=color, stencil=stencil))
+    rounded = halve(replace(made, color=color, stencil=stencil))
     assert {name: getattr(rounded, name).dtype for name in HALF} == dict.fromkeys(HALF, np.float16)
     np.testing.assert_array_equal(rounded.color[0, 0], [1, 1 + 2.0**-9, 0])
     assert rounded.motion is made.motion
     assert rounded.position is made.position
     np.testing.assert_array_equal(rounded.stencil, stencil)
-    assert halved(replace(made, color=None)).color is None
+    assert halve(replace(made, color=None)).color is None
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,7 @@ def test_what_half_cannot_hold_stays_float32(name, value):
     made = film(["moving"])[0]
     plane = getattr(made, name).copy()
     plane[3, 4] = value
-    kept = halved(replace(made, **{name: plane}))
+    kept = halve(replace(made, **{name: plane}))
     assert getattr(kept, name) is plane
     assert sum(getattr(kept, each).dtype == np.float16 for each in HALF) == len(HALF) - 1
 

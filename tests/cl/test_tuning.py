@@ -19,8 +19,8 @@ from stss_cl.device.tuning import (
     Winograd,
     built_in,
     built_in_rows,
+    read_tuning,
     store,
-    stored,
     stored_path,
     to_toml,
     tuning_for,
@@ -95,9 +95,9 @@ def test_what_is_compiled_for_stands_in_the_version(version, target):
 def test_what_is_kept_comes_back(row):
     device = fake('P: a "name" with \\ and é')
     before = tuning_for(device)
-    assert stored(device) is None
+    assert read_tuning(device) is None
     store(device, row)
-    assert stored(device) == row == tuning_for(device)
+    assert read_tuning(device) == row == tuning_for(device)
     for other in (fake("P: two"), replace_driver(device)):
         assert tuning_for(other) == built_in(other)
     store(device, None)
@@ -111,7 +111,7 @@ def replace_driver(device):
 def test_other_kernels_need_other_rows(monkeypatch):
     store(fake(), ROW)
     monkeypatch.setattr(tuning, "_kernels", lambda: ("changed",))
-    assert stored(fake()) is None
+    assert read_tuning(fake()) is None
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ def test_every_candidate_could_be_kept(outputs, is_cpu):
         key = "winograd" if isinstance(sizes, Winograd) else "direct"
         row = replace(ROW, **{key: {**getattr(ROW, key), outputs: sizes}})
         store(device, row)
-        assert stored(device) == row
+        assert read_tuning(device) == row
 
 
 def shape_like(outputs, stride, gated):
@@ -227,7 +227,7 @@ def test_the_command_on_a_device(device, monkeypatch):
     out, told = run(device, monkeypatch)
     assert "winograd 24" in out
     assert len(told) == 4
-    assert (stored(device) is not None) == ("stored: " in out)
+    assert (read_tuning(device) is not None) == ("stored: " in out)
     shown, _ = run(device, monkeypatch, show=True)
     assert to_toml(tuning_for(device)) in shown
 

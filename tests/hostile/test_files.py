@@ -467,7 +467,7 @@ def test_the_second_run_says_who_has_the_folder(demo, finished, tmp_path):
     """It ends with status 2, and the first one never knows: its temporary files are left alone."""
     out = tmp_path / "out"
     folder = OutputFolder(out, ("", "holes"), r"frame\.\d+\.(exr|png)")
-    with folder.opened(refusal=None):
+    with folder.open(refusal=None):
         unfinished = out / f".stss-{'0' * 12}.part"
         unfinished.write_bytes(b"being written")
         before = contents(out)

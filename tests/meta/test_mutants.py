@@ -30,7 +30,7 @@ def tried(stage, *, large):
         return samples(stage)
     judge = Judge(ReferencePort())
     made = [make(np.random.default_rng(0)) for make in large_inputs(stage, TIERS["quick"].large)]
-    return [judge.asked(stage, *(case if STAGES[stage].weights else (case,))) for case in made]
+    return [judge.make_case(stage, *(case if STAGES[stage].weights else (case,))) for case in made]
 
 
 @cache

@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from stss.frames.display_frame import halved
+from stss.frames.display_frame import halve
 from stss_cl.device import matrix_units, program
 from stss_cl.device.discovery import open_device
 from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
@@ -37,7 +37,7 @@ def programs(row):
     """The programs of one row of ``tuning.toml``, such as ``nvidia`` or ``amd``, in the order in which they are built."""
     device = open_device(device_class="gpu")
     tuning, frames = built_in_rows(BUILT_IN).classes[row], film(7 * ["nothing"], SIZE)
-    frames[-1] = halved(frames[-1])
+    frames[-1] = halve(frames[-1])
     with trial(tuning), matrix_units.trial(row == "nvidia"), pytest.MonkeyPatch.context() as patch:
         matrix_units.prove(device)  # builds, and launches, what asks for them
         launch_nothing(patch)
