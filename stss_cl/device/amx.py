@@ -6,10 +6,8 @@ from __future__ import annotations
 import ctypes
 import os
 import platform
-import re
 from contextlib import suppress
 from functools import cache
-from pathlib import Path
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -19,8 +17,8 @@ from stss_cl.device.buffers import FLAGS, constant, to_bfloat16
 from stss_cl.device.discovery import Device, Properties
 from stss_cl.device.program import build
 from stss_ground.errors import DeviceError
+from stss_ground.machine import cpu_flags
 
-CPUINFO = Path("/proc/cpuinfo")
 NEEDED = frozenset({"amx_tile", "amx_bf16"})
 """Flags of a processor whose tiles multiply bfloat16; Linux lists one only if the kernel, too, can use it."""
 ARCH_PRCTL, REQUEST_PERMISSION, TILE_DATA = 158, 0x1023, 18
@@ -33,7 +31,7 @@ def missing(device: Properties) -> str:
     """Why products of bfloat16 are emulated on this device; "" if they need not be, as far as can be said without trying."""
     if device.kind != "CPU" or not device.is_cpu:
         return "no processor"
-    if platform.machine() != "x86_64" or not flags() >= NEEDED:
+    if platform.machine() != "x86_64" or not cpu_flags() >= NEEDED:
         return "the processor has no matrix units for bfloat16 (AMX)"
     return "" if permitted() else "the system refuses its matrix units (AMX)"
 
@@ -51,14 +49,6 @@ def are_used(device: Device) -> bool:
 def emulated(device: Device) -> str:
     """Why products of bfloat16 are emulated; "" if they are not."""
     return missing(device) or ("" if are_used(device) else "a product of its matrix units (AMX) was wrong, or did not build")
-
-
-def flags() -> frozenset[str]:
-    """What Linux says that the processor can do; empty elsewhere."""
-    with suppress(OSError):
-        found = re.search(r"^flags\s*:(.*)$", CPUINFO.read_text(encoding="utf-8"), re.MULTILINE)
-        return frozenset(found[1].split()) if found else frozenset()
-    return frozenset()
 
 
 @cache

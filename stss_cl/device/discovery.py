@@ -17,6 +17,7 @@ from pyopencl.tools import ImmediateAllocator, MemoryPool
 
 from stss_cl.device.caches import pocl_cache
 from stss_cl.device.generated_code import generate_once
+from stss_cl.device.known_processor import given_name, name_processor, substitute
 from stss_cl.device.linker import provide
 from stss_ground.errors import DeviceError
 
@@ -160,7 +161,7 @@ class Properties:
     def target(self) -> str:
         """LLVM's name of the processor that kernels are compiled for, from the end of PoCL's device version; "" if unknown."""
         found = re.search(r"-(?:gnu|musl|darwin[\d.]*|msvc)-(\S+)$", _one_line(self.handle.version))
-        return found[1] if found else ""
+        return given_name(self.handle) or (found[1] if found else "")
 
     @property
     def platform_version(self) -> str:
@@ -234,11 +235,13 @@ def find_devices() -> list[cl.Device]:
             return []
     handles: list[cl.Device] = []
     for runtime in platforms:
-        with pocl_cache(hashlib.sha256(runtime.version.encode()).hexdigest()[:16]):
+        with pocl_cache(hashlib.sha256((runtime.version + substitute()).encode()).hexdigest()[:16]):
             try:
                 handles += runtime.get_devices()
             except cl.Error:
                 continue  # a platform without devices raises an error
+    for handle in handles:
+        name_processor(handle)
     return sorted(handles, key=full_name)
 
 

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: MIT
+"""Name a processor for PoCL's compiler where it is newer than the compiler.
+
+LLVM 14, in PoCL 3.0 and 3.1, calls Zen 5 ``generic``, which its own front end refuses: no kernel builds. PoCL reads the name from its
+record of the device whenever it compiles. So it is replaced there by that of an older processor, all of whose instructions this one has.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from functools import cache
+
+import pyopencl as cl
+
+from stss_ground.machine import cpu_flags
+
+UNKNOWN = "generic"
+AVX2 = frozenset({"avx", "avx2", "fma", "bmi1", "bmi2", "f16c", "movbe", "abm"})
+AVX512 = AVX2 | {
+    *("avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl", "avx512ifma", "avx512vbmi", "avx512_vbmi2", "avx512_vnni"),
+    *("avx512_bitalg", "avx512_vpopcntdq", "gfni", "vaes", "vpclmulqdq", "sha_ni"),
+}
+KNOWN = "generic"
+AVX2 = frozenset({"avx", "avx2", "fma", "bmi1", "bmi2", "f16c", "movbe", "abm"})
+AVX512 = AVX2 | frozenset(
+    "avx512f avx512cd avx512bw avx512dq avx512vl avx512ifma avx512vbmi avx512_vbmi2 avx512_vnni avx512_bitalg avx512_vpopcntdq "
+    "gfni vaes vpclmulqdq sha_ni".split()
+)
+KNOWN = (("icelake-client", AVX512), ("haswell", AVX2), ("x86-64", frozenset[str]()))
+"""Names, the best first, and what a processor must have of what a compiler uses unasked, as Linux says it."""
+RECORD = 2048
+"""Bytes of a device's record in which the name is looked for; in PoCL 3.0 it is at 640."""
+
+_named: dict[int, ctypes.Array[ctypes.c_char]] = {}
+"""The name given, by the address of the device's record; it must live as long as the process."""
+
+
+@cache
+def substitute() -> str:
+    """What to call this processor where its own name is not known; "" on a system that can't say what it has."""
+    flags = cpu_flags()
+    return next(name for name, needed in KNOWN if flags >= needed) if flags and sys.platform == "linux" else ""
+
+
+def name_processor(handle: cl.Device) -> None:
+    """Have PoCL compile for ``substitute()`` if its compiler does not know the processor; else nothing changes."""
+    if not handle.version.rstrip().endswith(f"-{UNKNOWN}") or not substitute() or handle.int_ptr in _named:
+        return
+    for place in range(handle.int_ptr, handle.int_ptr + RECORD, 8):
+        pointer = int.from_bytes(_read(place, 8), "little")
+        if pointer and _read(pointer, len(UNKNOWN) + 1) == UNKNOWN.encode() + b"\0":
+            _named[handle.int_ptr] = name = ctypes.create_string_buffer(substitute().encode())
+            ctypes.c_void_p.from_address(place).value = ctypes.addressof(name)
+            return
+
+
+def given_name(handle: cl.Device) -> str:
+    """The name that the processor was given; "" if it has its own."""
+    name = _named.get(getattr(handle, "int_ptr", 0))
+    return name.value.decode() if name else ""
+
+
+class _Piece(ctypes.Structure):
+    _fields_ = (("start", ctypes.c_void_p), ("size", ctypes.c_size_t))
+
+
+def _read(address: int, size: int) -> bytes:
+    """Memory of this process through the system, which refuses what is not there: then it is empty."""
+    held = ctypes.create_string_buffer(size)
+    pieces = (ctypes.byref(_Piece(where, size)) for where in (ctypes.addressof(held), address))
+    got = ctypes.CDLL(None).process_vm_readv(os.getpid(), next(pieces), 1, next(pieces), 1, 0)
+    return held.raw if got == size else b""

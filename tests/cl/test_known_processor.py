@@ -1,0 +1,71 @@
+"""Processors that PoCL's compiler does not know: they get the name of one that it knows, and never of one that can do more."""
+
+import ctypes
+from types import SimpleNamespace
+
+import pytest
+
+from stss_cl.device import known_processor
+from stss_cl.device.discovery import Properties
+from stss_cl.device.known_processor import AVX2, AVX512, given_name, name_processor, substitute
+from tests.cl.conftest import opened_as
+
+VERSION = "OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-"
+
+
+@pytest.fixture
+def machine(monkeypatch):
+    """A processor that can do ``flags``, in whose record the name stands at ``place``; gives its handle and what the record then names."""
+    kept = []
+
+    def made(flags, name="generic", place=640):
+        monkeypatch.setattr(known_processor, "cpu_flags", lambda: frozenset(flags))
+        monkeypatch.setattr(known_processor.sys, "platform", "linux")
+        monkeypatch.setattr(known_processor, "_named", {})
+        substitute.cache_clear()
+        own, other, record = (
+            ctypes.create_string_buffer(name.encode()),
+            ctypes.create_string_buffer(b"generic-ish"),
+            (ctypes.c_void_p * 1024)(),
+        )
+        record[place // 8], record[3] = ctypes.addressof(own), ctypes.addressof(other)
+        record[5] = 8  # a number that is no address
+        kept.append((own, other, record))
+        handle = SimpleNamespace(version=VERSION + name, int_ptr=ctypes.addressof(record), type=2)
+        return handle, lambda: ctypes.string_at(record[place // 8]).decode()
+
+    yield made
+    substitute.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("flags", "name"),
+    [(AVX512, "icelake-client"), (AVX512 - {"avx512_vbmi2"}, "haswell"), (AVX2, "haswell"), (AVX2 - {"fma"}, "x86-64")],
+)
+def test_an_unknown_processor_gets_the_name_of_one_that_can_do_no_more(machine, flags, name):
+    handle, named = machine(flags)
+    assert (named(), given_name(handle)) == ("generic", "")
+    name_processor(handle)
+    assert named() == given_name(handle) == Properties(handle).target == name
+    name_processor(handle)
+    assert named() == name
+
+
+def test_what_is_known_or_not_to_be_found_stays(machine):
+    handle, named = machine(AVX512, "znver3")
+    name_processor(handle)
+    assert (named(), Properties(handle).target) == ("znver3", "znver3")
+    handle, named = machine(AVX512, place=known_processor.RECORD)
+    name_processor(handle)
+    assert (named(), Properties(handle).target) == ("generic", "generic")
+    handle, named = machine(())  # a system that doesn't say
+    name_processor(handle)
+    assert named() == "generic"
+
+
+def test_memory_that_is_not_there_is_no_fault():
+    assert known_processor._read(8, 8) == b""
+
+
+def test_this_processor_is_one_for_which_kernels_build():
+    assert opened_as("cpu").target != "generic"
