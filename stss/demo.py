@@ -12,14 +12,11 @@ from rich.console import Console
 from conformance.scenes import DEMO, Rendered, render
 from stss.frames.backends import DEFAULTS, open_backend
 from stss.frames.compute_options import ComputeOptions
-from stss.images.color import transfer
-from stss.images.contact_sheet import COMPARISON, comparison, contact_sheet, magnify
-from stss.images.read_write import encode_channels, encode_rgb, read_rgb
+from stss.images.read_write import encode_channels, encode_rgb
 from stss.pages.viewer import page_folder
 from stss.quality.compare import Comparison, compare, print_comparison
 from stss.quality.comparison_page import RenderedInputs, Version, write_comparison
 from stss.quality.output_and_truth import find_pairs
-from stss.run.frame_job import frame_name
 from stss.run.job import folder_of, run
 from stss.run.options import RunOptions
 from stss.sequence.choose_weights import AUTO, choose_weights
@@ -28,7 +25,7 @@ from stss.weights.file import BILINEAR, load
 from stss_ground.output.apart import require_places
 from stss_ground.output.folder import OutputFolder
 from stss_ground.progress import show_progress
-from stss_ref.arrays import Array, Plane
+from stss_ref.arrays import Plane
 
 FRAMES = 16
 SIZE = (90, 160)
@@ -52,8 +49,6 @@ _CHANNELS: Mapping[str, tuple[str, ...]] = {
     "metallic": ("metallic.X",),
 }
 _HALF = ("R", "G", "B", *_CHANNELS["base_color"], *_CHANNELS["roughness"], *_CHANNELS["metallic"])
-_CROPS = {"pole and ball": (0.5, 0.57), "gold sphere": (0.4, 0.0)}  # corner as a share of height and width
-_MAGNIFIED = 4
 _MEANINGS = {
     "bilinear": "The newest rendered frame, warped to now in an EF, enlarged bilinearly: the method without its network.",
     "output": "Made by stss.",
@@ -71,10 +66,10 @@ def demo(
     size: tuple[int, int] = SIZE,
     console: Console,
 ) -> None:
-    """Render the scene, run the main job on it, compare with the truth, and make a sheet of pictures.
+    """Render the scene, run the main job on it, compare with the truth, and make a page to look at.
 
-    Writes ``out/frames``, ``out/truth``, ``out/output``, ``out/pictures``, ``out/sheet.png`` and ``out/page.html``; with weights other than
-    ``bilinear`` also ``out/bilinear``, to compare with.
+    Writes ``out/frames``, ``out/truth``, ``out/output`` and ``out/page.html``; with weights other than ``bilinear`` also ``out/bilinear``,
+    to compare with.
 
     Args:
         out: the folder; made if need be.
@@ -104,13 +99,11 @@ def demo(
             options = RunOptions(overwrite=overwrite)
             run(sequence, out / name, engine, method.label, options, lambda _, made=advance: made(), [Path(weights)])
         console.print(f"{method.source} against the truth:", highlight=False, markup=False)
-        found[name] = compare(out / name, out / "truth", frames=None, pictures=out / "pictures" / name)
+        found[name] = compare(out / name, out / "truth")
         print_comparison(found[name], console)
-    outputs = {number: out / "output" / frame_name(number, "exr") for number in sequence.numbers}
     versions = [Version(n, _MEANINGS[n], find_pairs(out / n, out / "truth")[0], compared) for n, compared in found.items()]
     folder = _folder(out)
     with folder.open(refusal=None):
-        folder.write("sheet.png", encode_rgb(out / "sheet.png", demo_sheet(out, outputs)))
         write_comparison(
             out / "page.html",
             "stss demo: half of the frames rendered, at half the size",
@@ -120,7 +113,6 @@ def demo(
         )
         folder.finish(remove_others=False)
     console.print(f"page to look at: {out / 'page.html'}", soft_wrap=True, highlight=False, markup=False)
-    console.print(f"pictures to look at: {out / 'sheet.png'}", soft_wrap=True, highlight=False, markup=False)
 
 
 def write_demo_sequence(
@@ -170,46 +162,10 @@ def frame_channels(frame: Rendered, *, rendered: bool) -> dict[str, Plane]:
     return {name: plane.astype(np.float32) for name, plane in planes.items()}
 
 
-def demo_sheet(out: Path, outputs: Mapping[int, Path]) -> Array:
-    """Lay out rendered frames, outputs and truth side by side: one EF and one SF, whole and magnified.
-
-    Args:
-        out: the folder of `write_demo_sequence`.
-        outputs: display frame -> its output, EXR; the last two are shown. The frames they came from must be in ``out``.
-
-    Returns:
-        (H', W', 3) display-referred; see `contact_sheet`.
-    """
-    rows: list[tuple[str, list[Array]]] = []
-    for number in sorted(outputs)[-2:]:
-        images = _row(out, number, outputs[number])
-        rendered = number % 2 == 0
-        caption = f"SF {number}" if rendered else f"EF {number}: not rendered, the two left columns show frame {number - 1}"
-        rows.append((caption, images))
-        height, width, _ = images[0].shape
-        crop = height // _MAGNIFIED, width // _MAGNIFIED
-        for name, (y, x) in _CROPS.items():
-            part = (int(y * height), int(x * width), *crop)
-            caption = f"{'SF' if rendered else 'EF'} {number}, {name}, x{_MAGNIFIED}"
-            rows.append((caption, [_fill(magnify(image, part, _MAGNIFIED), image.shape) for image in images]))
-    return contact_sheet(rows, COMPARISON)
-
-
 def demo_path(folder: Path, number: int) -> Path:
     """The path of a frame of the demo."""
     return folder / f"demo.{number:04d}.exr"
 
 
-def _row(out: Path, number: int, output: Path) -> list[Array]:
-    paths = demo_path(out / "frames", number - number % 2), output, demo_path(out / "truth", number)
-    low, image, truth = (transfer("srgb").display(read_rgb(path)) for path in paths)
-    return comparison(low, image, truth)
-
-
-def _fill(image: Array, shape: tuple[int, ...]) -> Array:
-    """Repeat the last row and column up to ``shape``: a magnified part is up to three pixels short of the whole."""
-    return np.pad(image, ((0, shape[0] - image.shape[0]), (0, shape[1] - image.shape[1]), (0, 0)), mode="edge")
-
-
 def _folder(out: Path) -> OutputFolder:
-    return OutputFolder(out, ("", "frames", "truth"), r"demo\.\d+\.exr|sheet\.png|page\.html")
+    return OutputFolder(out, ("", "frames", "truth"), r"demo\.\d+\.exr|page\.html")

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from stss.images.color import transfer
-from stss.images.contact_sheet import magnify
 from stss.images.read_write import read_rgb, write_rgb
 
 FRAME = 13
@@ -18,7 +17,9 @@ GAP = 8  # white columns between two panels
 
 def panel(path):
     """The part of a frame as a screen shows it."""
-    return magnify(transfer("srgb").display(read_rgb(path)), PART, ZOOM)
+    y, x, height, width = PART
+    shown = transfer("srgb").display(read_rgb(path))[y : y + height, x : x + width]
+    return shown.repeat(ZOOM, axis=0).repeat(ZOOM, axis=1)
 
 
 if __name__ == "__main__":

@@ -9,13 +9,14 @@ from conformance.scenes import SCENES
 from stss.frames.display_frame import window_at
 from stss.frames.supersample import plan
 from stss.images.read_write import write_rgb
-from stss.run.skip_report import picture
 from stss.sequence.scenes import display_frames
 from stss.weights.file import load
 from stss_cl.skip.stream import Stream
 
 PANELS = ("interface", "object", "sky")
 COUNT = 13  # the last frame is an SF, computed after several of its kind
+BUSY, DIM = (1.0, 0.35, 0.05), 0.5
+"""Colour of what was computed; brightness of the rest, which is grey, as a share of the frame's."""
 
 
 def panel(scene):
@@ -24,7 +25,9 @@ def panel(scene):
     for number in range(COUNT):
         window = window_at(frames, number)
         image, _ = stream(window, plan(window).steps)
-    return picture(image, stream.activity())
+    share = stream.activity().repeat(8, axis=0).repeat(8, axis=1)[: image.shape[0], : image.shape[1], None]
+    grey = DIM * np.clip(image, 0, 1).mean(axis=-1, keepdims=True)
+    return grey + share * (1 - DIM) * np.asarray(BUSY, np.float32)
 
 
 if __name__ == "__main__":

@@ -27,7 +27,6 @@ from stss_ground.terminal import Terminal, echo
 @click.argument("out", type=PATH)
 @click.argument("truth", type=PATH)
 @click.option("--frames", type=FrameRange(), help="First and last frame to compare.")
-@click.option("--pictures", type=PATH, help="Folder for pictures of output, truth and difference.")
 @click.option("--html", type=PATH, help="File for a page to look at: slider, flicker, difference, plots; needs no network.")
 @click.option("--sequence", type=PATH, help="The input of OUT, to show it on the page.")
 @sequence_options
@@ -37,7 +36,6 @@ def compare_command(
     out: Path,
     truth: Path,
     frames: tuple[int, int] | None,
-    pictures: Path | None,
     html: Path | None,
     sequence: Path | None,
     flip: bool,
@@ -57,14 +55,11 @@ def compare_command(
     require_places(
         {"--html": html},
         () if files is None else files.reads,
-        folders=[
-            *([] if html is None else [page_folder(html)]),
-            *([] if pictures is None else [comparing.picture_folder(pictures)]),
-        ],
+        folders=[] if html is None else [page_folder(html)],
         inputs=comparing.files_of(pairs),
     )
     shown = partial(track, console=Terminal(stderr=True))
-    comparison = comparing.compare(out, truth, frames=frames, pictures=pictures, flip=flip, vmaf=vmaf, track=shown)
+    comparison = comparing.compare(out, truth, frames=frames, flip=flip, vmaf=vmaf, track=shown)
     if as_json:
         click.echo(comparison.to_json())
     else:

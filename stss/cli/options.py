@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import click
 
 from stss.frames.backends import BACKENDS
-from stss.frames.compute_options import PRECISIONS, SKIPS, ComputeOptions, Precision
+from stss.frames.compute_options import PRECISIONS, SKIPS, ComputeOptions, Precision, Skip
 from stss.frames.display_frame import PLANE_TYPES
 from stss.images.color import TRANSFERS
 from stss.images.headers import MAX_SIDE
@@ -125,9 +125,9 @@ def backend_options(command: Command) -> Command:
     """Add the options of commands that compute frames; the command gets ``backend`` and ``compute``, a ``ComputeOptions``."""
 
     @wraps(command)
-    def collected(*, device: str | None, precision: Precision, memory_limit: int | None, **others: Any) -> Any:
+    def collected(*, device: str | None, precision: Precision, memory_limit: int | None, skip: Skip, **others: Any) -> Any:
         limit = None if memory_limit is None else memory_limit << 20
-        return command(**others, compute=ComputeOptions(device=device, precision=precision, memory_limit=limit))
+        return command(**others, compute=ComputeOptions(device, precision, limit, skip))
 
     options = (
         click.option("--backend", type=click.Choice(BACKENDS), default="cl", show_default=True, help="OpenCL, or the reference."),
@@ -145,6 +145,13 @@ def backend_options(command: Command) -> Command:
             metavar="MIB",
             help="Memory for the network's buffers; larger frames go in strips  [default: half of the device's memory]",
         ),
+        click.option(
+            "--skip",
+            type=click.Choice(SKIPS),
+            default="exact",
+            show_default=True,
+            help="off: compute everything; exact: reuse what did not change, with the same bits.",
+        ),
     )
     decorated: Any = grouped("The device", *options)(collected)
     return decorated
@@ -156,39 +163,6 @@ weights_option = click.option(
     show_default=True,
     help="realtime or antialiased, which come with stss; a .safetensors file; bilinear: no network; auto: what suits the frames.",
 )
-
-
-class Milliseconds(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
-    """A time such as ``40ms``, in seconds."""
-
-    name = "MS"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Parse; a wrong one is the user's mistake."""
-        if isinstance(value, float):
-            return value
-        try:
-            found = float(str(value).removesuffix("ms")) / 1e3
-        except ValueError:
-            found = 0.0
-        if not 0 < found < float("inf"):
-            self.fail(f"expected a time such as 40ms, got {value!r}", param, ctx)
-        return found
-
-
-def skip_options(command: Command) -> Command:
-    """Add the options of commands that compute frames in sequence and may skip what does not change."""
-    options = (
-        click.option(
-            "--skip",
-            type=click.Choice(SKIPS),
-            help="off: compute everything; exact: reuse what did not change, with the same bits  [default: exact]",
-        ),
-        click.option(
-            "--budget", type=Milliseconds(), help="Time for a frame, such as 40ms: take the most accurate setting within it."
-        ),
-    )
-    return grouped("Time", *options)(command)
 
 
 def perceptual_options(command: Command) -> Command:

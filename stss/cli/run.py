@@ -15,25 +15,22 @@ from stss.cli.options import (
     backend_options,
     frame_options,
     sequence_options,
-    skip_options,
     weights_option,
 )
-from stss.cli.progress import show_frames
-from stss.cluster.run import Cluster, require_no_budget, run_on_cluster
+from stss.cluster.run import Cluster, run_on_cluster
 from stss.frames.backends import open_backend
-from stss.frames.compute_options import ComputeOptions, Skip
-from stss.run.choose_backend import first_frames, with_skipping, within_budget
+from stss.frames.compute_options import ComputeOptions
 from stss.run.frame_job import FrameReport
 from stss.run.job import Summary
 from stss.run.job import run as run_sequence
 from stss.run.options import RunOptions
-from stss.run.preview import Preview, require_preview
-from stss.run.skip_report import describe_costs
+from stss.run.skip_report import Tally, describe_costs
 from stss.sequence.choose_weights import choose_weights
 from stss.sequence.reader import open_sequence
 from stss_ground.commands import GroupedOptions
 from stss_ground.errors import InputError
 from stss_ground.option_kinds import PATH
+from stss_ground.progress import show_progress
 from stss_ground.terminal import Terminal, echo, printable
 from stss_ref.schedule import FrameKind
 
@@ -44,13 +41,10 @@ from stss_ref.schedule import FrameKind
 @sequence_options
 @weights_option
 @backend_options
-@skip_options
 @frame_options
 @click.option("--format", "suffix", type=click.Choice(["exr", "png"]), default="exr", show_default=True)
 @click.option("--resume", is_flag=True, help="Keep the frames of an earlier run that are still right.")
 @click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
-@click.option("--show-skipped", is_flag=True, help="Pictures of where each frame was computed, in OUT/skipped.")
-@click.option("--preview", type=PATH, help="A .png that shows the newest frame every ten seconds.")
 @click.option("--cluster", help="Compute on local:N processes, or on the workers of a scheduler: tcp://host:8786.")
 @click.option(
     "--mixed-devices", is_flag=True, help="With --cluster: accept workers whose devices differ, and so the bits of their frames."
@@ -67,10 +61,7 @@ def run(
     weights: str,
     backend: str,
     compute: ComputeOptions,
-    skip: Skip | None,
-    budget: float | None,
     suffix: str,
-    preview: Path | None,
     cluster: str | None,
     mixed_devices: bool,
     **chosen: Any,
@@ -83,28 +74,24 @@ def run(
         _tell("camera: from position and depth; --camera CSV takes one")
     options = RunOptions.of(frames.profile, format=suffix, **chosen)
     console = Terminal(stderr=True)
-    possible = backend == "cl"
     reads = [Path(weights)]
-    if preview is not None:
-        require_preview(preview, out, [*frames.reads, *reads])
     loaded = choose_weights(weights, frames, _tell)
-    compute = with_skipping(compute, skip, budget, possible=possible)
     if cluster is None and mixed_devices:
         raise InputError("--mixed-devices: expected --cluster as well")
     first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
-    start = time.monotonic()
+    start, tally = time.monotonic(), Tally()
     try:
-        with show_frames(console, last - first + 1, preview and Preview(preview, out, options)) as on_frame:
+        with show_progress(console, last - first + 1, text="building kernels") as advance:
+
+            def on_frame(report: FrameReport) -> None:
+                advance(tally.add(report.cost))
+
             if cluster is not None:
-                require_no_budget(budget)
                 where = Cluster(cluster, mixed_devices)
                 summary = run_on_cluster(frames, out, where, loaded, backend, compute, options, on_frame, reads)
             else:
-                if budget is None:
-                    engine, label = open_backend(backend, loaded.weights, compute, tell=_tell), loaded.label
-                else:
-                    engine, label = within_budget(loaded, compute, budget, first_frames(frames, options), tell=_tell)
-                summary = run_sequence(frames, out, engine, label, options, on_frame, reads)
+                engine = open_backend(backend, loaded.weights, compute, tell=_tell)
+                summary = run_sequence(frames, out, engine, loaded.label, options, on_frame, reads)
     except KeyboardInterrupt:
         echo(
             f"stss: stopped; to go on, give the same command with --resume{' in place of --overwrite' if options.overwrite else ''}",

@@ -86,12 +86,6 @@ def run_on_cluster(
     return summary
 
 
-def require_no_budget(budget: float | None) -> None:
-    """Raise InputError for a run on workers with a budget."""
-    if budget is not None:
-        raise InputError("--cluster: expected no --budget: a time is one machine's")
-
-
 def cut_into_chunks(numbers: Sequence[int], workers: int, size: tuple[int, int]) -> list[list[int]]:
     """Cut display frames into chunks; ``size`` is (H, W) of the inputs, whose images have 24 bytes for each of their pixels."""
     share = math.ceil(len(numbers) / (CHUNKS_PER_WORKER * workers))

@@ -12,7 +12,7 @@ from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import DisplayFrame, OnArrays
 from stss.weights.file import LoadedWeights, load
 from stss_ground.errors import InputError
-from stss_ref.arrays import Array, Image, Mask
+from stss_ref.arrays import Image, Mask
 from stss_ref.frame import FrameInputs, frame, prepare
 from stss_ref.motion_chain import Gather
 from stss_ref.resample import upsample_centres
@@ -54,11 +54,6 @@ class Backend(Protocol):
     @property
     def cost(self) -> Cost | None:
         """The cost of the last frame; None where every frame costs the same."""
-        ...
-
-    @property
-    def activity(self) -> Array | None:
-        """Where the last frame was computed, see ``stss.run.skip_report.picture``; None: everywhere."""
         ...
 
     def expect(self, size: tuple[int, int]) -> None:
@@ -127,11 +122,6 @@ class OpenCLBackend:
         """See ``Backend``."""
         report = self._stream.report
         return Cost(report.network, report.changed)
-
-    @property
-    def activity(self) -> Array:
-        """See ``Backend``."""
-        return self._stream.activity()
 
 
 def open_backend(

@@ -45,8 +45,3 @@ class ComputeOptions:
     def name(self) -> str:
         """Precision and skipping as tables show them."""
         return f"{self.precision} {self.skip}"
-
-    @property
-    def typed(self) -> str:
-        """The same as options of the command line."""
-        return f"--precision {self.precision} --skip {self.skip}"

@@ -142,7 +142,7 @@ def _wide(plane: Array) -> Array:
 class OnArrays(ABC):
     """A backend (``stss.frames.backends.Backend``) that computes every frame anew, from stacked arrays."""
 
-    cost, activity = None, None
+    cost = None
 
     def expect(self, size: tuple[int, int]) -> None:
         """See ``Backend``: nothing needs to be prepared."""

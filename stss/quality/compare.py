@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: MIT
-"""Compare a run's output with the truth: scores of each frame, means by kind of frame, pictures of the difference."""
+"""Compare a run's output with the truth: scores of each frame, means by kind of frame."""
 
 from __future__ import annotations
 
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -15,20 +14,16 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from stss.images.read_write import encode_rgb, read_rgb
+from stss.images.read_write import read_rgb
 from stss.quality.flip_vmaf import require_packages, vmaf_scores
 from stss.quality.metrics import REGIONS, Scores, mean_scores, score, to_8bit, upsample_holes
 from stss.quality.output_and_truth import FALLBACK, KINDS, MADE_WITH, Pair, find_pairs, list_numbers, require_size
 from stss.quality.tables import print_whole
 from stss.quality.temporal_psnr import Shown, recurrent_psnr, temporal_psnr
 from stss_ground.errors import InputError
-from stss_ground.output.apart import require_places
-from stss_ground.output.folder import OutputFolder
 
 __all__ = ["Comparison", "FrameScores", "Mean", "cells", "compare", "facts", "list_numbers", "print_comparison"]
 
-BRIGHTENED = 4
-"""Factor by which the pictures brighten the difference."""
 METRICS = {
     "psnr_luma": ("PSNR\nluma", 2, REGIONS),
     "ssim": ("SSIM\nluma", 4, REGIONS),
@@ -141,7 +136,6 @@ def compare(
     truth: Path,
     *,
     frames: tuple[int, int] | None = None,
-    pictures: Path | None = None,
     flip: bool = False,
     vmaf: bool = False,
     track: Callable[[Sequence[int]], Iterable[int]] = iter,
@@ -157,25 +151,17 @@ def compare(
         out: written by `stss run`, or by anything that numbers its files.
         truth: images of the same size.
         frames: first and last to compare, both included; None: all.
-        pictures: folder for pictures output | truth | 4 x difference, made if need be; None: none.
         flip, vmaf: take these too.
         track: yields the numbers that it is given, and may show how far the comparison is.
 
     Raises:
         InputError: a folder is not there, the two have no frame in common, a file cannot be read, sizes differ, only
-            some of the output's files name their kind, ``pictures`` is one of the folders read, or a package is missing.
+            some of the output's files name their kind, or a package is missing.
     """
     require_packages(flip=flip, vmaf=vmaf)
     pairs, without_truth, without_output = find_pairs(out, truth, frames)
     notes = _notes(out, pairs)
-    with ExitStack() as stack:
-        folder = None if pictures is None else picture_folder(pictures)
-        if folder is not None:
-            require_places(folders=[folder], inputs=files_of(pairs))
-            stack.enter_context(folder.open(refusal=None))
-        rows, recpsnr = _rows(pairs, track(list(pairs)), folder, flip=flip)
-        if folder is not None:
-            folder.finish(remove_others=False)
+    rows, recpsnr = _rows(pairs, track(list(pairs)), flip=flip)
     if vmaf:
         found = vmaf_scores(map(to_8bit, pair.load()) for pair in pairs.values())
         rows = [_with(row, vmaf=value) for row, value in zip(rows, found, strict=True)]
@@ -235,16 +221,14 @@ def _temporal(comparison: Comparison) -> str:
     return f"tPSNR of the steps: {', '.join(steps)}; recPSNR of the last frame: {comparison.recpsnr:.2f}"
 
 
-def _rows(
-    pairs: Mapping[int, Pair], numbers: Iterable[int], pictures: OutputFolder | None, *, flip: bool
-) -> tuple[list[FrameScores], float]:
+def _rows(pairs: Mapping[int, Pair], numbers: Iterable[int], *, flip: bool) -> tuple[list[FrameScores], float]:
     """The frames' rows, with the tPSNR of the step from the frame before where there is one; and the last frame's recPSNR."""
     rows: list[FrameScores] = []
     before: Shown | None = None
     for number in numbers:
         pair = pairs[number]
         shown = pair.load()
-        row = _judge(number, pair, shown, pictures, flip=flip)
+        row = _judge(number, pair, shown, flip=flip)
         if before is not None and rows[-1].number == number - 1:
             row = _with(row, tpsnr=temporal_psnr(shown, before))
         rows.append(row)
@@ -253,23 +237,14 @@ def _rows(
     return rows, recurrent_psnr(before)
 
 
-def _judge(number: int, pair: Pair, shown: Shown, pictures: OutputFolder | None, *, flip: bool) -> FrameScores:
+def _judge(number: int, pair: Pair, shown: Shown, *, flip: bool) -> FrameScores:
     image, truth = shown
     hole = None
     if pair.holes is not None:
         small = read_rgb(pair.holes)
         require_size(pair.holes, small, pair.output, (image.shape[0] // 2, image.shape[1] // 2))
         hole = upsample_holes(small[..., 0] > 0.5)
-    if pictures is not None:
-        difference = np.clip(BRIGHTENED * np.abs(image - truth), 0, 1)
-        name = f"{pair.output.stem}.png"
-        pictures.write(name, encode_rgb(pictures.path / name, np.concatenate([image, truth, difference], axis=1)))
     return FrameScores(number, pair.kind, pair.output, pair.truth, score(image, truth, hole, flip=flip))
-
-
-def picture_folder(pictures: Path) -> OutputFolder:
-    """The folder of a comparison's pictures."""
-    return OutputFolder(pictures, ("",), r".+\.png")
 
 
 def files_of(pairs: Mapping[int, Pair]) -> list[Path]:

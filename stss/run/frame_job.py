@@ -18,18 +18,16 @@ from stss.images.headers import Value, read_header
 from stss.images.read_write import encode_mask, encode_rgb
 from stss.run.options import RunOptions
 from stss.run.pipeline import overlap
-from stss.run.skip_report import picture
 from stss.run.window import Keys, Window
 from stss.sequence.reader import Sequence
 from stss_ground.errors import InputError
 from stss_ground.output.folder import OutputFolder
 from stss_ground.version import VERSION
 from stss_ref import SPEC_VERSION
-from stss_ref.arrays import Array, Image, Plane
 from stss_ref.schedule import FrameKind, schedule
 
-HOLES, SKIPPED = "holes", "skipped"
-"""Subfolders of the run's folder: the warping holes, and pictures of what was computed."""
+HOLES = "holes"
+"""Subfolder of the run's folder: the warping holes."""
 STATIC_HOLES = "stss:static-holes"
 """Metadata of an EF: `stss.frames.static_holes.static_holes`."""
 Outcome = Literal["done", "kept", "left out"]
@@ -89,7 +87,6 @@ class _Computed:
     key: str
     output: Output
     cost: Cost | None
-    activity: Array | None
     static_holes: float | None
     copied: Mapping[str, Value]
 
@@ -180,18 +177,15 @@ class FrameJob:
                 reason = f"frame {number}: the first of a shot, and not rendered: nothing to make it from"
             fault = schedule(number, self.rendered, reach=reach) is not None
             return FrameReport(number, FrameKind.EF, "left out", reason, fault=fault)
-        activity = self.backend.activity if self.options.show_skipped else None
         newest = read.window[-1]
         share = static_holes(newest.stencil, newest.gbuffer[..., :3], output.valid) if output.kind is FrameKind.EF else None
-        return _Computed(read.key, output, self.backend.cost, activity, share, read.copied)
+        return _Computed(read.key, output, self.backend.cost, share, read.copied)
 
     def write(self, made: _Computed | FrameReport) -> FrameReport:
         """Take it back through the transfer and write its files."""
         if isinstance(made, FrameReport):
             return made
         output = decode(made.output, self.curve)
-        if made.activity is not None:
-            self._write_rgb(frame_name(output.number, "png", SKIPPED), picture(made.output.image, made.activity), {})
         if output.kind is FrameKind.EF:
             name = frame_name(output.number, "png", HOLES)
             self.sink.write(name, encode_mask(self.sink.path / name, ~output.valid))
@@ -202,12 +196,10 @@ class FrameJob:
         metadata |= {**self.metadata, **made.copied}
         if made.static_holes is not None:
             metadata[STATIC_HOLES] = f"{made.static_holes:.4f}"
-        self._write_rgb(frame_name(output.number, self.options.format), image, metadata, more)
+        name = frame_name(output.number, self.options.format)
+        self.sink.write(name, encode_rgb(self.sink.path / name, image, metadata=metadata, more=more))
         peak = float(output.image.max())
         return FrameReport(output.number, output.kind, "done", cost=made.cost, peak=peak, static_holes=made.static_holes)
-
-    def _write_rgb(self, name: str, image: Image, metadata: Mapping[str, Value], more: Mapping[str, Plane] | None = None) -> None:
-        self.sink.write(name, encode_rgb(self.sink.path / name, image, metadata=metadata, more=more))
 
 
 def describe(sequence: Sequence, options: RunOptions, method: str, backend: str, weights: str) -> dict[str, str]:
@@ -247,8 +239,7 @@ def already_written(folder: OutputFolder, options: RunOptions, number: int, key:
         return None
     if found.get("stss:key") != key:
         return None
-    beside = ([HOLES] if kind is FrameKind.EF else []) + ([SKIPPED] if options.show_skipped else [])
-    return kind if all(folder.holds(frame_name(number, "png", where)) for where in beside) else None
+    return kind if kind is FrameKind.SF or folder.holds(frame_name(number, "png", HOLES)) else None
 
 
 def frame_name(number: int, suffix: str, subfolder: str = "") -> str:

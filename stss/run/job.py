@@ -16,7 +16,7 @@ from pathlib import Path
 
 from stss.frames.backends import Backend
 from stss.frames.supersample import choose_rendered
-from stss.run.frame_job import HOLES, SKIPPED, FrameJob, FrameReport, Outcome, already_written
+from stss.run.frame_job import HOLES, FrameJob, FrameReport, Outcome, already_written
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence
 from stss_ground.errors import InputError
@@ -87,8 +87,6 @@ def run(
         raise InputError(f"--resume: {backend.method} makes each output from all before it; run again with --overwrite")
     folder = planned.folder
     job = FrameJob.of(sequence, planned.rendered, options, backend, weights, folder, partial(already_written, folder, options))
-    if options.show_skipped and backend.cost is None:
-        raise InputError(f"--show-skipped: expected the network on the backend cl, got {backend.method} on {backend.name}")
     require_unread(planned, sequence, reads)
     summary = Summary([])
 
@@ -130,7 +128,7 @@ def require_unread(planned: RunPlan, sequence: Sequence, reads: Iterable[Path]) 
 
 def folder_of(out: Path) -> OutputFolder:
     """The folder of a run's files."""
-    return OutputFolder(out, ("", HOLES, SKIPPED), r"frame\.\d+\.(exr|png)")
+    return OutputFolder(out, ("", HOLES), r"frame\.\d+\.(exr|png)")
 
 
 def _numbers(sequence: Sequence, frames: tuple[int, int] | None) -> range:

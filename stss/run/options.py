@@ -27,7 +27,6 @@ class RunOptions:
         keep_going: leave out a frame that cannot be read, rather than stop.
         resume: keep the files of an earlier run that are what this run would write.
         overwrite: replace the files of an earlier run one by one; remove the rest of them once all are written.
-        show_skipped: write ``skipped/frame.NNNN.png`` as well: where the frame was computed, and where kept.
     """
 
     transfer: str = "srgb"
@@ -41,7 +40,6 @@ class RunOptions:
     keep_going: bool = False
     resume: bool = False
     overwrite: bool = False
-    show_skipped: bool = False
 
     @classmethod
     def of(cls, profile: Profile, *, transfer: str | None, depth: DepthMode | None, **chosen: Any) -> RunOptions:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a run did not compute: a line about all of it, and a picture of each frame."""
+"""What a run did not compute: beside the bar, and a line about all of it."""
 
 from __future__ import annotations
 
@@ -8,12 +8,21 @@ from collections.abc import Sequence
 import numpy as np
 
 from stss.frames.backends import Cost
-from stss_ref.arrays import Array, Image
 
-BUSY = (1.0, 0.35, 0.05)
-"""RGB of what was computed, in `picture`."""
-DIM = 0.5
-"""Brightness of the rest, which is grey, as a share of the frame's."""
+
+class Tally:
+    """Counts how much of the network was left out so far."""
+
+    def __init__(self) -> None:
+        self._seen = 0
+        self._computed = 0.0
+
+    def add(self, cost: Cost | None) -> str:
+        """Count a frame; returns the share of all frames' network inputs that had not changed, as text; "" if none was looked at."""
+        if cost is not None:
+            self._seen += 1
+            self._computed += 0.0 if cost.network == "none" else cost.changed
+        return "" if not self._seen else f"skipped {1 - self._computed / self._seen:.0%}"
 
 
 def describe_costs(costs: Sequence[Cost]) -> str:
@@ -24,19 +33,3 @@ def describe_costs(costs: Sequence[Cost]) -> str:
         parts.append(f"{len(part)} in part ({np.mean([cost.changed for cost in part]):.0%} of the inputs had changed)")
     parts += [f"{len(none)} not at all"] if none else []
     return f"network computed: {', '.join(parts)}"
-
-
-def picture(image: Image, activity: Array) -> Image:
-    """The frame in grey, and in colour how much of the network was computed there.
-
-    Args:
-        image: (2H, 2W, 3) display-referred, the output.
-        activity: see ``stss_cl.skip.stream.Stream.activity``: (ceil(H / 4), ceil(W / 4)), 0 to 1.
-
-    Returns:
-        (2H, 2W, 3) display-referred.
-    """
-    height, width, _ = image.shape
-    share = activity.repeat(8, axis=0).repeat(8, axis=1)[:height, :width, None]
-    grey = DIM * np.clip(image, 0, 1).mean(axis=-1, keepdims=True)
-    return grey + share * (1 - DIM) * np.asarray(BUSY, np.float32)

@@ -96,7 +96,7 @@ def test_a_scene_of_a_stranger_runs_no_program_and_names_no_file(film):
     ]
     for options in (
         "-o x",
-        "--preview x.png",
+        "--camera x.csv",
         "--cluster tcp://x:1",
         "--weights a.safetensors",
         "--weights /x",

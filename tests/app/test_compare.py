@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from stss.images.color import transfer
-from stss.images.read_write import read_rgb, write_mask, write_rgb
+from stss.images.read_write import write_mask, write_rgb
 from stss.quality.compare import compare, facts, print_comparison
 from stss_ground.errors import InputError
 
@@ -158,15 +158,6 @@ def test_json_is_valid_and_says_infinite(out, truth):
     assert frame["all"] == {"psnr_luma": "inf", "ssim": 1, "psnr_rgb": "inf", "tpsnr": None}
     assert frame["edges"] == {"psnr_luma": None, "ssim": None, "psnr_rgb": None}
     assert found["means"]["EF"]["frames"] == 1
-
-
-def test_pictures_stand_side_by_side(out, truth, tmp_path):
-    """Output, truth, four times the difference."""
-    write_pair(out, truth, 2, "SF", 10)
-    compare(out, truth, pictures=tmp_path / "a" / "pictures")
-    picture = np.rint(read_rgb(tmp_path / "a" / "pictures" / "frame.0002.png") * 255)
-    assert picture.shape == (SIZE[0], 3 * SIZE[1], 3)
-    assert [picture[0, SIZE[1] * i + 1, 0] for i in range(3)] == [110, 100, 40]
 
 
 def test_what_does_not_fit_is_named(out, truth):

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: MIT
-"""The demo's files and its contact sheet."""
+"""The demo's files."""
 
 import numpy as np
 import pytest
 
 from conformance.scenes import DEMO, render
-from stss.demo import BACKGROUND, INPUT_SAMPLES, demo_path, demo_sheet, frame_channels, write_demo_sequence
-from stss.images.contact_sheet import COMPARISON, contact_sheet
-from stss.images.read_write import read_channels, read_header, read_rgb, write_rgb
+from stss.demo import BACKGROUND, INPUT_SAMPLES, demo_path, frame_channels, write_demo_sequence
+from stss.images.read_write import read_channels, read_header
 from stss_ground.errors import InputError
 
 SIZE = (18, 32)
@@ -47,29 +46,3 @@ def test_an_earlier_demo_is_only_replaced_when_asked(tmp_path):
     write_demo_sequence(tmp_path, 1, (4, 8), overwrite=True)
     assert sorted(p.name for p in (tmp_path / "frames").iterdir()) == ["demo.0000.exr", "notes.txt"]
     assert [p.name for p in (tmp_path / "truth").iterdir()] == ["demo.0000.exr"]
-
-
-def test_sheet_of_the_demo(sequence, tmp_path):
-    outputs = {number: tmp_path / f"frame.{number:04d}.exr" for number in (1, 2, 3)}
-    for number, path in outputs.items():
-        write_rgb(path, read_rgb(demo_path(sequence / "truth", number)))
-    sheet = demo_sheet(sequence, outputs)
-    write_rgb(tmp_path / "sheet.png", sheet)
-    assert read_rgb(tmp_path / "sheet.png").shape == sheet.shape
-    # Six rows and five columns of pictures, and what lies around them.
-    assert sheet.shape[0] > 6 * 2 * SIZE[0]
-    assert sheet.shape[1] > len(COMPARISON) * 2 * SIZE[1]
-    # The output is the truth: the last column, away from its caption, is black.
-    last = sheet[-20 - 2 * SIZE[0] : -20, -20 - 2 * SIZE[1] : -20]
-    assert not last.any()
-
-
-def test_sheet_shows_each_pixel_as_a_square():
-    image = np.random.default_rng(1).random((5, 8, 3))
-    sheet = contact_sheet([("row", [image, 1 - image])], ("one", "two"), crop=(1, 2, 3, 4), zoom=3)
-    shown = sheet[-20 - 9 : -20, 20 : 20 + 12]
-    np.testing.assert_array_equal(shown, image[1:4, 2:6].repeat(3, axis=0).repeat(3, axis=1))
-    assert np.ptp(sheet[:, -20:]) == 0  # the margin
-    assert sheet[:20].max() < sheet[20:54].max()  # the captions of the columns
-    assert sheet.min() >= 0
-    assert sheet.max() <= 1

@@ -184,19 +184,6 @@ def test_no_file_that_is_named_twice_is_written(weights, tmp_path, arguments):
     assert contents(tmp_path) == before
 
 
-def test_no_picture_replaces_what_is_compared(finished, demo, tmp_path):
-    out, truth, where = tmp_path / "out", tmp_path / "truth", tmp_path / "pictures" / "frame.0001.png"
-    shutil.copytree(finished, out)
-    truth.mkdir()
-    for number in range(FRAMES):
-        shutil.copy(demo / "truth" / f"demo.{number:04d}.exr", truth / f"frame.{number:04d}.exr")
-    where.parent.mkdir()
-    where.symlink_to(truth / "frame.0001.exr")
-    before = contents(tmp_path)
-    refused(call("compare", out, truth, "--pictures", where.parent), "the same file as")
-    assert contents(tmp_path) == before
-
-
 def test_resume_and_overwrite_do_not_go_together(demo, tmp_path):
     result = call("run", demo / "frames", "-o", tmp_path / "out", "--resume", "--overwrite", *PLAIN)
     refused(result, "--resume", "--overwrite")
@@ -296,11 +283,8 @@ def test_no_folder_of_the_output_leads_among_the_inputs(inputs, tmp_path, name):
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("run", "{frames}", "-o", "{new}", *PLAIN, "--preview", "{new}/frame.0000.png"),
-        ("run", "{frames}", "-o", "{out}", "--resume", *PLAIN, "--preview", "{out}/holes/frame.0001.png"),
         ("methods", "{frames}", "{truth}", "-o", "{new}", "--methods", "bilinear", "--html", "{new}/bilinear/frame.0001.exr"),
         ("compare", "{out}", "{truth}", "--html", "{out}/stss.sha256"),
-        ("compare", "{out}", "{truth}", "--pictures", "{new}", "--html", "{new}/frame.0001.png"),
     ],
 )
 def test_no_named_file_is_one_that_the_command_writes_or_knows_by(finished, demo, tmp_path, arguments):
@@ -312,18 +296,12 @@ def test_no_named_file_is_one_that_the_command_writes_or_knows_by(finished, demo
     assert contents(tmp_path) == before
 
 
-@pytest.mark.parametrize("command", ["compare", "demo"])
-def test_no_picture_of_others_is_replaced(finished, demo, tmp_path, command):
-    """A file that no run wrote has the name of a picture, a page."""
-    out = tmp_path / "pictures"
+def test_no_page_of_others_is_replaced(tmp_path):
+    out = tmp_path / "demo"
     out.mkdir()
-    (out / {"compare": "frame.0001.png", "demo": "page.html"}[command]).write_text("mine")
-    arguments = {
-        "compare": ("compare", finished, demo / "truth", "--pictures", out),
-        "demo": ("demo", out, "--weights", "bilinear", "--overwrite"),
-    }[command]
+    (out / "page.html").write_text("mine")
     before = contents(tmp_path)
-    refused(call(*arguments), "not in stss.sha256, so not from an earlier run")
+    refused(call("demo", out, "--weights", "bilinear", "--overwrite"), "not in stss.sha256, so not from an earlier run")
     assert {name: data for name, data in contents(tmp_path).items() if not name.endswith(SUMS)} == before
 
 
