@@ -4,17 +4,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
+from threading import Event, Thread
 from typing import Any, Protocol, TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 T = TypeVar("T")
-A_MINUTE = 60
+A_MINUTE = 60.0
 """Seconds between the lines in a log file."""
+Track = Callable[[Sequence[int]], Iterable[int]]
+"""Yields the numbers that it is given, and may show how many are done: `track`, or ``iter``."""
 
 
 class Advance(Protocol):
@@ -27,7 +30,7 @@ class Advance(Protocol):
 
 @contextmanager
 def show_progress(
-    console: Console, total: int, unit: str = "frames", text: str = "", *, clock: Callable[[], float] = time.monotonic
+    console: Console, total: int, unit: str = "frames", text: str = "", *, every: float = A_MINUTE
 ) -> Generator[Advance, None, None]:
     """Show how much is done, how fast it goes, and the time left.
 
@@ -36,35 +39,57 @@ def show_progress(
         total: of what will be done.
         unit: what is counted.
         text: stands before the bar until the first `Advance`.
-        clock: seconds, growing.
+        every: seconds between the lines in a log file.
 
     Yields:
         The function to call whenever something is done.
     """
-    start = last = clock()
-    count = 0
+    start, count, shown, ended = time.monotonic(), 0, text, Event()
+
+    def report() -> None:
+        while not ended.wait(every):
+            rate = count / (time.monotonic() - start)
+            left = f", {rate:.2f} {unit}/s, {timedelta(seconds=round((total - count) / rate))} left" if count else ""
+            line = f"{count} of {total} {unit}{left}" + (f": {shown}" if shown else "")
+            console.print(line, soft_wrap=True, markup=False, highlight=False)
+
     with _bar(console, unit) as bar:
         task = bar.add_task(text, total=total)
 
         def advance(text: str = "", *, done: int = 1) -> None:
-            nonlocal count, last
-            count += done
+            nonlocal count, shown
+            count, shown = count + done, text
             bar.update(task, advance=done, description=text)
-            now = clock()
-            if not console.is_terminal and count and now - last >= A_MINUTE:
-                last, rate = now, count / (now - start)
-                left = timedelta(seconds=round((total - count) / rate))
-                console.print(f"{count} of {total} {unit}, {rate:.2f} {unit}/s, {left} left", highlight=False)
 
-        yield advance
+        if not console.is_terminal:
+            Thread(target=report, daemon=True).start()
+        try:
+            yield advance
+        finally:
+            ended.set()
 
 
-def track(items: Sequence[T], console: Console, unit: str = "frames") -> Iterator[T]:
+@contextmanager
+def show_steps(console: Console, total: int) -> Generator[Callable[[str], None], None, None]:
+    """As `show_progress`, of ``total`` steps; yields the function to call with the name of each step as it begins."""
+    with show_progress(console, total, "steps") as advance:
+        begun = 0
+
+        def begin(text: str) -> None:
+            nonlocal begun
+            advance(text, done=min(begun, 1))
+            begun += 1
+
+        yield begin
+        advance(done=min(begun, 1))
+
+
+def track(items: Sequence[T], console: Console, unit: str = "frames", text: str = "") -> Iterator[T]:
     """Yield the items, and show how many are done; see `show_progress`."""
-    with show_progress(console, len(items), unit) as advance:
+    with show_progress(console, len(items), unit, text) as advance:
         for item in items:
             yield item
-            advance()
+            advance(text)
 
 
 def _bar(console: Console, unit: str) -> Progress:
@@ -81,4 +106,5 @@ def _bar(console: Console, unit: str) -> Progress:
         BarColumn(), MofNCompleteColumn(), Rate(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
         console=console,
         disable=not console.is_terminal,
+        transient=True,
     )  # fmt: skip

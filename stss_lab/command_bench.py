@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import sys
-from functools import partial
 from pathlib import Path
 
 import click
@@ -14,6 +13,7 @@ from stss.images.headers import MAX_SIDE
 from stss.weights.file import identity, load
 from stss_ground.option_kinds import PATH, Names, Size
 from stss_ground.output.apart import require_places
+from stss_ground.progress import show_steps
 from stss_ground.terminal import Terminal, echo
 
 
@@ -73,6 +73,7 @@ def bench_command(
     from stss_lab.bench import report as bench_report
     from stss_lab.bench.contender import Setup
     from stss_lab.bench.measure import bench as run_bench
+    from stss_lab.bench.measure import count_steps
     from stss_lab.bench.ours import default_ours
     from stss_ref.weights import random as random_weights
 
@@ -87,8 +88,9 @@ def bench_command(
 
         bench_pareto(setups, scenes, chosen_settings(settings), frames, peers, repeat, console, json_file)
         return
-    with console.status("") as status:
-        results = run_bench(setups, default_ours() if ours is None else ours, peers, repeat, on_step=status.update)
+    ours = default_ours() if ours is None else ours
+    with show_steps(console, count_steps(setups, ours, peers, repeat)) as begin:
+        results = run_bench(setups, ours, peers, repeat, on_step=begin)
     bench_report.print_results(results, Terminal())
     if json_file is not None:
         bench_report.write_json(json_file, results, identity(tensors), threads)
@@ -107,7 +109,7 @@ def gpu_report_command(out: Path, device: str | None, tiny: bool) -> None:
     """
     from stss_lab.bench.gpu_report import gpu_report
 
-    good = gpu_report(out, device, tiny=tiny, tell=partial(echo, err=True))
+    good = gpu_report(out, device, tiny=tiny, console=Terminal(stderr=True))
     echo(f"{out / 'README.md'}")
     sys.exit(0 if good else 1)
 

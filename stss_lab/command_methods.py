@@ -72,7 +72,9 @@ def methods_command(
     from stss_lab.methods import methods_table as method_table
     from stss_lab.methods.methods_page import methods_page
 
-    files = open_sequence(sequence, profile, camera=camera, metallic=metallic, roughness=roughness, non_finite=non_finite)
+    shown = partial(track, console=Terminal(stderr=True))
+    constants: dict[str, Any] = {"camera": camera, "metallic": metallic, "roughness": roughness, "non_finite": non_finite}
+    files = open_sequence(sequence, profile, **constants, track=shown)
     reads = [Path(weights), *([*truth.iterdir()] if truth.is_dir() else [])]
     options = RunOptions.of(files.profile, frames=frames, overwrite=overwrite, **others)
     chosen = method_table.choose_methods(methods, weights)
@@ -81,7 +83,7 @@ def methods_command(
     require_places({"--html": html}, [*files.tables, *reads], folders=folders, inputs=files.images)
     console = Terminal(stderr=True)
     first, last = options.frames or (files.numbers[0], files.numbers[-1])
-    with show_progress(console, len(chosen) * (last - first + 1)) as advance:
+    with show_progress(console, 3 * len(chosen) * (last - first + 1) - len(chosen)) as advance:
         results = method_table.run_methods(
             files,
             truth,
@@ -95,7 +97,7 @@ def methods_command(
             reads=reads,
         )
     if html is not None:
-        methods_page(html, results, truth, files, frames)
+        methods_page(html, results, truth, files, frames, shown)
     if as_json:
         click.echo(method_table.to_json(results))
     else:
@@ -116,7 +118,7 @@ def flicker_command(
     from stss_lab.methods.flicker import flicker, print_flicker
 
     shown = partial(track, console=Terminal(stderr=True))
-    found = flicker(out, truth, open_sequence(sequence, profile, **options), frames=frames, track=shown)
+    found = flicker(out, truth, open_sequence(sequence, profile, **options, track=shown), frames=frames, track=shown)
     if as_json:
         click.echo(found.to_json())
     else:

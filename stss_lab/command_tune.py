@@ -3,13 +3,11 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import click
 
 from stss.images.headers import MAX_SIDE
 from stss_ground.option_kinds import Size
-from stss_ground.terminal import Terminal, echo
+from stss_ground.terminal import Terminal
 
 
 @click.command()
@@ -20,4 +18,4 @@ def tune(device: str | None, size: tuple[int, int], show: bool) -> None:
     """Find the fastest tile sizes for a device and store them."""
     from stss_lab.tune import tune as tuning
 
-    tuning.run(device, size, show=show, console=Terminal(), tell=partial(echo, err=True))
+    tuning.run(device, size, show=show, console=Terminal(), told=Terminal(stderr=True))

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import timedelta
+from functools import partial
 from itertools import chain, islice, pairwise
 from pathlib import Path
 from typing import Any, cast
@@ -31,10 +32,13 @@ from stss.sequence.raw_frame import NonFinite
 from stss.sequence.reader import Sequence, open_sequence, settle_profile
 from stss_ground.errors import InputError
 from stss_ground.machine import available_threads
+from stss_ground.progress import show_steps, track
 from stss_ground.terminal import printable
 
 PAIRS = 3
 """Number of pairs of neighbouring frames that are read."""
+LOOKS = 7
+"""Steps of looking at pixels, each of which reads the pairs."""
 LISTED = 8
 """Most frame numbers that a line lists."""
 BYTES_PER_PIXEL = 20
@@ -91,6 +95,7 @@ def check(
     roughness: float | None = None,
     non_finite: NonFinite = "refuse",
     frames: tuple[int, int] | None = None,
+    console: Console | None = None,
 ) -> CheckReport:
     """Check a sequence's frames, buffers, conventions and values.
 
@@ -100,10 +105,12 @@ def check(
         camera, metallic, roughness: as for `stss.sequence.reader.open_sequence`.
         non_finite: likewise; "refuse" makes values that are not finite an error, "mask" a warning.
         frames: first and last display frame to look at; None: all there are.
+        console: where progress is shown; None: nowhere.
 
     Raises:
         InputError: the profile cannot be read, or ``frames`` names none of the sequence. Any other fault is a finding.
     """
+    console = console or Console(quiet=True)
     table = settle_profile(Path(sequence_path), profile)
     findings: list[CheckFinding] = []
     if profile is None:
@@ -112,7 +119,9 @@ def check(
     try:
         numbers = sorted(find_frames(Path(sequence_path), {table.file_of(buffer) for buffer in BUFFERS}))
         findings += missing_frames(numbers)
-        sequence = open_sequence(sequence_path, table, camera=camera, metallic=metallic, roughness=roughness, non_finite="mask")
+        constants: dict[str, Any] = {"camera": camera, "metallic": metallic, "roughness": roughness}
+        reading = partial(track, console=console, text="reading headers")
+        sequence = open_sequence(sequence_path, table, **constants, non_finite="mask", track=reading)
         looked = [n for n in sequence.numbers if frames is None or frames[0] <= n <= frames[1]]
         if not looked:
             raise InputError(f"{sequence_path}: no frames from {frames}; it has {numbers[0]} to {numbers[-1]}")
@@ -120,8 +129,10 @@ def check(
         tables |= {"size": list(sequence.size), "frames": _frame_table(sequence, looked)}
         tables["summary"] = summary(looked, sequence.size)
         findings += _storage(sequence, looked, tables)
-        findings += _pixels(sequence, looked, non_finite, tables)
-        sampling = judge_sampling(sequence)
+        with show_steps(console, LOOKS) as begin:
+            findings += _pixels(sequence, looked, non_finite, tables, begin)
+            begin("sampling")
+            sampling = judge_sampling(sequence)
         tables["sampling"] = dataclasses.asdict(sampling)
         how = "antialiased" if sampling.antialiased else "aliased, one sample a pixel"
         findings.append(
@@ -220,26 +231,34 @@ def _storage(sequence: Sequence, numbers: list[int], tables: dict[str, object]) 
     return findings
 
 
-def _pixels(sequence: Sequence, numbers: list[int], non_finite: NonFinite, tables: dict[str, object]) -> list[CheckFinding]:
+def _pixels(
+    sequence: Sequence, numbers: list[int], non_finite: NonFinite, tables: dict[str, object], begin: Callable[[str], None]
+) -> list[CheckFinding]:
     """Read a few pairs of neighbouring frames and look at their values."""
     usable = [n for n in numbers if all(buffer == "color" or sequence.has(n, buffer) for buffer in BUFFERS)]
     pairs = [(a, b) for a, b in pairwise(usable) if b == a + 1]
     chosen = pairs[:: max(1, -(-len(pairs) // PAIRS))]
+    begin("motion")
     verdict = judge_motion((sequence.load(a), sequence.load(b)) for a, b in chosen)
     tables["reprojection"] = dataclasses.asdict(verdict)
+    begin("jitter")
     jitter = judge_jitter((sequence.load(a), sequence.load(b)) for a, b in chosen)
     tables["jitter"] = dataclasses.asdict(jitter)
+    begin("positions")
     positions = judge_positions((sequence.load(a), sequence.load(b)) for a, b in chosen)
     tables["positions"] = None if positions is None else dataclasses.asdict(positions)
+    begin("values")
     values = Values()
     for number in sorted({n for pair in chosen for n in pair}) or usable[:1]:
         values.add(sequence, number)
     tables["values"] = values.table()
     lines = [*motion_lines(verdict, sequence.profile.name), *values.lines(sequence, non_finite)]
+    begin("repetitions")
     lines += camera_lines(sequence, usable[0]) if usable else []
     lines += repetition_lines((sequence.load(a), sequence.load(b)) for a, b in chosen)
     lines += [] if positions is None else positions.lines()
     rendered = [n for n in sorted(sequence.rendered) if n in usable]
+    begin("colours")
     shown = rendered[1 :: max(1, len(rendered) // PAIRS)]
     lines += alignment_lines(map(sequence.load, shown), linear=sequence.profile.color_domain == "linear")
     return [CheckFinding(level, text) for level, text in lines] + [CheckFinding("warning", text) for text in jitter.lines]

@@ -31,7 +31,7 @@ def check(sequence: Path, profile: str | None, as_json: bool, **options: Any) ->
     """
     from stss.check_sequence import report as checking
 
-    report = checking.check(sequence, profile, **options)
+    report = checking.check(sequence, profile, console=Terminal(stderr=True), **options)
     if as_json:
         click.echo(report.to_json())
     else:

@@ -50,7 +50,8 @@ def compare_command(
 
     if sequence is not None and html is None:
         raise InputError("--sequence: expected --html as well: it is shown on the page")
-    files = None if sequence is None else open_sequence(sequence, **options)
+    shown = partial(track, console=Terminal(stderr=True))
+    files = None if sequence is None else open_sequence(sequence, **options, track=shown)
     pairs = find_pairs(out, truth, frames)[0]
     require_places(
         {"--html": html},
@@ -58,7 +59,6 @@ def compare_command(
         folders=[] if html is None else [page_folder(html)],
         inputs=comparing.files_of(pairs),
     )
-    shown = partial(track, console=Terminal(stderr=True))
     comparison = comparing.compare(out, truth, frames=frames, flip=flip, vmaf=vmaf, track=shown)
     if as_json:
         click.echo(comparison.to_json())
@@ -68,5 +68,5 @@ def compare_command(
         made = ", ".join(comparison.made_with.get("method", ())) or "another program"
         version = pages.Version("output", f"Made by {made}: what is compared.", pairs, comparison)
         inputs = None if files is None else pages.RenderedInputs(files, pairs)
-        pages.write_comparison(html, f"{out.name}, compared with the truth in {truth.name}", [version], inputs)
+        pages.write_comparison(html, f"{out.name}, compared with the truth in {truth.name}", [version], inputs, track=shown)
         echo(f"page to look at: {html}", err=True)

@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import click
 
 from stss.run.gather import gather as gather_parts
 from stss_ground.option_kinds import PATH
-from stss_ground.terminal import echo
+from stss_ground.progress import track
+from stss_ground.terminal import Terminal, echo
 
 
 @click.command()
@@ -19,4 +21,5 @@ from stss_ground.terminal import echo
 @click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
 def gather(parts: Path, out: Path, sequence: Path | None, overwrite: bool) -> None:
     """Move the frames of runs with --frames, each in a folder below PARTS, into one folder, as one run would have left it."""
-    echo(f"{out}: frames of {gather_parts(parts, out, sequence, overwrite=overwrite)} parts")
+    shown = partial(track, console=Terminal(stderr=True), unit="parts")
+    echo(f"{out}: frames of {gather_parts(parts, out, sequence, overwrite=overwrite, track=shown)} parts")

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ from stss.sequence.reader import open_sequence
 from stss_ground.commands import GroupedOptions
 from stss_ground.errors import InputError
 from stss_ground.option_kinds import PATH
-from stss_ground.progress import show_progress
+from stss_ground.progress import show_progress, track
 from stss_ground.terminal import Terminal, echo, printable
 from stss_ref.schedule import FrameKind
 
@@ -67,13 +68,14 @@ def run(
     **chosen: Any,
 ) -> None:
     """Make SEQUENCE, a folder or a pattern like a.####.exr, twice as large and twice as fast."""
-    frames = open_sequence(sequence, profile, camera=camera, metallic=metallic, roughness=roughness, non_finite=non_finite)
+    console = Terminal(stderr=True)
+    constants: dict[str, Any] = {"camera": camera, "metallic": metallic, "roughness": roughness, "non_finite": non_finite}
+    frames = open_sequence(sequence, profile, **constants, track=partial(track, console=console, text="reading headers"))
     if profile is None:
         _tell(f"profile: {frames.profile.name}, by the channels' names; --profile takes another")
     if frames.solves_camera:
         _tell("camera: from position and depth; --camera CSV takes one")
     options = RunOptions.of(frames.profile, format=suffix, **chosen)
-    console = Terminal(stderr=True)
     reads = [Path(weights)]
     loaded = choose_weights(weights, frames, _tell)
     if cluster is None and mixed_devices:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from stss.quality.output_and_truth import FALLBACK, KINDS, MADE_WITH, Pair, find
 from stss.quality.tables import print_whole
 from stss.quality.temporal_psnr import Shown, recurrent_psnr, temporal_psnr
 from stss_ground.errors import InputError
+from stss_ground.progress import Track
 
 __all__ = ["Comparison", "FrameScores", "Mean", "cells", "compare", "facts", "list_numbers", "print_comparison"]
 
@@ -138,7 +139,7 @@ def compare(
     frames: tuple[int, int] | None = None,
     flip: bool = False,
     vmaf: bool = False,
-    track: Callable[[Sequence[int]], Iterable[int]] = iter,
+    track: Track = iter,
 ) -> Comparison:
     """Compare the frames of a folder with those of the same numbers in another.
 

@@ -16,6 +16,7 @@ from stss.sequence.reader import Sequence as Frames
 from stss_ground.output.write_whole import write_named
 from stss_ground.pages.page import definitions, folded, table
 from stss_ground.pages.plot import PlotLine, plot
+from stss_ground.progress import Track
 from stss_ground.terminal import printable
 from stss_ref.arrays import Image
 from stss_ref.resample import upsample_centres
@@ -96,6 +97,7 @@ def write_comparison(
     inputs: RenderedInputs | None,
     tables: Sequence[str] = (),
     save: Callable[[Path, str], None] = write_named,
+    track: Track = iter,
 ) -> None:
     """Write the page.
 
@@ -106,6 +108,7 @@ def write_comparison(
         inputs: the frames that they were made from; None: not shown.
         tables: markup to put before the table of each frame's scores.
         save: see `stss.pages.viewer.write_viewer`.
+        track: may show how many frames are done.
 
     Raises:
         InputError: a file can't be read or the page can't be written.
@@ -142,7 +145,7 @@ def write_comparison(
             definitions("What the columns mean", DEFINITIONS),
         ],
     )
-    write_viewer(path, viewer, _frames(versions, inputs), save=save)
+    write_viewer(path, viewer, _frames(versions, inputs, track), save=save)
 
 
 def scores_table(comparison: Comparison, caption: str) -> str:
@@ -167,8 +170,9 @@ def _lines(versions: Sequence[Version], metric: str) -> list[PlotLine]:
     return lines
 
 
-def _frames(versions: Sequence[Version], inputs: RenderedInputs | None) -> Iterator[ShownFrame]:
-    for row in versions[-1].comparison.rows:
+def _frames(versions: Sequence[Version], inputs: RenderedInputs | None, track: Track) -> Iterator[ShownFrame]:
+    rows = {row.number: row for row in versions[-1].comparison.rows}
+    for row in map(rows.__getitem__, track(list(rows))):
         pictures: dict[str, Image] = {}
         low = None if inputs is None else inputs.load(row.number)
         if low is not None:

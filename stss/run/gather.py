@@ -12,9 +12,10 @@ from stss_ground.errors import InputError
 from stss_ground.output.apart import require_places
 from stss_ground.output.folder import SUMS, OutputFolder
 from stss_ground.output.write_whole import tell_errors
+from stss_ground.progress import Track
 
 
-def gather(parts: Path, out: Path, sequence: Path | None = None, *, overwrite: bool = False) -> int:
+def gather(parts: Path, out: Path, sequence: Path | None = None, *, overwrite: bool = False, track: Track = iter) -> int:
     """Move the files of all parts into one folder, as one run would have left it. What was interrupted can be repeated.
 
     Args:
@@ -22,6 +23,7 @@ def gather(parts: Path, out: Path, sequence: Path | None = None, *, overwrite: b
         out: the folder to write to; the rules for a run's folder hold.
         sequence: the folder or pattern of the frames that the parts were made from: nothing is written to it.
         overwrite: replace the files of an earlier run.
+        track: may show how many parts are looked at, and then moved.
 
     Returns:
         The number of parts.
@@ -41,10 +43,10 @@ def gather(parts: Path, out: Path, sequence: Path | None = None, *, overwrite: b
             inputs += [path for path in frames.iterdir() if path.is_file()]
     require_places(folders=[target], inputs=inputs)
     with target.open(refusal=None):
-        sums = _checked(folders, target)
+        sums = _checked(folders, target, track)
         if not overwrite and any(sums.get(name) != digest for name, digest in target.sums().items()):
             raise InputError(f"{out}: {REFUSAL}")
-        for folder in folders:
+        for folder in map(folders.__getitem__, track(range(len(folders)))):
             with _opened(folder) as part:
                 for name in part.sums():
                     if part.holds(name):
@@ -60,10 +62,10 @@ def gather(parts: Path, out: Path, sequence: Path | None = None, *, overwrite: b
     return len(folders)
 
 
-def _checked(folders: Sequence[Path], target: OutputFolder) -> dict[str, str]:
+def _checked(folders: Sequence[Path], target: OutputFolder, track: Track) -> dict[str, str]:
     """The lists of all parts as one, after a look at every file."""
     sums: dict[str, str] = {}
-    for folder in folders:
+    for folder in map(folders.__getitem__, track(range(len(folders)))):
         with _opened(folder) as part:
             for name, digest in part.sums().items():
                 if sums.setdefault(name, digest) != digest:

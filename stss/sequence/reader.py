@@ -21,6 +21,7 @@ from stss.sequence.profiles import BUFFERS, CONSTANTS, Profile, load_profile, pr
 from stss.sequence.raw_frame import CARRIED, UNIT_RANGE, NonFinite, RawFrame, read_stored, settle_non_finite
 from stss.sequence.solve_camera import solve_camera
 from stss_ground.errors import InputError
+from stss_ground.progress import Track
 from stss_ref.arrays import Array
 
 MAX_RESIDUAL = 1e-2
@@ -188,6 +189,7 @@ def open_sequence(
     metallic: float | None = None,
     roughness: float | None = None,
     non_finite: NonFinite = "refuse",
+    track: Track = iter,
 ) -> Sequence:
     """Find the frames of a sequence; reads headers, no pixels.
 
@@ -199,6 +201,7 @@ def open_sequence(
         roughness: the same for roughness.
         non_finite: what to do with non-finite colours, normals, base colours, roughness, metallic, NoV and stencils.
             "refuse": InputError; "mask": 0, and no later frame trusts such a colour.
+        track: may show how many headers are read.
 
     Raises:
         InputError: there is no sequence, frames differ in size, a constant is out of range, or no frame has some buffer.
@@ -215,8 +218,8 @@ def open_sequence(
     found = find_frames(path, {table.file_of(buffer) for buffer in BUFFERS})
     first: Header | None = None
     frames: dict[int, RawFrame] = {}
-    for number, files in sorted(found.items()):
-        headers = {ending: read_header(file) for ending, file in files.items()}
+    for number in track(sorted(found)):
+        headers = {ending: read_header(file) for ending, file in found[number].items()}
         for header in headers.values():
             first = first or header
             if header.size != first.size:

@@ -13,17 +13,20 @@ import platform
 import shutil
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Literal
+
+from rich.console import Console
 
 from conformance.protocol.own_session import run_alone
 from stss_cl.device.discovery import Properties, is_gpu, matching
 from stss_ground.errors import InputError
 from stss_ground.machine import cpu_model, versions
 from stss_ground.output.write_whole import make_folder, write_named
+from stss_ground.progress import show_steps
 from stss_ground.version import VERSION
 from stss_lab.bench.gpu_page import page
 
@@ -141,14 +144,14 @@ def _driver() -> Step:
     return Step("driver", None, 0, f"none of {', '.join(asked)} is here")
 
 
-def gpu_report(folder: Path, device: str | None, *, tiny: bool, tell: Callable[[str], None]) -> bool:
+def gpu_report(folder: Path, device: str | None, *, tiny: bool, console: Console) -> bool:
     """Run every step.
 
     Args:
         folder: a new or an empty folder.
         device: part of the device's name; None: the first GPU, or else the first device.
         tiny: see `steps`.
-        tell: called with a line before each step.
+        console: where progress is shown.
 
     Returns:
         Whether nothing is wrong.
@@ -177,10 +180,11 @@ def gpu_report(folder: Path, device: str | None, *, tiny: bool, tell: Callable[[
     done: list[Done] = []
     patience = PATIENCE if tiny else 1
     planned = steps(folder, name, tiny=tiny)
-    for step in (replace(each, limit=patience * each.limit) for each in planned):
-        tell(f"{step.name}: up to {step.limit:.0f} s")
-        done.append(_run(step, folder / "logs" / f"{step.name}.txt", name))
-        _write(folder, machine, done, tiny=tiny)
+    with show_steps(console, len(planned)) as begin:
+        for step in (replace(each, limit=patience * each.limit) for each in planned):
+            begin(f"{step.name}: up to {step.limit:.0f} s")
+            done.append(_run(step, folder / "logs" / f"{step.name}.txt", name))
+            _write(folder, machine, done, tiny=tiny)
     return all(each.outcome in ("passed", "skipped") for each in done)
 
 

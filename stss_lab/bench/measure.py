@@ -134,6 +134,11 @@ def bench(
     return tuple(_bench_size(setup, names, repeat, on_step) for setup in setups)
 
 
+def count_steps(setups: Sequence[Setup], ours: Sequence[str], peers: Sequence[str], repeat: int) -> int:
+    """How often `bench` calls ``on_step``."""
+    return len(setups) * (1 + len({*ours, *peers}) + repeat)
+
+
 def _bench_size(setup: Setup, names: Sequence[str], repeat: int, on_step: Callable[[str], None]) -> SizeResult:
     size = setup.height, setup.width
     label = f"{size[1]}x{size[0]}"

@@ -22,9 +22,10 @@ from stss_cl.device.discovery import open_device
 from stss_ground.errors import InputError
 from stss_ground.machine import conditions
 from stss_ground.output.write_whole import write_named
+from stss_ground.progress import show_steps
 from stss_ground.terminal import Terminal
 from stss_lab.bench.contender import Setup
-from stss_lab.bench.measure import Timing, bench
+from stss_lab.bench.measure import Timing, bench, count_steps
 from stss_lab.bench.pareto import CANONICAL, JUDGED, WARM, Point, frontier, measure
 from stss_lab.bench.report import PACKAGES
 
@@ -61,11 +62,13 @@ def bench_pareto(
         raise InputError(f"--pareto: expected one --size, got {len(setups)}")
     setup, size = setups[0], (setups[0].height, setups[0].width)
     points: list[Point] = []
-    with console.status("") as status:
-        others = [result.rows for result in bench(setups, (), peers, repeat, on_step=status.update)] if peers else []
-        check_request(scenes or CANONICAL, frames, WARM + JUDGED)
-        for scene in scenes or CANONICAL:
-            status.update(f"{scene}: {len(settings)} settings")
+    scenes = scenes or CANONICAL
+    check_request(scenes, frames, WARM + JUDGED)
+    steps = len(scenes) + (count_steps(setups, (), peers, repeat) if peers else 0)
+    with show_steps(console, steps) as begin:
+        others = [result.rows for result in bench(setups, (), peers, repeat, on_step=begin)] if peers else []
+        for scene in scenes:
+            begin(f"{scene}: {len(settings)} settings")
             points += (found := in_its_own_process(setup, scene, settings, frames))
             print_points(found, (), Terminal())
     rows = [row for group in others for row in group]

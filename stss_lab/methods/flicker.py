@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from stss.quality.output_and_truth import KINDS, Pair, find_pairs, require_size
 from stss.quality.tables import print_whole
 from stss.sequence.reader import Sequence as Frames
 from stss_ground.errors import InputError
+from stss_ground.progress import Track
 from stss_ref.arrays import Image, Mask
 from stss_ref.holes import holes
 from stss_ref.sample import follow, leads_inside
@@ -74,7 +75,7 @@ def flicker(
     sequence: Frames,
     *,
     frames: tuple[int, int] | None = None,
-    track: Callable[[Sequence[int]], Iterable[int]] = iter,
+    track: Track = iter,
 ) -> Flicker:
     """Follow each surface by the sequence's motion, and measure how its colour changes.
 

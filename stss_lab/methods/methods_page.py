@@ -10,11 +10,17 @@ from stss.quality.comparison_page import RenderedInputs, Version, write_comparis
 from stss.quality.output_and_truth import find_pairs
 from stss.sequence.reader import Sequence as Frames
 from stss_ground.pages.page import table
+from stss_ground.progress import Track
 from stss_lab.methods.methods_table import MethodResult, cells, meant
 
 
 def methods_page(
-    path: Path, results: Sequence[MethodResult], truth: Path, sequence: Frames, frames: tuple[int, int] | None = None
+    path: Path,
+    results: Sequence[MethodResult],
+    truth: Path,
+    sequence: Frames,
+    frames: tuple[int, int] | None = None,
+    track: Track = iter,
 ) -> None:
     """Write the page.
 
@@ -24,6 +30,7 @@ def methods_page(
         truth: the folder of the truth.
         sequence: the input of the methods.
         frames: first and last to show, both included; None: all.
+        track: may show how many frames are done.
 
     Raises:
         InputError: a file can't be read or the page can't be written.
@@ -34,6 +41,5 @@ def methods_page(
     ]
     headings, rows = cells(results)
     means = table(f"Every method: {meant(results)}", [f"{above.strip()}\n{kind}" for above, kind in headings], rows)
-    write_comparison(
-        path, f"Methods compared on {sequence.path.name}", versions, RenderedInputs(sequence, versions[-1].pairs), [means]
-    )
+    inputs = RenderedInputs(sequence, versions[-1].pairs)
+    write_comparison(path, f"Methods compared on {sequence.path.name}", versions, inputs, [means], track=track)

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from rich import box
@@ -85,7 +86,7 @@ def run_methods(
         engine: returns a method's backend and the label of its weights.
         options: as for ``stss run``.
         flip, vmaf: take these metrics too.
-        on_frame: called with the method when it has made a frame.
+        on_frame: called with the method when it has made, compared or followed a frame.
         reads: files that must not be written to, besides those of the sequence.
 
     Raises:
@@ -97,10 +98,18 @@ def run_methods(
     for method in methods:
         backend, label = engine(method)
         run(sequence, out / method, backend, label, options, lambda _, method=method: on_frame(method), reads)
-        scores = compare(out / method, truth, frames=options.frames, flip=flip, vmaf=vmaf)
-        changes = flicker(out / method, truth, sequence, frames=options.frames)
+        scores = compare(
+            out / method, truth, frames=options.frames, flip=flip, vmaf=vmaf, track=partial(_counted, method, on_frame)
+        )
+        changes = flicker(out / method, truth, sequence, frames=options.frames, track=partial(_counted, method, on_frame))
         results.append(MethodResult(method, out / method, scores, changes))
     return results
+
+
+def _counted(method: str, on_frame: Callable[[str], None], numbers: Sequence[int]) -> Iterator[int]:
+    for number in numbers:
+        yield number
+        on_frame(method)
 
 
 def to_json(results: Sequence[MethodResult]) -> str:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import astuple, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from rich.table import Table
 from stss.devices.selection import choose
 from stss_cl.device.discovery import Device, DeviceError, Properties, matching
 from stss_cl.device.tuning import OUTPUTS, Direct, Local, Tuning, Winograd, built_in, read_tuning, store, stored_path, to_toml
+from stss_ground.progress import show_steps
 from stss_lab.tune.tile_timing import SHAPES, Sizes, Trials, direct_candidates, local_candidates, winograd_candidates
 
 MARGIN = 1.02
@@ -110,7 +112,7 @@ def tune(
     return row, trials, [*lines, local, kernel]
 
 
-def run(name: str | None, size: tuple[int, int], *, show: bool, console: Console, tell: Callable[[str], None]) -> None:
+def run(name: str | None, size: tuple[int, int], *, show: bool, console: Console, told: Console) -> None:
     """Run the command.
 
     Args:
@@ -118,11 +120,12 @@ def run(name: str | None, size: tuple[int, int], *, show: bool, console: Console
         size: (height, width) of the frames.
         show: print the row in use and time nothing.
         console: for the results.
-        tell: called with a line for every step.
+        told: for everything else: progress, rows that are removed.
 
     Raises:
         DeviceError: there is no such device, or with ``show`` its stored row is wrong.
     """
+    tell = partial(told.print, markup=False, highlight=False, soft_wrap=True)
     if not show:
         _drop_wrong_rows(name, tell)
     device = choose(name, tell)
@@ -138,7 +141,8 @@ def run(name: str | None, size: tuple[int, int], *, show: bool, console: Console
             soft_wrap=True,
         )
         return
-    found, trials, lines = tune(device, size, tell)
+    with show_steps(told, len(SHAPES)) as begin:
+        found, trials, lines = tune(device, size, begin)
     print_lines(lines, console)
     for (outputs, sizes), why in trials.refused.items():
         console.print(f"refused for {outputs} outputs: {_shown(sizes)}: {why}", markup=False, highlight=False, soft_wrap=True)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from rich.console import Console
 
 from stss.cli.main import stss
 from stss_cl.device.discovery import DeviceError, open_device
@@ -36,8 +37,8 @@ STEPS = [
 
 def test_every_step_has_its_row_and_what_is_wrong_comes_first(tmp_path, monkeypatch):
     monkeypatch.setattr(gpu_report, "steps", lambda *_, **__: STEPS)
-    folder, told = tmp_path / "report", []
-    assert not gpu_report.gpu_report(folder, None, tiny=True, tell=told.append)
+    folder = tmp_path / "report"
+    assert not gpu_report.gpu_report(folder, None, tiny=True, console=Console(quiet=True))
     steps = json.loads((folder / "report.json").read_text())["steps"]
     assert [step["outcome"] for step in steps] == ["passed", "failed", "over its limit", "skipped"]
     text = (folder / "README.md").read_text()
@@ -46,7 +47,6 @@ def test_every_step_has_its_row_and_what_is_wrong_comes_first(tmp_path, monkeypa
     assert text.index("The figures mean nothing") < text.index("## What is wrong")
     assert "no / such thing" in text
     assert (folder / "logs" / "bad.txt").read_text().splitlines() == ["first", "no | such thing"]
-    assert len(told) == len(STEPS)
 
 
 LEAVES = """
@@ -59,7 +59,7 @@ print(subprocess.Popen([sys.executable, "-c", "import threading; threading.Event
 def test_no_process_outlives_its_step(tmp_path, monkeypatch):
     """Those of a benchmark would go on using the device, while the next step is timed."""
     monkeypatch.setattr(gpu_report, "steps", lambda *_, **__: [Step("bench", command(LEAVES), 60)])
-    gpu_report.gpu_report(tmp_path / "report", None, tiny=False, tell=lambda line: None)
+    gpu_report.gpu_report(tmp_path / "report", None, tiny=False, console=Console(quiet=True))
     stat = Path("/proc") / (tmp_path / "report" / "logs" / "bench.txt").read_text().strip() / "stat"
     assert not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] in "ZX"
 

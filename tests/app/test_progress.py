@@ -1,0 +1,86 @@
+"""How far a long command is: a bar with the time left on a terminal, a line a minute in a log file."""
+
+import io
+import re
+import shutil
+import time
+
+import pytest
+from rich.console import Console
+
+from stss.demo import write_demo_sequence
+from stss_ground.progress import show_progress, show_steps
+from stss_lab.bench import gpu_report
+from tests.app.conftest import PLAIN
+from tests.hostile.cases import call
+
+SIZE = (16, 24)
+
+
+def lines_of(console):
+    return console.file.getvalue().splitlines()
+
+
+def wait_for(console, count):
+    """Until so many lines are printed."""
+    end = time.monotonic() + 20
+    while len(lines_of(console)) < count:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_a_log_file_gets_a_line_a_minute_even_while_nothing_is_done():
+    console = Console(file=io.StringIO(), width=20)
+    with show_progress(console, 10, text="building kernels", every=0.01) as advance:
+        wait_for(console, 2)
+        advance("skipped 3%", done=4)
+        wait_for(console, len(lines_of(console)) + 2)
+    lines = lines_of(console)
+    assert lines[0] == "0 of 10 frames: building kernels"
+    assert re.fullmatch(r"4 of 10 frames, \d+\.\d\d frames/s, \d:\d\d:\d\d left: skipped 3%", lines[-1])
+    time.sleep(0.05)
+    assert lines_of(console) == lines
+
+
+def test_a_step_is_done_when_the_next_begins():
+    console = Console(file=io.StringIO(), force_terminal=True, width=120)
+    with show_steps(console, 2) as begin:
+        begin("one")
+        begin("two")
+    assert re.search(r"2/2", console.file.getvalue())
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A demo sequence, what was made of it, and of it in two parts."""
+    folder = tmp_path_factory.mktemp("progress")
+    write_demo_sequence(folder, 6, SIZE)
+    for out, numbers in (("out", "0:5"), ("parts/0", "0:2"), ("parts/1", "3:5")):
+        assert not call("run", folder / "frames", "-o", folder / out, *PLAIN, "--frames", numbers).returncode
+    return folder
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "check frames",
+        "run frames -o new --weights bilinear --backend ref",
+        "gather parts -o whole",
+        "compare out truth --html page.html",
+        "methods frames truth -o methods --methods bilinear --html m.html",
+        "flicker out truth --sequence frames",
+        "bench --size 16x8 --repeat 1 --ours ref --peers ,",
+        "stress --backend ref --only tone",
+        "gpu-report -o report --tiny",
+    ],
+)
+def test_every_long_command_has_a_bar_with_the_time_left(folder, tmp_path, monkeypatch, command):
+    """`stss tune`, `demo` and `conform` have theirs in tests of their own."""
+    for name in ("frames", "truth", "out", "parts"):
+        shutil.copytree(folder / name, tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setattr(gpu_report, "steps", lambda *_, **__: [gpu_report.Step("absent", None, 0, "not here")])
+    done = call(*command.split())
+    assert done.returncode in (0, 1), done.stderr
+    assert re.search(r"\D([1-9]\d*)/\1\D.* left", done.stderr)
