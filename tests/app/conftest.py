@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio  # noqa: N813
 import pytest
 
 from stss.images.read_write import write_channels
@@ -69,6 +70,26 @@ def write_raw(path, channels, half=()):
         write_channels(path, channels, half=half)
     finally:
         encode.require_finite = finite
+
+
+KINDS = {"uint8": "uint8", "uint32": "uint", "float32": "float"}
+"""OpenImageIO's names for them."""
+
+
+def write_parts(path, *parts):
+    """Write an image by OpenImageIO alone; of each part (H, W, C) pixels, the channels' names and attributes, each with its arguments."""
+    output, specs = oiio.ImageOutput.create(str(path)), []
+    for pixels, names, attributes in parts:
+        spec = oiio.ImageSpec(*pixels.shape[1::-1], pixels.shape[2], KINDS[str(pixels.dtype)])
+        spec.channelnames = names
+        for name, value in attributes.items():
+            spec.attribute(name, *value)
+        specs.append(spec)
+    assert output.open(str(path), tuple(specs))
+    for index, (pixels, _, _) in enumerate(parts):
+        assert index == 0 or output.open(str(path), specs[index], "AppendSubimage")
+        assert output.write_image(np.ascontiguousarray(pixels))
+    output.close()
 
 
 def files(folder):

@@ -50,16 +50,6 @@ def write(path: Path, content: object) -> None:
         file.writestr("archive/data.pkl", content if isinstance(content, bytes) else pickle.dumps(content, 2))
 
 
-def test_the_authors_checkpoints_are_read_as_pytorch_reads_them(reference_data: Path):
-    torch = pytest.importorskip("torch")
-    for scene in ("arena", "lewis"):
-        source = reference_data / "checkpoints" / f"{scene}.pkl"
-        expected = torch.load(source, weights_only=True, map_location="cpu")
-        weights = read_checkpoint(source)
-        assert set(weights) == set(expected)
-        assert same(weights, {name: value.numpy() for name, value in expected.items()})
-
-
 def saved(path: Path, **changed: Any) -> dict[str, Any]:
     """Save random weights as PyTorch does, some of them changed."""
     torch = pytest.importorskip("torch")
@@ -112,19 +102,12 @@ def test_nothing_but_tensors_is_read(path: Path, monkeypatch: pytest.MonkeyPatch
     assert list(path.parent.iterdir()) == [path]
 
 
-@pytest.mark.parametrize(
-    ("data", "message"),
-    [
-        (b"", "not a PyTorch checkpoint: expected a zip archive"),
-        (pickle.dumps({"a": 1}, 2), "not a PyTorch checkpoint: expected a zip archive"),
-        (bytes(checkpoint.MAX_BYTES + 1), "expected at most 64 MiB, found more"),
-    ],
-    ids=["empty", "pickle", "huge"],
-)
-def test_another_format_is_refused(path: Path, data: bytes, message: str):
+@pytest.mark.parametrize("data", [b"", pickle.dumps({"a": 1}, 2)], ids=["empty", "pickle"])
+def test_another_format_is_refused(path: Path, data: bytes):
     path.write_bytes(data)
-    assert refusal(path).startswith(message)
-    assert refusal(path.parent) == "expected a regular file, found a folder"
+    assert refusal(path).startswith("not a PyTorch checkpoint: expected a zip archive")
+    os.truncate(path, checkpoint.MAX_BYTES + 1)
+    assert refusal(path).startswith("expected at most 64 MiB, found more")
 
 
 def test_a_damaged_archive_is_refused(path: Path):

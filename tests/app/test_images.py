@@ -5,40 +5,11 @@ import subprocess
 import sys
 
 import numpy as np
-import OpenImageIO as oiio  # noqa: N813
 import pytest
 
 from stss.images import read_write as images
 from stss_ground.errors import InputError
-
-
-def exr_bytes(channels, *, window=None, display=None, extra=b""):
-    """An uncompressed EXR by hand: channels is {name: (kind, array (H, W))}, kind u4, f2 or f4."""
-
-    def attribute(name, kind, data):
-        return name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<i", len(data)) + data
-
-    height, width = next(iter(channels.values()))[1].shape
-    names = sorted(channels)
-    kinds = {"u4": 0, "f2": 1, "f4": 2}
-    listed = b"".join(n.encode("latin-1") + b"\0" + struct.pack("<iBxxxii", kinds[channels[n][0]], 0, 1, 1) for n in names)
-    window = window or (0, 0, width - 1, height - 1)
-    head = struct.pack("<ii", 20000630, 2)
-    head += attribute("channels", "chlist", listed + b"\0")
-    head += attribute("compression", "compression", b"\0")
-    head += attribute("dataWindow", "box2i", struct.pack("<4i", *window))
-    head += attribute("displayWindow", "box2i", struct.pack("<4i", *(display or window)))
-    head += attribute("lineOrder", "lineOrder", b"\0")
-    head += attribute("pixelAspectRatio", "float", struct.pack("<f", 1))
-    head += attribute("screenWindowCenter", "v2f", struct.pack("<2f", 0, 0))
-    head += attribute("screenWindowWidth", "float", struct.pack("<f", 1))
-    head += extra + b"\0"
-    rows = [b"".join(channels[n][1][y].astype("<" + channels[n][0]).tobytes() for n in names) for y in range(height)]
-    start, table, lines = len(head) + 8 * height, b"", b""
-    for y, row in enumerate(rows):
-        table += struct.pack("<Q", start + len(lines))
-        lines += struct.pack("<ii", window[1] + y, len(row)) + row
-    return head + table + lines
+from tests.app.conftest import write_parts
 
 
 def planes(*names, size=(9, 7), seed=0):
@@ -69,13 +40,9 @@ def test_channels_come_back_by_their_full_name(tmp_path):
 
 
 def test_whole_numbers_keep_their_value(tmp_path):
-    ids = np.arange(12, dtype=np.uint32).reshape(3, 4) * 1000
-    path = tmp_path / "a.exr"
-    path.write_bytes(exr_bytes({"id": ("u4", ids), "x": ("f4", ids + 0.5), "y": ("f2", ids % 7)}))
-    read = images.read_channels(path, ["id", "x", "y"])
-    np.testing.assert_array_equal(read["id"], ids)
-    np.testing.assert_array_equal(read["x"], ids + 0.5)
-    np.testing.assert_array_equal(read["y"], ids % 7)
+    ids = np.arange(12, dtype=np.uint32).reshape(3, 4, 1) * 1000
+    write_parts(tmp_path / "a.exr", (ids, ("id",), {}))
+    np.testing.assert_array_equal(images.read_channels(tmp_path / "a.exr", ["id"])["id"], ids[..., 0])
 
 
 @pytest.mark.parametrize("suffix", [".exr", ".png"])
@@ -100,8 +67,15 @@ def test_no_truncated_file_is_read_and_nothing_is_printed(tmp_path, suffix):
 
 def test_a_part_of_a_picture_is_refused(tmp_path):
     path = tmp_path / "a.exr"
-    path.write_bytes(exr_bytes({"R": ("f4", np.ones((3, 4)))}, display=(0, 0, 9, 9)))
-    for read in (images.read_header, lambda path: images.read_channels(path, ["R"])):
+    images.write_rgb(path, np.ones((3, 4, 3)))
+    window = struct.pack("<4i", 0, 0, 3, 2)
+    path.write_bytes(
+        path.read_bytes().replace(
+            b"displayWindow\0box2i\0\x10\0\0\0" + window,
+            b"displayWindow\0box2i\0\x10\0\0\0" + window[:8] + struct.pack("<2i", 9, 9),
+        )
+    )
+    for read in (images.read_header, images.read_rgb):
         with pytest.raises(InputError, match=r"data window .* is not the display window"):
             read(path)
 
@@ -138,13 +112,9 @@ def test_png_holds_display_values_and_texts(tmp_path):
 
 def test_transparency_does_not_darken(tmp_path):
     """OpenImageIO would multiply by alpha."""
-    spec = oiio.ImageSpec(2, 2, 4, "uint8")
-    spec.attribute("oiio:UnassociatedAlpha", 1)
-    output = oiio.ImageOutput.create(str(tmp_path / "a.png"))
-    assert output.open(str(tmp_path / "a.png"), spec)
-    assert output.write_image(np.full((2, 2, 4), (255, 51, 0, 51), dtype=np.uint8))
-    output.close()
-    np.testing.assert_array_equal(np.rint(images.read_rgb(tmp_path / "a.png") * 255), np.full((2, 2, 3), (255, 51, 0)))
+    pixels = np.full((2, 2, 4), (255, 51, 0, 51), np.uint8)
+    write_parts(tmp_path / "a.png", (pixels, tuple("RGBA"), {"oiio:UnassociatedAlpha": (1,)}))
+    np.testing.assert_array_equal(np.rint(images.read_rgb(tmp_path / "a.png") * 255), pixels[..., :3])
 
 
 def test_rgb_comes_from_one_layer(tmp_path):
@@ -159,19 +129,10 @@ def test_rgb_comes_from_one_layer(tmp_path):
 
 def test_parts_are_one_file(tmp_path):
     """A later part's channel whose name is taken goes by its part's name."""
-    path = tmp_path / "a.exr"
-    specs = []
-    for part, names in (("rgb", ("R", "G", "B")), ("depth", ("Z",)), ("normal", ("R", "G", "B"))):
-        spec = oiio.ImageSpec(5, 4, len(names), "float")
-        spec.channelnames = names
-        spec.attribute("oiio:subimagename", part)
-        specs.append(spec)
-    output = oiio.ImageOutput.create(str(path))
-    assert output.open(str(path), tuple(specs))
-    for index, spec in enumerate(specs):
-        assert index == 0 or output.open(str(path), spec, "AppendSubimage")
-        assert output.write_image(np.full((4, 5, spec.nchannels), index + 0.5, dtype=np.float32))
-    output.close()
+    path, parts = tmp_path / "a.exr", (("rgb", "RGB", 0.5), ("depth", "Z", 1.5), ("normal", "RGB", 2.5))
+    write_parts(
+        path, *((np.full((4, 5, len(n)), x, np.float32), tuple(n), {"oiio:subimagename": (part,)}) for part, n, x in parts)
+    )
     assert images.read_header(path).channels == ("R", "G", "B", "Z", "normal.R", "normal.G", "normal.B")
     read = images.read_channels(path, ["normal.G", "R", "Z"])
     assert [plane[0, 0] for plane in read.values()] == [2.5, 0.5, 1.5]

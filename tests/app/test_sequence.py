@@ -4,6 +4,7 @@ import math
 import shutil
 
 import numpy as np
+import OpenImageIO as oiio  # noqa: N813
 import pytest
 
 from stss.images.read_write import read_channels, write_channels
@@ -11,6 +12,7 @@ from stss.sequence.conventions import BACKGROUND_POSITION
 from stss.sequence.profiles import load_profile
 from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
+from tests.app.conftest import write_parts
 
 
 def test_frames_are_found_and_read_as_written(write_frames):
@@ -263,25 +265,13 @@ def test_world_to_camera(tmp_path, row_vectors):
     planes = {f"position.{name}": np.full((4, 6), value) for name, value in zip("XYZ", position, strict=True)}
     planes |= {name: np.ones((4, 6)) for name in ("R", "G", "B", "albedo.R", "albedo.G", "albedo.B", "normal.X", "normal.Y")}
     planes |= {"normal.Z": -np.ones((4, 6)), "depth.T": np.full((4, 6), np.linalg.norm(in_camera))}
-    write_with_matrix(tmp_path / "a.0001.exr", planes, matrix.T if row_vectors else matrix)
+    stored = {"worldToCamera": (oiio.TypeDesc("matrix"), [float(x) for x in (matrix.T if row_vectors else matrix).ravel()])}
+    write_parts(tmp_path / "a.0001.exr", (np.stack([*planes.values()], -1).astype(np.float32), tuple(planes), stored))
     write_channels(tmp_path / "a_motion.0001.exr", {"X": np.ones((4, 6)), "Y": np.ones((4, 6))})
     frame = open_sequence(tmp_path, "mitsuba", metallic=0, roughness=0.5).load(1)
     assert np.abs(frame.depth - 4).max() <= 4 * 2.0**-20
     normal, view = np.array([1, 1, -1]) / math.sqrt(3), eye - position
     assert np.abs(frame.nov - normal @ view / np.linalg.norm(view)).max() <= 2.0**-20
-
-
-def write_with_matrix(path, planes, matrix):
-    import OpenImageIO as oiio  # noqa: N813
-
-    names = tuple(planes)
-    spec = oiio.ImageSpec(6, 4, len(names), "float")
-    spec.channelnames = names
-    spec.attribute("worldToCamera", oiio.TypeDesc("matrix"), [float(x) for x in matrix.ravel()])
-    output = oiio.ImageOutput.create(str(path))
-    assert output.open(str(path), spec)
-    assert output.write_image(np.stack([np.asarray(planes[name], dtype=np.float32) for name in names], axis=-1))
-    output.close()
 
 
 def test_unreal_says_where_its_camera_was(tmp_path):

@@ -14,13 +14,10 @@ from safetensors import numpy as safetensors_numpy
 from safetensors import safe_open
 
 from stss.weights import file as files
-from stss.weights.checkpoint import read_checkpoint
 from stss.weights.file import identity, load, save
 from stss.weights.inspect import component_costs, inspect, print_inspection
 from stss_ground.errors import InputError
 from stss_ref.weights import TENSORS, Weights, WeightsError, random, zeros
-
-VERSION = {"stss_weights_version": "1"}
 
 
 def _same(one: Weights, other: Weights) -> bool:
@@ -32,8 +29,13 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "some.safetensors"
 
 
-def test_saved_weights_come_back_bit_for_bit(path: Path):
+def test_saved_weights_come_back_bit_for_bit(path: Path, tmp_path: Path):
+    """Equal weights make equal files, whatever their order; one bit of one number changes the identity."""
     save(path, random(1), {"made by": "test", "a": "ä"})
+    save(tmp_path / "other.safetensors", dict(reversed([*random(1).items()])), {"a": "ä", "made by": "test"})
+    assert path.read_bytes() == (tmp_path / "other.safetensors").read_bytes()
+    changed = random(1) | {"outc.bias": np.nextafter(random(1)["outc.bias"], np.float32(1))}
+    assert identity(changed) != identity(random(1)) == identity(Weights(dict(reversed([*random(1).items()]))))
     loaded = load(path)
     assert _same(loaded.weights, random(1))
     assert loaded.metadata == {"made by": "test", "a": "ä"}
@@ -71,21 +73,6 @@ def test_unknown_settings_are_refused(path: Path, metadata: dict[str, str], mess
         load(path)
 
 
-def test_equal_weights_make_equal_bytes(path: Path, tmp_path: Path):
-    other = tmp_path / "other.safetensors"
-    save(path, random(1), {"a": "1", "b": "2", "c": "3"})
-    save(other, dict(reversed([*random(1).items()])), {"c": "3", "b": "2", "a": "1"})
-    assert path.read_bytes() == other.read_bytes()
-
-
-def test_identity_sees_every_number_and_nothing_else(path: Path):
-    save(path, random(1), {"made by": "somebody else"})
-    assert load(path).identity == identity(random(1))
-    assert identity(Weights(dict(reversed([*random(1).items()])))) == identity(random(1))
-    changed = random(1) | {"outc.bias": np.nextafter(random(1)["outc.bias"], np.float32(1))}
-    assert identity(changed) != identity(random(1))
-
-
 def test_identity_stays_what_it_was():
     """Runs that are resumed, and reports, compare it with those of earlier versions."""
     assert identity(zeros()) == "8fca74d080362d00aa60b05204d03ef029f9f8c03b2ec12f59ce7d1df5976f6a"
@@ -93,7 +80,7 @@ def test_identity_stays_what_it_was():
 
 def test_what_is_no_weights_file_is_named(path: Path):
     def refused(message: str, file: Path = path) -> None:
-        with pytest.raises(InputError, match=message) as caught:
+        with pytest.raises((InputError, WeightsError), match=message) as caught:
             load(file)
         assert str(caught.value).startswith(str(file))
 
@@ -107,27 +94,11 @@ def test_what_is_no_weights_file_is_named(path: Path):
         refused("damaged safetensors file")
     safetensors_numpy.save_file(dict(zeros()), path, {"format": "pt"})
     refused("expected stss_weights_version 1, 2 or 3 in the metadata, found")
+    safetensors_numpy.save_file({**zeros(), "outc.bias": np.zeros(12, np.float16)}, path, {"stss_weights_version": "1"})
+    refused("outc.bias: expected dtype F32, got F16")
     with path.open("wb") as file:
         file.truncate(files.MAX_BYTES + 1)
     refused("larger than 64 MiB")
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"outc.bias": None}, "outc.bias: missing, of 92 tensors"),
-        ({"outc.scale": np.zeros(1, np.float32)}, "'outc.scale': not a tensor of this network"),
-        ({"outc.bias": np.zeros(13, np.float32)}, "outc.bias: expected shape (12,), got (13,)"),
-        ({"outc.bias": np.zeros(12, np.float16)}, "outc.bias: expected dtype F32, got F16"),
-        ({"outc.bias": np.full(12, np.inf, np.float32)}, "outc.bias: 12 non-finite values, first at index (0,)"),
-    ],
-)
-def test_a_wrong_tensor_is_named_with_its_file(path: Path, changes: dict[str, Any], message: str):
-    tensors = {name: tensor for name, tensor in {**zeros(), **changes}.items() if tensor is not None}
-    safetensors_numpy.save_file(tensors, path, VERSION)
-    with pytest.raises(WeightsError) as caught:
-        load(path)
-    assert str(caught.value) == f"{path}: {message}"
 
 
 def test_a_failed_save_leaves_the_old_file_and_nothing_else(path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -165,13 +136,6 @@ def test_inspection_says_what_is_left_out(capsys):
         assert "second colour: newest, the newest frame" in out
     print_inspection(inspect(Weights(unread, "earlier"), 540, 960), Console())
     assert "second colour: earlier, the frame before" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("scene", ["arena", "lewis"])
-def test_the_authors_weights_survive_the_conversion(reference_data: Path, path: Path, scene: str):
-    weights = read_checkpoint(reference_data / "checkpoints" / f"{scene}.pkl")
-    save(path, weights, {"scene": scene})
-    assert _same(load(path).weights, weights)
 
 
 @pytest.mark.parametrize("name", ["realtime", "antialiased"])

@@ -3,7 +3,6 @@
 
 import math
 import pickle
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -34,40 +33,12 @@ def test_the_network_has_the_papers_size():
     assert sum(layer.parameters for layer in LAYERS) == 417_241
 
 
-@pytest.mark.parametrize(
-    ("name", "shape"),
-    [
-        ("conv1.conv_feature.weight", (24, 21, 3, 3)),
-        ("down1.conv2.conv_mask.0.weight", (1, 24, 3, 3)),
-        ("down2.downsample.conv_feature.weight", (24, 24, 3, 3)),
-        ("down2.conv1.conv_mask.0.weight", (1, 24, 3, 3)),
-        ("down2.conv2.conv_feature.weight", (32, 32, 3, 3)),
-        ("lowlevelGated.conv_mask.0.bias", (1,)),
-        ("KEncoder.0.weight", (32, 9, 3, 3)),
-        ("up1.conv.double_conv.0.weight", (64, 128, 3, 3)),
-        ("up1.conv.double_conv.2.bias", (32,)),
-        ("up2.conv.double_conv.2.weight", (24, 28, 3, 3)),
-        ("outc.weight", (12, 24, 1, 1)),
-    ],
-)
-def test_names_and_shapes_are_the_authors(name: str, shape: tuple[int, ...]):
-    assert TENSORS[name] == shape
-
-
 def test_a_layer_is_counted_once_for_each_output_pixel_and_history_frame():
     counted = multiply_adds(16, 24)
     assert counted["conv2"] == 16 * 24 * (24 + 1) * 24 * 9
     assert counted["down1.downsample"] == 8 * 12 * (24 + 1) * 24 * 9
     assert counted["convHis3.0"] == 3 * 2 * 3 * 32 * 32 * 9
     assert counted["outc"] == 16 * 24 * 12 * 24
-
-
-@pytest.mark.parametrize("make", [zeros, lambda: random(3)])
-def test_weights_to_start_from_pass_the_check(make: Callable[[], Weights]):
-    weights = make()
-    checked = check(weights)
-    assert list(checked) == list(TENSORS)
-    assert all(np.array_equal(checked[name], weights[name]) for name in TENSORS)
 
 
 def test_checked_weights_can_not_be_changed_by_anybody():
@@ -79,40 +50,24 @@ def test_checked_weights_can_not_be_changed_by_anybody():
         weights["outc.bias"][0] = 1
 
 
-def _without(name: str) -> Callable[[dict[str, Any]], object]:
-    return lambda tensors: tensors.pop(name)
-
-
-def _with(name: str, tensor: Any) -> Callable[[dict[str, Any]], object]:
-    return lambda tensors: tensors.update({name: tensor})
-
-
-def _spoilt(value: float) -> Any:
-    tensor = np.zeros((24, 21, 3, 3), np.float32)
-    tensor[2, 3, 1, 0] = tensor[5, 0, 0, 0] = value
-    return tensor
+SPOILT = np.where(np.arange(24 * 21 * 9) % 2000 == 1999, np.float32(np.nan), 0).reshape(24, 21, 3, 3)
 
 
 @pytest.mark.parametrize(
-    ("damage", "message"),
+    ("changes", "message"),
     [
-        (_without("outc.bias"), "outc.bias: missing, of 92 tensors"),
-        (dict[str, Any].clear, "conv1.conv_feature.weight: missing (and 91 more), of 92 tensors"),
-        (_with("outc.scale", np.zeros(1, np.float32)), "'outc.scale': not a tensor of this network"),
-        (_with("outc.bias", np.zeros(13, np.float32)), "outc.bias: expected shape (12,), got (13,)"),
-        (_with("outc.bias", np.zeros(12)), "outc.bias: expected dtype float32, got float64"),
-        (_with("outc.bias", np.zeros(12, ">f4")), "outc.bias: expected dtype float32, got >f4"),
-        (
-            _with("conv1.conv_feature.weight", _spoilt(np.nan)),
-            "conv1.conv_feature.weight: 2 non-finite values, first at index (2, 3, 1, 0)",
-        ),
+        ({"outc.bias": None}, "outc.bias: missing, of 92 tensors"),
+        (dict.fromkeys(TENSORS), "conv1.conv_feature.weight: missing (and 91 more), of 92 tensors"),
+        ({"outc.scale": np.zeros(1, np.float32)}, "'outc.scale': not a tensor of this network"),
+        ({"outc.bias": np.zeros(13, np.float32)}, "outc.bias: expected shape (12,), got (13,)"),
+        ({"outc.bias": np.zeros(12)}, "outc.bias: expected dtype float32, got float64"),
+        ({"outc.bias": np.zeros(12, ">f4")}, "outc.bias: expected dtype float32, got >f4"),
+        ({"conv1.conv_feature.weight": SPOILT}, "conv1.conv_feature.weight: 2 non-finite values, first at index (10, 12, 0, 1)"),
     ],
 )
-def test_a_defect_is_an_error_that_names_the_tensor(damage: Callable[[dict[str, Any]], object], message: str):
-    tensors: dict[str, Any] = dict(zeros())
-    damage(tensors)
+def test_a_defect_is_an_error_that_names_the_tensor(changes: dict[str, Any], message: str):
     with pytest.raises(WeightsError) as caught:
-        check(tensors)
+        check({name: tensor for name, tensor in {**zeros(), **changes}.items() if tensor is not None})
     assert str(caught.value) == message
 
 
@@ -159,12 +114,7 @@ def test_when_layers_run():
 def test_the_second_colour_stays_with_the_tensors():
     """Checked, rounded, copied to another process; tensors alone mean the newest frame."""
     made = Weights(random(2), "earlier")
-    for same in (
-        check(made),
-        made | {"outc.bias": made["outc.bias"]},
-        astype(made, np.float64),
-        pickle.loads(pickle.dumps(made)),
-    ):
+    for same in (check(made), made | {"outc.bias": made["outc.bias"]}, astype(made, float), pickle.loads(pickle.dumps(made))):
         assert same.second_color == "earlier"
     for other in (check(dict(made)), random(2), zeros()):
         assert other.second_color == "newest"
@@ -172,9 +122,5 @@ def test_the_second_colour_stays_with_the_tensors():
 
 def test_how_many_colour_frames_the_image_depends_on():
     unread = random(2) | {name: tensor * 0 for name, tensor in random(2).items() if name.startswith("lowlevelGated")}
-    assert [colors_read(w) for w in (unread, Weights(unread, "earlier"), random(2), Weights(random(2), "earlier"))] == [
-        1,
-        2,
-        3,
-        3,
-    ]
+    made = (unread, Weights(unread, "earlier"), random(2), Weights(random(2), "earlier"))
+    assert [colors_read(weights) for weights in made] == [1, 2, 3, 3]
