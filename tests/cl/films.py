@@ -1,4 +1,4 @@
-"""Display frames of noise, of which chosen parts change from one to the next, and the calls that a stream is given for them."""
+"""Inputs of noise: of the network, of a frame, and display frames of which chosen parts change from one to the next."""
 
 from dataclasses import fields, replace
 
@@ -8,6 +8,7 @@ import pyopencl.array as cla
 
 from stss.frames.display_frame import DisplayFrame, window_at
 from stss.frames.supersample import plan
+from stss_ref.frame import FrameInputs
 from stss_ref.weights import Weights
 from stss_ref.weights import random as random_weights
 
@@ -20,6 +21,35 @@ CHANGES = ("nothing", "nothing", "pixel", "color", "rectangle", "moving", "every
 SIZE = 24, 40
 MIXED = (*5 * ["nothing"], "nothing", "pixel", "moving", "nothing", "rectangle")
 """Changes of a film of which some frames are computed whole, some in part, and some not at all."""
+
+
+def network_inputs(size, seed=0, share=0.7):
+    """Colour, G-buffer, mask and history; ``share`` of the mask is valid."""
+    random = np.random.default_rng(seed)
+    color, gbuffer, mask, history = (random.random(shape, np.float32) for shape in ((*size, 6), (*size, 9), size, (3, *size, 4)))
+    return [color, gbuffer, (mask < share).astype(np.float32), history]
+
+
+def frame_inputs(size, seed=0, steps=(1, 3, 5), **others):
+    """Inputs of a frame: noise on one still surface, but for ``others``."""
+    random = np.random.default_rng(seed)
+    drawn = {
+        "colors": random.random((3, *size, 3)),
+        "motions": random.uniform(-3, 3, (5, *size, 2)),
+        "gbuffer": random.random((*size, 9)),
+        "nov": random.random(size),
+        "stencils": np.zeros((4, *size)),
+        "normals": np.ones((4, *size, 3)),
+        "positions": np.zeros((4, *size, 3)),
+    } | others
+    return FrameInputs(steps=steps, **{name: array.astype(np.float32) for name, array in drawn.items()})
+
+
+def uneven(size, seed=0):
+    """Stencils, normals and positions of a surface that is another one everywhere."""
+    random = np.random.default_rng(seed)
+    stencils = random.random((4, *size)) > 0.8
+    return {"stencils": stencils, "normals": random.random((4, *size, 3)), "positions": 30 * random.random((4, *size, 3))}
 
 
 def first_frame(rng, size, *, rendered=True):

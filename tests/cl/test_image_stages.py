@@ -1,7 +1,5 @@
 """The image-space stages in OpenCL: every value is the float32 reference's, bit for bit."""
 
-import dataclasses
-
 import numpy as np
 import pyopencl as cl
 import pytest
@@ -10,16 +8,14 @@ from hypothesis import strategies as st
 
 from conformance.cases.planes import SEEDS, frames, motions, sizes
 from stss_cl.device.buffers import inputs_for, read
-from stss_cl.image_space.prepare import Prepare
+from stss_cl.image_space.prepare import FINITE, Prepare
 from stss_cl.image_space.stages import ImageStages
-from stss_ref.arrays import ArrayError
-from stss_ref.constants import HOLE_TESTS
 from stss_ref.frame import FrameInputs, prepare
 from stss_ref.motion_chain import motion_chain
 from stss_ref.occlusion_warp import occlusion_warp, splat
 from stss_ref.resample import downsample_8, pad_to_8
+from tests.cl.films import frame_inputs as noise
 
-GATHERS = ("longest", "nearest", "bilinear")
 BROKEN = (np.nan, np.inf, -np.inf, 3e38, -3e38, -0.0, 1e-42)
 
 
@@ -136,20 +132,6 @@ def frame_inputs(draw, size):
     )
 
 
-def noise(random, size, **others):
-    """Inputs of an EF: noise on one still surface, but for ``others``."""
-    drawn = {
-        "colors": random.random((3, *size, 3)),
-        "motions": random.uniform(-3, 3, (5, *size, 2)),
-        "gbuffer": random.random((*size, 9)),
-        "nov": random.random(size),
-        "stencils": np.zeros((4, *size)),
-        "normals": np.ones((4, *size, 3)),
-        "positions": np.zeros((4, *size, 3)),
-    } | others
-    return FrameInputs(steps=(1, 3, 5), **{name: array.astype(np.float32) for name, array in drawn.items()})
-
-
 def downloaded(device, buffer, shape, dtype=np.float32):
     array = np.empty(shape, dtype)
     assert buffer.size >= array.nbytes  # behind it lies room for strips that stick out
@@ -158,13 +140,9 @@ def downloaded(device, buffer, shape, dtype=np.float32):
 
 
 def prepared(preparation, inputs):
-    preparation.begin(*arguments(inputs))
+    preparation.begin(**vars(inputs))
     preparation.strip()
     return preparation
-
-
-def arguments(inputs):
-    return [getattr(inputs, field.name) for field in dataclasses.fields(inputs)]
 
 
 def assert_prepared(device, preparation, inputs, size, second="newest", frames=3, test="footprint"):
@@ -187,32 +165,22 @@ def assert_prepared(device, preparation, inputs, size, second="newest", frames=3
     assert_same(downloaded(device, preparation.mask, size, np.uint8), want.mask.astype(np.uint8))
 
 
-@pytest.mark.parametrize("test", HOLE_TESTS)
-@settings(max_examples=40)
+@pytest.mark.parametrize(
+    ("test", "second", "frames"),
+    [("footprint", "newest", 3), ("paper", "newest", 3), ("footprint", "earlier", 2), ("footprint", "earlier", 3)],
+)
+@settings(max_examples=20)
 @given(data=st.data(), size=sizes(26))
-def test_prepare(device, test, data, size):
-    """One frame after another in the same buffers: nothing of the first is left in the second."""
-    preparation = Prepare(device, *size, test=test)
-    for _ in range(2):
-        inputs = data.draw(frame_inputs(size))
-        assert_prepared(device, prepared(preparation, inputs), inputs, size, test=test)
-
-
-@pytest.mark.parametrize("frames", [2, 3])
-@settings(max_examples=15)
-@given(data=st.data(), size=sizes(26))
-def test_prepare_with_an_earlier_second_colour(device, frames, data, size):
-    """Where the colour frame before is valid, it is the second colour; in frames of one strip and of several."""
-    whole = Prepare(device, *size, second="earlier", frames=frames)
+def test_prepare(device, test, second, frames, data, size):
+    """One frame after another in the same buffers, whole and in strips: nothing of the first is left in the second."""
+    whole = Prepare(device, *size, second=second, frames=frames, test=test)
     strip = inputs_for(device, 8, whole.columns, np.dtype(np.float32))
     tops = range(0, whole.rows, 8)
-    parts = Prepare(device, *size, inputs=strip, second="earlier", frames=frames, tops=tops)
+    parts = Prepare(device, *size, inputs=strip, second=second, frames=frames, tops=tops, test=test)
     for _ in range(2):
         inputs = data.draw(frame_inputs(size))
-        whole.begin(*arguments(inputs))
-        whole.strip()
-        assert_prepared(device, whole, inputs, size, "earlier", frames)
-        parts.begin(*arguments(inputs))
+        assert_prepared(device, prepared(whole, inputs), inputs, size, second, frames, test)
+        parts.begin(**vars(inputs))
         shape = whole.rows + 2, whole.columns + 2, 24
         rows = downloaded(device, whole.inputs.input.data, shape)
         for top in tops:
@@ -231,7 +199,7 @@ def test_prepare_in_wide_frames(device):
     motions[:, :, ::50][..., 0] = np.resize(far, motions[:, :, ::50][..., 0].shape)
     motions[:, :, 25::50][..., 1] = np.resize(far, motions[:, :, 25::50][..., 1].shape)
     stencils = (random.random((4, *size)) < 0.1).astype(np.float32)
-    inputs = noise(random, size, motions=motions, stencils=stencils, positions=random.random((4, *size, 3)) * 30)
+    inputs = noise(size, motions=motions, stencils=stencils, positions=random.random((4, *size, 3)) * 30)
     assert_prepared(device, prepared(Prepare(device, *size), inputs), inputs, size)
 
 
@@ -248,15 +216,9 @@ def test_prepare_where_hardly_anything_is_a_hole(device, test, motion):
         for value in (400, np.nan, np.inf):
             positions[plane, random.integers(24), random.integers(70), random.integers(3)] = value
         stencils[plane, random.integers(24), random.integers(70)] = 1
-    inputs = noise(
-        random,
-        size,
-        colors=random.normal(0.5, 0.5, (3, *size, 3)),
-        motions=motion + random.uniform(0, 0.2, (5, *size, 2)),
-        stencils=stencils,
-        normals=random.normal(0, 1, (4, *size, 3)),
-        positions=positions,
-    )
+    colors, normals = random.normal(0.5, 0.5, (3, *size, 3)), random.normal(0, 1, (4, *size, 3))
+    motions = motion + random.uniform(0, 0.2, (5, *size, 2))
+    inputs = noise(size, colors=colors, motions=motions, stencils=stencils, normals=normals, positions=positions)
     preparation = Prepare(device, *size, test=test)
     for _ in range(2):  # nothing that the first marked is left in the second
         assert_prepared(device, prepared(preparation, inputs), inputs, size, test=test)
@@ -267,68 +229,22 @@ def test_prepare_where_hardly_anything_is_a_hole(device, test, motion):
 @pytest.mark.parametrize("steps", [(0, 2, 4), (1, 3, 5), (1, 1, 1)])
 def test_prepare_sees_what_is_not_finite(device, steps):
     """In each plane of each array, in whole rows of eight and behind the last one, in one strip and in three; and forgets it."""
-    size = (17, 21)
-    random = np.random.default_rng(3)
-    shapes = {"colors": (3, *size, 3), "gbuffer": (*size, 9), "nov": size, "stencils": (4, *size), "normals": (4, *size, 3)}
-    arrays = {name: random.random(shape).astype(np.float32) for name, shape in shapes.items()}
-    arrays |= {"motions": np.full((5, *size, 2), 0.5, np.float32), "positions": np.zeros((4, *size, 3), np.float32)}
+    size, random = (17, 21), np.random.default_rng(3)
+    arrays = vars(noise(size, steps=steps))
     for inputs, tops in ((None, (0,)), (inputs_for(device, 8, 24, np.dtype(np.float32)), (0, 8, 16))):
         preparation = Prepare(device, *size, inputs=inputs, tops=tops)
 
         def bad(preparation=preparation, tops=tops):
-            preparation.begin(steps=steps, **arrays)
+            preparation.begin(**arrays)
             for top in tops:
                 preparation.strip(top)
             return preparation.not_finite()
 
         assert bad() is None
-        for name, shape in shapes.items():
+        for name in FINITE:
             array = arrays[name]
             for place in (0, array.size - 1, *random.integers(array.size, size=6)):
                 held, array.flat[place] = array.flat[place], random.choice([np.nan, np.inf, -np.inf])
-                assert bad() == name, (name, np.unravel_index(place, shape))
+                assert bad() == name, (name, np.unravel_index(place, array.shape))
                 array.flat[place] = held
         assert bad() is None
-
-
-@pytest.mark.parametrize("gather", GATHERS)
-def test_prepare_takes_buffers_and_gathers(device, gather):
-    """What is on the device already need not come from arrays; whole-frame values change with the gather as the reference's."""
-    size = (19, 33)
-    random = np.random.default_rng(2)
-    inputs = noise(random, size, stencils=random.integers(0, 2, (4, *size)), positions=random.random((4, *size, 3)) * 50)
-    preparation = Prepare(device, *size, gather)
-    upload = ImageStages(device).upload
-    on_device = [upload(a) if isinstance(a, np.ndarray) else a for a in arguments(inputs)]
-    want = prepare(inputs, gather)
-    for given_arguments in (arguments(inputs), on_device):
-        preparation.begin(*given_arguments)
-        preparation.strip()
-        x0 = downloaded(device, preparation.inputs.input.data, (preparation.rows + 2, preparation.columns + 2, 24))
-        assert_same(x0[1:20, 1:34, :6], want.color)
-        assert_same(downloaded(device, preparation.mask, size, np.uint8), want.mask.astype(np.uint8))
-
-
-def test_prepare_errors_name_the_array(device):
-    preparation = Prepare(device, 1, 1)
-    given_arguments = {
-        "colors": np.zeros((3, 1, 1, 3), "f"),
-        "steps": (1, 3, 5),
-        "motions": np.zeros((5, 1, 1, 2), "f"),
-        "gbuffer": np.zeros((1, 1, 9), "f"),
-        "nov": np.zeros((1, 1), "f"),
-        "stencils": np.zeros((4, 1, 1), "f"),
-        "normals": np.zeros((4, 1, 1, 3), "f"),
-        "positions": np.zeros((4, 1, 1, 3), "f"),
-    }
-    preparation.begin(**given_arguments)
-    wrong = (
-        ("steps", (3, 1, 5), "steps: expected three numbers from 0 to 5, newest"),
-        ("motions", np.zeros((4, 1, 1, 2), "f"), "motions: expected at least 5, got 4"),
-        ("nov", np.zeros((1, 1)), "nov: expected dtype float32, got float64"),
-        ("stencils", np.zeros((3, 1, 1), "f"), r"stencils: expected shape \(4, 1, 1\), got \(3, 1, 1\)"),
-        ("gbuffer", ImageStages(device).upload(np.zeros(8, "f")), "gbuffer: expected at least 36 bytes, got 32"),
-    )
-    for name, value, message in wrong:
-        with pytest.raises(ArrayError, match=message):
-            preparation.begin(**{**given_arguments, name: value})

@@ -20,6 +20,7 @@ from stss_ref import conv as reference
 from stss_ref.network import network
 from stss_ref.weights import astype, uses
 from stss_ref.weights import random as random_weights
+from tests.cl.films import network_inputs
 
 _rows = built_in_rows(BUILT_IN)
 VECTORS = {8: _rows.classes["cpu"], 16: _rows.targets["rocketlake"]}
@@ -171,13 +172,6 @@ def test_small_tiles_at_an_eighth(device):
     assert not fast or sides == {(4, 32 // 4), (4, 16 // 4), (4, 8 // 4), (2, 4 // 2)}
 
 
-def network_inputs(size, seed, share=0.7):
-    random = np.random.default_rng(seed)
-    shapes = ((*size, 6), (*size, 9), size, (3, *size, 4))
-    color, gbuffer, mask, history = (random.random(shape, dtype=np.float32) for shape in shapes)
-    return [color, gbuffer, (mask < share).astype(np.float32), history]
-
-
 @pytest.fixture(scope="module", params=PRECISIONS)
 def net(request, device):
     if request.param == "bfloat16" and not device.is_cpu:
@@ -198,7 +192,7 @@ def test_the_image_is_the_references(net, size, seed, share):
 
 
 def test_the_image_with_vectors_of_16(processor, unoptimised):
-    """From half storage: the stores and the image's own layer, too, know them. Those of 8: test_changed_tiles.py, other tile sizes."""
+    """From half storage: the stores and the image's own layer, too, know them. Those of 8: test_stream.py, other tile sizes."""
     if processor.name.startswith(INTEL):
         pytest.skip("its compiler takes minutes for one of these kernels")
     inputs = network_inputs((29, 43), 3)
@@ -258,15 +252,11 @@ def test_what_is_left_out_changes_no_bit(processor, layers, monkeypatch):
 
 def test_weights_that_read_no_history_have_the_references_image(device):
     weights = without(random_weights(3), "lowlevelGated")
-    random = np.random.default_rng(3)
-    shapes = {"color": (16, 24, 6), "gbuffer": (16, 24, 9), "mask": (16, 24), "history": (3, 16, 24, 4)}
-    inputs = {n: random.random(shape, np.float32) for n, shape in shapes.items()}
-    want = network(**{n: x.astype(np.float64) for n, x in inputs.items()}, weights=astype(weights, np.float64))
-    made = Network(weights, device)
-    image = made(**inputs)
-    assert ratio("network.cl", image, want) <= 1
-    inputs["history"][:] = np.nan  # nobody looks
-    np.testing.assert_array_equal(made(**inputs), image)
+    inputs, made = network_inputs((16, 24), 3), Network(weights, device)
+    image = made(*inputs)
+    assert ratio("network.cl", image, network(*(x.astype(np.float64) for x in inputs), astype(weights, np.float64))) <= 1
+    inputs[3][:] = np.nan  # nobody looks
+    np.testing.assert_array_equal(made(*inputs), image)
 
 
 def test_the_same_bits_every_time(net):

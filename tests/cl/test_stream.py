@@ -17,6 +17,8 @@ from hypothesis import strategies as st
 from stss.frames.display_frame import DisplayFrame
 from stss.frames.supersample import plan
 from stss_cl.device import program
+from stss_cl.network.strips import OVERLAP
+from stss_cl.skip.last_image import LastImage
 from stss_cl.skip.stream import Stream
 from stss_ref.arrays import ArrayError
 from tests.cl.films import CHANGES, EARLIER, UNREAD, WEIGHTS, assert_same, calls_of, film
@@ -32,7 +34,7 @@ class Sequence:
 
 @st.composite
 def sequences(draw):
-    size = draw(st.tuples(st.integers(1, 30), st.integers(1, 44)))
+    size = draw(st.tuples(st.integers(1, 30), st.integers(1, 72)))
     changes = draw(st.lists(st.sampled_from(CHANGES), min_size=4, max_size=12))
     frames = film(changes, size, draw(st.integers(0, 2**32 - 1)))
     calls = [(i, 6) for i in range(len(frames))]
@@ -170,6 +172,47 @@ def test_what_weights_do_not_read_is_not_computed(device):
             assert_same(keeping(*call), plain(*call))
             if i >= 8 and i % 2 == 0:
                 assert keeping.report.network == ("changed" if i <= last else "none")
+
+
+@pytest.mark.parametrize(("precision", "tall"), [("float32-direct", False), ("float32", True), ("half", False)])
+def test_nothing_is_computed_far_from_a_change(device, monkeypatch, precision, tall):
+    """No further than the overlap of strips; and everything that did change is."""
+    size, target = (800, 16) if tall else (16, 800), LastImage.target
+
+    def poisoned(self, *, whole):
+        buffer = target(self, whole=whole)
+        if not whole:
+            cl.enqueue_copy(device.queue, buffer, np.full((2 * size[0], 2 * size[1], 3), np.nan, np.float32))
+        return buffer
+
+    monkeypatch.setattr(LastImage, "target", poisoned)
+    stream, plain = Stream(WEIGHTS, device, precision), Stream(WEIGHTS, device, precision, skip="off")
+    changes, frames, reach = {8: 0, 12: 333, 16: 799}, still(17, size), OVERLAP[precision != "float32-direct"]
+    for i, along in changes.items():
+        frames[i].gbuffer[(along, 3) if tall else (3, along)] += 0.5
+    for i, call in enumerate(calls_of(frames)):
+        image, _ = stream(*call)
+        if i == 6:
+            before = image.copy()
+        if i in changes:
+            assert stream.report.network == "changed"
+            rows = np.flatnonzero(np.isfinite(image).any((1, 2) if tall else (0, 2))) // 2
+            assert np.abs(rows - changes[i]).min() == 0
+            assert np.abs(rows - changes[i]).max() <= reach
+            np.testing.assert_array_equal(np.where(np.isnan(image), before, image), plain(*call)[0])
+
+
+def test_the_attention_sees_keys_that_changed_alone(device):
+    """Where its values are the same everywhere nothing else brings the change to it."""
+    weights = WEIGHTS | {n: w * 0 for n, w in WEIGHTS.items() if n.startswith("latentEncoder") and n.endswith("weight")}
+    keeping, plain, frames = Stream(weights, device), Stream(weights, device, skip="off"), still(13, (40, 128))
+    for i, left in ((8, 0), (10, 5), (12, 15)):
+        frames[i].gbuffer[:, 8 * left : 8 * left + 8] *= 0.5
+    for i, call in enumerate(calls_of(frames)):
+        got = keeping(*call)
+        if i in (8, 10, 12):
+            assert_same(got, plain(*call))
+            assert keeping.report.network == "changed"
 
 
 def test_activity_says_where(device):

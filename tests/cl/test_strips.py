@@ -2,7 +2,6 @@
 
 import gc
 import weakref
-from dataclasses import fields, replace
 
 import numpy as np
 import pyopencl as cl
@@ -17,12 +16,11 @@ from stss_cl.network.network import Network
 from stss_cl.network.strips import OVERLAP, STEP, bytes_for, rows_within, strips
 from stss_cl.skip.stream import Stream
 from stss_ground.errors import DeviceError
-from stss_ref.frame import FrameInputs
 from stss_ref.frame import frame as reference_frame
 from stss_ref.weights import LAYERS
 from stss_ref.weights import random as random_weights
 from tests.cl.conftest import QUICK
-from tests.cl.films import calls_of, film
+from tests.cl.films import calls_of, film, frame_inputs, network_inputs, uneven
 
 WIDTH = 24
 
@@ -95,17 +93,10 @@ def test_the_limit_counts_what_is_allocated(device, monkeypatch, precision, size
     assert allocated >= 0.7 * counted - slack
 
 
-def network_inputs(height, seed=0):
-    random = np.random.default_rng(seed)
-    shapes = ((height, WIDTH, 6), (height, WIDTH, 9), (height, WIDTH), (3, height, WIDTH, 4))
-    color, gbuffer, mask, history = (random.random(shape, dtype=np.float32) for shape in shapes)
-    return color, gbuffer, (mask < 0.7).astype(np.float32), history
-
-
 @pytest.mark.parametrize("precision", QUICK)
 def test_strips_have_the_bits_of_the_whole(device, precision):
     weights, height = random_weights(2), 1221
-    inputs = network_inputs(height)
+    inputs = network_inputs((height, WIDTH))
     whole = Network(weights, device, precision)(*inputs)
     dtype = dtype_of(precision)
     limit = bytes_for(2 * OVERLAP[precision in ("float32", "half")] + 3 * STEP, ceil8(height), WIDTH, dtype)
@@ -118,7 +109,7 @@ def test_strips_have_the_bits_of_the_whole(device, precision):
 def test_a_pixel_depends_on_no_more_than_the_overlap(device):
     """One input pixel changed, everything else equal: the rows that change are within 109, as the specification says."""
     weights = random_weights(4)
-    inputs = network_inputs(680)
+    inputs = network_inputs((680, WIDTH))
     network = Network(weights, device, "float32-direct")
     before = network(*inputs)
     changed = [x.copy() for x in inputs]
@@ -134,27 +125,14 @@ def test_a_pixel_depends_on_no_more_than_the_overlap(device):
 def test_whole_frames_in_strips(device, steps):
     """Motion and splat reach across strips; image and holes are as without strips."""
     height = 1210
-    random = np.random.default_rng(1)
-
-    def noise(*shape):
-        return random.random(shape, dtype=np.float32)
-
-    inputs = FrameInputs(
-        colors=noise(3, height, WIDTH, 3),
-        steps=steps,
-        motions=(noise(5, height, WIDTH, 2) - 0.5) * 300,
-        gbuffer=noise(height, WIDTH, 9),
-        nov=noise(height, WIDTH),
-        stencils=(noise(4, height, WIDTH) > 0.8).astype(np.float32),
-        normals=noise(4, height, WIDTH, 3),
-        positions=noise(4, height, WIDTH, 3) * 30,
-    )
-    given_arguments = {f.name: getattr(inputs, f.name) for f in fields(inputs)}
+    size = height, WIDTH
+    moving = np.random.default_rng(1).uniform(-150, 150, (5, *size, 2))
+    inputs = frame_inputs(size, 1, steps, motions=moving, **uneven(size))
     weights = random_weights(6)
-    whole, valid = Frame(weights, device)(**given_arguments)
+    whole, valid = Frame(weights, device)(**vars(inputs))
     limit = bytes_for(2 * OVERLAP[True] + 3 * STEP, ceil8(height), WIDTH, np.float32)
-    image, valid_in_strips = Frame(weights, device, memory_limit=limit)(**given_arguments)
+    image, valid_in_strips = Frame(weights, device, memory_limit=limit)(**vars(inputs))
     np.testing.assert_array_equal(image, whole)
     np.testing.assert_array_equal(valid_in_strips, valid)
-    _, expected = reference_frame(replace(inputs), weights)
+    _, expected = reference_frame(inputs, weights)
     np.testing.assert_array_equal(valid, expected)

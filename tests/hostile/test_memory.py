@@ -17,7 +17,7 @@ from stss.frames.supersample import plan
 from stss_cl.network.network import Network
 from stss_cl.skip.stream import Stream
 from stss_ref.arrays import ArrayError
-from tests.cl.films import CHANGES, UNREAD, WEIGHTS, assert_same, first_frame, next_frame
+from tests.cl.films import CHANGES, UNREAD, WEIGHTS, assert_same, first_frame, network_inputs, next_frame
 
 PLANES = ("color", "motion", "gbuffer", "nov", "stencil", "position")
 EVERY_SECOND, ALL, MOST = (True, False), (True,), (True, False, True, True)
@@ -168,11 +168,6 @@ def test_a_call_that_ends_half_way_leaves_nothing_behind(device, monkeypatch, br
         assert_same(stream(window, plan(window).steps), plain(window, plan(window).steps))
 
 
-def network_inputs(size=(16, 24)):
-    rng = np.random.default_rng(2)
-    return [rng.random(shape, np.float32) for shape in ((*size, 6), (*size, 9), size, (3, *size, 4))]
-
-
 def anywhere(array, first):
     """A copy that begins ``first`` floats behind where NumPy lets an array begin."""
     place = np.empty(array.size + first, np.float32)[first:].reshape(array.shape)
@@ -183,18 +178,18 @@ def anywhere(array, first):
 @pytest.mark.parametrize("first", [1, 2, 3])
 def test_arrays_may_begin_anywhere(device, first):
     """Kernels read four floats at once, from where four floats may lie: elsewhere the process ended."""
-    network, inputs = Network(WEIGHTS, device), network_inputs()
+    network, inputs = Network(WEIGHTS, device), network_inputs((16, 24), 2)
     np.testing.assert_array_equal(network(*(anywhere(array, first) for array in inputs)), network(*inputs))
 
 
 def test_arrays_need_not_be_contiguous(device):
-    network, inputs = Network(WEIGHTS, device), network_inputs()
+    network, inputs = Network(WEIGHTS, device), network_inputs((16, 24), 2)
     np.testing.assert_array_equal(network(*map(np.asfortranarray, inputs)), network(*inputs))
 
 
 def test_a_part_of_an_array_on_the_device_is_that_part(device):
     """Not what lies at the beginning of its buffer."""
-    network, inputs = Network(WEIGHTS, device), network_inputs()
+    network, inputs = Network(WEIGHTS, device), network_inputs((16, 24), 2)
     parts = [cla.to_device(device.queue, np.stack([np.full_like(array, 9), array]))[1] for array in inputs]
     np.testing.assert_array_equal(network(*parts).get(), network(*inputs))
     turned = cla.to_device(device.queue, inputs[2].T.copy()).T

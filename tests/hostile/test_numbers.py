@@ -20,6 +20,7 @@ from stss_ref.arrays import ArrayError
 from stss_ref.weights import random as random_weights
 from tests.app.conftest import write_frames  # noqa: F401 - a fixture
 from tests.cl.conftest import QUICK
+from tests.cl.films import network_inputs
 
 SIZE, NUMBERS, RENDERED = (24, 32), range(7), (0, 2, 4, 6)
 FAULTS = {
@@ -109,9 +110,7 @@ def huge(weights, factor):
 @pytest.mark.parametrize("factor", [1e6, 1e36])
 def test_activations_too_large_are_no_image(device, precision, factor):
     """Half holds 65504 at most: what is larger is stored as that. Whatever comes out that is not finite is refused, and never written."""
-    rng = np.random.default_rng(4)
-    inputs = [rng.random(shape, np.float32) for shape in ((*SIZE, 6), (*SIZE, 9), SIZE, (3, *SIZE, 4))]
-    image = Network(huge(random_weights(3), factor), device, precision)(*inputs)
+    image = Network(huge(random_weights(3), factor), device, precision)(*network_inputs(SIZE, 4))
     if precision == "half" and factor == 1e6:
         assert np.isfinite(image).all()
     if np.isfinite(image).all():

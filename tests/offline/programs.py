@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from itertools import product
 
-import numpy as np
 import pytest
 
 from stss.frames.display_frame import halve
@@ -14,7 +13,7 @@ from stss_cl.frame import Frame
 from stss_cl.network.network import Network
 from stss_cl.skip.stream import SKIPS, Stream
 from tests.cl.conftest import QUICK, launch_nothing
-from tests.cl.films import EARLIER, WEIGHTS, calls_of, film
+from tests.cl.films import EARLIER, WEIGHTS, calls_of, film, frame_inputs
 
 SIZE = 19, 45
 
@@ -51,7 +50,7 @@ def programs(row):
                 for cache in stream._caches.values():  # what only some frames build
                     cache.network.changed_tiles()
                     cache.prepare._whole  # noqa: B018
-            Frame(WEIGHTS, device, precision)(**one_frame())
+            Frame(WEIGHTS, device, precision)(**vars(frame_inputs(SIZE)))
     return [
         Program(
             file,
@@ -60,12 +59,3 @@ def programs(row):
         )
         for (file, options), built in program.built(device).items()
     ]
-
-
-def one_frame():
-    """The arguments of ``Frame``."""
-    channels = {"colors": 3, "motions": 2, "normals": 3, "positions": 3}
-    planes = {"colors": 3, "motions": 5, "normals": 4, "positions": 4}
-    shapes = {name: (planes[name], *SIZE, count) for name, count in channels.items()}
-    shapes |= {"gbuffer": (*SIZE, 9), "nov": SIZE, "stencils": (4, *SIZE)}
-    return {"steps": (1, 3, 5), **{name: np.zeros(shape, np.float32) for name, shape in shapes.items()}}
