@@ -10,6 +10,7 @@ the samples call it y, as half of the engines do.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -38,7 +39,7 @@ class Batch(NamedTuple):
     """Inputs of the network and the truth, channels first, float32.
 
     color (N, 6, H, W), gbuffer (N, 9, H, W), mask (N, 1, H, W) after RRM, history (N, 3, 4, H, W), truth (N, 3, 2H, 2W),
-    motion (N, 2, H, W) pixels of a sample to its partner, the one beside it: 0 and 1, 2 and 3.
+    motion (N, 2, H, W) pixels of a sample to its partner, the one beside it: 0 and 1, 2 and 3; further channels of the shards follow.
     """
 
     color: NDArray[np.float32]
@@ -56,31 +57,41 @@ def crop(inputs: Array, truth: Array, corner: tuple[int, int], side: int) -> tup
     return small.astype(np.float32), large.astype(np.float32)
 
 
-def augment(inputs: Array, truth: Array, random: Random, *, upright: bool = False) -> tuple[Array, Array]:
+def augment(
+    inputs: Array,
+    truth: Array,
+    random: Random,
+    *,
+    upright: bool = False,
+    colors: Sequence[slice] = COLORS,
+    motions: Sequence[slice] = (MOTION,),
+) -> tuple[Array, Array]:
     """Turn and mirror crops, and change their exposure and colours, all alike; returns new float32 arrays.
 
     ``upright`` leaves out what no renderer's frames show: a camera on its side or its head, and colours that changed places. They are
     means against too few films; with enough of them, they cost what the network could learn in their place.
 
     Args:
-        inputs: (N, H, W, 26).
+        inputs: (N, H, W, 26) or more channels.
         truth: (N, 2H, 2W, 3).
         random: where chance comes from.
+        colors, motions: the channels of colours and of motions.
     """
     quarters, mirrored = 0 if upright else int(random.integers(4)), bool(random.random() < 0.5)
     inputs, truth = np.rot90(inputs, quarters, (1, 2)).copy(), np.rot90(truth, quarters, (1, 2)).copy()
-    for _ in range(quarters):
-        inputs[..., MOTION] = inputs[..., MOTION][..., ::-1] * np.float32([1, -1])
+    for part in [*motions] * quarters:
+        inputs[..., part] = inputs[..., part][..., ::-1] * np.float32([1, -1])
     if mirrored:
         inputs, truth = inputs[:, :, ::-1].copy(), truth[:, :, ::-1].copy()
-        inputs[..., MOTION] *= np.float32([-1, 1])
+        for part in motions:
+            inputs[..., part] *= np.float32([-1, 1])
     inputs[..., NORMAL] = inputs[..., NORMAL] @ turn_of_the_world(random.uniform(0, 2 * math.pi), mirrored=mirrored).T
     if random.random() < 0.5:
         inputs[..., NORMAL] = inputs[..., NORMAL] @ Y_UP.T
     order = np.arange(3) if upright else random.permutation(3)
     # Display curves are nearly powers, so a factor on the light is nearly a factor on the display-referred value.
     exposure = np.float32(math.exp(random.uniform(-EXPOSURE, EXPOSURE)))
-    for part in COLORS:
+    for part in colors:
         inputs[..., part] = np.minimum(inputs[..., part][..., order] * exposure, 1)
     inputs[..., BASE_COLOR] = inputs[..., BASE_COLOR][..., order]
     inputs[..., DEPTH] = depths_at_random(inputs[..., DEPTH], random)
@@ -125,5 +136,5 @@ def collate(inputs: Array, masks: Array, truth: Array) -> Batch:
         mask=np.ascontiguousarray(masks[:, None], np.float32),
         history=np.ascontiguousarray(planes[:, 12:24]).reshape(n, 3, 4, height, width),
         truth=np.ascontiguousarray(np.moveaxis(truth, -1, 1), np.float32),
-        motion=np.ascontiguousarray(planes[:, MOTION]),
+        motion=np.ascontiguousarray(planes[:, MOTION.start :]),
     )

@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path, PurePath
 from typing import Literal
 
@@ -110,7 +111,7 @@ class Batches:
         masking: bool = True,
         upright: bool = False,
     ):
-        self._masking, self._upright = masking, upright
+        self._masking, self.augment = masking, partial(augment, upright=upright)
         both = pairs(shards, "training")
         self._sets = sets(both if len(kinds) > 1 else [(place,) for place in places(shards, "training", kinds[0])])
         self._together = len(kinds)
@@ -135,7 +136,8 @@ class Batches:
             for place, (inputs, _) in zip(together, taken, strict=True):
                 if place.shard.frames[place.index] < last or len({p.shard.frames[p.index] for p in together}) == 1:
                     inputs[..., MOTION] = NOWHERE
-            inputs, truth = augment(*map(np.stack, zip(*taken, strict=True)), random, upright=self._upright)
+            inputs, truth = (np.stack(arrays) for arrays in zip(*taken, strict=True))
+            inputs, truth = self.augment(inputs, truth, random)
             masks = [mask_at_random(one, random) for one in inputs] if self._masking else inputs[..., MASK]
             made.append((inputs, np.asarray(masks), truth))
         inputs, masks, truth = (np.concatenate(arrays) for arrays in zip(*made, strict=True))

@@ -156,7 +156,7 @@ def film_samples(film: Film, size: tuple[int, int]) -> Iterator[Sample]:
 def sequence_samples(low: Path, high: Path, profile: str, camera: Path | None) -> Iterator[Sample]:
     """The samples of a renderer's sequence: frames that have a truth, within runs of consecutive frames."""
     sequence, curve = open_sequence(low, profile, camera=camera), transfer("srgb")
-    truths = _numbered(high)
+    truths = number_files(high)
     window: list[DisplayFrame] = []
     for number in sequence.numbers:
         if number not in sequence.rendered:
@@ -172,7 +172,8 @@ def sequence_samples(low: Path, high: Path, profile: str, camera: Path | None) -
             yield from samples(window, {number: truth})
 
 
-def _numbered(folder: Path) -> dict[int, Path]:
+def number_files(folder: Path) -> dict[int, Path]:
+    """The EXR and PNG files of a folder by the last number in their names."""
     paths = sorted(p for p in folder.iterdir() if p.suffix.lower() in (".exr", ".png"))
     return {int(digits[-1]): path for path in paths if (digits := re.findall(r"\d+", path.stem))}
 

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: MIT
+"""ExtraNet and NSRR as trainable modules. Both return what is added to an enlarged or a warped picture, as STSS does.
+
+Sources: Guo et al. 2021, *ExtraNet: Real-time Extrapolated Rendering for Low-latency Temporal Supersampling*; Xiao et al. 2020, *Neural
+Supersampling for Real-time Rendering*. ExtraNet's division by the albedo is left out, since no renderer here writes the specular that
+it wants; neither paper adds its output to a picture, but in short runs that is worth several dB to both.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from training.loss import led_along
+from training.network import Down, Gated, Up, base, chain
+
+EARLIER = 4
+"""Earlier frames that NSRR reads, besides the current one."""
+PLANES = 4 * (EARLIER + 1)
+"""Channels of NSRR's pictures: colour and depth of each frame, the newest first; the motions to the earlier frames follow."""
+
+
+class ExtraNet(nn.Module):
+    """Extrapolates at the size of its inputs: a U-Net of gated convolutions, and an encoder that the three earlier frames share."""
+
+    def __init__(self):
+        super().__init__()
+        self.conv1, self.conv2 = Gated(16, 24), Gated(24, 24)
+        self.down1, self.down2, self.down3 = Down(24, 24), Down(24, 32), Down(32, 32)
+        self.history = nn.Sequential(
+            chain(4, 24, 24, 24, stride=2), chain(24, 32, 32, 32, stride=2), chain(32, 32, 32, 32, stride=2)
+        )
+        self.lowlevelGated = Gated(96, 32)
+        self.up1, self.up2, self.up3 = Up(96, 48, 32), Up(56, 28, 24), Up(48, 24, 24)
+        self.outc = nn.Conv2d(24, 3, 1)
+
+    def forward(self, color: Tensor, gbuffer: Tensor, mask: Tensor, history: Tensor) -> Tensor:
+        """What is added to the colour, (N, 3, H, W). H and W are multiples of 8.
+
+        Args:
+            color: (N, 6, H, W) the newest frame warped with its holes filled, and as it was warped.
+            gbuffer: (N, 9, H, W) of the frame that is made.
+            mask: (N, 1, H, W) 0 in holes.
+            history: (N, 3, 4, H, W) three earlier frames, warped, each with its mask.
+        """
+        holed = color[:, 3:] * mask
+        x1 = self.conv2(self.conv1(torch.cat([color[:, :3], holed, mask, gbuffer], 1)).relu()).relu()
+        x2 = self.down1(x1)
+        x3 = self.down2(x2)
+        embedded = self.history(history.flatten(0, 1))
+        feature = self.lowlevelGated(embedded.reshape(len(history), -1, *embedded.shape[-2:]))
+        u1 = self.up1(x3, torch.cat([self.down3(x3), feature], 1))
+        return self.outc(self.up3(x1, self.up2(x2, u1)))
+
+
+class NSRR(nn.Module):
+    """Supersamples five frames: features, enlarged with zeros between and warped, weighed against ghosts, and a U-Net."""
+
+    def __init__(self):
+        super().__init__()
+        self.newest, self.earlier = chain(4, 32, 32, 8), chain(4, 32, 32, 8)
+        self.weigh = chain(PLANES, 32, 32, EARLIER, last_relu=False)
+        self.outer, self.middle, self.inner = chain(12 * (EARLIER + 1), 64, 32), chain(32, 64, 64), chain(64, 128, 128)
+        self.middle_up, self.outer_up = chain(192, 64, 64), chain(96, 32)
+        self.outc = nn.Conv2d(32, 3, 3, 1, 1)
+
+    def forward(self, frames: Tensor) -> Tensor:
+        """What is added to the newest frame at twice the size, (N, 3, 2H, 2W). H and W are even.
+
+        Args:
+            frames: (N, 20 + 8, H, W) see `PLANES`; motions in pixels, now -> earlier.
+        """
+        pictures, motions = frames[:, :PLANES].unflatten(1, (-1, 4)), frames[:, PLANES:].unflatten(1, (-1, 2))
+        newest, earlier = pictures[:, 0], pictures[:, 1:].flatten(0, 1)
+        now = spread_out(torch.cat([newest, self.newest(newest)], 1))
+        before = spread_out(torch.cat([earlier, self.earlier(earlier)], 1))
+        before = led_along(before.float(), motions.flatten(0, 1).float())[0].unflatten(0, (-1, EARLIER))
+        weights = 5 * (self.weigh(torch.cat([now[:, :4], before[:, :, :4].flatten(1, 2)], 1)).tanh() + 1)
+        x = self.outer(torch.cat([now, (before * weights[:, :, None]).flatten(1, 2)], 1))
+        y = self.middle(nn.functional.max_pool2d(x, 2))
+        z = self.inner(nn.functional.max_pool2d(y, 2))
+        y = self.middle_up(torch.cat([y, enlarge(z)], 1))
+        return self.outc(self.outer_up(torch.cat([x, enlarge(y)], 1)))
+
+
+def spread_out(x: Tensor) -> Tensor:
+    """Twice the size, each pixel in the corner of its 2 x 2, zeros beside it; (N, C, 2H, 2W)."""
+    zeros = torch.zeros_like(x)
+    return nn.functional.pixel_shuffle(torch.stack([x, zeros, zeros, zeros], 2).flatten(1, 2), 2)
+
+
+def enlarge(x: Tensor) -> Tensor:
+    """Twice the size, bilinear, (N, C, 2H, 2W)."""
+    return nn.functional.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
+
+
+def extrapolated(network: nn.Module, color: Tensor, gbuffer: Tensor, mask: Tensor, history: Tensor) -> Tensor:
+    """ExtraNet's frame, (N, 3, H, W); arguments as for `ExtraNet.forward`."""
+    return network(color, gbuffer, mask, history).float() + color[:, :3]
+
+
+def supersampled(network: nn.Module, frames: Tensor) -> Tensor:
+    """NSRR's frame, (N, 3, 2H, 2W); arguments as for `NSRR.forward`."""
+    return network(frames).float() + base(frames)
