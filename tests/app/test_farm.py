@@ -1,6 +1,8 @@
 """The job template for farms, and what puts its parts together, make what one run makes."""
 
 import os
+import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -17,7 +19,8 @@ from stss_ground.errors import InputError
 from stss_ground.output.folder import SUMS
 from tests.app.conftest import PLAIN, files
 
-TEMPLATE = Path(__file__).parents[2] / "examples" / "farm" / "stss.openjd.yaml"
+ROOT = Path(__file__).parents[2]
+TEMPLATE = ROOT / "examples" / "farm" / "stss.openjd.yaml"
 
 WEIGHTS = load(BILINEAR)
 
@@ -50,30 +53,43 @@ def parts(frames, tmp_path):
     return tmp_path / "parts"
 
 
-def openjd_run(openjd, tmp_path, frames, out, last=7):
+def openjd_run(openjd, tmp_path, words):
+    """``openjd run`` with these words, in a folder that has the examples."""
     (tmp_path / "bin").mkdir()
     for name, arguments in (("stss", " -m stss"), ("python", "")):
         command = tmp_path / "bin" / name
         command.write_text(f'#!/bin/sh\nexec "{sys.executable}"{arguments} "$@"\n')
         command.chmod(0o755)
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    environment = {**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+    command = [openjd, "run", *words]
+    return subprocess.run(command, capture_output=True, text=True, env=environment, cwd=tmp_path, check=False)
+
+
+def gather_words(frames, out, last=7):
     given = {"Frames": frames, "Out": out, "Profile": "stss", "First": 0, "Last": last, "Chunk": 5, "LastTask": last // 5}
     given["Options"] = " ".join(PLAIN)
-    words = [word for name, value in given.items() for word in ("-p", f"{name}={value}")]
-    return subprocess.run(
-        [openjd, "run", TEMPLATE, "--step", "Gather", "--run-dependencies", *words],
-        capture_output=True, text=True, env={**os.environ, "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}"},
-        cwd=Path(__file__).parents[2], check=False,
-    )  # fmt: skip
+    return [TEMPLATE, "--step", "Gather", "--run-dependencies", *(w for n, v in given.items() for w in ("-p", f"{n}={v}"))]
+
+
+def test_the_command_of_the_page_runs_as_it_stands(openjd, write_frames, device, tmp_path):
+    write_frames(range(12), rendered=range(0, 12, 2), size=(8, 8), folder="frames")
+    text = (ROOT / "docs" / "farm.md").read_text(encoding="utf-8")
+    name, run, *words = shlex.split(re.search(r"^openjd run (?:.*\\\n)*.*$", text, re.M)[0].replace("\\\n", " "))
+    assert (name, run) == ("openjd", "run")
+    done = openjd_run(openjd, tmp_path, words)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr
+    assert sorted(path.name for path in (tmp_path / "out").glob("frame.*")) == [f"frame.{n:04d}.png" for n in range(12)]
 
 
 def test_the_tasks_make_what_one_run_makes(openjd, frames, tmp_path):
     """In a folder whose name is a command to a shell, which nobody runs."""
     out = tmp_path / "out $(touch here); `touch here`"
-    done = openjd_run(openjd, tmp_path, frames, out)
+    done = openjd_run(openjd, tmp_path, gather_words(frames, out))
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr
     plain(frames, tmp_path / "one")
     assert files(out) == files(tmp_path / "one")
-    assert not list(Path(__file__).parents[2].glob("here"))
+    assert not list(ROOT.glob("here"))
     assert not list(tmp_path.rglob("here"))
 
 
@@ -81,7 +97,7 @@ def test_the_tasks_write_nothing_among_their_frames(openjd, frames, tmp_path):
     for path in frames.iterdir():
         path.rename(path.with_name(path.name.replace("seq", "frame")))
     before = files(frames)
-    done = openjd_run(openjd, tmp_path, frames, frames, last=0)
+    done = openjd_run(openjd, tmp_path, gather_words(frames, frames, last=0))
     assert done.returncode != 0
     assert {name: data for name, data in files(frames).items() if not name.startswith(".parts")} == before
 
