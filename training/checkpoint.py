@@ -15,6 +15,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from stss_ground.errors import InputError
+from training.network import Network
 
 ENTRY = "stss_training"
 
@@ -34,7 +35,7 @@ class State:
     """
 
     step: int
-    network: nn.Module
+    network: Network
     heads: nn.Module
     average: dict[str, Tensor]
     optimisers: tuple[torch.optim.Optimizer, ...]

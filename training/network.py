@@ -4,13 +4,17 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import ClassVar, cast
+from typing import ClassVar, Literal, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from stss_ref.weights import TENSORS, SecondColor, Weights, check
+from stss_ref.weights import TENSORS, SecondColor, Weights, check, uses
+
+Without = Literal["", "history", "deep"]
+"""What a network does not compute: nothing; the history, whose features are then the same everywhere (`hold_history`); or all that is
+below half size, which `training.prune` made worth nothing."""
 
 
 class Rectifier(nn.Module):
@@ -83,9 +87,12 @@ class Up(nn.Module):
         super().__init__()
         self.conv = DoubleConv(inputs, middle, outputs)
 
-    def forward(self, skip: Tensor, x: Tensor) -> Tensor:
-        """(N, outputs, H, W) of ``skip`` (N, S, H, W) and ``x`` (N, C, H / 2, W / 2)."""
-        return self.conv.double_conv(torch.cat([skip, _enlarged(x)], 1))
+    def forward(self, skip: Tensor, x: Tensor | None) -> Tensor:
+        """(N, outputs, H, W) of ``skip`` (N, S, H, W) and ``x`` (N, C, H / 2, W / 2); without ``x`` its kernels are left out."""
+        if x is not None:
+            return self.conv.double_conv(torch.cat([skip, _enlarged(x)], 1))
+        first = cast(nn.Conv2d, self.conv.double_conv[0])
+        return self.conv.double_conv[1:](nn.functional.conv2d(skip, first.weight[:, : skip.shape[1]], first.bias, padding=1))
 
 
 def _enlarged(x: Tensor) -> Tensor:
@@ -118,15 +125,14 @@ class Network(nn.Module):
     Source: spec 7, 8; paper, Fig. 5.
 
     Args:
-        without: the part left out: "gbuffer" (replaced by zeros), "history" (its features are the same everywhere, see `hold_history`),
-            "erm" (the light is not weighted: a plain bottleneck).
+        without: what is left out.
         second_color: see `stss_ref.frame.prepare`. The colours that the network is given are those of "newest"; "earlier" is made here
             from the history.
     """
 
-    def __init__(self, without: str = "", second_color: SecondColor = "newest"):
+    def __init__(self, without: Without = "", second_color: SecondColor = "newest"):
         super().__init__()
-        self.without = without
+        self.without: Without = without
         self.second_color: SecondColor = second_color
         self.conv1, self.conv2 = Gated(21, 24), Gated(24, 24)
         self.down1, self.down2, self.down3 = Down(24, 24), Down(24, 32), Down(32, 32)
@@ -152,20 +158,20 @@ class Network(nn.Module):
             mask: (N, 1, H, W).
             history: (N, 3, 4, H, W).
         """
-        if self.without == "gbuffer":
-            gbuffer = torch.zeros_like(gbuffer)
         if self.second_color == "earlier":
             earlier, valid = history[:, 1, :3], history[:, 1, 3:]
             color = torch.cat([color[:, :3], torch.where(valid > 0, earlier, color[:, 3:])], 1)
         x1 = self.rectifier(self.conv2(self.rectifier(self.conv1(torch.cat([color, color * mask, gbuffer], 1)))))
         x2 = self.down1(x1)
+        features = {} if self.without == "deep" else self.look_deeper(x2, gbuffer, mask, history)
+        features["up2"] = self.up2(x2, features.get("up1"))
+        return nn.functional.pixel_shuffle(self.outc(self.up3(x1, features["up2"])), 2), features
+
+    def look_deeper(self, x2: Tensor, gbuffer: Tensor, mask: Tensor, history: Tensor) -> dict[str, Tensor]:
+        """What comes of the features at half size (N, 24, H/2, W/2) below it."""
         x3 = self.down2(x2)
-        x4 = self.down3(x3)
-        reshaded, feature = self.reshade(x4, gbuffer, mask), self.embed(history)
-        u1 = self.up1(x3, torch.cat([reshaded, feature], 1))
-        u2 = self.up2(x2, u1)
-        residual = nn.functional.pixel_shuffle(self.outc(self.up3(x1, u2)), 2)
-        return residual, {"reshaded": reshaded, "feature": feature, "up1": u1, "up2": u2}
+        reshaded, feature = self.reshade(self.down3(x3), gbuffer, mask), self.embed(history)
+        return {"reshaded": reshaded, "feature": feature, "up1": self.up1(x3, torch.cat([reshaded, feature], 1))}
 
     def embed(self, history: Tensor) -> Tensor:
         """The history's feature (N, 32, H/8, W/8)."""
@@ -182,8 +188,6 @@ class Network(nn.Module):
         """The ERM's result (N, 64, H/8, W/8) (spec 8)."""
         f, m = (nn.functional.interpolate(x, scale_factor=0.125, mode="bilinear", align_corners=False) for x in (gbuffer, mask))
         light = self.latentEncoder(torch.cat([x4, f], 1)) * m
-        if self.without == "erm":
-            return light
         material = nn.functional.normalize(self.KEncoder(f), eps=1e-12)
         return _attend(material, material * m, light)
 
@@ -225,7 +229,7 @@ class Heads(nn.ModuleDict):
 
     def forward(self, features: dict[str, Tensor]) -> list[Tensor]:
         """Pictures (N, 3, h, w), each at its feature's size."""
-        return [head(features[name]) for name, head in self.items()]
+        return [self[name](feature) for name, feature in features.items()]
 
 
 def leak(network: nn.Module, slope: float) -> None:
@@ -241,9 +245,11 @@ def leak(network: nn.Module, slope: float) -> None:
 
 
 def load_weights(network: Network, weights: Weights) -> None:
-    """Copy the specification's 92 tensors into ``network``, which gets their second colour, too."""
+    """Copy the specification's 92 tensors into ``network``, which gets their second colour, too, and leaves out what they do not read."""
     network.load_state_dict({name: torch.from_numpy(np.array(tensor)) for name, tensor in weights.items()})
     network.second_color = weights.second_color
+    if uses(weights)["down2.conv2"] == "never":
+        network.without = "deep"
 
 
 def to_weights(tensors: dict[str, Tensor], second: SecondColor = "newest") -> Weights:

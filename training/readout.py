@@ -11,7 +11,7 @@ import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path, PurePath
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -23,7 +23,7 @@ from stss_ground.errors import InputError
 from stss_ground.output.apart import require_places
 from stss_ref.weights import Weights
 from training.command import command
-from training.data import Shard, StoredSample, load_shards, pairs, whole
+from training.data import Pair, Shard, StoredSample, load_shards, pairs, sets, whole
 from training.loss import led_along
 from training.network import Network, base, load_weights
 from training.validate import tensors
@@ -72,7 +72,7 @@ def look(network: Network, place: StoredSample) -> Seen:
 
 def gather(network: Network, old: Matrix, shards: list[Shard], extrapolated: float, steady: float) -> tuple[Matrix, Matrix]:
     """The system ``A x = b``, (P, P) and (P, 3), of the training split: every folder counts alike, and in it every sample."""
-    size, before, folders = len(old), torch.from_numpy(old).float(), folders_of(pairs(shards, "training"))
+    size, before, folders = len(old), torch.from_numpy(old).float(), sets(pairs(shards, "training"))
     a, b = np.zeros((size, size)), np.zeros((size, 3))
     moving = sum(_consecutive(pair) for chosen in folders for pair in chosen)
     for chosen in folders:
@@ -96,15 +96,7 @@ def gather(network: Network, old: Matrix, shards: list[Shard], extrapolated: flo
     return a, b
 
 
-def folders_of(choice: Sequence[tuple[StoredSample, StoredSample]]) -> list[list[tuple[StoredSample, StoredSample]]]:
-    """The pairs grouped by the folder of their shard."""
-    found: dict[str, list[tuple[StoredSample, StoredSample]]] = {}
-    for pair in choice:
-        found.setdefault(str(PurePath(pair[0].shard.name).parent), []).append(pair)
-    return list(found.values())
-
-
-def _consecutive(pair: tuple[StoredSample, StoredSample]) -> bool:
+def _consecutive(pair: Pair) -> bool:
     return _number(pair[0]) != _number(pair[1])
 
 

@@ -97,10 +97,9 @@ def infancy(step: int, steps: int, share: float = 0.5) -> float:
     return max(0.0, 1 - step / (share * steps))
 
 
-def start(settings: Settings, device: torch.device, initial: str | None = None, without: str = "") -> State:
-    """A run at step 0; ``initial`` names weights to start from, ``without`` the part that an ablation leaves out."""
-    without = without if settings.history else "history"
-    network, heads = Network(without), Heads()
+def start(settings: Settings, device: torch.device, initial: str | None = None) -> State:
+    """A run at step 0; ``initial`` names weights to start from."""
+    network, heads = Network("" if settings.history else "history"), Heads()
     initialise(heads, settings.seed)
     if initial is None:
         initialise(network, settings.seed)
@@ -109,8 +108,9 @@ def start(settings: Settings, device: torch.device, initial: str | None = None, 
         if network.second_color != settings.second_color:
             forget_second_color(network)
     network.second_color = settings.second_color
-    hold_gates(network)
-    if without == "history":
+    if network.without != "deep":
+        hold_gates(network)
+    if not settings.history:
         hold_history(network)
     heads.to(device)
     network.to(device).to(memory_format=torch.channels_last)
@@ -191,9 +191,7 @@ def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan
                 raise InputError(f"step {state.step}: the loss is {value}; resume with a smaller --rate in another run")
             total, count, since = torch.zeros((), device=device), 0, reached
         if state.step % plan.validate == 0 or state.step == plan.steps:
-            means = validate(
-                evaluating(state.average, second_color=settings.second_color), shards, "validation", most=plan.most, device=device
-            )
+            means = validate(evaluating(state.average, state.network), shards, "validation", most=plan.most, device=device)
             log(step=state.step, validation=means)
             keep(out, state, means)
             plot(log.path, out / "curves.png")

@@ -16,7 +16,6 @@ from torch import Tensor
 from stss.quality.metrics import mean_scores, score, upsample_holes
 from stss.weights.file import load
 from stss_ground.errors import InputError
-from stss_ref.weights import SecondColor
 from training.augment import Batch
 from training.command import command
 from training.data import KINDS, Shard, StoredSample, load_shards, places, spread, whole
@@ -70,9 +69,9 @@ def _score(model: Model, place: StoredSample, device: torch.device):
     return score(np.moveaxis(image, 0, -1)[:height, :width], truth, upsample_holes(hole))
 
 
-def evaluating(state: dict[str, Tensor], without: str = "", second_color: SecondColor = "newest") -> Model:
-    """A network with the tensors of ``state``."""
-    copy = Network(without, second_color).to(next(iter(state.values())).device).to(memory_format=torch.channels_last)
+def evaluating(state: dict[str, Tensor], like: Network) -> Model:
+    """A network with the tensors of ``state`` that computes what ``like`` does."""
+    copy = Network(like.without, like.second_color).to(next(iter(state.values())).device).to(memory_format=torch.channels_last)
     copy.load_state_dict(state)
     return copy.eval()
 

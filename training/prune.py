@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: MIT
+"""Put means in the place of all features below half size, and set the kernels that nothing reads then to exactly 0.
+
+Programs leave out what only kernels of 0 read (`stss_ref.weights.uses`), so frames are computed faster, and with the same bits.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from stss.weights.file import load, save
+from stss_ground.output.apart import require_places
+from stss_ref.weights import LAYERS, Weights, uses
+from training.command import command
+from training.data import KINDS, Shard, load_shards, places, spread, whole
+from training.network import Network, load_weights
+from training.validate import tensors
+
+READER = "up2.conv.double_conv.0"
+"""The one layer that reads both half size and what is below it."""
+FRAMES = 200
+"""So many frames of each kind are enough for a mean."""
+
+
+def mean_below(weights: Weights, shards: list[Shard]) -> np.ndarray:
+    """(32,) mean of what half size reads from below it, over the training split's SFs and EFs."""
+    network, seen = Network(), list[torch.Tensor]()
+    load_weights(network, weights)
+    network.up1.register_forward_hook(lambda _module, _inputs, output: seen.append(output.mean((0, 2, 3))))
+    with torch.no_grad():
+        for place in (p for kind in KINDS for p in spread(places(shards, "training", kind), FRAMES)):
+            network(*tensors(whole(place), torch.device("cpu"))[:4])
+    return torch.stack(seen).mean(0).numpy()
+
+
+def prune(weights: Weights, mean: np.ndarray) -> Weights:
+    """The weights of a network that sees ``mean`` (32,) everywhere in place of the features below half size.
+
+    At the frame's rim kernels also see the mean, where the network has zeros.
+    """
+    kernel, bias = weights[f"{READER}.weight"].copy(), weights[f"{READER}.bias"].copy()
+    bias += np.einsum("oiyx,i->o", kernel[:, -len(mean) :], mean)
+    kernel[:, -len(mean) :] = 0
+    made = weights | {f"{READER}.weight": kernel, f"{READER}.bias": bias}
+    read = uses(made)
+    dead = [layer for layer in LAYERS if read[layer.name] == "never"]
+    return made | {name: np.zeros(shape, np.float32) for layer in dead for name, shape in layer.tensors()}
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """``python -m training.prune``."""
+    parser = argparse.ArgumentParser(prog="python -m training.prune", description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("data", type=Path, help="folder of shards, made by python -m training.samples")
+    parser.add_argument("--weights", required=True, help="safetensors file, or the name of a set")
+    parser.add_argument("-o", "--out", type=Path, required=True)
+    chosen = parser.parse_args(arguments)
+    require_places({"--out": chosen.out}, [chosen.data, Path(chosen.weights)])
+    loaded = load(chosen.weights)
+    made = prune(loaded.weights, mean_below(loaded.weights, load_shards(chosen.data)))
+    save(chosen.out, made, {"pruned": "below half size", "average_of": json.dumps([dict(loaded.metadata)])})
+
+
+if __name__ == "__main__":
+    command(main)
