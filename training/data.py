@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path, PurePath
+from typing import Literal
 
 import numpy as np
 
@@ -17,7 +18,8 @@ from stss_ref.arrays import Array
 from training.augment import MASK, MOTION, Batch, augment, collate, crop, mask_at_random
 from training.samples import NOWHERE
 
-KINDS = ("SF", "EF")
+Kind = Literal["SF", "EF"]
+KINDS: tuple[Kind, Kind] = ("SF", "EF")
 
 DRAWN = 3
 """Crops drawn for each crop taken, which is the one with the most detail: half of an average frame is flat, and teaches little."""
@@ -42,10 +44,6 @@ class StoredSample:
 
     shard: Shard
     index: int
-
-
-Pair = tuple[StoredSample, StoredSample]
-"""An SF and an EF."""
 
 
 def load_shards(folder: Path) -> list[Shard]:
@@ -74,9 +72,9 @@ def places(shards: list[Shard], split: str, kind: str) -> list[StoredSample]:
     return [StoredSample(s, i) for s in shards if s.split == split for i, k in enumerate(s.kinds) if k == kind]
 
 
-def pairs(shards: list[Shard], split: str) -> list[Pair]:
+def pairs(shards: list[Shard], split: str) -> list[tuple[StoredSample, StoredSample]]:
     """Each SF of a split with the EF of a frame beside it, as frames follow one another; else with the EF of its own frame."""
-    found: list[Pair] = []
+    found: list[tuple[StoredSample, StoredSample]] = []
     for sf in places(shards, split, "SF"):
         at = sf.shard.frames[sf.index]
         efs = [StoredSample(sf.shard, i) for i, kind in enumerate(sf.shard.kinds) if kind == "EF"]
@@ -85,9 +83,9 @@ def pairs(shards: list[Shard], split: str) -> list[Pair]:
     return found
 
 
-def sets(choice: Sequence[Pair]) -> list[list[Pair]]:
-    """The pairs grouped by the folder of their shard: training draws from each folder equally often, whatever its size."""
-    found: dict[str, list[Pair]] = {}
+def sets(choice: Sequence[tuple[StoredSample, ...]]) -> list[list[tuple[StoredSample, ...]]]:
+    """The draws grouped by the folder of their shard: training draws from each folder equally often, whatever its size."""
+    found: dict[str, list[tuple[StoredSample, ...]]] = {}
     for drawn in choice:
         found.setdefault(str(PurePath(drawn[0].shard.name).parent), []).append(drawn)
     return list(found.values())
@@ -96,8 +94,10 @@ def sets(choice: Sequence[Pair]) -> list[list[Pair]]:
 class Batches:
     """Training batches of pairs, an SF and an EF, of consecutive frames where the shard has them.
 
-    A batch depends only on the seed and its number, so a resumed run sees the same batches. ``masking``: Random Reshading Masking;
-    ``upright``: see `training.augment.augment`.
+    A batch depends only on the seed and its number, so a resumed run sees the same batches.
+
+    ``kinds``: both in equal shares, or one alone; ``masking=False``: without Random Reshading Masking. ``upright``: see
+    `training.augment.augment`.
     """
 
     def __init__(
@@ -107,12 +107,14 @@ class Batches:
         side: int,
         batch: int,
         seed: int,
+        kinds: Sequence[Kind] = KINDS,
         masking: bool = True,
         upright: bool = False,
     ):
         self._masking, self.augment = masking, partial(augment, upright=upright)
         both = pairs(shards, "training")
-        self._sets = sets(both)
+        self._sets = sets(both if len(kinds) > 1 else [(place,) for place in places(shards, "training", kinds[0])])
+        self._together = len(kinds)
         if not both:
             raise InputError("the training split lacks SF or EF samples")
         smallest = min(min(s.inputs.shape[1:3]) for s in shards if s.split == "training")
@@ -126,7 +128,7 @@ class Batches:
     def __getitem__(self, step: int) -> Batch:
         random = np.random.default_rng([self._seed, step])
         made: list[tuple[Array, Array, Array]] = []
-        for _ in range(self._batch // 2):
+        for _ in range(self._batch // self._together):
             drawn = [self._draw(random) for _ in range(DRAWN)]
             together, corner = max(drawn, key=lambda one: self._detail(one[0][0], one[1]))
             taken = [crop(p.shard.inputs[p.index], p.shard.truth[p.index], corner, self._side) for p in together]
@@ -141,8 +143,8 @@ class Batches:
         inputs, masks, truth = (np.concatenate(arrays) for arrays in zip(*made, strict=True))
         return collate(inputs, masks, truth)
 
-    def _draw(self, random: np.random.Generator) -> tuple[Pair, tuple[int, int]]:
-        """Draw a pair, and the corner of a crop in them."""
+    def _draw(self, random: np.random.Generator) -> tuple[tuple[StoredSample, ...], tuple[int, int]]:
+        """Draw samples that belong together, and the corner of a crop in them."""
         chosen = self._sets[int(random.integers(len(self._sets)))]
         together = chosen[int(random.integers(len(chosen)))]
         height, width = together[0].shard.inputs.shape[1:3]

@@ -23,7 +23,7 @@ from stss_ground.errors import InputError
 from stss_ground.output.apart import require_places
 from stss_ref.weights import Weights
 from training.command import command
-from training.data import Pair, Shard, StoredSample, load_shards, pairs, sets, whole
+from training.data import Shard, StoredSample, load_shards, pairs, sets, whole
 from training.loss import led_along
 from training.network import Network, base, load_weights
 from training.validate import tensors
@@ -96,7 +96,7 @@ def gather(network: Network, old: Matrix, shards: list[Shard], extrapolated: flo
     return a, b
 
 
-def _consecutive(pair: Pair) -> bool:
+def _consecutive(pair: tuple[StoredSample, ...]) -> bool:
     return _number(pair[0]) != _number(pair[1])
 
 

@@ -72,7 +72,7 @@ def test_a_few_steps_lower_the_loss(data, name):
 
 
 def test_shards_without_the_frames_are_one_line(data, tmp_path):
-    with pytest.raises(InputError, match="rivals.samples"):
+    with pytest.raises(InputError, match=r"rivals\.samples"):
         train.batches(data.parent / "films", "nsrr", 16, 2, 0)
     with pytest.raises(InputError, match="no analytic films"):
         samples.main([str(tmp_path), "-o", str(tmp_path / "out")])
