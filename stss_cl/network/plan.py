@@ -113,22 +113,21 @@ class _Planner:
 
     def plan(self) -> Plan:
         for layer in LAYERS[:-1]:
-            if self._use[layer.name] == "never" or (self._fused and layer.name == LAST):
+            if "history" in layer.reads:
+                self._history()
+            if self._use[layer.name] == "never" or layer.repeats > 1 or (self._fused and layer.name == LAST):
                 continue
             if "reshaded" in layer.reads and self._use[ATTENTION[0]] != "never":
                 self._attend()
-            if layer.repeats == 1:
-                self._add(layer)
-            elif "history" in layer.reads:
-                self._history()
+            self._add(layer)
         features = {FEATURES[name]: self._results[name][0] for name in FEATURES if name in self._results}
         fused = self._fused and self._use[LAST] != "never"
-        shown = BY_NAME[LAST].reads[0] if fused else "input" if self._use[LAST] == "never" else LAST
-        return Plan(tuple(self._slots), tuple(self._steps), tuple(self._once), features, self._results[shown][0], fused)
+        shown = self._results.get(BY_NAME[LAST].reads[0] if fused else LAST, self._results["input"])[0]
+        return Plan(tuple(self._slots), tuple(self._steps), tuple(self._once), features, shown, fused)
 
     def _history(self) -> None:
         """The layers that run for each of the three images: an image after the other, or each for all of them."""
-        branch = [layer for layer in LAYERS if layer.repeats == 3]
+        branch = [layer for layer in LAYERS if layer.repeats == 3 and self._use[layer.name] != "never"]
         for image in (None,) if self._together else range(3):
             for layer in branch:
                 self._results.pop(layer.name, None)
@@ -159,7 +158,7 @@ class _Planner:
         for name in layer.reads:
             source = BY_NAME.get(name)
             channels = SOURCES[name] if source is None else source.outputs * (source.repeats // layer.repeats)
-            slot = self._results[name][0] if name in self._results else self._unread(layer, name, channels)
+            slot = self._results[name][0] if name in self._results else self._unread(layer, name, channels, tuple(inputs))
             inputs[slot] = inputs.get(slot, 0) + channels
         for small in [slot for slot in inputs if slot.divisor > layer.divisor]:
             larger = self._take(layer.divisor, small.channels, avoid=tuple(inputs))
@@ -167,11 +166,11 @@ class _Planner:
             inputs = {larger if slot is small else slot: channels for slot, channels in inputs.items()}
         return list(inputs.items())
 
-    def _unread(self, layer: Layer, name: str, channels: int) -> Slot:
+    def _unread(self, layer: Layer, name: str, channels: int, avoid: Sequence[Slot]) -> Slot:
         """A buffer in place of a result that was never made, for kernels of 0: its values are finite."""
         if name in JOINED:
             return self._output(name, 8, channels)[0]
-        return self._take(layer.divisor * layer.stride, ceil8(channels))
+        return self._take(layer.divisor * layer.stride, ceil8(channels), avoid=avoid)
 
     def _output(self, name: str, divisor: int, channels: int, images: int = 1, avoid: Sequence[Slot] = ()) -> tuple[Slot, int]:
         """Where a result goes."""

@@ -18,7 +18,7 @@ from stss_cl.network.pack_weights import EVERY_SECOND, POINTS, pack, winograd_ma
 from stss_lab.tune.tile_timing import INTEL
 from stss_ref import conv as reference
 from stss_ref.network import network
-from stss_ref.weights import astype, uses
+from stss_ref.weights import LAYERS, astype
 from stss_ref.weights import random as random_weights
 from tests.cl.films import network_inputs
 
@@ -240,14 +240,21 @@ def test_layers_that_nobody_reads_are_left_out(device, keep):
         assert layers.reads_history == (tensors_of is weights)
 
 
-@pytest.mark.parametrize("layers", [("lowlevelGated",), ("up1.conv.double_conv.0",), ("down3.conv2", "KEncoder.4")])
-def test_what_is_left_out_changes_no_bit(processor, layers, monkeypatch):
-    weights = without(random_weights(3), *layers)
-    inputs = network_inputs((16, 24), 3)
-    made = Network(weights, processor)(*inputs)
-    assert set(uses(weights).values()) != {"frame"}
-    monkeypatch.setattr("stss_cl.network.layers.uses", lambda _: None)
-    np.testing.assert_array_equal(made, Network(weights, processor)(*inputs))
+@example({"lowlevelGated"}, False)
+@example({"down3.conv2", "KEncoder.4"}, False)
+@example({"convHis1.2"}, True)
+@example({"conv1", "up3.conv.double_conv.0"}, False)
+@given(st.sets(st.sampled_from([layer.name for layer in LAYERS]), min_size=1, max_size=4), st.booleans())
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_what_is_left_out_changes_no_bit(processor, names, keep):
+    """Any layers whose kernels are 0, and what only they read."""
+    weights, arrays = without(random_weights(3), *names), network_inputs((16, 24), 3)
+    inputs = dict(zip(("color", "gbuffer", "mask", "history"), arrays, strict=True))
+    images = (
+        Layers(processor, weights, 16, 24, "float32", keep=keep, every=every).run_stage("network", inputs)["image"]
+        for every in (False, True)
+    )
+    np.testing.assert_array_equal(*images)
 
 
 def test_weights_that_read_no_history_have_the_references_image(device):
