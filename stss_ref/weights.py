@@ -300,6 +300,8 @@ def _check_one(name: str, tensor: NDArray[Any]) -> Array:
 
 
 def _frozen(tensor: NDArray[Any]) -> Array:
+    if tensor.flags.c_contiguous and not tensor.flags.writeable:
+        return tensor
     copy = np.array(tensor, order="C")
     copy.flags.writeable = False
     return copy
@@ -372,4 +374,4 @@ def random(seed: int) -> Weights:
 
 def astype(weights: Weights, dtype: DTypeLike) -> Weights:
     """The same weights in another floating point ``dtype``; float64 for the truth."""
-    return weights.convert(lambda tensor: _frozen(tensor.astype(dtype)))
+    return weights.convert(lambda tensor: _frozen(tensor.astype(dtype, copy=False)))

@@ -87,22 +87,28 @@ def network_case(stage: str, size: Size, rng: Generator) -> tuple[Inputs, Weight
         "history": ("history",), "encoder": ("color", "gbuffer"), "erm": ("x4", "gbuffer"),
         "decoder": ("reshaded", "feature", "x1", "x2", "x3", "color"), "network": ("color", "gbuffer", "history"),
     }[stage]  # fmt: skip
-    inputs: Inputs = {name: rng.random(shapes[name]) for name in taken}
+    inputs: Inputs = {name: rng.random(shapes[name], np.float32) for name in taken}
     if stage in ("encoder", "erm", "network"):
         inputs["mask"] = (rng.random(size) < 0.8).astype(np.float64)
     return inputs, made_weights("random", 0)
 
 
-def frame_case(size: Size, rng: Generator, second: SecondColor = "newest") -> tuple[Inputs, Weights]:
+def frame_case(
+    size: Size, rng: Generator, second: SecondColor = "newest", steps: tuple[int, int, int] = (1, 3, 5)
+) -> tuple[Inputs, Weights]:
     """Stage frame: motion is short, in quarters, or far, in whole pixels; surfaces coincide or are far apart: rounding decides no hole."""
-    far = np.round(rng.uniform(-0.9, 0.9, (5, *size, 2)) * (size[1], size[0]))
-    moved = np.where(rng.random((5, *size, 1)) < 0.3, far, rng.integers(-6, 7, (5, *size, 2)) / 4)
-    positions = np.zeros((4, *size, 3))
-    positions[..., 0] = 256 * (rng.random((4, *size)) < 0.02)
+    count, single = steps[-1], np.float32
+    far = np.round((rng.random((count, *size, 2), single) * single(1.8) - single(0.9)) * np.array(size[::-1], single))
+    moved = np.where(
+        rng.random((count, *size, 1), single) < 0.3, far, rng.integers(-6, 7, (count, *size, 2), np.int8) / single(4)
+    )
+    positions = np.zeros((4, *size, 3), single)
+    positions[..., 0] = single(256) * (rng.random((4, *size), single) < 0.02)
     inputs: Inputs = {
-        "stencils": np.broadcast_to((rng.random(size) < 0.1) * 2.0, (4, *size)), "positions": positions,
-        "normals": np.broadcast_to([0.0, 0.0, 1.0], (4, *size, 3)), "colors": rng.random((3, *size, 3)),
-        "steps": np.array([1, 3, 5], np.int32), "motions": moved, "gbuffer": rng.random((*size, 9)), "nov": rng.uniform(-1, 1, size),
+        "stencils": np.broadcast_to((rng.random(size, single) < 0.1) * single(2), (4, *size)), "positions": positions,
+        "normals": np.broadcast_to(np.array([0, 0, 1], single), (4, *size, 3)), "colors": rng.random((3, *size, 3), single),
+        "steps": np.array(steps, np.int32), "motions": moved, "gbuffer": rng.random((*size, 9), single),
+        "nov": rng.random(size, single) * 2 - 1,
     }  # fmt: skip
     return inputs, made_weights("random", 0, second)
 
@@ -129,7 +135,8 @@ def large_inputs(stage: str, most: int | None = None, size: Size | None = None, 
 def user_inputs(stage: str, most: int, side: int | None = None) -> tuple[Made, ...]:
     """Stage network or frame at ``USER_SIZE``; none for ports that do not take it, and in a tier of fewer large frames than four."""
     fits = side is None or 2 * max(USER_SIZE) <= side
-    return (_made(stage, 1, USER_SIZE),) if fits and most >= 4 else ()
+    made = partial(frame_case, USER_SIZE, second="earlier", steps=(1, 2, 3)) if stage == "frame" else _made(stage, 1, USER_SIZE)
+    return (made,) if fits and most >= 4 else ()
 
 
 def _sizes(stage: str) -> tuple[Size, ...]:

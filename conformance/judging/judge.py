@@ -30,6 +30,8 @@ MOST_BEFORE = BATCH - 1
 """Most cases that are remembered as those before a failure; together with the failing case they fill one run of a program."""
 OTHERS = 6
 """Cases besides a failure that a mistake has to explain."""
+MOST_ROUNDED = 4
+"""Most inputs that are remembered in the form that the port gets."""
 MOST_WEIGHTS = 128
 """Most sets of weights that are remembered in the form that the port gets; one test has fewer."""
 
@@ -90,12 +92,14 @@ class Judge:
         self.near: dict[str, float] = {}
         self.answered: deque[tuple[Case, Outputs]] = deque(maxlen=OTHERS)
         self._before: deque[Any] = deque(maxlen=MOST_BEFORE)
+        self._rounded: deque[tuple[Arrays, str, dict[str, NDArray[Any]]]] = deque(maxlen=MOST_ROUNDED)
         self._weights: dict[int, tuple[Weights, Weights]] = {}
 
     def begin(self) -> None:
         """Begin another test: forget the record and cases of the last one."""
         self.record = Record()
         self._before.clear()
+        self._rounded.clear()
         self.answered.clear()
 
     @property
@@ -231,7 +235,7 @@ class Judge:
 
     def make_case(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Case:
         """The case that the port gets for these inputs."""
-        return Case(stage, self.round_inputs(inputs, stage), None if weights is None else self._given_weights(weights))
+        return Case(stage, self._rounded_once(inputs, stage), None if weights is None else self._given_weights(weights))
 
     def _given_weights(self, weights: Weights) -> Weights:
         """The weights as the port gets them, the same object for the same weights, so that a job has them once."""
@@ -250,9 +254,17 @@ class Judge:
         narrow = self.arithmetic.dtype == "float16" and stage in STAGES and STAGES[stage].weights
         return {name: self.arithmetic.rounded(array, MOST_FLOAT16 if narrow else None) for name, array in arrays.items()}
 
+    def _rounded_once(self, arrays: Arrays, stage: str) -> dict[str, NDArray[Any]]:
+        """`round_inputs`, kept for the last few cases: a property asks with the same mapping that it then compares by."""
+        for kept, of, rounded in self._rounded:
+            if kept is arrays and of == stage:
+                return rounded
+        self._rounded.append((arrays, stage, self.round_inputs(arrays, stage)))
+        return self._rounded[-1][2]
+
     def exactly(self, arrays: Arrays, stage: str) -> dict[str, NDArray[Any]]:
         """The numbers of ``round_inputs`` in float64, for the reference."""
-        given = self.round_inputs(arrays, stage)
+        given = self._rounded_once(arrays, stage)
         return {name: array.astype(np.float64) if array.dtype.kind == "f" else array for name, array in given.items()}
 
     def right(
