@@ -24,6 +24,8 @@ from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
 
 MOST_FLOAT16 = 1.0
+NEWEST_WEIGHTS = 3
+"""The latest version of weights: 1 has neither a second colour nor a hole test, 2 has no hole test."""
 RMS = "_rms"
 """Added to an output's name: the root mean square of all its errors, over its limit."""
 MOST_BEFORE = BATCH - 1
@@ -84,7 +86,7 @@ class Judge:
         self.port, self.tier, self.seed, self.shrink, self.repeat = port, tier, seed, shrink, repeat
         self.size, self.largest_side = size, largest_side
         self.arithmetic = Arithmetic(port.dtype, bool(getattr(port, "winograd", False)))
-        self.weights_version = int(getattr(port, "weights_version", 2))
+        self.weights_version = int(getattr(port, "weights_version", NEWEST_WEIGHTS))
         self.stages = port.stages()
         self.record = Record()
         self.tell: Callable[[Finding], None] = lambda _: None
@@ -243,7 +245,9 @@ class Judge:
             if len(self._weights) == MOST_WEIGHTS:
                 self._weights.clear()
             given = weights.convert(self.arithmetic.rounded)
-            self._weights[id(weights)] = weights, given if self.weights_version > 1 else replace(given, second_color="newest")
+            if self.weights_version < 3:
+                given = replace(given, hole_test="footprint", **({"second_color": "newest"} if self.weights_version < 2 else {}))
+            self._weights[id(weights)] = weights, given
         return self._weights[id(weights)][1]
 
     def round_inputs(self, arrays: Arrays, stage: str = "") -> dict[str, NDArray[Any]]:

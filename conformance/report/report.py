@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from conformance.judging.findings import TestResult, tally
-from conformance.judging.judge import Judge
+from conformance.judging.judge import NEWEST_WEIGHTS, Judge
 from conformance.protocol.stages import STAGES
 from conformance.report.versions import versions_of_cases
 from conformance.suite.run_suite import JUDGED, REQUIRED, SEQUENCE, SUITE
@@ -150,7 +150,8 @@ def judged_on(judge: Judge, results: Sequence[TestResult]) -> list[str]:
 
 def _declared(judge: Judge) -> list[str]:
     """What the port does not take, in words."""
-    old = ["weights of version 1 only, as the port declares"] if judge.weights_version == 1 else []
+    version = judge.weights_version
+    old = [f"weights up to version {version} only, as the port declares"] if version < NEWEST_WEIGHTS else []
     narrow = [f"no array of more than {judge.largest_side} rows or columns, as the port declares"] if judge.largest_side else []
     return old + narrow
 

@@ -78,7 +78,6 @@ def run_suite(
         "--rootdir",
         str(SUITE_FOLDER),
         "--import-mode=importlib",
-        "--noconftest",
         "--capture=sys",
         "-W",
         "ignore",

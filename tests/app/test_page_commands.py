@@ -33,7 +33,6 @@ NOT_RUN = {
     r"python measure_saving.py": "Blender, and commit baf0bbe",
     r"python blender/build.py": "fetches wheels; tests/app/test_blender_extension.py packs some",
     r"python examples/webgpu/page.py": "tests/app/test_webgpu_page.py runs it",
-    r"python -m pytest conformance/suite --port my_package": "a port of the reader's; tests/app/test_port.py runs some",
     r"stss conform ": "a port of the reader's; tests/app/test_port.py and test_examples.py run some",
     r"stss run .* --cluster tcp:": "a cluster; tests/app/test_cluster.py makes one",
     r"openjd run ": "tests/app/test_farm.py runs it as it stands",

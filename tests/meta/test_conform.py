@@ -2,7 +2,6 @@
 """``stss conform`` as a porter types it."""
 
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -15,7 +14,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-import conformance
 from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected, largest
 from conformance.answers.network import expect_layers
@@ -29,7 +27,7 @@ from stss.cli.main import stss
 from stss.images.read_write import read_rgb
 from stss.port import ReferencePort
 from stss_ground.errors import InputError
-from stss_ref.weights import Weights
+from stss_ref.weights import VERSION_KEY, Weights, format_metadata
 from tests.hostile.cases import call
 from tests.meta.samples import samples
 
@@ -156,32 +154,26 @@ def test_what_an_interrupted_run_found_is_left(here):
     assert not found["complete"]
 
 
-def test_pytest_alone_judges_a_port(here):
-    """With its own options, and a port that lacks stages."""
-    suite = Path(conformance.__file__).parent / "suite"
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-q",
-        "-p",
-        "no:cacheprovider",
-        "-c",
-        os.devnull,
-        suite,
-        "-k",
-        "rrm and twice or holes",
-    ]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(here), str(suite.parents[1])])}
-    said = {
-        port: subprocess.run([*command, *words], env=environment, capture_output=True, text=True, check=False)
-        for port, words in {"Inverted": ["--port", "wrong_port:Inverted"], "none": []}.items()
-    }
-    assert said["Inverted"].returncode == 1
-    assert "rrm.valid: wrong at" in said["Inverted"].stdout
-    assert "1 failed, 14 skipped" in said["Inverted"].stdout
-    assert said["none"].returncode == 4
-    assert "expected either --port" in said["none"].stdout + said["none"].stderr
+class Old(ReferencePort):
+    """Refuses weights of a later version."""
+
+    def __init__(self, version):
+        self.version = version
+
+    def run(self, stage, inputs, weights=None):
+        assert int(format_metadata(weights)[VERSION_KEY]) <= self.version
+        return super().run(stage, inputs, weights)
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_port_is_given_the_weights_that_it_knows(version):
+    for declares in (True, False):
+        port = Old(version)
+        if declares:
+            port.weights_version = version
+        judge = Judge(port, Tier("some", 2, 12, 0), shrink=False)
+        (result,) = run_suite(judge, ["frame"], only="agrees_with")
+        assert (result.outcome == "passed") == declares
 
 
 def test_the_picture_of_a_large_frame_shows_its_worst_part():
