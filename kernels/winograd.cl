@@ -13,7 +13,7 @@
 // Build -D STRIDE (1 or 2) -D SIDE (4 or 2: pixels of an output tile's side; 2 at stride 2) -D A -D B -D OUT -D OUT_CHANNELS (multiples of 8)
 // -D USED (the inputs behind are zeros) -D TILES (per work-item) -D VECTOR (8 or 16 lanes; OUT fills VECTORS of them; at 16 TILES is even)
 // -D TILES_HELD (at once in registers, divides TILES) -D VECTORS_HELD (of outputs, likewise, divides VECTORS), optionally
-// -D PAIRED (winograd_products.clh) -D GATED -D RELU -D STORED -D PREFETCH.  winograd_image.cl is the same with the decoder's output behind it.
+// -D PAIRED (winograd_products.clh) -D GATED -D RELU -D STORED -D PREFETCH (of the next strip).  winograd_image.cl is the same with the decoder's output behind it.
 // `tiles`, `count`: the tiles of the output, SIDE x SIDE pixels each, that are computed, see tile_list.clh.
 // Launch (any number of work-items), work-groups of 1: a work-item takes a strip of TILES after the other, whose scratch stays in L2.
 //

@@ -86,7 +86,7 @@ def bench_command(
         from stss_lab.bench.pareto import chosen_settings
         from stss_lab.bench.pareto_report import bench_pareto
 
-        bench_pareto(setups, scenes, chosen_settings(settings), frames, peers, repeat, console, json_file)
+        bench_pareto(setups, scenes, chosen_settings(settings), frames, console, json_file)
         return
     ours = default_ours() if ours is None else ours
     with show_steps(console, count_steps(setups, ours, peers, repeat)) as begin:

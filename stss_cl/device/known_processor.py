@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Name a processor for PoCL's compiler where it is newer than the compiler.
 
-LLVM 14, in PoCL 3.0 and 3.1, calls Zen 5 ``generic``, which its own front end refuses: no kernel builds. PoCL reads the name from its
+LLVM 14, in the wheel's PoCL 3.0, calls Zen 5 ``generic``, which its own front end refuses: no kernel builds. PoCL reads the name from its
 record of the device whenever it compiles. So it is replaced there by that of an older processor, all of whose instructions this one has.
 """
 

@@ -37,7 +37,6 @@ class Winograd:
     tiles: int
     tiles_held: int
     vectors_held: int
-    prefetch: bool = False
     vector: int = 8
 
 
@@ -86,20 +85,19 @@ def tuning_for(device: Properties) -> Tuning:
 
 
 def built_in(device: Properties) -> Tuning:
-    """The most specific row of ``tuning.toml``: for this device, its maker's GPUs, its compiler's target, or its class."""
-    return _built_in(device.name, device.maker, device.device_class, device.target)
+    """The most specific row of ``tuning.toml``: for its maker's GPUs, its compiler's target, or its class."""
+    return _built_in(device.maker, device.device_class, device.target)
 
 
 class Rows(NamedTuple):
     """The rows of a file such as ``tuning.toml``.
 
     ``classes``: by class or maker, ``cpu``, ``gpu``, ``nvidia``, ...; ``targets``: by LLVM's name of the processor that kernels are
-    compiled for; ``devices``: by the name of a device.
+    compiled for.
     """
 
     classes: dict[str, Tuning]
     targets: dict[str, Tuning]
-    devices: dict[str, Tuning]
 
 
 def built_in_rows(path: Path) -> Rows:
@@ -116,10 +114,8 @@ def built_in_rows(path: Path) -> Rows:
     if not all(isinstance(name, str) for name in names):
         raise wide.fail("targets", "a list of names", names)
     targets = dict.fromkeys(names, _tuning(wide, classes["cpu"]))
-    devices = table.table("device", optional=True)
-    single = {key: _tuning(devices.table(key)) for key in tuple(devices.rest)}
     table.end()
-    return Rows(classes, targets, single)
+    return Rows(classes, targets)
 
 
 def read_tuning(device: Properties) -> Tuning | None:
@@ -176,10 +172,10 @@ def _inline(row: Winograd | Direct | Local) -> str:
 
 
 @lru_cache(64)
-def _built_in(name: str, maker: str, device_class: DeviceClass, target: str) -> Tuning:
+def _built_in(maker: str, device_class: DeviceClass, target: str) -> Tuning:
     rows = built_in_rows(BUILT_IN)
     general = rows.classes[maker or device_class]
-    return rows.devices.get(name, rows.targets.get(target, general) if device_class == "cpu" else general)
+    return rows.targets.get(target, general) if device_class == "cpu" else general
 
 
 @lru_cache(64)
@@ -232,7 +228,7 @@ def _winograd(table: Table, outputs: int) -> Winograd:
     if vector > 8 and tiles % 2:
         raise table.fail("tiles", f"an even number where vectors have {vector} lanes", tiles)
     blocks = ceil_div(outputs, vector)
-    found = Winograd(tiles, tiles_held, table.whole("vectors_held", blocks, divides=blocks), table.flag("prefetch"), vector)
+    found = Winograd(tiles, tiles_held, table.whole("vectors_held", blocks, divides=blocks), vector)
     table.end()
     return found
 

@@ -207,7 +207,7 @@ def _winograd(device: Device, packed: Packed, out: Padded, side: int, stride: in
             "VECTORS_HELD": row.vectors_held,
             "VECTOR": row.vector,
             "PAIRED": in_pairs,
-            "PREFETCH": row.prefetch and device.takes_prefetch,
+            "PREFETCH": device.takes_prefetch,
         },
         weight=paired(weight, outputs) if in_pairs else weight,
         gate=None if gate is None else winograd(gate, side, 1, stride),

@@ -123,7 +123,7 @@ def steps(folder: Path, device: str, *, tiny: bool) -> list[Step]:
         Step(
             "pareto",
             (
-                *(*stss, "bench", "--pareto", *here, "--frames", "10", "--peers", "", "--scenes", "object,pan"),
+                *(*stss, "bench", "--pareto", *here, "--frames", "10", "--scenes", "object,pan"),
                 *("--json", f"{to / 'pareto.json'}"),
             ),
             150,

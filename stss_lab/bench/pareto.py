@@ -17,6 +17,7 @@ from stss.frames.supersample import plan
 from stss.quality.metrics import psnr
 from stss.sequence.scenes import check_request, display_frames, truth
 from stss_cl.device.discovery import Device
+from stss_cl.network.network import PRECISIONS
 from stss_cl.skip.stream import Stream
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array, Image
@@ -30,17 +31,7 @@ WARM = 8
 JUDGED = 2
 """Number of last frames, an SF and an EF, that are compared with the float64 reference and with the truth."""
 
-
-SETTINGS = (
-    ComputeOptions(precision="float32", skip="off"),
-    ComputeOptions(precision="float32", skip="exact"),
-    ComputeOptions(precision="float32-direct", skip="off"),
-    ComputeOptions(precision="float32-direct", skip="exact"),
-    ComputeOptions(precision="half", skip="off"),
-    ComputeOptions(precision="half", skip="exact"),
-    ComputeOptions(precision="bfloat16", skip="off"),
-    ComputeOptions(precision="bfloat16", skip="exact"),
-)
+SETTINGS = tuple(ComputeOptions(precision=precision, skip=skip) for precision in PRECISIONS for skip in ("off", "exact"))
 FULL = SETTINGS[0]
 
 

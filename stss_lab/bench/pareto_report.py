@@ -25,11 +25,10 @@ from stss_ground.output.write_whole import write_named
 from stss_ground.progress import show_steps
 from stss_ground.terminal import Terminal
 from stss_lab.bench.contender import Setup
-from stss_lab.bench.measure import Timing, bench, count_steps
 from stss_lab.bench.pareto import CANONICAL, JUDGED, WARM, Point, frontier, measure
 from stss_lab.bench.report import PACKAGES
 
-FORMAT = 1
+FORMAT = 2
 """Version of the JSON; raised when a field changes its meaning."""
 
 
@@ -38,8 +37,6 @@ def bench_pareto(
     scenes: Sequence[str] | None,
     settings: Sequence[ComputeOptions],
     frames: int,
-    peers: Sequence[str],
-    repeat: int,
     console: Console,
     json_file: Path | None,
 ) -> None:
@@ -50,8 +47,6 @@ def bench_pareto(
         scenes: names of canonical scenes; None: all.
         settings: to measure.
         frames: display frames of each scene.
-        peers: other engines to time as well, if they are installed.
-        repeat: timed runs of each peer.
         console: for progress and tables.
         json_file: to write; None: none.
 
@@ -64,17 +59,13 @@ def bench_pareto(
     points: list[Point] = []
     scenes = scenes or CANONICAL
     check_request(scenes, frames, WARM + JUDGED)
-    steps = len(scenes) + (count_steps(setups, (), peers, repeat) if peers else 0)
-    with show_steps(console, steps) as begin:
-        others = [result.rows for result in bench(setups, (), peers, repeat, on_step=begin)] if peers else []
+    with show_steps(console, len(scenes)) as begin:
         for scene in scenes:
             begin(f"{scene}: {len(settings)} settings")
             points += (found := in_its_own_process(setup, scene, settings, frames))
-            print_points(found, (), Terminal())
-    rows = [row for group in others for row in group]
-    print_points((), rows, Terminal())
+            print_points(found, Terminal())
     if json_file is not None:
-        write_json(json_file, points, rows, identity(setup.weights), size)
+        write_json(json_file, points, identity(setup.weights), size)
 
 
 def in_its_own_process(setup: Setup, scene: str, settings: Sequence[ComputeOptions], frames: int) -> list[Point]:
@@ -95,22 +86,15 @@ def _points(setup: Setup, scene: str, settings: Sequence[ComputeOptions], frames
     return list(measure(setup.weights, open_device(setup.device), [scene], settings, size, frames))
 
 
-def print_points(points: Sequence[Point], peers: Sequence[Timing], console: Console) -> None:
+def print_points(points: Sequence[Point], console: Console) -> None:
     """Print a table for each scene; a star marks the settings that no other setting beats in both time and error."""
     for scene in dict.fromkeys(point.scene for point in points):
         rows = [point for point in points if point.scene == scene]
         best = frontier([(point.ratio, point.error) for point in rows])
         table = Table(title=scene, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
         table.add_column("", no_wrap=True)
-        for column in (
-            "",
-            "ms\nmedian",
-            "ms\nworst",
-            "share of\noff's time",
-            "error to\nfloat64",
-            "departure\nfrom off",
-            "PSNR\ndB",
-        ):
+        columns = ("", "ms\nmedian", "ms\nworst", "share of\noff's time", "error to\nfloat64", "departure\nfrom off", "PSNR\ndB")
+        for column in columns:
             table.add_column(column, justify="right", no_wrap=True)
         for i, point in enumerate(rows):
             table.add_row(
@@ -124,13 +108,10 @@ def print_points(points: Sequence[Point], peers: Sequence[Timing], console: Cons
                 f"{point.psnr:.2f}",
             )
         console.print(table)
-    for row in peers:
-        told = row.fault or f"{row.median * 1e3:.1f} ms, error {row.error:.1e}: the network alone, whatever the scene"
-        console.print(f"{row.name}: {told}", soft_wrap=True, markup=False, highlight=False)
 
 
-def write_json(path: Path, points: Sequence[Point], peers: Sequence[Timing], weights: str, size: tuple[int, int]) -> None:
-    """Write the time of every frame and run as JSON, and the machine it was measured on.
+def write_json(path: Path, points: Sequence[Point], weights: str, size: tuple[int, int]) -> None:
+    """Write the time of every frame as JSON, and the machine it was measured on.
 
     Raises:
         InputError: it can't be written.
@@ -153,10 +134,6 @@ def write_json(path: Path, points: Sequence[Point], peers: Sequence[Timing], wei
                 "psnr": point.psnr,
             }
             for point in points
-        ],
-        "peers": [
-            {"name": row.name, "times_ms": [seconds * 1e3 for seconds in row.times], "error": row.error, "fault": row.fault}
-            for row in peers
         ],
     }
     write_named(path, json.dumps(data, indent=1) + "\n")

@@ -14,7 +14,6 @@ from stss_ground.machine import versions
 from stss_ground.optional import require
 from stss_lab.bench import onnx_export
 from stss_lab.bench.contender import Peer, Setup
-from stss_lab.bench.ncnn_peer import Ncnn
 from stss_lab.bench.torch_network import TorchNetwork
 from stss_ref.arrays import Array
 
@@ -28,7 +27,6 @@ class PyTorch(Peer):
         cuda: run on the first CUDA GPU; else on the CPU.
         half: compute in half precision; else in float32, without the tensor cores' TF32.
         compiled: use ``torch.compile``.
-        layout: memory format; the authors' code runs in ``contiguous_format``.
     """
 
     def __init__(
@@ -39,7 +37,6 @@ class PyTorch(Peer):
         cuda: bool = False,
         half: bool = False,
         compiled: bool = False,
-        layout: str = "channels_last",
     ):
         super().__init__(setup)
         self._torch = torch = require("torch")
@@ -47,13 +44,13 @@ class PyTorch(Peer):
             raise InputError("PyTorch finds no CUDA GPU")
         torch.set_num_threads(setup.threads)
         self._options: dict[str, Any] = {"device": "cuda" if cuda else "cpu", "dtype": torch.float16 if half else torch.float32}
-        self._cuda, self._layout = cuda, getattr(torch, layout)
+        self._cuda = cuda
         network = TorchNetwork(setup.weights, tuned=tuned, **self._options)
         self._network: Any = torch.compile(network.__call__, mode="max-autotune") if compiled else network
         self.details = {
             **versions(("torch",)),
             "precision": "float16" if half else "float32",
-            "layout": layout,
+            "layout": "channels_last",
             "formulation": "gates merged, window as slices" if tuned else "as published",
         }
         if cuda:
@@ -63,7 +60,7 @@ class PyTorch(Peer):
 
     def _bind(self, inputs: dict[str, Array]) -> None:
         arrays = map(self._torch.from_numpy, inputs.values())
-        self._inputs = [array.to(memory_format=self._layout, **self._options) for array in arrays]
+        self._inputs = [array.to(memory_format=self._torch.channels_last, **self._options) for array in arrays]
 
     def run(self) -> None:
         """See `Contender`."""
@@ -164,13 +161,11 @@ def _model(setup: Setup) -> bytes:
 
 PEERS: dict[str, Callable[[Setup], Peer]] = {
     "pytorch": partial(PyTorch, tuned=False),
-    "pytorch-contiguous": partial(PyTorch, tuned=False, layout="contiguous_format"),
     "pytorch-tuned": partial(PyTorch, tuned=True),
     "pytorch-compiled": partial(PyTorch, tuned=True, compiled=True),
     "onnxruntime": OnnxRuntime,
     "openvino": partial(OpenVino, float32=True),
     "openvino-default": partial(OpenVino, float32=False),
-    "ncnn": Ncnn,
     "pytorch-cuda": partial(PyTorch, tuned=True, cuda=True, half=True),
     "pytorch-cuda-compiled": partial(PyTorch, tuned=True, cuda=True, half=True, compiled=True),
     "pytorch-cuda-float32": partial(PyTorch, tuned=True, cuda=True),

@@ -19,7 +19,7 @@ from stss_lab.bench.peers import PEERS
 
 FORMAT = 3
 """Version of the JSON; raised when a field changes its meaning."""
-PACKAGES = ("numpy", "pyopencl", "pocl-binary-distribution", "torch", "onnx", "onnxruntime", "openvino", "ncnn", "pnnx")
+PACKAGES = ("numpy", "pyopencl", "pocl-binary-distribution", "torch", "onnx", "onnxruntime", "openvino")
 
 
 def print_results(results: Sequence[SizeResult], console: Console) -> None:

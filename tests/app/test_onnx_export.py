@@ -8,7 +8,7 @@ from stss_ground.errors import InputError
 from stss_lab.bench import onnx_export
 from stss_lab.bench.contender import Setup
 from stss_lab.bench.ours import network_inputs
-from stss_lab.bench.peers import PEERS, OnnxRuntime, OpenVino, PyTorch
+from stss_lab.bench.peers import OnnxRuntime, OpenVino, PyTorch
 from stss_ref.network import network
 from stss_ref.weights import astype
 from stss_ref.weights import random as random_weights
@@ -65,13 +65,6 @@ def test_engines_compute_the_network_with_it(engine, size):
     peer = ENGINES[engine](Setup(WEIGHTS, *size, device=None, threads=1), **options)
     inputs = network_inputs(*size)
     assert ratio("network.peer", peer(**vars(inputs)), truth(inputs)) <= 1
-
-
-@pytest.mark.parametrize("size", [(13, 21)])
-def test_ncnn_computes_the_network_image_by_image(size):
-    need("torch", "pnnx", "ncnn")
-    inputs = network_inputs(*size)
-    assert ratio("network.peer", PEERS["ncnn"](Setup(WEIGHTS, *size, device=None, threads=1))(**vars(inputs)), truth(inputs)) <= 1
 
 
 @pytest.mark.parametrize("size", [(13, 21)])

@@ -49,7 +49,7 @@ def fake(name="P: one", *, is_cpu=True, driver="1", target=""):
 
 
 ROW = Tuning(
-    winograd={24: Winograd(4, 2, 1, True), 32: Winograd(1, 1, 4), 64: Winograd(6, 3, 4, vector=16)},
+    winograd={24: Winograd(4, 2, 1), 32: Winograd(1, 1, 4), 64: Winograd(6, 3, 4, vector=16)},
     direct={24: Direct(1, 3, 8), 32: Direct(4, 1, 1), 64: Direct(2, 2, 64)},
 )
 
@@ -118,7 +118,7 @@ def test_other_kernels_need_other_rows(monkeypatch):
     ("old", "new", "message"),
     [
         ("tiles = 4, tiles_held = 2", "tiles = 4, tiles_held = 3", r"winograd\.24\.tiles_held: expected a divisor of 4, found 3"),
-        ("prefetch = true", "prefetch = true, lanes = 8", r"winograd\.24\.lanes: unknown key"),
+        ("vector = 8", "vector = 8, lanes = 8", r"winograd\.24\.lanes: unknown key"),
         ("[direct]", "[strip]", r"direct: expected a table, found nothing"),
         ('"P: one"', '"P: two"', r"device: expected 'P: one', found 'P: two'"),
         ("[direct]", "[direct", "cannot be read as TOML"),
@@ -189,7 +189,7 @@ def timed(monkeypatch, seconds):
 
 @pytest.mark.parametrize(("seconds", "taken"), [(0.97, True), (0.985, False)])
 def test_the_built_in_stays_unless_beaten_by_two_per_cent(monkeypatch, seconds, taken):
-    device, quick = fake(), Winograd(12, 4, 3, True)
+    device, quick = fake(), Winograd(12, 4, 3)
     timed(monkeypatch, lambda sizes, _: seconds if sizes == quick else 1.0)
     want = built_in(device)
     assert tune.tune(device, (8, 8))[0] == (replace(want, winograd={**want.winograd, 24: quick}) if taken else want)
