@@ -37,7 +37,7 @@ MOST_SIDE = 2**17
 @click.option(
     "--largest-side",
     type=click.IntRange(LEAST_SIDE, MOST_SIDE),
-    help="Leave out cases with more rows or columns than the port takes.",
+    help="Cut cases to the most rows and columns that the port takes.",
 )
 @click.option("--seed", type=click.IntRange(0, MAX_SEED), default=0, show_default=True, help="Another seed draws other cases.")
 @click.option(

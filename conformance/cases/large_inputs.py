@@ -125,11 +125,13 @@ def large_inputs(stage: str, most: int | None = None, size: Size | None = None, 
         stage: its name.
         most: the number of cases that are made at sizes of this module; None: all.
         size: (H, W) of one more case; stages of the network but ``network`` and ``frame`` get the next larger multiples of 8.
-        side: the most rows or columns of any array, outputs too; larger cases are left out; None: any.
+        side: the most rows or columns of any array, outputs too; larger cases are cut to that, and ``size`` is left out; None: any.
     """
     scale = 2 if stage in ("decoder", "network", "frame") else 1
-    own = [*_sizes(stage)[:most], *([_taken(stage, size)] if size is not None else [])]
-    return tuple(_made(stage, i, each) for i, each in enumerate(own) if side is None or scale * max(each) <= side)
+    asked = [_taken(stage, size)] if size is not None else []
+    own = [*_sizes(stage)[:most], *(each for each in asked if side is None or scale * max(each) <= side)]
+    largest = max(map(max, own), default=0) if side is None else side // scale // 8 * 8
+    return tuple(_made(stage, i, (min(height, largest), min(width, largest))) for i, (height, width) in enumerate(own))
 
 
 def user_inputs(stage: str, most: int, side: int | None = None) -> tuple[Made, ...]:

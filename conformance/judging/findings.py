@@ -142,10 +142,12 @@ def said(output: str, got: NDArray[Any], expected: Expected, worst: float) -> st
     ratios = expected.ratios(got)
     place = tuple(int(i) for i in np.unravel_index(int(ratios.argmax()), ratios.shape))
     allowed = float(np.broadcast_to(np.asarray(expected.allowed), got.shape)[place])
+    at = place[:-1] if expected.vectors else place
+    given, want = (", ".join(f"{number:.9g}" for number in np.atleast_1d(a[at])) for a in (got, expected.want))
     by = "wrong" if allowed <= DENORMAL else f"error / bound {worst:.3g}"
     share = float((ratios > 1).mean())
     return (
-        f"{output}: {by} at {list(place)}: got {got[place]:.9g}, expected {expected.want[place]:.9g}"
+        f"{output}: {by} at {list(place)}: got {given}, expected {want}"
         f"{f', allowed {allowed:.3g}' if allowed > DENORMAL else ''}; {share:.1%} of {got.size} numbers depart{_from(ratios > 1)}"
     )
 

@@ -63,7 +63,7 @@ class Judge:
         shrink: make a failing case smaller.
         repeat: number of times that each case is computed; different bits in any of them are a departure.
         size: (H, W) at which each stage is judged once, too; None: at the tier's sizes only.
-        largest_side: the most rows or columns of an array that the port takes; larger cases are left out; None: any.
+        largest_side: the most rows or columns of an array that the port takes; larger cases are cut to that; None: any.
 
     Attributes:
         record: of the test that runs now; the runner sets a new one before each test.

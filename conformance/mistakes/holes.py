@@ -92,6 +92,7 @@ HOLES = (
     _holes("not_followed", "reads the earlier buffers at p", change_arguments("holes.follow", motion=lambda motion: motion * 0)),
     _taken("stencil_of_8_bits", "stencils in 8 bits", **_bits(8)),
     _taken("stencil_of_16_bits", "stencils in 16 bits", **_bits(16)),
+    _taken("stencil_in_half", "stencils in half precision", stencil=half, stencil_previous=half),
     _taken("stencil_here", "the current stencil in the place of the earlier one", stencil_previous=lambda _, stencil: stencil),
     _taken("normal_here", "the current normal in the place of the earlier one", normal_previous=lambda _, normal: normal),
     _taken("half_position", "positions in half precision", position=half, position_previous=half),
