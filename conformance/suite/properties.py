@@ -10,9 +10,11 @@ from functools import wraps
 from importlib import import_module
 from typing import Any
 
+import numpy as np
 from hypothesis import strategies as st
 from hypothesis.errors import Flaky
 
+from conformance.cases.constants import constant_cases, pinned_by
 from conformance.cases.large_inputs import large_inputs, user_inputs
 from conformance.explain.confirm import UNSTABLE, confirm
 from conformance.explain.diagnosis import diagnose
@@ -20,28 +22,28 @@ from conformance.explain.first_layer import first_departure
 from conformance.explain.terms import terms_at_worst
 from conformance.judging.findings import DepartureError, Failure, Record
 from conformance.judging.judge import Body, Judge
+from conformance.judging.questions import Talk, ask
 from conformance.judging.search import Drawn, Made, Maker, Makers
+from conformance.protocol.stages import STAGES
+from stss_ref.weights import Weights
+
+Test = Callable[[Judge], None]
 
 
-def cases(strategy: st.SearchStrategy[Any], *, slow: bool = False) -> Callable[[Body], Callable[[Judge], None]]:
+def cases(strategy: st.SearchStrategy[Any], *, slow: bool = False) -> Callable[[Body], Test]:
     """Make a test of a property on drawn cases: see `Drawn`."""
     return _tested_on(Drawn(strategy, slow=slow))
 
 
 def made_cases(
     made: Makers | Callable[[Judge], Makers], *, about: Callable[[Maker], str] = lambda _: ""
-) -> Callable[[Body], Callable[[Judge], None]]:
+) -> Callable[[Body], Test]:
     """Make a test of a property on a few cases that are made: see `Made`."""
     return _tested_on(Made(made, about))
 
 
-def large_cases(stage: str) -> Callable[[Body], Callable[[Judge], None]]:
-    """Make a test of a property on large frames: as many as the judge's tier says, and one of the size that the judge is asked for."""
-    return made_cases(lambda judge: large_inputs(stage, judge.tier.large, judge.size, judge.largest_side))
-
-
-def _tested_on(source: Drawn | Made) -> Callable[[Body], Callable[[Judge], None]]:
-    def decorate(body: Body) -> Callable[[Judge], None]:
+def _tested_on(source: Drawn | Made) -> Callable[[Body], Test]:
+    def decorate(body: Body) -> Test:
         @wraps(body)
         def test(judge: Judge) -> None:
             __tracebackhide__ = True
@@ -57,9 +59,49 @@ def _tested_on(source: Drawn | Made) -> Callable[[Body], Callable[[Judge], None]
     return decorate
 
 
-def user_cases(stage: str) -> Callable[[Body], Callable[[Judge], None]]:
-    """Make a test of a property on a frame of a user's size."""
-    return made_cases(lambda judge: user_inputs(stage, judge.tier.large, judge.largest_side))
+def agrees_in_large_frames(stage: str) -> Test:
+    """Make a stage's test on as many large frames as the judge's tier says, and on one of the size that the judge is asked for."""
+    words = "Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across them."
+    return _agrees(stage, lambda judge: large_inputs(stage, judge.tier.large, judge.size, judge.largest_side), words)
+
+
+def agrees_on_constants(stage: str) -> Test:
+    """Make a stage's test on cases that each pin a constant."""
+    words = "Cases agree, too, in which a constant shows: just beside a limit, or near a small number that is added or is a least value."
+    return _agrees(stage, constant_cases(stage), words, pinned_by)
+
+
+def _agrees(
+    stage: str, made: Makers | Callable[[Judge], Makers], words: str, about: Callable[[Maker], str] = lambda _: ""
+) -> Test:
+    def body(judge: Judge, case: Any) -> Talk:
+        yield from judge.agrees(stage, *(case if STAGES[stage].weights else (case,)))
+
+    body.__doc__ = words
+    return made_cases(made, about=about)(body)
+
+
+def agrees_in_windows(stage: str) -> Test:
+    """Make a stage's test on a frame of a user's size."""
+
+    def body(judge: Judge, case: tuple[Any, Weights]) -> Talk:
+        """A frame of 720 x 1280 agrees, too, at the left, in the middle and at the right of its last rows."""
+        yield from judge.agrees_in_windows(stage, *case)
+
+    return made_cases(lambda judge: user_inputs(stage, judge.tier.large, judge.largest_side))(body)
+
+
+def same_twice(stage: str, drawn: Callable[[Body], Test]) -> Test:
+    """Make a stage's test that nothing depends on what was computed before, on these cases."""
+
+    def body(judge: Judge, case: Any) -> Talk:
+        """The same inputs give the same bits again, whatever was computed between."""
+        given = case if STAGES[stage].weights else (case,)
+        first, second = yield ask(stage, *given), ask(stage, *given, again=True)
+        for name in first:
+            judge.same(f"{stage}.{name}", np.nan_to_num(second[name]), np.nan_to_num(first[name]))
+
+    return drawn(body)
 
 
 @contextmanager

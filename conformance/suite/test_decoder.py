@@ -8,7 +8,7 @@ from conformance.cases.exact_weights import LAST, exact_inputs, rounded_sums
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import cases, large_cases
+from conformance.suite.properties import agrees_in_large_frames, cases, same_twice
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("decoder"), weights())
@@ -39,11 +39,7 @@ def test_one_colour_stays_one_colour(judge: Judge, case: tuple[Inputs, Weights])
     judge.same("decoder.image", got, np.broadcast_to(judge.round_inputs(inputs, "decoder")["color"][:1, :1, :3], got.shape))
 
 
-@cases(CASES, slow=True)
-def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """The same features give the same bits again."""
-    first, second = yield ask("decoder", *case), ask("decoder", *case, again=True)
-    judge.same("decoder.image", second["image"], first["image"])
+test_the_same_twice = same_twice("decoder", cases(CASES, slow=True))
 
 
 @cases(exact_inputs("decoder", multiples()), slow=True)
@@ -58,7 +54,4 @@ def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]) -> Ta
     yield from judge.rounds_either_way("decoder", "image", *case, LAST["decoder"])
 
 
-@large_cases("decoder")
-def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
-    yield from judge.agrees("decoder", *case)
+test_large_frames_agree_with_the_reference = agrees_in_large_frames("decoder")

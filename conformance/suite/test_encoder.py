@@ -9,7 +9,7 @@ from conformance.cases.exact_weights import LAST, exact_inputs, rounded_sums
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import cases, large_cases
+from conformance.suite.properties import agrees_in_large_frames, cases, same_twice
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("encoder"), weights())
@@ -56,12 +56,7 @@ def test_a_pixel_is_seen_from_nearby_only(judge: Judge, case: tuple[Inputs, Weig
         judge.holds(f"encoder.{name}", second[name], Expected(want, 2 * np.asarray(expected.allowed)))
 
 
-@cases(CASES, slow=True)
-def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """The same frame gives the same bits again."""
-    first, second = yield ask("encoder", *case), ask("encoder", *case, again=True)
-    for name in first:
-        judge.same(f"encoder.{name}", second[name], first[name])
+test_the_same_twice = same_twice("encoder", cases(CASES, slow=True))
 
 
 @cases(exact_inputs("encoder", multiples()), slow=True)
@@ -76,7 +71,4 @@ def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]) -> Ta
     yield from judge.rounds_either_way("encoder", "x1", *case, LAST["encoder"])
 
 
-@large_cases("encoder")
-def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
-    yield from judge.agrees("encoder", *case)
+test_large_frames_agree_with_the_reference = agrees_in_large_frames("encoder")

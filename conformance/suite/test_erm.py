@@ -5,12 +5,11 @@ import numpy as np
 from hypothesis import strategies as st
 
 from conformance.answers.expected import Expected
-from conformance.cases.constants import constant_cases, pinned_by
 from conformance.cases.planes import SEEDS
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import cases, large_cases, made_cases
+from conformance.suite.properties import agrees_in_large_frames, agrees_on_constants, cases, same_twice
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("erm", multiples(48)), weights())
@@ -75,23 +74,13 @@ def test_opposite_materials_share_no_light(judge: Judge, case: tuple[tuple[Input
     yield from judge.agrees("erm", signed, given | _sign_of_the_first(given))
 
 
-@cases(CASES, slow=True)
-def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """The same frame gives the same bits again."""
-    first, second = yield ask("erm", *case), ask("erm", *case, again=True)
-    judge.same("erm.reshaded", second["reshaded"], first["reshaded"])
+test_the_same_twice = same_twice("erm", cases(CASES, slow=True))
 
 
-@made_cases(constant_cases("erm"), about=pinned_by)
-def test_constants_are_those_of_the_specification(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """Cases agree, too, in which a constant shows: just beside a limit, or near a small number that is added or is a least value."""
-    yield from judge.agrees("erm", *case)
+test_constants_are_those_of_the_specification = agrees_on_constants("erm")
 
 
-@large_cases("erm")
-def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
-    yield from judge.agrees("erm", *case)
+test_large_frames_agree_with_the_reference = agrees_in_large_frames("erm")
 
 
 def _centre(weight: np.ndarray) -> np.ndarray:

@@ -4,13 +4,19 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from conformance.cases.constants import constant_cases, pinned_by
 from conformance.cases.engine_inputs import engine_inputs
 from conformance.cases.every_buffer import frame_cases
 from conformance.cases.stage_inputs import Inputs, frame_inputs, frame_weights, scene_inputs
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import cases, large_cases, made_cases, user_cases
+from conformance.suite.properties import (
+    agrees_in_large_frames,
+    agrees_in_windows,
+    agrees_on_constants,
+    cases,
+    made_cases,
+    same_twice,
+)
 from stss_ref.weights import Weights
 
 CASES = st.tuples(frame_inputs(), frame_weights())
@@ -62,11 +68,7 @@ def test_a_rendered_frame_looks_for_no_other(judge: Judge, case: tuple[Inputs, W
     judge.same("frame.image", second["image"], first["image"])
 
 
-@cases(CASES, slow=True)
-def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """The same buffers give the same bits again."""
-    first, second = yield ask("frame", *case), ask("frame", *case, again=True)
-    judge.same("frame.image", second["image"], first["image"])
+test_the_same_twice = same_twice("frame", cases(CASES, slow=True))
 
 
 @made_cases(frame_cases())
@@ -75,10 +77,7 @@ def test_every_buffer_of_every_frame_counts(judge: Judge, case: tuple[Inputs, We
     yield from judge.agrees("frame", *case)
 
 
-@made_cases(constant_cases("frame"), about=pinned_by)
-def test_constants_are_those_of_the_specification(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """Cases agree, too, in which a constant shows: just beside a limit, or near a small number that is added or is a least value."""
-    yield from judge.agrees("frame", *case)
+test_constants_are_those_of_the_specification = agrees_on_constants("frame")
 
 
 @made_cases(engine_inputs("frame"))
@@ -87,13 +86,7 @@ def test_agrees_on_what_engines_send(judge: Judge, case: tuple[Inputs, Weights])
     yield from judge.agrees("frame", *case)
 
 
-@large_cases("frame")
-def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across and out of them."""
-    yield from judge.agrees("frame", *case)
+test_large_frames_agree_with_the_reference = agrees_in_large_frames("frame")
 
 
-@user_cases("frame")
-def test_a_users_size_agrees_in_windows(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """A frame of 720 x 1280 agrees, too, at the left, in the middle and at the right of its last rows."""
-    yield from judge.agrees_in_windows("frame", *case)
+test_a_users_size_agrees_in_windows = agrees_in_windows("frame")

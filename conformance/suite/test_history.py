@@ -9,7 +9,7 @@ from conformance.cases.exact_weights import LAST, exact_inputs, rounded_sums
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import cases, large_cases
+from conformance.suite.properties import agrees_in_large_frames, cases, same_twice
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("history"), weights())
@@ -45,11 +45,7 @@ def test_without_weights_the_bias_is_left(judge: Judge, case: tuple[Inputs, Weig
     judge.holds("history.feature", got, Expected(np.broadcast_to(bias / 2, got.shape), right.allowed))
 
 
-@cases(CASES, slow=True)
-def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """The same history gives the same bits again."""
-    first, second = yield ask("history", *case), ask("history", *case, again=True)
-    judge.same("history.feature", second["feature"], first["feature"])
+test_the_same_twice = same_twice("history", cases(CASES, slow=True))
 
 
 @cases(exact_inputs("history", multiples(32)), slow=True)
@@ -64,7 +60,4 @@ def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]) -> Ta
     yield from judge.rounds_either_way("history", "feature", *case, LAST["history"])
 
 
-@large_cases("history")
-def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
-    yield from judge.agrees("history", *case)
+test_large_frames_agree_with_the_reference = agrees_in_large_frames("history")

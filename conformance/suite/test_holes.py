@@ -6,13 +6,12 @@ from hypothesis import strategies as st
 
 from conformance.answers.port_arithmetic import reach
 from conformance.answers.warp import within_frame
-from conformance.cases.constants import constant_cases, pinned_by
 from conformance.cases.engine_inputs import engine_inputs
 from conformance.cases.planes import SEEDS, Size, sizes
 from conformance.cases.stage_inputs import Inputs, holes_inputs, thresholds
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import cases, large_cases, made_cases
+from conformance.suite.properties import agrees_in_large_frames, agrees_on_constants, cases, made_cases, same_twice
 
 
 @cases(holes_inputs())
@@ -112,17 +111,10 @@ def test_no_axis_is_special(judge: Judge, case: tuple[Size, int, list[int]]) -> 
     judge.same("holes.valid", second["valid"], first["valid"])
 
 
-@cases(holes_inputs())
-def test_the_same_twice(judge: Judge, inputs: Inputs) -> Talk:
-    """The same frame gives the same mask again."""
-    first, second = yield ask("holes", inputs), ask("holes", inputs, again=True)
-    judge.same("holes.valid", second["valid"], first["valid"])
+test_the_same_twice = same_twice("holes", cases(holes_inputs()))
 
 
-@made_cases(constant_cases("holes"), about=pinned_by)
-def test_constants_are_those_of_the_specification(judge: Judge, inputs: Inputs) -> Talk:
-    """Cases agree, too, in which a constant shows: just beside a limit, or near a small number that is added or is a least value."""
-    yield from judge.agrees("holes", inputs)
+test_constants_are_those_of_the_specification = agrees_on_constants("holes")
 
 
 @made_cases(engine_inputs("holes"))
@@ -131,10 +123,7 @@ def test_agrees_on_what_engines_send(judge: Judge, inputs: Inputs) -> Talk:
     yield from judge.agrees("holes", inputs)
 
 
-@large_cases("holes")
-def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
-    """Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across and out of them."""
-    yield from judge.agrees("holes", inputs)
+test_large_frames_agree_with_the_reference = agrees_in_large_frames("holes")
 
 
 def _quarters(size: Size, seed: int) -> Inputs:

@@ -9,7 +9,7 @@ from conformance.cases.planes import Float64, dyadic_motions, motions, sizes
 from conformance.cases.stage_inputs import Inputs, chain_inputs
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import cases, large_cases, made_cases
+from conformance.suite.properties import agrees_in_large_frames, cases, made_cases
 
 
 @cases(chain_inputs())
@@ -69,7 +69,4 @@ def test_agrees_on_what_engines_send(judge: Judge, inputs: Inputs) -> Talk:
     yield from judge.agrees("motion_chain", inputs)
 
 
-@large_cases("motion_chain")
-def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
-    """Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across and out of them."""
-    yield from judge.agrees("motion_chain", inputs)
+test_large_frames_agree_with_the_reference = agrees_in_large_frames("motion_chain")

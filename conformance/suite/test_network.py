@@ -9,7 +9,7 @@ from conformance.cases.planes import sizes
 from conformance.cases.stage_inputs import Inputs, network_inputs, weights
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import cases, large_cases, user_cases
+from conformance.suite.properties import agrees_in_large_frames, agrees_in_windows, cases, same_twice
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("network", sizes(20)), weights())
@@ -47,23 +47,13 @@ def test_without_a_residual_it_is_bilinear(judge: Judge, case: tuple[Inputs, Wei
     judge.holds("network.image", got, Expected(np.clip(got, color.min(axis=(0, 1)), color.max(axis=(0, 1))), right.allowed))
 
 
-@cases(CASES, slow=True)
-def test_the_same_twice(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """The same frame gives the same bits again."""
-    first, second = yield ask("network", *case), ask("network", *case, again=True)
-    judge.same("network.image", second["image"], first["image"])
+test_the_same_twice = same_twice("network", cases(CASES, slow=True))
 
 
-@large_cases("network")
-def test_large_frames_agree_with_the_reference(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
-    yield from judge.agrees("network", *case)
+test_large_frames_agree_with_the_reference = agrees_in_large_frames("network")
 
 
-@user_cases("network")
-def test_a_users_size_agrees_in_windows(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """A frame of 720 x 1280 agrees, too, at the left, in the middle and at the right of its last rows."""
-    yield from judge.agrees_in_windows("network", *case)
+test_a_users_size_agrees_in_windows = agrees_in_windows("network")
 
 
 def _pad(array: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -4,12 +4,11 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from conformance.cases.constants import constant_cases, pinned_by
 from conformance.cases.engine_inputs import engine_inputs
 from conformance.cases.stage_inputs import Inputs, occlusion_inputs
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import cases, large_cases, made_cases
+from conformance.suite.properties import agrees_in_large_frames, agrees_on_constants, cases, made_cases, same_twice
 
 
 @cases(occlusion_inputs())
@@ -73,18 +72,10 @@ def test_lost_motion_writes_nothing(judge: Judge, case: tuple[Inputs, float]) ->
     judge.same("occlusion_warp.occlusion_motion", got, want)
 
 
-@cases(occlusion_inputs())
-def test_the_same_twice(judge: Judge, inputs: Inputs) -> Talk:
-    """The same frame gives the same bits again, unlike a splat that depends on the order of writes."""
-    first, second = yield ask("occlusion_warp", inputs), ask("occlusion_warp", inputs, again=True)
-    for name in first:
-        judge.same(f"occlusion_warp.{name}", np.nan_to_num(second[name]), np.nan_to_num(first[name]))
+test_the_same_twice = same_twice("occlusion_warp", cases(occlusion_inputs()))
 
 
-@made_cases(constant_cases("occlusion_warp"), about=pinned_by)
-def test_constants_are_those_of_the_specification(judge: Judge, inputs: Inputs) -> Talk:
-    """Cases agree, too, in which a constant shows: just beside a limit, or near a small number that is added or is a least value."""
-    yield from judge.agrees("occlusion_warp", inputs)
+test_constants_are_those_of_the_specification = agrees_on_constants("occlusion_warp")
 
 
 @made_cases(engine_inputs("occlusion_warp"))
@@ -93,10 +84,7 @@ def test_agrees_on_what_engines_send(judge: Judge, inputs: Inputs) -> Talk:
     yield from judge.agrees("occlusion_warp", inputs)
 
 
-@large_cases("occlusion_warp")
-def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
-    """Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across and out of them."""
-    yield from judge.agrees("occlusion_warp", inputs)
+test_large_frames_agree_with_the_reference = agrees_in_large_frames("occlusion_warp")
 
 
 def _looped(motion: np.ndarray, depth: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 from conformance.cases.stage_inputs import Inputs, rrm_inputs
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import cases, large_cases
+from conformance.suite.properties import agrees_in_large_frames, cases
 
 
 @cases(rrm_inputs())
@@ -31,7 +31,4 @@ def test_as_many_as_the_rectangle_has(judge: Judge, inputs: Inputs) -> Talk:
     judge.same("rrm.valid", np.array(valid.size - int(valid.sum())), np.array(int(height * width)))
 
 
-@large_cases("rrm")
-def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
-    """Large frames agree, too: with hundreds of columns or rows, and with more pixels than 16 bits count."""
-    yield from judge.agrees("rrm", inputs)
+test_large_frames_agree_with_the_reference = agrees_in_large_frames("rrm")

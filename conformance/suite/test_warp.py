@@ -10,7 +10,7 @@ from conformance.cases.planes import Float64, colors, dyadic_motions, sizes
 from conformance.cases.stage_inputs import Inputs, warp_inputs, wide_warp_inputs
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import cases, large_cases, made_cases
+from conformance.suite.properties import agrees_in_large_frames, cases, made_cases, same_twice
 
 
 @cases(warp_inputs())
@@ -107,11 +107,7 @@ def test_lost_motion_is_off_screen(judge: Judge, case: tuple[Float64, Float64, f
     judge.same("warp.warped", got["warped"], np.where(finite[..., None], clean["warped"], own))
 
 
-@cases(warp_inputs())
-def test_the_same_twice(judge: Judge, inputs: Inputs) -> Talk:
-    """The same frame gives the same bits again."""
-    first, second = yield ask("warp", inputs), ask("warp", inputs, again=True)
-    judge.same("warp.warped", second["warped"], first["warped"])
+test_the_same_twice = same_twice("warp", cases(warp_inputs()))
 
 
 @made_cases(engine_inputs("warp"))
@@ -120,7 +116,4 @@ def test_agrees_on_what_engines_send(judge: Judge, inputs: Inputs) -> Talk:
     yield from judge.agrees("warp", inputs)
 
 
-@large_cases("warp")
-def test_large_frames_agree_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
-    """Large frames agree, too: with hundreds of columns or rows, more pixels than 16 bits count, and motion across and out of them."""
-    yield from judge.agrees("warp", inputs)
+test_large_frames_agree_with_the_reference = agrees_in_large_frames("warp")
