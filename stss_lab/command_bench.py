@@ -11,6 +11,7 @@ import click
 from stss.cli.options import MAX_COUNT
 from stss.images.headers import MAX_SIDE
 from stss.weights.file import identity, load
+from stss_ground.errors import InputError
 from stss_ground.option_kinds import PATH, Names, Size
 from stss_ground.output.apart import require_places
 from stss_ground.progress import show_steps
@@ -83,10 +84,11 @@ def bench_command(
     console = Terminal(stderr=True)
     setups = [Setup(tensors, *size, device=device, threads=threads) for size in sizes]
     if pareto:
-        from stss_lab.bench.pareto import chosen_settings
-        from stss_lab.bench.pareto_report import bench_pareto
+        from stss_lab.bench.pareto import bench_pareto, chosen_settings
 
-        bench_pareto(setups, scenes, chosen_settings(settings), frames, console, json_file)
+        if json_file is not None:
+            raise InputError("--json: expected without --pareto, which prints its tables alone")
+        bench_pareto(setups, scenes, chosen_settings(settings), frames, console)
         return
     ours = default_ours() if ours is None else ours
     with show_steps(console, count_steps(setups, ours, peers, repeat)) as begin:

@@ -122,10 +122,7 @@ def steps(folder: Path, device: str, *, tiny: bool) -> list[Step]:
         Step("tune", (*stss, "tune", *here), 120),
         Step(
             "pareto",
-            (
-                *(*stss, "bench", "--pareto", *here, "--frames", "10", "--scenes", "object,pan"),
-                *("--json", f"{to / 'pareto.json'}"),
-            ),
+            (*stss, "bench", "--pareto", *here, "--frames", "10", "--scenes", "object,pan"),
             150,
         ),
     ]

@@ -1,14 +1,20 @@
 # SPDX-License-Identifier: MIT
-"""Measure run time and error of every setting of the backend, on the canonical scenes."""
+"""``stss bench --pareto``: run time and error of every setting of the backend, on the canonical scenes."""
 
 from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from multiprocessing import get_context
 
 import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
 
 from conformance.scenes import SCENES
 from stss.frames.compute_options import ComputeOptions
@@ -16,10 +22,13 @@ from stss.frames.display_frame import DisplayFrame, frame_inputs, window_at
 from stss.frames.supersample import plan
 from stss.quality.metrics import psnr
 from stss.sequence.scenes import check_request, display_frames, truth
-from stss_cl.device.discovery import Device
+from stss_cl.device.discovery import Device, open_device
 from stss_cl.network.network import PRECISIONS
 from stss_cl.skip.stream import Stream
 from stss_ground.errors import InputError
+from stss_ground.progress import show_steps
+from stss_ground.terminal import Terminal
+from stss_lab.bench.contender import Setup
 from stss_ref.arrays import Array, Image
 from stss_ref.frame import FrameInputs, frame
 from stss_ref.weights import Weights, astype
@@ -52,7 +61,6 @@ class Point:
     """Times and errors of one setting on one scene.
 
     Attributes:
-        scene: its name.
         setting: the setting.
         times: seconds of each timed frame.
         full: seconds of the same frames with the setting `FULL`, timed in turns with ``times``.
@@ -62,7 +70,6 @@ class Point:
         exact: whether every timed image has the same bits as with `FULL`.
     """
 
-    scene: str
     setting: ComputeOptions
     times: tuple[float, ...]
     full: tuple[float, ...]
@@ -71,49 +78,62 @@ class Point:
     psnr: float
     exact: bool
 
-    @property
-    def ratio(self) -> float:
-        """Time / time of `FULL`. Both are sums over the sequence, since its frames differ in cost."""
-        return sum(self.times) / sum(self.full)
 
-    @property
-    def median(self) -> float:
-        """Median time of a frame; seconds."""
-        return statistics.median(self.times)
-
-
-def measure(
-    weights: Weights,
-    device: Device,
-    scenes: Sequence[str],
-    settings: Sequence[ComputeOptions],
-    size: tuple[int, int],
-    count: int,
-    on_step: Callable[[str], None] = lambda _: None,
-) -> Iterator[Point]:
-    """Yield a point for every scene and setting.
+def bench_pareto(
+    setups: Sequence[Setup], scenes: Sequence[str] | None, settings: Sequence[ComputeOptions], frames: int, console: Console
+) -> None:
+    """Measure and print a table for each scene.
 
     Args:
-        weights: the 92 tensors.
-        device: to run on.
-        scenes: names in ``SCENES``.
+        setups: a single one, with weights, size and device.
+        scenes: names in ``SCENES``; None: `CANONICAL`.
         settings: each is timed in turns with `FULL`: a frame of one, then the same frame of the other.
-        size: (H, W) of the inputs.
-        count: display frames of a sequence, more than `WARM` + `JUDGED`.
-        on_step: called with a line before each step.
+        frames: display frames of each scene, more than `WARM` + `JUDGED`.
+        console: for progress.
 
     Raises:
-        InputError: there is no such scene, or there are too few frames.
+        InputError: there are several sizes, too few frames or no such scene, or a process that measured one died.
     """
-    check_request(scenes, count, WARM + JUDGED)
-    for name in scenes:
-        on_step(f"{name}: rendering")
-        frames = list(display_frames(SCENES[name], size, count))
-        on_step(f"{name}: float64 reference and truth")
-        judged = {n: (_reference(frames, n, weights), truth(SCENES[name], size, n)) for n in range(count - JUDGED, count)}
-        for setting in settings:
-            on_step(f"{name}: {setting.name}")
-            yield _point(name, setting, weights, device, frames, judged)
+    if len(setups) != 1:
+        raise InputError(f"--pareto: expected one --size, got {len(setups)}")
+    scenes = scenes or CANONICAL
+    check_request(scenes, frames, WARM + JUDGED)
+    with show_steps(console, len(scenes)) as begin:
+        for scene in scenes:
+            begin(f"{scene}: {len(settings)} settings")
+            # A new process has none of the kernels and caches that another scene built.
+            with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+                try:
+                    print_points(scene, pool.submit(measure, setups[0], scene, settings, frames).result(), Terminal())
+                except BrokenProcessPool:
+                    raise InputError(f"{scene}: the process that measured it died") from None
+
+
+def print_points(scene: str, points: Sequence[Point], console: Console) -> None:
+    """Print the table of a scene."""
+    table = Table(title=scene, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
+    table.add_column("", no_wrap=True)
+    for column in ("ms\nmedian", "ms\nworst", "share of\noff's time", "error to\nfloat64", "departure\nfrom off", "PSNR\ndB"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for point in points:
+        table.add_row(
+            point.setting.name,
+            f"{statistics.median(point.times) * 1e3:.1f}",
+            f"{max(point.times) * 1e3:.1f}",
+            f"{sum(point.times) / sum(point.full):.3f}",  # sums over the sequence, since its frames differ in cost
+            f"{point.error:.1e}",
+            "same bits" if point.exact else f"{point.departure * 255:.2f}/255",
+            f"{point.psnr:.2f}",
+        )
+    console.print(table)
+
+
+def measure(setup: Setup, scene: str, settings: Sequence[ComputeOptions], count: int) -> list[Point]:
+    """A point for every setting on a scene of ``count`` display frames."""
+    size, device = (setup.height, setup.width), open_device(setup.device)
+    frames = list(display_frames(SCENES[scene], size, count))
+    judged = {n: (_reference(frames, n, setup.weights), truth(SCENES[scene], size, n)) for n in range(count - JUDGED, count)}
+    return [_point(setting, setup.weights, device, frames, judged) for setting in settings]
 
 
 def _window(frames: Sequence[DisplayFrame], number: int) -> tuple[Sequence[DisplayFrame], tuple[int, int, int]]:
@@ -131,7 +151,6 @@ def _reference(frames: Sequence[DisplayFrame], number: int, weights: Weights) ->
 
 
 def _point(
-    scene: str,
     setting: ComputeOptions,
     weights: Weights,
     device: Device,
@@ -158,7 +177,6 @@ def _point(
             scores.append(psnr(255 * np.clip(images[1], 0, 1), 255 * np.clip(seen, 0, 1)) or 0.0)
         images.clear()  # the backend copies an image that someone holds, and overwrites one that nobody does
     return Point(
-        scene,
         setting,
         tuple(times[1][WARM:]),
         tuple(times[0][WARM:]),
@@ -167,12 +185,3 @@ def _point(
         statistics.mean(scores),
         same,
     )
-
-
-def frontier(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Indices of the points (time, error) that no other point beats in both, by rising time."""
-    found: list[int] = []
-    for i in sorted(range(len(points)), key=lambda i: points[i]):
-        if not found or points[i][1] < points[found[-1]][1]:
-            found.append(i)
-    return found
