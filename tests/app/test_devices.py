@@ -131,10 +131,8 @@ def test_the_table_has_every_device_the_best_first(machine, monkeypatch):
 @pytest.mark.parametrize(
     ("target", "flags", "said"),
     [
-        ("generic", {"sse2", "avx2"}, "AVX2"),
         ("znver3", {"avx2", "avx512f"}, "AVX-512"),
         ("znver3", {"avx2"}, None),
-        ("generic", set(), None),
         ("some-new-name", {"avx2", "avx512f"}, None),
     ],
 )
