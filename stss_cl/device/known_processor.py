@@ -18,11 +18,12 @@ from stss_ground.machine import cpu_flags
 
 UNKNOWN = "generic"
 AVX2 = frozenset({"avx", "avx2", "fma", "bmi1", "bmi2", "f16c", "movbe", "abm"})
-AVX512 = AVX2 | {
-    *("avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl", "avx512ifma", "avx512vbmi", "avx512_vbmi2", "avx512_vnni"),
-    *("avx512_bitalg", "avx512_vpopcntdq", "gfni", "vaes", "vpclmulqdq", "sha_ni"),
+AVX512 = AVX2 | {"avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl"}
+ICE_LAKE = AVX512 | {
+    *("avx512ifma", "avx512vbmi", "avx512_vbmi2", "avx512_vnni", "avx512_bitalg", "avx512_vpopcntdq"),
+    *("gfni", "vaes", "vpclmulqdq", "sha_ni"),
 }
-KNOWN = (("icelake-client", AVX512), ("haswell", AVX2), ("x86-64", frozenset[str]()))
+KNOWN = (("icelake-client", ICE_LAKE), ("skylake-avx512", AVX512), ("haswell", AVX2), ("x86-64", frozenset[str]()))
 """Names, the best first, and what a processor must have of what a compiler uses unasked, as Linux says it."""
 RECORD = 2048
 """Bytes of a device's record in which the name is looked for; in PoCL 3.0 it is at 640."""
