@@ -12,14 +12,13 @@ import click
 
 from stss_ground.errors import InputError
 from stss_ground.guard import run_guarded
+from stss_ground.one_thread import take_one_thread
 from stss_ground.option_kinds import MAX_SECONDS, MAX_SEED, PATH, Names, Number, Size
 from stss_ground.optional import require as require_package
 from stss_ground.optional import require_own_conformance
 from stss_ground.output.apart import require_places
 from stss_ground.terminal import echo
 from stss_ground.version import VERSION
-from stss_ref.arrays import ArrayError
-from stss_ref.weights import WeightsError
 
 MAX_REPEAT = 1000
 MOST_PIXELS = 3840 * 2160
@@ -176,4 +175,8 @@ judge_alone.add_command(conform)
 
 def main() -> None:
     """Run the command."""
+    take_one_thread()
+    from stss_ref.arrays import ArrayError
+    from stss_ref.weights import WeightsError
+
     run_guarded(judge_alone, ArrayError, WeightsError)

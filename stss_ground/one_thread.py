@@ -1,0 +1,9 @@
+# SPDX-License-Identifier: MIT
+"""One thread of linear algebra, for the judge."""
+
+import os
+
+
+def take_one_thread() -> None:
+    """Let NumPy, which is not yet imported, use one thread: others wait busily, and matrices are small; two take 1.5 times as long."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
