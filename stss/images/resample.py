@@ -16,8 +16,8 @@ REACH = 3
 """Lobes of Lanczos's kernel to each side; pixels."""
 
 
-def lanczos_centres(x: Image) -> Image:
-    """Lanczos x2 with pixel centres aligned: output ``o`` reads ``(o + 1/2) / 2 - 1/2``.
+def lanczos_centres(x: Image, offset: tuple[float, float] = (0, 0)) -> Image:
+    """Lanczos x2 with pixel centres aligned: output ``o`` reads ``(o + 1/2) / 2 - 1/2 + offset``.
 
     ``sum_i w(i - at) x_i / sum_i w(i - at)``, ``w(d) = sinc(d) sinc(d / 3)`` for ``|d| < 3``, over the pixels within the frame.
 
@@ -25,19 +25,20 @@ def lanczos_centres(x: Image) -> Image:
 
     Args:
         x: (H, W, C).
+        offset: of the picture in x and y, pixels of ``x``.
 
     Returns:
         (2H, 2W, C) as ``x``; overshoots at edges.
     """
     for axis in (0, 1):
-        weights = _lanczos_weights(x.shape[axis]).astype(x.dtype)
+        weights = _lanczos_weights(x.shape[axis], offset[1 - axis]).astype(x.dtype)
         x = np.moveaxis(np.tensordot(weights, x, (1, axis)), 0, axis)
     return np.ascontiguousarray(x)
 
 
-def _lanczos_weights(n: int) -> Array:
+def _lanczos_weights(n: int, offset: float) -> Array:
     """(2n, n) share of each pixel in each output; rows add up to 1."""
-    d = np.arange(n) - ((np.arange(2 * n) + 0.5) / 2 - 0.5)[:, None]
+    d = np.arange(n) - ((np.arange(2 * n) + 0.5) / 2 - 0.5 + offset)[:, None]
     w = np.where(np.abs(d) < REACH, np.sinc(d) * np.sinc(d / REACH), 0)
     return w / w.sum(axis=1, keepdims=True)
 

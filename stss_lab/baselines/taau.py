@@ -3,15 +3,21 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Iterable
+from typing import TypeVar
 
-from stss.images.resample import catmull_rom, enlarged, lanczos_centres
+import numpy as np
+from numpy.typing import NDArray
+
+from stss.images.resample import catmull_rom, lanczos_centres
 from stss_ref.arrays import Image, Mask
 from stss_ref.frame import FrameInputs, NetworkInputs
 from stss_ref.sample import follow, leads_inside
 
 CURRENT = 0.1
 """Share of the current frame in the image shown."""
+
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 class Taau:
@@ -22,12 +28,18 @@ class Taau:
     largest value of each channel in the 3 x 3 low-resolution pixels around ``p``. Off screen, in the warping holes (of an SF: those of the
     second of its three colour frames), and where no earlier frame is within reach, ``current`` is shown: a cut starts it anew.
 
-    Source: Karis, High Quality Temporal Supersampling, SIGGRAPH 2014; Lanczos and its clamping as in AMD's FSR 2. Frames are
-    taken as they are: not jittered.
+    With a jittered camera all that is of low resolution is read at ``p`` plus the frame's offset.
+
+    Source: Karis, High Quality Temporal Supersampling, SIGGRAPH 2014; Lanczos and its clamping as in AMD's FSR 2.
+
+    Args:
+        jitter: the offset of each display frame's picture in low-resolution pixels (x right, y down), which motion has, too; in an EF
+            that of its G-buffer. Without: none.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, jitter: Iterable[tuple[float, float]] = ()) -> None:
         self._shown: Image | None = None
+        self._offsets, self._before = iter(jitter), (0.0, 0.0)
 
     def __call__(self, inputs: FrameInputs, prepared: NetworkInputs) -> Image:
         """Compute the display frame that follows the last one computed.
@@ -39,16 +51,18 @@ class Taau:
         Returns:
             (2H, 2W, 3) display-referred.
         """
-        low, high = _box(prepared.color[..., :3])
-        shown = np.clip(lanczos_centres(prepared.color[..., :3]), low, high)
+        offset = next(self._offsets, (0.0, 0.0))
+        low, high = (_nearest(edge, offset) for edge in _box(prepared.color[..., :3]))
+        shown = np.clip(lanczos_centres(prepared.color[..., :3], offset), low, high)
         # Only the first frame after a gap has no earlier one within reach, and so no step back.
         if max(inputs.steps) > 0 and self._shown is not None:
-            at = follow(enlarged(2 * inputs.motions[0]))
+            motion = inputs.motions[0] - np.subtract(self._before, offset, dtype=np.float32)
+            at = follow(_nearest(2 * motion, offset))
             history = np.clip(catmull_rom(self._shown, at.x + at.fx, at.y + at.fy), low, high)  # a sum in float64
-            keep = leads_inside(at) & enlarged(_seen_before(inputs, prepared))
+            keep = leads_inside(at) & _nearest(_seen_before(inputs, prepared), offset)
             share = np.where(keep, np.float32(1 - CURRENT), np.float32(0))[..., None]
             shown += (history - shown) * share.astype(shown.dtype)
-        self._shown = shown
+        self._shown, self._before = shown, offset
         return shown
 
 
@@ -58,9 +72,18 @@ def _seen_before(inputs: FrameInputs, prepared: NetworkInputs) -> Mask:
     return mask != 0
 
 
+def _nearest(x: NDArray[Scalar], offset: tuple[float, float]) -> NDArray[Scalar]:
+    """(2H, 2W, ...) of (H, W, ...): each display pixel has the pixel nearest to it."""
+    across, down = (
+        np.clip(np.rint((np.arange(2 * length) + 0.5) / 2 - 0.5 + shift), 0, length - 1).astype(np.intp)
+        for length, shift in zip(x.shape[1::-1], offset, strict=True)
+    )
+    return x[down][:, across]
+
+
 def _box(image: Image) -> tuple[Image, Image]:
-    """(2H, 2W, C) smallest and largest value of the 3 x 3 pixels of (H, W, C) around each pixel, as far as they lie in the frame."""
+    """(H, W, C) smallest and largest value of the 3 x 3 pixels of (H, W, C) around each pixel, as far as they lie in the frame."""
     height, width, _ = image.shape
     wide = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="edge")
     around = np.stack([wide[j : j + height, i : i + width] for j in range(3) for i in range(3)])
-    return enlarged(around.min(axis=0)), enlarged(around.max(axis=0))
+    return around.min(axis=0), around.max(axis=0)

@@ -21,8 +21,9 @@ from stss.weights.file import BILINEAR, load
 from stss_ground.errors import InputError
 from stss_lab.baselines.fxaa import fxaa
 from stss_lab.baselines.registry import METHODS, MethodBackend
+from stss_lab.baselines.taau import Taau
 from stss_lab.methods.methods_table import choose_methods
-from stss_ref.frame import FrameInputs
+from stss_ref.frame import FrameInputs, prepare
 from stss_ref.resample import upsample_centres
 from tests.app.conftest import frames_of
 from tests.hostile.cases import call, refused
@@ -234,3 +235,23 @@ def test_methods_side_by_side(tmp_path):
     assert choose_methods((), "some.safetensors") == (*METHODS, "network")
     with pytest.raises(InputError, match="each once"):
         choose_methods(("taau", "taau"), BILINEAR)
+
+
+def test_temporal_upsampling_knows_the_jitter():
+    """A plane at rest before a jittered camera: with the offsets its detail is found, with none or their opposites it is lost."""
+    y, x = np.indices((2 * H, 2 * W)) / 2 - 0.25
+    truth = texture(2 * x, 2 * y)
+
+    def error(sign):
+        offsets = [(0.5 * (n % 2), 0.5 * (n // 2 % 2)) for n in range(24)]
+        method = Taau([(sign * i, sign * j) for i, j in offsets])
+        before, image = offsets[0], truth
+        for i, j in offsets:
+            v, u = np.indices((H, W))
+            one = inputs(SF, [texture(2 * (u - i), 2 * (v - j))] * 3, np.subtract(before, (i, j)))
+            before, image = (i, j), method(one, prepare(one))
+        return float(np.abs(inside(image - truth)).mean())
+
+    right, unknown, opposite = map(error, (1, 0, -1))
+    assert right < 0.5 * unknown
+    assert right < 0.5 * opposite
