@@ -135,41 +135,6 @@ def inputs_for(device: Device, rows: int, columns: int, dtype: np.dtype[Any], ch
     return Inputs(input_, earlier, eighth, base, maps)
 
 
-FULL_MAPS, LEAST = 16, 1 << 16
-"""Full-sized maps that a parent buffer has room for; its least size, bytes."""
-
-
-class ChangeMaps:
-    """Change maps that are cleared all at once: parts of a few large buffers.
-
-    Args:
-        device: to make them on.
-        height, width: size of the largest map's activations; pixels.
-    """
-
-    def __init__(self, device: Device, height: int, width: int):
-        self._device = device
-        self._align = max(int(device.handle.mem_base_addr_align) // 8, 1)
-        self._size = max(FULL_MAPS * map_bytes(height, width), LEAST)
-        self._parents: list[cl.Buffer] = []
-        self._used = self._size
-
-    def take(self, height: int, width: int, images: int = 1) -> cl.Buffer:
-        """Take one more map, for activations of this size."""
-        size = map_bytes(height, width, images)
-        if self._used + size > self._size:
-            self._parents.append(cl.Buffer(self._device.context, FLAGS.READ_WRITE, self._size))
-            self._used = 0
-        part = self._parents[-1].get_sub_region(self._used, size)
-        self._used += -(-size // self._align) * self._align
-        return part
-
-    def clear(self) -> None:
-        """Enqueue clearing all marks."""
-        for parent in self._parents:
-            cl.enqueue_fill_buffer(self._device.queue, parent, np.zeros(1, np.uint32), 0, self._size // 4 * 4)
-
-
 def write(device: Device, to: Padded, array: Array, first: int = 0) -> None:
     """Copy (height, width, C) or (images, height, width, C) into channels ``first`` .. of ``to``, the others 0."""
     host = np.zeros((to.images, to.rows, to.columns, to.channels), to.dtype)

@@ -47,12 +47,12 @@ class Parts:
         align = max(int(device.handle.mem_base_addr_align) // 8, 16)
         self._device, self._sizes = device, tuple(sizes)
         self._firsts = tuple(accumulate((ceil_div(size, align) * align for size in sizes), initial=0))
-        self._all = zeroed(device, self._firsts[-1])
+        self._all = zeroed(device, max(self._firsts[-1], align))
         self.buffers = tuple(self._all.get_sub_region(first, size) for first, size in self._places())
 
     def clear(self) -> None:
         """Enqueue setting all bytes to 0."""
-        cl.enqueue_fill_buffer(self._device.queue, self._all, np.zeros(1, np.uint32), 0, self._firsts[-1])
+        cl.enqueue_fill_buffer(self._device.queue, self._all, np.zeros(1, np.uint32), 0, self._all.size)
 
     def read(self, queue: cl.CommandQueue | None = None) -> list[NDArray[np.uint8]]:
         """The bytes of each; one read, which waits for the ``queue``, or for the device's own."""
@@ -62,25 +62,3 @@ class Parts:
 
     def _places(self) -> list[tuple[int, int]]:
         return list(zip(self._firsts, self._sizes, strict=False))
-
-
-class Counts:
-    """Whole numbers on the device that are cleared all at once, each a buffer of its own.
-
-    Args:
-        device: to make them on.
-        most: most numbers that are taken.
-    """
-
-    def __init__(self, device: Device, most: int):
-        self._device, self._step = device, max(int(device.handle.mem_base_addr_align) // 8, 4)
-        self._all, self._taken = zeroed(device, most * self._step), 0
-
-    def take(self) -> cl.Buffer:
-        """Take one more number, int32 (1)."""
-        self._taken += 1
-        return self._all.get_sub_region((self._taken - 1) * self._step, 4)
-
-    def clear(self) -> None:
-        """Enqueue setting all numbers to 0."""
-        cl.enqueue_fill_buffer(self._device.queue, self._all, np.zeros(1, np.int32), 0, self._all.size)

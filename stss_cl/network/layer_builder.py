@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from stss_cl.device.buffers import BFLOAT16, ChangeMaps, Inputs, Padded, padded, storage
+from stss_cl.device.buffers import BFLOAT16, Inputs, Padded, map_bytes, padded, storage
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import GROUP, list_size
 from stss_cl.device.launch import Arguments
+from stss_cl.device.parts import Parts
 from stss_cl.network.conv import Final, conv
 from stss_cl.network.layer import FAST_MULTIPLY_ADD, KernelSource, LayerLaunch, layer
 from stss_cl.network.pack_weights import pack
@@ -36,7 +37,7 @@ class LayerBuilder:
     Attributes:
         launches: in order; at first those of ``once``.
         marked: the buffers with change maps but the inputs.
-        maps: their change maps.
+        maps: their change maps; None: there are none.
         results: what each launch leaves as the layer's result: buffer, first channel, channels; None: no more than others read.
     """
 
@@ -53,23 +54,21 @@ class LayerBuilder:
     ):
         self.launches: list[LayerLaunch] = []
         self.results: list[tuple[Padded, int, int] | None] = []
-        self.maps = ChangeMaps(device, height, width)
-        self._device, self._weights, self._dtype, self._keep = device, weights, dtype_of(precision), keep
+        self._device, self._weights, self._dtype = device, weights, dtype_of(precision)
         self._winograd = precision != "float32-direct"
-        self._height, self._width = height, width
         first = inputs.input, inputs.earlier, inputs.eighth
-        self.marked = [self._padded(slot) for slot in slots[len(first) :]]
-        self._held = dict(zip(slots, (*first, *self.marked), strict=True))
-        if not keep:
-            self.marked = []
+        made = [
+            padded(device, height // slot.divisor, width // slot.divisor, slot.channels, self._dtype, slot.images)
+            for slot in slots[len(first) :]
+        ]
+        self.maps = Parts(device, [map_bytes(each.height, each.width, each.images) for each in made]) if keep else None
+        self.marked = (
+            [replace(each, changes=part) for each, part in zip(made, self.maps.buffers, strict=True)] if self.maps else []
+        )
+        self._held = dict(zip(slots, (*first, *(self.marked or made)), strict=True))
 
     def __getitem__(self, slot: Slot) -> Padded:
         return self._held[slot]
-
-    def _padded(self, slot: Slot) -> Padded:
-        height, width = self._height // slot.divisor, self._width // slot.divisor
-        made = padded(self._device, height, width, slot.channels, self._dtype, slot.images)
-        return replace(made, changes=self.maps.take(height, width, slot.images)) if self._keep else made
 
     def conv(self, step: Conv, final: Final | None = None) -> None:
         """Append a convolution; ``final``: it writes the image in place of its output."""

@@ -59,7 +59,7 @@ class Layers:
         reads_history: whether the launches read the history.
         colors_read, second_color, hole_test: of the weights, see ``stss_ref.weights``.
         marked: if all is kept, the output of each layer, with its change map.
-        maps: those change maps.
+        maps: those change maps; None: nothing is kept.
 
     Raises:
         DeviceError: the limit is too small for any strip.

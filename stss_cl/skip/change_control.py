@@ -6,7 +6,6 @@ Plan, execute, learn: ``ChangeControl`` plans, ``stss_cl.skip.frame_cache`` exec
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 Part = Literal["none", "changed", "whole"]
@@ -14,25 +13,12 @@ Part = Literal["none", "changed", "whole"]
 the inputs reach; ``whole``: all."""
 
 
-@dataclass(frozen=True)
-class Rules:
-    """The constants. Frames are counted in order, SF and EF alike.
-
-    Attributes:
-        most_changed: if a larger share of the network's inputs changed, the whole network is computed, since finding the unchanged
-            rest would not pay.
-        patience, again, rest: after ``patience`` frames in a row in which all was computed, nobody looks for changes until the
-            ``rest``-th: looking costs time, and a moving camera seldom stops. From then on ``again`` such frames in a row suffice. The
-            first of either kind is computed whole to make up for the changes that were not looked for.
-    """
-
-    most_changed: float = 0.75
-    patience: int = 8
-    again: int = 4
-    rest: int = 48
-
-
-RULES = Rules()
+MOST_CHANGED = 0.75
+"""If a larger share of the network's inputs changed, the whole network is computed, since finding the unchanged rest would not pay."""
+PATIENCE, AGAIN, REST = 8, 4, 48
+"""After ``PATIENCE`` frames in a row, SF and EF alike, in which all was computed, nobody looks for changes until the ``REST``-th:
+looking costs time, and a moving camera seldom stops. From then on ``AGAIN`` such frames in a row suffice. The first of either kind is
+computed whole to make up for the changes that were not looked for."""
 
 
 class ChangeControl:
@@ -52,12 +38,12 @@ class ChangeControl:
 
     def plan(self, changed: float) -> Part:
         """Plan what of the network to run; ``changed``: the share of its inputs that changed, 1 if nobody looked."""
-        return "whole" if changed > RULES.most_changed else "changed"
+        return "whole" if changed > MOST_CHANGED else "changed"
 
     def learn(self, network: Part) -> None:
         """Learn from what was run, if changes were looked for: in vain if it was all."""
         if self.frames_unlooked:
             return
         self._frames_all_changed = self._frames_all_changed + 1 if network == "whole" else 0
-        if self._frames_all_changed >= RULES.patience:
-            self._frames_all_changed, self.frames_unlooked = RULES.patience - RULES.again, RULES.rest
+        if self._frames_all_changed >= PATIENCE:
+            self._frames_all_changed, self.frames_unlooked = PATIENCE - AGAIN, REST

@@ -7,10 +7,9 @@ from collections.abc import Sequence
 
 import pyopencl as cl
 
-from stss_cl.device.buffers import ChangeMaps
 from stss_cl.device.discovery import Device
 from stss_cl.device.launch import enqueue
-from stss_cl.device.parts import Counts, zeroed
+from stss_cl.device.parts import Parts, zeroed
 from stss_cl.network.layer import LayerLaunch
 from stss_cl.network.tiles import TileList, find_tiles
 
@@ -27,12 +26,12 @@ class ChangedTiles:
         layers: the layers that compute only changed tiles.
     """
 
-    def __init__(self, device: Device, layers: Sequence[LayerLaunch], maps: ChangeMaps):
+    def __init__(self, device: Device, layers: Sequence[LayerLaunch], maps: Parts):
         self._device, self._maps = device, maps
-        self._counts = Counts(device, len(layers))
+        self._counts = Parts(device, [4] * len(layers))
         # A list is needed only until its layer is done, and layers run one after the other: one buffer is enough.
         numbers = zeroed(device, 4 * max(layer.tiling.most for layer in layers))
-        lists = [TileList(numbers, self._counts.take()) for _ in layers]
+        lists = [TileList(numbers, count) for count in self._counts.buffers]
         self._finders = [
             find_tiles(device, layer.tiling, layer.reads, to) for layer, to in zip(layers, lists, strict=True) if layer.reads
         ]

@@ -51,6 +51,7 @@ class PartialNetwork:
     def changed_tiles(self) -> ChangedTiles:
         """The layers of ``run_changed``; made once."""
         if self._changed is None:
+            assert self.layers.maps is not None
             self._changed = ChangedTiles(self.layers.device, self.layers.launches, self.layers.maps)
         return self._changed
 

@@ -8,7 +8,6 @@ import pytest
 
 from conformance.scenes import SCENES
 from stss.sequence.scenes import display_frames
-from stss_cl.skip.change_control import RULES
 from stss_cl.skip.stream import Stream
 from tests.cl.films import UNREAD, WEIGHTS, assert_same, calls_of, film
 
@@ -42,5 +41,5 @@ def test_a_camera_that_stops(processor, weights, decisions, monkeypatch):
     last, colored = frames[-1], frames[-2].color
     for i in range(28, 44):
         frames.append(replace(last, number=i, color=colored if i % 2 == 0 else None, motion=np.zeros_like(last.motion)))
-    monkeypatch.setattr("stss_cl.skip.change_control.RULES", replace(RULES, rest=4))
+    monkeypatch.setattr("stss_cl.skip.change_control.REST", 4)
     assert seen(Stream(weights, processor), frames, Stream(weights, processor, skip="off")) == decisions
