@@ -32,7 +32,9 @@ from stss_ground.terminal import Terminal, echo
 @click.option(
     "--ours",
     type=Names(),
-    help="Our backends: ref, cl, cl-direct, cl-half, cl-bfloat16, cl-host, cl-frame, cl-stream, cl-stream-ahead  [default: cl]",
+    default="cl",
+    show_default=True,
+    help="Our backends: ref, cl, cl-direct, cl-half, cl-bfloat16, cl-host, cl-frame, cl-stream, cl-stream-ahead",
 )
 @click.option(
     "--peers",
@@ -59,7 +61,7 @@ from stss_ground.terminal import Terminal, echo
 def bench_command(
     sizes: tuple[tuple[int, int], ...],
     repeat: int,
-    ours: tuple[str, ...] | None,
+    ours: tuple[str, ...],
     peers: tuple[str, ...],
     weights: str | None,
     device: str | None,
@@ -75,7 +77,6 @@ def bench_command(
     from stss_lab.bench.contender import Setup
     from stss_lab.bench.measure import bench as run_bench
     from stss_lab.bench.measure import count_steps
-    from stss_lab.bench.ours import default_ours
     from stss_ref.weights import random as random_weights
 
     require_places({"--json": json_file}, [None if weights is None else Path(weights)])
@@ -90,7 +91,6 @@ def bench_command(
             raise InputError("--json: expected without --pareto, which prints its tables alone")
         bench_pareto(setups, scenes, chosen_settings(settings), frames, console)
         return
-    ours = default_ours() if ours is None else ours
     with show_steps(console, count_steps(setups, ours, peers, repeat)) as begin:
         results = run_bench(setups, ours, peers, repeat, on_step=begin)
     bench_report.print_results(results, Terminal())

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,15 +26,8 @@ class Noise(NamedTuple):
         return f"other processes had {self.processes:.0%} of this machine, other guests of its host {self.guests:.0%}"
 
 
-@dataclass(frozen=True)
-class ProcessorTime:
-    """Times of all processors together since the system started; seconds.
-
-    Attributes:
-        busy: time of processes and of the kernel.
-        stolen: time that the host gave to other guests.
-        all: ``busy``, ``stolen`` and idle time.
-    """
+class ProcessorTime(NamedTuple):
+    """Seconds of all processors together since the system started: ``busy``, ``stolen`` for other guests, ``all`` with the idle ones."""
 
     busy: float
     stolen: float

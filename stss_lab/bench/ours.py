@@ -14,7 +14,6 @@ import numpy as np
 
 from stss.frames.display_frame import WINDOW
 from stss_ground.machine import versions
-from stss_ground.optional import installed
 from stss_lab.bench.contender import Contender, Setup
 from stss_lab.bench.peers import PEERS
 from stss_ref.arrays import Image
@@ -153,11 +152,6 @@ OURS: dict[str, Callable[[Setup], Contender]] = {
 
 FRAMES = frozenset({"cl-frame", "cl-stream", "cl-stream-ahead"})
 """Contenders that compute whole frames; the others compute the network alone."""
-
-
-def default_ours() -> tuple[str, ...]:
-    """Names of our contenders that are timed by default: the OpenCL backend if it is installed, else the reference."""
-    return ("cl",) if installed("stss_cl.network.network") else ("ref",)
 
 
 def contender(name: str, setup: Setup) -> Contender:
