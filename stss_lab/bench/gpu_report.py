@@ -13,8 +13,8 @@ import platform
 import shutil
 import sys
 import time
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Literal
@@ -28,7 +28,6 @@ from stss_ground.machine import cpu_model, versions
 from stss_ground.output.write_whole import make_folder, write_named
 from stss_ground.progress import show_steps
 from stss_ground.version import VERSION
-from stss_lab.bench.gpu_page import page
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("numpy", "pyopencl", "torch", "onnxruntime", "onnxruntime-gpu", "tensorrt")
@@ -200,7 +199,48 @@ def _run(step: Step, log: Path, device: str) -> Done:
     return Done(step.name, outcome, round(time.monotonic() - start, 1), lines[-1] if lines else "")
 
 
+def _slower(path: Path) -> list[str]:
+    """Of the benchmark's JSON: contenders that failed, and peers of the same precision that are faster than the network."""
+    if not path.exists():
+        return []
+    rows = json.loads(path.read_text(encoding="utf-8"))["sizes"][0]["rows"]
+    found = [f"{row['name']}: {_cell(row['fault'])}" for row in rows if row.get("fault") and not row["peer"]]
+    ours = {row["details"].get("precision"): row for row in rows if row["name"] in ("cl", "cl-half") and not row.get("fault")}
+    for row in rows:
+        same = ours.get({"float16": "half"}.get(row["details"].get("precision"), row["details"].get("precision")))
+        if row["peer"] and same and not row.get("fault") and row["minimum_ms"] < same["minimum_ms"]:
+            found.append(f"{row['name']} takes {row['minimum_ms']:.2f} ms, {same['name']} {same['minimum_ms']:.2f} ms")
+    return found
+
+
+def _table(*rows: Iterable[object]) -> str:
+    """The first row has the titles."""
+    titles, *lines = (" | ".join(str(cell) for cell in row) for row in rows)
+    return "\n".join(f"| {line} |" for line in (titles, " | ".join(["---"] * len(titles.split("|"))), *lines))
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "/")[:200]
+
+
 def _write(folder: Path, machine: dict[str, str], done: Sequence[Done], *, tiny: bool) -> None:
-    report = {"format": 1, "tiny": tiny, "machine": machine, "steps": [asdict(each) for each in done]}
-    write_named(folder / "report.json", json.dumps(report, indent=1) + "\n")
-    write_named(folder / "README.md", page(folder, report))
+    """The page: what is wrong, the steps and the machine."""
+    wrong = [
+        *(
+            f"**{each.name}** {each.outcome}, see `logs/{each.name}.txt`: {_cell(each.last_line) or 'no output'}"
+            for each in done
+            if each.outcome not in ("passed", "skipped")
+        ),
+        *_slower(folder / "bench.json"),
+    ]
+    parts = [
+        f"# {machine['device']}\n",
+        *(["Small sizes, which show that every step runs. **The figures mean nothing.**\n"] if tiny else []),
+        "## What is wrong\n",
+        "\n".join(f"- {line}" for line in wrong) or "Nothing that was looked for.",
+        "\n## Steps\n",
+        _table(("step", "outcome", "s", "last line"), *((s.name, s.outcome, s.seconds, _cell(s.last_line)) for s in done)),
+        "\n## Machine\n",
+        _table(("what", "which"), *machine.items()),
+    ]
+    write_named(folder / "README.md", "\n".join(parts) + "\n")
