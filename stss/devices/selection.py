@@ -11,10 +11,13 @@ import pyopencl as cl
 from rich.console import Console
 from rich.table import Table
 
-from stss.devices.compiled_for import remark
 from stss.devices.verdicts import Tell, Verdict, verdict
 from stss_cl.device import amx
 from stss_cl.device.discovery import Device, DeviceError, Properties, is_gpu, matching, name_devices, no_device, open_handle
+from stss_ground.machine import cpu_flags
+
+AVX2 = frozenset({"haswell", "broadwell", "skylake", "alderlake", "raptorlake", "znver1", "znver2", "znver3", "x86-64-v3"})
+"""LLVM's names of processors with AVX2 and no AVX-512; for those that it does not know see ``stss_cl.device.known_processor``."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +121,11 @@ def _row(name: str, handle: cl.Device, found: Verdict) -> Row:
         fp64=device.has_fp64,
         bfloat16="emulated" if amx.missing(device) else "AMX",
         target=device.target,
-        remark=remark(device, name),
+        remark=(
+            f"{name}: kernels are compiled for {device.target} and do not use this processor's AVX-512; another runtime may know it: pip "
+            "install intel-opencl-rt intel-cmplr-lib-rt, OCL_ICD_VENDORS=<full path of libintelocl.so>, --device intel (docs/devices.md)"
+            if device.kind == "CPU" and device.target in AVX2 and "avx512f" in cpu_flags()
+            else ""
+        ),
         verdict=found,
     )

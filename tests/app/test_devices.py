@@ -15,7 +15,7 @@ import pyopencl as cl
 import pytest
 from rich.console import Console
 
-from stss.devices import compiled_for, selftest, verdicts
+from stss.devices import selftest, verdicts
 from stss.devices import selection as devices
 from stss.devices.selection import choose
 from stss.devices.verdicts import Verdict, find_verdict, run_selftest, verdict
@@ -138,7 +138,7 @@ def test_the_table_has_every_device_the_best_first(machine, monkeypatch):
 )
 @pytest.mark.parametrize("kind", [CPU, GPU])
 def test_what_a_processor_has_and_the_compiler_does_not_use_is_said(monkeypatch, target, flags, said, kind):
-    monkeypatch.setattr(compiled_for, "cpu_flags", lambda: frozenset(flags))
+    monkeypatch.setattr(devices, "cpu_flags", lambda: frozenset(flags))
     handle = fake("P", "one", kind, target=target)
     monkeypatch.setattr(cl_device, "find_devices", lambda: [handle])
     monkeypatch.setattr(devices, "verdict", lambda *_, **__: passed(1))
