@@ -15,8 +15,8 @@ import pyopencl as cl
 import pytest
 from rich.console import Console
 
-from stss.devices import selftest, verdicts
 from stss.devices import selection as devices
+from stss.devices import selftest, verdicts
 from stss.devices.selection import choose
 from stss.devices.verdicts import Verdict, find_verdict, run_selftest, verdict
 from stss_cl.device import amx, program
