@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from conformance.cases import stage_inputs as drawn
 from conformance.judging.findings import DepartureError
 from conformance.judging.judge import Judge, agreement
-from conformance.protocol import program_port
 from conformance.protocol.job_folder import write_job
 from conformance.protocol.port import Case, PortError
 from conformance.protocol.program_port import FolderPort, smallest_case
@@ -27,6 +26,7 @@ from stss.port import ReferencePort
 from stss_ground.errors import InputError
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import random as random_weights
+from tests.hostile.cases import call, refused
 
 
 @pytest.fixture
@@ -40,15 +40,6 @@ def job(tmp_path):
     (outside / "stage").write_text("warp\n")
     (outside / "unsupported").write_text("mine")
     return tmp_path / "job"
-
-
-def refused_here(job, *words):
-    """As `refused`, in this process: the command line prints an InputError as one line."""
-    done = CliRunner().invoke(command, ["port", str(job)])
-    assert isinstance(done.exception, InputError), done.exception
-    assert str(done.exception).isprintable()
-    for word in words:
-        assert str(word) in str(done.exception)
 
 
 def everything(folder):
@@ -78,7 +69,7 @@ def test_a_link_in_a_job_is_refused(job, place):
         path.unlink()
     path.symlink_to(target)
     before = everything(job.parent)
-    refused_here(job, path, "a link; a job is a tree of real files")
+    refused(call("port", job), path, "a link; a job is a tree of real files")
     assert everything(job.parent) == before
 
 
@@ -219,20 +210,6 @@ def test_wrong_inputs_and_no_cases_start_nothing():
     assert port.run_many([]) == []
 
 
-def test_jobs_lie_in_memory_where_there_is_room(monkeypatch, tmp_path):
-    """Unless the user wants them elsewhere."""
-    some = [smallest_case("warp")]
-    monkeypatch.setattr(program_port, "MEMORY", tmp_path)
-    monkeypatch.setattr("tempfile.tempdir", "/tmp")
-    assert program_port.place_for(some) == tmp_path
-    for place, value in (("ROOM", 2**60), ("MEMORY", tmp_path / "nowhere")):
-        with monkeypatch.context() as patch:
-            patch.setattr(program_port, place, value)
-            assert program_port.place_for(some) is None
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "jobs"))
-    assert program_port.place_for(some) is None
-
-
 # Nothing judged is no success.
 
 FEW = """
@@ -289,8 +266,12 @@ STRATEGIES = {
 }  # fmt: skip
 
 
-def agrees(judge, stage, inputs, weights=None):
-    judge.check(agreement, Case(stage, inputs, weights))
+def weights_of(stage):
+    return random_weights(0) if STAGES[stage].weights else None
+
+
+def agrees(judge, stage, inputs):
+    judge.check(agreement, Case(stage, inputs, weights_of(stage)))
 
 
 class Planted(ReferencePort):
@@ -305,55 +286,27 @@ class Planted(ReferencePort):
         return outputs
 
 
-@pytest.mark.parametrize(
-    ("stage", "output"),
-    [(stage, name) for stage, row in STAGES.items() for name, spec in row.outputs.items() if spec.kind == "float"],
-)
-def test_one_number_that_is_none_fails(stage, output):
-    """NaN or Inf at any one place of any float output, whatever the case; where the answer is lost as a whole, at another place."""
-    weights = random_weights(0) if STAGES[stage].weights else None
+@pytest.mark.parametrize(("stage", "output"), [(stage, name) for stage, row in STAGES.items() for name in row.outputs])
+def test_one_wrong_number_fails(stage, output):
+    """NaN or Inf at any place of a float output, unless the answer is lost as a whole; a wrong pixel of a mask, unless rounding decides."""
+    is_mask = STAGES[stage].outputs[output].kind == "uint8"
 
-    @settings(max_examples=6 if weights else 25, database=None)
+    @settings(max_examples=6 if STAGES[stage].weights else 25, database=None)
     @given(STRATEGIES[stage], st.data())
     def one(inputs, data):
         def plant(outputs):
-            places = np.argwhere(np.isfinite(outputs[output]).all(axis=-1, keepdims=True) | np.zeros(outputs[output].shape, bool))
+            array = outputs[output]
+            places = np.argwhere(np.isfinite(array).all(axis=-1, keepdims=True) | np.zeros(array.shape, bool))
             if len(places):
-                place = tuple(places[data.draw(st.integers(0, len(places) - 1))])
-                outputs[output][place] = data.draw(st.sampled_from([np.nan, np.inf, -np.inf]))
-                planted.append(place)
+                planted.append(tuple(places[data.draw(st.integers(0, len(places) - 1))]))
+                array[planted[-1]] = 1 - array[planted[-1]] if is_mask else data.draw(st.sampled_from([np.nan, np.inf, -np.inf]))
 
-        planted = []
-        found = ""
-        try:
-            agrees(Judge(Planted(plant)), stage, inputs, weights)
-        except DepartureError as error:
-            found = str(error)
-        assert bool(planted) == (f"{stage}.{output}: " in found)
-
-    one()
-
-
-@pytest.mark.parametrize(
-    ("stage", "output"),
-    [(stage, name) for stage, row in STAGES.items() for name, spec in row.outputs.items() if spec.kind == "uint8"],
-)
-def test_one_wrong_pixel_of_a_mask_fails(stage, output):
-    """At any place, unless the case has numbers that rounding decides."""
-
-    @settings(max_examples=25, database=None)
-    @given(STRATEGIES[stage], st.data())
-    def one(inputs, data):
-        def plant(outputs):
-            place = tuple(data.draw(st.integers(0, side - 1)) for side in outputs[output].shape)
-            outputs[output][place] ^= 1
-
-        found, judge = "", Judge(Planted(plant))
+        planted, found, judge = [], "", Judge(Planted(plant))
         try:
             agrees(judge, stage, inputs)
         except DepartureError as error:
             found = str(error)
-        assert f"{stage}.{output}: wrong at " in found or judge.record.undecided
+        assert bool(planted) == (f"{stage}.{output}: " in found) or (is_mask and judge.record.undecided)
 
     one()
 
@@ -362,32 +315,26 @@ def test_one_wrong_pixel_of_a_mask_fails(stage, output):
 def test_an_answer_that_is_not_judged_is_a_number_all_the_same(monkeypatch, number):
     """Where rounding decides on a whole frame, it does not decide whether the frame is one."""
     monkeypatch.setattr("conformance.judging.judge.expect", lambda *_: {})
-    case = smallest_case("frame")
-
-    def plant(outputs):
-        outputs["image"][3, 4, 1] = number
-
-    judge = Judge(ReferencePort())
-    agrees(judge, "frame", case.inputs, case.weights)
+    inputs, judge = smallest_case("frame").inputs, Judge(ReferencePort())
+    agrees(judge, "frame", inputs)
     assert (judge.record.unjudged, judge.record.worst) == (1, {})
     with pytest.raises(DepartureError, match=r"frame.image: wrong at \[3, 4, 1\]"):
-        agrees(Judge(Planted(plant)), "frame", case.inputs, case.weights)
+        agrees(Judge(Planted(lambda outputs: outputs["image"].__setitem__((3, 4, 1), number))), "frame", inputs)
 
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_zeros_of_either_sign_and_lost_small_numbers_pass(stage):
     """What docs/conformance.md lets a port do."""
-    weights = random_weights(0) if STAGES[stage].weights else None
 
     def change(outputs):
         for array in outputs.values():
             if array.dtype.kind == "f":
                 array[np.abs(array) < np.finfo(np.float32).tiny] = -0.0
 
-    @settings(max_examples=3 if weights else 15, database=None)
+    @settings(max_examples=3 if STAGES[stage].weights else 15, database=None)
     @given(STRATEGIES[stage])
     def one(inputs):
-        agrees(Judge(Planted(change)), stage, inputs, weights)
+        agrees(Judge(Planted(change)), stage, inputs)
 
     one()
 
@@ -401,12 +348,11 @@ def test_a_port_that_writes_into_what_it_was_given_is_found_out():
                 array[...] = 0
             return super().run(stage, inputs, weights)
 
-    case = smallest_case("rrm").inputs
-    with pytest.raises(DepartureError):
-        agrees(Judge(Careless()), "rrm", {**case, "valid": np.ones((8, 8), np.uint8)})
-    history = np.ones((3, 8, 8, 4), np.float32)
-    with pytest.raises(DepartureError):
-        agrees(Judge(Careless()), "history", {"history": history}, random_weights(0))
+    rectangle = smallest_case("rrm").inputs["rectangle"]
+    valid, history = np.ones((8, 8), np.uint8), np.ones((3, 8, 8, 4), np.float32)
+    for stage, inputs in (("rrm", {"valid": valid, "rectangle": rectangle}), ("history", {"history": history})):
+        with pytest.raises(DepartureError):
+            agrees(Judge(Careless()), stage, inputs)
 
 
 def test_a_port_that_answers_in_one_buffer_is_found_out():
@@ -436,9 +382,8 @@ def test_a_replay_is_judged_or_says_so(tmp_path):
     wrong = Planted(lambda outputs: outputs["warped"].fill(np.nan))
     assert "warp.warped: error / bound inf" in replay(wrong, kept).failure.finding.message
     (kept / "property").mkdir()
-    for text in ("", "[]", "{}", '{"test": 3, "drawn": 1}', '{"test": "warp.agrees_with_the_reference", "drawn": {"array": "../x"}}',
-                 '{"test": "warp.agrees_with_the_reference", "drawn": 7}', '{"test": "os.system", "drawn": {"dict": {"a": 1}}}',
-                 '{"test": "warp.agrees_with_the_reference", "drawn": ' + '{"list": [' * 9999 + "]}" * 9999 + "}"):  # fmt: skip
-        (kept / "property" / "property.json").write_text(text)
+    for drawn_text in ("", '{"test": 3, "drawn": 1}', '{"test": "warp.agrees_with_the_reference", "drawn": {"array": "../x"}}',
+                       '{"test": "os.system", "drawn": {"dict": {"a": 1}}}'):  # fmt: skip
+        (kept / "property" / "property.json").write_text(drawn_text)
         with pytest.raises(InputError, match=r"damaged|expected the folder of one failure"):
             replay(wrong, kept)
