@@ -7,7 +7,7 @@ from stss_cl.device import matrix_units
 from stss_cl.device.buffers import Padded
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div
-from stss_cl.network.conv_shape import Shape
+from stss_cl.network.layer import Shape
 from stss_cl.network.pack_weights import Packed, fragments
 from stss_cl.network.tiles import Tiling
 
