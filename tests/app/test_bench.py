@@ -14,8 +14,7 @@ from stss_ground.errors import InputError
 from stss_lab.bench import measure
 from stss_lab.bench import report as bench_report
 from stss_lab.bench.contender import Setup
-from stss_lab.bench.measure import SUMMARY, SizeResult, Timing, bench
-from stss_lab.bench.noise import Noise, processor_time
+from stss_lab.bench.measure import SUMMARY, Noise, SizeResult, Timing, bench, processor_time
 from stss_ref.weights import random as random_weights
 
 WEIGHTS = random_weights(2)

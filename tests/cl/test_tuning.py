@@ -98,14 +98,10 @@ def test_what_is_kept_comes_back(row):
     assert read_tuning(device) is None
     store(device, row)
     assert read_tuning(device) == row == tuning_for(device)
-    for other in (fake("P: two"), replace_driver(device)):
+    for other in (fake("P: two"), fake(device.name, driver="2")):
         assert tuning_for(other) == built_in(other)
     store(device, None)
     assert tuning_for(device) == before
-
-
-def replace_driver(device):
-    return fake(device.name, driver="2")
 
 
 def test_other_kernels_need_other_rows(monkeypatch):
