@@ -20,13 +20,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """``python -m training.average``."""
     parser = argparse.ArgumentParser(prog="python -m training.average", description=__doc__)
     parser.add_argument("weights", nargs="+", help="safetensors files")
-    parser.add_argument(
-        "--residual",
-        type=float,
-        default=1.0,
-        metavar="F",
-        help="multiply what the network adds to the enlarged picture; below 1 for frames unlike those of the training",
-    )
     parser.add_argument("--shares", type=float, nargs="+", metavar="S", help="of each file; default: all alike")
     parser.add_argument("-o", "--out", type=Path, required=True)
     chosen = parser.parse_args(arguments)
@@ -42,13 +35,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         name: np.average([each.weights[name] for each in loaded], axis=0, weights=shares).astype(np.float32)
         for name in loaded[0].weights
     }
-    for name in ("outc.weight", "outc.bias"):
-        tensors[name] *= np.float32(chosen.residual)
     save(
         chosen.out,
         loaded[0].weights | tensors,
         {
-            "residual": str(chosen.residual),
             "shares": json.dumps(shares),
             "average_of": json.dumps([dict(each.metadata) for each in loaded]),
         },

@@ -28,7 +28,6 @@ from training.initial import forget_second_color, hold_gates, hold_history, init
 from training.loss import STRUCTURE
 from training.muon import Muon
 from training.network import Heads, Network, load_weights, to_weights
-from training.plot import plot
 from training.step import Aims, advance
 from training.validate import Means, bilinear, evaluating, tensors, validate
 
@@ -194,7 +193,6 @@ def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan
             means = validate(evaluating(state.average, state.network), shards, "validation", most=plan.most, device=device)
             log(step=state.step, validation=means)
             keep(out, state, means)
-            plot(log.path, out / "curves.png")
             since = time.perf_counter()
 
 
@@ -210,12 +208,6 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--warm-up", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--initial", help="safetensors file to start from; default: bilinear and a random rest")
-    parser.add_argument(
-        "--aids",
-        type=float,
-        metavar="SHARE",
-        help="a beginner's aids at the start; default 1, with --initial 0",
-    )
     parser.add_argument("--squares", type=float, default=0.0, help="share of the squared error in the loss, for PSNR's sake")
     parser.add_argument("--structure", type=float, default=STRUCTURE, help="the perceptual distance is so many times 1 - SSIM")
     parser.add_argument("--structure-ef", type=float, metavar="F", help="the same for EFs, where it is another")
@@ -260,7 +252,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         chosen.warm_up,
         chosen.seed,
         half,
-        young=float(chosen.initial is None) if chosen.aids is None else chosen.aids,
+        young=float(chosen.initial is None),
         squares=chosen.squares,
         history=chosen.history,
         structure=chosen.structure,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 FOLDER = Path(__file__).parents[2] / "training" / "blender"
-MODULES = ("bitmaps", "looks", "make_set", "paths", "scenes", "shapes")
+MODULES = ("bitmaps", "looks", "paths", "scenes", "shapes")
 
 
 @pytest.fixture(scope="module")
@@ -102,8 +102,8 @@ def test_meshes_are_whole(blender, kind):
 
 
 def test_a_set_is_split_by_scene_from_its_beginning(blender):
-    planned = blender["make_set"].plan(64)
+    planned = blender["scenes"].plan(64)
     assert len(set(planned)) == 64
     assert Counter(split for split, _ in planned) == {"train": 48, "validation": 8, "test": 8}
     assert {split for split, _ in planned[:8]} == set(blender["scenes"].SPLITS)
-    assert blender["make_set"].plan(96)[:64] == planned, "a larger set adds to a smaller one"
+    assert blender["scenes"].plan(96)[:64] == planned, "a larger set adds to a smaller one"

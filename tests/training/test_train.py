@@ -61,9 +61,6 @@ def test_options_reach_the_run(data, tmp_path):
         "structure": ("--structure", "90"),
         "structure of EFs": ("--structure", "90", "--structure-ef", "20"),
         "extrapolated": (*squares, "--extrapolated", "0.7"),
-        "aids": ("--aids", "0.3"),
-        "more aids": ("--aids", "1"),
-        "no aids": ("--aids", "0"),
         "upright": ("--upright",),
         "earlier": ("--second-color", "earlier"),
     }
@@ -81,7 +78,6 @@ def test_options_reach_the_run(data, tmp_path):
     assert load(tmp_path / "mean.safetensors").weights.second_color == "earlier"
     assert [name for name, loaded in made.items() if not reads_history(loaded.weights)] == ["no history"]
     sums = {name: loaded.label for name, loaded in made.items()}
-    assert sums.pop("no aids") == sums["plain"]
     assert len(set(sums.values())) == len(sums)
 
 
@@ -229,15 +225,3 @@ def test_the_average_of_runs(tmp_path):
     (tmp_path / "d.safetensors").hardlink_to(tmp_path / "a.safetensors")
     with pytest.raises(InputError, match="the same file as"):
         average([str(tmp_path / "a.safetensors"), str(tmp_path / "b.safetensors"), "-o", str(tmp_path / "d.safetensors")])
-
-
-def test_an_average_may_add_less_to_the_enlarged_picture(tmp_path):
-    weights = random(0)
-    save(tmp_path / "a.safetensors", weights, {})
-    average([str(tmp_path / "a.safetensors"), "--residual", "0.5", "-o", str(tmp_path / "b.safetensors")])
-    made = load(tmp_path / "b.safetensors")
-    for name, tensor in made.weights.items():
-        last = name.startswith("outc.")
-        np.testing.assert_array_equal(tensor, weights[name] * np.float32(0.5) if last else weights[name])
-        assert last == (name in {"outc.weight", "outc.bias"})
-    assert made.metadata["residual"] == "0.5"

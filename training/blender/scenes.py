@@ -6,8 +6,12 @@ Needs no Blender, so that the content of a set can be described and tested witho
 
 from __future__ import annotations
 
+import argparse
 import math
 import random
+import sys
+from collections.abc import Iterator
+from itertools import count
 from typing import Any
 
 import level
@@ -25,6 +29,11 @@ THIN = ("fence", "lattice", "wheel", "cables", "wires", "ladder")
 MOVES = ("orbit", "pan", "truck", "dolly", "crane", "tilt", "rest")
 CLEAN = ("checker", "checker", "checker", "plain", "brick", "stripes")
 """Textures of clean scenes, which have only hard edges: flat surfaces in hard sunlight, no bumps, nothing that glows or mirrors."""
+ROUND = 8
+"""Of so many scenes of a set one is for validation and one for the test."""
+KINDS = ("any", "clean", "woven", "level")
+"""What a set may hold: every scene, those with exact light, of these those that patterns near the pixel's size cover, and of these those
+seen by a level camera before a wall."""
 WIDTH = 160
 """Speeds are drawn in pixels of a frame of this width; pixels."""
 
@@ -291,3 +300,23 @@ def describe(seed: int, split: str, frames: int, path: int = 0) -> Thing:
         "sky": behind,
         "lights": lamps,
     }
+
+
+def plan(scenes: int, kind: str = "any", frames: int = 1) -> list[tuple[str, int]]:
+    """Split and seed of each scene of a set, mixed, so that one that was stopped early has some of each."""
+
+    def suitable(split: str) -> Iterator[int]:
+        return (seed for seed in count() if kind == "any" or describe(seed, split, frames)[kind])
+
+    seeds = {split: suitable(split) for split in SPLITS}
+    splits = ({3: "validation", 7: "test"}.get(i % ROUND, "train") for i in range(scenes))
+    return [(split, next(seeds[split])) for split in splits]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description="Print split and seed of each scene of a set, for render.py.")
+    parser.add_argument("--scenes", type=int, default=64, help="in all; more later adds to the set")
+    parser.add_argument("--kind", choices=KINDS, default="any", help="of scenes; the others' seeds are left out")
+    parser.add_argument("--frames", type=int, default=12, help="of each scene")
+    given = parser.parse_args()
+    sys.stdout.writelines(f"{split} {seed}\n" for split, seed in plan(given.scenes, given.kind, given.frames))
