@@ -9,12 +9,10 @@ Runs where `bpy` is installed; needs nothing of stss::
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
-import os
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -81,20 +79,6 @@ def _as_exr(scene: Any, *, layers: bool) -> None:
         image.color_mode = "RGB"
 
 
-@contextlib.contextmanager
-def quiet() -> Iterator[None]:
-    """Hide Blender's own lines on stdout."""
-    sys.stdout.flush()
-    kept, nothing = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nothing, 1)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 1)
-        os.close(kept)
-        os.close(nothing)
-
-
 def render_frames(folder: Path, frames: Iterable[int]) -> float:
     """Render the frames that do not exist yet, each file whole or not at all. Returns the seconds it took."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -107,8 +91,7 @@ def render_frames(folder: Path, frames: Iterable[int]) -> float:
         scene.frame_set(number)
         scene.cycles.seed = number
         scene.render.filepath = str(half)
-        with quiet():
-            bpy.ops.render.render(write_still=True)
+        bpy.ops.render.render(write_still=True)
         half.replace(path)
     return time.monotonic() - start
 
@@ -159,8 +142,7 @@ def main() -> None:
     claim(given.output, which | settings)
     lines = [f"{t + 1},{x:.9g},{y:.9g},{z:.9g}" for t in range(given.frames) for x, y, z in [camera(described["shots"], t)[0]]]
     (given.output / "camera.csv").write_text("\n".join(["frame,x,y,z", *lines]) + "\n")
-    with quiet():
-        build(described)
+    build(described)
     scene = bpy.context.scene
     common(scene, given.threads)
     exact = aliased and described["clean"]
