@@ -87,6 +87,7 @@ async function renderClip(renderer, clip) {
     const time = frame / RATE;
     uniforms.time.value = time;
     uniforms.previousTime.value = (frame - 1) / RATE;
+    if (clip.jitter) camera.setViewOffset(width, height, ...clip.jitter[Math.floor(Math.max(frame, 0) / 2) % clip.jitter.length], width, height);
     moveCamera(camera, road, clip, time);
     if (frame < 0) aimSun(camera.position, camera.getWorldDirection(new THREE.Vector3()));
     karts.forEach((kart, i) => moveKart(kart, road, clip.karts[i], time));

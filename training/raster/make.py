@@ -33,6 +33,8 @@ FRAMES, TRUTHS, SIZE = 5, (3, 4), (256, 144)
 """Without the history an output needs three frames before its own; two outputs in a row show what flickers."""
 SAMPLES = 4
 """The truth has SAMPLES x SAMPLES samples a pixel."""
+JITTER = ((0, 0), (0.5, 0.5), (0.5, 0), (0, 0.5))
+"""The camera's shifts in pixels, x right, y down, each for two frames in turn."""
 FAR = 1e7
 """Position of the sky, cm."""
 FAR_DEPTH = 1e10
@@ -142,9 +144,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--assets", type=Path, required=True, help="folder with node_modules/ and SuperTuxKart's data in stk/")
     parser.add_argument("--clips", type=int, default=64)
     parser.add_argument("--first", type=int, default=0, help="number of the first clip")
+    parser.add_argument("--jitter", action="store_true", help="shift the camera by half pixels, the truth's too")
     parser.add_argument("-o", "--out", type=Path, required=True, help="a folder for each clip; an existing one is not made again")
     chosen = parser.parse_args(arguments)
-    clips = [draw_clip(n) for n in range(chosen.first, chosen.first + chosen.clips)]
+    jitter = JITTER if chosen.jitter else None
+    clips = [draw_clip(n) | {"jitter": jitter} for n in range(chosen.first, chosen.first + chosen.clips)]
     raw = chosen.out / f".raw{chosen.first}"
     wanted = [c for c in clips if not (chosen.out / c["name"]).exists()]
     raw.mkdir(parents=True, exist_ok=True)
