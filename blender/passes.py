@@ -10,7 +10,7 @@ from typing import Any
 
 PASSES = ("combined", "z", "vector", "normal", "position", "object_index", "diffuse_color")
 AOVS = {"basecolor": "COLOR", "metallic": "VALUE", "roughness": "VALUE"}
-"""Name to type; `training/blender` has the same ones, and a test holds both together."""
+"""Name to type."""
 SOCKETS = {"basecolor": "Base Color", "metallic": "Metallic", "roughness": "Roughness"}
 """AOV to the input of the Principled BSDF that it shows."""
 
