@@ -1,5 +1,6 @@
 """The Blender extension: its zip, and a scene from nothing to supersampled frames where a Python with bpy is there."""
 
+import ast
 import importlib
 import json
 import os
