@@ -74,7 +74,7 @@ def _check(where: str, array: Array, shape: tuple[int, ...], plane: _Plane) -> N
     if not isinstance(array, np.ndarray):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise InputError(f"{where}: expected an array {shape}, found {type(array).__name__}")
     if array.dtype.kind != "f" and not where.endswith(": stencil"):
-        raise InputError(f"{where}: expected floating-point numbers, found {array.dtype}; {plane.hint or 'convert them'}")
+        raise InputError(f"{where}: expected floating-point numbers, found {array.dtype}; {_UNIT}")
     if array.shape != shape:
         raise InputError(f"{where}: expected shape {shape}, found {array.shape}")
     if plane.otherwise == "any":

@@ -27,7 +27,7 @@ class ComputeOptions:
         skip: one of ``SKIPS``: what the OpenCL backend leaves out; the reference computes everything.
 
     Raises:
-        InputError: ``precision`` or ``skip`` is none of these.
+        InputError: ``precision`` or ``skip`` is none of these, or the limit is no number of bytes.
     """
 
     device: str | None = None
@@ -40,6 +40,8 @@ class ComputeOptions:
         for name, value, known in (("precision", self.precision, PRECISIONS), ("skip", self.skip, SKIPS)):
             if value not in known:
                 raise InputError(f"{name}: expected one of {', '.join(known)}, got {value!r}")
+        if self.memory_limit is not None and self.memory_limit < 1:
+            raise InputError(f"memory_limit: expected bytes > 0, got {self.memory_limit}")
 
     @property
     def name(self) -> str:

@@ -14,7 +14,7 @@ from stss.frames.compute_options import ComputeOptions, Precision, Skip
 from stss.frames.display_frame import WINDOW, DisplayFrame, prepare
 from stss.frames.supersample import Output, compute, decode
 from stss.images.color import transfer as transfer_named
-from stss.weights.file import DEFAULT, LoadedWeights
+from stss.weights.file import REALTIME, LoadedWeights
 from stss_ground.errors import InputError
 from stss_ref.depth import DepthMode
 from stss_ref.weights import Weights
@@ -68,7 +68,7 @@ class Supersampler:
         self._depth: DepthMode = depth
         if isinstance(backend, str):
             options = ComputeOptions(device, precision, memory_limit, skip)
-            backend = open_backend(backend, DEFAULT if weights == "auto" else weights, options, tell=tell)
+            backend = open_backend(backend, REALTIME if weights == "auto" else weights, options, tell=tell)
         self.backend = backend
         self._window: deque[DisplayFrame] = deque(maxlen=WINDOW)
 
@@ -110,23 +110,3 @@ class Supersampler:
     def warm_up(self, size: tuple[int, int]) -> None:
         """Build kernels and buffers for frames of (H, W), so that the first one does not wait for them."""
         self.backend.expect(size)
-
-
-def supersample(
-    frames: Iterable[Buffers], backend: Backend, *, transfer_name: str = "srgb", depth: DepthMode = "scale"
-) -> Iterator[Output]:
-    """Compute every display frame at twice its size, those that were not rendered too.
-
-    Args:
-        frames: display frames in order; ``color`` is None where a frame was not rendered.
-        backend: from `open_backend`.
-        transfer_name: as ``transfer`` of `Supersampler`.
-        depth: ``clip`` or ``scale`` (spec 0).
-
-    Returns:
-        An iterator with an `Output` for every frame, except for one with neither colour nor a rendered frame just before it.
-
-    Raises:
-        InputError: an option or a plane is not what it must be.
-    """
-    return Supersampler(backend=backend, transfer=transfer_name, depth=depth)(frames)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from stss.sequence.antialiasing import Sampling, judge_sampling
 from stss.sequence.reader import Sequence
-from stss.weights.file import ANTIALIASED, BILINEAR, DEFAULT, REALTIME, LoadedWeights, load
+from stss.weights.file import ANTIALIASED, BILINEAR, REALTIME, LoadedWeights, load
 
 AUTO = "auto"
 """Given in place of a name of weights: choose those that suit the frames."""
@@ -22,7 +22,7 @@ def choose_weights(source: str, sequence: Sequence, tell: Callable[[str], None],
     """Load the weights named, or with `AUTO` those that suit the sequence; every part of it gets the same.
 
     Args:
-        source: `AUTO` or `DEFAULT`, which mean the same here, or see `stss.weights.file.load`.
+        source: `AUTO`, or see `stss.weights.file.load`.
         sequence: a few of its frames are looked at, see `stss.sequence.antialiasing.judge_sampling`.
         tell: called with the choice and its reason.
         needed: whether a network runs at all; if not, `AUTO` neither looks at frames nor calls ``tell``.
@@ -31,7 +31,7 @@ def choose_weights(source: str, sequence: Sequence, tell: Callable[[str], None],
         InputError: the file can't be read or is of another format.
         WeightsError: a tensor is not what the network takes.
     """
-    if source not in (AUTO, DEFAULT):
+    if source != AUTO:
         return load(source)
     if not needed:
         return load(BILINEAR)

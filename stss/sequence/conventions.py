@@ -40,7 +40,7 @@ def convert(
         The frame; its arrays may be views of ``planes``.
 
     Raises:
-        InputError: a plane is missing or has another shape.
+        InputError: a plane is missing, has another shape, or is of whole numbers.
     """
     table = profile if isinstance(profile, Profile) else load_profile(profile)
     where = None if camera is None else _pose(np.asarray(camera, np.float64))
@@ -53,7 +53,12 @@ def convert(
             if name == "color" or (name == "nov" and where is not None):
                 continue
             raise InputError(f"frame {number}: no {name}; expected an array" + (", or a camera" if name == "nov" else ""))
-        plane = np.asarray(planes[name], np.float32)
+        given = np.asarray(planes[name])
+        if given.ndim and given.dtype.kind != "f" and name != "stencil":
+            raise InputError(
+                f"frame {number}: {name}: expected floating-point numbers, found {given.dtype}; divide 8-bit values by 255"
+            )
+        plane = given.astype(np.float32)
         if plane.ndim == 0 and name in CONSTANTS:
             plane = np.full(shape, plane)
         plane = plane[..., None] if plane.ndim == 2 else plane

@@ -40,8 +40,6 @@ REALTIME, ANTIALIASED = "realtime", "antialiased"
 """Names of the weights that come with the program (docs/model-card.md): for frames with one sample a pixel, and for antialiased ones."""
 SHIPPED = {name: Path(__file__).with_name(f"{name}.safetensors") for name in (REALTIME, ANTIALIASED)}
 """Name -> file."""
-DEFAULT = "default"
-"""Weights for frames of which nothing is known: `REALTIME`, since engines give such frames. See also ``stss.sequence.choose_weights``."""
 MAX_BYTES = 64 * 2**20
 
 
@@ -81,13 +79,12 @@ def identity(weights: Weights) -> str:
 
 
 def load(source: str | Path) -> LoadedWeights:
-    """Load weights from a ``.safetensors`` file, or by the names ``realtime`` (also ``default``), ``antialiased`` and ``bilinear``.
+    """Load weights from a ``.safetensors`` file, or by the names ``realtime``, ``antialiased`` and ``bilinear``.
 
     Raises:
         InputError: the file can't be read or is of another format.
         WeightsError: a tensor is not what the network takes.
     """
-    source = REALTIME if str(source) == DEFAULT else source
     if str(source) == BILINEAR:
         weights, metadata = zeros(), dict[str, str]()
     else:

@@ -80,6 +80,6 @@ def scaled(stage: str, inputs: Arrays, by: float) -> Given:
     return result
 
 
-def scaled_weights(weights: Weights, by: float, prefix: str = "") -> Weights:
-    """The tensors whose names begin with ``prefix``, ``by`` times as large; the others as they are."""
-    return weights | {n: (w * np.float32(by)).astype(np.float32) for n, w in weights.items() if n.startswith(prefix)}
+def scaled_weights(weights: Weights, by: float) -> Weights:
+    """All tensors, ``by`` times as large."""
+    return weights | {n: (w * np.float32(by)).astype(np.float32) for n, w in weights.items()}

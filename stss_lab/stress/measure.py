@@ -8,14 +8,12 @@ An error is the largest difference over the largest number of the truth; a table
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from stss_ground.errors import InputError
-from stss_lab.stress import hard_image_cases as cases
-from stss_lab.stress import hard_network_cases as network_cases
 from stss_lab.stress import sweeps
 from stss_lab.stress.engines import Engine, OpenCLEngine, ReferenceEngine
+from stss_lab.stress.positions import positions
 from stss_lab.stress.table import StressPlan, StressTable
 from stss_ref.weights import Weights
 
@@ -25,30 +23,10 @@ MEASUREMENTS: dict[str, Callable[[StressPlan], StressTable]] = {
     "weights": sweeps.weight_scale,
     "size": sweeps.size,
     "depth": sweeps.depth,
-    "positions": cases.positions,
-    "attention": network_cases.attention,
-    "tone": cases.tone,
-    "keys": network_cases.keys,
-    "motion": cases.motion,
-    "huge": network_cases.huge,
-    "overflow": network_cases.overflow,
+    "overflow": sweeps.overflow,
+    "positions": positions,
 }
 """Name of a table -> function that measures it, in the order of the report."""
-
-
-@dataclass(frozen=True)
-class Results:
-    """The tables that were measured, and the conditions.
-
-    Attributes:
-        plan: how much was measured.
-        device: name and driver of the OpenCL device; None without one.
-        tables: in the order of ``MEASUREMENTS``.
-    """
-
-    plan: StressPlan
-    device: str | None
-    tables: tuple[StressTable, ...]
 
 
 def check_names(only: Sequence[str]) -> None:
@@ -58,19 +36,16 @@ def check_names(only: Sequence[str]) -> None:
             raise InputError(f"only: expected some of {', '.join(MEASUREMENTS)}, got {name!r}")
 
 
-def make_plan(device: Any, weights: Weights | None, *, full: bool = False) -> StressPlan:
-    """Plan how much to measure: about a minute on two cores, or with ``full`` ten times as much.
+def make_plan(device: Any, weights: Weights | None) -> StressPlan:
+    """Plan what to measure: about half a minute on two cores.
 
     Args:
         device: an open ``stss_cl.device.discovery.Device``; None: the reference alone.
         weights: the 92 tensors; None: random ones, different for each seed.
-        full: more seeds, larger frames.
     """
     engines: list[Engine] = [ReferenceEngine()]
     if device is not None:
         engines += [OpenCLEngine(device, precision) for precision in ("float32", "float32-direct", "half", "bfloat16")]
-    if full:
-        return StressPlan(engines, seeds=10, size=(96, 128), sizes=(8, 16, 32, 64, 128, 256), weights=weights)
     return StressPlan(engines, weights=weights)
 
 

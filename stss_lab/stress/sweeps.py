@@ -131,3 +131,20 @@ def bounds(plan: StressPlan) -> StressTable:
         rows.append((engine.name, float(np.median(errors)), max(errors), BOUNDS[f"network.{asked}"].floor))
     columns = ("", "median seed", "worst seed", "asked")
     return StressTable("bounds", "Image of the network: largest absolute error", columns, tuple(rows))
+
+
+def overflow(plan: StressPlan) -> StressTable:
+    """The end of half's range: inputs so large that activations exceed 65504."""
+    rows: list[tuple[Cell, ...]] = []
+    for by in (1.0, 1e2, 1e3, 1e4, 1e5, 1e6):
+        largest, errors = 0.0, [0.0] * len(plan.engines)
+        for seed in range(plan.seeds):
+            inputs, weights = scaled("network", frame_noise(seed, *plan.size), by), plan.weights_of(seed)
+            features = features_of(exact(inputs), weights)
+            truth = {"image": features["image"]}
+            largest = max(largest, *(float(np.abs(array).max()) for array in features.values()))
+            found = [relative_error(a.run("network", inputs, weights), truth) for a in plan.engines]
+            errors = [max(pair) for pair in zip(errors, found, strict=True)]
+        rows.append((short(by), largest, *errors))
+    columns = ("inputs times", "largest feature", *(a.name for a in plan.engines))
+    return StressTable("overflow", "Image of the network: largest error / largest truth", columns, tuple(rows))

@@ -78,10 +78,6 @@ class StressPlan:
         """The network's tensors for one seed, float32."""
         return random_weights(seed) if self.weights is None else self.weights
 
-    def engine(self, name: str) -> Engine:
-        """The engine of this name."""
-        return next(engine for engine in self.engines if engine.name == name)
-
 
 def relative_error(got: Arrays, truth: Arrays) -> float:
     """``max |got - truth| / max |truth|``, the largest over the outputs; infinite where an output is not finite."""

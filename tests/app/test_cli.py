@@ -90,12 +90,12 @@ def test_run_doubles_size_and_rate(by_network):
 def test_the_frames_are_what_python_gets(frames, weights, by_network):
     """The generator of the README and the command line give the same images."""
     from stss.frames.backends import open_backend
-    from stss.frames.supersampler import supersample
+    from stss.frames.supersampler import Supersampler
     from stss.sequence.reader import open_sequence
     from stss.weights.file import load
 
     read = open_sequence(frames, "stss")
-    outputs = list(supersample(map(read.load, read.numbers), open_backend("cl", load(weights).weights)))
+    outputs = list(Supersampler(backend=open_backend("cl", load(weights).weights))(map(read.load, read.numbers)))
     assert [output.number for output in outputs] == list(range(FRAMES))
     for output in outputs:
         written = read_rgb(by_network / f"frame.{output.number:04d}.exr")

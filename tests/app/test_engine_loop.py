@@ -66,7 +66,10 @@ def with_value(name, value):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda b: replace(b, color=(b.color * 255).astype(np.uint8)), "color: expected floating-point numbers, found uint8"),
+        (
+            lambda b: replace(b, color=(b.color * 255).astype(np.uint8)),
+            "color: expected floating-point numbers, found uint8; divide",
+        ),
         (with_value("color", np.nan), r"color: expected finite numbers, found nan at \(2, 3, 0\) and 2 more"),
         (with_value("depth", np.nan), "depth: expected numbers, found nan"),
         (with_value("depth", -4), "depth: expected values > 0, found -4"),
@@ -85,9 +88,9 @@ def test_wrong_arrays_are_refused_before_anything_is_computed(change, message):
     assert loop.push(next(frames(1))) is not None
 
 
-@pytest.mark.parametrize("option", [{"depth": "foo"}, {"transfer": "foo"}, {"backend": "foo"}])
+@pytest.mark.parametrize("option", [{"depth": "foo"}, {"transfer": "foo"}, {"backend": "foo"}, {"memory_limit": -5}])
 def test_wrong_options_are_refused(option):
-    with pytest.raises(InputError, match="foo"):
+    with pytest.raises(InputError, match=str(*option.values())):
         stss.Supersampler(**{"weights": "bilinear", "backend": "ref", **option})
 
 
@@ -136,6 +139,8 @@ def test_conventions_of_an_engine():
     planes["motion"] = buffers.motion.astype(np.float64) * (2 / SIZE[1], -2 / SIZE[0])
     planes["position"] = buffers.position.astype(np.float64) / 100
     made = stss.convert(0, planes, rules)
+    with pytest.raises(InputError, match="frame 0: color: expected floating-point numbers, found uint8"):
+        stss.convert(0, {**planes, "color": (planes["color"] * 255).astype(np.uint8)}, rules)
     stss.check(made)
     for name in (*names, "motion", "position"):
         a, b = getattr(made, name), getattr(buffers, name)

@@ -12,7 +12,7 @@ import pytest
 
 from stss.demo import write_demo_sequence
 from stss.frames.backends import ReferenceBackend
-from stss.frames.supersampler import supersample
+from stss.frames.supersampler import Supersampler
 from stss.images.resample import enlarged, lanczos_centres
 from stss.run.job import run
 from stss.run.options import RunOptions
@@ -183,7 +183,7 @@ def test_taau_starts_anew_after_a_gap(write_frames):
     later = [small.load(number) for number in range(4, 8)]
 
     def images(frames):
-        return [output.image for output in supersample(frames, MethodBackend("taau"))]
+        return [output.image for output in Supersampler(backend=MethodBackend("taau"))(frames)]
 
     alone = images(later)
     for before in ([small.load(0), small.load(1)], [large.load(2), large.load(3)]):

@@ -70,7 +70,7 @@ def folder(tmp_path_factory):
         "methods frames truth -o methods --methods bilinear --html m.html",
         "flicker out truth --sequence frames",
         "bench --size 16x8 --repeat 1 --ours ref --peers ,",
-        "stress --backend ref --only tone",
+        "stress --backend ref --only positions",
         "gpu-report -o report --tiny",
     ],
 )

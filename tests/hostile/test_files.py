@@ -176,7 +176,6 @@ def test_no_table_that_is_read_is_an_output(out, demo, weights, tmp_path, option
         "weights import {w} -o {hard}",
         "export {w} -o {link} --size 16x16",
         "bench --weights {w} --json {w}",
-        "stress --weights {w} --json {hard}",
         "conform --exec true --known-failures {w} --report {link}",
         "conform --exec true --junit {new} --json {new}",
         "conform --exec true --junit {new} --json {folder}/../new.safetensors",
@@ -393,7 +392,6 @@ def test_a_folder_where_a_file_is_expected(out, demo, name):
 NAMED = [
     ("export", "bilinear", "--size", "16x16", "-o"),
     ("bench", "--ours", "ref", "--peers", "", "--size", "16x16", "--repeat", "1", "--json"),
-    ("stress", "--backend", "ref", "--only", "depth", "--json"),
     ("conform", "--exec", "true", "--report"),
 ]
 

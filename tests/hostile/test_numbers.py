@@ -8,7 +8,7 @@ import pytest
 from stss.cli.main import stss
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
-from stss.frames.supersampler import supersample
+from stss.frames.supersampler import Supersampler
 from stss.images.color import transfer
 from stss.images.read_write import read_channels
 from stss.sequence.reader import open_sequence
@@ -55,7 +55,7 @@ def broken(name, place, value, frames):
 def backends():
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("STSS_TRUST_DEVICE", "1")
-        ours = {skip: open_backend("cl", load("default").weights, ComputeOptions(skip=skip)) for skip in SKIPS}
+        ours = {skip: open_backend("cl", load("realtime").weights, ComputeOptions(skip=skip)) for skip in SKIPS}
         plain = load("bilinear").weights
         return ours | {"cl": open_backend("cl", plain), "ref": open_backend("ref", plain)}
 
@@ -69,7 +69,7 @@ def test_masked_values_end_in_finite_images_alike_everywhere(write_frames, backe
     change = broken(name, place, value, frames=(2, 3))
     sequence = open_sequence(write_frames(NUMBERS, change=change, rendered=RENDERED, size=SIZE), "stss", non_finite="mask")
     frames = [sequence.load(number) for number in NUMBERS]
-    made = {which: list(supersample(frames, backend)) for which, backend in backends.items()}
+    made = {which: list(Supersampler(backend=backend)(frames)) for which, backend in backends.items()}
     assert {len(outputs) for outputs in made.values()} == {len(NUMBERS)}
     for outputs in zip(*made.values(), strict=True):
         got = dict(zip(made, outputs, strict=True))

@@ -7,7 +7,7 @@ import pytest
 
 from conformance.scenes import SCENES
 from stss.frames.display_frame import OnArrays, prepare
-from stss.frames.supersampler import supersample
+from stss.frames.supersampler import Supersampler
 from stss_ground.errors import InputError
 from stss_ref.resample import upsample_centres
 from stss_ref.schedule import FrameKind
@@ -38,7 +38,7 @@ class Bilinear(OnArrays):
 
 
 def test_samples_are_what_the_tool_feeds_the_network(film):
-    """Frame by frame the colours are those that `supersample` upsamples in a run at half rate."""
+    """Frame by frame the colours are those that `Supersampler` upsamples in a run at half rate."""
     curve = module.transfer("srgb")
     buffers = [module.replace(b, color=np.minimum(b.color, 1)) for b in film_frames(film, SIZE, 8)]
     frames = [prepare(b, curve, "scale") for b in buffers]
@@ -46,7 +46,7 @@ def test_samples_are_what_the_tool_feeds_the_network(film):
     assert [(s.number, s.kind.value) for s in made] == [(6, "SF"), (6, "EF"), (7, "SF"), (7, "EF")]
     for odd in (0, 1):
         half = [b if b.number % 2 == odd else module.replace(b, color=None) for b in buffers]
-        outputs = {output.number: output for output in supersample(half, Bilinear())}
+        outputs = {output.number: output for output in Supersampler(backend=Bilinear())(half)}
         for sample in (s for s in made if (s.number % 2 == odd) == (s.kind is FrameKind.SF)):
             inputs = unpack(sample.inputs)
             image = curve.decode(upsample_centres(inputs.color[..., :3]))
