@@ -265,7 +265,7 @@ def _pixels(
 
 
 def print_report(report: CheckReport, console: Console) -> None:
-    """What is wrong, what is stored where, how well each choice of motion fits, notes, and the verdict."""
+    """What is wrong, what is stored where, notes, and the verdict."""
     _print_findings([finding for finding in report.findings if finding.level != "note"], console)
     channels = cast(dict[str, dict[str, Any]], report.tables.get("channels", {}))
     if channels:
@@ -273,12 +273,6 @@ def print_report(report: CheckReport, console: Console) -> None:
         for buffer, row in channels.items():
             words = (", ".join(row["channels"]), ", ".join(dict.fromkeys(row["formats"])), row["compression"])
             table.add_row(buffer, *(escape(word) for word in words))
-        console.print(table)
-    errors = cast(dict[str, dict[str, float]], report.tables.get("reprojection", {})).get("errors", {})
-    if errors:
-        table = Table("motion", "difference of the warped frame")
-        for choice, error in errors.items():
-            table.add_row(choice, f"{error:.4f}")
         console.print(table)
     _print_findings([finding for finding in report.findings if finding.level == "note"], console)
     verdict = ("fits", "can be run, but look at the warnings", "cannot be run")[report.status]

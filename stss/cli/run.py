@@ -18,7 +18,7 @@ from stss.cli.options import (
     sequence_options,
     weights_option,
 )
-from stss.cluster.run import Cluster, run_on_cluster
+from stss.cluster.run import run_on_cluster
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.run.frame_job import FrameReport
@@ -29,7 +29,6 @@ from stss.run.skip_report import Tally, describe_costs
 from stss.sequence.choose_weights import choose_weights
 from stss.sequence.reader import open_sequence
 from stss_ground.commands import GroupedOptions
-from stss_ground.errors import InputError
 from stss_ground.option_kinds import PATH
 from stss_ground.progress import show_progress, track
 from stss_ground.terminal import Terminal, echo, printable
@@ -47,9 +46,6 @@ from stss_ref.schedule import FrameKind
 @click.option("--resume", is_flag=True, help="Keep the frames of an earlier run that are still right.")
 @click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
 @click.option("--cluster", help="Compute on local:N processes, or on the workers of a scheduler: tcp://host:8786.")
-@click.option(
-    "--mixed-devices", is_flag=True, help="With --cluster: accept workers whose devices differ, and so the bits of their frames."
-)
 @click.option("--keep-going", is_flag=True, help="Leave out frames that cannot be read; ends with status 1.")
 def run(
     sequence: Path,
@@ -64,7 +60,6 @@ def run(
     compute: ComputeOptions,
     suffix: str,
     cluster: str | None,
-    mixed_devices: bool,
     **chosen: Any,
 ) -> None:
     """Make SEQUENCE, a folder or a pattern like a.####.exr, twice as large and twice as fast."""
@@ -78,8 +73,6 @@ def run(
     options = RunOptions.of(frames.profile, format=suffix, **chosen)
     reads = [Path(weights)]
     loaded = choose_weights(weights, frames, _tell)
-    if cluster is None and mixed_devices:
-        raise InputError("--mixed-devices: expected --cluster as well")
     first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
     start, tally = time.monotonic(), Tally()
     try:
@@ -89,8 +82,7 @@ def run(
                 advance(tally.add(report.cost))
 
             if cluster is not None:
-                where = Cluster(cluster, mixed_devices)
-                summary = run_on_cluster(frames, out, where, loaded, backend, compute, options, on_frame, reads)
+                summary = run_on_cluster(frames, out, cluster, loaded, backend, compute, options, on_frame, reads)
             else:
                 engine = open_backend(backend, loaded.weights, compute, tell=_tell)
                 summary = run_sequence(frames, out, engine, loaded.label, options, on_frame, reads)

@@ -7,15 +7,13 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from concurrent.futures import TimeoutError as Timeout
-from dataclasses import dataclass
 from pathlib import Path
 
 from stss.cluster.chunk import Chunk, Introduction, Work, compute_chunk, introduce
 from stss.cluster.workers import Workers, connect
 from stss.frames.backends import NETWORK
 from stss.frames.compute_options import ComputeOptions
-from stss.images.headers import read_header
-from stss.run.frame_job import FrameReport, already_written, describe, frame_name, keys_of
+from stss.run.frame_job import FrameReport, already_written, describe, keys_of
 from stss.run.job import REFUSAL, RunPlan, Summary, plan, require_unread
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence as Frames
@@ -40,23 +38,10 @@ MAX_FAILURES = 3
 """How many times in a row workers may die or hang before a chunk comes in."""
 
 
-@dataclass(frozen=True)
-class Cluster:
-    """The user's choices about the cluster.
-
-    Attributes:
-        address: see ``stss.cluster.workers.connect``.
-        mixed: accept workers whose backends differ, and so the bits of their frames.
-    """
-
-    address: str
-    mixed: bool = False
-
-
 def run_on_cluster(
     sequence: Frames,
     out: Path,
-    cluster: Cluster,
+    address: str,
     loaded: LoadedWeights,
     backend: str,
     compute: ComputeOptions,
@@ -68,7 +53,7 @@ def run_on_cluster(
 
     Args:
         sequence, out, options, on_frame, reads: as there; ``on_frame`` is called in the order in which chunks arrive.
-        cluster: where to compute.
+        address: where to compute, see ``stss.cluster.workers.connect``.
         loaded, backend, compute: see ``stss.frames.backends.open_backend``.
 
     Raises:
@@ -78,10 +63,10 @@ def run_on_cluster(
     require_unread(planned, sequence, reads)
     work = Work(VERSION, sequence, planned.rendered, out, options, loaded, backend, compute)
     with (
-        connect(cluster.address) as workers,
+        connect(address) as workers,
         planned.folder.open(refusal=None if options.resume or options.overwrite else REFUSAL),
     ):
-        summary = _Run(workers, work, planned, on_frame, mixed=cluster.mixed).run()
+        summary = _Run(workers, work, planned, on_frame).run()
         planned.folder.finish(remove_others=options.overwrite)
     return summary
 
@@ -96,8 +81,8 @@ def cut_into_chunks(numbers: Sequence[int], workers: int, size: tuple[int, int])
 class _Run:
     """Hands out chunks, writes what comes back, and hands a chunk out again where its worker dies or hangs."""
 
-    def __init__(self, workers: Workers, work: Work, planned: RunPlan, on_frame: Callable[[FrameReport], None], *, mixed: bool):
-        self._workers, self._work, self._planned, self._on_frame, self._mixed = workers, work, planned, on_frame, mixed
+    def __init__(self, workers: Workers, work: Work, planned: RunPlan, on_frame: Callable[[FrameReport], None]):
+        self._workers, self._work, self._planned, self._on_frame = workers, work, planned, on_frame
         self._chunks: list[list[int]] | None = None
         """What is left to do; None: no worker has introduced itself."""
         self._reports: dict[int, FrameReport] = {}
@@ -155,12 +140,7 @@ class _Run:
 
     def _is_kept(self, number: int, who: Introduction) -> bool:
         work, options, folder = self._work, self._work.options, self._planned.folder
-        name, backend = frame_name(number, options.format), who.backend
-        if not options.resume or not folder.holds(name):
-            return False
-        if self._mixed:
-            backend = str(read_header(folder.path / name).attributes.get("stss:backend"))
-        described = describe(work.sequence, options, NETWORK, backend, who.weights)
+        described = describe(work.sequence, options, NETWORK, who.backend, who.weights)
         kind = already_written(folder, options, number, keys_of(work.sequence, work.rendered, options, described).of(number))
         if kind is not None:
             self._report(FrameReport(number, kind, "kept"))
@@ -169,9 +149,9 @@ class _Run:
     def _take(self, numbers: list[int], chunk: Chunk) -> None:
         if self._chunks is None or numbers not in self._chunks:  # it came in beside one before it that has an error
             return
-        if chunk.backend not in ("", self._backend) and not self._mixed:
+        if chunk.backend not in ("", self._backend):
             kinds = f"{self._backend}; {chunk.backend}"
-            raise InputError(f"--cluster: workers differ, and so would their bits: {kinds}; --mixed-devices takes them")
+            raise InputError(f"--cluster: workers differ, and so would their bits: {kinds}")
         self._slowest = max(chunk.seconds, self._slowest or 0.0)
         for report, files in chunk.frames:
             for name, data in files.items():

@@ -50,8 +50,6 @@ class Header:
         channels: full names. Where parts of a multipart file repeat a name, the later one is ``PART.NAME``.
         formats: name -> "half", "float", "uint32", "uint8", "uint16".
         compression: "zip", "dwaa", ...; "" where the format has no choice of it.
-        data_window: x, y, width, height of the stored pixels.
-        display_window: x, y, width, height of the picture; always equal to ``data_window``.
         attributes: metadata of all parts; where parts differ, the first part's value.
     """
 
@@ -61,8 +59,6 @@ class Header:
     channels: tuple[str, ...]
     formats: Mapping[str, str]
     compression: str
-    data_window: tuple[int, int, int, int]
-    display_window: tuple[int, int, int, int]
     attributes: Mapping[str, Value]
 
     @property
@@ -149,9 +145,8 @@ def locate(path: Path, image: oiio.ImageInput) -> tuple[Header, dict[str, tuple[
             limits = f"{MAX_PARTS}, {MAX_CHANNELS} and {MAX_BYTES}"
             raise InputError(f"{path}: {part} parts, {len(places)} channels, {size} bytes; at most {limits}")
     last_error(image)
-    window = first.x, first.y, first.width, first.height
     compression = str(attributes.get("compression", ""))
-    header = Header(path, first.width, first.height, tuple(places), formats, compression, window, window, attributes)
+    header = Header(path, first.width, first.height, tuple(places), formats, compression, attributes)
     return header, places
 
 

@@ -17,7 +17,7 @@ import pytest
 
 from stss.cluster import run as module
 from stss.cluster.chunk import Work, compute_chunk
-from stss.cluster.run import Cluster, run_on_cluster
+from stss.cluster.run import run_on_cluster
 from stss.cluster.workers import LocalWorkers, connect
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
@@ -41,9 +41,9 @@ def frames(write_frames, monkeypatch):
     return open_sequence(write_frames(FRAMES, rendered=RENDERED, size=SIZE), "stss")
 
 
-def on_cluster(sequence, out, where="threads", *, mixed=False, on_frame=lambda report: None, **options):
+def on_cluster(sequence, out, where="threads", *, on_frame=lambda report: None, **options):
     return run_on_cluster(
-        sequence, out, Cluster(where, mixed), load(BILINEAR), "ref", ComputeOptions(), RunOptions(**options), on_frame
+        sequence, out, where, load(BILINEAR), "ref", ComputeOptions(), RunOptions(**options), on_frame
     )  # fmt: skip
 
 
@@ -121,9 +121,9 @@ def test_resume_keeps_what_is_right_and_makes_the_rest(threads, frames, tmp_path
     (out / "frame.0017.exr").unlink()
     with pytest.raises(InputError, match="--resume"):
         on_cluster(frames, out)
-    for mixed in (False, True):
-        found = on_cluster(frames, out, resume=True, mixed=mixed)
-        assert [report.number for report in found.frames if report.outcome == "done"] == ([] if mixed else [3, 17])
+    for done in ([3, 17], []):
+        found = on_cluster(frames, out, resume=True)
+        assert [report.number for report in found.frames if report.outcome == "done"] == done
         assert files(out) == whole
 
 
@@ -169,7 +169,7 @@ def test_a_chunk_whose_worker_ends_is_computed_again(threads, frames, tmp_path, 
     assert (tmp_path / "doomed" / "frame.0007.exr").exists()
 
 
-def test_workers_of_different_kinds_are_refused_unless_asked_for(threads, frames, tmp_path):
+def test_workers_of_different_kinds_are_refused(threads, frames, tmp_path):
     def becomes(handed, arguments):
         if handed != 2:
             return None
@@ -178,9 +178,10 @@ def test_workers_of_different_kinds_are_refused_unless_asked_for(threads, frames
         return future
 
     threads(becomes)
-    with pytest.raises(InputError, match=r"workers differ, .*: ref; another; --mixed-devices"):
+    with pytest.raises(InputError, match=r"workers differ, .*: ref; another"):
         on_cluster(frames, tmp_path / "out")
-    on_cluster(frames, tmp_path / "out", mixed=True, resume=True)
+    threads()
+    on_cluster(frames, tmp_path / "out", resume=True)
     in_one_process(frames, tmp_path / "one")
     assert files(tmp_path / "out") == files(tmp_path / "one")
 
