@@ -74,7 +74,7 @@ class LayerBuilder:
         """Append a convolution; ``final``: it writes the image in place of its output."""
         layer, a, out = step.layer, self[step.inputs[0][0]], self[step.out]
         b = self[step.inputs[1][0]] if len(step.inputs) > 1 else None
-        # At an eighth a tile of 4 x 4 would be 32 pixels of the frame, and rounding spreads by a tile a layer: decision 21.
+        # At an eighth a tile of 4 x 4 would be 32 pixels of the frame, and rounding spreads by a tile a layer: decision 11.
         side = 0 if not self._winograd else 2 if layer.divisor == 8 else 4
         packed = pack(self._weights, layer.name, tuple((real, slot.channels) for slot, real in step.inputs))
         launch = conv(

@@ -144,7 +144,7 @@ def test_all_convolutions_are_the_references(processor, size, channels, gated, r
 @few
 @given(at=st.tuples(st.integers(0, 19), st.integers(0, 23)), gated=st.booleans(), stride=st.sampled_from([1, 2]), seed=SEEDS)
 def test_rounding_stays_within_a_tile(processor, at, gated, stride, seed):
-    """One changed input changes bits no farther away than a tile's side, or, without tiles and at stride 2, what reads it: decision 21."""
+    """One changed input changes bits no farther away than a tile's side, or, without tiles and at stride 2, what reads it: decision 11."""
     random = np.random.default_rng(seed)
     packed = pack(tensors(random, "layer", 24, 24, gated), "layer", ((24, 24),))
     x = random.random((20, 24, 24), dtype=np.float32)

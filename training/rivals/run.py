@@ -64,8 +64,11 @@ class Chain:
         prepared = prepare(frame_inputs(window, steps))
         valid = prepared.mask.astype(bool)
         if self.method == "nsrr+extranet":
-            image = self._supersample(now.number, prepared.color[..., :3], rendered=True) if rendered else None
-            self._large[now.number] = enlarge_frame(now, image)
+            for frame in window:
+                if frame.number not in self._large:  # those before the first of a run too
+                    large = None if frame.color is None else self._supersample(frame.number, frame.color, rendered=True)
+                    self._large[frame.number] = enlarge_frame(frame, large)
+            image = self._large[now.number].color
             if image is None:
                 image = self._extrapolate(prepare(frame_inputs([self._large[f.number] for f in window], steps)))
             return image, valid
