@@ -13,9 +13,8 @@ from stss_ground.terminal import Terminal
 @click.command()
 @click.option("--device", help="Part of the name of the OpenCL device.")
 @click.option("--size", type=Size(MAX_SIDE), default=(540, 960), show_default="960x540", help="Size of the inputs.")
-@click.option("--show", is_flag=True, help="Print the tile sizes in use; time nothing.")
-def tune(device: str | None, size: tuple[int, int], show: bool) -> None:
+def tune(device: str | None, size: tuple[int, int]) -> None:
     """Find the fastest tile sizes for a device and store them."""
     from stss_lab.tune import tune as tuning
 
-    tuning.run(device, size, show=show, console=Terminal(), told=Terminal(stderr=True))
+    tuning.run(device, size, console=Terminal(), told=Terminal(stderr=True))

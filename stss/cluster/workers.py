@@ -11,7 +11,7 @@ from collections.abc import Callable, Generator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from threading import Thread
-from typing import Any, Protocol
+from typing import Any
 
 from stss_ground.errors import InputError
 from stss_ground.optional import require
@@ -22,26 +22,6 @@ TIMEOUT = 60.0
 """Seconds for a scheduler to answer, and for a worker to come."""
 
 
-class Workers(Protocol):
-    """The workers of an address, as one executor at a time."""
-
-    def deaths(self) -> tuple[type[BaseException], ...]:
-        """What a call raises whose worker died."""
-        ...
-
-    def count(self) -> int:
-        """How many there are now; 1 at least."""
-        ...
-
-    def start(self) -> Executor:
-        """An executor of all workers that do not hang."""
-        ...
-
-    def end(self, executor: Executor, *, hangs: bool) -> None:
-        """Drop all that the executor has to do; ``hangs``: its workers that have something to do will never answer."""
-        ...
-
-
 class LocalWorkers:
     """Processes started here. They talk through pipes, so no other user of the machine can reach them."""
 
@@ -49,20 +29,20 @@ class LocalWorkers:
         self._count = count
 
     def deaths(self) -> tuple[type[BaseException], ...]:
-        """See `Workers`."""
+        """What a call raises whose worker died."""
         return (BrokenExecutor,)
 
     def count(self) -> int:
-        """See `Workers`."""
+        """How many there are now; 1 at least."""
         return self._count
 
     def start(self) -> Executor:
-        """See `Workers`."""
+        """An executor of all workers that do not hang."""
         context = multiprocessing.get_context("spawn")  # a fork would copy the drivers' locks, but not the threads that hold them
         return _Uninterrupted(self._count, context, _begin, (self._count,))
 
     def end(self, executor: Executor, *, hangs: bool) -> None:
-        """See `Workers`; the processes end with it, and the next executor has others."""
+        """Drop all that the executor has to do; the processes end with it, and the next executor has others."""
         del hangs
         for process in multiprocessing.active_children():
             process.kill()
@@ -101,22 +81,22 @@ class DaskWorkers:
         self._client, self._hung = client, set[str]()
 
     def deaths(self) -> tuple[type[BaseException], ...]:
-        """See `Workers`."""
+        """See `LocalWorkers`."""
         return (CancelledError, require("distributed", "cluster").KilledWorker)
 
     def count(self) -> int:
-        """See `Workers`."""
+        """See `LocalWorkers`."""
         return max(1, len(self._names()))
 
     def start(self) -> Executor:
-        """See `Workers`."""
+        """See `LocalWorkers`."""
         names = self._names()
         if not names:
             raise InputError("--cluster: no worker is left; --resume goes on")
         return self._client.get_executor(pure=False, **({"workers": names} if self._hung else {}))
 
     def end(self, executor: Executor, *, hangs: bool) -> None:
-        """See `Workers`; a chunk that a worker has begun it computes to its end."""
+        """Likewise; ``hangs``: workers with something to do never answer. One that does not hang computes its chunk to the end."""
         if hangs:
             self._hung |= {name for name, keys in self._client.processing().items() if keys}
         executor.shutdown(wait=False)
@@ -126,6 +106,10 @@ class DaskWorkers:
             return [name for name in self._client.scheduler_info(n_workers=-1)["workers"] if name not in self._hung]
         except (OSError, ValueError) as error:
             raise InputError(f"--cluster: the scheduler is gone: {error}; --resume goes on") from error
+
+
+Workers = LocalWorkers | DaskWorkers
+"""The workers of an address, as one executor at a time."""
 
 
 @contextmanager

@@ -93,7 +93,7 @@ class OpenCLBackend:
 
     method, accumulates = NETWORK, False
 
-    def __init__(self, weights: Weights, options: ComputeOptions, gather: Gather, tell: Callable[[str], None]):
+    def __init__(self, weights: Weights, options: ComputeOptions, tell: Callable[[str], None]):
         self._alone = Lock()
         # Imported here, so that the OpenCL library is opened only by commands that use it.
         from stss.devices.selection import choose
@@ -103,7 +103,7 @@ class OpenCLBackend:
         device = choose(options.device, tell)
         if options.precision == "bfloat16" and (why := emulated(device)):
             tell(f"bfloat16: {why}; emulated, which is slow")
-        self._stream = Stream(weights, device, options.precision, gather, options.memory_limit, options.skip)
+        self._stream = Stream(weights, device, options.precision, memory_limit=options.memory_limit, skip=options.skip)
         named = "" if device.kind.lower() == device.device_class else f" as {device.device_class}"
         self.name = f"cl {options.precision} on {device.name}{named}, {device.driver}"
 
@@ -129,7 +129,6 @@ def open_backend(
     weights: str | Weights | LoadedWeights,
     options: ComputeOptions = DEFAULTS,
     *,
-    gather: Gather = "longest",
     tell: Callable[[str], None] = lambda line: None,
 ) -> Backend:
     """Open a backend by its name.
@@ -138,7 +137,6 @@ def open_backend(
         name: one of ``BACKENDS``.
         weights: loaded, or what `stss.weights.file.load` takes.
         options: device, precision, memory limit and skipping.
-        gather: how the motion chain reads between pixels.
         tell: called with lines for the user, such as that a self-test is being run.
 
     Raises:
@@ -150,7 +148,7 @@ def open_backend(
     weights = load(weights) if isinstance(weights, str) else weights
     weights = weights.weights if isinstance(weights, LoadedWeights) else weights
     if name == "cl":
-        return OpenCLBackend(weights, options, gather, tell)
+        return OpenCLBackend(weights, options, tell)
     if options.device is not None or options.precision != "float32":
         raise InputError("backend ref: expected neither a device nor another precision than float32")
-    return ReferenceBackend(weights, gather)
+    return ReferenceBackend(weights)

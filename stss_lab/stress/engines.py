@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -20,32 +20,8 @@ LARGEST = np.float32(65504)
 """Half's largest number; larger values are stored as this."""
 
 
-class Engine(Protocol):
-    """One way to compute a stage.
-
-    Attributes:
-        name: its name in the tables.
-        dtype: ``float32``, ``float16`` or ``bfloat16``: the type that its numbers are rounded to, which gives the unit of its errors.
-    """
-
-    name: str
-    dtype: str
-
-    def stages(self) -> tuple[str, ...]:
-        """The stages that it computes; image-space stages have no precisions."""
-        ...
-
-    def run(self, stage: str, inputs: Arrays, weights: Weights) -> Outputs:
-        """Compute a stage for float32 inputs; outputs have the names of the stage table."""
-        ...
-
-    def features(self, inputs: Arrays, weights: Weights) -> dict[str, Array]:
-        """``x1``, ``x2``, ``x3``, ``x4``, ``feature``, ``reshaded`` and ``image`` of stage ``network``, each with all errors before it."""
-        ...
-
-
 def features_of(inputs: Arrays, weights: Weights) -> dict[str, Array]:
-    """The reference's features on the way to the image, in the dtype of the inputs; see ``Engine.features``."""
+    """The reference's features on the way to the image, in the dtype of the inputs."""
     frame = {name: inputs[name] for name in ("color", "gbuffer", "mask")}
     x: dict[str, Any] = reference("encoder", frame, weights)
     x |= reference("history", {"history": inputs["history"]}, weights)
@@ -55,22 +31,27 @@ def features_of(inputs: Arrays, weights: Weights) -> dict[str, Array]:
 
 
 class ReferenceEngine:
-    """``stss_ref`` in float32."""
+    """``stss_ref`` in float32.
+
+    Attributes:
+        name: its name in the tables.
+        dtype: ``float32``, ``float16`` or ``bfloat16``: the type that its numbers are rounded to, which gives the unit of its errors.
+    """
 
     name = "ref"
     dtype = "float32"
 
     def stages(self) -> tuple[str, ...]:
-        """See ``Engine``."""
+        """The stages that it computes; image-space stages have no precisions."""
         return (*NETWORK, *IMAGE)
 
     def run(self, stage: str, inputs: Arrays, weights: Weights) -> Outputs:
-        """See ``Engine``."""
+        """Compute a stage for float32 inputs; outputs have the names of the stage table."""
         with np.errstate(over="ignore", invalid="ignore"):
             return reference(stage, inputs, weights)
 
     def features(self, inputs: Arrays, weights: Weights) -> dict[str, Array]:
-        """See ``Engine``."""
+        """``x1``, ``x2``, ``x3``, ``x4``, ``feature``, ``reshaded`` and ``image`` of stage ``network``, each with all errors before it."""
         return features_of(inputs, weights)
 
 
@@ -85,11 +66,11 @@ class OpenCLEngine:
         self._network: Any = None
 
     def stages(self) -> tuple[str, ...]:
-        """See ``Engine``."""
+        """See `ReferenceEngine`."""
         return (*NETWORK, *IMAGE) if self._precision == "float32" else NETWORK
 
     def run(self, stage: str, inputs: Arrays, weights: Weights) -> Outputs:
-        """See ``Engine``."""
+        """See `ReferenceEngine`."""
         from stss_cl.image_space.stages import ImageStages
 
         if stage in IMAGE:
@@ -104,7 +85,7 @@ class OpenCLEngine:
         return network.layers(height, width).run_stage(stage, inputs)
 
     def features(self, inputs: Arrays, weights: Weights) -> dict[str, Array]:
-        """See ``Engine``."""
+        """See `ReferenceEngine`."""
         from stss_cl.device.buffers import read
 
         image = self.run("network", inputs, weights)
@@ -121,3 +102,7 @@ class OpenCLEngine:
             self._network = Network(weights, self._device, self._precision)  # pyright: ignore[reportArgumentType]
             self._weights = weights
         return self._network
+
+
+Engine = ReferenceEngine | OpenCLEngine
+"""One way to compute a stage."""

@@ -36,11 +36,6 @@ class StressTable:
     columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
 
-    def column(self, name: str) -> tuple[float, ...]:
-        """The numbers of a column; NaN for other cells."""
-        at = self.columns.index(name)
-        return tuple(_number(row[at]) for row in self.rows)
-
 
 def short(number: float) -> str:
     """Two or three significant digits, without an exponent where that is not longer."""
@@ -50,10 +45,6 @@ def short(number: float) -> str:
         return np.format_float_positional(number, precision=3 if abs(number) >= 100 else 2, fractional=False, trim="-")
     mantissa, exponent = f"{number:.1e}".split("e")
     return f"{mantissa.removesuffix('.0')}e{int(exponent)}"
-
-
-def _number(cell: Cell) -> float:
-    return float(cell) if isinstance(cell, int | float) else float("nan")
 
 
 @dataclass(frozen=True)

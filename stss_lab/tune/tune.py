@@ -15,7 +15,7 @@ from rich.table import Table
 
 from stss.devices.selection import choose
 from stss_cl.device.discovery import Device, DeviceError, Properties, matching
-from stss_cl.device.tuning import OUTPUTS, Direct, Local, Tuning, Winograd, built_in, read_tuning, store, stored_path, to_toml
+from stss_cl.device.tuning import OUTPUTS, Direct, Local, Tuning, Winograd, built_in, read_tuning, store
 from stss_ground.progress import show_steps
 from stss_lab.tune.tile_timing import SHAPES, Sizes, Trials, direct_candidates, local_candidates, winograd_candidates
 
@@ -112,35 +112,21 @@ def tune(
     return row, trials, [*lines, local, kernel]
 
 
-def run(name: str | None, size: tuple[int, int], *, show: bool, console: Console, told: Console) -> None:
+def run(name: str | None, size: tuple[int, int], *, console: Console, told: Console) -> None:
     """Run the command.
 
     Args:
         name: part of the device's name; None: as for `stss.devices.selection.choose`.
         size: (height, width) of the frames.
-        show: print the row in use and time nothing.
         console: for the results.
         told: for everything else: progress, rows that are removed.
 
     Raises:
-        DeviceError: there is no such device, or with ``show`` its stored row is wrong.
+        DeviceError: there is no such device.
     """
     tell = partial(told.print, markup=False, highlight=False, soft_wrap=True)
-    if not show:
-        _drop_wrong_rows(name, tell)
+    _drop_wrong_rows(name, tell)
     device = choose(name, tell)
-    if show:
-        row = read_tuning(device)
-        source = f"stored in {stored_path(device)}" if row else "built-in"
-        console.print(
-            f"# {device.name}, {device.driver}: {source}",
-            to_toml(row or built_in(device)),
-            sep="\n",
-            markup=False,
-            highlight=False,
-            soft_wrap=True,
-        )
-        return
     with show_steps(told, len(SHAPES)) as begin:
         found, trials, lines = tune(device, size, begin)
     print_lines(lines, console)

@@ -12,7 +12,7 @@ def test_threads_that_share_a_backend_take_turns(monkeypatch):
     inside, most = [], []
 
     class Stream:
-        def __init__(self, *_):
+        def __init__(self, *_, **__):
             pass
 
         def __call__(self, window, steps):
@@ -28,7 +28,7 @@ def test_threads_that_share_a_backend_take_turns(monkeypatch):
     device = SimpleNamespace(kind="CPU", device_class="cpu", name="n", driver="d")
     monkeypatch.setattr("stss.devices.selection.choose", lambda *_: device)
     monkeypatch.setattr("stss_cl.skip.stream.Stream", Stream)
-    backend = OpenCLBackend({}, ComputeOptions(), "longest", print)
+    backend = OpenCLBackend({}, ComputeOptions(), print)
     with ThreadPoolExecutor(3) as threads:
         threads.submit(backend.expect, "size")
         assert list(threads.map(lambda n: backend.compute([n], (0, 0, 0)), range(9))) == [[n] for n in range(9)]

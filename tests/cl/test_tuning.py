@@ -22,7 +22,6 @@ from stss_cl.device.tuning import (
     read_tuning,
     store,
     stored_path,
-    to_toml,
     tuning_for,
 )
 from stss_cl.network.tiles import whole
@@ -208,10 +207,10 @@ def test_rows_of_pixels_are_taken_where_they_are_faster(monkeypatch, seconds, ro
     assert (local and local.rows) == rows
 
 
-def run(device, monkeypatch, **kwargs):
+def run(device, monkeypatch):
     monkeypatch.setattr(tune, "choose", lambda name, tell: device)
     out, told = (Console(file=io.StringIO(), width=200, force_terminal=terminal) for terminal in (False, True))
-    tune.run(None, (32, 32), console=out, told=told, **{"show": False, **kwargs})
+    tune.run(None, (32, 32), console=out, told=told)
     return out.file.getvalue(), told.file.getvalue()
 
 
@@ -224,8 +223,6 @@ def test_the_command_on_a_device(device, monkeypatch):
     assert "winograd 24" in out
     assert "4/4" in told
     assert (read_tuning(device) is not None) == ("stored: " in out)
-    shown, _ = run(device, monkeypatch, show=True)
-    assert to_toml(tuning_for(device)) in shown
 
 
 def test_a_wrong_row_is_replaced(device, monkeypatch):
