@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -139,3 +140,31 @@ def test_the_judge_alone_judges(judge, tmp_path):
     assert conform("--port", "ours:Port", "--replay", kept).returncode == 0
     places = python(judge[1], tmp_path, "import conformance, stss_ref; print(conformance.__file__, stss_ref.__file__)").stdout
     assert places.split() == [str(judge[1] / place / "__init__.py") for place in ("stss_judge/conformance", "stss_ref")]
+
+
+TARGETS = {
+    "x86_64-manylinux_2_28": "",
+    "aarch64-manylinux_2_28": "",
+    "aarch64-apple-darwin": "",
+    "x86_64-apple-darwin": "",
+    "x86_64-pc-windows-msvc": "",
+    "x86_64-unknown-linux-musl": "openimageio",  # it has no wheels for musl
+}
+"""Platform -> the requirement that has no wheel there."""
+
+
+def test_all_that_stss_needs_has_wheels():
+    """On every platform but those that lack one, which is named."""
+    uv = shutil.which("uv", path=str(Path(sys.executable).parent)) or shutil.which("uv")
+    if uv is None or "CI" not in os.environ:
+        pytest.skip("asks the package index for a minute, with uv, where CI is set")
+    command = [uv, "pip", "compile", "--quiet", "--only-binary", ":all:", "--python-version", "3.12", "pyproject.toml"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    asked = {target: subprocess.Popen([*command, "--python-platform", target], cwd=ROOT, **pipes) for target in TARGETS}
+    answers = {target: (process.communicate(timeout=300), process.returncode) for target, process in asked.items()}
+    if any("Failed to fetch" in said for (_, said), _ in answers.values()):
+        pytest.skip("the package index is not reached")
+    for target, ((found, said), status) in answers.items():
+        assert bool(status) == bool(TARGETS[target]), said
+        assert f"{TARGETS[target]}>=" in said or not status
+        assert status or ("pocl-binary-distribution" in found) == (target == "x86_64-manylinux_2_28")
