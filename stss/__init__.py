@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from stss.frames import Buffers, Supersampler, open_backend
+    from stss.frames import Buffers, Supersampler, open_backend, supersample
     from stss.frames import check_buffers as check
     from stss.sequence import convert, load_profile, open_sequence
     from stss.weights import load as load_weights
@@ -20,6 +20,7 @@ __all__ = [
     "load_weights",
     "open_backend",
     "open_sequence",
+    "supersample",
 ]
 
 _HOMES = {
@@ -31,6 +32,7 @@ _HOMES = {
     "load_weights": ("stss.weights", "load"),
     "open_backend": ("stss.frames", "open_backend"),
     "open_sequence": ("stss.sequence", "open_sequence"),
+    "supersample": ("stss.frames", "supersample"),
 }
 
 

@@ -130,6 +130,12 @@ def test_other_planes_are_carried():
         assert difference.max() <= 2**-21, output.kind  # roundings of two bilinear means
 
 
+def test_supersample_is_the_loop_over_an_open_backend():
+    backend = stss.open_backend("ref", "bilinear")
+    made, looped = (list(run(frames(3))) for run in (lambda f: stss.supersample(f, backend), stss.Supersampler(backend=backend)))
+    assert [(a.image == b.image).all() for a, b in zip(made, looped, strict=True)] == [True] * 3
+
+
 def test_conventions_of_an_engine():
     """Motion in NDC with y up and positions in metres give what pixels and centimetres give."""
     buffers = next(frames(1))
