@@ -29,7 +29,7 @@ SOON = 30
 def _no_thread_is_left():
     before = set(threading.enumerate())
     yield
-    assert set(threading.enumerate()) == before
+    assert set(threading.enumerate()) <= before  # a bar of the test before may still be ending
 
 
 class Steps:
