@@ -82,17 +82,24 @@ class OpenCLEngine:
             return {"image": network(*(inputs[name] for name in ("color", "gbuffer", "mask", "history")))}
         like = {"history": "history", "encoder": "color", "erm": "gbuffer", "decoder": "color"}[stage]
         height, width = inputs[like].shape[-3:-1]
-        return network.layers(height, width).run_stage(stage, inputs)
+        return self._layers(height, width).run_stage(stage, inputs)
 
     def features(self, inputs: Arrays, weights: Weights) -> dict[str, Array]:
         """See `ReferenceEngine`."""
         from stss_cl.device.buffers import read
 
-        image = self.run("network", inputs, weights)
-        buffers = self._network.layers(*inputs["mask"].shape).features
+        self._for(weights)
+        layers = self._layers(*inputs["mask"].shape)
+        image, buffers = layers.run_stage("network", inputs), layers.features
         places = {"x1": ("x1", 0, 24), "x2": ("x2", 0, 24), "x3": ("x3", 0, 32), "x4": ("x4", 0, 32)}
         places |= {"feature": ("reshaded", 64, 32), "reshaded": ("reshaded", 0, 64)}
         return {n: read(self._device, buffers[buffer], first, count) for n, (buffer, first, count) in places.items()} | image
+
+    def _layers(self, height: int, width: int) -> Any:
+        """Those of the last weights, with the ones too that the image does not need."""
+        from stss_cl.network.layers import Layers
+
+        return Layers(self._device, self._weights, height, width, self._precision, every=True)  # pyright: ignore[reportArgumentType]
 
     def _for(self, weights: Weights) -> Any:
         from stss_cl.network.network import Network

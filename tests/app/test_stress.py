@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from stss.weights.file import load
 from stss_ground.errors import InputError
 from stss_lab.command_stress import stress_command
 from stss_lab.stress.engines import OpenCLEngine, ReferenceEngine
@@ -44,6 +45,9 @@ def test_the_backend_is_measured_in_each_of_its_precisions():
     assert features["image"].shape == (16, 32, 3)
     large = engine.run("decoder", scaled("decoder", INPUTS["decoder"], 1e6), WEIGHTS)
     assert np.isfinite(large["image"]).all()
+    pruned = load("realtime").weights
+    assert {*engine.run("erm", INPUTS["erm"], pruned)} == {"reshaded"}, "the image needs none"
+    assert {*engine.features(INPUTS["network"], pruned)} == {*features}
 
 
 def test_the_command_measures_every_table_without_a_device():
