@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stss.frames.buffers import Buffers
-from stss_ref.arrays import Image, Mask
+from stss_ref.arrays import Image
 from stss_ref.warp import warp
 
 MOVING = 0.25
@@ -17,9 +17,7 @@ MOVING = 0.25
 MIN_PIXELS = 200
 """Fewest pixels that must tell the choices apart."""
 VISIBLE = 1e-3
-"""A pixel tells choices apart when their errors differ by this share of the buffer's largest value."""
-GUIDES = ("base colour and normal", "colour", "position")
-"""Buffers to warp. The first is free of shading; the second needs both frames rendered; the third needs a scene that stands still."""
+"""A pixel tells choices apart when their errors differ by this share of the largest value."""
 MARGIN = 0.8
 """Another choice is better when its error is below this share of the profile's."""
 
@@ -39,17 +37,15 @@ CHOSEN = next(iter(CHOICES))
 
 @dataclass(frozen=True)
 class ConventionVerdict:
-    """The errors of the frame before, warped under each choice.
+    """The errors of base colour and normal of the frame before, warped under each choice: they are free of shading.
 
     Attributes:
-        guides: the buffers that were compared; none where no pixel tells the choices apart.
-        pixels: how many pixels told them apart.
-        errors: choice -> median absolute difference over those pixels, relative to the buffer's largest value.
+        pixels: how many pixels told the choices apart; 0: too few.
+        errors: choice -> median absolute difference over those pixels, relative to the largest value.
         ratios: choice -> its median error divided by the profile's, over the pixels where the two differ; choices that
             differ at too few pixels are left out.
     """
 
-    guides: tuple[str, ...]
     pixels: int
     errors: dict[str, float]
     ratios: dict[str, float]
@@ -63,16 +59,10 @@ class ConventionVerdict:
 
 def judge_motion(pairs: Iterable[tuple[Buffers, Buffers]]) -> ConventionVerdict:
     """Compare the eight choices over pairs of neighbouring frames (t - 1, t), one pair in memory at a time."""
-    told: list[tuple[str, Image]] = []
-    for before, now in pairs:
-        for guide in GUIDES:
-            samples = _differences(before, now, guide)
-            if len(samples) >= MIN_PIXELS:
-                told.append((guide, samples))
-                break
+    told = [samples for before, now in pairs if len(samples := _differences(before, now)) >= MIN_PIXELS]
     if not told:
-        return ConventionVerdict((), 0, {}, {})
-    together = np.concatenate([samples for _, samples in told])
+        return ConventionVerdict(0, {}, {})
+    together = np.concatenate(told)
     errors = {name: float(error) for name, error in zip(CHOICES, np.median(together, axis=0), strict=True)}
     ratios: dict[str, float] = {}
     for choice, error in zip(CHOICES, together.T, strict=True):
@@ -80,18 +70,14 @@ def judge_motion(pairs: Iterable[tuple[Buffers, Buffers]]) -> ConventionVerdict:
         if differ.sum() >= MIN_PIXELS:
             medians = np.median(error[differ]), np.median(together[differ, 0])
             ratios[choice] = float(medians[0] / max(medians[1], VISIBLE * VISIBLE))
-    return ConventionVerdict(tuple(dict.fromkeys(guide for guide, _ in told)), len(together), errors, ratios)
+    return ConventionVerdict(len(together), errors, ratios)
 
 
-def _differences(before: Buffers, now: Buffers, guide: str) -> Image:
+def _differences(before: Buffers, now: Buffers) -> Image:
     """(pixels, choices): mean absolute difference at the pixels that move and tell the choices apart."""
-    nothing = np.zeros((0, len(CHOICES)), dtype=np.float32)
-    images = _images(before, now, guide)
-    if images is None:
-        return nothing
-    earlier, current, usable = images
+    earlier, current = (np.concatenate([frame.base_color, frame.normal], axis=-1) for frame in (before, now))
     with np.errstate(over="ignore", invalid="ignore"):
-        usable &= np.isfinite(now.depth) & (np.sqrt((now.motion.astype(np.float64) ** 2).sum(axis=-1)) > MOVING)
+        usable = np.isfinite(now.depth) & (np.sqrt((now.motion.astype(np.float64) ** 2).sum(axis=-1)) > MOVING)
     errors: list[Image] = []
     for swap, x, y in CHOICES.values():
         motion = (now.motion[..., ::-1] if swap else now.motion) * np.array((x, y), dtype=np.float32)
@@ -99,20 +85,6 @@ def _differences(before: Buffers, now: Buffers, guide: str) -> Image:
         usable &= inside
         errors.append(np.abs(warped - current).mean(axis=-1))
     if not usable.any():
-        return nothing
+        return np.zeros((0, len(CHOICES)), dtype=np.float32)
     stack = np.stack(errors, axis=-1)[usable] / np.abs(current[usable]).max()
     return stack[np.ptp(stack, axis=-1) > VISIBLE]
-
-
-def _images(before: Buffers, now: Buffers, guide: str) -> tuple[Image, Image, Mask] | None:
-    everywhere = np.ones(now.size, dtype=np.bool_)
-    if guide == "colour":
-        return None if before.color is None or now.color is None else (before.color, now.color, everywhere)
-    if guide == "position":
-        usable = (now.stencil == 0) & np.isfinite(now.position).all(axis=-1)
-        return np.nan_to_num(before.position), np.nan_to_num(now.position), usable
-    return (
-        np.concatenate([before.base_color, before.normal], axis=-1),
-        np.concatenate([now.base_color, now.normal], axis=-1),
-        everywhere,
-    )

@@ -19,9 +19,8 @@ from rich.table import Table
 
 from stss.check_sequence.alignment import alignment_lines
 from stss.check_sequence.camera import camera_lines
-from stss.check_sequence.jitter import judge_jitter
 from stss.check_sequence.motion_convention import judge_motion
-from stss.check_sequence.static_positions import judge_positions, repetition_lines
+from stss.check_sequence.static_positions import judge_static_geometry
 from stss.check_sequence.value_statistics import Level, Values, motion_lines
 from stss.images.headers import read_header
 from stss.sequence.antialiasing import judge_sampling
@@ -37,7 +36,7 @@ from stss_ground.terminal import printable
 
 PAIRS = 3
 """Number of pairs of neighbouring frames that are read."""
-LOOKS = 7
+LOOKS = 5
 """Steps of looking at pixels, each of which reads the pairs."""
 LISTED = 8
 """Most frame numbers that a line lists."""
@@ -241,27 +240,21 @@ def _pixels(
     begin("motion")
     verdict = judge_motion((sequence.load(a), sequence.load(b)) for a, b in chosen)
     tables["reprojection"] = dataclasses.asdict(verdict)
-    begin("jitter")
-    jitter = judge_jitter((sequence.load(a), sequence.load(b)) for a, b in chosen)
-    tables["jitter"] = dataclasses.asdict(jitter)
     begin("positions")
-    positions = judge_positions((sequence.load(a), sequence.load(b)) for a, b in chosen)
-    tables["positions"] = None if positions is None else dataclasses.asdict(positions)
+    found = judge_static_geometry((sequence.load(a), sequence.load(b)) for a, b in chosen)
+    tables |= dataclasses.asdict(found)
     begin("values")
     values = Values()
     for number in sorted({n for pair in chosen for n in pair}) or usable[:1]:
         values.add(sequence, number)
     tables["values"] = values.table()
     lines = [*motion_lines(verdict, sequence.profile.name), *values.lines(sequence, non_finite)]
-    begin("repetitions")
-    lines += camera_lines(sequence, usable[0]) if usable else []
-    lines += repetition_lines((sequence.load(a), sequence.load(b)) for a, b in chosen)
-    lines += [] if positions is None else positions.lines()
+    lines += [*(camera_lines(sequence, usable[0]) if usable else []), *found.lines()]
     rendered = [n for n in sorted(sequence.rendered) if n in usable]
     begin("colours")
     shown = rendered[1 :: max(1, len(rendered) // PAIRS)]
     lines += alignment_lines(map(sequence.load, shown), linear=sequence.profile.color_domain == "linear")
-    return [CheckFinding(level, text) for level, text in lines] + [CheckFinding("warning", text) for text in jitter.lines]
+    return [CheckFinding(level, text) for level, text in lines]
 
 
 def print_report(report: CheckReport, console: Console) -> None:

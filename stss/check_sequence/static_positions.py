@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stss.check_sequence.jitter import ALIKE, Jitter, common_shift
 from stss.check_sequence.projection import Projection, solve_projection
 from stss.check_sequence.value_statistics import Line
 from stss.frames.buffers import Buffers
@@ -110,30 +111,74 @@ class StaticVerdict:
         return lines
 
 
-def judge_positions(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticVerdict | None:
-    """Look at pairs of neighbouring frames (t - 1, t), one in memory at a time; None where no pair shows enough of what stands still."""
+@dataclass(frozen=True)
+class StaticGeometry:
+    """What static geometry says.
+
+    Attributes:
+        positions: what its positions say; None where no pair shows enough of what stands still.
+        jitter: of the camera.
+        repeated: frames with the positions of the frame before, though something moves.
+    """
+
+    positions: StaticVerdict | None
+    jitter: Jitter
+    repeated: tuple[int, ...]
+
+    def lines(self) -> list[Line]:
+        """Findings."""
+        repeated = f"position: in frames {', '.join(map(str, self.repeated))} that of the frame before, again"
+        return [
+            *([("warning", f"{repeated}; every display frame needs a G-buffer of its own")] if self.repeated else []),
+            *([] if self.positions is None else self.positions.lines()),
+            *(("warning", text) for text in self.jitter.lines),
+        ]
+
+
+def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeometry:
+    """Look at pairs of neighbouring frames (t - 1, t), one in memory at a time."""
     found: list[tuple[Array, ...]] = []
     single: list[tuple[float, float, float, float, float]] = []
+    against: list[tuple[float, float]] = []
+    within: list[tuple[float, float]] = []
+    repeated: list[int] = []
     size, mirrored = (0, 0), None
     for before, now in pairs:
-        earlier, current = (solve_projection(f.position, _static(f)) for f in (before, now))
-        if _is_repeated(before, now) or earlier is None or current is None:
+        size = now.size
+        still = (now.stencil == 0) & np.isfinite(now.depth) & np.isfinite(now.motion).all(axis=-1)
+        if (shift := common_shift(now.motion[still].astype(np.float64), share=ALIKE)) is not None:
+            within.append(shift)
+        if _is_repeated(before, now):
+            repeated.append(now.number)
             continue
-        size, mirrored = now.size, current.mirrored
-        static = _static(now) & np.isfinite(now.motion).all(axis=-1)
+        earlier, current = (solve_projection(f.position, _static(f)) for f in (before, now))
+        if earlier is None or current is None:
+            continue
+        static = still & _static(now)
         there, away = earlier.project(now.position[static].astype(np.float64))
         kept = (away > 0) & (there >= 0).all(axis=-1) & (there <= (size[1] - 1, size[0] - 1)).all(axis=-1)
         if not kept.any():
             continue
-        here = np.argwhere(static)[kept, ::-1]
+        mirrored, here = current.mirrored, np.argwhere(static)[kept, ::-1]
         stored = [motion[static].astype(np.float64)[kept] for motion in (now.motion, np.nan_to_num(now.motion[::-1]))]
         found.append((there[kept] - here, *stored))
+        if (shift := common_shift(there[kept] - here - stored[0])) is not None:
+            against.append(shift)
         surfaces = before.stencil, now.stencil, before.normal, now.normal, before.position, now.position
         valid, inside = holes(now.motion, *surfaces, now.nov, now.depth), leads_inside(follow(now.motion))
         share = static_holes(np.where(inside, now.stencil, 1), now.normal, valid) or 0.0
         single.append((max(earlier.residual, current.residual), _depth(now, current), *_normals(now), share))
-    if not found:
-        return None
+    positions = _verdict(found, single, size, mirrored=mirrored) if found else None
+    return StaticGeometry(positions, Jitter(tuple(against), tuple(within)), tuple(repeated))
+
+
+def _verdict(
+    found: list[tuple[Array, ...]],
+    single: list[tuple[float, float, float, float, float]],
+    size: tuple[int, int],
+    *,
+    mirrored: bool | None,
+) -> StaticVerdict:
     true, stored, reversed_rows = (np.concatenate(of) for of in zip(*found, strict=True))
     residual, depth, along, turned, share = (float(np.median(of)) for of in zip(*single, strict=True))
     errors = {what: _error(true, guess) for what, guess in _guesses(stored, reversed_rows, size, mirrored=mirrored).items()}
@@ -147,15 +192,6 @@ def judge_positions(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticVerdict |
     if moves <= 3 * residual and claims > MOVES:
         best, tells = "right if positions are the camera's: are they in view space?", True
     return StaticVerdict(len(true), residual, own, best if tells else "", fit, depth, (along, turned), share)
-
-
-def repetition_lines(pairs: Iterable[tuple[Buffers, Buffers]]) -> list[Line]:
-    """A finding where frames have the positions of the frame before, and yet something moves."""
-    found = [str(now.number) for before, now in pairs if _is_repeated(before, now)]
-    text = (
-        f"position: in frames {', '.join(found)} that of the frame before, again; every display frame needs a G-buffer of its own"
-    )
-    return [("warning", text)] if found else []
 
 
 def _is_repeated(before: Buffers, now: Buffers) -> bool:

@@ -26,9 +26,9 @@ FINE = 1 / 8
 
 def motion_lines(verdict: ConventionVerdict, profile: str) -> list[Line]:
     """Findings about the profile's motion convention, from the warped frames."""
-    if not verdict.guides:
+    if not verdict.pixels:
         return [("note", "motion: cannot tell whether its signs are right; too little moves, or nothing has texture")]
-    compared = f"{', '.join(verdict.guides)} of the frame before, warped, over {verdict.pixels} pixels"
+    compared = f"base colour and normal of the frame before, warped, over {verdict.pixels} pixels"
     if verdict.better is None:
         return [("note", f"motion: fits as profile {profile} says ({compared}: {verdict.errors[CHOSEN]:.4f})")]
     times = 1 / max(verdict.ratios[verdict.better], 1e-3)

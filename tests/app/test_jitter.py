@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from conformance.scenes import DEMO, render
-from stss.check_sequence.jitter import judge_jitter
 from stss.check_sequence.report import check
+from stss.check_sequence.static_positions import judge_static_geometry
 from stss.frames.buffers import Buffers
 
 SIZE = (60, 96)
@@ -52,7 +52,7 @@ def shaken_by(camera):
 
 @pytest.mark.parametrize("moving", [False, True])
 def test_a_sound_camera_is_not_accused(moving):
-    assert judge_jitter(frames(jittered=False, moving=moving)).lines == []
+    assert judge_static_geometry(frames(jittered=False, moving=moving)).jitter.lines == []
 
 
 def test_a_jitter_that_motion_has_is_found_where_the_camera_stands():
@@ -62,7 +62,7 @@ def test_a_jitter_that_motion_has_is_found_where_the_camera_stands():
         (before, replace(now, motion=now.motion - offset))
         for (before, now), offset in zip(frames(jittered=False, moving=False), offsets, strict=True)
     ]
-    found = judge_jitter(pairs)
+    found = judge_static_geometry(pairs).jitter
     assert np.abs(np.array(found.in_motion) + offsets).max() < 1e-3
     assert any("all static geometry moves alike" in line for line in found.lines)
 
