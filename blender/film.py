@@ -19,7 +19,7 @@ GBUFFER_SAMPLES = 4
 """Samples of frames that are not rendered: base colour and normals need few, light needs none."""
 HARMLESS = {
     "--backend", "--cuts", "--depth", "--device", "--format", "--frames", "--keep-going", "--memory-limit",
-    "--metallic", "--non-finite", "--planes", "--precision", "--roughness", "--skip", "--transfer", "--weights",
+    "--metallic", "--non-finite", "--precision", "--roughness", "--skip", "--transfer", "--weights",
 }  # fmt: skip
 """Options of ``stss run`` that a scene of somebody else may name, if they name no path: they read and write no further file."""
 MARK = "stss-film"

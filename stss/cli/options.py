@@ -11,7 +11,6 @@ import click
 
 from stss.frames.backends import BACKENDS
 from stss.frames.compute_options import PRECISIONS, SKIPS, ComputeOptions, Precision, Skip
-from stss.frames.display_frame import PLANE_TYPES
 from stss.images.color import TRANSFERS
 from stss.images.headers import MAX_SIDE
 from stss.sequence.choose_weights import AUTO
@@ -110,13 +109,6 @@ def frame_options(command: Command) -> Command:
             "  [default: srgb for scene-linear files, none for display-referred ones]",
         ),
         click.option("--depth", type=click.Choice(["clip", "scale"]), help="How depth is normalised  [default: the profile's]"),
-        click.option(
-            "--planes",
-            type=click.Choice(PLANE_TYPES),
-            default="float32",
-            show_default=True,
-            help="half: colour, G-buffer, NoV and stencil are rounded to half, so that fewer bytes go to a GPU.",
-        ),
     )
     return grouped("The frames", *options)(command)
 

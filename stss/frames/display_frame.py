@@ -5,8 +5,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -17,10 +16,6 @@ from stss_ref.arrays import Array, Image, Mask, Plane
 from stss_ref.depth import DepthMode, normalise_depth
 from stss_ref.frame import FrameInputs
 
-PlaneType = Literal["float32", "half"]
-PLANE_TYPES: tuple[PlaneType, ...] = get_args(PlaneType)
-HALF = ("color", "gbuffer", "nov", "stencil")
-"""Planes that may be float16."""
 WINDOW = 6
 """An output depends on its own display frame and on the five before it, and on nothing else."""
 
@@ -30,8 +25,8 @@ class DisplayFrame:
     """A display frame as stage ``frame`` takes it, made once and used by up to six outputs.
 
     ``color`` (H, W, 3) display-referred or None, ``motion`` (H, W, 2), ``gbuffer`` (H, W, 9), ``nov`` and ``stencil`` (H, W),
-    ``position`` (H, W, 3) in cm; float32, or some of them float16 (``halve``). ``carried``: planes (H, W, C) of a rendered frame that pass
-    the network by, see `stss.frames.carry`.
+    ``position`` (H, W, 3) in cm; float32, or float16 but for motion and position. ``carried``: planes (H, W, C) of a rendered frame
+    that pass the network by, see `stss.frames.carry`.
     """
 
     number: int
@@ -44,10 +39,8 @@ class DisplayFrame:
     carried: Mapping[str, Image] = field(default_factory=dict[str, Image])
 
 
-def prepare(
-    buffers: Buffers, to_display: Transfer, depth: DepthMode, dtype: PlaneType = "float32", *, copy: bool = True
-) -> DisplayFrame:
-    """Make a display frame: colour through the transfer, depth normalised to [0, 1], G-buffer stacked; with "half" then ``halve``.
+def prepare(buffers: Buffers, to_display: Transfer, depth: DepthMode, *, copy: bool = True) -> DisplayFrame:
+    """Make a display frame: colour through the transfer, depth normalised to [0, 1], G-buffer stacked.
 
     ``copy`` False: motion, NoV, stencil and position stay the caller's arrays where they are float32; the caller must not write to them
     while the frame is in use.
@@ -63,7 +56,7 @@ def prepare(
         buffers.metallic[..., None],
         buffers.base_color,
     ]
-    made = DisplayFrame(
+    return DisplayFrame(
         number=buffers.number,
         color=None if buffers.color is None else to_display.encode(buffers.color),
         motion=own(buffers.motion),
@@ -73,32 +66,12 @@ def prepare(
         position=own(buffers.position),
         carried={} if buffers.color is None else _carried(buffers, buffers.color, to_display),
     )
-    return made if dtype == "float32" else halve(made)
 
 
 def _carried(buffers: Buffers, color: Image, to_display: Transfer) -> dict[str, Image]:
     planes = {name: np.array(plane, np.float32) for name, plane in buffers.carried.items()}
     above = highlights(color) if to_display.clips else None
     return planes if above is None else {**planes, HIGHLIGHTS: above}
-
-
-def halve(frame: DisplayFrame) -> DisplayFrame:
-    """The frame with colour, G-buffer, NoV and stencil rounded to float16, nearest even.
-
-    Motion and position stay float32: a motion of 16 pixels would have steps of 1/64 pixel, a position of 1000 cm steps of 0.5 cm. So
-    does a plane with a value that is not finite in half, or a stencil with a number that half does not have.
-    """
-    planes = {name: getattr(frame, name) for name in HALF}
-    return replace(
-        frame, **{name: _halved(plane, exact=name == "stencil") for name, plane in planes.items() if plane is not None}
-    )
-
-
-def _halved(plane: Array, *, exact: bool) -> Array:
-    with np.errstate(over="ignore"):
-        made = plane.astype(np.float16)
-    fits = (made == plane).all() if exact else np.isfinite(made).all()
-    return made if fits else plane
 
 
 def window_at(frames: Sequence[DisplayFrame], position: int) -> Sequence[DisplayFrame]:

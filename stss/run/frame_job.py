@@ -213,7 +213,6 @@ def describe(sequence: Sequence, options: RunOptions, method: str, backend: str,
         "stss:transfer": options.transfer,
         "stss:highlights": "carried past the network" if transfer(options.transfer).clips else "as the transfer has them",
         "stss:depth": options.depth,
-        "stss:planes": options.planes,
         "stss:profile": sequence.profile.name,
     }
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from stss.frames.display_frame import PlaneType
 from stss.sequence.profiles import Profile
 from stss_ref.depth import DepthMode
 
@@ -18,7 +17,6 @@ class RunOptions:
     Attributes:
         transfer: ``none``, ``srgb``, ``hdr``.
         depth: ``clip``, ``scale``.
-        planes: of ``PLANE_TYPES``: ``half``: colour, G-buffer, NoV and stencil are rounded to half before anything is computed.
         rendered: ``even``, ``odd``, ``all``; None = see ``supersample.choose_rendered``.
         frames: first and last display frame to write, both included; None = all. Frames before the first still serve as history.
         cuts: the first display frame of each shot but the first: nothing of earlier frames is used there.
@@ -31,7 +29,6 @@ class RunOptions:
 
     transfer: str = "srgb"
     depth: DepthMode = "scale"
-    planes: PlaneType = "float32"
     rendered: str | None = None
     frames: tuple[int, int] | None = None
     cuts: tuple[int, ...] = ()

@@ -53,7 +53,7 @@ class Window:
             try:
                 options = self._options
                 buffers = self._sequence.load(number, color=number in self._rendered, also=options.also)
-                self._frames[number] = prepare(buffers, self._curve, options.depth, options.planes, copy=False)
+                self._frames[number] = prepare(buffers, self._curve, options.depth, copy=False)
             except InputError as error:
                 self._frames[number] = error
         return self._frames[number]

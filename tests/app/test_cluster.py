@@ -202,11 +202,11 @@ def test_processes_here_have_no_socket_and_may_die(frames, tmp_path):
             killed.append(children[0].pid)
             os.kill(children[0].pid, signal.SIGKILL)
 
-    on_cluster(frames, tmp_path / "many", "local:2", on_frame=on_frame, planes="half")
+    on_cluster(frames, tmp_path / "many", "local:2", on_frame=on_frame)
     assert killed
     assert not found
     assert not multiprocessing.active_children()
-    in_one_process(frames, tmp_path / "one", planes="half")
+    in_one_process(frames, tmp_path / "one")
     assert files(tmp_path / "many") == files(tmp_path / "one")
 
 

@@ -8,6 +8,7 @@ import pyopencl.array as cla
 
 from stss.frames.display_frame import DisplayFrame, window_at
 from stss.frames.supersample import plan
+from stss_cl.skip.planes import HALF
 from stss_ref.frame import FrameInputs
 from stss_ref.weights import Weights
 from stss_ref.weights import random as random_weights
@@ -50,6 +51,12 @@ def uneven(size, seed=0):
     random = np.random.default_rng(seed)
     stencils = random.random((4, *size)) > 0.8
     return {"stencils": stencils, "normals": random.random((4, *size, 3)), "positions": 30 * random.random((4, *size, 3))}
+
+
+def halve(frame):
+    """The same display frame with the planes in half that may be so."""
+    planes = {name: getattr(frame, name) for name in HALF}
+    return replace(frame, **{name: plane.astype(np.float16) for name, plane in planes.items() if plane is not None})
 
 
 def first_frame(rng, size, *, rendered=True):

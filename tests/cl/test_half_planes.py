@@ -11,8 +11,7 @@ from conformance.tolerance import ratio
 from stss.demo import write_demo_sequence
 from stss.frames.backends import ReferenceBackend, open_backend
 from stss.frames.compute_options import ComputeOptions
-from stss.frames.display_frame import HALF as HALF_IN_FRAMES
-from stss.frames.display_frame import frame_inputs, halve, prepare, window_at
+from stss.frames.display_frame import frame_inputs, prepare, window_at
 from stss.frames.supersample import plan
 from stss.images.color import transfer
 from stss.sequence.reader import open_sequence
@@ -21,7 +20,7 @@ from stss_cl.skip.stream import Stream
 from stss_ref.arrays import ArrayError
 from stss_ref.frame import FrameInputs, frame
 from stss_ref.weights import astype
-from tests.cl.films import SIZE, WEIGHTS, assert_same, calls_of, film, on
+from tests.cl.films import WEIGHTS, assert_same, calls_of, film, halve, on
 from tests.cl.test_overlap import here, right
 
 
@@ -29,10 +28,6 @@ def widened(frame_):
     """The same values in float32, by NumPy."""
     planes = {name: getattr(frame_, name) for name in HALF}
     return replace(frame_, **{name: plane.astype(np.float32) for name, plane in planes.items() if plane is not None})
-
-
-def test_both_packages_mean_the_same_planes():
-    assert HALF == HALF_IN_FRAMES
 
 
 @pytest.mark.parametrize(("shape", "there"), [((65536,), False), ((65536,), True), ((1,), False), ((3,), True), ((7, 37), True)])
@@ -107,39 +102,11 @@ def test_what_is_not_finite_in_half_is_named(device, name, there):
         Stream(WEIGHTS, device)(*calls_of(shown)[-1])
 
 
-def test_halved_rounds_what_half_can_hold():
-    made = film(["moving"])[0]
-    color = made.color.copy()
-    color[0, 0] = 1 + 2.0**-11, 1 + 3 * 2.0**-11, 2.0**-25  # ties go to the even neighbour
-    stencil = np.full(SIZE, 2048, np.float32)
-    rounded = halve(replace(made, color=color, stencil=stencil))
-    assert {name: getattr(rounded, name).dtype for name in HALF} == dict.fromkeys(HALF, np.float16)
-    np.testing.assert_array_equal(rounded.color[0, 0], [1, 1 + 2.0**-9, 0])
-    assert rounded.motion is made.motion
-    assert rounded.position is made.position
-    np.testing.assert_array_equal(rounded.stencil, stencil)
-    assert halve(replace(made, color=None)).color is None
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("stencil", 2049), ("stencil", 0.1), ("gbuffer", 65520), ("color", 1e5), ("nov", np.nan), ("stencil", 70000)],
-)
-def test_what_half_cannot_hold_stays_float32(name, value):
-    """Rounded, two objects could become one, and a bright colour infinite; what is not finite is left for the stream to refuse."""
-    made = film(["moving"])[0]
-    plane = getattr(made, name).copy()
-    plane[3, 4] = value
-    kept = halve(replace(made, **{name: plane}))
-    assert getattr(kept, name) is plane
-    assert sum(getattr(kept, each).dtype == np.float16 for each in HALF) == len(HALF) - 1
-
-
 def test_both_backends_take_the_same_planes(opened, tmp_path):
     """Images of the application's frames are as near to the reference's as those of planes in float32 are."""
     write_demo_sequence(tmp_path, 8, (18, 32))
     sequence = open_sequence(tmp_path / "frames", "stss")
-    shown = [prepare(sequence.load(n), transfer("srgb"), "scale", "half") for n in sequence.numbers]
+    shown = [halve(prepare(sequence.load(n), transfer("srgb"), "scale")) for n in sequence.numbers]
     cl, ref = (open_backend(name, WEIGHTS, ComputeOptions()) for name in ("cl", "ref"))
     for i in range(len(shown)):
         window = window_at(shown, i)

@@ -5,7 +5,6 @@ from itertools import product
 
 import pytest
 
-from stss.frames.display_frame import halve
 from stss_cl.device import matrix_units, program
 from stss_cl.device.discovery import open_device
 from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
@@ -13,7 +12,7 @@ from stss_cl.frame import Frame
 from stss_cl.network.network import Network
 from stss_cl.skip.stream import SKIPS, Stream
 from tests.cl.conftest import QUICK, launch_nothing
-from tests.cl.films import EARLIER, WEIGHTS, calls_of, film, frame_inputs
+from tests.cl.films import EARLIER, WEIGHTS, calls_of, film, frame_inputs, halve
 
 SIZE = 19, 45
 
