@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""``stss methods`` and ``flicker``."""
+"""``stss methods``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import Any
 import click
 
 from stss.cli.options import (
-    FrameRange,
     backend_options,
     frame_options,
     perceptual_options,
@@ -83,7 +82,7 @@ def methods_command(
     require_places({"--html": html}, [*files.tables, *reads], folders=folders, inputs=files.images)
     console = Terminal(stderr=True)
     first, last = options.frames or (files.numbers[0], files.numbers[-1])
-    with show_progress(console, 3 * len(chosen) * (last - first + 1) - len(chosen)) as advance:
+    with show_progress(console, 2 * len(chosen) * (last - first + 1)) as advance:
         results = method_table.run_methods(
             files,
             truth,
@@ -102,24 +101,3 @@ def methods_command(
         click.echo(method_table.to_json(results))
     else:
         method_table.print_results(results, Terminal())
-
-
-@click.command("flicker")
-@click.argument("out", type=PATH)
-@click.argument("truth", type=PATH)
-@click.option("--sequence", type=PATH, required=True, help="The input of OUT: surfaces are followed by its motion and G-buffer.")
-@sequence_options
-@click.option("--frames", type=FrameRange(), help="First and last frame to look at.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def flicker_command(
-    out: Path, truth: Path, sequence: Path, profile: str | None, frames: tuple[int, int] | None, as_json: bool, **options: Any
-) -> None:
-    """Measure how the frames in OUT change along the motion, compared with those in TRUTH: in 8-bit levels."""
-    from stss_lab.methods.flicker import flicker, print_flicker
-
-    shown = partial(track, console=Terminal(stderr=True))
-    found = flicker(out, truth, open_sequence(sequence, profile, **options, track=shown), frames=frames, track=shown)
-    if as_json:
-        click.echo(found.to_json())
-    else:
-        print_flicker(found, Terminal())

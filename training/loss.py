@@ -63,7 +63,7 @@ def squared(output: Tensor, truth: Tensor, extrapolated: float = 0.5, trust: Ten
 
 
 def unsteadiness(error: Tensor, motion: Tensor) -> Tensor:
-    """How the errors of consecutive frames differ along the motion: flicker's error as `stss flicker` takes it, of values to 1.
+    """How the errors of consecutive frames differ along the motion: flicker's error as `stss compare` takes it, of values to 1.
 
     Args:
         error: output less truth (N, 3, 2H, 2W); samples 0 and 1, 2 and 3 and so on are partners.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""Subcommands that measure quality: ``compare``, ``methods`` and ``flicker``."""
+"""``stss compare``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from stss.cli.options import (
 )
 from stss.pages.viewer import page_folder
 from stss.sequence.reader import open_sequence
-from stss_ground.errors import InputError
 from stss_ground.option_kinds import PATH
 from stss_ground.output.apart import require_places
 from stss_ground.progress import track
@@ -28,7 +27,7 @@ from stss_ground.terminal import Terminal, echo
 @click.argument("truth", type=PATH)
 @click.option("--frames", type=FrameRange(), help="First and last frame to compare.")
 @click.option("--html", type=PATH, help="File for a page to look at: slider, flicker, difference, plots; needs no network.")
-@click.option("--sequence", type=PATH, help="The input of OUT, to show it on the page.")
+@click.option("--sequence", type=PATH, help="The input of OUT: flicker is measured along its motion, and the page shows it.")
 @sequence_options
 @perceptual_options
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
@@ -48,8 +47,6 @@ def compare_command(
     from stss.quality import comparison_page as pages
     from stss.quality.output_and_truth import find_pairs
 
-    if sequence is not None and html is None:
-        raise InputError("--sequence: expected --html as well: it is shown on the page")
     shown = partial(track, console=Terminal(stderr=True))
     files = None if sequence is None else open_sequence(sequence, **options, track=shown)
     pairs = find_pairs(out, truth, frames)[0]
@@ -59,7 +56,7 @@ def compare_command(
         folders=[] if html is None else [page_folder(html)],
         inputs=comparing.files_of(pairs),
     )
-    comparison = comparing.compare(out, truth, frames=frames, flip=flip, vmaf=vmaf, track=shown)
+    comparison = comparing.compare(out, truth, frames=frames, sequence=files, flip=flip, vmaf=vmaf, track=shown)
     if as_json:
         click.echo(comparison.to_json())
     else:

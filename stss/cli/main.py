@@ -28,7 +28,6 @@ SECTIONS = {
     "Compare": {
         "compare": ("stss.cli.evaluate:compare_command", "Compare frames with their truth."),
         "methods": ("stss_lab.command_methods:methods_command", "Compare the network with other methods."),
-        "flicker": ("stss_lab.command_methods:flicker_command", "Measure how unsteady frames are."),
     },
     "Devices": {
         "devices": ("stss.cli.devices:devices", "List the OpenCL devices, and whether they are right."),

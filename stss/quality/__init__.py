@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""How good a picture is: ``stss compare``, ``methods`` and ``flicker``."""
+"""How good a picture is: ``stss compare``, and what ``methods`` takes of it."""

@@ -15,11 +15,12 @@ from rich.console import Console
 from rich.table import Table
 
 from stss.images.read_write import read_rgb
+from stss.quality.changes import Follower, Shown, temporal_psnr
 from stss.quality.flip_vmaf import require_packages, vmaf_scores
 from stss.quality.metrics import REGIONS, Scores, mean_scores, score, to_8bit, upsample_holes
 from stss.quality.output_and_truth import FALLBACK, KINDS, MADE_WITH, Pair, find_pairs, list_numbers, require_size
 from stss.quality.tables import print_whole
-from stss.quality.temporal_psnr import Shown, recurrent_psnr, temporal_psnr
+from stss.sequence.reader import Sequence as Input
 from stss_ground.errors import InputError
 from stss_ground.progress import Track
 
@@ -32,11 +33,10 @@ METRICS = {
     "flip": ("FLIP\n", 4, REGIONS),
     "vmaf": ("VMAF\n", 2, REGIONS[:1]),
     "tpsnr": ("tPSNR\nRGB", 2, REGIONS[:1]),
+    "flicker": ("flicker\nerror", 2, REGIONS[:1]),
 }
 """Field of ``Scores`` -> heading, digits printed, and the regions it is taken over."""
-ASKED_FOR = ("flip", "vmaf")
-"""Metrics that are only taken on request."""
-BELOW = ("tpsnr",)
+BELOW = ("tpsnr", "flicker")
 """Metrics without a column: their means stand below the table."""
 
 
@@ -87,7 +87,6 @@ class Comparison:
         made_with: method, weights, backend and transfer, as far as the output's files name them; several values if they differ.
         metrics: the metrics taken, of ``METRICS``.
         static_holes: the mean share of the static surfaces that are holes, over the EFs that say it; None: none does.
-        recpsnr: recPSNR of the last frame, dB; see `stss.quality.temporal_psnr`.
     """
 
     rows: Sequence[FrameScores]
@@ -98,7 +97,6 @@ class Comparison:
     made_with: Mapping[str, Sequence[str]]
     metrics: Sequence[str]
     static_holes: float | None
-    recpsnr: float
 
     def to_json(self) -> str:
         """As JSON: null where a region is empty, the text "inf" where a PSNR is infinite."""
@@ -111,7 +109,6 @@ class Comparison:
             "without_truth": self.without_truth,
             "without_output": self.without_output,
             "static_holes": self.static_holes,
-            "recpsnr": _in_json(self.recpsnr),
             "notes": self.notes,
             "made_with": self.made_with,
         }
@@ -137,6 +134,7 @@ def compare(
     truth: Path,
     *,
     frames: tuple[int, int] | None = None,
+    sequence: Input | None = None,
     flip: bool = False,
     vmaf: bool = False,
     track: Track = iter,
@@ -152,17 +150,18 @@ def compare(
         out: written by `stss run`, or by anything that numbers its files.
         truth: images of the same size.
         frames: first and last to compare, both included; None: all.
+        sequence: the input of the output, by whose motion flicker is measured; None: it is not.
         flip, vmaf: take these too.
         track: yields the numbers that it is given, and may show how far the comparison is.
 
     Raises:
-        InputError: a folder is not there, the two have no frame in common, a file cannot be read, sizes differ, only
-            some of the output's files name their kind, or a package is missing.
+        InputError: a folder is not there, the two have no frame in common, a file cannot be read, sizes differ or do
+            not fit the sequence, only some of the output's files name their kind, or a package is missing.
     """
     require_packages(flip=flip, vmaf=vmaf)
     pairs, without_truth, without_output = find_pairs(out, truth, frames)
     notes = _notes(out, pairs)
-    rows, recpsnr = _rows(pairs, track(list(pairs)), flip=flip)
+    rows = _rows(pairs, track(list(pairs)), sequence, flip=flip)
     if vmaf:
         found = vmaf_scores(map(to_8bit, pair.load()) for pair in pairs.values())
         rows = [_with(row, vmaf=value) for row, value in zip(rows, found, strict=True)]
@@ -174,9 +173,8 @@ def compare(
         without_output,
         notes,
         {name: values for name, values in made_with.items() if values},
-        [name for name in METRICS if name not in ASKED_FOR or {"flip": flip, "vmaf": vmaf}[name]],
+        [name for name in METRICS if {"flip": flip, "vmaf": vmaf, "flicker": sequence is not None}.get(name, True)],
         float(np.mean(shares)) if (shares := [p.static_holes for p in pairs.values() if p.static_holes is not None]) else None,
-        recpsnr,
     )
 
 
@@ -202,10 +200,10 @@ def print_comparison(comparison: Comparison, console: Console) -> None:
 
 
 def facts(comparison: Comparison) -> list[str]:
-    """Facts about the table, a line each: how the output was made, tPSNR, frames not compared, notes."""
+    """Facts about the table, a line each: how the output was made, how it changes, frames not compared, notes."""
     lines = [
         *comparison.notes,
-        _temporal(comparison),
+        *(_below(comparison, name) for name in BELOW if name in comparison.metrics),
         *([] if comparison.static_holes is None else [f"holes: {comparison.static_holes:.1%} of the static surfaces of EFs"]),
         *(f"{name}: {', '.join(found)}" for name, found in comparison.made_with.items() if found),
     ]
@@ -216,26 +214,29 @@ def facts(comparison: Comparison) -> list[str]:
     return lines
 
 
-def _temporal(comparison: Comparison) -> str:
-    """tPSNR, the mean of each kind's steps, and recPSNR."""
-    steps = [f"{mean.name} {cell}" for mean in comparison.means for cell in cells(mean.scores, BELOW)]
-    return f"tPSNR of the steps: {', '.join(steps)}; recPSNR of the last frame: {comparison.recpsnr:.2f}"
+def _below(comparison: Comparison, name: str) -> str:
+    """A metric of the steps from frame to frame: its mean over each kind's."""
+    steps = [f"{mean.name} {cells(mean.scores, [name])[0]}" for mean in comparison.means]
+    return f"{METRICS[name][0].splitlines()[0]} of the steps: {', '.join(steps)}"
 
 
-def _rows(pairs: Mapping[int, Pair], numbers: Iterable[int], *, flip: bool) -> tuple[list[FrameScores], float]:
-    """The frames' rows, with the tPSNR of the step from the frame before where there is one; and the last frame's recPSNR."""
+def _rows(pairs: Mapping[int, Pair], numbers: Iterable[int], sequence: Input | None, *, flip: bool) -> list[FrameScores]:
+    """The frames' rows, with the step from the frame before where there is one."""
     rows: list[FrameScores] = []
     before: Shown | None = None
+    follower = None if sequence is None else Follower(sequence)
     for number in numbers:
         pair = pairs[number]
         shown = pair.load()
+        if sequence is not None:
+            require_size(pair.output, shown[0], sequence.path, (2 * sequence.size[0], 2 * sequence.size[1]))
         row = _judge(number, pair, shown, flip=flip)
         if before is not None and rows[-1].number == number - 1:
-            row = _with(row, tpsnr=temporal_psnr(shown, before))
+            flicker = None if follower is None else follower.flicker(number, shown, before)
+            row = _with(row, tpsnr=temporal_psnr(shown, before), flicker=flicker)
         rows.append(row)
         before = shown
-    assert before is not None  # find_pairs found one at least
-    return rows, recurrent_psnr(before)
+    return rows
 
 
 def _judge(number: int, pair: Pair, shown: Shown, *, flip: bool) -> FrameScores:
@@ -253,7 +254,7 @@ def files_of(pairs: Mapping[int, Pair]) -> list[Path]:
     return [path for pair in pairs.values() for path in (pair.output, pair.truth, pair.holes) if path is not None]
 
 
-def _with(row: FrameScores, **found: float) -> FrameScores:
+def _with(row: FrameScores, **found: float | None) -> FrameScores:
     """A row with further scores of the whole frame."""
     return replace(row, scores={**row.scores, "all": replace(row.scores["all"], **found)})
 

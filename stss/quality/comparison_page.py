@@ -33,6 +33,7 @@ PLOTTED = {
     "flip": "FLIP, mean error",
     "vmaf": "VMAF",
     "tpsnr": "tPSNR over RGB, dB",
+    "flicker": "Flicker, error in 8-bit levels",
 }
 """Field of ``Scores`` -> title of its plot."""
 DEFINITIONS = (
@@ -45,7 +46,6 @@ DEFINITIONS = (
     ("FLIP", "LDR-FLIP at 67 pixels a degree, the mean of its error map; 0 where two images agree."),
     ("VMAF", "Model vmaf_v0.6.1 on the frames as a video; about 100 where two videos agree."),
     ("tPSNR", "PSNR of the change since the frame before, pixel by pixel."),
-    ("recPSNR", "PSNR of the last frame: a recurrent method has gathered all its errors there."),
     (
         "flicker error",
         "Mean of |d - d*| in 8-bit levels, d and d* the change along the motion of output and truth; lower is better.",

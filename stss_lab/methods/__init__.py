@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""``stss methods`` and ``flicker``: the network beside methods without one."""
+"""``stss methods``: the network beside methods without one."""

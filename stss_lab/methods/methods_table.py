@@ -23,7 +23,6 @@ from stss.sequence.reader import Sequence as Frames
 from stss.weights.file import BILINEAR
 from stss_ground.errors import InputError
 from stss_lab.baselines.registry import METHODS
-from stss_lab.methods.flicker import Flicker, flicker
 
 COLUMNS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
     "PSNR\nRGB": (("SF", "all", "psnr_rgb"), ("EF", "all", "psnr_rgb")),
@@ -33,21 +32,19 @@ COLUMNS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
     "FLIP\n": (("SF", "all", "flip"), ("EF", "all", "flip")),
     "VMAF\n": (("SF", "all", "vmaf"), ("EF", "all", "vmaf")),
     "tPSNR\n": (("SF", "all", "tpsnr"), ("EF", "all", "tpsnr")),
+    "flicker\nerror": (("SF", "all", "flicker"), ("EF", "all", "flicker")),
 }
 """Heading -> kind of frame, region and field of ``Scores`` of the column."""
-FLICKER = ("SF", "EF")
-"""Kinds of the last columns, flicker's error."""
-DIGITS = {"psnr_rgb": 2, "ssim": 4, "flip": 4, "vmaf": 1, "tpsnr": 2}
+DIGITS = {"psnr_rgb": 2, "ssim": 4, "flip": 4, "vmaf": 1, "tpsnr": 2, "flicker": 2}
 
 
 @dataclass(frozen=True)
 class MethodResult:
-    """The result of one method: its name, the folder of its frames, its scores and its flicker."""
+    """The result of one method: its name, the folder of its frames and its scores."""
 
     method: str
     folder: Path
     comparison: Comparison
-    flicker: Flicker
 
 
 def choose_methods(names: Sequence[str], weights: str) -> tuple[str, ...]:
@@ -86,11 +83,11 @@ def run_methods(
         engine: returns a method's backend and the label of its weights.
         options: as for ``stss run``.
         flip, vmaf: take these metrics too.
-        on_frame: called with the method when it has made, compared or followed a frame.
+        on_frame: called with the method when it has made or compared a frame.
         reads: files that must not be written to, besides those of the sequence.
 
     Raises:
-        InputError: as ``stss run``, ``stss compare`` and ``stss flicker``.
+        InputError: as ``stss run`` and ``stss compare``.
     """
     require_packages(flip=flip, vmaf=vmaf)
     require_near(sequence, *(options.frames or (sequence.numbers[0], sequence.numbers[-1])))
@@ -98,11 +95,9 @@ def run_methods(
     for method in methods:
         backend, label = engine(method)
         run(sequence, out / method, backend, label, options, lambda _, method=method: on_frame(method), reads)
-        scores = compare(
-            out / method, truth, frames=options.frames, flip=flip, vmaf=vmaf, track=partial(_counted, method, on_frame)
-        )
-        changes = flicker(out / method, truth, sequence, frames=options.frames, track=partial(_counted, method, on_frame))
-        results.append(MethodResult(method, out / method, scores, changes))
+        shown = partial(_counted, method, on_frame)
+        scores = compare(out / method, truth, frames=options.frames, sequence=sequence, flip=flip, vmaf=vmaf, track=shown)
+        results.append(MethodResult(method, out / method, scores))
     return results
 
 
@@ -113,9 +108,8 @@ def _counted(method: str, on_frame: Callable[[str], None], numbers: Sequence[int
 
 
 def to_json(results: Sequence[MethodResult]) -> str:
-    """As JSON: method -> the objects of `Comparison.to_json` and `Flicker.to_json`."""
-    found = {r.method: {**json.loads(r.comparison.to_json()), "flicker": json.loads(r.flicker.to_json())} for r in results}
-    return json.dumps(found, indent=2, allow_nan=False)
+    """As JSON: method -> the object of `Comparison.to_json`."""
+    return json.dumps({r.method: json.loads(r.comparison.to_json()) for r in results}, indent=2, allow_nan=False)
 
 
 def print_results(results: Sequence[MethodResult], console: Console) -> None:
@@ -137,13 +131,11 @@ def cells(results: Sequence[MethodResult]) -> tuple[list[tuple[str, str]], list[
     metrics = results[0].comparison.metrics
     shown = {heading: below for heading, below in COLUMNS.items() if below[0][2] in metrics}
     headings = [("", "method"), *((heading, kind) for heading, below in shown.items() for kind, _, _ in below)]
-    headings += [("rec\nPSNR", ""), *(("flicker\nerror", kind) for kind in FLICKER)]
     rows: list[list[str]] = []
     for result in results:
         means = {mean.name: mean.scores for mean in result.comparison.means}
         scores = [_score(means, *cell) for below in shown.values() for cell in below]
-        changes = [_flicker(result.flicker, kind) for kind in FLICKER]
-        rows.append([result.method, *scores, f"{result.comparison.recpsnr:.2f}", *changes])
+        rows.append([result.method, *scores])
     return headings, rows
 
 
@@ -156,8 +148,3 @@ def meant(results: Sequence[MethodResult]) -> str:
 def _score(means: Mapping[str, Mapping[str, object]], kind: str, region: str, name: str) -> str:
     value = getattr(means[kind][region], name) if kind in means else None
     return "-" if value is None else f"{value:.{DIGITS[name]}f}"
-
-
-def _flicker(found: Flicker, kind: str) -> str:
-    value = found.means[kind].error if kind in found.means else None
-    return "-" if value is None else f"{value:.2f}"

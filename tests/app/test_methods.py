@@ -227,10 +227,11 @@ def test_methods_side_by_side(tmp_path):
     assert list(rows) == list(METHODS)  # no network, for its weights are bilinear
     assert "means of 3 SF and 3 EF" in table.stdout
     found = json.loads(call(*words, "--methods", "repeat,lanczos", "--json", "--overwrite").stdout)
-    alone = json.loads(call("compare", tmp_path / "out" / "lanczos", tmp_path / "demo" / "truth", "--json").stdout)
+    folders = tmp_path / "out" / "lanczos", tmp_path / "demo" / "truth"
+    alone = json.loads(call("compare", *folders, "--sequence", tmp_path / "demo" / "frames", "--json").stdout)
     assert found["lanczos"]["means"] == alone["means"]
     assert rows["lanczos"][1] == f"{alone['means']['SF']['all']['psnr_rgb']:.2f}"
-    assert rows["repeat"][-1] == f"{found['repeat']['flicker']['means']['EF']['error']:.2f}"
+    assert rows["repeat"][-1] == f"{found['repeat']['means']['EF']['all']['flicker']:.2f}"
     refused(call(*words, "--overwrite", "--methods", "dlss"), "methods: expected some of repeat, extrapolate, bilinear")
     assert choose_methods((), "some.safetensors") == (*METHODS, "network")
     with pytest.raises(InputError, match="each once"):

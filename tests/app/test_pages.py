@@ -138,7 +138,6 @@ def test_compare_makes_a_page(compared):
 def test_compare_shows_what_the_output_was_made_of(compared, write_frames):
     folder = write_frames(range(4), rendered={0, 2}, size=(SIZE[0] // 2, SIZE[1] // 2))
     words = ["compare", str(compared / "out"), str(compared / "truth"), "--sequence", str(folder)]
-    assert CliRunner().invoke(stss, words).exit_code != 0
     done = CliRunner().invoke(stss, [*words, "--html", str(compared / "p.html")], catch_exceptions=False)
     assert done.exit_code == 0
     found = data_of(compared / "p.html")

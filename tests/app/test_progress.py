@@ -68,7 +68,6 @@ def folder(tmp_path_factory):
         "gather parts -o whole",
         "compare out truth --html page.html",
         "methods frames truth -o methods --methods bilinear --html m.html",
-        "flicker out truth --sequence frames",
         "bench --size 16x8 --repeat 1 --ours ref --peers ,",
         "stress --backend ref --only positions",
         "gpu-report -o report --tiny",

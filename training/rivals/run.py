@@ -2,7 +2,7 @@
 """Run chains of the rivals over a sequence, beside STSS and methods without a network, and compare all with the truth.
 
 Chains: `extranet+nsrr`, `nsrr+extranet` (the order swapped), and each alone: `extranet` (then bilinear), `nsrr` (EFs from the warped
-frame). Each writes a folder of frames as `stss run` does. `stss compare`, `flicker` and `methods` judge them.
+frame). Each writes a folder of frames as `stss run` does. `stss compare` and `methods` judge them.
 """
 
 from __future__ import annotations

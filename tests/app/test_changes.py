@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""`stss flicker`: what changes along the motion."""
+"""Flicker: what changes along the motion."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from stss.images.read_write import write_rgb
+from stss.quality.compare import compare, facts
 from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
-from stss_lab.methods.flicker import flicker
-from tests.hostile.cases import call, refused
+from tests.hostile.cases import call
 
 SIZE = (16, 24)
 
@@ -59,15 +59,19 @@ def near(found, expected):
     return abs(found - expected) < 1e-4
 
 
+def flicker(*folders_and_sequence, frames=None):
+    """The comparison, and what flickers in each of its frames."""
+    out, truth, input_frames = folders_and_sequence
+    found = compare(out, truth, sequence=input_frames, frames=frames)
+    return found, [row.scores["all"].flicker for row in found.rows]
+
+
 def test_what_moves_as_its_motion_says_does_not_flicker(sequence, tmp_path):
     """By one low-resolution pixel right and two down a frame, that is 2 and 4; the motion leads back."""
-    images = [texture(2 * n, 4 * n) for n in range(6)]
-    found = flicker(write(tmp_path / "out", images), write(tmp_path / "truth", images), sequence(-1, -2))
-    for row in found.rows:
-        assert (row.change.output, row.change.truth, row.change.error) == (0, 0, 0)
-        assert 0.8 < row.followed < 1  # what comes into view is left out
-    wrong = flicker(tmp_path / "out", tmp_path / "truth", sequence(1, 2))
-    assert wrong.means["all"].output > 20
+    out = write(tmp_path / "out", [texture(2 * n, 4 * n) + 8 / 255 * (n % 2) for n in range(6)])
+    truth = write(tmp_path / "truth", [texture(2 * n, 4 * n) for n in range(6)])
+    assert all(near(error, 8) for error in flicker(out, truth, sequence(-1, -2))[1][1:])
+    assert flicker(truth, truth, sequence(-1, -2))[1] == [None, 0, 0, 0, 0, 0]
 
 
 @pytest.mark.parametrize(("output", "truth", "error"), [(6, -2, 8), (4, 4, 0)])
@@ -77,13 +81,10 @@ def test_flicker_is_a_change_that_the_truth_has_not(sequence, tmp_path, output, 
         write(tmp_path / name, [texture() + levels / 255 * (n % 2) for n in range(6)])
         for name, levels in (("out", output), ("truth", truth))
     ]
-    found = flicker(*folders, sequence(0, 0))
-    assert [(row.number, row.kind, row.followed) for row in found.rows] == [(n, ["SF", "EF"][n % 2], 1) for n in range(1, 6)]
-    assert list(found.means) == ["SF", "EF", "all"]
-    for change in (*(row.change for row in found.rows), *found.means.values()):
-        assert near(change.output, output)
-        assert near(change.truth, abs(truth))
-        assert near(change.error, error)
+    found, errors = flicker(*folders, sequence(0, 0))
+    assert errors[0] is None
+    assert [mean.name for mean in found.means] == ["SF", "EF", "MEAN"]
+    assert all(near(x, error) for x in (*errors[1:], *(mean.scores["all"].flicker for mean in found.means)))
 
 
 def test_what_cannot_be_followed_is_left_out(sequence, tmp_path, write_frames):
@@ -97,28 +98,26 @@ def test_what_cannot_be_followed_is_left_out(sequence, tmp_path, write_frames):
     noisy[8:16, 12:24] = 1
     frames = open_sequence(write_frames(range(6), size=SIZE, change=change), "stss")
     out = write(tmp_path / "out", [noisy if n % 2 else texture() for n in range(6)])
-    found = flicker(out, write(tmp_path / "truth", [texture()] * 6), frames)
-    for row in found.rows:
-        assert row.change.output == 0
-        assert near(row.followed, 1 - 4 * 6 / (SIZE[0] * SIZE[1]))
-    assert flicker(out, tmp_path / "truth", sequence(0, 0)).means["all"].output > 1
+    truth = write(tmp_path / "truth", [texture()] * 6)
+    assert flicker(out, truth, frames)[1][1:] == [0] * 5
+    assert min(flicker(out, truth, sequence(0, 0))[1][1:]) > 1
 
 
 def test_nothing_to_follow_is_no_number(sequence, tmp_path):
     images = [texture()] * 6
-    found = flicker(write(tmp_path / "out", images, labelled=False), write(tmp_path / "truth", images), sequence(99, 0))
-    assert found.means["all"].output is None
-    assert list(found.means) == ["all"]  # kinds are not known
-    assert json.loads(found.to_json())["frames"][0]["error"] is None
+    out, truth = write(tmp_path / "out", images, labelled=False), write(tmp_path / "truth", images)
+    found, errors = flicker(out, truth, sequence(99, 0))
+    assert errors == [None] * 6
+    assert json.loads(found.to_json())["means"]["all"]["all"]["flicker"] is None
+    assert any(line == "flicker of the steps: all -" for line in facts(found))
 
 
 def test_only_frames_in_a_row_count(sequence, tmp_path):
     out, truth = write(tmp_path / "out", [texture()] * 6), write(tmp_path / "truth", [texture()] * 6)
     (out / "frame.0003.png").unlink()
-    assert [row.number for row in flicker(out, truth, sequence(0, 0)).rows] == [1, 2, 5]
-    assert [row.number for row in flicker(out, truth, sequence(0, 0), frames=(1, 4)).rows] == [2]
-    with pytest.raises(InputError, match="expected two frames in a row"):
-        flicker(out, truth, sequence(0, 0), frames=(2, 4))
+    assert flicker(out, truth, sequence(0, 0))[1] == [None, 0, 0, None, 0]
+    short = sequence(0, 0).part(range(2))
+    assert flicker(out, truth, short)[1] == [None, 0, None, None, None]
 
 
 def test_sizes_must_fit_the_sequence(sequence, tmp_path):
@@ -127,13 +126,9 @@ def test_sizes_must_fit_the_sequence(sequence, tmp_path):
         flicker(write(tmp_path / "out", images), write(tmp_path / "truth", images), sequence(0, 0))
 
 
-def test_the_command_line_has_table_and_json(sequence, tmp_path):
+def test_the_command_line_says_it(sequence, tmp_path):
     out = write(tmp_path / "out", [texture() + 6 / 255 * (n % 2) for n in range(6)])
     truth, frames = write(tmp_path / "truth", [texture()] * 6), sequence(0, 0).path
-    table = call("flicker", out, truth, "--sequence", frames)
-    assert table.returncode == 0, table.stderr
-    assert ["mean", "all", "6.00", "0.00", "6.00"] in [line.split() for line in table.stdout.splitlines()]
-    found = json.loads(call("flicker", out, truth, "--sequence", frames, "--json", "--frames", "1:3").stdout)
-    assert [row["frame"] for row in found["frames"]] == [2, 3]
-    assert near(found["means"]["SF"]["error"], 6)
-    refused(call("flicker", out, tmp_path / "nowhere", "--sequence", frames), "nowhere")
+    said = call("compare", out, truth, "--sequence", frames)
+    assert said.returncode == 0, said.stderr
+    assert "flicker of the steps: SF 6.00, EF 6.00, MEAN 6.00" in said.stdout
