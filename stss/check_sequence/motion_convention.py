@@ -32,7 +32,6 @@ CHOICES = {
     "x and y swapped, then both negated": (True, -1, -1),
 }
 """Choice -> (swap, sign of x, sign of y), applied to what the profile makes of the stored motion."""
-CHOSEN = next(iter(CHOICES))
 
 
 @dataclass(frozen=True)
@@ -41,13 +40,13 @@ class ConventionVerdict:
 
     Attributes:
         pixels: how many pixels told the choices apart; 0: too few.
-        errors: choice -> median absolute difference over those pixels, relative to the largest value.
+        error: the profile's choice: median absolute difference over those pixels, relative to the largest value.
         ratios: choice -> its median error divided by the profile's, over the pixels where the two differ; choices that
             differ at too few pixels are left out.
     """
 
     pixels: int
-    errors: dict[str, float]
+    error: float
     ratios: dict[str, float]
 
     @property
@@ -61,16 +60,15 @@ def judge_motion(pairs: Iterable[tuple[Buffers, Buffers]]) -> ConventionVerdict:
     """Compare the eight choices over pairs of neighbouring frames (t - 1, t), one pair in memory at a time."""
     told = [samples for before, now in pairs if len(samples := _differences(before, now)) >= MIN_PIXELS]
     if not told:
-        return ConventionVerdict(0, {}, {})
+        return ConventionVerdict(0, 0.0, {})
     together = np.concatenate(told)
-    errors = {name: float(error) for name, error in zip(CHOICES, np.median(together, axis=0), strict=True)}
     ratios: dict[str, float] = {}
     for choice, error in zip(CHOICES, together.T, strict=True):
         differ = np.abs(error - together[:, 0]) > VISIBLE
         if differ.sum() >= MIN_PIXELS:
             medians = np.median(error[differ]), np.median(together[differ, 0])
             ratios[choice] = float(medians[0] / max(medians[1], VISIBLE * VISIBLE))
-    return ConventionVerdict(len(together), errors, ratios)
+    return ConventionVerdict(len(together), float(np.median(together[:, 0])), ratios)
 
 
 def _differences(before: Buffers, now: Buffers) -> Image:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from stss.check_sequence.motion_convention import CHOSEN, ConventionVerdict
+from stss.check_sequence.motion_convention import ConventionVerdict
 from stss.frames.buffers import Buffers
 from stss.images.headers import read_header
 from stss.sequence.profiles import BUFFERS
@@ -30,7 +30,7 @@ def motion_lines(verdict: ConventionVerdict, profile: str) -> list[Line]:
         return [("note", "motion: cannot tell whether its signs are right; too little moves, or nothing has texture")]
     compared = f"base colour and normal of the frame before, warped, over {verdict.pixels} pixels"
     if verdict.better is None:
-        return [("note", f"motion: fits as profile {profile} says ({compared}: {verdict.errors[CHOSEN]:.4f})")]
+        return [("note", f"motion: fits as profile {profile} says ({compared}: {verdict.error:.4f})")]
     times = 1 / max(verdict.ratios[verdict.better], 1e-3)
     text = f"motion: fits {times:.1f} times as well with {verdict.better}, so profile {profile} seems wrong ({compared})"
     return [("warning", text)]

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from rich import box
 from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Table
 
 from stss.images.read_write import read_rgb
@@ -19,12 +20,9 @@ from stss.quality.changes import Follower, Shown, temporal_psnr
 from stss.quality.flip_vmaf import require_packages, vmaf_scores
 from stss.quality.metrics import REGIONS, Scores, mean_scores, score, to_8bit, upsample_holes
 from stss.quality.output_and_truth import FALLBACK, KINDS, MADE_WITH, Pair, find_pairs, list_numbers, require_size
-from stss.quality.tables import print_whole
 from stss.sequence.reader import Sequence as Input
 from stss_ground.errors import InputError
 from stss_ground.progress import Track
-
-__all__ = ["Comparison", "FrameScores", "Mean", "cells", "compare", "facts", "list_numbers", "print_comparison"]
 
 METRICS = {
     "psnr_luma": ("PSNR\nluma", 2, REGIONS),
@@ -197,6 +195,12 @@ def print_comparison(comparison: Comparison, console: Console) -> None:
     print_whole(table, console)
     for line in facts(comparison):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def print_whole(table: Table, console: Console) -> None:
+    """Print a table at its full width even on a narrower console: a cut number is worse than a broken line."""
+    console.width = max(console.width, Measurement.get(console, console.options.update(max_width=1000), table).maximum)
+    console.print(table)
 
 
 def facts(comparison: Comparison) -> list[str]:

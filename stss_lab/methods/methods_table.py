@@ -14,9 +14,8 @@ from rich.console import Console
 from rich.table import Table
 
 from stss.frames.backends import NETWORK, Backend
-from stss.quality.compare import Comparison, compare
+from stss.quality.compare import Comparison, compare, print_whole
 from stss.quality.flip_vmaf import require_packages
-from stss.quality.tables import print_whole
 from stss.run.job import require_near, run
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence as Frames
