@@ -35,13 +35,17 @@ def alignment_lines(frames: Iterable[Buffers], *, linear: bool) -> list[Line]:
     """Findings about frames that have a colour, one in memory at a time; ``linear``: as the profile has it."""
     found: list[Array] = []
     steps: list[Array] = []
+    bright = False
     for frame in frames:
         if frame.color is not None:
+            bright |= bool((frame.color > 1).any())
             found.append(_correlations(frame))
             steps.append(_steps(frame))
     if not found:
         return []
-    return _shown(found) or _encoded(np.concatenate(steps), linear=linear)  # edges that are not its own say nothing of its light
+    if edges := _shown(found):
+        return edges  # edges that are not its own say nothing of its light
+    return [] if linear and bright else _encoded(np.concatenate(steps), linear=linear)  # a display shows nothing above 1
 
 
 def _shown(found: list[Array]) -> list[Line]:

@@ -81,8 +81,15 @@ def normal_of_a_turned_camera(channels, frames, number):
     channels.update({"normal.X": x, "normal.Y": 0.8 * y + 0.6 * z, "normal.Z": 0.8 * z - 0.6 * y})
 
 
-def test_sound_frames(found):
-    warnings, notes = found()
+def bright(channels, frames, number):
+    """Highlights above 1 that stand where base colours change."""
+    encoded(channels, frames, number)
+    channels["R"] = np.where(channels["R"] > 0.5, 10 * channels["R"], channels["R"])
+
+
+@pytest.mark.parametrize("change", [lambda channels, frames, number: None, bright])
+def test_sound_frames(found, change):
+    warnings, notes = found(change)
     assert not warnings
     assert any(text.startswith("motion: right to ") for text in notes)
     assert any(text.startswith("holes: ") for text in notes)
