@@ -76,3 +76,24 @@ def device():
         return open_device()
     except DeviceError as error:
         pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session")
+def demo(tmp_path_factory) -> Path:
+    """``frames/demo.NNNN.exr``, 0 to 3, and their truth. Nothing may be changed in it."""
+    from stss.demo import write_demo_sequence
+
+    out = tmp_path_factory.mktemp("demo")
+    write_demo_sequence(out, 4, (18, 32))
+    return out
+
+
+@pytest.fixture(scope="session")
+def weights(tmp_path_factory) -> Path:
+    """A file of random weights. Nothing may be changed in it."""
+    from stss.weights.file import save
+    from stss_ref.weights import random
+
+    path = tmp_path_factory.mktemp("weights") / "random.safetensors"
+    save(path, random(3), {})
+    return path

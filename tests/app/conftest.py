@@ -7,8 +7,6 @@ import OpenImageIO as oiio  # noqa: N813
 import pytest
 
 from stss.images.read_write import write_channels
-from stss.weights.file import save
-from stss_ref.weights import random as random_weights
 from tests.app import browser
 
 PLAIN = ("--weights", "bilinear", "--backend", "ref")
@@ -93,8 +91,9 @@ def write_parts(path, *parts):
 
 
 def files(folder):
-    """Every file below, by its path."""
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in Path(folder).rglob("*") if path.is_file()}
+    """Every file below, by its path; a link counts as what it says, a folder as none."""
+    found = {path.relative_to(folder).as_posix(): path for path in Path(folder).rglob("*")}
+    return {n: p.readlink() if p.is_symlink() else p.read_bytes() for n, p in found.items() if p.is_symlink() or p.is_file()}
 
 
 def frames_of(out):
@@ -112,14 +111,6 @@ def blender_camera(tmp_path_factory):
         lines.append(f"{frame},{2.5 * np.sin(1.2 * s)},{-8 + 0.8 * s},{2.2 + 0.2 * np.sin(2 * s)}")
     table.write_text("\n".join(lines) + "\n")
     return table
-
-
-@pytest.fixture(scope="session")
-def weights(tmp_path_factory):
-    """A file of random weights."""
-    path = tmp_path_factory.mktemp("weights") / "random.safetensors"
-    save(path, random_weights(3), {})
-    return path
 
 
 @pytest.fixture(scope="session")

@@ -163,6 +163,7 @@ def test_a_missing_frame_is_named(changeable, tmp_path):
         ("run nowhere -o out", ["nowhere"]),
         ("run {frames}", ["--out"]),
         ("run {frames} -o {plain}", ["--resume", "--overwrite"]),
+        ("run {frames} -o out --resume --overwrite", ["--resume", "--overwrite"]),
         ("run {frames} -o out --profile renderman", ["renderman", "blender"]),
         ("run {frames} -o out --profile blender", ["Combined"]),
         ("run {frames} -o out --frames 5:20", ["5:20", "0:9"]),

@@ -10,7 +10,6 @@ import time
 import click
 import pytest
 
-from stss.demo import write_demo_sequence
 from stss.images.read_write import write_rgb
 from stss.run.job import run
 from stss.run.options import RunOptions
@@ -20,11 +19,9 @@ from stss_lab.baselines.registry import MethodBackend
 from tests.hostile.cases import call, stss
 
 
-@pytest.fixture(scope="module")
-def frames(tmp_path_factory):
-    out = tmp_path_factory.mktemp("demo")
-    write_demo_sequence(out, 4, (18, 32))
-    return out / "frames"
+@pytest.fixture
+def frames(demo):
+    return demo / "frames"
 
 
 def test_a_closed_stream_is_no_file(frames, tmp_path):
