@@ -95,11 +95,19 @@ def launched(monkeypatch):
 def launch_nothing(patch):
     """From now on build kernels without running them, where their results do not matter: processors take minutes for those of GPUs."""
     names = []
-
-    def noted(queue, kernel, *_):
-        names.append(kernel.function_name)
-        return cl.enqueue_marker(queue)
-
-    patch.setattr(cl, "enqueue_nd_range_kernel", noted)
-    patch.setattr(cl.Kernel, "__call__", lambda kernel, queue, *_, **__: noted(queue, kernel))
+    watch_launches(patch, lambda queue, kernel, group: names.append(kernel.function_name) or cl.enqueue_marker(queue))
     return names
+
+
+def watch_launches(patch, seen):
+    """From now on call ``seen(queue, kernel, group)`` before each launch; an event that it gives stands for the launch."""
+    launch, call = cl.enqueue_nd_range_kernel, cl.Kernel.__call__
+
+    def launched(queue, kernel, size, group, *more, **options):
+        return seen(queue, kernel, group) or launch(queue, kernel, size, group, *more, **options)
+
+    def called(kernel, queue, size, group, *more, **options):
+        return seen(queue, kernel, group) or call(kernel, queue, size, group, *more, **options)
+
+    patch.setattr(cl, "enqueue_nd_range_kernel", launched)
+    patch.setattr(cl.Kernel, "__call__", called)

@@ -12,6 +12,7 @@ import pytest
 from stss.frames.supersample import plan
 from stss_cl.skip.stream import Stream
 from stss_ref.arrays import ArrayError
+from tests.cl.conftest import watch_launches
 from tests.cl.films import SIZE, WEIGHTS, assert_same, calls_of, film, on
 
 
@@ -133,21 +134,11 @@ def streaming(device, frames, skip):
 
 def stopped_before(monkeypatch, device, name):
     """An event that the queue waits for, from now on, before the first kernel whose name begins so."""
-    held, launch, call = cl.UserEvent(device.context), cl.enqueue_nd_range_kernel, cl.Kernel.__call__
-    waiting = []
+    held, waiting = cl.UserEvent(device.context), []
 
-    def stop(queue, kernel):
+    def stop(queue, kernel, group):
         if not waiting and kernel.function_name.startswith(name):
             waiting.append(cl.enqueue_barrier(queue, wait_for=[held]))
 
-    def launched(queue, kernel, *arguments, **options):
-        stop(queue, kernel)
-        return launch(queue, kernel, *arguments, **options)
-
-    def called(kernel, queue, *arguments, **options):
-        stop(queue, kernel)
-        return call(kernel, queue, *arguments, **options)
-
-    monkeypatch.setattr(cl, "enqueue_nd_range_kernel", launched)
-    monkeypatch.setattr(cl.Kernel, "__call__", called)
+    watch_launches(monkeypatch, stop)
     return held

@@ -21,6 +21,7 @@ from stss_cl.network.strips import OVERLAP
 from stss_cl.skip.last_image import LastImage
 from stss_cl.skip.stream import Stream
 from stss_ref.arrays import ArrayError
+from tests.cl.conftest import watch_launches
 from tests.cl.films import CHANGES, EARLIER, UNREAD, WEIGHTS, assert_same, calls_of, film
 
 
@@ -261,24 +262,14 @@ def test_mistakes_name_what_is_wrong(device):
 
 def test_work_groups_do_not_follow_the_size(device, monkeypatch):
     """PoCL compiles a kernel anew for every group, so a new size of frames would cost seconds."""
-    groups, enqueue, call = set(), cl.enqueue_nd_range_kernel, cl.Kernel.__call__
-
-    def enqueued(queue, kernel, size, group, *more):
-        groups.add((kernel.function_name, group))
-        return enqueue(queue, kernel, size, group, *more)
-
-    def called(kernel, queue, size, group, *arguments, **options):
-        groups.add((kernel.function_name, group))
-        return call(kernel, queue, size, group, *arguments, **options)
-
-    monkeypatch.setattr(cl, "enqueue_nd_range_kernel", enqueued)
-    monkeypatch.setattr(cl.Kernel, "__call__", called)
+    groups = set()
+    watch_launches(monkeypatch, lambda queue, kernel, group: groups.add((kernel.function_name, group)))
     found = []
     for size in ((24, 40), (37, 147)):
         frames, stream = still(8, size), Stream(WEIGHTS, device)
         frames[6].gbuffer[3:7, 2:9] += 0.1
-        for call_ in calls_of(frames):
-            stream(*call_)
+        for call in calls_of(frames):
+            stream(*call)
         # Those of the packing divide a width of 8, 16, 24 .., so they are one of four.
         found.append({(name, group) for name, group in groups if name != "finite" and not name.startswith("pack")})
         groups.clear()
