@@ -96,13 +96,13 @@ def next_frame(rng, before, color, change, *, rendered):
     return DisplayFrame(before.number + 1, color if rendered else None, motion, **planes), color
 
 
-def film(changes=MIXED, size=SIZE, seed=4):
-    """A first frame, and one more for each change; every second has a colour."""
+def film(changes=MIXED, size=SIZE, seed=4, rendered=(True, False)):
+    """A first frame, and one more for each change; which have a colour, in turns."""
     rng = np.random.default_rng(seed)
     frames = [first_frame(rng, size)]
     color = frames[0].color
     for i, change in enumerate(changes, start=1):
-        frame, color = next_frame(rng, frames[-1], color, change, rendered=i % 2 == 0)
+        frame, color = next_frame(rng, frames[-1], color, change, rendered=rendered[i % len(rendered)])
         frames.append(frame)
     return frames
 
