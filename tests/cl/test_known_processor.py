@@ -68,6 +68,11 @@ def test_what_is_known_or_not_to_be_found_stays(machine):
     assert named() == "generic"
 
 
+@pytest.mark.parametrize(("version", "target"), [("cpu-x86_64-pc-linux-gnu-skylake-avx512", "skylake-avx512"), ("(Build 0)", "")])
+def test_what_is_compiled_for_stands_in_the_version(version, target):
+    assert Properties(SimpleNamespace(version=f"OpenCL 3.0 PoCL HSTR: {version}", type=2)).target == target
+
+
 def test_memory_that_is_not_there_is_no_fault():
     assert known_processor._read(8, 8) == b""
 

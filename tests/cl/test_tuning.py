@@ -5,12 +5,11 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
-import pyopencl as cl
 import pytest
 from rich.console import Console
 
 from stss_cl.device import tuning
-from stss_cl.device.discovery import DeviceError, Properties
+from stss_cl.device.discovery import DeviceError
 from stss_cl.device.tuning import (
     OUTPUTS,
     Direct,
@@ -33,11 +32,9 @@ from stss_lab.tune.tile_timing import INTEL, SHAPES, Trials, direct_candidates, 
 @pytest.fixture(autouse=True)
 def own_cache(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    for cached in (tuning._kept, tuning._built_in):
-        cached.cache_clear()
+    tuning._kept.cache_clear()
     yield
-    for cached in (tuning._kept, tuning._built_in):
-        cached.cache_clear()
+    tuning._kept.cache_clear()
 
 
 def fake(name="P: one", *, is_cpu=True, driver="1", target=""):
@@ -54,10 +51,8 @@ ROW = Tuning(
 
 
 def test_a_row_has_what_it_does_not_say_from_its_class(tmp_path):
-    path = tmp_path / "tuning.toml"
-    text = tuning.BUILT_IN.read_text()
-    path.write_text(text)
-    rows = built_in_rows(path)
+    path, text = tmp_path / "tuning.toml", tuning.BUILT_IN.read_text()
+    rows = built_in_rows(tuning.BUILT_IN)
     gpu, nvidia, amd = (rows.classes[name] for name in ("gpu", "nvidia", "amd"))
     assert amd == gpu
     assert nvidia == replace(gpu, local=nvidia.local) != gpu
@@ -78,20 +73,8 @@ def test_a_processor_with_vectors_of_16_is_known_by_its_target():
     assert built_in(fake(is_cpu=False, target="rocketlake")) == built_in(fake(is_cpu=False))
 
 
-@pytest.mark.parametrize(
-    ("version", "target"),
-    [
-        ("OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-rocketlake", "rocketlake"),
-        ("OpenCL 3.0 PoCL HSTR: cpu-x86_64-pc-linux-gnu-skylake-avx512", "skylake-avx512"),
-        ("OpenCL 3.0 (Build 0)", ""),
-    ],
-)
-def test_what_is_compiled_for_stands_in_the_version(version, target):
-    assert Properties(SimpleNamespace(version=version, type=cl.device_type.CPU)).target == target
-
-
 @pytest.mark.parametrize("row", [ROW, replace(ROW, winograd=None)])
-def test_what_is_kept_comes_back(row):
+def test_what_is_kept_comes_back(row, monkeypatch):
     device = fake('P: a "name" with \\ and é')
     before = tuning_for(device)
     assert read_tuning(device) is None
@@ -99,14 +82,12 @@ def test_what_is_kept_comes_back(row):
     assert read_tuning(device) == row == tuning_for(device)
     for other in (fake("P: two"), fake(device.name, driver="2")):
         assert tuning_for(other) == built_in(other)
+    with monkeypatch.context() as patch:
+        patch.setattr(tuning, "_kernels", lambda: ("changed",))
+        tuning._kept.cache_clear()
+        assert read_tuning(device) is None
     store(device, None)
     assert tuning_for(device) == before
-
-
-def test_other_kernels_need_other_rows(monkeypatch):
-    store(fake(), ROW)
-    monkeypatch.setattr(tuning, "_kernels", lambda: ("changed",))
-    assert read_tuning(fake()) is None
 
 
 @pytest.mark.parametrize(
