@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 
 from stss.cli.main import main
 
@@ -67,3 +68,11 @@ def refused(result, *words):
 
 def _text(argument):
     return argument if isinstance(argument, (str, bytes, os.PathLike)) else str(argument)
+
+
+def runs(pid):
+    """Whether a process is there, and is more than a name that nobody has asked for yet."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
