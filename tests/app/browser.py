@@ -7,15 +7,19 @@ import shutil
 import subprocess
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-OUTER = """<!doctype html><body style="margin:0"><iframe src="{src}" width="{width}" height="900" style="border:0"></iframe><script>
-addEventListener("load", async () => {{
-  const view = document.querySelector("iframe").contentWindow, page = view.document;
+OUTER = """<!doctype html><body style="margin:0"><iframe src="{src}" width="{width}" height="900" style="border:0"></iframe>
+<iframe hidden></iframe><script>
+const [shown, open] = document.querySelectorAll("iframe"), held = open.contentDocument;
+held.open();  // while it is, this page is not loaded, and its contents are not dumped
+shown.onload = async () => {{
+  const view = shown.contentWindow, page = view.document;
   const press = (key) => page.dispatchEvent(new view.KeyboardEvent("keydown", {{ key, bubbles: true }}));
   const text = (place) => page.querySelector(place).textContent;
   let said;
   try {{ said = await (async () => {{ {script} }})(); }} catch (error) {{ said = String(error); }}
   document.body.append(Object.assign(document.createElement("pre"), {{ id: "said", textContent: JSON.stringify(said) }}));
-}});
+  held.close();
+}};
 </script>"""
 
 
@@ -24,11 +28,11 @@ def found():
     return next((path for name in NAMES if (path := shutil.which(name))), None)
 
 
-def ask(path, script, width=1280):
+def ask(path, script, width=1280, more=("--disable-gpu",)):
     """What a script returns that runs beside the page; it has ``view``, ``page``, ``press(key)`` and ``text(selector)``."""
     outer = path.with_name(f"outer-{path.name}")
     outer.write_text(OUTER.format(src=path.resolve().as_uri(), width=width, script=script))
-    options = ("--headless=new", "--no-sandbox", "--disable-gpu", "--allow-file-access-from-files", "--virtual-time-budget=20000")
+    options = ("--headless=new", "--no-sandbox", *more, "--allow-file-access-from-files")
     command = [found(), *options, f"--user-data-dir={path.parent / 'profile'}", "--dump-dom", outer.as_uri()]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     said = re.search(r'<pre id="said">(.*?)</pre>', done.stdout, re.DOTALL)
