@@ -7,7 +7,6 @@ what can be expected, not what they do.
 import argparse
 import sys
 import tempfile
-from functools import cache
 from pathlib import Path
 
 from rich.console import Console
@@ -43,7 +42,7 @@ def examine(target):
     """Print the table of one target; how many kernels exceed their budget."""
     wrong, table = 0, Table(*TITLES, title=target, box=None, pad_edge=False, title_justify="left")
     with tempfile.TemporaryDirectory() as folder:
-        for program in built_for(row_of(target)):
+        for program in programs(row_of(target)):
             try:
                 found = compiled(source(program.file), program.options, program.kernels, target, Path(folder))
             except CompileError as error:
@@ -53,16 +52,9 @@ def examine(target):
             for kernel, code in found.items():
                 over = faults(kernel, code, target)
                 wrong += bool(over)
-                numbers = code.registers, code.stack, code.spilled, code.local
-                table.add_row(kernel, program.label, *map(str, numbers), "; ".join(over))
+                table.add_row(kernel, program.label, *map(str, code), "; ".join(over))
     Console(width=None if sys.stdout.isatty() else 200).print(table, markup=False, highlight=False)
     return wrong
-
-
-@cache
-def built_for(row):
-    """The programs of a row, found once: to build them for the device at hand takes minutes."""
-    return programs(row)
 
 
 def row_of(target):

@@ -8,12 +8,11 @@ import re
 import shutil
 import subprocess
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 from stss_cl.device.program import MAKERS_OPTIONS
-from tests.offline import intel
 
 BUILTINS = Path(os.environ.get("LIBCLC", "/usr/lib/clc"))
 OLDEST = 22
@@ -37,15 +36,8 @@ class CompileError(Exception):
     """A kernel does not compile."""
 
 
-@dataclass(frozen=True)
-class Compiled:
-    """One kernel for one target.
-
-    Attributes:
-        registers: of a work-item.
-        stack: bytes of private memory; spilled: bytes or registers that had no room.
-        local: bytes of a work-group.
-    """
+class Compiled(NamedTuple):
+    """One kernel for one target: registers of a work-item; bytes of its stack, and spilled; local memory of a group."""
 
     registers: int
     stack: int
@@ -55,11 +47,7 @@ class Compiled:
 
 @cache
 def clang() -> str:
-    """The newest installed clang.
-
-    Raises:
-        MissingError: it, or libclc.
-    """
+    """The newest installed clang."""
     names = [os.environ.get("CLANG", ""), *(f"clang-{version}" for version in range(OLDEST + 8, OLDEST - 1, -1))]
     found = next((path for name in names if name and (path := shutil.which(name))), None)
     if found is None:
@@ -71,26 +59,17 @@ def clang() -> str:
 
 @cache
 def ptxas() -> str:
-    """NVIDIA's assembler, of its wheel or on the path.
-
-    Raises:
-        MissingError: it is not there.
-    """
+    """NVIDIA's assembler, of its wheel or on the path."""
     spec = importlib.util.find_spec("nvidia")
-    for place in spec.submodule_search_locations or () if spec else ():
-        for path in sorted(Path(place).glob("*/bin/ptxas"), reverse=True):
-            return str(path)
-    if path := shutil.which("ptxas"):
+    places = spec.submodule_search_locations or () if spec else ()
+    found = [str(path) for place in places for path in sorted(Path(place).glob("*/bin/ptxas"), reverse=True)]
+    if path := next(iter(found), None) or shutil.which("ptxas"):
         return path
     raise MissingError("ptxas: pip install nvidia-cuda-nvcc")
 
 
 def ocloc() -> str:
-    """Intel's compiler, ``$OCLOC`` or on the path.
-
-    Raises:
-        MissingError: it is not there.
-    """
+    """Intel's compiler, ``$OCLOC`` or on the path."""
     if path := shutil.which(os.environ.get("OCLOC", "ocloc")):
         return path
     raise MissingError("ocloc: apt-get install intel-opencl-icd, or set OCLOC")
@@ -102,11 +81,7 @@ def is_intel(target: str) -> bool:
 
 
 def require(target: str) -> None:
-    """Ask for all that a target needs: ``sm_90``, ``gfx1100``, or a device that ocloc knows, such as ``dg2``.
-
-    Raises:
-        MissingError: something is not there.
-    """
+    """Raise `MissingError` if not all that a target needs is there: ``sm_90``, ``gfx1100``, or a device that ocloc knows: ``dg2``."""
     if is_intel(target):
         ocloc()
         return
@@ -116,14 +91,7 @@ def require(target: str) -> None:
 
 
 def compiled(source: str, options: Sequence[str], kernels: Sequence[str], target: str, folder: Path) -> dict[str, Compiled]:
-    """Compile one program.
-
-    Args:
-        source: OpenCL C.
-        options: of the build.
-        kernels: whose code is looked at.
-        target: ``sm_90``, ``gfx1100``, ``dg2`` or the like.
-        folder: for intermediate files.
+    """The ``kernels`` of one program in OpenCL C; ``folder`` is for intermediate files.
 
     Raises:
         CompileError: with the compiler's first error.
@@ -147,38 +115,16 @@ def compiled(source: str, options: Sequence[str], kernels: Sequence[str], target
 
 
 def _nvidia(assembly: Path, kernels: Sequence[str], target: str, folder: Path) -> dict[str, Compiled]:
-    binary = folder / "k.cubin"
-    told = _run([ptxas(), f"-arch={target}", "-v", str(assembly), "-o", str(binary)])
-    found: dict[str, Compiled] = {}
-    for kernel in kernels:
-        part = told.split(f"entry function '{kernel}'", 1)[-1].split("Compile time", 1)[0]
-
-        def number(pattern: str, part: str = part) -> int:
-            match = re.search(pattern, part)
-            return int(match[1]) if match else 0
-
-        found[kernel] = Compiled(
-            registers=number(r"Used (\d+) registers"),
-            stack=number(r"(\d+) bytes stack frame"),
-            spilled=number(r"(\d+) bytes spill stores"),
-            local=number(r"(\d+) bytes smem"),
-        )
-    return found
+    told = _run([ptxas(), f"-arch={target}", "-v", str(assembly), "-o", str(folder / "k.cubin")])
+    parts = {kernel: told.split(f"entry function '{kernel}'", 1)[-1].split("Compile time", 1)[0] for kernel in kernels}
+    words = r"Used (\d+) registers", r"(\d+) bytes stack frame", r"(\d+) bytes spill stores", r"(\d+) bytes smem"
+    return {kernel: Compiled(*(_number(pattern, part) for pattern in words)) for kernel, part in parts.items()}
 
 
 def _amd(told: str, kernel: str) -> Compiled:
     part = told.split(f"Function Name: {kernel} ", 1)[-1].split("Function Name:", 1)[0]
-
-    def number(name: str) -> int:
-        match = re.search(rf"{name}: (\d+)", part)
-        return int(match[1]) if match else 0
-
-    return Compiled(
-        registers=number("VGPRs"),
-        stack=number(r"ScratchSize \[bytes/lane\]"),
-        spilled=number("VGPRs Spill"),
-        local=number(r"LDS Size \[bytes/block\]"),
-    )
+    words = "VGPRs", r"ScratchSize \[bytes/lane\]", "VGPRs Spill", r"LDS Size \[bytes/block\]"
+    return Compiled(*(_number(rf"{name}: (\d+)", part) for name in words))
 
 
 def _intel(source: str, options: Sequence[str], kernels: Sequence[str], target: str, folder: Path) -> dict[str, Compiled]:
@@ -191,10 +137,34 @@ def _intel(source: str, options: Sequence[str], kernels: Sequence[str], target: 
         [ocloc(), "compile", "-file", str(text), "-device", target, "-out_dir", str(folder), "-options", told],
         {"IGC_ShaderDumpEnable": "1", "IGC_DumpToCustomDir": f"{listings}/"},
     )
-    found = intel.listings(listings)
+    found = intel_kernels(listings)
     if missing := [kernel for kernel in kernels if kernel not in found]:
         raise CompileError(f"ocloc: no listing of {', '.join(missing)}")
-    return {kernel: Compiled(**intel.figures(*found[kernel])) for kernel in kernels}
+    return {kernel: found[kernel] for kernel in kernels}
+
+
+def intel_kernels(listings: Path) -> dict[str, Compiled]:
+    """What IGC, which ocloc calls, wrote into a folder. Registers have 32 bytes, and are as many as the compiler was told.
+
+    A kernel that spilled may be compiled once more, in another way: only what runs has a description.
+    """
+    found: dict[str, Compiled] = {}
+    for path in sorted(listings.glob("*.asm")):
+        text, description = path.read_text(encoding="utf-8", errors="replace"), path.with_suffix(".cos")
+        if (kernel := re.search(r"^//\.kernel (\w+)", text, re.MULTILINE)) and description.exists():
+            said = description.read_text(encoding="utf-8", errors="replace")
+            found[kernel[1]] = Compiled(
+                registers=_number(r"numGRF=(\d+)", text),
+                stack=_number(r"PerThreadPrivateMemorySize\s*= (\d+)", said),
+                spilled=_number(r"//\.spill size (\d+)", text),
+                local=_number(r"TotalInlineLocalMemorySize\s*= (\d+)", said),
+            )
+    return found
+
+
+def _number(pattern: str, text: str) -> int:
+    match = re.search(pattern, text)
+    return int(match[1]) if match else 0
 
 
 def _run(command: list[str], more: Mapping[str, str] | None = None) -> str:

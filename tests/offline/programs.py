@@ -1,7 +1,8 @@
 """The programs that the host's code builds for a row of tile sizes, as if it computed small frames on a GPU."""
 
-from dataclasses import dataclass
+from functools import cache
 from itertools import product
+from typing import NamedTuple
 
 import pytest
 
@@ -17,8 +18,7 @@ from tests.cl.films import EARLIER, WEIGHTS, calls_of, film, frame_inputs, halve
 SIZE = 19, 45
 
 
-@dataclass(frozen=True)
-class Program:
+class Program(NamedTuple):
     """A file of ``kernels/`` with the options it is built with and the kernels in it."""
 
     file: str
@@ -31,6 +31,7 @@ class Program:
         return " ".join(option for option in self.options if option != "-D" and not option.startswith("-cl-"))
 
 
+@cache  # to build them for the device at hand takes minutes
 def programs(row):
     """The programs of one row of ``tuning.toml``, such as ``nvidia`` or ``amd``, in the order in which they are built."""
     device = open_device(device_class="gpu")

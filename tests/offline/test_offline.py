@@ -5,10 +5,9 @@ from pathlib import Path
 import pytest
 
 from stss_cl.device.program import source
-from tests.offline import intel
 from tests.offline.__main__ import TARGETS, row_of
 from tests.offline.budgets import BUDGETS, faults
-from tests.offline.compilers import Compiled, CompileError, MissingError, compiled, require
+from tests.offline.compilers import Compiled, CompileError, MissingError, compiled, intel_kernels, require
 
 LAYER = ["-cl-std=CL1.2", "-cl-mad-enable", "-DA=24", "-DB=24", "-DOUT=24", "-DSTRIDE=1", "-DRELU"]
 CASES = [
@@ -30,10 +29,9 @@ def test_what_intel_says(tmp_path):
     (tmp_path / "a_1_simd8_entry_0001.asm").write_text(LISTING.replace("size 96", "size 0"))
     (tmp_path / "a_1_simd8_entry_0001.cos").write_text(DESCRIPTION)
     (tmp_path / "a_simd8_entry_0001.asm").write_text(LISTING)
-    found = intel.listings(tmp_path)
-    assert intel.figures(*found["conv_local"])["spilled"] == 0
-    figures = intel.figures(LISTING, DESCRIPTION)
-    assert figures == {"registers": 256, "stack": 384, "spilled": 96, "local": 9888}
+    assert intel_kernels(tmp_path) == {"conv_local": Compiled(registers=256, stack=384, spilled=0, local=9888)}
+    (tmp_path / "a_simd8_entry_0001.cos").write_text(DESCRIPTION)
+    assert intel_kernels(tmp_path)["conv_local"].spilled == 96
 
 
 def test_what_exceeds_a_budget_is_told():
@@ -44,13 +42,17 @@ def test_what_exceeds_a_budget_is_told():
     assert [line.split()[1] for line in told] == ["registers,", "bytes", "spilled,"]
 
 
-@pytest.mark.parametrize("target", TARGETS)
-@pytest.mark.parametrize(("kernel", "options"), CASES, ids=["plain", "gated", "matrix"])
-def test_budgets(kernel, options, target, tmp_path: Path):
+def need(target):
     try:
         require(target)
     except MissingError as error:
         pytest.skip(str(error))
+
+
+@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize(("kernel", "options"), CASES, ids=["plain", "gated", "matrix"])
+def test_budgets(kernel, options, target, tmp_path: Path):
+    need(target)
     row = row_of(target)
     if kernel == "conv_mma" and row != "nvidia":
         pytest.skip(f"{target} has no matrix units that we use")
@@ -62,9 +64,6 @@ def test_budgets(kernel, options, target, tmp_path: Path):
 
 
 def test_what_does_not_compile_is_told(tmp_path):
-    try:
-        require("gfx1100")
-    except MissingError as error:
-        pytest.skip(str(error))
+    need("gfx1100")
     with pytest.raises(CompileError, match="error"):
         compiled("kernel void k(global float *a) { a[0] = b; }", ["-cl-std=CL1.2"], ["k"], "gfx1100", tmp_path)
