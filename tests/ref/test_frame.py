@@ -136,20 +136,6 @@ def test_any_size_gives_twice_the_size_in_the_dtype_given(size, seed):
         assert image.dtype == dtype
 
 
-@settings(max_examples=10)
-@given(size=sizes(20), seed=SEEDS)
-def test_padding_is_repeating_the_last_row_and_column(size, seed):
-    """Extending the inputs by hand to multiples of 8 gives the same image, bit for bit."""
-    height, width = size
-    inputs = network_inputs(size, seed)
-    weights = random_weights(seed)
-    rows, columns = (np.minimum(np.arange(-(-n // 8) * 8), n - 1) for n in size)
-    color, gbuffer, mask, history = inputs
-    padded = [x[np.ix_(rows, columns)] for x in (color, gbuffer, mask)] + [history[:, rows[:, None], columns]]
-    extended = network(*(np.ascontiguousarray(x) for x in padded), weights)
-    np.testing.assert_array_equal(network(*inputs, weights), extended[: 2 * height, : 2 * width])
-
-
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
