@@ -3,8 +3,6 @@
 import re
 import shlex
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import click
@@ -167,15 +165,6 @@ def check_words(page, line):
         pass
     except click.ClickException as error:
         pytest.fail(f"{page}: {line}: {error.format_message()}")
-
-
-def test_the_documented_way_to_run_one_file_of_tests_runs_it():
-    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    words = re.search(r"`\.venv/bin/python (-m pytest [^`]*)`", text)[1].split()
-    done = subprocess.run(
-        [sys.executable, *words, "-q", "-p", "no:cacheprovider"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert re.search(r"^\d+ passed", done.stdout, re.M), done.stdout + done.stderr
 
 
 @pytest.mark.parametrize("line", ["run a -o b --nothing", "nothing", "run a", "run a -o b --skip off|exact"])

@@ -36,11 +36,10 @@ class Steps:
     """Steps that note what they do, in order, and fail where told."""
 
     def __init__(self, fail=None):
-        self.log, self.threads, self._fail = [], {}, fail or {}
+        self.log, self._fail = [], fail or {}
 
     def step(self, name, pause=0.0):
         def do(item):
-            self.threads.setdefault(name, set()).add(threading.get_ident())
             self.log.append((name, item))
             time.sleep(pause)
             if error := self._fail.get((name, item)):

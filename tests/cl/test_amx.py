@@ -14,10 +14,8 @@ from stss_cl.device import amx
 from stss_cl.device.buffers import BFLOAT16, from_bfloat16, padded, read, to_bfloat16, write
 from stss_cl.network.conv import conv
 from stss_cl.network.pack_weights import amx_bias, amx_tiles, pack
-from stss_cl.skip.stream import Stream
 from stss_ground.errors import DeviceError
 from stss_ref.weights import zeros
-from tests.cl.films import WEIGHTS, assert_same, calls_of, film
 from tests.cl.test_network import tensors
 
 LAYERS = [
@@ -130,13 +128,3 @@ def test_that_it_is_emulated_is_said(processor, monkeypatch):
     assert said == ["bfloat16: no matrix units; emulated, which is slow"]
     open_backend("cl", zeros(), ComputeOptions(), tell=said.append)
     assert len(said) == 1
-
-
-def test_what_did_not_change_keeps_its_bits(processor):
-    """As in other precisions: the tiles that a change reaches are computed, and no others."""
-    kept, plain = (Stream(WEIGHTS, processor, "bfloat16", skip=skip) for skip in ("exact", "off"))
-    ran = set()
-    for call in calls_of(film()):
-        assert_same(kept(*call), plain(*call))
-        ran.add(kept.report.network)
-    assert ran == {"none", "changed", "whole"}

@@ -28,14 +28,6 @@ print("computed", os.environ.get("POCL_CACHE_DIR"))
 """
 
 
-@pytest.fixture(scope="module")
-def device():
-    try:
-        return open_device()
-    except DeviceError as error:
-        pytest.skip(str(error))
-
-
 @pytest.fixture(autouse=True)
 def cache_home(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
@@ -66,7 +58,7 @@ def mode(path):
     return stat.S_IMODE(path.stat().st_mode)
 
 
-def test_all_caches_lie_in_one_private_folder(device, bare, tmp_path):
+def test_all_caches_lie_in_one_private_folder(processor, bare, tmp_path):
     """Whatever the umask; of the command, and of whatever else is imported: PyOpenCL's pickles are not there."""
     write_demo_sequence(tmp_path, 2, (16, 24))
     environment = bare | {"XDG_CACHE_HOME": ""}
@@ -76,7 +68,7 @@ def test_all_caches_lie_in_one_private_folder(device, bare, tmp_path):
     assert done.returncode == 0, done.stderr
     assert compute(bare, umask=0) == "None"
     home = tmp_path / "home"
-    drivers = {Path(".cache/mesa_shader_cache")} if device.name.startswith("rusticl:") else set()  # Mesa's own
+    drivers = {Path(".cache/mesa_shader_cache")} if processor.name.startswith("rusticl:") else set()  # Mesa's own
     assert {path.relative_to(home) for path in (*home.iterdir(), *(home / ".cache").iterdir())} - drivers == {
         Path(".cache"),
         Path(".cache/stss"),
@@ -99,13 +91,13 @@ def test_a_cache_without_execution_is_not_used(tmp_path, monkeypatch):
     assert caches.private("verdicts").parent.parent == caches.home() != noexec
 
 
-def test_a_driver_without_a_cache_gets_binaries_without_pickles(device, monkeypatch, cache_home):
+def test_a_driver_without_a_cache_gets_binaries_without_pickles(processor, monkeypatch, cache_home):
     monkeypatch.setattr(program, "has_src_build_cache", lambda handle: None)
     kept = cache_home / "stss" / "binaries"
     for content in (None, b"", b"not a binary"):
         if content is not None:
             next(kept.iterdir()).write_bytes(content)
-        program.build(open_device(device.name), "selftest.cl")
+        program.build(open_device(processor.name), "selftest.cl")
         (binary,) = kept.iterdir()
         assert len(binary.read_bytes()) > 1000
     monkeypatch.setattr(program, "source", lambda file: pytest.fail("expected the binary"))
@@ -139,7 +131,7 @@ def test_a_full_disk_is_left_alone(monkeypatch):
 
 
 @pytest.mark.parametrize("privileged", [True, False])
-def test_a_user_without_a_home_computes(device, bare, privileged):
+def test_a_user_without_a_home_computes(processor, bare, privileged):
     """Also one who may read the installation and not write to it; as root, with the privilege to read alone."""
     command = ()
     if not privileged:
@@ -152,7 +144,7 @@ def test_a_user_without_a_home_computes(device, bare, privileged):
     compute(bare | {"HOME": "/nonexistent"}, command)
 
 
-def test_processes_that_build_in_an_empty_cache_at_once_all_succeed(device, bare):
+def test_processes_that_build_in_an_empty_cache_at_once_all_succeed(processor, bare):
     command = [sys.executable, "-c", "import sys; sys.stdin.readline()\n" + COMPUTE]
     starts = [subprocess.Popen(command, env=bare, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(3)]
     for each in starts:
@@ -161,7 +153,7 @@ def test_processes_that_build_in_an_empty_cache_at_once_all_succeed(device, bare
     assert [each.communicate(timeout=120)[0].split()[0] for each in starts] == ["computed"] * 3
 
 
-def test_a_build_that_another_process_disturbed_is_tried_again(device, monkeypatch):
+def test_a_build_that_another_process_disturbed_is_tried_again(processor, monkeypatch):
     build, calls = cl.Program.build, []
 
     def disturbed(self, *args, **more):
@@ -172,5 +164,5 @@ def test_a_build_that_another_process_disturbed_is_tried_again(device, monkeypat
 
     monkeypatch.setattr(program, "has_src_build_cache", lambda handle: True)
     monkeypatch.setattr(cl.Program, "build", disturbed)
-    program.build(open_device(device.name), "selftest.cl")
+    program.build(open_device(processor.name), "selftest.cl")
     assert len(calls) == 2

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conformance.cases.planes import SEEDS, frames, motions, sizes
+from conformance.cases import stage_inputs as drawn
+from conformance.cases.planes import SEEDS, motions, sizes
 from stss_cl.device.buffers import inputs_for, read
 from stss_cl.image_space.prepare import FINITE, Prepare
 from stss_cl.image_space.stages import ImageStages
@@ -48,33 +49,6 @@ def depths(draw, size):
     return kinds[draw(st.sampled_from(sorted(kinds)))].astype(np.float32)
 
 
-@st.composite
-def surfaces(draw, size):
-    """Stencil, normal and position of two frames that agree in most places, NoV and depth: what ``holes`` takes but motion."""
-    random = np.random.default_rng(draw(SEEDS))
-    objects = random.choice([0.0, 0.0, 1.0, 2.0, 1 / 3], size)
-    normal = random.normal(size=(*size, 3))
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    if draw(st.booleans()):
-        normal[...] = normal[0, 0]
-    normal[random.random(size) < 0.1] = 0
-    position = np.stack([*np.indices(size) * 5.0, random.random(size)], axis=-1)
-    values = {
-        "stencil_previous": np.where(random.random(size) < 0.1, 0, objects),
-        "stencil": objects,
-        "normal_previous": normal + random.normal(size=(*size, 3)) * 0.1 * (random.random(size) < 0.5)[..., None],
-        "normal": normal,
-        "position_previous": position + random.normal(size=(*size, 3)) * 20 * (random.random(size) < 0.3)[..., None],
-        "position": position,
-        "nov": random.uniform(-1, 1, size),
-        "depth": draw(depths(size)),
-    }
-    values = {name: value.astype(np.float32) for name, value in values.items()}
-    for name in ("position_previous", "position"):
-        values[name] = draw(broken(st.just(values[name])))
-    return values
-
-
 def assert_same(got, want):
     """Same dtype, shape and bits, but for the sign of 0 and the payload of NaN."""
     assert got.dtype == want.dtype
@@ -110,26 +84,14 @@ STEPS = ((1, 3, 5), (0, 2, 4), (1, 3, 3), (1, 1, 1), (0, 2, 2), (0, 0, 0), (2, 3
 
 @st.composite
 def frame_inputs(draw, size):
+    """The judge's, with motion of any kind, depths that tie, values that are no numbers; a G-buffer without denormal ones, which flush."""
     steps = draw(st.sampled_from(STEPS))
-    pairs = [draw(surfaces(size)) for _ in range(2)]
-    random = np.random.default_rng(draw(SEEDS))
-    gbuffer = random.random((*size, 9)).astype(np.float32)
-    gbuffer[..., 3] = pairs[0]["depth"]
-
-    def four(name):
-        return np.stack([pair[name + end] for end in ("", "_previous") for pair in pairs])
-
-    return FrameInputs(
-        colors=np.stack([draw(frames(size, 3)) for _ in range(3)]).astype(np.float32)
-        - np.float32(draw(st.sampled_from([0, 0.5]))),
-        steps=steps,
-        motions=np.stack([draw(broken(motions(size))) for _ in range(max(*steps, 1))]),
-        gbuffer=gbuffer,
-        nov=pairs[0]["nov"],
-        stencils=four("stencil"),
-        normals=four("normal"),
-        positions=four("position"),
-    )
+    inputs = draw(drawn.frame_inputs(st.just(size), steps)) | {"steps": steps}
+    inputs["motions"] = np.stack([draw(broken(motions(size))) for _ in range(max(*steps, 1))])
+    inputs["gbuffer"] = np.random.default_rng(draw(SEEDS)).random((*size, 9))
+    inputs["gbuffer"][..., 3] = draw(depths(size))
+    inputs["positions"] = draw(broken(st.just(inputs["positions"] * draw(st.sampled_from([1, 1.1])))))
+    return FrameInputs(**{name: a if name == "steps" else a.astype(np.float32) for name, a in inputs.items()})
 
 
 def downloaded(device, buffer, shape, dtype=np.float32):

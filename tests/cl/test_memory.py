@@ -111,7 +111,7 @@ def stream(precision):
         frames = film(10 * ["nothing"] + ["moving"], (5, 18))
         frames[9] = halve(frames[9])
         made = Stream(WEIGHTS, device, precision)
-        images = [made(*call)[0] for call in calls_of(frames)[-3:]]
+        images = [made(*call)[0] for call in calls_of(frames)[-3::2]]
         assert made.report.network == "changed"
         return images
 
@@ -148,7 +148,7 @@ CASES = [
     (network("float32", SIZES), "cpu"),
     (network("float32-direct", SIZES), "cpu"),
     (network("half", SIZES[::3]), "cpu"),
-    (network("bfloat16", SIZES[::3]), "cpu"),
+    (network("bfloat16", SIZES[3:]), "cpu"),
     (network("half", SIZES[::3]), "gpu"),
     (stream("float32"), "cpu"),
     (stream("half"), "cpu"),

@@ -106,21 +106,6 @@ def test_strips_have_the_bits_of_the_whole(device, precision):
     np.testing.assert_array_equal(image, whole)
 
 
-def test_a_pixel_depends_on_no_more_than_the_overlap(device):
-    """One input pixel changed, everything else equal: the rows that change are within 109, as the specification says."""
-    weights = random_weights(4)
-    inputs = network_inputs((680, WIDTH))
-    network = Network(weights, device, "float32-direct")
-    before = network(*inputs)
-    changed = [x.copy() for x in inputs]
-    changed[0][340] += 1
-    changed[1][340] += 1
-    changed[3][:, 340] += 1
-    rows = np.flatnonzero((network(*changed) != before).any(axis=(1, 2))) // 2
-    assert len(rows)
-    assert np.abs(rows - 340).max() <= 109
-
-
 @pytest.mark.parametrize("steps", [(1, 3, 5), (0, 2, 4)])
 def test_whole_frames_in_strips(device, steps):
     """Motion and splat reach across strips; image and holes are as without strips."""
