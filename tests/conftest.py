@@ -18,7 +18,7 @@ settings.register_profile("fuzz", deadline=None, max_examples=2500)
 settings.load_profile("ci" if os.environ.get("CI") else "dev")
 
 
-GPU_TESTS = {"gpu", "few_units", "device-gpu"}
+GPU_TESTS = {"gpu", "device-gpu"}
 """Fixtures of tests that compile the kernels of GPUs, and the parameter of tests/cl/conftest.py."""
 
 

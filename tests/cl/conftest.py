@@ -23,12 +23,6 @@ class LikeGpu(discovery.Device):
     compute_units = UNITS
 
 
-class FewUnits(discovery.Device):
-    """A device with few units: frames of tests have more tiles."""
-
-    compute_units = 4
-
-
 @pytest.fixture(scope="session", params=CLASSES)
 def device(request):
     """The device that is chosen, or that ``$STSS_DEVICE`` names, with the host code, work-groups and tuning row of a class."""
@@ -47,23 +41,17 @@ def gpu():
     return opened_as("gpu")
 
 
-@pytest.fixture(scope="session")
-def few_units():
-    """A GPU with few compute units, or the chosen device treated as one."""
-    return opened_as("gpu", FewUnits)
-
-
 @cache
-def opened_as(device_class, like=None):
-    """Opened once: its programs stay built. ``like``: what the device is made, in place of `LikeGpu` for a processor."""
+def opened_as(device_class):
+    """Opened once: its programs stay built."""
     try:
         opened = open_device(device_class=device_class)
     except DeviceError as error:
         pytest.skip(str(error))
     if device_class == "cpu" and opened.kind != "CPU":
         pytest.skip(f"{opened.name} is no processor")
-    if device_class == "gpu" and (like or opened.kind == "CPU"):
-        opened.__class__ = like or LikeGpu
+    if device_class == "gpu" and opened.kind == "CPU":
+        opened.__class__ = LikeGpu
     return opened
 
 

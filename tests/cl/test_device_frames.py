@@ -1,8 +1,6 @@
-"""Display frames that an engine has on the device, and when a GPU's host code waits for anything."""
+"""Display frames that an engine has on the device."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from threading import Timer
 
 import numpy as np
 import pyopencl as cl
@@ -12,7 +10,6 @@ import pytest
 from stss.frames.supersample import plan
 from stss_cl.skip.stream import Stream
 from stss_ref.arrays import ArrayError
-from tests.cl.conftest import watch_launches
 from tests.cl.films import SIZE, WEIGHTS, assert_same, calls_of, film, on
 
 
@@ -90,55 +87,3 @@ def test_what_is_not_finite_is_named_in_any_frame_of_a_first_window(device, whic
     with pytest.raises(ArrayError, match="gbuffer: 1 non-finite"):
         stream([*frames[:which], broken, *frames[which + 1 :]], steps)
     np.testing.assert_array_equal(stream(frames, steps)[0], Stream(WEIGHTS, device, skip="off")(frames, steps)[0])
-
-
-@pytest.mark.parametrize("skip", ["off", "exact"])
-def test_frames_on_the_device_do_not_wait_for_the_network(gpu, monkeypatch, skip):
-    """The call is over while the network stands still."""
-    device = gpu
-    frames = [on(device, frame) for frame in film(["moving"] * 7)]
-    stream, windows = streaming(device, frames, skip)
-    held = stopped_before(monkeypatch, device, "conv")
-    with ThreadPoolExecutor(1) as caller:
-        try:
-            image, _ = caller.submit(stream, *windows[-1]).result(timeout=120)
-        finally:
-            held.set_status(cl.command_execution_status.COMPLETE)
-    monkeypatch.undo()
-    whole, _ = Stream(WEIGHTS, device, skip="off")(*windows[-1])
-    np.testing.assert_array_equal(image.get(), whole.get())
-
-
-@pytest.mark.parametrize("skip", ["off", "exact"])
-def test_they_wait_for_what_is_found_on_arrival(gpu, monkeypatch, skip):
-    """Even where the look comes late."""
-    device, frames = gpu, film(["moving"] * 7)
-    frames[-1].nov[3, 4] = np.inf
-    stream, windows = streaming(device, [on(device, frame) for frame in frames], skip)
-    held = stopped_before(monkeypatch, device, "arrive")
-    Timer(0.5, held.set_status, [cl.command_execution_status.COMPLETE]).start()
-    with pytest.raises(ArrayError, match="nov:"):
-        stream(*windows[-1])
-
-
-def streaming(device, frames, skip):
-    """A stream that has computed all windows but the last, and compares none; all windows with their steps."""
-    stream = Stream(WEIGHTS, device, skip=skip)
-    stream._control.frames_unlooked = 100
-    windows = calls_of(frames)
-    for window, steps in windows[:-1]:
-        stream(window, steps)
-    device.queue.finish()
-    return stream, windows
-
-
-def stopped_before(monkeypatch, device, name):
-    """An event that the queue waits for, from now on, before the first kernel whose name begins so."""
-    held, waiting = cl.UserEvent(device.context), []
-
-    def stop(queue, kernel, group):
-        if not waiting and kernel.function_name.startswith(name):
-            waiting.append(cl.enqueue_barrier(queue, wait_for=[held]))
-
-    watch_launches(monkeypatch, stop)
-    return held

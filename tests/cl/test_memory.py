@@ -105,11 +105,11 @@ def matrix(device):
 
 
 def stream(precision):
-    """Frames of a film of which the last is computed in part; planes of one came as half."""
+    """Two extrapolated frames of which something moves in the second, which is computed in part; planes come as half."""
 
     def case(device):
-        frames = film(10 * ["nothing"] + ["moving"], (5, 18))
-        frames[9] = halve(frames[9])
+        frames = [halve(made) for made in film(11 * ["nothing"], (5, 18))]
+        frames[11].motion[2:4, 4:7], frames[11].stencil[2:4, 4:7] = 1.25, 1
         made = Stream(WEIGHTS, device, precision)
         images = [made(*call)[0] for call in calls_of(frames)[-3::2]]
         assert made.report.network == "changed"

@@ -19,8 +19,8 @@ from hypothesis import given, settings
 from stss_cl.device.staging import staging
 from stss_cl.skip.stream import SKIPS, Stream
 from stss_ref.arrays import ArrayError
+from tests.cl.conftest import watch_launches
 from tests.cl.films import WEIGHTS, assert_same, calls_of, film, on
-from tests.cl.test_device_frames import stopped_before
 from tests.cl.test_stream import sequences, windows
 
 MOMENT = 0.5
@@ -175,6 +175,46 @@ def begun(stream, calls):
     for call in calls:
         stream(*call)
     return stream
+
+
+def stopped_before(monkeypatch, device, name):
+    """An event that the queue waits for, from now on, before the first kernel whose name begins so."""
+    stop, waiting = cl.UserEvent(device.context), []
+
+    def seen(queue, kernel, group):
+        if not waiting and kernel.function_name.startswith(name):
+            waiting.append(cl.enqueue_barrier(queue, wait_for=[stop]))
+
+    device.queue.finish()
+    watch_launches(monkeypatch, seen)
+    return stop
+
+
+@pytest.mark.parametrize("skip", SKIPS)
+def test_frames_on_the_device_do_not_wait_for_the_network(gpu, monkeypatch, skip):
+    """The call is over while the network stands still."""
+    calls = calls_of([on(gpu, frame) for frame in film(["moving"] * 7)])
+    stream, want = begun(Stream(WEIGHTS, gpu, skip=skip), calls[:-1]), here(right(gpu, calls[-1:])[0])
+    stop = stopped_before(monkeypatch, gpu, "conv")
+    with ThreadPoolExecutor(1) as caller:
+        try:
+            made = caller.submit(stream, *calls[-1]).result(timeout=LONG)
+        finally:
+            stop.set_status(cl.command_execution_status.COMPLETE)
+    assert_same(here(made), want)
+
+
+@pytest.mark.parametrize("skip", SKIPS)
+def test_they_wait_for_what_is_found_on_arrival(gpu, monkeypatch, skip):
+    """Even where the look comes late."""
+    frames = film(["moving"] * 7)
+    frames[-1].nov[3, 4] = np.inf
+    calls = calls_of([on(gpu, frame) for frame in frames])
+    stream = begun(Stream(WEIGHTS, gpu, skip=skip), calls[:-1])
+    stop = stopped_before(monkeypatch, gpu, "arrive")
+    Timer(MOMENT, stop.set_status, [cl.command_execution_status.COMPLETE]).start()
+    with pytest.raises(ArrayError, match="nov:"):
+        stream(*calls[-1])
 
 
 @pytest.mark.parametrize(("skip", "last"), [("off", 8), ("exact", 3), ("exact", 8)])
