@@ -8,7 +8,6 @@ import sys
 import threading
 import time
 from concurrent.futures import BrokenExecutor, CancelledError, Future, ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,15 +40,18 @@ def frames(write_frames, monkeypatch):
     return open_sequence(write_frames(FRAMES, rendered=RENDERED, size=SIZE), "stss")
 
 
-def on_cluster(sequence, out, where="threads", *, on_frame=lambda report: None, **options):
-    return run_on_cluster(
-        sequence, out, where, load(BILINEAR), "ref", ComputeOptions(), RunOptions(**options), on_frame
-    )  # fmt: skip
+def on_cluster(sequence, out, where="threads", on_frame=lambda report: None, **options):
+    return run_on_cluster(sequence, out, where, load(BILINEAR), "ref", ComputeOptions(), RunOptions(**options), on_frame)
 
 
 def in_one_process(sequence, out, **options):
     weights = load(BILINEAR)
     return run(sequence, out, open_backend("ref", weights.weights), weights.label, RunOptions(**options))
+
+
+def assert_as_in_one_process(sequence, out):
+    in_one_process(sequence, out.with_name("one"))
+    assert files(out) == files(out.with_name("one"))
 
 
 class DiedError(Exception):
@@ -88,12 +90,7 @@ def threads(monkeypatch):
     """Takes the function ``becomes``; then the address "threads" leads to `Threads`."""
 
     def set_up(becomes=lambda handed, arguments: None):
-        @contextmanager
-        def connect(address):
-            with Threads(becomes) as workers:
-                yield workers
-
-        monkeypatch.setattr(module, "connect", connect)
+        monkeypatch.setattr(module, "connect", lambda address: Threads(becomes))
 
     return set_up
 
@@ -161,8 +158,7 @@ def test_a_chunk_whose_worker_ends_is_computed_again(threads, frames, tmp_path, 
     doomed = set()
     threads(becomes)
     on_cluster(frames, tmp_path / "many")
-    in_one_process(frames, tmp_path / "one")
-    assert files(tmp_path / "many") == files(tmp_path / "one")
+    assert_as_in_one_process(frames, tmp_path / "many")
     doomed = {9}
     with pytest.raises(InputError, match=r"workers died or hung 4 times, frames 8 to 11; --resume goes on"):
         on_cluster(frames, tmp_path / "doomed")
@@ -182,8 +178,7 @@ def test_workers_of_different_kinds_are_refused(threads, frames, tmp_path):
         on_cluster(frames, tmp_path / "out")
     threads()
     on_cluster(frames, tmp_path / "out", resume=True)
-    in_one_process(frames, tmp_path / "one")
-    assert files(tmp_path / "out") == files(tmp_path / "one")
+    assert_as_in_one_process(frames, tmp_path / "out")
 
 
 def sockets(process):
@@ -206,8 +201,7 @@ def test_processes_here_have_no_socket_and_may_die(frames, tmp_path):
     assert killed
     assert not found
     assert not multiprocessing.active_children()
-    in_one_process(frames, tmp_path / "one")
-    assert files(tmp_path / "many") == files(tmp_path / "one")
+    assert_as_in_one_process(frames, tmp_path / "many")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no signals")
@@ -235,18 +229,10 @@ def test_an_interrupt_is_one_line_that_says_how_to_go_on(frames, tmp_path, where
         said = process.communicate(timeout=60)[1]
     assert (process.returncode, said) == (130, "stss: stopped; to go on, give the same command with --resume\n")
     assert not [path for path in out.rglob("*") if path.name.startswith(".")]
-    ends = time.monotonic() + 30  # multiprocessing's own helper ends a moment later
-    while is_there(process.pid) and time.monotonic() < ends:
-        time.sleep(0.1)
-    assert not is_there(process.pid)
-
-
-def is_there(group):
-    try:
-        os.killpg(group, 0)
-    except ProcessLookupError:
-        return False
-    return True
+    with pytest.raises(ProcessLookupError):  # noqa: PT012
+        for _ in range(300):  # multiprocessing's own helper ends a moment later
+            os.killpg(process.pid, 0)
+            time.sleep(0.1)
 
 
 @pytest.fixture
@@ -280,8 +266,7 @@ def test_a_worker_of_a_scheduler_may_hang(scheduler, frames, tmp_path, monkeypat
         assert HUNG
     finally:
         HELD.set()
-    in_one_process(frames, tmp_path / "one")
-    assert files(tmp_path / "many") == files(tmp_path / "one")
+    assert_as_in_one_process(frames, tmp_path / "many")
 
 
 @pytest.mark.parametrize(
