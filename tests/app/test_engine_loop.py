@@ -46,14 +46,6 @@ def test_arrays_may_be_filled_again(copy):
     assert all(np.array_equal(*pair) for pair in zip(images, expected, strict=True)) == copy
 
 
-def test_outputs_are_the_callers():
-    loop = engine()
-    first = loop.push(next(frames(1)))
-    before = first.image.copy()
-    list(loop(frames(3, first=1)))
-    assert np.array_equal(first.image, before)
-
-
 def with_value(name, value):
     def change(buffers):
         plane = getattr(buffers, name).copy()

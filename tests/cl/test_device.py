@@ -2,8 +2,8 @@
 
 import gc
 import linecache
+import multiprocessing
 import os
-import time
 import weakref
 from types import SimpleNamespace
 
@@ -121,24 +121,21 @@ def test_a_kernel_that_does_not_build_shows_its_line(device, kernels):
 
 def forked(action):
     """What ``action`` returns or raises in a fork of this process."""
-    read, write = os.pipe()
-    child = os.fork()
-    if child == 0:
+    said = multiprocessing.get_context("fork").SimpleQueue()
+
+    def call():
         try:
-            os.write(write, str(action()).encode())
+            said.put(str(action()))
         except BaseException as error:
-            os.write(write, f"{type(error).__name__}: {error}".encode())
-        finally:
-            os._exit(0)
-    os.close(write)
-    deadline = time.monotonic() + 20
-    while os.waitpid(child, os.WNOHANG) == (0, 0):
-        if time.monotonic() > deadline:
-            os.kill(child, 9)
-            pytest.fail("the fork hangs")
-        time.sleep(0.01)
-    with os.fdopen(read) as pipe:
-        return pipe.read()
+            said.put(f"{type(error).__name__}: {error}")
+
+    child = multiprocessing.get_context("fork").Process(target=call)
+    child.start()
+    child.join(20)
+    hangs = child.is_alive()
+    child.kill()
+    assert not hangs
+    return said.get()
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
