@@ -12,19 +12,10 @@ from stss_ground.errors import InputError
 SIZE = (18, 32)
 
 
-@pytest.fixture(scope="module")
-def sequence(tmp_path_factory):
-    out = tmp_path_factory.mktemp("demo")
-    seen = []
-    write_demo_sequence(out, 4, SIZE, on_frame=seen.append)
-    assert seen == [0, 1, 2, 3]
-    return out
-
-
-def test_files_hold_what_was_rendered(sequence):
+def test_files_hold_what_was_rendered(demo):
     """Float channels to the bit; the rest to half precision: 11 bits."""
-    assert [len(read_header(demo_path(sequence / "frames", n)).channels) for n in range(4)] == [19, 16, 19, 16]
-    path, frame = demo_path(sequence / "frames", 2), render(DEMO, 2, *SIZE, samples=INPUT_SAMPLES)
+    assert [len(read_header(demo_path(demo / "frames", n)).channels) for n in range(4)] == [19, 16, 19, 16]
+    path, frame = demo_path(demo / "frames", 2), render(DEMO, 2, *SIZE, samples=INPUT_SAMPLES)
     names = read_header(path).channels
     written, expected = read_channels(path, names), frame_channels(frame, rendered=True)
     assert set(names) == set(expected)

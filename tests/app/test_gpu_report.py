@@ -9,18 +9,11 @@ from click.testing import CliRunner
 from rich.console import Console
 
 from stss.cli.main import stss
-from stss_cl.device.discovery import DeviceError, open_device
 from stss_lab.bench import gpu_report
 from stss_lab.bench.gpu_report import Step
 from tests.hostile.cases import runs
 
-
-@pytest.fixture(autouse=True)
-def _a_device():
-    try:
-        open_device()
-    except DeviceError as error:
-        pytest.skip(str(error))
+pytestmark = pytest.mark.usefixtures("device")
 
 
 def command(text):

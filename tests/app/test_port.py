@@ -90,16 +90,8 @@ def saved(array):
     return lambda path: np.save(path, array)
 
 
-def text(content):
-    return lambda path: path.write_bytes(content)
-
-
-def shortened(path):
-    path.write_bytes(path.read_bytes()[:-4])
-
-
-def renamed(path):
-    path.write_bytes(path.read_bytes().replace(b"outc.bias", b"outc.bjas"))
+def rewritten(change):
+    return lambda path: path.write_bytes(change(path.read_bytes()))
 
 
 WEIGHTS = "0000/in/weights.safetensors"
@@ -111,12 +103,12 @@ MALFORMED = [
     ("warp", "0000/in/colour.npy", Path.touch, "not an input of stage warp (color, motion)"),
     ("warp", "0000/in/motion.npy", Path.unlink, "missing"),
     ("warp", "0000/in", lambda path: path.rename(path.with_name("into")), "no such folder"),
-    ("warp", "0000/stage", text(b"warp\nholes\n"), "one line"),
-    ("warp", "0000/stage", text(b"\xff\xfe\0"), "one line"),
+    ("warp", "0000/stage", rewritten(lambda _: b"warp\nholes\n"), "one line"),
+    ("warp", "0000/stage", rewritten(lambda _: b"\xff\xfe\0"), "one line"),
     ("warp", "0000/stage", Path.unlink, "missing"),
     ("warp", "0000", lambda path: path.rename(path.parents[1] / "away"), "no case"),
-    ("history", WEIGHTS, shortened, ""),
-    ("history", WEIGHTS, renamed, "outc.bias"),
+    ("history", WEIGHTS, rewritten(lambda data: data[:-4]), ""),
+    ("history", WEIGHTS, rewritten(lambda data: data.replace(b"outc.bias", b"outc.bjas")), "outc.bias"),
     ("history", WEIGHTS, lambda path: os.truncate(path, 2**30), "larger"),
     ("history", WEIGHTS, Path.unlink, ""),
 ]

@@ -29,13 +29,7 @@ def test_the_hole_test_loses_nothing_itself():
     assert columns["origin taken off by the renderer"][-1] < 1
 
 
-def test_the_backend_is_measured_in_each_of_its_precisions():
-    from stss_cl.device.discovery import DeviceError, open_device
-
-    try:
-        device = open_device()
-    except DeviceError as error:
-        pytest.skip(str(error))
+def test_the_backend_is_measured_in_each_of_its_precisions(device):
     plan = make_plan(device, WEIGHTS)
     assert [engine.name for engine in plan.engines] == ["ref", "cl", "cl direct", "cl half", "cl bfloat16"]
     engine = OpenCLEngine(device, "half")

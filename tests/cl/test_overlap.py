@@ -21,7 +21,7 @@ from stss_cl.skip.stream import SKIPS, Stream
 from stss_ref.arrays import ArrayError
 from tests.cl.conftest import watch_launches
 from tests.cl.films import WEIGHTS, assert_same, calls_of, film, on
-from tests.cl.test_stream import sequences, windows
+from tests.cl.test_stream import sequences
 
 MOMENT = 0.5
 """Seconds in which what may happen does, and what must wait is seen to."""
@@ -89,10 +89,9 @@ def test_frames_one_ahead_have_the_bits_of_calls(device, skip, there):
 
 
 @settings(max_examples=10)
-@given(sequence=sequences())
-def test_whatever_comes_in_whatever_order(gpu, sequence):
+@given(calls=sequences())
+def test_whatever_comes_in_whatever_order(gpu, calls):
     """Windows out of turn, repeated, cut short; images are held or not."""
-    calls = list(windows(sequence))
     want = right(gpu, calls)
     for skip in SKIPS:
         stream, kept = Stream(WEIGHTS, gpu, skip=skip), []

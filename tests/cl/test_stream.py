@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import threading
 import weakref
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -14,7 +14,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stss.frames.display_frame import DisplayFrame
 from stss.frames.supersample import plan
 from stss_cl.device import program
 from stss_cl.network.strips import OVERLAP
@@ -25,16 +24,9 @@ from tests.cl.conftest import watch_launches
 from tests.cl.films import CHANGES, EARLIER, UNREAD, WEIGHTS, assert_same, calls_of, film
 
 
-@dataclass(frozen=True)
-class Sequence:
-    """Display frames, and the windows asked for one after the other, each by its last frame and its length."""
-
-    frames: tuple[DisplayFrame, ...]
-    calls: tuple[tuple[int, int], ...]
-
-
 @st.composite
 def sequences(draw):
+    """(window, steps) of calls one after the other."""
     size = draw(st.tuples(st.integers(1, 30), st.integers(1, 72)))
     changes = draw(st.lists(st.sampled_from(CHANGES), min_size=4, max_size=12))
     frames = film(changes, size, draw(st.integers(0, 2**32 - 1)))
@@ -42,16 +34,8 @@ def sequences(draw):
     odd = draw(st.lists(st.tuples(st.integers(0, len(frames) - 1), st.integers(1, 6), st.integers(0, len(frames))), max_size=3))
     for last, length, where in odd:  # out of turn, repeated, or with the beginning cut off
         calls.insert(where, (last, length))
-    return Sequence(tuple(frames), tuple(calls))
-
-
-def windows(sequence):
-    """(window, steps) of every call that can be answered."""
-    for last, length in sequence.calls:
-        window = sequence.frames[max(0, last - length + 1) : last + 1]
-        planned = plan(window)
-        if planned is not None:
-            yield window, planned.steps
+    windows = [frames[max(0, last - length + 1) : last + 1] for last, length in calls]
+    return [(window, planned.steps) for window in windows if (planned := plan(window))]
 
 
 @pytest.fixture(
@@ -66,12 +50,12 @@ def pair(request, device):
 
 
 @settings(max_examples=8)
-@given(sequence=sequences())
-def test_what_is_kept_changes_no_bit(pair, sequence):
+@given(calls=sequences())
+def test_what_is_kept_changes_no_bit(pair, calls):
     """Nor an image that somebody holds: the next one may be written over the last only where nobody has that any more."""
     plain, keeping = pair
     held = []
-    for window, steps in windows(sequence):
+    for window, steps in calls:
         image, valid = keeping(window, steps)
         assert_same((image, valid), plain(window, steps))
         held.append(((image, valid), (image.copy(), valid.copy())))

@@ -22,10 +22,9 @@ from stss_ground.output.lock import LOCK, locked
 from stss_ground.output.write_whole import write_named, write_whole
 from tests.app.conftest import PLAIN
 from tests.app.conftest import files as contents
-from tests.hostile.cases import call, refused
+from tests.hostile.cases import call, refused, unprivileged
 
 FRAMES = 4
-NOBODY = 65534
 
 
 @pytest.fixture(scope="module")
@@ -290,19 +289,6 @@ def readable():
     with tempfile.TemporaryDirectory() as name:
         Path(name).chmod(0o755)
         yield Path(name)
-
-
-@contextlib.contextmanager
-def unprivileged():
-    """What root may do, this process may not for a while."""
-    root = os.geteuid() == 0
-    if root:
-        os.seteuid(NOBODY)
-    try:
-        yield
-    finally:
-        if root:
-            os.seteuid(0)
 
 
 @pytest.mark.parametrize("option", ["--overwrite", "--resume"])

@@ -10,11 +10,10 @@ import pytest
 from stss.images.read_write import write_rgb
 from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
-from tests.app.conftest import frame_channels, write_raw
-from tests.hostile.cases import call, refused
+from tests.app.conftest import PLAIN, frame_channels, write_raw
+from tests.hostile.cases import call, refused, unprivileged
 
 SIZE = (8, 16)
-PLAIN = ("--weights", "bilinear", "--backend", "ref")
 FAR = 99999999
 
 
@@ -143,12 +142,8 @@ def test_an_unreadable_folder_is_one_line(tmp_path):
         pytest.skip("needs root, to become nobody")
     folder = write(tmp_path / "in" / "a.0001.exr")
     folder.chmod(0)
-    os.seteuid(65534)
-    try:
-        with pytest.raises(InputError, match="cannot be read: Permission denied"):
-            open_sequence(folder, "stss")
-    finally:
-        os.seteuid(0)
+    with unprivileged(), pytest.raises(InputError, match="cannot be read: Permission denied"):
+        open_sequence(folder, "stss")
 
 
 def test_a_header_that_claims_more_than_the_file_can_hold(sequence):

@@ -39,12 +39,6 @@ def astype(inputs, dtype):
     return replace(inputs, **arrays)
 
 
-def network_inputs(size, seed, dtype=np.float64):
-    random = np.random.default_rng(seed)
-    shapes = ((*size, 6), (*size, 9), size, (3, *size, 4))
-    return [random.random(shape).astype(dtype) for shape in shapes]
-
-
 @settings(max_examples=15)
 @given(size=sizes(12), seed=SEEDS)
 def test_a_still_scene_needs_no_extrapolation(size, seed):
@@ -124,16 +118,6 @@ def test_the_weights_say_what_the_second_colour_is(data, size, seed):
     for prepared, given_weights in ((newest, weights), (earlier, Weights(weights, "earlier"))):
         want = network(prepared.color, prepared.gbuffer, prepared.mask, prepared.history, weights)
         np.testing.assert_array_equal(frame(inputs, given_weights)[0], want)
-
-
-@settings(max_examples=5)
-@given(size=sizes(20), seed=SEEDS)
-def test_any_size_gives_twice_the_size_in_the_dtype_given(size, seed):
-    weights = random_weights(seed)
-    images = [network(*network_inputs(size, seed, dtype), weights) for dtype in (np.float32, np.float64)]
-    for image, dtype in zip(images, (np.float32, np.float64), strict=True):
-        assert image.shape == (2 * size[0], 2 * size[1], 3)
-        assert image.dtype == dtype
 
 
 @pytest.mark.parametrize(
