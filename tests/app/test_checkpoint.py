@@ -13,7 +13,7 @@ import pytest
 
 from stss.weights import checkpoint
 from stss.weights.checkpoint import read_checkpoint
-from stss_ref.weights import TENSORS, Weights, WeightsError, random
+from stss_ref.weights import TENSORS, WeightsError, random
 
 
 class Call:
@@ -33,10 +33,6 @@ def refusal(path: Path) -> str:
     assert message.startswith(f"{path}: ")
     assert message.isprintable()
     return message.removeprefix(f"{path}: ")
-
-
-def same(one: Weights, other: Weights) -> bool:
-    return all(np.array_equal(one[name], other[name]) for name in TENSORS)
 
 
 @pytest.fixture
@@ -67,7 +63,8 @@ def test_what_pytorch_saves_today_is_read(path: Path):
     state["outc.weight"] = flat[5:].view(24, 12, 2)[:, :, 1].t().reshape(12, 24).t().t().view(12, 24, 1, 1)
     state["outc.bias"] = flat[3::7][:12]
     torch.save(state, path)
-    assert same(read_checkpoint(path), {name: value.numpy() for name, value in state.items()})
+    read = read_checkpoint(path)
+    assert all(np.array_equal(read[name], state[name].numpy()) for name in TENSORS)
     torch.save(state, path, _use_new_zipfile_serialization=False)
     assert "the format of PyTorch before 1.6" in refusal(path)
 

@@ -27,10 +27,10 @@ def few_cases(monkeypatch):
     monkeypatch.setitem(TIERS, "quick", Tier("quick", 6, 2, 0))
 
 
-def test_the_page_names_every_example():
-    page = (EXAMPLES / "README.md").read_text()
-    for path in EXAMPLES.glob("*.py"):
-        assert f"`examples/{path.name}`" in page, path.name
+@pytest.mark.parametrize(("page", "before"), [("README.md", "examples/"), ("webgpu/README.md", "")])
+def test_the_page_names_every_example(page, before):
+    for path in (EXAMPLES / page).parent.glob("*.[pw][yg]*"):
+        assert f"`{before}{path.name}`" in (EXAMPLES / page).read_text(), path.name
 
 
 def test_the_porters_port_passes(monkeypatch, few_cases):

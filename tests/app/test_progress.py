@@ -8,13 +8,10 @@ import time
 import pytest
 from rich.console import Console
 
-from stss.demo import write_demo_sequence
 from stss_ground.progress import show_progress, show_steps
 from stss_lab.bench import gpu_report
 from tests.app.conftest import PLAIN
 from tests.hostile.cases import call
-
-SIZE = (16, 24)
 
 
 def lines_of(console):
@@ -51,11 +48,10 @@ def test_a_step_is_done_when_the_next_begins():
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def folder(demo, tmp_path_factory):
     """A demo sequence, what was made of it, and of it in two parts."""
-    folder = tmp_path_factory.mktemp("progress")
-    write_demo_sequence(folder, 6, SIZE)
-    for out, numbers in (("out", "0:5"), ("parts/0", "0:2"), ("parts/1", "3:5")):
+    folder = shutil.copytree(demo, tmp_path_factory.mktemp("progress"), dirs_exist_ok=True)
+    for out, numbers in (("out", "0:3"), ("parts/0", "0:1"), ("parts/1", "2:3")):
         assert not call("run", folder / "frames", "-o", folder / out, *PLAIN, "--frames", numbers).returncode
     return folder
 

@@ -68,9 +68,3 @@ def test_the_port_passes(run):
     found = run(FOLDER)
     assert {name.split(".")[0] for name in found} == set(STAGES)
     assert set(found.values()) == {"passed"}, found
-
-
-def test_the_page_names_every_file():
-    page = (FOLDER / "README.md").read_text()
-    for path in (*FOLDER.glob("*.wgsl"), *FOLDER.glob("*.py")):
-        assert f"`{path.name}`" in page, path.name

@@ -20,10 +20,6 @@ from stss_ground.errors import InputError
 from stss_ref.weights import TENSORS, Weights, WeightsError, random, zeros
 
 
-def _same(one: Weights, other: Weights) -> bool:
-    return all(np.array_equal(one[name], other[name]) for name in TENSORS)
-
-
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "some.safetensors"
@@ -37,7 +33,7 @@ def test_saved_weights_come_back_bit_for_bit(path: Path, tmp_path: Path):
     changed = random(1) | {"outc.bias": np.nextafter(random(1)["outc.bias"], np.float32(1))}
     assert identity(changed) != identity(random(1)) == identity(Weights(dict(reversed([*random(1).items()]))))
     loaded = load(path)
-    assert _same(loaded.weights, random(1))
+    assert all(np.array_equal(loaded.weights[name], random(1)[name]) for name in TENSORS)
     assert loaded.metadata == {"made by": "test", "a": "ä"}
     assert loaded.source == str(path)
     assert loaded.identity == loaded.label == identity(random(1))

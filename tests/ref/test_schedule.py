@@ -26,18 +26,18 @@ def test_the_start_and_the_steady_state(number, kind, steps):
     assert schedule(number, EVEN) == (FrameKind(kind), steps)
 
 
-def test_nothing_to_extrapolate_from():
-    assert schedule(1, {2, 4}) is None
-    assert schedule(8, {2, 4}) is None
-
-
-def test_a_broken_chain_of_motion_ends_the_history():
-    assert schedule(8, EVEN, reach=3) == (FrameKind.SF, (0, 2, 2))
-    assert schedule(9, EVEN, reach=0) is None
-
-
-def test_a_frame_missing_in_the_middle_ends_the_history():
-    assert schedule(8, EVEN - {6}) == (FrameKind.SF, (0, 0, 0))
+@pytest.mark.parametrize(
+    ("number", "rendered", "reach", "planned"),
+    [
+        (1, {2, 4}, 5, None),  # nothing to extrapolate from
+        (8, {2, 4}, 5, None),
+        (8, EVEN, 3, (FrameKind.SF, (0, 2, 2))),  # a broken chain of motion ends the history
+        (9, EVEN, 0, None),
+        (8, EVEN - {6}, 5, (FrameKind.SF, (0, 0, 0))),  # and so does a frame missing in the middle
+    ],
+)
+def test_where_the_history_ends(number, rendered, reach, planned):
+    assert schedule(number, rendered, reach=reach) == planned
 
 
 @given(number=st.integers(0, 50), rendered=st.frozensets(st.integers(0, 60)), reach=st.integers(0, 5))
