@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from math import prod, sqrt
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, Literal, NamedTuple, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -312,40 +312,94 @@ def zeros() -> Weights:
     return Weights({name: _frozen(np.zeros(shape, np.float32)) for name, shape in TENSORS.items()})
 
 
-Use = Literal["frame", "once", "never"]
-"""When a layer must run: for each frame; once, since no frame changes its result; never, since nothing that runs reads it."""
+Mask = NDArray[np.bool_]
+GROUP = 16
+"""Units are left out by so many, the groups in which kernels sum; a layer of 24 is one group."""
 
 
-def uses(weights: Tensors) -> dict[str, Use]:
-    """When each layer of `LAYERS` must run with these weights for the image to be exact: kernels that are exactly 0 read nothing."""
-    reads = {layer.name: _live_reads(layer, weights) for layer in LAYERS}
+class Needed(NamedTuple):
+    """What the image depends on.
+
+    Attributes:
+        layers: those that must run, in order, with what they still read and how many units they still have.
+        once: names of those whose result no frame changes.
+        tensors: their arrays.
+    """
+
+    layers: Mapping[str, Layer]
+    once: Collection[str]
+    tensors: Tensors
+
+
+def find_needed(weights: Tensors) -> Needed:
+    """What must run with these weights for the image to be exact: units and layers that nobody reads, or that are always 0, need not.
+
+    A kernel that is exactly 0 reads nothing, and nobody needs to read a unit that is always 0.
+    """
+    zero = {name: np.zeros(channels, np.bool_) for name, channels in SOURCES.items()}
+    reads: dict[str, Mask] = {}
+    for layer in LAYERS:
+        arrays = [weights[name] for name, _ in layer.tensors()]
+        given = np.concatenate([np.tile(zero[read], times) for read, _, times in _parts(layer)])
+        kernels: list[Mask] = [kernel.any(axis=(2, 3)) & ~given for kernel in arrays[::2]]
+        none: Mask = arrays[1] <= 0 if layer.relu else arrays[1] == 0
+        zero[layer.name] = none & ~kernels[0].any(axis=1)
+        reads[layer.name] = (kernels[0] | kernels[-1]) & ~zero[layer.name][:, None]
+        if layer.name in ATTENTION:
+            zero["reshaded"] = zero[ATTENTION[0]] | zero.get(ATTENTION[1], zero["reshaded"]).all()
+    needed = {name: np.zeros(len(units), np.bool_) for name, units in zero.items()}
+    needed[LAYERS[-1].name][:] = True
+    live: dict[str, list[str]] = {}
+    for layer in reversed(LAYERS):
+        columns: Mask = np.logical_or.reduce(reads[layer.name][needed[layer.name]], axis=0)
+        live[layer.name] = []
+        for read, first, times in _parts(layer):
+            units = columns[first : first + times * len(zero[read])].reshape(times, -1).any(axis=0)
+            needed[read] |= units
+            live[layer.name] += [read] if units.any() else []
+        if needed["reshaded"].any():
+            needed[ATTENTION[0]] |= needed["reshaded"]
+            needed[ATTENTION[1]] |= ~zero[ATTENTION[1]]
+    return _cut(weights, needed, live)
+
+
+def _cut(weights: Tensors, needed: Mapping[str, Mask], reads: Mapping[str, Collection[str]]) -> Needed:
+    """Cut out the groups without a needed unit, and of each layer what it does not read."""
+    kept = {name: _in_groups(units) for name, units in needed.items()} | {n: np.ones(c, np.bool_) for n, c in SOURCES.items()}
+    kept["reshaded"] = kept[ATTENTION[0]]
     varies = dict.fromkeys(SOURCES, True)
-    for name, names in reads.items():
-        varies[name] = any(varies[read] for read in names)
-    needed = {LAYERS[-1].name}
-    for name, names in reversed(reads.items()):
-        needed |= set(names) if name in needed else set()
-        needed |= set(ATTENTION) if "reshaded" in needed else set()
-    return {name: "never" if name not in needed else "frame" if varies[name] else "once" for name in reads}
+    layers: dict[str, Layer] = {}
+    tensors: dict[str, Array] = {}
+    for layer in (each for each in LAYERS if needed[each.name].any()):
+        units, live = kept[layer.name], reads[layer.name]
+        columns = np.concatenate([np.tile(kept[read] & (read in live), times) for read, _, times in _parts(layer)])
+        varies[layer.name] = any(varies[read] for read in live)
+        for name, shape in layer.tensors():
+            rows = weights[name][units] if shape[0] == layer.outputs else weights[name]
+            tensors[name] = rows if len(shape) == 1 else rows[:, columns]
+        read = tuple(name for name in layer.reads if name in live)
+        layers[layer.name] = replace(layer, reads=read, inputs=int(columns.sum()), outputs=int(units.sum()))
+    return Needed(layers, {name for name in layers if not varies[name]}, tensors)
 
 
-def _live_reads(layer: Layer, weights: Tensors) -> list[str]:
-    """What a layer reads whose kernels are not all 0, the gate's included."""
-    kernels = [weights[name] for name, shape in layer.tensors() if len(shape) == 4]
-    live: list[str] = []
+def _in_groups(units: Mask) -> Mask:
+    size = GROUP if len(units) % GROUP != 8 else len(units)
+    return np.logical_or.reduceat(units, np.arange(0, len(units), size)).repeat(size)[: len(units)]
+
+
+def _parts(layer: Layer) -> Iterator[tuple[str, int, int]]:
+    """What a layer reads: name, first input channel, and how many images of it lie side by side."""
     first = 0
     for read in layer.reads:
         source = BY_NAME.get(read)
-        channels = SOURCES[read] if source is None else source.outputs * (source.repeats // layer.repeats)
-        if any(np.any(kernel[:, first : first + channels]) for kernel in kernels):
-            live.append(read)
-        first += channels
-    return live
+        times = 1 if source is None else source.repeats // layer.repeats
+        yield read, first, times
+        first += times * (SOURCES[read] if source is None else source.outputs)
 
 
 def reads_history(weights: Tensors) -> bool:
     """Whether the image depends on the history: not if kernels on every way from it are exactly 0, such as those of its last layer."""
-    return uses(weights)["convHis1.0"] == "frame"
+    return any("history" in layer.reads for layer in find_needed(weights).layers.values())
 
 
 def colors_read(weights: Weights) -> int:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from rich import box
@@ -12,17 +13,18 @@ from rich.table import Table
 
 from stss_ground.errors import InputError
 from stss_ref.constants import HoleTest
-from stss_ref.weights import LAYERS, Layer, SecondColor, Use, Weights, uses
+from stss_ref.weights import LAYERS, Layer, SecondColor, Weights, find_needed
 
 
 @dataclass(frozen=True)
 class LayerRow:
-    """One layer of the table: its multiply-adds for a frame, its largest weight or bias, and when it runs."""
+    """One layer of the table: its multiply-adds for a frame, its largest weight or bias, when it runs, and how many units then."""
 
     layer: Layer
     multiply_adds: int
     largest: float
-    use: Use
+    use: Literal["frame", "once", "never"]
+    units: int
 
 
 @dataclass(frozen=True)
@@ -50,13 +52,15 @@ def inspect(weights: Weights, height: int, width: int) -> Inspection:
     """Inspect ``weights`` and count the network's cost for frames of (height, width); InputError below 1 x 1."""
     if height < 1 or width < 1:
         raise InputError(f"size {width}x{height}: expected at least 1x1")
-    runs = uses(weights)
+    needed = find_needed(weights)
+    runs = {name: layer.outputs for name, layer in needed.layers.items()}
     rows = tuple(
         LayerRow(
             layer,
             layer.multiply_adds(height, width),
             max(float(np.abs(weights[name]).max()) for name, _ in layer.tensors()),
-            runs[layer.name],
+            "never" if layer.name not in runs else "once" if layer.name in needed.once else "frame",
+            runs.get(layer.name, 0),
         )
         for layer in LAYERS
     )
@@ -125,11 +129,14 @@ def print_inspection(inspection: Inspection, console: Console) -> None:
         components.add_row(part.name, f"{part.parameters / 1e3:.2f}", f"{part.multiply_adds / 1e9:.2f}")
     console.print(layers, components)
     for use, what in (
-        ("never", "left out, since only kernels of 0 read them"),
+        ("never", "left out, since they are 0 or only kernels of 0 read them"),
         ("once", "run once, since all their kernels that read a frame are 0"),
     ):
         if names := [row.layer.name for row in inspection.layers if row.use == use]:
             console.print(f"{what}: {', '.join(names)}")
+    parts = [(row.units, row.layer) for row in inspection.layers if 0 < row.units < row.layer.outputs]
+    if parts:
+        console.print("units that run:", ", ".join(f"{units} of {layer.outputs} of {layer.name}" for units, layer in parts))
     what = "the frame before, where it is valid" if inspection.second_color == "earlier" else "the newest frame"
     console.print(f"second colour: {inspection.second_color}, {what}")
     console.print(f"hole test: {inspection.hole_test}")

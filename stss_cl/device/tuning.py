@@ -9,7 +9,7 @@ import os
 from collections.abc import Generator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -70,6 +70,21 @@ class Tuning:
     winograd: dict[int, Winograd] | None
     direct: dict[int, Direct]
     local: Local | None = None
+
+    def winograd_for(self, outputs: int) -> Winograd:
+        """The sizes for ``outputs``, 64 at most: of the next larger number, with what divides the vectors held at once."""
+        assert self.winograd is not None
+        row = self.winograd[min(n for n in OUTPUTS if n >= outputs)]
+        return replace(row, vectors_held=_most_held(row.vectors_held, ceil_div(outputs, row.vector)))
+
+    def direct_for(self, outputs: int) -> Direct:
+        """Likewise, for the plain convolution."""
+        row = self.direct[min(n for n in OUTPUTS if n >= outputs)]
+        return replace(row, eights_held=_most_held(row.eights_held, outputs // 8))
+
+
+def _most_held(held: int, blocks: int) -> int:
+    return max(n for n in range(1, held + 1) if blocks % n == 0)
 
 
 _trial: ContextVar[Tuning | None] = ContextVar("_trial", default=None)

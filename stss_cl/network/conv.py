@@ -186,9 +186,7 @@ def _maps(a: Padded, image: int, other: Padded | Final | None) -> Maps | None:
 
 
 def _winograd(device: Device, packed: Packed, out: Padded, side: int, stride: int, final: Final | None) -> Shape:
-    table = tuning_for(device).winograd
-    assert table is not None
-    row = table[packed.direct.shape[-1]]
+    row = tuning_for(device).winograd_for(packed.direct.shape[-1])
     (kernels, gate), shown = in_lanes(packed, row.vector), final or out
     outputs = packed.direct.shape[-1]
     weight = winograd(kernels, side, row.vector * row.vectors_held, stride)
@@ -219,7 +217,7 @@ def _winograd(device: Device, packed: Packed, out: Padded, side: int, stride: in
 def _direct(device: Device, packed: Packed, out: Padded, stride: int, final: Final | None) -> Shape:
     assert final is None
     size, _, _, outputs = packed.direct.shape
-    row = tuning_for(device).direct[outputs]
+    row = tuning_for(device).direct_for(outputs)
     # A CPU's core computes a tile with all blocks of its outputs by itself.
     workers, blocks = (1, 1) if device.is_cpu else (16 // row.pixels, outputs // 8 // row.eights_held)
     tiling = of_convolution(out.height, out.width, stride, size)

@@ -40,7 +40,7 @@ def on_matrix_units(device: Device, packed: Packed, out: Padded, stride: int, mo
     rows = 1 if stride == 2 or inner % 7 == 0 else _rows(device, out, most_rows, images)
     plane = 16 * (34 * stride * (stride * (TALL * rows - 1) + 3) + 2)  # bytes of an eight in local memory
     eights = next((n for n in EIGHTS if inner % n == 0 and n * plane + EMULATED <= device.local_memory), 1)
-    block = min(outputs, MOST_OUTPUTS)
+    block = next(n for n in (outputs, MOST_OUTPUTS, MOST_OUTPUTS - 8) if n <= MOST_OUTPUTS and outputs % n == 0)
     tiling = _tiling(out, rows, stride, images)
     return Shape(
         file="conv_mma.cl",

@@ -19,7 +19,7 @@ from stss_cl.network.layer import FAST_MULTIPLY_ADD, KernelSource, LayerLaunch, 
 from stss_cl.network.pack_weights import pack
 from stss_cl.network.plan import Conv, Slot
 from stss_cl.network.tiles import Maps, Tiling
-from stss_ref.weights import Weights
+from stss_ref.weights import Tensors
 
 
 class LayerBuilder:
@@ -27,7 +27,7 @@ class LayerBuilder:
 
     Args:
         device: to run on.
-        weights: the 92 tensors.
+        weights: the tensors of the plan's layers.
         precision: see ``stss_cl.network.network.PRECISIONS``.
         height, width: of the largest activations, multiples of 8.
         slots: the plan's buffers.
@@ -44,7 +44,7 @@ class LayerBuilder:
     def __init__(
         self,
         device: Device,
-        weights: Weights,
+        weights: Tensors,
         precision: str,
         height: int,
         width: int,

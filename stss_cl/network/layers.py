@@ -24,7 +24,7 @@ from stss_cl.network.strips import OVERLAP, Strip, bytes_for, rows_within, strip
 from stss_cl.network.tiles import Tiling, of_convolution, whole
 from stss_ref.arrays import Array
 from stss_ref.constants import HoleTest
-from stss_ref.weights import BY_NAME, SecondColor, Weights, colors_read, reads_history, uses
+from stss_ref.weights import BY_NAME, Needed, SecondColor, Weights, colors_read, find_needed, reads_history
 
 See = Callable[[LayerLaunch, tuple[Padded, int, int] | None], None]
 WINDOW = 5
@@ -46,11 +46,10 @@ class Layers:
         memory_limit: bytes that the buffers may take; None = half of the device's memory.
         keep: every layer keeps its output, with a change map, so that fewer tiles may be run (``stss_cl.skip.partial_network``);
             without effect where the frame goes in strips.
-        every: every layer runs for each frame, whatever these weights read.
+        every: every unit runs for each frame, whatever these weights read.
 
     Attributes:
-        launches: in order, without the layers that these weights need not run (``stss_ref.weights.uses``); the last one writes the
-            image.
+        launches: in order, without what these weights need not run (``stss_ref.weights.find_needed``); the last one writes the image.
         once: those whose result no frame changes; they have run.
         inputs: the inputs of the first launches.
         features: the stages' outputs, by the names of ``stss_ref``.
@@ -83,7 +82,8 @@ class Layers:
         rows = rows_within(full, columns, dtype, limit, overlap)
         keep = keep and bytes_for(full, full, columns, dtype, keep=True) <= limit
         local = tuning_for(device).local is not None and not device.is_cpu
-        planned = partial(plan, None if every else uses(weights), keep=keep, fused=winograd, local=local)
+        needed = Needed(BY_NAME, (), weights) if every else find_needed(weights)
+        planned = partial(plan, needed.layers, needed.once, keep=keep, fused=winograd, local=local)
         # The three images of the history in one launch, where that is known and their buffers have room.
         what = planned(together=local and not winograd and precision in ("float32", "half"))
         if bytes_for(rows, full, columns, dtype, keep=keep, what=what) > limit:
@@ -92,9 +92,9 @@ class Layers:
         self.reads_history, self.colors_read = every or reads_history(weights), colors_read(weights)
         self.second_color: SecondColor = weights.second_color
         self.hole_test: HoleTest = weights.hole_test
-        self._weights, self._height, self._width, self._full, self._top = weights, rows, columns, full, 0
+        self._needed, self._height, self._width, self._full, self._top = needed, rows, columns, full, 0
         self.inputs = inputs_for(device, rows, columns, dtype, keep)
-        self._build = build = LayerBuilder(device, weights, precision, rows, columns, what.slots, self.inputs, keep)
+        self._build = build = LayerBuilder(device, needed.tensors, precision, rows, columns, what.slots, self.inputs, keep)
         self.marked, self.maps = build.marked, build.maps
         self.features = {name: build[slot] for name, slot in what.features.items()}
         self.strips = strips(full, height, rows, overlap)
@@ -228,10 +228,10 @@ class Layers:
 
     def _image(self, what: Plan) -> None:
         """The image: by the last convolution itself, or of its result; if outc is 0, of any finite activations."""
-        weight, bias = (constant(self.device, array) for array in pack_outc(self._weights))
+        weight, bias = (constant(self.device, array) for array in pack_outc(self._needed.tensors))
         final = Final(self.inputs.base, weight, bias, self._height, self._width, *self.size, self.inputs.input.changes)
         if what.fused:
-            layer = BY_NAME[LAST]
+            layer = self._needed.layers[LAST]
             self._build.conv(Conv(layer, ((what.last, layer.inputs),), what.last), final)
             return
         feature = self._build[what.last]

@@ -3,16 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from stss_cl.device.grid import ceil8
-from stss_ref.weights import ATTENTION, BY_NAME, LAYERS, SOURCES, Layer, Use
+from stss_ref.weights import ATTENTION, BY_NAME, LAYERS, SOURCES, Layer
 
 FEATURES = {"conv2": "x1", "down1.conv2": "x2", "down2.conv2": "x3", "down3.conv2": "x4", "reshaded": "reshaded"}
 """Results that stay when the network has run, with the names of ``stss_ref``; ``reshaded`` has the history's feature behind it."""
-JOINED = {"reshaded": ("reshaded", 0), "lowlevelGated": ("reshaded", 64), "convHis3.4": ("convHis3.4", 0)}
-"""Results that lie side by side in one buffer of 96 channels: its name, and their first channel; of the last one all three images."""
+JOINED = ("reshaded", "lowlevelGated"), 3 * ("convHis3.4",)
+"""Results that lie side by side in one buffer; of the last one all three images."""
 LAST = LAYERS[-2].name
 """The last layer of 3 x 3, after which comes the image."""
 
@@ -83,27 +83,30 @@ class Plan:
     fused: bool
 
 
-def plan(use: Mapping[str, Use] | None = None, *, keep: bool, fused: bool, local: bool, together: bool) -> Plan:
+def plan(
+    layers: Mapping[str, Layer] = BY_NAME, once: Collection[str] = (), *, keep: bool, fused: bool, local: bool, together: bool
+) -> Plan:
     """Plan a network.
 
     Args:
-        use: when each layer runs, see ``stss_ref.weights.uses``; None: for each frame.
+        layers, once: see ``stss_ref.weights.Needed``.
         keep: every step has an output of its own.
         fused: ``LAST`` makes the image itself.
         local: the attention is one kernel.
         together: the history's images are computed in one launch for each layer.
     """
-    return _Planner(use or dict.fromkeys(BY_NAME, "frame"), keep, fused, local, together).plan()
+    return _Planner(layers, once, keep, fused, local, together).plan()
 
 
 class _Planner:
-    def __init__(self, use: Mapping[str, Use], keep: bool, fused: bool, local: bool, together: bool):
-        self._use, self._keep, self._fused, self._local, self._together = use, keep, fused, local, together
+    def __init__(self, layers: Mapping[str, Layer], once: Collection[str], keep: bool, fused: bool, local: bool, together: bool):
+        self._layers, self._once_of, self._keep, self._fused, self._local = layers, once, keep, fused, local
+        self._together = together
         self._slots: list[Slot] = []
         self._scratch: list[Slot] = []
         self._steps: list[Step] = []
         self._once: list[Step] = []
-        self._joined: dict[str, Slot] = {}
+        self._joined: dict[tuple[str, ...], Slot] = {}
         # Where results lie: a buffer, and the first channel there.
         self._results: dict[str, tuple[Slot, int]] = {
             name: (self._new(*size), 0) for name, size in (("input", (1, 24)), ("history", (1, 4, 3)), ("gbuffer", (8, 16)))
@@ -112,22 +115,25 @@ class _Planner:
             self._scratch.append(self._results["input"][0])  # done with after the first layer
 
     def plan(self) -> Plan:
-        for layer in LAYERS[:-1]:
-            if "history" in layer.reads:
-                self._history()
-            if self._use[layer.name] == "never" or layer.repeats > 1 or (self._fused and layer.name == LAST):
+        *before, _ = self._layers.values()
+        history = [layer for layer in before if layer.repeats > 1]
+        for layer in before:
+            if layer.repeats > 1:
+                if layer is history[0]:
+                    self._history(history)
                 continue
-            if "reshaded" in layer.reads and self._use[ATTENTION[0]] != "never":
+            if self._fused and layer.name == LAST:
+                continue
+            if "reshaded" in layer.reads:
                 self._attend()
             self._add(layer)
         features = {FEATURES[name]: self._results[name][0] for name in FEATURES if name in self._results}
-        fused = self._fused and self._use[LAST] != "never"
+        fused = self._fused and LAST in self._layers
         shown = self._results.get(BY_NAME[LAST].reads[0] if fused else LAST, self._results["input"])[0]
         return Plan(tuple(self._slots), tuple(self._steps), tuple(self._once), features, shown, fused)
 
-    def _history(self) -> None:
+    def _history(self, branch: Sequence[Layer]) -> None:
         """The layers that run for each of the three images: an image after the other, or each for all of them."""
-        branch = [layer for layer in LAYERS if layer.repeats == 3 and self._use[layer.name] != "never"]
         for image in (None,) if self._together else range(3):
             for layer in branch:
                 self._results.pop(layer.name, None)
@@ -136,13 +142,12 @@ class _Planner:
     def _attend(self) -> None:
         value, key = (self._results[name][0] for name in ATTENTION)
         unit = None if self._local else self._take(key.divisor, key.channels, avoid=(key,))
-        self._steps.append(Attend(key, value, unit, self._output("reshaded", 8, SOURCES["reshaded"])[0]))
+        self._steps.append(Attend(key, value, unit, self._output("reshaded", 8, self._channels("reshaded"))[0]))
 
     def _add(self, layer: Layer, image: int | None = 0) -> None:
-        inputs = self._inputs(layer)
-        out, first = self._output(
-            layer.name, layer.divisor, layer.outputs, 3 if image is None else 1, [slot for slot, _ in inputs]
-        )
+        images = 3 if image is None else 1
+        inputs = self._inputs(layer, images)
+        out, first = self._output(layer.name, layer.divisor, layer.outputs, images, [slot for slot, _ in inputs])
         if layer.name == "convHis3.4":
             first = layer.outputs * (image or 0)
         if "history" not in layer.reads and image is not None:
@@ -150,38 +155,39 @@ class _Planner:
         self._steps_with(layer).append(Conv(layer, tuple(inputs), out, first, image))
 
     def _steps_with(self, layer: Layer) -> list[Step]:
-        return self._once if self._use[layer.name] == "once" else self._steps
+        return self._once if layer.name in self._once_of else self._steps
 
-    def _inputs(self, layer: Layer) -> list[tuple[Slot, int]]:
+    def _inputs(self, layer: Layer, images: int) -> list[tuple[Slot, int]]:
         """The buffers that a layer reads, and how many channels of each are real; what is too small is upsampled before."""
         inputs: dict[Slot, int] = {}
         for name in layer.reads:
-            source = BY_NAME.get(name)
-            channels = SOURCES[name] if source is None else source.outputs * (source.repeats // layer.repeats)
-            slot = self._results[name][0] if name in self._results else self._unread(layer, name, channels, tuple(inputs))
-            inputs[slot] = inputs.get(slot, 0) + channels
+            slot = self._results[name][0]
+            inputs[slot] = inputs.get(slot, 0) + self._channels(name, layer.repeats)
         for small in [slot for slot in inputs if slot.divisor > layer.divisor]:
             larger = self._take(layer.divisor, small.channels, avoid=tuple(inputs))
             self._steps_with(layer).append(Upsample(small, larger))
             inputs = {larger if slot is small else slot: channels for slot, channels in inputs.items()}
-        return list(inputs.items())
+        # A layer that reads nothing still needs a buffer, for kernels of 0: its values are finite.
+        return list(inputs.items()) or [(self._take(layer.divisor // layer.stride, 8, images), 0)]
 
-    def _unread(self, layer: Layer, name: str, channels: int, avoid: Sequence[Slot]) -> Slot:
-        """A buffer in place of a result that was never made, for kernels of 0: its values are finite."""
-        if name in JOINED:
-            return self._output(name, 8, channels)[0]
-        return self._take(layer.divisor * layer.stride, ceil8(channels), avoid=avoid)
+    def _channels(self, name: str, repeats: int = 1) -> int:
+        """Channels of what is read by a layer that runs ``repeats`` times; 0: it never runs."""
+        if name in SOURCES and name != "reshaded":
+            return SOURCES[name]
+        source = self._layers.get(ATTENTION[0] if name == "reshaded" else name)
+        return 0 if source is None else source.outputs * (source.repeats // repeats)
 
     def _output(self, name: str, divisor: int, channels: int, images: int = 1, avoid: Sequence[Slot] = ()) -> tuple[Slot, int]:
         """Where a result goes."""
         if name in self._results:
             return self._results[name]
-        if name in JOINED:
-            together, first = JOINED[name]
+        together = next((names for names in JOINED if name in names), ())
+        if together:
+            sizes = [self._channels(each, BY_NAME[each].repeats if each in BY_NAME else 1) for each in together]
             if together not in self._joined:
-                self._joined[together] = self._new(8, 96)
-            self._results[name] = self._joined[together], first
-        elif name in FEATURES or self._use[name] == "once":
+                self._joined[together] = self._new(8, sum(sizes))
+            self._results[name] = self._joined[together], sum(sizes[: together.index(name)])
+        elif name in FEATURES or name in ATTENTION or name in self._once_of:
             self._results[name] = self._new(divisor, ceil8(channels), images), 0
         else:
             self._results[name] = self._take(divisor, ceil8(channels), images, avoid), 0

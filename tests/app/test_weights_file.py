@@ -127,9 +127,12 @@ def test_inspection_says_what_is_left_out(capsys):
     for weights, said in ((random(1), False), (unread, True)):
         print_inspection(inspect(weights, 540, 960), Console())
         out = " ".join(capsys.readouterr().out.split())
-        assert ("left out, since only kernels of 0 read them: convHis1.0, convHis1.2, " in out) == said
+        assert ("left out, since they are 0 or only kernels of 0 read them: convHis1.0, convHis1.2, " in out) == said
         assert ("run once, since all their kernels that read a frame are 0: lowlevelGated" in out) == said
         assert "second colour: newest, the newest frame" in out
+    reader = "up1.conv.double_conv.2.weight"
+    print_inspection(inspect(random(1) | {reader: random(1)[reader] * (np.arange(64) < 32)[:, None, None]}, 540, 960), Console())
+    assert "units that run: 32 of 64 of up1.conv.double_conv.0" in " ".join(capsys.readouterr().out.split())
     print_inspection(inspect(Weights(unread, "earlier"), 540, 960), Console())
     assert "second colour: earlier, the frame before" in capsys.readouterr().out
 

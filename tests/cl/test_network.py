@@ -18,7 +18,7 @@ from stss_cl.network.pack_weights import EVERY_SECOND, POINTS, pack, winograd_ma
 from stss_lab.tune.tile_timing import INTEL
 from stss_ref import conv as reference
 from stss_ref.network import network
-from stss_ref.weights import LAYERS, astype
+from stss_ref.weights import LAYERS, SOURCES, astype
 from stss_ref.weights import random as random_weights
 from tests.cl.films import network_inputs
 
@@ -240,20 +240,47 @@ def test_layers_that_nobody_reads_are_left_out(device, keep):
         assert layers.reads_history == (tensors_of is weights)
 
 
-@example({"lowlevelGated"}, False)
-@example({"down3.conv2", "KEncoder.4"}, False)
-@example({"convHis1.2"}, True)
-@example({"conv1", "up3.conv.double_conv.0"}, False)
-@given(st.sets(st.sampled_from([layer.name for layer in LAYERS]), min_size=1, max_size=4), st.booleans())
+def without_units(weights, seed):
+    """The same with a fifth of all eights of units 0, and a fifth of them read by nobody."""
+    random, made, fates = np.random.default_rng(seed), dict(weights), {}
+    for layer in LAYERS[:-1]:
+        fates[layer.name] = fate = random.integers(5, size=8).repeat(8)[: layer.outputs]
+        fates |= {name: np.zeros(SOURCES[name]) for name in layer.reads if name in SOURCES}
+        fates["reshaded"] = fates.get("latentEncoder.4")
+        columns = np.concatenate([np.tile(fates[read], 3 if read == "convHis3.4" else 1) for read in layer.reads])
+        for name, shape in layer.tensors():
+            tensor = np.abs(made[name]) if len(shape) == 1 else made[name].copy()
+            if len(shape) == 4:
+                tensor[:, columns == 1] = 0
+            if shape[0] > 1:
+                tensor[fate == 0] *= -1.0 if tensor.ndim == 1 and layer.relu else 0.0
+            made[name] = tensor
+    return weights | made
+
+
+@example({"down1.downsample"}, None, True, "float32", 16)
+@example({"down3.conv2", "KEncoder.4"}, None, False, "float32", 8)
+@example({"convHis1.2"}, None, True, "float32", 8)
+@example({"conv1", "up3.conv.double_conv.0"}, None, False, "float32", 16)
+@example({"convHis1.0"}, 1, False, "bfloat16", 8)
+@example(set(), 3, False, "float32", 16)
+@example(set(), 4, False, "half", 16)
+@given(
+    st.sets(st.sampled_from([layer.name for layer in LAYERS]), max_size=4), st.none() | SEEDS, st.booleans(),
+    st.sampled_from(PRECISIONS), st.sampled_from([*VECTORS]),
+)  # fmt: skip
 @settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_what_is_left_out_changes_no_bit(processor, names, keep):
-    """Any layers whose kernels are 0, and what only they read."""
+def test_what_is_left_out_changes_no_bit(processor, names, units, keep, precision, vector):
+    """Any layers whose kernels are 0, what only they read, and any groups of units."""
     weights, arrays = without(random_weights(3), *names), network_inputs((16, 24), 3)
+    if units is not None:
+        weights = without_units(weights, units)
     inputs = dict(zip(("color", "gbuffer", "mask", "history"), arrays, strict=True))
-    images = (
-        Layers(processor, weights, 16, 24, "float32", keep=keep, every=every).run_stage("network", inputs)["image"]
-        for every in (False, True)
-    )
+    with trial(VECTORS[vector]):
+        images = [
+            Layers(processor, weights, 16, 24, precision, keep=keep, every=every).run_stage("network", inputs)["image"]
+            for every in (False, True)
+        ]
     np.testing.assert_array_equal(*images)
 
 

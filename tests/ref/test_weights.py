@@ -19,9 +19,9 @@ from stss_ref.weights import (
     astype,
     check,
     colors_read,
+    find_needed,
     random,
     reads_history,
-    uses,
     zeros,
 )
 
@@ -82,10 +82,10 @@ def test_the_table_says_what_each_layer_reads():
         assert sum(found) == layer.inputs, layer.name
 
 
-def test_when_layers_run():
+def test_what_the_image_needs():
     """Kernels of 0 read nothing: what only they read never runs, and what they make of it is the same for each frame."""
     weights = random(2)
-    assert set(uses(weights).values()) == {"frame"}
+    assert find_needed(weights)[:2] == (BY_NAME, set())
     for empty, never, once in (
         ({"outc"}, {layer.name for layer in LAYERS[:-1]}, {"outc"}),
         ({"KEncoder.0"}, set(), {f"KEncoder.{i}" for i in (0, 2, 4)}),
@@ -95,11 +95,34 @@ def test_when_layers_run():
             None,
         ),
     ):
-        made = uses(
+        made = find_needed(
             {n: w * (w.ndim < 4 or n.split(".conv_")[0].removesuffix(".weight") not in empty) for n, w in weights.items()}
         )
-        assert {n for n, use in made.items() if use == "never"} == never
-        assert once is None or {n for n, use in made.items() if use == "once"} == once
+        assert BY_NAME.keys() - made.layers.keys() == never
+        assert once is None or made.once == once
+
+
+def test_groups_of_units_are_left_out():
+    """That nobody reads, or that are 0; with what only they read, and not where one unit of a group is needed."""
+    made, units = {n: w.copy() for n, w in random(2).items()}, slice(16, 48)
+    for name in ("weight", "bias"):
+        made[f"up1.conv.double_conv.0.{name}"][units] *= -(name == "bias") * np.sign(
+            made[f"up1.conv.double_conv.0.{name}"][units]
+        )
+    made["up1.conv.double_conv.0.weight"][:, 96:112] = 0
+    made["latentEncoder.2.weight"][:, 1:16] = 0
+    layers, _, tensors = find_needed(made)
+    assert {n: layer.outputs for n, layer in layers.items() if layer.outputs != BY_NAME[n].outputs} == {
+        "up1.conv.double_conv.0": 32, "lowlevelGated": 16,
+    }  # fmt: skip
+    assert tensors["lowlevelGated.conv_mask.0.weight"].shape == (1, 96, 3, 3)
+    np.testing.assert_array_equal(
+        tensors["up1.conv.double_conv.2.weight"], np.delete(made["up1.conv.double_conv.2.weight"], units, axis=1)
+    )
+    made["up1.conv.double_conv.0.bias"][20] = 1
+    made["latentEncoder.2.weight"][:, 0] = 0
+    layers = find_needed(made).layers
+    assert [layers[n].outputs for n in ("up1.conv.double_conv.0", "latentEncoder.0")] == [48, 48]
 
 
 def test_the_second_colour_stays_with_the_tensors():
