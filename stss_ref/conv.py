@@ -40,17 +40,21 @@ def conv(x: Image, weight: Array, bias: Array, stride: int = 1) -> Image:
     y = np.empty((rows, columns, outputs), x.dtype)
     y[...] = bias
     product = np.empty_like(y)
+    taps = np.ascontiguousarray(weight.transpose(2, 3, 1, 0))
     for u in range(size):
         for v in range(size):
             # A view: one matrix product per row of pixels, straight from the padded image. No im2col.
             tap = padded[u : u + height : stride, v : v + width : stride]
-            y += np.matmul(tap, np.ascontiguousarray(weight[:, :, u, v].T), out=product)
+            y += np.matmul(tap, taps[u, v], out=product)
     return y
 
 
 def surround_with_zeros(x: Image, r: int) -> Image:
     """``x`` (H, W, C) with ``r`` rows and columns of zeros on each side."""
-    return np.pad(x, ((r, r), (r, r), (0, 0)))
+    height, width, channels = x.shape
+    padded = np.zeros((height + 2 * r, width + 2 * r, channels), x.dtype)
+    padded[r : r + height, r : r + width] = x
+    return padded
 
 
 def sigmoid(x: Array) -> Array:

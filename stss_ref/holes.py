@@ -149,4 +149,5 @@ def objects_apart(s: Plane, stencil: Plane) -> Plane:
 
 
 def _squared(vectors: Array) -> Array:
-    return (vectors * vectors).sum(axis=-1)
+    squares = vectors * vectors
+    return squares[..., 0] + squares[..., 1] + squares[..., 2]

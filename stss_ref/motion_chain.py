@@ -56,7 +56,8 @@ def read_motion(motion: Image, x: Index, y: Index) -> Image:
     """``motion`` at whole pixels, 0 outside the frame."""
     height, width, _ = motion.shape
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    return np.where(inside[..., None], motion[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)], 0)
+    pixel = np.clip(y, 0, height - 1) * width + np.clip(x, 0, width - 1)
+    return np.where(inside[..., None], motion.reshape(height * width, 2).take(pixel, axis=0), 0)
 
 
 def truncated(whole: Index, fraction: Plane) -> Index:
@@ -79,13 +80,13 @@ def gather_longest(motion: Image, at: Place) -> Image:
 def squared_lengths(corners: Array) -> Array:
     """(4, H, W) of four motions (4, H, W, 2); infinite where one is not finite."""
     with np.errstate(over="ignore", invalid="ignore"):
-        length = (corners * corners).sum(axis=-1)
-    return np.where(np.isfinite(corners).all(axis=-1), length, np.inf)
+        length = corners[..., 0] * corners[..., 0] + corners[..., 1] * corners[..., 1]
+    return np.where(np.isfinite(corners[..., 0]) & np.isfinite(corners[..., 1]), length, np.inf)
 
 
 def is_any_still(corners: Array) -> Mask:
     """(H, W) True where one of four motions (4, H, W, 2) is 0."""
-    return (corners == 0).all(axis=-1).any(axis=0)
+    return ((corners[..., 0] == 0) & (corners[..., 1] == 0)).any(axis=0)
 
 
 def gather_nearest(motion: Image, at: Place) -> Image:

@@ -51,7 +51,7 @@ def follow(motion: Image) -> Place:
         motion: (H, W, 2) pixels, current -> previous.
     """
     height, width, _ = motion.shape
-    finite: Mask = np.asarray(np.isfinite(motion).all(axis=-1))
+    finite: Mask = np.isfinite(motion[..., 0]) & np.isfinite(motion[..., 1])
     moved = np.where(finite[..., None], motion, 0)
     whole = np.floor(moved)
     fraction = moved - whole
@@ -94,7 +94,9 @@ def bilinear(image: Image, at: Taps) -> Image:
 
 def corners(image: Image, at: Taps) -> list[Image]:
     """``image`` (H, W, C) at four taps, row by row."""
-    return [image[j, i] for j in (at.y0, at.y1) for i in (at.x0, at.x1)]
+    height, width, channels = image.shape
+    pixels = image.reshape(height * width, channels)
+    return [pixels.take(j * width + i, axis=0) for j in (at.y0, at.y1) for i in (at.x0, at.x1)]
 
 
 def between(four: Sequence[Image], at: Taps) -> Image:

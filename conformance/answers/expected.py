@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,7 @@ class Expected:
 
     def ratios(self, got: NDArray[Any]) -> Float64:
         """``error / allowed`` of each number, against the right answer nearest to it; a wrong mask is infinitely wrong."""
-        return np.minimum.reduce([self._against(got, want) for want in (self.want, *self.others)])
+        return reduce(np.minimum, (self._against(got, want) for want in (self.want, *self.others)))
 
     def together(self, got: NDArray[Any]) -> float:
         """Root mean square of all errors, over its limit."""

@@ -16,7 +16,7 @@ from conformance.protocol.stages import hole_test
 from conformance.tolerance import BOUNDS
 from stss_ref.arrays import Array
 from stss_ref.constants import HoleLimits
-from stss_ref.holes import holes, squared_footprint
+from stss_ref.holes import holes, offsets, squared_footprint
 from stss_ref.sample import between, taps
 
 Bool = NDArray[np.bool_]
@@ -87,8 +87,7 @@ def _beyond_footprint(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Ar
     """Where the offset that is read exceeds the footprints allowed. Offsets of 0 at all pixels that count give exactly 0."""
     unit, position, previous = arithmetic.unit, inputs["position"], inputs["position_previous"]
     cell = taps(at.at)
-    four = [previous[j, i] - position for j in (cell.y0, cell.y1) for i in (cell.x0, cell.x1)]
-    distance = _length(between(four, cell))
+    distance = _length(between(offsets(previous, position, cell), cell))
     own, around = peaks(previous, at, position)
     # Within its own four pixels a place slips along a slope of at most twice their peak, beyond them along that of those around.
     peak, contrast = np.where(at.unsure[..., None], around, (own, 2 * own))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -52,7 +53,7 @@ def peaks(image: Float64, at: Reach, origin: Float64 | float = 0.0) -> tuple[Flo
     # The left and the upper taps always count: a fraction of 1 was below 1 before rounding.
     counts = (cell.fx >= 0, cell.fx > 0, cell.fy > 0, (cell.fx > 0) & (cell.fy > 0))
     places = ((cell.y0, cell.x0), (cell.y0, cell.x1), (cell.y1, cell.x0), (cell.y1, cell.x1))
-    own = np.maximum.reduce([np.where(c[..., None], np.abs(image[p] - origin), 0) for c, p in zip(counts, places, strict=True)])
+    own = reduce(np.maximum, (np.where(c[..., None], np.abs(image[p] - origin), 0) for c, p in zip(counts, places, strict=True)))
     # Subtraction rounds in order, so the extremes of the window, less the origin, are those of its differences.
     most, least = (_over_windows(extreme, image)[cell.y0, cell.x0] - origin for extreme in (np.maximum, np.minimum))
     return own, (np.maximum(np.abs(most), np.abs(least)), most - least)
@@ -62,7 +63,7 @@ def _over_windows(extreme: np.ufunc, image: Float64) -> Float64:
     """``extreme`` of the 4 x 4 pixels from the one before each to the second one after it, as far as the frame goes; both axes."""
     for axis in (0, 1):
         size = image.shape[axis]
-        image = extreme.reduce([image.take(np.clip(np.arange(size) + i, 0, size - 1), axis) for i in range(-1, 3)])
+        image = reduce(extreme, (image.take(np.clip(np.arange(size) + i, 0, size - 1), axis) for i in range(-1, 3)))
     return image
 
 

@@ -19,7 +19,7 @@ from conformance.answers.windows import expect_windows
 from conformance.judging.findings import DepartureError, Failure, Finding, Record, said
 from conformance.judging.questions import BATCH, Answer, Dialogue, Talk, answers_of, ask, repeated
 from conformance.protocol.port import Arrays, Case, Outputs, Port, PortError
-from conformance.protocol.stages import STAGES, check_inputs, check_outputs, network_inputs
+from conformance.protocol.stages import STAGES, check_inputs, check_outputs, network_inputs, reference
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
 
@@ -299,15 +299,15 @@ class Judge:
             yield from self.agrees(stage, inputs, weights)
             return
         outputs = yield ask(stage, inputs, weights)
-        for name, right in self.right(stage, inputs, weights).items():
-            self.same(f"{stage}.{name}", outputs[name], right.want)
+        for name, want in reference(stage, self.exactly(inputs, stage), self._given_weights(weights)).items():
+            self.same(f"{stage}.{name}", outputs[name], want)
 
     def rounds_either_way(
         self, stage: str, output: str, inputs: Mapping[str, NDArray[Any]], weights: Weights, layer: str
     ) -> Talk:
         """Compare all errors of an output with those of sums that round either way; the sums' terms, of ``layer``, have one sign."""
         got = (yield ask(stage, inputs, weights))[output]
-        want = self.right(stage, inputs, weights)[output].want
+        want = reference(stage, self.exactly(inputs, stage), self._given_weights(weights))[output]
         sums = want != 0
         terms = int(np.prod(weights[f"{layer}.weight"].shape[1:]))
         found = rounding(got[sums], want[sums], terms, self.arithmetic)
