@@ -39,7 +39,7 @@ from stss_ground.terminal import Terminal, echo
 @click.option(
     "--peers",
     type=Names(),
-    default="pytorch,pytorch-tuned,onnxruntime,openvino,openvino-default",
+    default="pytorch,onnxruntime,openvino,openvino-default",
     show_default=True,
     help="Other engines; ratios are to the first of them.",
 )

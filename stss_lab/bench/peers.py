@@ -23,7 +23,6 @@ class PyTorch(Peer):
 
     Args:
         setup: weights, size and threads.
-        tuned: see `TorchNetwork`.
         cuda: run on the first CUDA GPU; else on the CPU.
         half: compute in half precision; else in float32, without the tensor cores' TF32.
         compiled: use ``torch.compile``.
@@ -33,7 +32,6 @@ class PyTorch(Peer):
         self,
         setup: Setup,
         *,
-        tuned: bool,
         cuda: bool = False,
         half: bool = False,
         compiled: bool = False,
@@ -45,13 +43,13 @@ class PyTorch(Peer):
         torch.set_num_threads(setup.threads)
         self._options: dict[str, Any] = {"device": "cuda" if cuda else "cpu", "dtype": torch.float16 if half else torch.float32}
         self._cuda = cuda
-        network = TorchNetwork(setup.weights, tuned=tuned, **self._options)
+        network = TorchNetwork(setup.weights, **self._options)
         self._network: Any = torch.compile(network.__call__, mode="max-autotune") if compiled else network
         self.details = {
             **versions(("torch",)),
             "precision": "float16" if half else "float32",
             "layout": "channels_last",
-            "formulation": "gates merged, window as slices" if tuned else "as published",
+            "formulation": "gates merged, window as slices",
         }
         if cuda:
             self.details["gpu"] = str(torch.cuda.get_device_name())
@@ -160,16 +158,15 @@ def _model(setup: Setup) -> bytes:
 
 
 PEERS: dict[str, Callable[[Setup], Peer]] = {
-    "pytorch": partial(PyTorch, tuned=False),
-    "pytorch-tuned": partial(PyTorch, tuned=True),
-    "pytorch-compiled": partial(PyTorch, tuned=True, compiled=True),
+    "pytorch": PyTorch,
+    "pytorch-compiled": partial(PyTorch, compiled=True),
     "onnxruntime": OnnxRuntime,
     "openvino": partial(OpenVino, float32=True),
     "openvino-default": partial(OpenVino, float32=False),
-    "pytorch-cuda": partial(PyTorch, tuned=True, cuda=True, half=True),
-    "pytorch-cuda-compiled": partial(PyTorch, tuned=True, cuda=True, half=True, compiled=True),
-    "pytorch-cuda-float32": partial(PyTorch, tuned=True, cuda=True),
-    "pytorch-cuda-float32-compiled": partial(PyTorch, tuned=True, cuda=True, compiled=True),
+    "pytorch-cuda": partial(PyTorch, cuda=True, half=True),
+    "pytorch-cuda-compiled": partial(PyTorch, cuda=True, half=True, compiled=True),
+    "pytorch-cuda-float32": partial(PyTorch, cuda=True),
+    "pytorch-cuda-float32-compiled": partial(PyTorch, cuda=True, compiled=True),
     "onnxruntime-cuda": partial(OnnxRuntime, provider="CUDA"),
     "onnxruntime-tensorrt": partial(OnnxRuntime, provider="Tensorrt"),
 }

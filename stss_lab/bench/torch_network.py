@@ -12,17 +12,16 @@ from stss_ref.weights import Weights
 class TorchNetwork:
     """STSSNet on tensors (N, C, H, W); H, W multiples of 8.
 
+    A gate is one more channel of its feature's convolution, and the ERM's window is 25 slices: the same numbers, faster.
+
     Args:
         weights: the 92 tensors.
-        tuned: False: as the authors wrote it; each gate is a separate convolution, and the ERM's window is unfolded. True: a gate is
-            one more channel of its feature's convolution, and the window is 25 slices; this gives the same numbers, faster.
         options: for the tensors, of ``torch.Tensor.to``: device, dtype. Weights (O, C, k, k) are ``channels_last``.
     """
 
-    def __init__(self, weights: Weights, *, tuned: bool, **options: Any):
+    def __init__(self, weights: Weights, **options: Any):
         self._torch = require("torch")
         self._f = self._torch.nn.functional
-        self._tuned = tuned
         tensors: dict[str, Any] = {name: self._torch.tensor(array) for name, array in weights.items()}
         for name in [name for name in tensors if ".conv_feature." in name]:
             layer, kind = name.split(".conv_feature.")
@@ -54,7 +53,7 @@ class TorchNetwork:
         f, m = (self._f.interpolate(x, scale_factor=0.125, mode="bilinear", align_corners=False) for x in (gbuffer, mask))
         light = self._chain(self._torch.cat([x4, f], 1), "latentEncoder", (1, 1, 1), last_relu=False) * m
         material = self._f.normalize(self._chain(f, "KEncoder", (1, 1, 1), last_relu=False))
-        return (self._attend if self._tuned else self._attend_unfolded)(material, material * m, light)
+        return self._attend(material, material * m, light)
 
     def _attend(self, query: Any, key: Any, value: Any) -> Any:
         height, width = query.shape[-2:]
@@ -67,21 +66,13 @@ class TorchNetwork:
                 weight_sum = weight_sum + weight
         return total / self._torch.clamp(weight_sum, min=1e-6)
 
-    def _attend_unfolded(self, query: Any, key: Any, value: Any) -> Any:
-        key, value = (self._f.unfold(x, 5, padding=2).view(x.shape[1], 25, -1) for x in (key, value))
-        weight = (key * query.reshape(query.shape[1], 1, -1)).sum(0).relu()
-        total = (value * weight).sum(1) / weight.sum(0).clamp(min=1e-6)
-        return total.view(1, -1, *query.shape[-2:])
-
     def _down(self, x: Any, name: str) -> Any:
         x = self._gated(x, f"{name}.downsample", 2)
         return self._f.relu(self._gated(self._f.relu(self._gated(x, f"{name}.conv1")), f"{name}.conv2"))
 
     def _gated(self, x: Any, name: str, stride: int = 1) -> Any:
-        if self._tuned:
-            y = self._conv(x, name, stride)
-            return y[:, :-1] * y[:, -1:].sigmoid()
-        return self._conv(x, f"{name}.conv_feature", stride) * self._conv(x, f"{name}.conv_mask.0", stride).sigmoid()
+        y = self._conv(x, name, stride)
+        return y[:, :-1] * y[:, -1:].sigmoid()
 
     def _chain(self, x: Any, name: str, layers: tuple[int, ...], *, last_relu: bool = True) -> Any:
         for i, stride in enumerate(layers):

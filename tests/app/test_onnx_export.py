@@ -68,10 +68,9 @@ def test_engines_compute_the_network_with_it(engine, size):
 
 
 @pytest.mark.parametrize("size", [(13, 21)])
-@pytest.mark.parametrize("tuned", [False, True])
-def test_pytorch_computes_the_network_either_way(tuned, size):
+def test_pytorch_computes_the_network(size):
     need("torch")
-    peer = PyTorch(Setup(WEIGHTS, *size, device=None, threads=1), tuned=tuned)
+    peer = PyTorch(Setup(WEIGHTS, *size, device=None, threads=1))
     inputs = network_inputs(*size)
     assert ratio("network.peer", peer(**vars(inputs)), truth(inputs)) <= 1
 
@@ -79,6 +78,6 @@ def test_pytorch_computes_the_network_either_way(tuned, size):
 def test_a_peer_told_apart_from_another_network():
     """The comparison above sees other weights."""
     need("torch")
-    peer = PyTorch(Setup(random_weights(6), 16, 24, device=None, threads=1), tuned=True)
+    peer = PyTorch(Setup(random_weights(6), 16, 24, device=None, threads=1))
     inputs = network_inputs(16, 24)
     assert ratio("network.peer", peer(**vars(inputs)), truth(inputs)) > 1

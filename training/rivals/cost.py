@@ -37,7 +37,7 @@ class Whole(nn.Module):
 
         random = np.random.default_rng(0)
         tensors = {name: random.normal(0, 0.05, shape).astype(np.float32) for name, shape in TENSORS.items()}
-        self._network = TorchNetwork(Weights(tensors), tuned=True)
+        self._network = TorchNetwork(Weights(tensors))
         self.numbers = sum(tensor.size for tensor in tensors.values())
 
     def forward(self, color: Tensor, gbuffer: Tensor, mask: Tensor, history: Tensor) -> Tensor:
