@@ -27,7 +27,7 @@ def expect_occlusion_warp(
     got: dict[str, NDArray[Any]] | None = None,
     off: NDArray[np.float64] | float = 0.0,
 ) -> dict[str, Expected]:
-    """The motion looked up in the splatted map, which is exact since it is a copy, and the colour that the port's own motion reads.
+    """The motion looked up in the splatted map, a copy, and the colour that the port's own motion reads.
 
     Args:
         inputs: of the stage, float64.
@@ -38,7 +38,8 @@ def expect_occlusion_warp(
     motion = inputs["motion"]
     at = reach(motion, arithmetic, off)
     maps = _maps(at, motion, inputs["depth"])
-    expected = Expected(maps[0], 0.0, tuple(maps[1:]), vectors=True)
+    lost = np.max([arithmetic.flushed(each) for each in maps], axis=0)
+    expected = Expected(maps[0], lost, tuple(maps[1:]), vectors=True)
     by = (got["occlusion_motion"] if got else maps[0]).astype(np.float64)
     valid = inputs["valid"].astype(bool)[..., None]
     instead, allowed = interpolated(inputs["color"], reach(by, arithmetic), arithmetic)

@@ -72,6 +72,11 @@ class Arithmetic:
             held = self._stored(np.where(np.isfinite(x), np.clip(x, -most, most), x))
         return np.ascontiguousarray(held.astype(np.float32))
 
+    def normal(self, x: NDArray[Any]) -> NDArray[Any]:
+        """`rounded`, and 0 for what is no normal number: a port may have 0 there, and the direction of a key of such numbers is lost."""
+        held = self.rounded(x)
+        return np.where(np.abs(held) < self.tiny, held.dtype.type(0), held)
+
     def _stored(self, x: NDArray[Any]) -> NDArray[Any]:
         """``x`` in the arithmetic's numbers, the nearest, ties to even."""
         if self.dtype != "bfloat16":

@@ -153,7 +153,8 @@ def depths(rng: np.random.Generator, size: Size, kind: str) -> NDArray[np.float6
     if kind == "ties":
         return np.asarray(rng.choice([0.0, -0.0, 0.25, 0.5], size), np.float64)
     if kind == "close":
-        return np.asarray(0.5 + rng.integers(0, 8, size) * 2.0**-18, np.float64)
+        first, step = ((0.5, 2.0**-18), (2.0**-8, 2.0**-31))[rng.integers(2)]  # the latter as near as float32 has them
+        return np.asarray(first + rng.integers(0, 8, size) * step, np.float64)
     if kind == "flat":
         return np.full(size, rng.random(dtype=np.float32), np.float64)
     depth = rng.random(size, dtype=np.float32).astype(np.float64)

@@ -244,7 +244,7 @@ class Judge:
         if id(weights) not in self._weights:
             if len(self._weights) == MOST_WEIGHTS:
                 self._weights.clear()
-            given = weights.convert(self.arithmetic.rounded)
+            given = weights.convert(self.arithmetic.normal)
             if self.weights_version < 3:
                 given = replace(given, hole_test="footprint", **({"second_color": "newest"} if self.weights_version < 2 else {}))
             self._weights[id(weights)] = weights, given

@@ -214,6 +214,7 @@ OCCLUSION_WARP = (
     _order("first_written", "no depth test, the first one stays", lambda _, writes: np.flatnonzero(writes)[::-1]),
     _nearest("farthest", "the farthest surface stays", np.negative),
     _nearest("depth_of_8_bits", "depth in 8 bits", lambda depth: np.floor(depth * 255)),
+    _nearest("depth_of_24_bits", "depth in 24 bits", lambda depth: np.floor(depth.astype(np.float64) * (2**24 - 1))),
     _nearest("half_depth", "depth in half precision", half),
     _nearest("minus_zero", "depth by its bits: -0 is the farthest", lambda depth: np.where(np.signbit(depth), 99, depth)),
     _fill("starts_at_1", "the depth buffer starts at 1: a background at 1 does not splat", put("occlusion_warp.FARTHEST", 1.0)),

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Correct ports with other arithmetic: a suite that fails one of them asks for bits that nobody promised.
 
-``for port in ports()``, or one by name, for a command line: ``:fma`` of this module. All run in float32 but ``half``, which
-stores in float16.
+``for port in ports()``, or one by name, for a command line: ``:fma`` of this module. All run in float32 but ``half`` and
+``half_flush``, which store in float16.
 """
 
 from __future__ import annotations
@@ -161,9 +161,9 @@ def half_occlusion_warp(*arguments: Array, **more: Array) -> tuple[Array, Array]
     return motion, to_half(image)
 
 
-def flush_to_0(x: Array) -> Array:
-    """0 for what is no normal number, as on a device that has none."""
-    return np.where(np.abs(x) < np.finfo(x.dtype).tiny, x.dtype.type(0), x)
+def flush_to_0(x: Array, dtype: str = "float32") -> Array:
+    """0 for what is no normal number of ``dtype``, as on a device that has none."""
+    return np.where(np.abs(x) < np.finfo(dtype).tiny, x.dtype.type(0), x)
 
 
 def turned(function: Callable[[Array], Array]) -> Callable[[Array], Array]:
@@ -244,7 +244,9 @@ HOW: dict[str, dict[str, Any]] = {
     **{name: {"winograd": True} for name in WINOGRAD},
     "flush": {"entry": flush_to_0},
     "half": {"entry": to_half, "dtype": "float16"},
+    "half_flush": {"entry": lambda x: flush_to_0(to_half(x), "float16"), "dtype": "float16"},
 }
+PLANTS["half_flush"] = PLANTS["half"]
 PORTS = tuple(PLANTS)
 """Their names."""
 

@@ -102,7 +102,8 @@ def _holes(generator: np.random.Generator) -> Any:
 def _occlusion_warp(generator: np.random.Generator) -> Any:
     for size, kind in CASES:
         color, warped = generator.random((2, *size, 3))
-        depth = np.where(generator.random(size) < 0.3, generator.choice([0.0, -0.0, 0.5, 1.0], size), generator.random(size))
+        ties = generator.choice([0.0, -0.0, 2**-9 + 2**-32, 2**-9 + 2**-31, 1.0], size)
+        depth = np.where(generator.random(size) < 0.3, ties, generator.random(size))
         valid = (generator.random(size) < 0.5).astype(np.uint8)
         yield (
             {"color": color, "warped": warped, "motion": motion(generator, size, kind), "depth": depth, "valid": valid},
