@@ -14,6 +14,7 @@ from stss.weights.file import identity, load
 from stss_ground.errors import InputError
 from stss_ground.option_kinds import PATH, Names, Size
 from stss_ground.output.apart import require_places
+from stss_ground.output.write_whole import write_named
 from stss_ground.progress import show_steps
 from stss_ground.terminal import Terminal, echo
 
@@ -95,7 +96,7 @@ def bench_command(
         results = run_bench(setups, ours, peers, repeat, on_step=begin)
     bench_report.print_results(results, Terminal())
     if json_file is not None:
-        bench_report.write_json(json_file, results, identity(tensors), threads)
+        write_named(json_file, bench_report.to_json(results, identity(tensors), threads))
     sys.exit(1 if any(row.fault for result in results for row in result.rows) else 0)
 
 

@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -33,57 +33,6 @@ SUMMARY = ("wall_min", "wall_median", "cpu_min", "cpu_median")
 """Figures of a contender's runs: of wall clock, and of its process's processor time divided by the number of threads."""
 PAUSE = 0.02
 """Seconds between two runs, in which the threads of the first one fall asleep."""
-
-
-STAT = Path("/proc/stat")
-TICKS_PER_S = 100
-"""Unit of the times in /proc/stat, on every Linux (USER_HZ)."""
-
-
-class Noise(NamedTuple):
-    """The load of others, as shares, 0 to 1, of the time of all the machine's processors.
-
-    Attributes:
-        processes: share of other processes on this machine.
-        guests: share of other guests of this machine's host.
-    """
-
-    processes: float
-    guests: float
-
-    def __str__(self) -> str:
-        return f"other processes had {self.processes:.0%} of this machine, other guests of its host {self.guests:.0%}"
-
-
-class ProcessorTime(NamedTuple):
-    """Seconds of all processors together since the system started: ``busy``, ``stolen`` for other guests, ``all`` with the idle ones."""
-
-    busy: float
-    stolen: float
-    all: float
-
-    def noise_since(self, earlier: ProcessorTime, own: float) -> Noise:
-        """The load of others between two readings.
-
-        Args:
-            earlier: the first reading; this one is the second.
-            own: processor time of the timed processes in between; seconds.
-        """
-        whole = max(self.all - earlier.all, 1 / TICKS_PER_S)
-        others = max(self.busy - earlier.busy - own, 0.0)  # the system counts in hundredths, own is exact
-        return Noise(min(others / whole, 1.0), min((self.stolen - earlier.stolen) / whole, 1.0))
-
-
-def processor_time(path: Path = STAT) -> ProcessorTime | None:
-    """Read the times from ``path``; None where the system does not give them."""
-    try:
-        name, *fields = path.read_text(encoding="ascii").split("\n", 1)[0].split()
-        # user, nice, system, idle, iowait, irq, softirq, steal; "user" includes the time of this machine's own guests
-        user, nice, system, idle, waiting, irq, softirq, stolen = (int(field) / TICKS_PER_S for field in fields[:8])
-    except (OSError, ValueError):
-        return None
-    busy = user + nice + system + irq + softirq
-    return ProcessorTime(busy, stolen, busy + stolen + idle + waiting) if name == "cpu" else None
 
 
 @dataclass(frozen=True)
@@ -135,13 +84,11 @@ class SizeResult:
     Attributes:
         height, width: of the inputs; pixels.
         rows: one for each contender, ours first.
-        noise: others' load on the machine during the timed runs; None where the system doesn't say.
     """
 
     height: int
     width: int
     rows: tuple[Timing, ...]
-    noise: Noise | None = None
 
     def shares(self, row: Timing) -> dict[str, float]:
         """Times of ``row`` / times of the first peer, by the names in ``SUMMARY``; empty where the two do not compare."""
@@ -200,15 +147,11 @@ def _bench_size(setup: Setup, names: Sequence[str], repeat: int, on_step: Callab
             on_step(f"{label}: warming up {worker.name}")
             worker.start(truths[worker.name in FRAMES])
         truths.clear()
-        before, own_before = processor_time(), time.process_time()
         for i in range(repeat):
             on_step(f"{label}: run {i + 1} of {repeat}")
             for worker in workers:
                 worker.time()
-        after, own = processor_time(), time.process_time() - own_before
-        own += sum(worker.processor_seconds for worker in workers)
-        noise = after.noise_since(before, own) if before and after else None
-        return SizeResult(*size, tuple(worker.finish() for worker in workers), noise)
+        return SizeResult(*size, tuple(worker.finish() for worker in workers))
     finally:
         for worker in workers:
             worker.stop()
@@ -244,11 +187,6 @@ class _Worker:
         if (seconds := self._ask("time")) is not None:
             self._times.append(seconds[0])
             self._cpu_times.append(seconds[1] / self._setup.threads)
-
-    @property
-    def processor_seconds(self) -> float:
-        """Processor time of all timed runs; seconds."""
-        return sum(self._cpu_times) * self._setup.threads
 
     def finish(self) -> Timing:
         """The results of the contender."""

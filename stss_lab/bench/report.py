@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from rich import box
@@ -13,7 +12,6 @@ from rich.console import Console
 from rich.table import Table
 
 from stss_ground.machine import conditions
-from stss_ground.output.write_whole import write_named
 from stss_lab.bench.measure import PAUSE, SUMMARY, WARM_UP, SizeResult, Timing
 from stss_lab.bench.peers import PEERS
 
@@ -23,27 +21,24 @@ PACKAGES = ("numpy", "pyopencl", "pocl-binary-distribution", "torch", "onnx", "o
 
 
 def print_results(results: Sequence[SizeResult], console: Console) -> None:
-    """Print a table for each size, with a contender's stages below it if it measures them, and how noisy the run was."""
+    """Print a table for each size, with a contender's stages below it if it measures them."""
     for result in results:
         console.print(_table(result))
         for row in result.rows:
             if row.fault:
                 console.print(f"{row.name}: {row.fault}", soft_wrap=True, markup=False, highlight=False)
-        for line in _remarks(result):
-            console.print(line, soft_wrap=True, markup=False, highlight=False)
-
-
-def _remarks(result: SizeResult) -> list[str]:
-    """Lines on the precision and threads of each row, and on how noisy the run was."""
-    known = [(row.name, row.details.get("precision"), row.details.get("threads")) for row in result.rows if not row.fault]
-    computed = [f"{name} {precision}" + (f" x {threads}" if threads else "") for name, precision, threads in known if precision]
-    lines = [f"Precision x threads: {', '.join(computed)}."] if computed else []
-    return lines if result.noise is None else [*lines, f"Meanwhile {result.noise}."]
+        known = [(row.name, row.details.get("precision"), row.details.get("threads")) for row in result.rows if not row.fault]
+        computed = [
+            f"{name} {precision}" + (f" x {threads}" if threads else "") for name, precision, threads in known if precision
+        ]
+        if computed:
+            console.print(f"Precision x threads: {', '.join(computed)}.", soft_wrap=True, markup=False, highlight=False)
 
 
 def _table(result: SizeResult) -> Table:
     height, width = result.height, result.width
-    title = f"{width} x {height} to {2 * width} x {2 * height}, {len(_times(result))} runs; ms, and of the first peer's"
+    runs = max(len(row.times) for row in result.rows)
+    title = f"{width} x {height} to {2 * width} x {2 * height}, {runs} runs; ms, and of the first peer's"
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
     table.add_column("", no_wrap=True)
     kinds = ("wall\nmin", "\nmedian", "CPU\nmin", "\nmedian")
@@ -70,10 +65,6 @@ def _number(value: float | None, factor: float, digits: int) -> str:
     return "-" if value is None else f"{value * factor:.{digits}f}"
 
 
-def _times(result: SizeResult) -> tuple[float, ...]:
-    return next((row.times for row in result.rows if row.times), ())
-
-
 def to_json(results: Sequence[SizeResult], weights: str, threads: int) -> str:
     """All measurements, and the machine they were made on, as JSON; without names of hosts, users or folders.
 
@@ -98,22 +89,12 @@ def to_json(results: Sequence[SizeResult], weights: str, threads: int) -> str:
             {
                 "input": [r.width, r.height],
                 "output": [2 * r.width, 2 * r.height],
-                "noise": None if r.noise is None else r.noise._asdict(),
                 "rows": [_row(r, row) for row in r.rows],
             }
             for r in results
         ],
     }
-    return json.dumps(data, indent=1)
-
-
-def write_json(path: Path, results: Sequence[SizeResult], weights: str, threads: int) -> None:
-    """Write `to_json` to ``path``.
-
-    Raises:
-        InputError: it can't be written.
-    """
-    write_named(path, to_json(results, weights, threads) + "\n")
+    return json.dumps(data, indent=1) + "\n"
 
 
 def _row(result: SizeResult, row: Timing) -> dict[str, Any]:

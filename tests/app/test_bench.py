@@ -14,7 +14,7 @@ from stss_ground.errors import InputError
 from stss_lab.bench import measure
 from stss_lab.bench import report as bench_report
 from stss_lab.bench.contender import Setup
-from stss_lab.bench.measure import SUMMARY, Noise, SizeResult, Timing, bench, processor_time
+from stss_lab.bench.measure import SUMMARY, SizeResult, Timing, bench
 from stss_ref.weights import random as random_weights
 
 WEIGHTS = random_weights(2)
@@ -42,7 +42,6 @@ RESULT = SizeResult(
         Timing("openvino", fault="not installed"),
         Timing("pytorch", (0.6, 0.7, 0.8), float("inf"), cpu_times=(0.6, 0.6, 0.5)),
     ),
-    Noise(0.25, 0.031),
 )
 
 
@@ -105,7 +104,7 @@ def test_the_peers_run_in_turns_with_ours():
     assert result.shares(result.rows[1]) == dict.fromkeys(SUMMARY, 1)
 
 
-def test_the_table_shows_stages_faults_and_noise():
+def test_the_table_shows_stages_and_faults():
     text = printed([RESULT])
     assert "960 x 540 to 1920 x 1080, 3 runs" in text
     assert "openvino: not installed" in text
@@ -114,26 +113,6 @@ def test_the_table_shows_stages_faults_and_noise():
     assert ["cl", *times, *shares, "1.0e-06", "300"] in lines
     assert ["erm", "10.0"] in lines
     assert "Precision x threads: cl float32 x 2." in text
-    assert "Meanwhile other processes had 25% of this machine, other guests of its host 3%." in text
-
-
-STAT = """cpu  {} 200 300 {} 50 10 20 {} 999 0
-cpu0 1 2 3 4 5 6 7 8 9 10
-"""
-
-
-def test_noise_is_what_others_had(tmp_path):
-    file = tmp_path / "stat"
-    readings = []
-    for user, idle, stolen in ((1000, 5000, 100), (1300, 5080, 120)):
-        file.write_text(STAT.format(user, idle, stolen))
-        readings.append(processor_time(file))
-    before, after = readings
-    # 4 s in all; busy 3 s, of which 2 were ours
-    assert [round(share, 6) for share in after.noise_since(before, 2.0)] == [0.25, 0.05]
-    assert after.noise_since(before, 3.5).processes == 0
-    file.write_text("no numbers at all here, not a single one of them\n")
-    assert processor_time(file) is None
 
 
 def test_json_can_be_read_and_names_no_place():
@@ -147,7 +126,6 @@ def test_json_can_be_read_and_names_no_place():
     ours = size["rows"][0]
     assert (ours["minimum_ms"], ours["cpu_min_ms"], ours["cpu_times_ms"]) == (200, 180, [180, 210, 190])
     assert round(ours["of_first_peer"]["cpu_min"], 6) == 0.36
-    assert size["noise"] == {"processes": 0.25, "guests": 0.031}
     assert platform.node() not in text
     assert "/home" not in text
 
