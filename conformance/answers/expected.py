@@ -70,11 +70,6 @@ class Expected:
         return np.where(lost[0] & lost[1], 0.0, ratio)
 
 
-def exact(want: NDArray[Any]) -> Expected:
-    """The right answer of an output that only copies numbers: nothing is allowed."""
-    return Expected(want, 0.0)
-
-
 def mask(want: Bool, unsure: Bool) -> Expected:
     """A mask whose ``unsure`` elements may be either."""
     others = (np.where(unsure, ~want, want).astype(np.uint8),) if unsure.any() else ()

@@ -56,7 +56,7 @@ def expect_holes(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic, off: F
     inside, edge = within_frame(at)
     outside = Maybe(~inside & ~edge, ~inside | edge)
     with np.errstate(invalid="ignore", over="ignore"):
-        s, s_off = _read(inputs["stencil_previous"][..., None], at, arithmetic)
+        s, s_off = interpolated(inputs["stencil_previous"][..., None], at, arithmetic)
         s, s_off = s[..., 0], s_off[..., 0]
         standing = _is_zero(inputs["stencil_previous"], s, s_off, at)
         static = standing & (_too_far if test == "paper" else _beyond_footprint)(inputs, at, arithmetic)
@@ -70,10 +70,6 @@ def expect_holes(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic, off: F
 
 def _exceeds(value: Float64, off: Float64, threshold: Float64 | float) -> Maybe:
     return Maybe(value - off > threshold, ~(value + off <= threshold))
-
-
-def _read(image: Float64, at: Reach, arithmetic: Arithmetic) -> tuple[Float64, Float64]:
-    return interpolated(image, at, arithmetic)
 
 
 def _is_zero(stencil: Float64, s: Float64, s_off: Float64, at: Reach) -> Maybe:
@@ -110,22 +106,18 @@ def _too_far(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic)
     size = LIMITS.facing * facing + LIMITS.grazing * np.abs(1 - facing) + LIMITS.depth * np.abs(depth)
     off = BOUNDS["bias"].roundings * unit * (size + LIMITS.grazing * facing)
     cell, previous, position = taps(at.at), inputs["position_previous"], inputs["position"]
-    own = _distance([previous[j, i] for j in (cell.y0, cell.y1) for i in (cell.x0, cell.x1)], position)
+    own = _length(np.stack(offsets(previous, position, cell))).max(axis=0)
     height, width = facing.shape
     around = [
         previous[np.clip(cell.y0 + j, 0, height - 1), np.clip(cell.x0 + i, 0, width - 1)]
         for j in range(-1, 3)
         for i in range(-1, 3)
     ]
-    highest = np.where(at.unsure, _distance(around, position), own)
+    highest = np.where(at.unsure, _length(np.stack(around) - position).max(axis=0), own)
     lowest = np.where(at.unsure, 0, own)
     wrong = BOUNDS["length"].roundings * unit
     # A distance that is NaN is a hole.
     return Maybe(~(lowest * (1 - wrong) <= bias + off), ~(highest * (1 + wrong) <= bias - off))
-
-
-def _distance(previous: list[Float64], position: Float64) -> Float64:
-    return _length(np.stack(previous) - position).max(axis=0)
 
 
 def _length(vectors: Array) -> Float64:
@@ -135,7 +127,7 @@ def _length(vectors: Array) -> Float64:
 def _turned(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic) -> Maybe:
     """Where the cosine is below 0.98 on a surface, that is, where one of the two normals is not 0."""
     unit, normal = arithmetic.unit, inputs["normal"]
-    n, n_off = _read(inputs["normal_previous"], at, arithmetic)
+    n, n_off = interpolated(inputs["normal_previous"], at, arithmetic)
     length = np.sqrt((n * n).sum(axis=-1))
     length_off = np.sqrt((n_off * n_off).sum(axis=-1)) + BOUNDS["length"].roundings * unit * length + SMALL
     dot = (normal * n).sum(axis=-1)
