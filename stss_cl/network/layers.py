@@ -217,7 +217,7 @@ class Layers:
         # Rows 4 t .. 4 t + 3 of the output read the input's rows 2 t - 1 .. 2 t + 2.
         tiling = Tiling(ceil_div(up.height, 4), ceil_div(up.width, 4), (2, 2), 1, 0)
         launch = self._build.kernel(
-            "decoder", "upsample_corners", "resample.cl", {},
+            "decoder", "upsample_corners", "resample.cl", {"PREFETCH": self.device.takes_prefetch},
             {
                 "in": x.data, "out": up.data, "height": x.height, "width": x.width, "in_columns": x.columns,
                 "out_columns": up.columns, "full_height": self._full // step.source.divisor, "top": 0, "eights": x.channels // 8,
