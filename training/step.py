@@ -51,12 +51,17 @@ def advance(state: State, batch: tuple[Tensor, ...], rate: float, aims: Aims, *,
 
     Returns the loss, on the device.
     """
-    for optimiser, factor in zip(state.optimisers, (1.0, ADAM), strict=True):
-        for group in optimiser.param_groups:
-            group["lr"] = rate * factor
     leak(state.network, LEAK * aims.young)
     enlarged, trust = base(batch[0]), trusted(batch[2])
     value = (_compiled() if compiled and not aims.young else objective)(state.network, state.heads, batch, enlarged, trust, aims)
+    return descend(state, value, rate)
+
+
+def descend(state: State, value: Tensor, rate: float) -> Tensor:
+    """Make the loss smaller by one step of the optimisers, and move the running mean; returns the loss."""
+    for optimiser, factor in zip(state.optimisers, (1.0, ADAM), strict=True):
+        for group in optimiser.param_groups:
+            group["lr"] = rate * factor
     value.backward()
     nn.utils.clip_grad_norm_(state.network.parameters(), CLIP)
     for optimiser in state.optimisers:

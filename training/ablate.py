@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: MIT
+"""The paper's ablation: short runs from random weights that differ in one thing, and the mean PSNR of each over several seeds."""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from training.command import command
+from training.data import KINDS, Batches, Kind, Shard, load_shards
+from training.network import Network
+from training.step import Aims, advance
+from training.train import Settings, infancy, rate_at, start
+from training.validate import Means, tensors, validate
+
+ROWS = ("whole", "gbuffer", "history", "masking", "erm", "EF", "SF")
+"""What is left out; the last two: trained without EFs, and without SFs."""
+
+
+def light(network: Network, x4: Tensor, gbuffer: Tensor, mask: Tensor) -> Tensor:
+    """`Network.reshade` without the attention: what it would gather from."""
+    f, m = (torch.nn.functional.interpolate(x, scale_factor=0.125, mode="bilinear") for x in (gbuffer, mask))
+    return network.latentEncoder(torch.cat([x4, f], 1)) * m
+
+
+def run(row: str, shards: list[Shard], settings: Settings, steps: int, most: int) -> Means:
+    """Train without ``row`` and score the running mean of the weights; the G-buffer is left out as zeros."""
+    device, kinds = torch.device("cpu"), tuple[Kind, ...](kind for kind in KINDS if kind != row)
+    state, keep = start(settings, device), float(row != "gbuffer")
+    if row == "erm":
+        state.network.reshade = partial(light, state.network)
+    drawn = Batches(shards, side=48, batch=6, seed=settings.seed, kinds=kinds, masking=row != "masking")
+    for step, batch in drawn.between(0, steps):
+        color, gbuffer, *others = tensors(batch, device)
+        aims = Aims(young=infancy(step, steps))
+        advance(state, (color, gbuffer * keep, *others), rate_at(step, steps, settings), aims)
+    state.network.load_state_dict(state.average)
+    return validate(lambda c, g, m, h: state.network(c, g * keep, m, h), shards, "validation", most=most, device=device)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """``python -m training.ablate``."""
+    parser = argparse.ArgumentParser(prog="python -m training.ablate", description=__doc__)
+    parser.add_argument("data", type=Path, help="folder of shards, made by python -m training.samples")
+    parser.add_argument("--rows", nargs="+", choices=ROWS, default=ROWS, help="what is left out")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--steps", type=int, default=1200)
+    parser.add_argument("--most", type=int, default=24, help="validation frames of each kind")
+    chosen = parser.parse_args(arguments)
+    shards = load_shards(chosen.data)
+    for row in chosen.rows:
+        made = (Settings(48, 6, 0.01, 100, seed, False, history=row != "history") for seed in chosen.seeds)
+        found = [run(row, shards, settings, chosen.steps, chosen.most) for settings in made]
+        for kind in (kind for kind in KINDS if kind != row):
+            values = [means[kind] for means in found]
+            sys.stdout.write(f"without {row}, {kind}: {statistics.mean(values):.2f} ({max(values) - min(values):.2f})\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    command(main)
