@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from conformance.protocol.reference_copy import Mistake, Plant, change_arguments, fault, put, returns
+from conformance.protocol.reference_copy import Mistake, change_arguments, fault, put, returns
 from stss_ref.frame import stack_history
 from stss_ref.motion_chain import motion_chain
 from stss_ref.sample import follow, leads_inside
@@ -20,8 +21,7 @@ from stss_ref.sample import follow, leads_inside
 Change = Callable[..., Any]
 
 
-def _frame(name: str, what: str, *plants: Plant) -> Mistake:
-    return fault("frame", name, what, *plants)
+_frame = partial(fault, "frame")
 
 
 def _steps(name: str, what: str, by: int) -> Mistake:

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,8 +25,7 @@ def limits(**numbers: float) -> Plant:
     return put("constants.HoleLimits", lambda: HoleLimits(**numbers))
 
 
-def _holes(name: str, what: str, *plants: Plant) -> Mistake:
-    return fault("holes", name, what, *plants)
+_holes = partial(fault, "holes")
 
 
 def _taken(name: str, what: str, **changes: Change) -> Mistake:
@@ -175,8 +175,7 @@ HOLES = (
 )
 
 
-def _fill(name: str, what: str, *plants: Plant, **marks: Any) -> Mistake:
-    return fault("occlusion_warp", name, what, *plants, **marks)
+_fill = partial(fault, "occlusion_warp")
 
 
 def _nearest(name: str, what: str, change: Callable[[Any], Any]) -> Mistake:

@@ -7,11 +7,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from conformance.protocol.reference_copy import Mistake, Plant, change_arguments, fault, half, put, returns, wrap
+from conformance.protocol.reference_copy import Mistake, change_arguments, fault, half, put, returns, wrap
 from stss_ref.motion_chain import gather_bilinear, gather_nearest, read_motion
 from stss_ref.sample import Place, Taps, leads_inside
 
@@ -59,8 +60,7 @@ READS: tuple[tuple[str, str, Change], ...] = (
 """What both stages may read of a large image in its place."""
 
 
-def _chain(name: str, what: str, *plants: Plant, **marks: Any) -> Mistake:
-    return fault("motion_chain", name, what, *plants, **marks)
+_chain = partial(fault, "motion_chain")
 
 
 def _followed(name: str, what: str, change: Change) -> Mistake:
@@ -129,8 +129,7 @@ MOTION_CHAIN = (
 )
 
 
-def _warp(name: str, what: str, *plants: Plant, **marks: Any) -> Mistake:
-    return fault("warp", name, what, *plants, **marks)
+_warp = partial(fault, "warp")
 
 
 def _taken(name: str, what: str, change: Change, also: tuple[str, ...] = BOTH, **marks: Any) -> Mistake:

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -70,8 +71,8 @@ HISTORY = (
 )
 
 
-def _encoder(name: str, what: str, *plants: Plant, also: tuple[str, ...] = (), **marks: Any) -> Mistake:
-    return fault("encoder", name, what, *plants, also=also, **marks)
+_encoder = partial(fault, "encoder")
+_gate = partial(fault, "encoder", also=("history",))
 
 
 def _gbuffer(name: str, what: str, *channels: int) -> Mistake:
@@ -99,13 +100,12 @@ def _conv(name: str, what: str, *, also: tuple[str, ...] = OTHERS, **changes: Ch
     return _encoder(name, what, change_arguments("conv.conv", **changes), also=also)
 
 
-def _gate(name: str, what: str, plant: Plant) -> Mistake:
-    return _encoder(name, what, plant, also=("history",))
+def _edged(x: Any, r: int) -> Any:
+    return np.pad(x, ((r, r), (r, r), (0, 0)), mode="edge")
 
 
-def _padded(name: str, what: str, change: Callable[[Any, int], Any], also: tuple[str, ...] = OTHERS) -> Mistake:
-    """``change(x, r)`` surrounds what is convolved."""
-    return _encoder(name, what, put("conv.surround_with_zeros", change), also=also)
+def _row_above(x: Any, r: int) -> Any:
+    return np.pad(x, ((2 * r, 0), (r, r), (0, 0)))
 
 
 def _gate_unbiased(weights: Any, name: str) -> Any:
@@ -178,10 +178,8 @@ ENCODER = (
     _gate("gate_unbiased", "the gate's bias forgotten", change_arguments("conv.gated", weights=_gate_unbiased)),
     _encoder("relu6", "ReLU that ends at 6", returns("conv.relu", lambda y: np.minimum(y, 6)), also=OTHERS),
     _encoder("leaky_relu", "a leaky ReLU", returns("conv.relu", lambda _, x: np.maximum(x, x * 0.01)), also=OTHERS),
-    _padded(
-        "replicated", "replicates the border instead of zeros", lambda x, r: np.pad(x, ((r, r), (r, r), (0, 0)), mode="edge")
-    ),
-    _padded("row_above", "the window one row up", lambda x, r: np.pad(x, ((2 * r, 0), (r, r), (0, 0)))),
+    _encoder("replicated", "replicates the border instead of zeros", put("conv.surround_with_zeros", _edged), also=OTHERS),
+    _encoder("row_above", "the window one row up", put("conv.surround_with_zeros", _row_above), also=OTHERS),
     _encoder("strided_side", "stride 2 pads below and right only", wrap("conv.conv", _below_and_right), also=("history",)),
     _conv("transposed", "rows and columns of the kernel swapped", weight=lambda weight: weight.swapaxes(2, 3)),
     _conv("flipped", "convolution for cross-correlation", weight=lambda weight: weight[:, :, ::-1, ::-1]),
@@ -202,8 +200,7 @@ ENCODER = (
 )
 
 
-def _erm(name: str, what: str, *plants: Plant, **marks: Any) -> Mistake:
-    return fault("erm", name, what, *plants, **marks)
+_erm = partial(fault, "erm")
 
 
 def _last_relu(name: str, of: str) -> Mistake:
@@ -212,9 +209,9 @@ def _last_relu(name: str, of: str) -> Mistake:
     )
 
 
-def _window(name: str, what: str, change: Callable[..., Any], **marks: Any) -> Mistake:
-    """``change(right, x)`` in place of the places of the window."""
-    return _erm(name, what, wrap("erm.window", change), **marks)
+def _every_64th(window: Change, x: Any) -> Iterable[Any]:
+    columns = np.arange(x.shape[1]) % 64
+    return (there * (columns >= WINDOW // 2 - i % WINDOW)[:, None] for i, there in enumerate(window(x)))
 
 
 def _masks(name: str, what: str, change: Callable[[Any, Any, Any], tuple[Any, Any, Any]]) -> Mistake:
@@ -225,10 +222,6 @@ def _masks(name: str, what: str, change: Callable[[Any, Any, Any], tuple[Any, An
 def _weight(name: str, what: str, change: Callable[[Any], Any]) -> Mistake:
     """A weight is ``change`` of key times query."""
     return _erm(name, what, put("erm.likeness", lambda key, query: change((key * query).sum(axis=-1, keepdims=True))))
-
-
-def _sum(name: str, what: str, change: Callable[[Any, Any], Any]) -> Mistake:
-    return _erm(name, what, put("erm.divide", change))
 
 
 def _length(name: str, what: str, change: Callable[[Any], Any]) -> Mistake:
@@ -244,24 +237,26 @@ def _down(name: str, what: str, rows: Callable[[Any], Any]) -> Mistake:
 ERM = (
     _erm("window_3", "3 x 3", put("erm.WINDOW", 3)),
     _erm("window_7", "7 x 7", put("erm.WINDOW", 7)),
-    _window("window_shifted", "the window one row up", lambda right, x: right(np.pad(x, ((1, 0), (0, 0), (0, 0)))[:-1])),
     _erm(
-        "window_clamped",
-        "replicates the border instead of zeros",
-        put("erm.surround_with_zeros", lambda x, r: np.pad(x, ((r, r), (r, r), (0, 0)), mode="edge")),
+        "window_shifted",
+        "the window one row up",
+        wrap("erm.window", lambda right, x: right(np.pad(x, ((1, 0), (0, 0), (0, 0)))[:-1])),
     ),
-    _window(
+    _erm("window_clamped", "replicates the border instead of zeros", put("erm.surround_with_zeros", _edged)),
+    _erm(
         "own_pixel_left_out",
         "the window's own pixel takes no part",
-        lambda right, x: (there * (i != WINDOW**2 // 2) for i, there in enumerate(right(x))),
+        returns("erm.window", lambda places: (there * (i != WINDOW**2 // 2) for i, there in enumerate(places))),
     ),
-    _window("value_mirrored", "V(p - d) for V(p + d)", lambda right, x: [*right(x)][:: -1 if x.shape[-1] == 64 else 1]),
-    _window(
+    _erm(
+        "value_mirrored",
+        "V(p - d) for V(p + d)",
+        returns("erm.window", lambda places, x: [*places][:: -1 if x.shape[-1] == 64 else 1]),
+    ),
+    _erm(
         "window_64",
         "windows do not see across every 64th column",
-        lambda right, x: (
-            there * (np.arange(x.shape[1]) % 64 >= WINDOW // 2 - i % WINDOW)[:, None] for i, there in enumerate(right(x))
-        ),
+        wrap("erm.window", _every_64th),
         large=True,
     ),
     _masks("key_unmasked", "the key is not masked", lambda k, v, m: (k, k, v * m)),
@@ -284,10 +279,10 @@ ERM = (
     _weight("weight_absolute", "|w| for relu(w)", np.abs),
     _weight("softmax", "exp for ReLU", np.exp),
     _weight("half_weight", "weights in half precision", lambda weight: half(np.maximum(weight, 0))),
-    _sum("undivided", "as in the paper: not divided by the sum", lambda total, _: total),
-    _sum("mean", "divides by the number of pixels", lambda total, _: total / WINDOW**2),
-    _sum("unclamped_sum", "0 / 0 where nothing is to be trusted", lambda total, weights: total / weights),
-    _sum("sum_epsilon", "adds 1e-3 to the sum", lambda total, weights: total / (weights + 1e-3)),
+    _erm("undivided", "as in the paper: not divided by the sum", put("erm.divide", lambda total, _: total)),
+    _erm("mean", "divides by the number of pixels", put("erm.divide", lambda total, _: total / WINDOW**2)),
+    _erm("unclamped_sum", "0 / 0 where nothing is to be trusted", put("erm.divide", np.divide)),
+    _erm("sum_epsilon", "adds 1e-3 to the sum", put("erm.divide", lambda total, weights: total / (weights + 1e-3))),
     _down("down_4_and_5", "pixels 8i + 4 and 8i + 5", lambda x: (x[4::8] + x[5::8]) / 2),
     _down("down_first", "pixel 8i", lambda x: x[::8]),
     _down("down_nearest", "pixel 8i + 4", lambda x: x[4::8]),
@@ -295,8 +290,7 @@ ERM = (
 )
 
 
-def _decoder(name: str, what: str, *plants: Plant) -> Mistake:
-    return fault("decoder", name, what, *plants)
+_decoder = partial(fault, "decoder")
 
 
 def _shuffle(name: str, what: str, order: Callable[[Any], Any]) -> Mistake:
@@ -318,10 +312,6 @@ def _resampled(name: str, what: str, grid: str, at: Callable[[int], Any]) -> Mis
 
 def _repeated(x: Any) -> Any:
     return x.repeat(2, axis=0).repeat(2, axis=1)
-
-
-def _base(name: str, what: str, color: Callable[[Any], Any]) -> Mistake:
-    return _decoder(name, what, change_arguments("decoder.decoder", color=color))
 
 
 DECODER = (
@@ -346,9 +336,11 @@ DECODER = (
     _decoder("features_nearest", "features upsampled by repeating pixels", put("decoder.upsample_corners", _repeated)),
     _decoder("base_by_corners", "colour upsampled with corners aligned", put("decoder.upsample_centres", upsample_corners)),
     _decoder("base_nearest", "colour upsampled by repeating pixels", put("decoder.upsample_centres", _repeated)),
-    _base("base_missing", "the residual alone", np.zeros_like),
-    _base("base_of_warped", "adds warped, not occlusion_warp", _rolled(3)),
-    _base("base_bgr", "adds the colours in reverse", lambda color: color[..., [2, 1, 0, 3, 4, 5]]),
+    _decoder("base_missing", "the residual alone", change_arguments("decoder.decoder", color=np.zeros_like)),
+    _decoder("base_of_warped", "adds warped, not occlusion_warp", change_arguments("decoder.decoder", color=_rolled(3))),
+    _decoder(
+        "base_bgr", "adds the colours in reverse", change_arguments("decoder.decoder", color=lambda c: c[..., [2, 1, 0, 3, 4, 5]])
+    ),
     _decoder("residual_subtracted", "the residual with the other sign", returns("decoder.pixel_shuffle", np.negative)),
     _decoder("outc_relu", "ReLU after outc", returns("decoder.pixel_shuffle", lambda image: np.maximum(image, 0))),
     _decoder("clipped", "clips the image to [0, 1]", returns("decoder.decoder", lambda image: np.clip(image, 0, 1))),
@@ -367,8 +359,7 @@ DECODER = (
 )
 
 
-def _network(name: str, what: str, *plants: Plant) -> Mistake:
-    return fault("network", name, what, *plants)
+_network = partial(fault, "network")
 
 
 def _pad(x: Any, sides: Callable[[int], tuple[int, int]] = lambda n: (0, -n % 8), **how: Any) -> Any:
