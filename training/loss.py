@@ -97,7 +97,7 @@ def _weighted(error: Tensor, trust: Tensor) -> Tensor:
 
 
 def structure(output: Tensor, truth: Tensor) -> Tensor:
-    """``1 - SSIM`` of the luma of each sample, (N,), as `stss.quality.metrics.ssim` takes it but for its 8 bits; 0 for equal pictures.
+    """``1 - SSIM`` of the luma of each sample, (N,), as `stss.quality.metrics.ssim_map` but for its 8 bits; 0 for equal pictures.
 
     Arguments as for `loss`; pictures of 11 x 11 or more.
     """

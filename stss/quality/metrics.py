@@ -136,20 +136,6 @@ def ssim_map(image: Plane, truth: Plane) -> Plane:
     return (2 * m_a * m_b + C1) * (2 * s_ab + C2) / ((m_a * m_a + m_b * m_b + C1) * (s_aa + s_bb + C2))
 
 
-def ssim(image: Plane, truth: Plane, region: Mask | None = None) -> float | None:
-    """Mean of ``ssim_map`` over a region; None where it has no pixel in the region.
-
-    Args:
-        image: (H, W) luma, in 0..255.
-        truth: as ``image``.
-        region: (H, W) True where pixels count; None: everywhere.
-
-    Raises:
-        ArrayError: the shapes differ.
-    """
-    return _over(ssim_map(image, truth), region)
-
-
 def edges(truth: Bytes) -> Mask:
     """True on the Canny edges (thresholds 100, 200) of an image's full-range grey, (H, W, 3) uint8 to (H, W)."""
     grey = cv2.cvtColor(truth, cv2.COLOR_RGB2GRAY)

@@ -61,16 +61,6 @@ class Timing:
     cpu_times: tuple[float, ...] = ()
 
     @property
-    def minimum(self) -> float:
-        """Seconds of the fastest run."""
-        return min(self.times)
-
-    @property
-    def median(self) -> float:
-        """Median of the runs; seconds."""
-        return statistics.median(self.times)
-
-    @property
     def summary(self) -> dict[str, float]:
         """Seconds, by the names in ``SUMMARY``."""
         both = {"wall": self.times, "cpu": self.cpu_times}

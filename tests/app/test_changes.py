@@ -12,7 +12,6 @@ from stss.images.read_write import write_rgb
 from stss.quality.compare import compare, facts
 from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
-from tests.hostile.cases import call
 
 SIZE = (16, 24)
 
@@ -124,11 +123,3 @@ def test_sizes_must_fit_the_sequence(sequence, tmp_path):
     images = [texture()[:-2]] * 6
     with pytest.raises(InputError, match=r"frame\.0000\.png: expected 48 x 32 pixels to go with .*, found 48 x 30"):
         flicker(write(tmp_path / "out", images), write(tmp_path / "truth", images), sequence(0, 0))
-
-
-def test_the_command_line_says_it(sequence, tmp_path):
-    out = write(tmp_path / "out", [texture() + 6 / 255 * (n % 2) for n in range(6)])
-    truth, frames = write(tmp_path / "truth", [texture()] * 6), sequence(0, 0).path
-    said = call("compare", out, truth, "--sequence", frames)
-    assert said.returncode == 0, said.stderr
-    assert "flicker of the steps: SF 6.00, EF 6.00, MEAN 6.00" in said.stdout

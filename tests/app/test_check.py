@@ -147,28 +147,26 @@ def test_masked_values_are_a_warning(write_frames):
     assert "color: 2 non-finite values, first in frame 1; masked" in texts(report, "warning")
 
 
-@pytest.mark.parametrize(("far", "level", "step"), [(1, "note", "0.12"), (200, "warning", "32")])
-def test_half_positions(write_frames, far, level, step):
-    """Half's steps are 1/8 from 128 to 256, and 32 from 32768 on."""
+@pytest.mark.parametrize(
+    ("far", "half", "said"),
+    [
+        (1, True, [("note", "half precision, in steps of 0.12 cm; a pixel covers")]),
+        (200, True, [("warning", "half precision, in steps of 32 cm; a pixel covers")]),
+        (1, False, []),
+        (2e5, False, [("warning", "single precision")]),
+    ],
+)
+def test_steps_of_positions(write_frames, far, half, said):
+    """Half's are 1/8 from 128 to 256, 32 from 32768 on; from 2**24 cm on float32's are an eighth of the smallest that tells a hole."""
 
     def change(number, channels):
         channels["position.Z"] = channels["position.Z"] * far
         channels["depth.Z"][:4] = 1e10  # the place that stands for the sky is no position
 
-    report = check(write_frames([1, 2], change=change, half=("position.X", "position.Y", "position.Z")), "stss")
-    assert any(t.startswith(f"position: half precision, in steps of {step} cm; a pixel covers") for t in texts(report, level))
-
-
-@pytest.mark.parametrize(("far", "said"), [(1, False), (2e5, True)])
-def test_single_positions_far_from_the_origin(write_frames, far, said):
-    """From 2**24 cm on float32's steps are an eighth of the smallest distance that tells a hole, and more."""
-
-    def change(number, channels):
-        channels["position.Z"] = channels["position.Z"] * far
-        channels["depth.Z"][:4] = 1e10
-
-    report = check(write_frames([1, 2], change=change), "stss")
-    assert any(text.startswith("position: single precision") for text in texts(report, "warning")) == said
+    folder = write_frames([1, 2], change=change, half=("position.X", "position.Y", "position.Z") if half else ())
+    found = [f for f in check(folder, "stss").findings if f.text.startswith("position: ") and "precision" in f.text]
+    assert len(found) == len(said)
+    assert all(f.level == level and f.text.startswith(f"position: {text}") for f, (level, text) in zip(found, said, strict=True))
 
 
 def test_lossy_compression(write_frames, monkeypatch):

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 import pytest
+from scipy.ndimage import binary_dilation
 
 from stss.demo import write_demo_sequence
 from stss.frames.backends import ReferenceBackend
@@ -116,9 +117,7 @@ def test_extrapolate_leaves_the_occlusion_warp_out():
     hole = enlarged(~valid)
     assert hole.any()
     assert (image != bilinear)[hole].any()
-    trusted = ~np.pad(hole, 1, mode="edge")
-    away = trusted[:-2, 1:-1] & trusted[2:, 1:-1] & trusted[1:-1, :-2] & trusted[1:-1, 2:] & trusted[:-2, :-2] & trusted[2:, 2:]
-    away &= trusted[:-2, 2:] & trusted[2:, :-2] & ~hole
+    away = ~binary_dilation(hole, np.ones((3, 3)))
     np.testing.assert_array_equal(image[away], bilinear[away])
 
 

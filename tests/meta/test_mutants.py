@@ -15,6 +15,7 @@ from conformance.mistakes import MISTAKES, find, of_stage
 from conformance.protocol.reference_copy import PlantError, load, put
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs, reference
 from stss.port import ReferencePort
+from stss_lab.stress.inputs import exact as as_float64
 from stss_ref.sample import follow
 from tests.meta.samples import departs, samples
 
@@ -41,10 +42,6 @@ def truth(stage, *, large):
             (reference(stage, as_float64(case.inputs), case.weights), reference(stage, case.inputs, case.weights))
             for case in tried(stage, large=large)
         ]
-
-
-def as_float64(inputs):
-    return {name: a.astype(np.float64) if a.dtype.kind == "f" else a for name, a in inputs.items()}
 
 
 def is_found_out(port, stage, *, bits, large=False):

@@ -6,7 +6,7 @@ import pytest
 from conformance.answers.network import expect_with_weights
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.tolerance import ratio, sum_bound
-from stss.quality.metrics import C2, PEAK, WINDOW, luma, ssim
+from stss.quality.metrics import C2, PEAK, WINDOW, luma, ssim_map
 from stss_ref.loss import loss as reference_loss
 from stss_ref.weights import Weights, reads_history, zeros
 from stss_ref.weights import random as random_weights
@@ -39,13 +39,18 @@ def tensors(arrays):
     return [torch.from_numpy(np.ascontiguousarray(moved[n], np.float32))[None] for n in ("color", "gbuffer", "mask", "history")]
 
 
+def is_the_specification(image, arrays, weights):
+    """Whether an image (1, 3, 2H, 2W) is what the specification makes of the arrays."""
+    arrays = {name: array.astype(np.float32).astype(np.float64) for name, array in arrays.items()}
+    got = np.moveaxis(image[0].numpy(), 0, -1)
+    return expect_with_weights("network", arrays, weights, Arithmetic())["image"].ratios(got).max() <= 1
+
+
 def test_network_is_the_specification_s():
     weights, network, arrays = random_weights(0), Network(), inputs(0)
     load_weights(network, weights)
-    arrays = {name: array.astype(np.float32).astype(np.float64) for name, array in arrays.items()}
     with torch.no_grad():
-        got = np.moveaxis(network(*tensors(arrays))[0].numpy(), 0, -1)
-    assert expect_with_weights("network", arrays, weights, Arithmetic())["image"].ratios(got).max() <= 1
+        assert is_the_specification(network(*tensors(arrays)), arrays, weights)
 
 
 def test_a_network_without_history_is_one_whose_history_is_not_read():
@@ -74,12 +79,11 @@ def test_an_earlier_second_colour_is_the_specification_s():
     load_weights(network, weights)
     assert to_weights(network.state_dict(), network.second_color).second_color == "earlier"
     with torch.no_grad():
-        got = np.moveaxis(network(*tensors(arrays))[0].numpy(), 0, -1)
+        image = network(*tensors(arrays))
     middle = arrays["history"][1]
     second = np.where(middle[..., 3:] > 0, middle[..., :3], arrays["color"][..., 3:])
     arrays["color"] = np.concatenate([arrays["color"][..., :3], second], axis=-1)
-    arrays = {name: array.astype(np.float32).astype(np.float64) for name, array in arrays.items()}
-    assert expect_with_weights("network", arrays, weights, Arithmetic())["image"].ratios(got).max() <= 1
+    assert is_the_specification(image, arrays, weights)
 
 
 def test_what_was_read_twice_is_read_once():
@@ -137,7 +141,7 @@ def test_structure_is_that_of_compare():
     random = np.random.default_rng(3)
     pictures = random.integers(0, 256, (2, 3, 40, 56)).astype(np.float64)
     output, truth = (pictures[0] + 2 * pictures[1]) / 3 // 1, pictures[1]
-    wanted = ssim(*(luma(np.moveaxis(picture, 0, -1).astype(np.uint8)) for picture in (output, truth)))
+    wanted = ssim_map(*(luma(np.moveaxis(picture, 0, -1).astype(np.uint8)) for picture in (output, truth))).mean()
     got = structure(*(torch.from_numpy(picture / 255)[None] for picture in (output, truth)))
     # Six moments of at most 1, summed across and down, of which the differences are divided by C2 or more.
     assert abs(1 - got.item() - wanted) <= sum_bound(2 * WINDOW, 6 * PEAK**2 / C2, np.float64)

@@ -60,17 +60,9 @@ def test_the_layer_that_made_the_truth_is_found(tmp_path):
     made = load(tmp_path / "new.safetensors").weights
 
     def error(weights):
-        truths = [
-            [np.moveaxis(np.asarray(p.shard.truth[p.index], np.float32), -1, 0) for p in pair]
-            for pair in pairs(shards, "training")
-        ]
-        return np.mean(
-            [
-                (o.numpy() - t) ** 2
-                for a, b in zip(pictures(weights, shards), truths, strict=True)
-                for o, t in zip(a, b, strict=True)
-            ]
-        )
+        places = [place for pair in pairs(shards, "training") for place in pair]
+        seen = [picture for pair in pictures(weights, shards) for picture in pair]
+        return np.mean([(a.numpy() - np.moveaxis(p.shard.truth[p.index], -1, 0)) ** 2 for a, p in zip(seen, places, strict=True)])
 
     assert error(made) < 0.01 * error(wrong)
     assert all((made[name] == wrong[name]).all() for name in wrong if not name.startswith("outc."))

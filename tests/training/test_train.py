@@ -17,7 +17,7 @@ torch.set_num_threads(1)
 from training.average import main as average  # noqa: E402
 from training.data import Batches, load_shards, pairs  # noqa: E402
 from training.step import Aims, advance, objective  # noqa: E402
-from training.train import Settings, main, rate_at, start  # noqa: E402
+from training.train import Settings, keep, main, rate_at, start  # noqa: E402
 from training.validate import tensors  # noqa: E402
 
 
@@ -38,8 +38,14 @@ def test_a_run_beats_bilinear_and_writes_weights(data, tmp_path):
 
 def test_a_resumed_run_is_the_same_run(data, tmp_path, monkeypatch):
     whole = run(data, tmp_path / "whole", 8)
+
+    def keep_and_die(out, state, means):
+        keep(out, state, means)
+        if state.step == 4:
+            raise KeyboardInterrupt
+
     with monkeypatch.context() as patch:
-        patch.setattr("training.train.keep", killed_after(4))
+        patch.setattr("training.train.keep", keep_and_die)
         with pytest.raises(KeyboardInterrupt):
             run(data, tmp_path / "two", 8)
     resumed = run(data, tmp_path / "two", 8, "--resume")
@@ -88,17 +94,6 @@ def test_a_run_and_nothing_after_it_has_no_denormal_numbers(data, tmp_path, monk
     run(data, tmp_path, 4)
     assert seen == [0]
     assert (small * 0.5).item() > 0
-
-
-def killed_after(step):
-    from training.train import keep
-
-    def keep_and_die(out, state, means):
-        keep(out, state, means)
-        if state.step == step:
-            raise KeyboardInterrupt
-
-    return keep_and_die
 
 
 def test_a_run_is_not_overwritten_and_not_mixed(data, tmp_path):
