@@ -43,8 +43,11 @@ class Film:
 def random_film(seed: int, inputs: str = "aliased") -> Film:
     """The film number ``seed``; ``inputs``: a name of `INPUTS`."""
     random = np.random.default_rng([seed, 20240711])
-    objects = (*_surroundings(random), *_things(random), *_thin(random), *_moving(random))
-    scene = Scene(f"analytic-{seed:05d}", _camera(random, str(random.choice(CAMERAS))), objects)
+    objects = _surroundings(random)
+    objects += [_thing(random, f"thing {i}", path=False) for i in range(int(random.integers(4, 10)))]
+    objects += _thin(random)
+    objects += [_thing(random, f"moving {i}", path=True) for i in range(int(random.integers(0, 4)))]
+    scene = Scene(f"analytic-{seed:05d}", _camera(random, str(random.choice(CAMERAS))), tuple(objects))
     return Film(scene, _light(random), INPUTS[inputs])
 
 
@@ -66,14 +69,6 @@ def _surroundings(random: Random) -> list[Object]:
         )
     ]
     return [ground, *(wall for wall in walls if random.random() < 0.8)]
-
-
-def _things(random: Random) -> list[Object]:
-    return [_thing(random, f"thing {i}", path=False) for i in range(int(random.integers(4, 10)))]
-
-
-def _moving(random: Random) -> list[Object]:
-    return [_thing(random, f"moving {i}", path=True) for i in range(int(random.integers(0, 4)))]
 
 
 def _thing(random: Random, name: str, *, path: bool) -> Object:
@@ -168,10 +163,6 @@ def _fixed(time: float) -> Vector:
     return 0.0, 0.0, 0.0
 
 
-def _still(random: Random) -> Offsets:
-    return _fixed, _fixed
-
-
 def _pan(random: Random) -> Offsets:
     v = _speed(random, 1, 40)
     return _fixed, lambda t: (v * t, 0.0, 0.0)
@@ -209,7 +200,8 @@ def _shake(random: Random) -> Offsets:
 
 
 _MOVES: dict[str, Callable[[Random], Offsets]] = {
-    "still": _still, "pan": _pan, "tilt": _tilt, "dolly": _dolly, "forward": _forward, "orbit": _orbit, "shake": _shake,
+    "still": lambda random: (_fixed, _fixed),
+    "pan": _pan, "tilt": _tilt, "dolly": _dolly, "forward": _forward, "orbit": _orbit, "shake": _shake,
 }  # fmt: skip
 
 

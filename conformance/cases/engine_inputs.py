@@ -35,14 +35,6 @@ def _stencils(rng: Generator, size: Size) -> tuple[NDArray[np.float64], NDArray[
     return np.where(rng.random(size) < 0.3, rng.choice(np.array(STENCILS), size), now), now
 
 
-def _motion_chain(rng: Generator) -> Inputs:
-    return {"motions": np.stack([_motion(rng, SIZE) for _ in range(3)])}
-
-
-def _warp(rng: Generator) -> Inputs:
-    return {"color": rng.random((*SIZE, 3)), "motion": _motion(rng, SIZE)}
-
-
 def _holes(rng: Generator) -> Inputs:
     """Nothing but the stencil decides."""
     previous, now = _stencils(rng, SIZE)
@@ -74,7 +66,9 @@ def _frame(second: SecondColor, rng: Generator) -> tuple[Inputs, Weights]:
 
 
 _MADE: dict[str, tuple[Callable[[Generator], Any], ...]] = {
-    "motion_chain": (_motion_chain,), "warp": (_warp,), "holes": (_holes,), "occlusion_warp": (_occlusion_warp,),
+    "motion_chain": (lambda rng: {"motions": np.stack([_motion(rng, SIZE) for _ in range(3)])},),
+    "warp": (lambda rng: {"color": rng.random((*SIZE, 3)), "motion": _motion(rng, SIZE)},),
+    "holes": (_holes,), "occlusion_warp": (_occlusion_warp,),
     "frame": tuple(partial(_frame, second) for second in SECOND_COLORS),
 }  # fmt: skip
 

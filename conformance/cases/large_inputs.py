@@ -40,14 +40,6 @@ def motion(rng: Generator, size: Size) -> NDArray[np.float64]:
     return np.select([kind == i for i in range(4)], kinds).astype(np.float32).astype(np.float64)
 
 
-def _motion_chain(size: Size, rng: Generator) -> Inputs:
-    return {"motions": np.stack([motion(rng, size) for _ in range(3)])}
-
-
-def _warp(size: Size, rng: Generator) -> Inputs:
-    return {"color": rng.random((*size, 3)), "motion": motion(rng, size)}
-
-
 def _holes(size: Size, rng: Generator) -> Inputs:
     """Objects on a ground, with distances and angles near the limits of what is trusted."""
     normal, position = rng.normal(0, 1, (*size, 3)), rng.normal(0, 15, (*size, 3))
@@ -114,7 +106,9 @@ def frame_case(
 
 
 _IMAGE: dict[str, Callable[[Size, Generator], Inputs]] = {
-    "motion_chain": _motion_chain, "warp": _warp, "holes": _holes, "occlusion_warp": _occlusion_warp, "rrm": _rrm,
+    "motion_chain": lambda size, rng: {"motions": np.stack([motion(rng, size) for _ in range(3)])},
+    "warp": lambda size, rng: {"color": rng.random((*size, 3)), "motion": motion(rng, size)},
+    "holes": _holes, "occlusion_warp": _occlusion_warp, "rrm": _rrm,
 }  # fmt: skip
 
 

@@ -72,10 +72,6 @@ def _stage(
     return Stage(name, taken, given, weights, compute)
 
 
-def _motion_chain(a: Arrays, _: Weights) -> Outputs:
-    return {"motion": motion_chain(a["motions"])}
-
-
 def _warp(a: Arrays, _: Weights) -> Outputs:
     warped, inside = warp(**a)
     return {"warped": warped, "inside": inside}
@@ -101,34 +97,9 @@ def _rrm(a: Arrays, _: Weights) -> Outputs:
     return {"valid": rrm(a["valid"], (y, x, height, width))}
 
 
-def _history(a: Arrays, weights: Weights) -> Outputs:
-    return {"feature": history_embedding(a["history"], weights)}
-
-
-def _encoder(a: Arrays, weights: Weights) -> Outputs:
-    return dict(zip(("x1", "x2", "x3", "x4"), encoder(**a, weights=weights), strict=True))
-
-
-def _erm(a: Arrays, weights: Weights) -> Outputs:
-    return {"reshaded": erm(**a, weights=weights)}
-
-
-def _decoder(a: Arrays, weights: Weights) -> Outputs:
-    return {"image": decoder(**a, weights=weights)}
-
-
-def _network(a: Arrays, weights: Weights) -> Outputs:
-    return {"image": network(**a, weights=weights)}
-
-
 def _frame_inputs(a: Arrays) -> FrameInputs:
     newest, middle, oldest = (int(n) for n in a["steps"])
     return FrameInputs(**{name: array for name, array in a.items() if name != "steps"}, steps=(newest, middle, oldest))
-
-
-def _frame(a: Arrays, weights: Weights) -> Outputs:
-    image, _ = frame(_frame_inputs(a), weights)
-    return {"image": image}
 
 
 def network_inputs(a: Arrays, weights: Weights) -> Outputs:
@@ -138,7 +109,7 @@ def network_inputs(a: Arrays, weights: Weights) -> Outputs:
 
 
 _ROWS = (
-    _stage("motion_chain", {"motions": "k H W 2"}, {"motion": "H W 2"}, _motion_chain),
+    _stage("motion_chain", {"motions": "k H W 2"}, {"motion": "H W 2"}, lambda a, _: {"motion": motion_chain(a["motions"])}),
     _stage("warp", {"color": "H W C", "motion": "H W 2"}, {"warped": "H W C", "inside": "H W uint8"}, _warp),
     _stage(
         "holes",
@@ -164,15 +135,27 @@ _ROWS = (
         _occlusion_warp,
     ),
     _stage("rrm", {"valid": "H W uint8", "rectangle": "4 int"}, {"valid": "H W uint8"}, _rrm),
-    _stage("history", {"history": "3 H W 4"}, {"feature": "H/8 W/8 32"}, _history, weights=True),
+    _stage(
+        "history",
+        {"history": "3 H W 4"},
+        {"feature": "H/8 W/8 32"},
+        lambda a, weights: {"feature": history_embedding(a["history"], weights)},
+        weights=True,
+    ),
     _stage(
         "encoder",
         {"color": "H W 6", "gbuffer": "H W 9", "mask": "H W"},
         {"x1": "H W 24", "x2": "H/2 W/2 24", "x3": "H/4 W/4 32", "x4": "H/8 W/8 32"},
-        _encoder,
+        lambda a, weights: dict(zip(("x1", "x2", "x3", "x4"), encoder(**a, weights=weights), strict=True)),
         weights=True,
     ),
-    _stage("erm", {"x4": "H/8 W/8 32", "gbuffer": "H W 9", "mask": "H W"}, {"reshaded": "H/8 W/8 64"}, _erm, weights=True),
+    _stage(
+        "erm",
+        {"x4": "H/8 W/8 32", "gbuffer": "H W 9", "mask": "H W"},
+        {"reshaded": "H/8 W/8 64"},
+        lambda a, weights: {"reshaded": erm(**a, weights=weights)},
+        weights=True,
+    ),
     _stage(
         "decoder",
         {
@@ -184,14 +167,14 @@ _ROWS = (
             "color": "H W 6",
         },
         {"image": "2H 2W 3"},
-        _decoder,
+        lambda a, weights: {"image": decoder(**a, weights=weights)},
         weights=True,
     ),
     _stage(
         "network",
         {"color": "H W 6", "gbuffer": "H W 9", "mask": "H W", "history": "3 H W 4"},
         {"image": "2H 2W 3"},
-        _network,
+        lambda a, weights: {"image": network(**a, weights=weights)},
         weights=True,
     ),
     _stage(
@@ -207,7 +190,7 @@ _ROWS = (
             "positions": "4 H W 3",
         },
         {"image": "2H 2W 3"},
-        _frame,
+        lambda a, weights: {"image": frame(_frame_inputs(a), weights)[0]},
         weights=True,
     ),
 )

@@ -122,7 +122,10 @@ class _Archive:
         if case.weights is not None:
             line = self._note(given / WEIGHTS)
             self._asked.update(line.encode())
-            self._keep_once(given / WEIGHTS, line[:64])
+            first = self._weights.setdefault(line[:64], given / WEIGHTS)
+            if first != given / WEIGHTS:  # the same weights are one file under many names
+                (given / WEIGHTS).unlink()
+                link(first, given / WEIGHTS)
         self._cases.append({
             "case": name, "test": test, "stage": case.stage,
             "inputs": {input_: f"{name}/in/{input_}.npy" for input_ in case.inputs},
@@ -140,14 +143,6 @@ class _Archive:
             np.save(path, numbers.astype("<f8", order="C"))
             self._note(path)
         return {"expected": [*files], "allowed": next(iter(allowed)), "vectors": right.vectors}
-
-    def _keep_once(self, weights: Path, digest: str) -> None:
-        """Store the same weights once, as one file under many names."""
-        if digest in self._weights:
-            weights.unlink()
-            link(self._weights[digest], weights)
-        else:
-            self._weights[digest] = weights
 
     def _note(self, path: Path) -> str:
         line = f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.relative_to(self._folder).as_posix()}\n"

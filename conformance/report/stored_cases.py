@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
-from types import ModuleType
 from typing import Any
 
 from numpy.typing import NDArray
@@ -57,12 +56,9 @@ def stored_tests(stages: Iterable[str], arithmetic: Arithmetic, tier: Tier, seed
     """
     collector = _Collector(arithmetic, tier, seed)
     for stage in stages:
-        for name, test in _tests(import_module(f"conformance.suite.test_{stage}")):
-            yield collector.collect(f"{stage}.{name}", test)
-
-
-def _tests(module: ModuleType) -> list[tuple[str, Any]]:
-    return [(name.removeprefix("test_"), test) for name, test in vars(module).items() if name.startswith("test_")]
+        for name, test in vars(import_module(f"conformance.suite.test_{stage}")).items():
+            if name.startswith("test_"):
+                yield collector.collect(f"{stage}.{name.removeprefix('test_')}", test)
 
 
 class _PropertyError(Exception):

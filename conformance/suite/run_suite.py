@@ -133,7 +133,7 @@ class _Plugin:
 
     @pytest.fixture
     def judge(self, request: pytest.FixtureRequest) -> Judge:
-        needs = _needs(request.node)
+        needs = _stage_needed(_stage(request.node))
         if needs not in self._judge.stages:
             pytest.skip(f"the port has no stage {needs}")
         self._judge.begin()
@@ -189,9 +189,10 @@ class _Plugin:
                 report.outcome, report.longrepr = "failed", result.message
         return report
 
-    def _take(self, item: pytest.Item, call: pytest.CallInfo[None], report: pytest.TestReport) -> TestResult:
-        said = _words(item)
-        result = TestResult(_id(item), _stage(item), said, report.outcome, seconds=report.duration, record=self._judge.record)
+    def _take(self, item: Any, call: pytest.CallInfo[None], report: pytest.TestReport) -> TestResult:
+        stage, said = _stage(item), " ".join((item.function.__doc__ or "").split())
+        name = f"{stage}.{item.name.removeprefix('test_')}"
+        result = TestResult(name, stage, said, report.outcome, seconds=report.duration, record=self._judge.record)
         error = call.excinfo.value if call.excinfo is not None else None
         if report.skipped:
             result.message, result.record = str(error), Record()
@@ -217,19 +218,6 @@ def _stage(item: Any) -> str:
     return item.path.stem.removeprefix("test_")
 
 
-def _needs(item: Any) -> str:
-    """The stage that a test asks the port for."""
-    return _stage_needed(_stage(item))
-
-
 def _stage_needed(name: str) -> str:
+    """The stage that the tests of this name ask the port for."""
     return "frame" if name == SEQUENCE else name
-
-
-def _id(item: Any) -> str:
-    return f"{_stage(item)}.{item.name.removeprefix('test_')}"
-
-
-def _words(item: Any) -> str:
-    """The test's docstring in one line."""
-    return " ".join((item.function.__doc__ or "").split())

@@ -242,30 +242,18 @@ def _decoder(make: Maker, given: Arrays) -> dict[str, Picture]:
     return {"image": make.decoder([put["reshaded"], put["feature"]], [put["x1"], put["x2"], put["x3"]], put["color"], size)}
 
 
-def _motion_chain(make: Maker, given: Arrays) -> dict[str, Picture]:
-    return {"motion": make.motion_chain([make.put(motion) for motion in given["motions"]])[-1]}
-
-
-def _rrm(make: Maker, given: Arrays) -> dict[str, Picture]:
-    return {"valid": make.rrm(make.put(given["valid"]), given["rectangle"])}
-
-
-def _frame(make: Maker, given: Arrays) -> dict[str, Picture]:
-    return {"image": make.frame(given)}
-
-
 STAGES: dict[str, Callable[[Maker, Arrays], dict[str, Picture]]] = {
-    "motion_chain": _motion_chain,
+    "motion_chain": lambda make, given: {"motion": make.motion_chain([*map(make.put, given["motions"])])[-1]},
     "warp": _by_name("warp", "color motion", "warped inside"),
     "holes": _holes,
     "occlusion_warp": _by_name("occlusion_warp", "color warped motion depth valid", "occlusion_motion occlusion_warp"),
-    "rrm": _rrm,
+    "rrm": lambda make, given: {"valid": make.rrm(make.put(given["valid"]), given["rectangle"])},
     "history": _by_name("history", "history", "feature"),
     "encoder": _by_name("encoder", "color gbuffer mask", "x1 x2 x3 x4"),
     "erm": _by_name("erm", "x4 gbuffer mask", "reshaded"),
     "decoder": _decoder,
     "network": _by_name("network", "color gbuffer mask history", "image"),
-    "frame": _frame,
+    "frame": lambda make, given: {"image": make.frame(given)},
 }
 
 

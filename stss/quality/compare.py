@@ -115,16 +115,12 @@ class Comparison:
     def _plain(self, scores: Mapping[str, Scores]) -> dict[str, dict[str, float | str | None]]:
         return {
             region: {
-                name: _in_json(value)
+                name: "inf" if value == math.inf else value
                 for name, value in asdict(found).items()
                 if name in self.metrics and region in METRICS[name][2]
             }
             for region, found in scores.items()
         }
-
-
-def _in_json(value: float | None) -> float | str | None:
-    return "inf" if value == math.inf else value
 
 
 def compare(
@@ -207,7 +203,12 @@ def facts(comparison: Comparison) -> list[str]:
     """Facts about the table, a line each: how the output was made, how it changes, frames not compared, notes."""
     lines = [
         *comparison.notes,
-        *(_below(comparison, name) for name in BELOW if name in comparison.metrics),
+        *(
+            f"{METRICS[name][0].splitlines()[0]} of the steps: "
+            + ", ".join(f"{mean.name} {cells(mean.scores, [name])[0]}" for mean in comparison.means)
+            for name in BELOW
+            if name in comparison.metrics
+        ),
         *([] if comparison.static_holes is None else [f"holes: {comparison.static_holes:.1%} of the static surfaces of EFs"]),
         *(f"{name}: {', '.join(found)}" for name, found in comparison.made_with.items() if found),
     ]
@@ -216,12 +217,6 @@ def facts(comparison: Comparison) -> list[str]:
     if comparison.without_output:
         lines.append(f"not compared, no output: {list_numbers(comparison.without_output)}")
     return lines
-
-
-def _below(comparison: Comparison, name: str) -> str:
-    """A metric of the steps from frame to frame: its mean over each kind's."""
-    steps = [f"{mean.name} {cells(mean.scores, [name])[0]}" for mean in comparison.means]
-    return f"{METRICS[name][0].splitlines()[0]} of the steps: {', '.join(steps)}"
 
 
 def _rows(pairs: Mapping[int, Pair], numbers: Iterable[int], sequence: Input | None, *, flip: bool) -> list[FrameScores]:

@@ -184,10 +184,7 @@ def _frames(versions: Sequence[Version], inputs: RenderedInputs | None, track: T
             pictures[TRUTH] = truth
             scores = next(r.scores["all"] for r in version.comparison.rows if r.number == row.number)
             named = f"{version.name} " if len(versions) > 1 else ""
-            said.append(f"{named}PSNR {scores.psnr_rgb:.2f} dB, SSIM {_text(scores.ssim)}")
+            ssim = "-" if scores.ssim is None else f"{scores.ssim:.4f}"
+            said.append(f"{named}PSNR {scores.psnr_rgb:.2f} dB, SSIM {ssim}")
         pictures[TRUTH] = pictures.pop(TRUTH)
         yield ShownFrame(row.number, row.kind or "", "; ".join(said), pictures)
-
-
-def _text(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4f}"

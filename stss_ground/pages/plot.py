@@ -60,7 +60,7 @@ def plot(title: str, lines: Sequence[PlotLine], *, digits: int, frames: Sequence
         f'<text x="{LEFT - 5}" y="{y(t) + 4:.1f}" text-anchor="end">{t:.{shown}f}</text>'
         for t in ticks
     ]
-    first, *others = _some(numbers)
+    first, *others = numbers[:: max(1, math.ceil(len(numbers) / 8))]  # as many as fit below the plot
     below = [(first, f"frame {first}"), *((n, str(n)) for n in others)]
     drawn += [f'<text x="{x(n):.1f}" y="{HEIGHT - 8}" text-anchor="middle">{text}</text>' for n, text in below]
     drawn.append(f'<line class="at" x1="{LEFT}" x2="{LEFT}" y1="{TOP}" y2="{HEIGHT - BOTTOM}"/>')
@@ -84,11 +84,6 @@ def _scale(low: float, high: float) -> tuple[float, float, float]:
     step = next(m * power for m in (1, 2, 5, 10) if m * power >= rough)
     first, last = math.floor(low / step), math.ceil(high / step)
     return first * step, max(last, first + 1) * step, step
-
-
-def _some(numbers: Sequence[int]) -> Sequence[int]:
-    """As many of the numbers, evenly spaced, as fit below the plot."""
-    return numbers[:: max(1, math.ceil(len(numbers) / 8))]
 
 
 def _point(line: PlotLine, number: int, value: str, x: float, y: float) -> str:

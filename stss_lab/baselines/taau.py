@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stss.images.resample import catmull_rom, lanczos_centres
-from stss_ref.arrays import Image, Mask
+from stss_ref.arrays import Image
 from stss_ref.frame import FrameInputs, NetworkInputs
 from stss_ref.sample import follow, leads_inside
 
@@ -59,17 +59,13 @@ class Taau:
             motion = inputs.motions[0] - np.subtract(self._before, offset, dtype=np.float32)
             at = follow(_nearest(2 * motion, offset))
             history = np.clip(catmull_rom(self._shown, at.x + at.fx, at.y + at.fy), low, high)  # a sum in float64
-            keep = leads_inside(at) & _nearest(_seen_before(inputs, prepared), offset)
+            # Where the newest of the earlier colour frames shows the same surface.
+            seen = (prepared.history[1, ..., 3] if inputs.steps[0] == 0 else prepared.mask) != 0
+            keep = leads_inside(at) & _nearest(seen, offset)
             share = np.where(keep, np.float32(1 - CURRENT), np.float32(0))[..., None]
             shown += (history - shown) * share.astype(shown.dtype)
         self._shown, self._before = shown, offset
         return shown
-
-
-def _seen_before(inputs: FrameInputs, prepared: NetworkInputs) -> Mask:
-    """(H, W) True where the newest of the earlier colour frames shows the same surface."""
-    mask = prepared.history[1, ..., 3] if inputs.steps[0] == 0 else prepared.mask
-    return mask != 0
 
 
 def _nearest(x: NDArray[Scalar], offset: tuple[float, float]) -> NDArray[Scalar]:
