@@ -70,7 +70,9 @@ def look(network: Network, place: StoredSample) -> Seen:
     return Seen(layer, (truth - base(color)[..., : 2 * height, : 2 * width])[0], motion[..., :height, :width])
 
 
-def gather(network: Network, old: Matrix, shards: list[Shard], extrapolated: float, steady: float) -> tuple[Matrix, Matrix]:
+def gather(
+    network: Network, old: Matrix, shards: list[Shard], extrapolated: float, steady: float, hold: float
+) -> tuple[Matrix, Matrix]:
     """The system ``A x = b``, (P, P) and (P, 3), of the training split: every folder counts alike, and in it every sample."""
     size, before, folders = len(old), torch.from_numpy(old).float(), sets(pairs(shards, "training"))
     a, b = np.zeros((size, size)), np.zeros((size, 3))
@@ -80,8 +82,9 @@ def gather(network: Network, old: Matrix, shards: list[Shard], extrapolated: flo
             seen = [look(network, place) for place in pair]
             for one, share in zip(seen, (1 - extrapolated, extrapolated), strict=True):
                 x, y = one.layer.flatten(1), nn.functional.pixel_unshuffle(one.target, 2).unflatten(0, (3, 4)).flatten(2)
-                error = (before.T.reshape(3, 4, -1) @ x - y).square().mean()
-                scaled = share / (len(folders) * len(chosen) * float(error) * x.shape[1]) * x.double()
+                made = before.T.reshape(3, 4, -1) @ x
+                scaled = share / (len(folders) * len(chosen) * float((made - y).square().mean()) * x.shape[1]) * x.double()
+                y = torch.lerp(y, made, hold)
                 a += np.kron(np.eye(4), (scaled @ x.double().T).numpy())
                 b += np.concatenate([(scaled @ y[:, i].double().T).numpy() for i in range(4)])
             if steady and _consecutive(pair):
@@ -104,7 +107,7 @@ def _number(place: StoredSample) -> int:
     return place.shard.frames[place.index]
 
 
-def solve(weights: Weights, shards: list[Shard], extrapolated: float = 0.5, steady: float = 0.0) -> Weights:
+def solve(weights: Weights, shards: list[Shard], extrapolated: float = 0.5, steady: float = 0.0, hold: float = 0.0) -> Weights:
     """The weights with another last layer.
 
     Args:
@@ -112,17 +115,17 @@ def solve(weights: Weights, shards: list[Shard], extrapolated: float = 0.5, stea
         shards: their training split is what counts.
         extrapolated: the share of EFs.
         steady: how much flicker's error counts beside the squared error, each divided by what it is now.
+        hold: how far from the truth to the old picture the squared error's aim is; 1 keeps what data that are not there taught.
     """
     network = Network()
     load_weights(network, weights)
     network.eval()
-    outc: nn.Conv2d = network.outc
-    bias = outc.bias
+    outc, bias = network.outc, network.outc.bias
     assert bias is not None
     # (12, F): a row for each of three colours and, in it, four pixels -> (4 F, 3).
     rows = torch.cat([outc.weight[:, :, 0, 0], bias[:, None]], 1).detach().double().numpy()
     old = rows.reshape(3, -1).T
-    a, b = gather(network, old, shards, extrapolated, steady)
+    a, b = gather(network, old, shards, extrapolated, steady, hold)
     pull = np.diag(NEAR * np.diag(a) + 1e-12)
     new = np.linalg.solve(a + pull, b + pull @ old).T.reshape(rows.shape).astype(np.float32)
     return weights | {"outc.weight": new[:, :-1, None, None].copy(), "outc.bias": new[:, -1].copy()}
@@ -135,17 +138,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--weights", required=True, help="safetensors file")
     parser.add_argument("--extrapolated", type=float, default=0.5, help="share of EFs in the squared error")
     parser.add_argument("--steady", type=float, default=0.0, metavar="F", help="how much flicker counts")
+    parser.add_argument("--hold", type=float, default=0.0, metavar="F", help="share of the old picture in the aim, to 1")
     parser.add_argument("--threads", type=int, default=0, help="of the CPU; 0: PyTorch's choice")
     parser.add_argument("-o", "--out", type=Path, required=True)
     chosen = parser.parse_args(arguments)
     if chosen.threads:
         torch.set_num_threads(chosen.threads)
-    if not 0 <= chosen.extrapolated <= 1:
-        raise InputError(f"--extrapolated: expected 0 to 1, found {chosen.extrapolated}")
+    for name, share in (("--extrapolated", chosen.extrapolated), ("--hold", chosen.hold)):
+        if not 0 <= share <= 1:
+            raise InputError(f"{name}: expected 0 to 1, found {share}")
     require_places({"--out": chosen.out}, [chosen.data, Path(chosen.weights)])
     loaded = load(chosen.weights)
-    made = solve(loaded.weights, load_shards(chosen.data), chosen.extrapolated, chosen.steady)
-    settings = json.dumps({"extrapolated": chosen.extrapolated, "steady": chosen.steady})
+    made = solve(loaded.weights, load_shards(chosen.data), chosen.extrapolated, chosen.steady, chosen.hold)
+    settings = json.dumps({"extrapolated": chosen.extrapolated, "steady": chosen.steady, "hold": chosen.hold})
     save(chosen.out, made, {"readout": settings, "average_of": json.dumps([dict(loaded.metadata)])})
 
 

@@ -82,3 +82,5 @@ def test_what_flickers_less_is_preferred(tmp_path):
         return np.mean(found)
 
     assert flicker(solve(weights, shards, steady=10)) < 0.997 * flicker(solve(weights, shards))
+    assert flicker(solve(weights, shards, steady=1, hold=1)) < flicker(weights)
+    assert np.allclose(solve(weights, shards, hold=1)["outc.weight"], weights["outc.weight"], atol=1e-4)
