@@ -8,6 +8,7 @@
 // Three taps of a row are 3 C values side by side, so 16 pixels x 32 of these values are one tile, whose rows are STRIDE pixels apart. What a row's
 // last step reads beyond them meets weights of 0. An output's sum depends on its own inputs alone, so tiles may be left out.
 // Build -D STORED=BFLOAT16 -D A -D B -D OUT (multiples of 8; A may be 4) -D STRIDE, optionally -D EMULATE (amx.clh) -D GATED -D RELU -D MARK.
+// -D IMAGE, where OUT is 24: what would be stored goes through outc and becomes the image; color and what follows as in winograd_image.cl.
 // Launch (any number of work-items), work-groups of 1, over tiles of 32 x 4 pixels (tile_list.clh).
 #if !defined(A) || !defined(B) || !defined(OUT) || !defined(STRIDE)
 #error "conv_amx.cl needs -D A, B, OUT, STRIDE"
@@ -15,6 +16,12 @@
 #include "common.clh"
 #include "tile_list.clh"
 #include "amx.clh"
+#ifdef IMAGE
+#include "decoder.clh"
+#define TO_PARAMS global const float4 *restrict color, global const float8 *restrict outc_weight, global const float8 *restrict outc_bias, \
+    global float *restrict image, const int rows, const int columns, const int first_row, const int top
+#define TO color, outc_weight, outc_bias, image, rows, columns, first_row, top
+#endif
 
 #ifdef GATED
 #define PARTS (OUT / 16 + 1)
@@ -57,6 +64,20 @@ static inline void fetch(global const stored *from, const int channels, const in
             }                                                                                                \
         }
 
+#ifdef IMAGE
+// ReLU, rounding, outc: writes the image of a row's pixels from x on, whose sums lie by part, pixel and output.
+static inline void finish_image(const float *sums, const int y, const int x, const int width, TO_PARAMS)
+{
+    for (int first = 0; first < least(width - x, ACROSS) && y >= first_row; first += 4) {
+        float8 features[12], residuals[8];
+        for (int i = 0; i < 12; ++i)
+            features[i] = widen8(narrow8(relu8(*(const float8 *)(sums + (i % 3 / 2 * ACROSS + first + i / 3) * 16 + i % 3 % 2 * 8))));
+        residual((const float *)features, outc_weight, outc_bias, residuals);
+        write_pixels(residuals, color, image, y, x + first, width, rows, columns, top);
+    }
+}
+#endif
+
 // Gate, ReLU, rounding: stores `pixels` pixels from (y, x) on, whose sums lie by part, pixel and output.
 static inline void finish(const float *sums, const int y, const int x, const int pixels, global stored *out, const int out_columns,
                           const int out_channels, global uchar *changes)
@@ -86,9 +107,14 @@ static inline void finish(const float *sums, const int y, const int x, const int
 kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void conv_amx(global const stored *restrict a, global const stored *restrict b, global const stored *restrict weight,
               global const stored *restrict gate_weight, global const float *restrict bias, const float gate_bias,
+#ifdef IMAGE
+              const int a_first, const int height, const int width, const int in_columns, TO_PARAMS, global const uint *restrict tiles,
+              global const int *restrict count)
+#else
               global stored *restrict out, const int a_first, const int height, const int width, const int in_columns, const int out_columns,
               const int out_channels, const int out_first, global const uint *restrict tiles, global const int *restrict count,
               global uchar *restrict changes)
+#endif
 {
     TILES_BEGIN;
     float sums[PARTS * ACROSS * 16] __attribute__((aligned(64)));
@@ -127,7 +153,11 @@ void conv_amx(global const stored *restrict a, global const stored *restrict b, 
                     TILE_STORE(3, to + 768);
                 }
             }
+#ifdef IMAGE
+            finish_image(sums, y, x, width, TO);
+#else
             finish(sums, y, x, least(width - x, ACROSS), out + out_first, out_columns, out_channels, changes);
+#endif
         }
     }
     TILES_END;

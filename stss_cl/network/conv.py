@@ -21,7 +21,7 @@ from stss_cl.network.tiles import Maps, Tiling, of_convolution
 
 @dataclass(frozen=True)
 class Final:
-    """The data with which the decoder's last layer writes the image itself (kernels/decoder.clh).
+    """The data with which the decoder's last layer writes the image itself (winograd_image.cl, conv_amx.cl with IMAGE).
 
     ``color`` is (rows, columns, 4); ``weight`` (24, 16) and ``bias`` (16) are outc's; ``height`` and ``width`` are the frame's before
     padding; ``changes`` is the change map of ``color``, if any.
@@ -38,7 +38,7 @@ class Final:
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """Arguments of winograd_image.cl for all rows of the frame; another buffer stands for the image until the caller sets it."""
+        """The kernel's arguments for all rows of the frame; another buffer stands for the image until the caller sets it."""
         return {
             "color": self.color,
             "outc_weight": self.weight,
@@ -97,7 +97,7 @@ def conv(
         "width": (final or out).width,
         "in_columns": a.columns,
         **(final.arguments if final else {"out_columns": out.columns}),
-        **({} if "SIDE" in shape.options else {"out_channels": out.channels}),
+        **({} if final or "SIDE" in shape.options else {"out_channels": out.channels}),
         **({} if final else {"out_first": out_first}),
         **(_from_image_to_image(a, out, packed, shape) if image is None else {}),
     }
@@ -151,7 +151,7 @@ def _shape(
     """The fastest kernel for this layer by the row of tile sizes; the plain one for ``side`` 0."""
     tuning, whole_eights = tuning_for(device), a.channels % 8 == 0
     if storage(out.dtype) == "BFLOAT16":
-        return _on_amx(device, packed, a, out, stride)
+        return _on_amx(device, packed, a, final or out, stride, image=final is not None)
     if side == 0 or packed.direct.shape[0] != 3:
         return _direct(device, packed, out, stride, final)
     if tuning.winograd is not None and whole_eights:
@@ -163,11 +163,11 @@ def _shape(
     return _direct(device, packed, out, stride, final)
 
 
-def _on_amx(device: Device, packed: Packed, a: Padded, out: Padded, stride: int) -> Shape:
+def _on_amx(device: Device, packed: Packed, a: Padded, out: Padded | Final, stride: int, *, image: bool) -> Shape:
     tiling = Tiling(ceil_div(out.height, 4), ceil_div(out.width, 32), (4 * stride, 32 * stride), 1, 1 - stride)
     return Shape(
         file="conv_amx.cl",
-        options={"STRIDE": stride, "EMULATE": not amx.are_used(device)},
+        options={"STRIDE": stride, "EMULATE": not amx.are_used(device), "IMAGE": image},
         weight=amx_tiles(packed, a.channels),
         gate=None,
         tiling=tiling,

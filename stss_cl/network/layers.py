@@ -83,7 +83,7 @@ class Layers:
         keep = keep and bytes_for(full, full, columns, dtype, keep=True) <= limit
         local = tuning_for(device).local is not None and not device.is_cpu
         needed = Needed(BY_NAME, (), weights) if every else find_needed(weights)
-        planned = partial(plan, needed.layers, needed.once, keep=keep, fused=winograd, local=local)
+        planned = partial(plan, needed.layers, needed.once, keep=keep, fused=winograd or precision == "bfloat16", local=local)
         # The three images of the history in one launch, where that is known and their buffers have room.
         what = planned(together=local and not winograd and precision in ("float32", "half"))
         if bytes_for(rows, full, columns, dtype, keep=keep, what=what) > limit:

@@ -12,10 +12,15 @@ from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss_cl.device import amx
 from stss_cl.device.buffers import BFLOAT16, from_bfloat16, padded, read, to_bfloat16, write
+from stss_cl.network import layers
 from stss_cl.network.conv import conv
+from stss_cl.network.network import Network
 from stss_cl.network.pack_weights import amx_bias, amx_tiles, pack
+from stss_cl.network.plan import plan
 from stss_ground.errors import DeviceError
+from stss_ref.weights import random as random_weights
 from stss_ref.weights import zeros
+from tests.cl.films import network_inputs
 from tests.cl.test_network import tensors
 
 LAYERS = [
@@ -128,3 +133,14 @@ def test_that_it_is_emulated_is_said(processor, monkeypatch):
     assert said == ["bfloat16: no matrix units; emulated, which is slow"]
     open_backend("cl", zeros(), ComputeOptions(), tell=said.append)
     assert len(said) == 1
+
+
+def test_the_last_layer_writes_the_image_with_the_same_bits(processor, unoptimised, monkeypatch):
+    """As the kernel that reads its result."""
+    inputs, images = network_inputs((13, 75), 3), []
+    for fused in (True, False):
+        monkeypatch.setattr(layers, "plan", lambda *a, is_fused=fused, **rest: plan(*a, **{**rest, "fused": is_fused}))
+        made = Network(random_weights(3), processor, "bfloat16")
+        images.append(made(*inputs))
+        assert (made.layers(13, 75).launches[-1].name == "image") == (not fused)
+    np.testing.assert_array_equal(*images)
