@@ -18,7 +18,7 @@ from stss_ref.sample import Place
 MOST_ANSWERS = 32
 """A pixel with more right answers than this is not judged."""
 SMALL = 2.0**-62
-"""Pixels. Float32 may lose the squares of shorter motions, so that these may count as still."""
+"""Pixels. Float32 may lose the squares of shorter motions, so that these may count as still; and so may what is no normal number."""
 FLOAT32_MAX = float(np.finfo(np.float32).max)
 
 
@@ -35,7 +35,7 @@ def expect_motion_chain(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic)
     unsure = np.zeros(chained.shape[:2], bool)
     for earlier in motions[1:]:
         at = reach(chained, arithmetic, off)
-        unsure |= at.at.finite & (at.unsure | _tied(earlier, at.at))
+        unsure |= at.at.finite & (at.unsure | _tied(earlier, at.at, arithmetic))
         with np.errstate(invalid="ignore"):
             chained = chain_on(chained, earlier)
             off = np.where(np.isfinite(chained), off + sum_error(chained, off, arithmetic), 0)
@@ -49,7 +49,7 @@ def expect_motion_chain(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic)
     return {"motion": Expected(want, off + arithmetic.tiny, tuple(others), vectors=True)}
 
 
-def _tied(earlier: NDArray[Any], at: Place) -> NDArray[np.bool_]:
+def _tied(earlier: NDArray[Any], at: Place, arithmetic: Arithmetic) -> NDArray[np.bool_]:
     """Where rounding may decide: two of the four motions differ but have nearly the same length, or one hardly differs from 0."""
     height, width, _ = earlier.shape
     padded = np.pad(earlier, ((2, 3), (2, 3), (0, 0)))
@@ -58,14 +58,15 @@ def _tied(earlier: NDArray[Any], at: Place) -> NDArray[np.bool_]:
     four = np.stack([padded[y + j, x + i] for j in (0, 1) for i in (0, 1)])
     lengths = _lengths(four)
     with np.errstate(invalid="ignore"):
-        near = (lengths >= lengths.max(axis=0) * (1 - _margin())) | (lengths == lengths.max(axis=0))
+        near = (lengths >= _least(lengths.max(axis=0), arithmetic)) | (lengths == lengths.max(axis=0))
     alike = (four == np.take_along_axis(four, lengths.argmax(axis=0)[None, ..., None], axis=0)).all(axis=-1)
     size = np.abs(four).max(axis=-1)
-    return (near & ~alike).any(axis=0) | ((size > 0) & (size < SMALL)).any(axis=0)
+    return (near & ~alike).any(axis=0) | ((size > 0) & (size < max(SMALL, arithmetic.tiny))).any(axis=0)
 
 
-def _margin() -> float:
-    return BOUNDS["length"].roundings * 2.0**-24
+def _least(longest: Any, arithmetic: Arithmetic) -> Any:
+    """The smallest squared length that may count as the longest, of motions that may have lost what is no normal number."""
+    return longest * (1 - BOUNDS["length"].roundings * 2.0**-24) - arithmetic.tiny**2
 
 
 def _lengths(vectors: NDArray[Any]) -> NDArray[np.float64]:
@@ -127,15 +128,17 @@ def _longest(earlier: NDArray[Any], row: int, column: int, arithmetic: Arithmeti
         alike = (np.abs(four[i]) == np.abs(four[first])).all() or lengths[i] == np.inf == lengths[first]
         if (
             not alike
-            and lengths[i] >= lengths[first] * (1 - _margin())
+            and lengths[i] >= _least(lengths[first], arithmetic)
             and not _surely_shorter(four, lengths, i, first, arithmetic)
         ):
             found.append(four[i])
-    return [*found, np.zeros(2)] if ((size > 0) & (size < SMALL)).any() else found
+    return [*found, np.zeros(2)] if (size < max(SMALL, arithmetic.tiny)).any() else found
 
 
 def _surely_shorter(four: NDArray[Any], lengths: NDArray[Any], i: int, first: int, arithmetic: Arithmetic) -> bool:
     """Whether motion ``i`` cannot be the longest: it is shorter than ``first``, or as long and later; float32 has the squares exactly."""
     squares = four[[i, first]] ** 2
+    if ((squares > 0) & (squares < arithmetic.tiny**2)).any():
+        return False
     exact = Arithmetic("float32").holds(squares).all() and Arithmetic("float32").holds(lengths[[i, first]]).all()
     return bool(exact) and (lengths[i] < lengths[first] or i > first)
