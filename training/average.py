@@ -7,6 +7,7 @@ import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
@@ -40,9 +41,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
         loaded[0].weights | tensors,
         {
             "shares": json.dumps(shares),
-            "average_of": json.dumps([dict(each.metadata) for each in loaded]),
+            "average_of": json.dumps([_unfold(dict(each.metadata)) for each in loaded]),
         },
     )
+
+
+def _unfold(value: Any) -> Any:
+    """JSON within text becomes what it stands for: the escapes of a mean of means would double each time."""
+    if isinstance(value, str) and value[:1] in ("[", "{"):
+        return _unfold(json.loads(value))
+    if isinstance(value, dict):
+        return {key: _unfold(each) for key, each in cast(dict[str, Any], value).items()}
+    return [_unfold(each) for each in cast(list[Any], value)] if isinstance(value, list) else value
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 import * as THREE from 'three';
 import {EXRLoader} from 'three/addons/loaders/EXRLoader.js';
 import {Passes, sky, uniforms} from './passes.js';
-import {loadKart, loadRoad, loadTrack, once} from './stk.js';
+import {loadKart, loadRoad, loadRoom, loadTrack, once} from './stk.js';
 
 const RATE = 60, SHADOW = 40; // frames a second; half the side of the shadowed square, metres
 const post = (name, data) => fetch(`/${name}`, {method: 'POST', body: data});
@@ -36,6 +36,7 @@ async function lightScene(scene, renderer, clip) {
 
 // Where the road is after so many metres, and the way it goes there, in a world with z mirrored whose origin is the clip's start.
 async function roadOf(clip) {
+  if (clip.room) return {at: metres => new THREE.Vector3(0, 0, -metres), along: () => new THREE.Vector3(0, 0, -1), first: new THREE.Vector3()};
   const road = await loadRoad(clip.track);
   road.arcLengthDivisions = 4000;
   const length = road.getLength(), first = road.getPointAt(clip.start);
@@ -54,10 +55,12 @@ function moveCamera(camera, road, clip, time) {
   camera.updateMatrixWorld(true);
 }
 
-function moveKart(kart, road, {ahead, speed, aside, spin}, time) {
+function moveKart(kart, road, {ahead, speed, aside, spin, lift = 0, tumble = 0}, time) {
   const metres = ahead + speed * time, forward = road.along(metres), left = new THREE.Vector3(-forward.z, 0, forward.x);
   kart.group.position.copy(road.at(metres)).addScaledVector(left, aside);
   kart.group.position.z *= -1; // its parent mirrors z
+  kart.group.position.y += lift;
+  kart.group.rotation.x = tumble * (1 + time);
   kart.group.rotation.y = Math.atan2(forward.x, -forward.z) + (speed < 0 ? Math.PI : 0) + spin * time;
   for (const wheel of kart.wheels) wheel.rotation.x = Math.abs(speed) * time / 0.25;
   kart.move();
@@ -71,8 +74,19 @@ export async function renderClips(clips) {
   for (const clip of clips) await renderClip(renderer, clip);
 }
 
+// Have textures read so many times along the longer side of a pixel's footprint.
+function sharpen(scene, anisotropy) {
+  scene.traverse(({material}) => {
+    for (const texture of [material?.map, material?.normalMap, material?.roughnessMap].filter(t => t && t.anisotropy !== anisotropy)) {
+      texture.anisotropy = anisotropy;
+      texture.needsUpdate = true;
+    }
+  });
+}
+
 async function renderClip(renderer, clip) {
-  const started = performance.now(), scene = new THREE.Scene(), mirrored = new THREE.Group(), road = await roadOf(clip), track = await loadTrack(clip.track);
+  const started = performance.now(), scene = new THREE.Scene(), mirrored = new THREE.Group(), road = await roadOf(clip);
+  const track = clip.room ? await loadRoom(clip.room) : await loadTrack(clip.track);
   mirrored.scale.z = -1;
   track.position.copy(road.first).negate();
   mirrored.add(track);
@@ -80,6 +94,7 @@ async function renderClip(renderer, clip) {
   const karts = [];
   for (const [i, kart] of clip.karts.entries()) karts.push(await loadKart(kart.name, i + 1));
   mirrored.add(...karts.map(k => k.group));
+  sharpen(scene, clip.anisotropy);
   const aimSun = await lightScene(scene, renderer, clip), [width, height] = clip.size, eyes = [];
   console.log(`${clip.name}: loaded after ${Math.round(performance.now() - started)} ms`);
   const camera = new THREE.PerspectiveCamera(clip.fov, width / height, 0.2, 800), passes = new Passes(renderer, width, height, clip.samples);

@@ -27,6 +27,19 @@ TRACKS = (
 )  # fmt: skip
 VALIDATION = ("scotland", "zengarden")
 """No clip of candela_city or black_forest is made: views of them are measured."""
+SURFACES = (
+    "castelwall.jpg", "beige_bricks.jpg", "city_bricks.png", "cottage_wall1.jpg", "dark-wall-wood.png", "dirtbrick.png", "marble.jpg",
+    "oldWood.png", "Paving_stones_2.jpg", "pyramidwall.jpg", "rockwall.jpg", "stk_corrugMetal_a.png", "stk_generic_brickRoad_a.png",
+    "stk_generic_carpet_a.png", "stk_generic_oldbricks_a.png", "stk_generic_wallRock_a.png", "stk_wallpaperOld_a.png",
+    "stktex_generic_WoodA.png", "stktex_generic_WoodC.png", "stktex_generic_WoodD.png", "stktex_generic_WoodE.png",
+    "stktex_generic_aztekWall_a.png", "stktex_generic_cobbleStoneA.png", "stktex_generic_concreteA.png", "stktex_generic_marbleA.png",
+    "stktex_generic_stoneWallA.png", "stktex_generic_tilesA.png", "stktex_generic_tilesB.png", "tiles.png", "wood_planks1.jpg",
+)  # fmt: skip
+THINGS = (
+    "stklib_armchair_a", "stklib_classchair_a", "hd_metalWoodOldChest_a", "stklib_fitchBarrel_a", "stklib_gramophone_a",
+    "stklib_aztekVase_a", "stklib_easel_a", "stklib_jackOLantern_a", "stklib_computer_a", "stklib_hayBall_a", "stklib_bench_a",
+    "stklib_agave_a", "stklib_candle_a", "stklib_fern_a", "hd_chineseRedLantern_a", "stklib_cabbage_a",
+)  # fmt: skip
 KARTS = ("tux", "konqi", "gnu", "kiki", "suzanne", "wilber", "puffy", "nolok", "pidgin", "xue")
 DAY, DUSK, NIGHT = ("park", "sky", "esplanade", "bridge", "venice"), ("dawn", "sunset", "sunrise"), ("night",)
 FRAMES, TRUTHS, SIZE = 5, (3, 4), (256, 144)
@@ -83,11 +96,48 @@ def draw_clip(number: int) -> Clip:
         "sunColor": color,
         "sunPower": power,
         "bias": float(random.choice((-1, -1, 0))),
+        "anisotropy": 1,
         "exposed": float(random.uniform(0.08, 0.25)),
         "size": SIZE,
         "frames": FRAMES,
         "truths": TRUTHS,
         "samples": SAMPLES,
+    }
+
+
+def draw_room(number: int) -> Clip:
+    """The room with this number: textured walls from near, things and spinning karts, a camera that mostly stands still."""
+    random = np.random.default_rng((1, number))
+    near, depth = random.uniform(2.5, 6), random.uniform(5, 12)
+    near = min(near, depth - 1)
+
+    def put(things: int) -> list[dict[str, float]]:
+        return [{"ahead": random.uniform(near, depth - 0.5), "aside": random.uniform(-3, 3)} for _ in range(things)]
+
+    things = [{**at, "name": str(random.choice(THINGS)), "turn": random.uniform(-3, 3)} for at in put(5)]
+    karts = [
+        {**at, "name": str(random.choice(KARTS)), "speed": random.choice((0, 0, -1.5, 2.0)), "spin": random.uniform(-4, 4),
+         "lift": random.choice((0, random.uniform(0.2, 1.5))), "tumble": random.choice((0, random.uniform(-3, 3)))}
+        for at in put(int(random.integers(1, 4)))
+    ]  # fmt: skip
+    return draw_clip(number) | {
+        "name": f"room_{number:03}",
+        "track": None,
+        "room": {
+            "surfaces": [(str(random.choice(SURFACES)), random.uniform(0.8, 4)) for _ in range(4)],
+            "width": random.uniform(8, 14),
+            "depth": depth,
+            "height": random.uniform(3, 8),
+            "things": things,
+        },
+        "camera": "pan" if number % 4 == 3 else "still",
+        "aside": random.uniform(-1.5, 1.5),
+        "height": random.uniform(0.8, 3.5),
+        "yaw": random.uniform(-0.5, 0.5),
+        "pitch": random.uniform(-0.3, 0.05),
+        "fov": random.uniform(30, 65),
+        "karts": karts,
+        "anisotropy": int(random.choice((1, 4, 16))),
     }
 
 
@@ -144,11 +194,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--assets", type=Path, required=True, help="folder with node_modules/ and SuperTuxKart's data in stk/")
     parser.add_argument("--clips", type=int, default=64)
     parser.add_argument("--first", type=int, default=0, help="number of the first clip")
+    parser.add_argument("--rooms", action="store_true", help="rooms in place of tracks")
     parser.add_argument("--jitter", action="store_true", help="shift the camera by half pixels, the truth's too")
     parser.add_argument("-o", "--out", type=Path, required=True, help="a folder for each clip; an existing one is not made again")
     chosen = parser.parse_args(arguments)
     jitter = JITTER if chosen.jitter else None
-    clips = [draw_clip(n) | {"jitter": jitter} for n in range(chosen.first, chosen.first + chosen.clips)]
+    draw = draw_room if chosen.rooms else draw_clip
+    clips = [draw(n) | {"jitter": jitter} for n in range(chosen.first, chosen.first + chosen.clips)]
     raw = chosen.out / f".raw{chosen.first}"
     wanted = [c for c in clips if not (chosen.out / c["name"]).exists()]
     raw.mkdir(parents=True, exist_ok=True)

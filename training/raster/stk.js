@@ -175,6 +175,32 @@ export const loadTrack = name => once(`track ${name}`, async () => {
   return group;
 });
 
+// A floor and three walls: [texture, metres that it spans] of each; the road leads to the first wall, so many metres away. Things stand about.
+export async function loadRoom({surfaces, width, depth, height, things}) {
+  const group = new THREE.Group(), table = await materialTable([SHARED]), half = Math.PI / 2;
+  const places = [
+    [width, 2 * depth, [0, 0, 0], [-half, 0, 0]], [width, height, [0, height / 2, depth], [0, 2 * half, 0]],
+    [2 * depth, height, [-width / 2, height / 2, 0], [0, half, 0]], [2 * depth, height, [width / 2, height / 2, 0], [0, -half, 0]]];
+  for (const [i, [across, up, at, turn]] of places.entries()) {
+    const [name, span] = surfaces[i], geometry = new THREE.PlaneGeometry(across, up), uv = geometry.attributes.uv;
+    for (let v = 0; v < uv.count; v++) uv.setXY(v, uv.getX(v) * across / span, uv.getY(v) * up / span);
+    geometry.setAttribute('color', new THREE.Float32BufferAttribute(new Array(3 * uv.count).fill(1), 3));
+    const mesh = new THREE.Mesh(geometry, await once(`${name} ${SHARED}`, () => material(name, [SHARED], table)));
+    mesh.position.set(...at);
+    mesh.rotation.set(...turn);
+    mesh.receiveShadow = true;
+    group.add(mesh);
+  }
+  for (const {name, ahead, aside, turn} of things) {
+    const node = new THREE.Group(), folder = `/stk/library/${name}/`;
+    await place(node, `${folder}node.xml`, [folder, SHARED]);
+    node.position.set(aside, 0, ahead);
+    node.rotation.y = turn;
+    group.add(node);
+  }
+  return group;
+}
+
 // The middle of the road, a curve.
 export async function loadRoad(name) {
   const quads = [];
