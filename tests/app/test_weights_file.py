@@ -145,7 +145,8 @@ def test_the_weights_that_come_with_the_program(name: str):
     assert loaded.label == f"{name} {loaded.identity}"
 
     def runs(metadata):
-        parts = json.loads(metadata["average_of"]) if "average_of" in metadata else []
+        parts = metadata.get("average_of", [])
+        parts = json.loads(parts) if isinstance(parts, str) else parts
         return [run for part in parts for run in runs(part)] if parts else [metadata]
 
     assert all({"settings", "steps"} <= set(run) for run in runs(loaded.metadata))
