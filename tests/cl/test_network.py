@@ -269,7 +269,7 @@ def without_units(weights, seed):
     st.sets(st.sampled_from([layer.name for layer in LAYERS]), max_size=4), st.none() | SEEDS, st.booleans(),
     st.sampled_from(PRECISIONS), st.sampled_from([*VECTORS]),
 )  # fmt: skip
-@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=5, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_what_is_left_out_changes_no_bit(processor, names, units, keep, precision, vector):
     """Any layers whose kernels are 0, what only they read, and any groups of units."""
     weights, arrays = without(random_weights(3), *names), network_inputs((16, 24), 3)
