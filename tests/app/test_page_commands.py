@@ -27,7 +27,7 @@ NOT_RUN = {
     r"(.*/)?(pip|npm|apt|apt-get|git|ln) ": "installs or fetches",
     r"\. \.venv/bin/activate": "for the shell of the reader",
     r"python (-m training|training/)|[TU]=|\$[TU] |for |done$|case |name=": "hours, and PyTorch; tests/training runs the programs",
-    r"python measure_saving.py": "Blender, and commit baf0bbe",
+    r"python (measure_saving|render)\.py": "Blender, and an older commit",
     r"python blender/build.py": "fetches wheels; tests/app/test_blender_extension.py packs some",
     r"python examples/webgpu/page.py": "tests/app/test_webgpu_page.py runs it",
     r"stss conform ": "a port of the reader's; tests/app/test_port.py and test_examples.py run some",

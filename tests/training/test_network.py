@@ -51,6 +51,7 @@ def test_network_is_the_specification_s():
     load_weights(network, weights)
     with torch.no_grad():
         assert is_the_specification(network(*tensors(arrays)), arrays, weights)
+    assert is_the_specification(network(*tensors(arrays)).detach(), arrays, weights)  # training enlarges by matrices
 
 
 def test_a_network_without_history_is_one_whose_history_is_not_read():
