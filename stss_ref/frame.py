@@ -10,6 +10,7 @@ import numpy as np
 
 from stss_ref.arrays import Array, ArrayError, Image, Mask, Plane, require_dtype, require_finite, require_shape
 from stss_ref.constants import HoleTest
+from stss_ref.detail import detail
 from stss_ref.holes import holes
 from stss_ref.motion_chain import Gather, chain_steps
 from stss_ref.network import network
@@ -82,17 +83,19 @@ def prepare(
     """Make the network's inputs: warp the three colour frames to the current one. Other arguments and errors as in ``frame``.
 
     ``color`` is two pictures: the newest colour frame with its holes filled, and a second one. With ``second`` "newest" that is the same
-    frame, its holes left as they are warped (spec 7); in an SF both are then the frame itself. With "earlier" it is the colour frame
-    before, where that is valid, and elsewhere as with "newest": at full size, the older frame shows what lies between the newest one's
-    samples (decision 35). ``test``: of static surfaces, see `holes`.
+    frame, its holes left as they are warped (spec 7); in an SF both are then the frame itself. With "detail" it is what all warped frames
+    show within the pixel (`detail`). ``test``: of static surfaces, see `holes`.
     """
     _check(inputs)
     motions = motion_by_step(inputs.motions, inputs.steps, gather)
 
     pairs = [warp_one(inputs, i, motions.get(step), test) for i, step in enumerate(inputs.steps)]
     warped, valids = [w for w, _ in pairs], [valid for _, valid in pairs]
-    instead = fill(inputs, warped[0], valids[0], motions.get(inputs.steps[0]))
-    color = two_pictures(instead, second_picture(warped, valids, second))
+    color = two_pictures(fill(inputs, warped[0], valids[0], motions.get(inputs.steps[0])), warped[0])
+    if second == "detail":
+        moved = [i for i, step in enumerate(inputs.steps) if step in motions]
+        frames = [(inputs.colors[i], motions[inputs.steps[i]], valids[i]) for i in moved]
+        color[..., 3:] = detail(color[..., :3], frames)
     return NetworkInputs(color, inputs.gbuffer, valids[0].astype(color.dtype), stack_history(warped, valids))
 
 
@@ -136,11 +139,6 @@ def fill(inputs: FrameInputs, warped: Image, valid: Mask, motion: Image | None) 
         return warped
     _, instead = occlusion_warp(inputs.colors[0], warped, motion, inputs.gbuffer[..., 3], valid)
     return instead
-
-
-def second_picture(warped: Sequence[Image], valids: Sequence[Mask], second: SecondColor) -> Image:
-    """The network's second colour: the newest frame as it is warped, or the earlier one where that is valid."""
-    return np.where(valids[1][..., None], warped[1], warped[0]) if second == "earlier" else warped[0]
 
 
 def two_pictures(first: Image, second: Image) -> Image:

@@ -22,9 +22,9 @@ Tensors = Mapping[str, Array]
 
 Component = Literal["backbone", "history", "erm"]
 
-SecondColor = Literal["newest", "earlier"]
-"""What the second of the network's two colours shows: the newest colour frame warped, as the authors' weights expect it, or the one
-before it where that is valid (`stss_ref.frame.prepare`)."""
+SecondColor = Literal["newest", "detail"]
+"""What the second of the network's two colours shows: the newest colour frame warped, as the authors' weights expect it, or what all
+warped ones show within the pixel (`stss_ref.frame.prepare`)."""
 SECOND_COLORS: tuple[SecondColor, ...] = get_args(SecondColor)
 
 
@@ -65,18 +65,19 @@ class WeightsError(ValueError):
 
 
 VERSION_KEY, SECOND_COLOR_KEY, HOLE_TEST_KEY = "stss_weights_version", "second_color", "hole_test"
-NEWEST_ALONE, WITH_SECOND_COLOR, WITH_HOLE_TEST = "1", "2", "3"
-"""Versions of a weights file: with the newest frame as the second colour; with the one that the metadata name; and with the hole test
-that they name, too. Who knows the earlier versions alone thus refuses what it would compute wrongly."""
+NEWEST_ALONE, WITH_HOLE_TEST, WITH_DETAIL = "1", "3", "4"
+"""Versions of a weights file: with the newest frame as the second colour and the footprint's hole test; with the hole test that the
+metadata name; and with the second colour that they name, too. Who knows the earlier versions alone refuses what it would compute wrongly.
+Version 2 had a second colour that is no more (decision 37)."""
 
 
 def format_metadata(weights: Weights) -> dict[str, str]:
     """The entries that the metadata of a weights file must have (spec 10)."""
+    if weights.second_color != "newest":
+        return {VERSION_KEY: WITH_DETAIL, SECOND_COLOR_KEY: weights.second_color, HOLE_TEST_KEY: weights.hole_test}
     if weights.hole_test != "footprint":
-        return {VERSION_KEY: WITH_HOLE_TEST, SECOND_COLOR_KEY: weights.second_color, HOLE_TEST_KEY: weights.hole_test}
-    if weights.second_color == "newest":
-        return {VERSION_KEY: NEWEST_ALONE}
-    return {VERSION_KEY: WITH_SECOND_COLOR, SECOND_COLOR_KEY: weights.second_color}
+        return {VERSION_KEY: WITH_HOLE_TEST, HOLE_TEST_KEY: weights.hole_test}
+    return {VERSION_KEY: NEWEST_ALONE}
 
 
 def take_format(metadata: dict[str, str]) -> Weights:
@@ -89,17 +90,21 @@ def take_format(metadata: dict[str, str]) -> Weights:
         WeightsError: the entries are not those of a known version.
     """
     version = metadata.pop(VERSION_KEY, None)
-    if version not in (NEWEST_ALONE, WITH_SECOND_COLOR, WITH_HOLE_TEST):
+    if version not in (NEWEST_ALONE, WITH_HOLE_TEST, WITH_DETAIL):
         found = "no such entry" if version is None else repr(str(version)[:20])
-        known = f"{NEWEST_ALONE}, {WITH_SECOND_COLOR} or {WITH_HOLE_TEST}"
+        known = f"{NEWEST_ALONE}, {WITH_HOLE_TEST} or {WITH_DETAIL}"
         raise WeightsError(f"expected {VERSION_KEY} {known} in the metadata, found {found}")
-    for key, versions in ((SECOND_COLOR_KEY, NEWEST_ALONE), (HOLE_TEST_KEY, NEWEST_ALONE + WITH_SECOND_COLOR)):
-        if version in versions and key in metadata:
-            raise WeightsError(f"{key}: expected no such entry in the metadata of {VERSION_KEY} {version}")
     found = Weights({})
+    # Version 3 of before named the second colour, too, and "newest" is what it has without.
+    if version == WITH_DETAIL or (version == WITH_HOLE_TEST and SECOND_COLOR_KEY in metadata):
+        known = SECOND_COLORS if version == WITH_DETAIL else SECOND_COLORS[:1]
+        found = replace(found, second_color=_named(metadata, SECOND_COLOR_KEY, known))
     if version != NEWEST_ALONE:
-        found = replace(found, second_color=_named(metadata, SECOND_COLOR_KEY, SECOND_COLORS))
-    return replace(found, hole_test=_named(metadata, HOLE_TEST_KEY, HOLE_TESTS)) if version == WITH_HOLE_TEST else found
+        found = replace(found, hole_test=_named(metadata, HOLE_TEST_KEY, HOLE_TESTS))
+    for key in (SECOND_COLOR_KEY, HOLE_TEST_KEY):
+        if key in metadata:
+            raise WeightsError(f"{key}: expected no such entry in the metadata of {VERSION_KEY} {version}")
+    return found
 
 
 Name = TypeVar("Name", bound=str)
@@ -404,7 +409,7 @@ def reads_history(weights: Tensors) -> bool:
 
 def colors_read(weights: Weights) -> int:
     """How many of the three colour frames, from the newest on, the image depends on."""
-    return 3 if reads_history(weights) else 2 if weights.second_color == "earlier" else 1
+    return 3 if weights.second_color == "detail" or reads_history(weights) else 1
 
 
 def has_residual(weights: Tensors) -> bool:

@@ -127,14 +127,13 @@ def test_groups_of_units_are_left_out():
 
 def test_the_second_colour_stays_with_the_tensors():
     """Checked, rounded, copied to another process; tensors alone mean the newest frame."""
-    made = Weights(random(2), "earlier")
+    made = Weights(random(2), "detail")
     for same in (check(made), made | {"outc.bias": made["outc.bias"]}, astype(made, float), pickle.loads(pickle.dumps(made))):
-        assert same.second_color == "earlier"
+        assert same.second_color == "detail"
     for other in (check(dict(made)), random(2), zeros()):
         assert other.second_color == "newest"
 
 
 def test_how_many_colour_frames_the_image_depends_on():
     unread = random(2) | {name: tensor * 0 for name, tensor in random(2).items() if name.startswith("lowlevelGated")}
-    made = (unread, Weights(unread, "earlier"), random(2), Weights(random(2), "earlier"))
-    assert [colors_read(weights) for weights in made] == [1, 2, 3, 3]
+    assert [colors_read(weights) for weights in (unread, Weights(unread, "detail"), random(2))] == [1, 3, 3]
