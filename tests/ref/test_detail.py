@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 from stss_ref.detail import LUMA, OWN, detail
 
 SIZE = 4, 5
-UNIT = st.floats(0, 1)
+UNIT = st.floats(0, 1, width=32)
 COLOR, MASK = arrays(float, (*SIZE, 3), elements=UNIT), arrays(bool, SIZE)
 FRAME = st.tuples(COLOR, arrays(float, (*SIZE, 2), elements=st.floats(-3, 3)), MASK)
 
