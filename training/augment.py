@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stss_ref.arrays import Array
+from stss_ref.detail import LUMA
 from stss_ref.rrm import draw_rectangle, rrm
 
 Random = np.random.Generator
@@ -25,10 +26,11 @@ Y_UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32)
 """Turns vectors of a world with z up into one with y up."""
 DEPTH = 6
 BASE_COLOR = slice(9, 12)
-COLORS = (slice(0, 3), slice(12, 15), slice(16, 19), slice(20, 23))
-"""Channels of the four pictures among the 24; a mask follows each of the last three."""
 MASK = 23
-MOTION = slice(24, 26)
+MOTION, DETAIL = slice(24, 26), slice(26, 35)
+ACROSS, DOWN, LEVEL = slice(26, 29), slice(29, 32), slice(32, 35)
+COLORS = (slice(0, 3), slice(12, 15), slice(16, 19), slice(20, 23), ACROSS, DOWN, LEVEL)
+"""Channels of colours: of four pictures, a mask follows each of the last three, and of the details."""
 EXPOSURE = 0.3
 """Largest change of exposure: natural logarithm of the factor on display-referred values."""
 MIDDLE, BACKGROUND = (0.04, 0.7), 0.999
@@ -38,8 +40,9 @@ MIDDLE, BACKGROUND = (0.04, 0.7), 0.999
 class Batch(NamedTuple):
     """Inputs of the network and the truth, channels first, float32.
 
-    color (N, 6, H, W), gbuffer (N, 9, H, W), mask (N, 1, H, W) after RRM, history (N, 3, 4, H, W), truth (N, 3, 2H, 2W),
-    motion (N, 2, H, W) pixels of a sample to its partner, the one beside it: 0 and 1, 2 and 3; further channels of the shards follow.
+    color (N, 9, H, W): the first colour and both second ones, "newest" and "detail"; gbuffer (N, 9, H, W), mask (N, 1, H, W) after RRM,
+    history (N, 3, 4, H, W), truth (N, 3, 2H, 2W), motion (N, 2, H, W) pixels of a sample to its partner, the one beside it: 0 and 1, 2
+    and 3; further channels of the shards follow.
     """
 
     color: NDArray[np.float32]
@@ -72,19 +75,22 @@ def augment(
     means against too few films; with enough of them, they cost what the network could learn in their place.
 
     Args:
-        inputs: (N, H, W, 26) or more channels.
+        inputs: (N, H, W, 35) or more channels.
         truth: (N, 2H, 2W, 3).
         random: where chance comes from.
         colors, motions: the channels of colours and of motions.
     """
     quarters, mirrored = 0 if upright else int(random.integers(4)), bool(random.random() < 0.5)
     inputs, truth = np.rot90(inputs, quarters, (1, 2)).copy(), np.rot90(truth, quarters, (1, 2)).copy()
-    for part in [*motions] * quarters:
-        inputs[..., part] = inputs[..., part][..., ::-1] * np.float32([1, -1])
+    for _ in range(quarters):
+        for part in motions:
+            inputs[..., part] = inputs[..., part][..., ::-1] * np.float32([1, -1])
+        inputs[..., ACROSS], inputs[..., DOWN] = inputs[..., DOWN].copy(), -inputs[..., ACROSS]
     if mirrored:
         inputs, truth = inputs[:, :, ::-1].copy(), truth[:, :, ::-1].copy()
         for part in motions:
             inputs[..., part] *= np.float32([-1, 1])
+        inputs[..., ACROSS] *= -1
     inputs[..., NORMAL] = inputs[..., NORMAL] @ turn_of_the_world(random.uniform(0, 2 * math.pi), mirrored=mirrored).T
     if random.random() < 0.5:
         inputs[..., NORMAL] = inputs[..., NORMAL] @ Y_UP.T
@@ -127,14 +133,15 @@ def mask_at_random(inputs: Array, random: Random) -> Array:
 
 
 def collate(inputs: Array, masks: Array, truth: Array) -> Batch:
-    """Make a batch of inputs (N, H, W, 26), masks (N, H, W) and truth (N, 2H, 2W, 3)."""
+    """Make a batch of inputs (N, H, W, 35) or more channels, masks (N, H, W) and truth (N, 2H, 2W, 3)."""
     planes = np.ascontiguousarray(np.moveaxis(inputs, -1, 1), np.float32)
     n, _, height, width = planes.shape
+    details = np.float32(LUMA) @ planes[:, DETAIL].reshape(n, 3, 3, -1)
     return Batch(
-        color=np.concatenate([planes[:, :3], planes[:, 20:23]], axis=1),
+        color=np.concatenate([planes[:, :3], planes[:, 20:23], details.reshape(n, 3, height, width)], axis=1),
         gbuffer=np.ascontiguousarray(planes[:, 3:12]),
         mask=np.ascontiguousarray(masks[:, None], np.float32),
         history=np.ascontiguousarray(planes[:, 12:24]).reshape(n, 3, 4, height, width),
         truth=np.ascontiguousarray(np.moveaxis(truth, -1, 1), np.float32),
-        motion=np.ascontiguousarray(planes[:, MOTION.start :]),
+        motion=np.concatenate([planes[:, MOTION], planes[:, DETAIL.stop :]], axis=1),
     )

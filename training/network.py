@@ -129,8 +129,7 @@ class Network(nn.Module):
 
     Args:
         without: what is left out.
-        second_color: see `stss_ref.frame.prepare`. The colours that the network is given are those of "newest"; "earlier" is made here
-            from the history.
+        second_color: see `stss_ref.frame.prepare`; which of both is read where a batch has both.
     """
 
     def __init__(self, without: Without = "", second_color: SecondColor = "newest"):
@@ -156,14 +155,13 @@ class Network(nn.Module):
         """The image less its `base`, (N, 3, 2H, 2W), and the features that `Heads` read.
 
         Args:
-            color: (N, 6, H, W).
+            color: (N, 6, H, W), or (N, 9, H, W) of a `training.augment.Batch`.
             gbuffer: (N, 9, H, W).
             mask: (N, 1, H, W).
             history: (N, 3, 4, H, W).
         """
-        if self.second_color == "earlier":
-            earlier, valid = history[:, 1, :3], history[:, 1, 3:]
-            color = torch.cat([color[:, :3], torch.where(valid > 0, earlier, color[:, 3:])], 1)
+        if color.shape[1] > 6:
+            color = color[:, :6] if self.second_color == "newest" else torch.cat([color[:, :3], color[:, 6:]], 1)
         x1 = self.rectifier(self.conv2(self.rectifier(self.conv1(torch.cat([color, color * mask, gbuffer], 1)))))
         x2 = self.down1(x1)
         features = {} if self.without == "deep" else self.look_deeper(x2, gbuffer, mask, history)

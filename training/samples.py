@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT
 """Make training samples: the network's inputs for a display frame, from the project's own pipeline, and the truth.
 
-Each sequence has a folder with ``inputs.npy`` (N, H, W, 26) and ``truth.npy`` (N, 2H, 2W, 3), float16, display-referred, and
+Each sequence has a folder with ``inputs.npy`` (N, H, W, 35) and ``truth.npy`` (N, 2H, 2W, 3), float16, display-referred, and
 ``index.json``, which is written last: a folder without it does not count. Channels of the inputs: occlusion_warp 3, gbuffer 9,
-history 3 x (warped 3, mask 1), motion 2. The network's color 6 and mask are among them (`unpack`). Motion leads to the display frame
-before, in pixels; it is NOWHERE where the surface is not seen there.
+history 3 x (warped 3, mask 1), motion 2, `details` 9. The network's color 6 and mask are among them (`unpack`). Motion leads to the
+display frame before, in pixels; it is NOWHERE where the surface is not seen there.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from stss.sequence.conventions import BACKGROUND_POSITION
 from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array, Image
-from stss_ref.frame import NetworkInputs
+from stss_ref.frame import FrameInputs, NetworkInputs
 from stss_ref.frame import prepare as warp_all
 from stss_ref.holes import holes
 from stss_ref.schedule import FrameKind
@@ -44,7 +44,6 @@ from training.command import command
 from training.scenes import INPUTS, Film, random_film
 
 SPLITS = ("training", "validation", "test")
-CHANNELS = 26
 NOWHERE = 1e4
 """Motion of pixels that cannot be followed, finite as float16."""
 SAMPLES = 16
@@ -59,7 +58,7 @@ START = 2
 
 @dataclass(frozen=True)
 class Sample:
-    """One display frame, as SF or as EF: ``inputs`` (H, W, 26), ``truth`` (2H, 2W, 3), display-referred."""
+    """One display frame, as SF or as EF: ``inputs`` (H, W, 35), ``truth`` (2H, 2W, 3), display-referred."""
 
     number: int
     kind: FrameKind
@@ -83,7 +82,8 @@ def samples(frames: Sequence[DisplayFrame], truths: Mapping[int, Image]) -> Iter
             ]
             planned = plan(window)
             if planned is not None:
-                inputs = pack(warp_all(frame_inputs(window, planned.steps)), _motion(window[-2], last))
+                given = frame_inputs(window, planned.steps)
+                inputs = pack(warp_all(given), _motion(window[-2], last), details(given))
                 yield Sample(last.number, kind, inputs, truths[last.number])
 
 
@@ -102,11 +102,18 @@ def _motion(before: DisplayFrame, now: DisplayFrame) -> Image:
     return np.where(followed[..., None], now.motion, np.float32(NOWHERE))
 
 
-def pack(inputs: NetworkInputs, motion: Image) -> Image:
-    """The network's inputs and the motion as (H, W, 26); channels that occur twice are stored once."""
+def details(inputs: FrameInputs) -> Image:
+    """The second colour "detail" of R, G and B apart, (H, W, 9): across, down, level. Augmentation lets the colours change places."""
+    channels = [np.repeat(inputs.colors[..., c : c + 1], 3, axis=-1) for c in range(3)]
+    made = [warp_all(replace(inputs, colors=channel), second="detail").color[..., 3:] for channel in channels]
+    return np.stack(made, axis=-1).reshape(*inputs.nov.shape, 9)
+
+
+def pack(inputs: NetworkInputs, motion: Image, of_pixels: Image) -> Image:
+    """The network's inputs, the motion and `details` as (H, W, 35); channels that occur twice are stored once."""
     height, width, _ = inputs.gbuffer.shape
     history = np.moveaxis(inputs.history, 0, 2).reshape(height, width, 12)
-    return np.concatenate([inputs.color[..., :3], inputs.gbuffer, history, motion], axis=-1)
+    return np.concatenate([inputs.color[..., :3], inputs.gbuffer, history, motion, of_pixels], axis=-1)
 
 
 def unpack(packed: Array) -> NetworkInputs:

@@ -14,7 +14,7 @@ def data(tmp_path_factory):
     for split in ("training", "validation"):
         made = []
         for kind in (FrameKind.SF, FrameKind.EF):
-            inputs = random.random((17, 20, 26)) * 0.2 + 0.3
+            inputs = random.random((17, 20, 35)) * 0.2 + 0.3
             inputs[..., [15, 19, 23]] = 1
             inputs[..., :3] = 0.4
             made.append(Sample(0, kind, inputs, np.full((34, 40, 3), 0.5)))

@@ -8,7 +8,7 @@ from conformance.answers.port_arithmetic import Arithmetic
 from conformance.tolerance import ratio, sum_bound
 from stss.quality.metrics import C2, PEAK, WINDOW, luma, ssim_map
 from stss_ref.loss import loss as reference_loss
-from stss_ref.weights import Weights, reads_history, zeros
+from stss_ref.weights import SECOND_COLORS, Weights, reads_history, zeros
 from stss_ref.weights import random as random_weights
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test-training")
@@ -72,18 +72,17 @@ def test_a_network_without_history_is_one_whose_history_is_not_read():
     assert all((p.grad is None) == name.startswith(still) for name, p in network.named_parameters())
 
 
-def test_an_earlier_second_colour_is_the_specification_s():
-    """Of the same inputs: it is in the history. Saved and loaded it stays."""
-    arrays = inputs(3)
-    arrays["history"][..., 3] = arrays["history"][..., 3] > 0.5
-    weights, network = Weights(random_weights(3), "earlier"), Network()
+@pytest.mark.parametrize("second", SECOND_COLORS)
+def test_which_second_colour_is_read_belongs_to_the_weights(second):
+    """A batch has both. Saved and loaded it stays."""
+    arrays, chance = inputs(3), np.random.default_rng(4)
+    weights, network = Weights(random_weights(3), second), Network()
     load_weights(network, weights)
-    assert to_weights(network.state_dict(), network.second_color).second_color == "earlier"
+    assert to_weights(network.state_dict(), network.second_color).second_color == second
+    other = chance.random(arrays["gbuffer"][..., :3].shape).astype(np.float32)
+    both = (arrays["color"], other) if second == "newest" else (arrays["color"][..., :3], other, arrays["color"][..., 3:])
     with torch.no_grad():
-        image = network(*tensors(arrays))
-    middle = arrays["history"][1]
-    second = np.where(middle[..., 3:] > 0, middle[..., :3], arrays["color"][..., 3:])
-    arrays["color"] = np.concatenate([arrays["color"][..., :3], second], axis=-1)
+        image = network(*tensors(arrays | {"color": np.concatenate(both, axis=-1)}))
     assert is_the_specification(image, arrays, weights)
 
 
@@ -96,7 +95,7 @@ def test_what_was_read_twice_is_read_once():
     with torch.no_grad():
         want = network(*tensors(arrays)).numpy()
         forget_second_color(network)
-        for network.second_color in ("newest", "earlier"):
+        for network.second_color in SECOND_COLORS:
             assert ratio("network.float32", network(*tensors(arrays)).numpy(), want) <= 1
 
 

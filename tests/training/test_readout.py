@@ -32,7 +32,7 @@ def shard(folder, inputs, truths):
 
 def inputs_at_rest():
     chance = np.random.default_rng(1)
-    inputs = chance.random((4, 16, 24, 26)).astype(np.float32)
+    inputs = chance.random((4, 16, 24, 35)).astype(np.float32)
     inputs[..., [15, 19, 23]], inputs[..., 24:] = 1, 0
     return inputs
 

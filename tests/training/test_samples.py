@@ -9,10 +9,11 @@ from conformance.scenes import SCENES
 from stss.frames.display_frame import OnArrays, prepare
 from stss.frames.supersampler import Supersampler
 from stss_ground.errors import InputError
+from stss_ref.detail import LUMA
 from stss_ref.resample import upsample_centres
 from stss_ref.schedule import FrameKind
 from training import samples as module
-from training.augment import MASK, MOTION, NORMAL, augment, collate, depths_at_random, mask_at_random
+from training.augment import ACROSS, DOWN, LEVEL, MASK, MOTION, NORMAL, augment, collate, depths_at_random, mask_at_random
 from training.samples import film_frames, samples, split_of, unpack
 from training.scenes import INPUTS, Film, random_film
 
@@ -52,6 +53,11 @@ def test_samples_are_what_the_tool_feeds_the_network(film):
             image = curve.decode(upsample_centres(inputs.color[..., :3]))
             np.testing.assert_array_equal(image, outputs[sample.number].image)
             np.testing.assert_array_equal(inputs.mask.astype(bool), outputs[sample.number].valid)
+    window = frames[2:8]
+    given = module.frame_inputs([module.replace(f, color=None) if f.number % 2 else f for f in window], (1, 3, 5))
+    details = np.stack([made[3].inputs[..., part] @ LUMA for part in (ACROSS, DOWN, LEVEL)], axis=-1)
+    np.testing.assert_allclose(details, module.warp_all(given, second="detail").color[..., 3:], rtol=0, atol=1e-6)
+    assert np.abs(details).max() > 0.01
 
 
 def test_random_films_differ_and_repeat():
@@ -76,7 +82,7 @@ def test_a_scene_is_in_one_split():
 def test_augmentation_keeps_what_belongs_together():
     """Where all pictures are one picture, they still are; normals keep their length and their up, y or z; masks stay masks."""
     random = np.random.default_rng(3)
-    inputs = np.zeros((16, 16, 26), np.float32)
+    inputs = np.zeros((16, 16, 35), np.float32)
     picture = random.random((16, 16, 3)).astype(np.float32)
     for first in (0, 12, 16, 20):
         inputs[..., first : first + 3] = picture
@@ -99,7 +105,7 @@ def test_augmentation_keeps_what_belongs_together():
 def test_motion_turns_with_the_picture():
     """A picture that moved by (2, -1) pixels: however a pair is turned and mirrored, its motion leads to the same colours."""
     random = np.random.default_rng(5)
-    inputs, picture = np.zeros((2, 16, 16, 26), np.float32), random.random((32, 32, 3)).astype(np.float32)
+    inputs, picture = np.zeros((2, 16, 16, 35), np.float32), random.random((32, 32, 3)).astype(np.float32)
     inputs[0, ..., MOTION], inputs[1, ..., MOTION] = module.NOWHERE, (2, -1)
     truth = np.stack([picture, np.roll(picture, (2, -4), (0, 1))])
     motions = set()
@@ -111,6 +117,22 @@ def test_motion_turns_with_the_picture():
         assert unsteadiness(error, motion) < 1e-5
         assert unsteadiness(error, -motion) > 0.1
     assert motions == {(2, -1), (-2, -1), (2, 1), (-2, 1), (1, 2), (-1, 2), (1, -2), (-1, -2)}
+
+
+def test_details_turn_with_the_picture():
+    """The differences within the pixels of a picture: however it is turned, mirrored and coloured, they are those of the new one."""
+
+    def within(large):
+        a, b, c, d = (large[y::2, x::2] for y in (0, 1) for x in (0, 1))
+        return (b - a + d - c) / 2, (c - a + d - b) / 2
+
+    random = np.random.default_rng(5)
+    truth, inputs = random.random((32, 32, 3)).astype(np.float32) * 0.7, np.zeros((16, 16, 35), np.float32)
+    inputs[..., ACROSS], inputs[..., DOWN] = within(truth)
+    for seed in range(24):
+        (new,), (large,) = augment(inputs[None], truth[None], np.random.default_rng(seed))
+        for part, want in zip((ACROSS, DOWN), within(large), strict=True):
+            np.testing.assert_allclose(new[..., part], want, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("between", [(0.01, 0.05), (0.6, 0.95)])
@@ -138,7 +160,7 @@ def test_depths_keep_their_order_and_the_background_while_their_middle_moves(bet
 
 
 def test_rrm_touches_the_newest_mask_alone():
-    inputs = np.ones((16, 16, 26), np.float32)
+    inputs = np.ones((16, 16, 35), np.float32)
     mask = mask_at_random(inputs, np.random.default_rng(0))
     assert 0 < (mask == 0).sum() <= 16
     batch = collate(inputs[None], mask[None], np.ones((1, 32, 32, 3)))
@@ -148,7 +170,7 @@ def test_rrm_touches_the_newest_mask_alone():
 
 
 def test_a_shard_is_whole_or_not_there(tmp_path):
-    sample = module.Sample(3, FrameKind.SF, np.full((8, 8, 26), 0.5), np.full((16, 16, 3), 0.25))
+    sample = module.Sample(3, FrameKind.SF, np.full((8, 8, 35), 0.5), np.full((16, 16, 3), 0.25))
     assert module.write(tmp_path / "one", "scene", "test", [sample]) == 1
     index = json.loads((tmp_path / "one" / "index.json").read_text())
     assert index == {"scene": "scene", "split": "test", "frames": [3], "kinds": ["SF"]}

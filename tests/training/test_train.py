@@ -68,20 +68,20 @@ def test_options_reach_the_run(data, tmp_path):
         "structure of EFs": ("--structure", "90", "--structure-ef", "20"),
         "extrapolated": (*squares, "--extrapolated", "0.7"),
         "upright": ("--upright",),
-        "earlier": ("--second-color", "earlier"),
+        "detail": ("--second-color", "detail"),
     }
     for name, options in runs.items():
         run(data, tmp_path / name, 4, *start, *options)
     run(data, tmp_path / "no history", 4, "--no-history")
-    earlier = tmp_path / "earlier" / "weights.safetensors"
-    run(data, tmp_path / "on", 4, "--initial", str(earlier))
-    run(data, tmp_path / "back", 4, "--initial", str(earlier), "--second-color", "newest")
+    detailed = tmp_path / "detail" / "weights.safetensors"
+    run(data, tmp_path / "on", 4, "--initial", str(detailed))
+    run(data, tmp_path / "back", 4, "--initial", str(detailed), "--second-color", "newest")
     made = {name: load(tmp_path / name / "weights.safetensors") for name in (*runs, "no history", "on", "back")}
-    assert [name for name, loaded in made.items() if loaded.weights.second_color == "earlier"] == ["earlier", "on"]
-    with pytest.raises(InputError, match="weights: expected one second colour, found earlier and newest"):
-        average([str(earlier), str(tmp_path / "back" / "weights.safetensors"), "-o", str(tmp_path / "mean.safetensors")])
-    average([str(earlier), str(earlier), "-o", str(tmp_path / "mean.safetensors")])
-    assert load(tmp_path / "mean.safetensors").weights.second_color == "earlier"
+    assert [name for name, loaded in made.items() if loaded.weights.second_color == "detail"] == ["detail", "on"]
+    with pytest.raises(InputError, match="weights: expected one second colour, found detail and newest"):
+        average([str(detailed), str(tmp_path / "back" / "weights.safetensors"), "-o", str(tmp_path / "mean.safetensors")])
+    average([str(detailed), str(detailed), "-o", str(tmp_path / "mean.safetensors")])
+    assert load(tmp_path / "mean.safetensors").weights.second_color == "detail"
     assert [name for name, loaded in made.items() if not reads_history(loaded.weights)] == ["no history"]
     sums = {name: loaded.label for name, loaded in made.items()}
     assert len(set(sums.values())) == len(sums)
@@ -124,7 +124,7 @@ def test_batches_are_half_and_half_and_depend_on_the_step_alone(data):
 def test_a_batch_has_the_frame_beside_and_the_motion_of_the_later_one(tmp_path):
     """The truth says which frame a crop shows. Frames 3 and 4 go together, 9 with itself; no motion leads there."""
     made = [
-        Sample(n, kind, np.full((16, 16, 26), 0.5), np.full((32, 32, 3), n / 16))
+        Sample(n, kind, np.full((16, 16, 35), 0.5), np.full((32, 32, 3), n / 16))
         for n in (3, 4, 9)
         for kind in (FrameKind.SF, FrameKind.EF)
     ]
@@ -146,7 +146,7 @@ def test_every_folder_of_shards_is_drawn_from_equally_often(tmp_path):
     for folder, count in (("few", 1), ("many", 9)):
         for i in range(count):
             value = float(folder == "few")
-            made = [Sample(0, kind, np.zeros((16, 16, 26)), np.full((32, 32, 3), value)) for kind in (FrameKind.SF, FrameKind.EF)]
+            made = [Sample(0, kind, np.zeros((16, 16, 35)), np.full((32, 32, 3), value)) for kind in (FrameKind.SF, FrameKind.EF)]
             write(tmp_path / folder / str(i), f"{folder} {i}", "training", made)
     batches = Batches(load_shards(tmp_path), side=16, batch=20, seed=0)
     few = np.mean([(batches[step].truth.max(axis=(1, 2, 3)) > 0.5).mean() for step in range(5)])
@@ -154,7 +154,7 @@ def test_every_folder_of_shards_is_drawn_from_equally_often(tmp_path):
 
 
 def test_a_scene_in_two_splits_is_refused(data, tmp_path):
-    sample = Sample(0, FrameKind.SF, np.zeros((16, 16, 26)), np.zeros((32, 32, 3)))
+    sample = Sample(0, FrameKind.SF, np.zeros((16, 16, 35)), np.zeros((32, 32, 3)))
     for split in ("training", "test"):
         write(tmp_path / split, "the same", split, [sample])
     with pytest.raises(InputError, match="scene the same is in the splits"):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Add to the shards of analytic films what NSRR reads and ExtraNet aims at.
 
-The folder that is made has the same samples with the same truth; 28 channels follow the 26 of `training.samples`: colour and depth of
+The folder that is made has the same samples with the same truth; 28 channels follow the 35 of `training.samples`: colour and depth of
 the frame itself and of four rendered ones before it, then the motions to these.
 """
 

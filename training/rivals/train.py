@@ -16,7 +16,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from stss_ground.errors import InputError
-from training.augment import COLORS, MOTION, augment
+from training.augment import COLORS, DETAIL, MOTION, augment
 from training.checkpoint import State
 from training.command import command
 from training.data import Batches, Kind, load_shards
@@ -28,7 +28,7 @@ from training.step import LEAK, descend
 from training.train import Settings, infancy, optimisers, rate_at
 from training.validate import tensors
 
-FRAMES = MOTION.stop
+FRAMES = DETAIL.stop
 """The first of NSRR's channels in a shard."""
 ALL_COLORS = (*COLORS, *(slice(FRAMES + 4 * i, FRAMES + 4 * i + 3) for i in range(EARLIER + 1)))
 ALL_MOTIONS = (MOTION, *(slice(FRAMES + PLANES + 2 * i, FRAMES + PLANES + 2 * i + 2) for i in range(EARLIER)))
