@@ -42,8 +42,8 @@ THINGS = (
 )  # fmt: skip
 KARTS = ("tux", "konqi", "gnu", "kiki", "suzanne", "wilber", "puffy", "nolok", "pidgin", "xue")
 DAY, DUSK, NIGHT = ("park", "sky", "esplanade", "bridge", "venice"), ("dawn", "sunset", "sunrise"), ("night",)
-FRAMES, TRUTHS, SIZE = 5, (3, 4), (256, 144)
-"""Without the history an output needs three frames before its own; two outputs in a row show what flickers."""
+FRAMES, TRUTHS, SIZE = 7, (5, 6), (256, 144)
+"""An output needs five frames before its own; two outputs in a row show what flickers."""
 SAMPLES = 4
 """The truth has SAMPLES x SAMPLES samples a pixel."""
 JITTER = ((0, 0), (0.5, 0.5), (0.5, 0), (0, 0.5))
