@@ -12,7 +12,7 @@
 //  position         in      (H, W, 3)         likewise, cm
 //  keys, first      in/out  (H, W)            the splat's, occlusion_warp.cl; only places that a hole looks up are wanted
 //  history          in/out  (3, R+2, C+2, 4)  oldest, middle, newest; warped rgb >= 0, mask; an `image` of it
-//  x0               out     (R+2, C+2, 24)    occlusion_warp, second colour (both >= 0), the six * mask, gbuffer, 0 0 0
+//  x0               out     (R+2, C+2, 24)    occlusion_warp (>= 0), second colour, the six * mask, gbuffer, 0 0 0
 //  color3           out     (R, C, 4)         rgb of occlusion_warp, 0
 //  mask             out     (H, W)            1 = newest frame to be trusted
 //  bad              out     (5)               set to 1 where an input is not finite, if `checks`: prepare.clh
@@ -23,8 +23,9 @@
 // history, x0 and color3 may be a strip of the frame: R rows whose row 0 is the frame's row `top`; mask and keys are of the whole.
 // Build: -D of motion_chain.clh and holes.cl, optionally -D STORED (history and x0), -D STREAM, -D MARK, and -D EIGHTS: eight pixels in a row to a
 // work-item, for processors; -D LONGEST where GATHER is gather_longest.
-// Order: chain_steps, prepare_older for each older frame, prepare_newest, which may read the frame before's colour, splat_nearest, splat_first,
-// fill_holes; then downsample_8.cl.  Launch (W, H); prepare_* and fill_holes (C, R); with EIGHTS an eighth of the columns, but for fill_holes.
+// Order: chain_steps, prepare_older for each older frame, prepare_newest, splat_nearest, splat_first, fill_holes; show_detail for weights whose
+// second colour is that; then downsample_8.cl.
+// Launch (W, H); prepare_*, fill_holes and show_detail (C, R); with EIGHTS an eighth of the columns, but for fill_holes.
 #ifdef EIGHTS
 #define AT_ONCE 8
 #define NOTE static __attribute__((noinline))
@@ -100,15 +101,15 @@ kernel void prepare_older(PLANES, global stored *restrict history, global uchar 
     prepare_pixels(f, bad, checks);
 }
 
-// `stores`: the history's last image is written; `takes_earlier`: the second colour is that of the image before it.
+// `stores`: the history's last image is written; `is_detailed`: show_detail follows.
 kernel void prepare_newest(PLANES, global stored *restrict history, global uchar *restrict history_changes, global int *restrict bad,
                            const int is_warped, const int checks, const Strip strip, global const uchar *restrict dirty,
                            global stored *restrict x0, global float4 *restrict color3, global uchar *restrict mask,
                            global uint *restrict keys, global uint *restrict first, global uchar *restrict input_changes,
-                           const int stores, const int takes_earlier, const int marks_wanted)
+                           const int stores, const int is_detailed, const int marks_wanted)
 {
     const Frame f = {OF_PLANES, .is_newest = true, .is_warped = is_warped, .is_stored = stores, .strip = strip,
-                     .history = history_image(history, strip, 2), .earlier = takes_earlier ? history_image(history, strip, 1) : 0,
+                     .history = history_image(history, strip, 2), .is_detailed = is_detailed,
                      .x0 = x0, .color3 = color3, .mask = mask, .keys = keys, .first = first, .marks_wanted = marks_wanted,
                      .dirty = dirty, .input_changes = input_changes, .history_changes = history_map(history_changes, strip, 2)};
     prepare_pixels(f, bad, checks);
@@ -146,4 +147,22 @@ kernel void fill_holes(global const float *restrict color, global const float2 *
     const Frame f = {.color = color, .motion = motion, .keys = keys, .first = first, .mask = mask, .x0 = x0, .color3 = color3,
                      .input_changes = input_changes, .strip = strip};
     if (x < strip.columns && y < strip.rows) fill_pixel(f, x, y);
+}
+
+// color0..2: of the colour frames, newest first; warps0..2: whether they are warped; the rest as prepare_* and fill_holes left it.
+kernel void show_detail(global const float *restrict color0, global const float *restrict color1, global const float *restrict color2,
+                        global const float2 *restrict to_newest, global const float2 *restrict to_middle, global const float2 *restrict to_oldest,
+                        const int warps0, const int warps1, const int warps2, global stored *restrict history, global float4 *restrict color3,
+                        global uchar *restrict mask, global stored *restrict x0, global const uchar *restrict dirty,
+                        global uchar *restrict input_changes, const Strip strip)
+{
+    const Frame f = {.is_newest = true, .is_warped = warps0, .strip = strip, .history = history, .x0 = x0, .color3 = color3, .mask = mask,
+                     .dirty = dirty, .input_changes = input_changes};
+    const Warps w = {{color0, color1, color2}, {warps0 ? to_newest : 0, warps1 ? to_middle : 0, warps2 ? to_oldest : 0}};
+    const int x = get_global_id(0) * AT_ONCE, y = get_global_id(1);
+    if (x >= strip.columns || y >= strip.rows) return;
+#ifdef MARK
+    if (is_quiet(f, x, y, AT_ONCE)) return;
+#endif
+    for (int i = 0; i < AT_ONCE; ++i) detail_pixel(f, w, x + i, y);
 }

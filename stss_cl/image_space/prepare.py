@@ -37,11 +37,15 @@ ARGUMENTS = {
     "chain_steps": (*MOTIONS, "newest", "middle", "oldest", *CHAINED, "height", "width", "dirty"),
     "prepare_older": (*COLOR_FRAME, "image", "is_missing"),
     "prepare_newest": (
-        *COLOR_FRAME, "x0", "color3", "mask", "keys", "first", "input_changes", "stores", "takes_earlier", "marks_wanted",
+        *COLOR_FRAME, "x0", "color3", "mask", "keys", "first", "input_changes", "stores", "is_detailed", "marks_wanted",
     ),
     "splat_nearest": ("motion", "gbuffer", "keys", "height", "width"),
     "splat_first": ("motion", "gbuffer", "keys", "first", "height", "width"),
     "fill_holes": ("color", "motion", "keys", "first", "mask", "x0", "color3", "input_changes", "strip"),
+    "show_detail": (
+        "color0", "color1", "color2", *CHAINED, "warps0", "warps1", "warps2", "history", "color3", "mask", "x0", "dirty", "input_changes",
+        "strip",
+    ),
     "downsample_8": (
         "gbuffer", "mask", "eighth", "height", "width", "eighth_height", "eighth_width", "eighth_columns", "top", "eighth_changes",
     ),
@@ -57,6 +61,7 @@ class _Launches:
     colors: tuple[Launch, ...]
     splat: tuple[Launch, Launch]
     fill: Launch
+    detail: Launch
     eighth: Launch
 
 
@@ -69,8 +74,7 @@ class Prepare:
         gather: how the motion chain reads between pixels.
         inputs: buffers to write to; None: buffers of its own. If they have change maps, only ``dirty`` tiles are computed.
         second, test: the network's second colour and the hole test, see ``stss_ref.frame.prepare``.
-        frames: how many of the three colour frames are read, from the newest on; 2 only for an earlier second colour. With less than 3
-            not all of ``inputs.earlier`` is written.
+        frames: how many of the three colour frames are read, from the newest on: 1 or 3. With 1 ``inputs.earlier`` is not written.
         tops: the rows of the frame at which the strips of ``inputs`` begin.
 
     Attributes:
@@ -93,7 +97,7 @@ class Prepare:
         tops: Sequence[int] = (0,),
     ) -> None:
         self.device, self.height, self.width, self._gather = device, height, width, gather
-        self._frames, self._tops, self._takes_earlier = frames, tuple(tops), second == "earlier"
+        self._frames, self._tops, self._is_detailed = frames, tuple(tops), second == "detail"
         self._test: HoleTest = test
         rows, columns = ceil_div(height, 8) * 8, ceil_div(width, 8) * 8
         self.inputs = inputs_for(device, rows, columns, np.dtype(np.float32)) if inputs is None else inputs
@@ -131,14 +135,14 @@ class Prepare:
             "mask": self.mask, "keys": self._keys, "first": self._first, "bad": self._bad, "dirty": self.dirty,
             "input_changes": input_changes, "history_changes": history_changes, "eighth_changes": eighth_changes,
             "height": height, "width": width, "eighth_height": inputs.eighth.height, "eighth_width": inputs.eighth.width,
-            "eighth_columns": inputs.eighth.columns, "stores": self._frames == 3, "takes_earlier": self._takes_earlier,
+            "eighth_columns": inputs.eighth.columns, "stores": self._frames == 3, "is_detailed": self._is_detailed,
         }  # fmt: skip
         across = 8 if self.device.is_cpu else 1
 
         def made(name: str, columns: int, rows: int, of: cl.Program = frame, **own: int) -> Launch:
             # What a frame brings stands open until then: of a kernel's numbers those must come first.
             brought = {"strip": self._strip(0), "normal_stride": 3, "top": 0, "is_warped": 0, "is_missing": 0, "checks": 0}
-            brought |= {"marks_wanted": 0, "newest": 0, "middle": 0, "oldest": 0}
+            brought |= {"marks_wanted": 0, "newest": 0, "middle": 0, "oldest": 0, "warps0": 0, "warps1": 0, "warps2": 0}
             arguments = {each: (own | known | brought).get(each, self.mask) for each in ARGUMENTS[name]}
             return Launch(name, kernel(of, name, arguments), *grid(self.device, columns, rows), arguments)
 
@@ -149,6 +153,7 @@ class Prepare:
             colors=(made("prepare_newest", *strip), *older),
             splat=(made("splat_nearest", *whole), made("splat_first", *whole)),
             fill=made("fill_holes", self.columns, self.rows),
+            detail=made("show_detail", *strip),
             eighth=made("downsample_8", inputs.eighth.width, inputs.eighth.height, eighth),
         )
 
@@ -221,6 +226,8 @@ class Prepare:
             launch.set(motion=motions[0], gbuffer=s.gbuffer)
             launch.enqueue(self.device.queue)
         launches.fill.set(color=s.colors[0], motion=motions[0])
+        if self._is_detailed:
+            launches.detail.set(**{f"color{i}": s.colors[i] for i in range(3)}, **{f"warps{i}": s.steps[i] > 0 for i in range(3)})
         launches.eighth.set(gbuffer=s.gbuffer)
 
     def not_finite(self) -> str | None:
@@ -240,6 +247,9 @@ class Prepare:
         if self._read.steps[0]:
             self._launches.fill.set(strip=self._strip(top))
             self._launches.fill.enqueue(self.device.queue)
+        if self._is_detailed:
+            self._launches.detail.set(strip=self._strip(top))
+            self._launches.detail.enqueue(self.device.queue)
         self._launches.eighth.set(top=top)
         self._done = self._launches.eighth.enqueue(self.device.queue)
 
@@ -249,7 +259,7 @@ class Prepare:
         ``checks``: look for what is not finite; ``marks_wanted``: False if the places were marked before.
         """
         self._launches.colors[0].set(marks_wanted=marks_wanted)
-        for launch in reversed(self._launches.colors):  # the newest may read what is written of the one before it
+        for launch in self._launches.colors:
             launch.set(strip=self._strip(top), checks=checks)
             launch.enqueue(self.device.queue)
 

@@ -15,7 +15,7 @@ from stss_cl.frame import run_stage
 from stss_ref.arrays import ArrayError
 from stss_ref.frame import frame
 from stss_ref.weights import Weights, colors_read, zeros
-from tests.cl.films import EARLIER, UNREAD, WEIGHTS, frame_inputs, uneven
+from tests.cl.films import DETAILED, UNREAD, WEIGHTS, frame_inputs, uneven
 
 STEPS = [(0, 2, 4), (1, 3, 5), (0, 0, 0), (1, 1, 1), (0, 2, 2), (1, 3, 3)]
 
@@ -27,8 +27,8 @@ STEPS = [(0, 2, 4), (1, 3, 5), (0, 0, 0), (1, 1, 1), (0, 2, 2), (1, 3, 3)]
         ("float32-direct", WEIGHTS),
         ("half", WEIGHTS),
         ("float32", UNREAD),
-        ("float32", EARLIER),
-        ("half", Weights(WEIGHTS, "earlier")),
+        ("float32", DETAILED),
+        ("half", Weights(WEIGHTS, "detail")),
     ],
 )
 def made(request, device):

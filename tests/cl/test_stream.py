@@ -21,7 +21,7 @@ from stss_cl.skip.last_image import LastImage
 from stss_cl.skip.stream import Stream
 from stss_ref.arrays import ArrayError
 from tests.cl.conftest import watch_launches
-from tests.cl.films import CHANGES, EARLIER, UNREAD, WEIGHTS, assert_same, calls_of, film
+from tests.cl.films import CHANGES, DETAILED, UNREAD, WEIGHTS, assert_same, calls_of, film
 
 
 @st.composite
@@ -40,8 +40,8 @@ def sequences(draw):
 
 @pytest.fixture(
     scope="module",
-    params=[("float32", WEIGHTS), ("half", WEIGHTS), ("float32", UNREAD), ("float32", EARLIER)],
-    ids=lambda p: p[0] + " unread" * (p[1] is UNREAD) + " earlier" * (p[1] is EARLIER),
+    params=[("float32", WEIGHTS), ("half", WEIGHTS), ("float32", UNREAD), ("float32", DETAILED)],
+    ids=lambda p: p[0] + " unread" * (p[1] is UNREAD) + " detailed" * (p[1] is DETAILED),
 )
 def pair(request, device):
     """What keeps nothing, and what keeps all it can."""
@@ -151,7 +151,7 @@ def test_what_weights_do_not_read_is_not_computed(device):
     color = frames[8].color.copy()
     color[:2, :3] += 0.1
     frames[8] = replace(frames[8], color=color)
-    for weights, last in ((UNREAD, 10), (EARLIER, 12), (WEIGHTS, 14)):
+    for weights, last in ((UNREAD, 10), (DETAILED, 14), (WEIGHTS, 14)):
         keeping, plain = Stream(weights, device), Stream(weights, device, skip="off")
         for i, call in enumerate(calls_of(frames)):
             assert_same(keeping(*call), plain(*call))
@@ -266,9 +266,9 @@ LAUNCHES = {("gpu", "SF"): 44, ("gpu", "EF"): 47, ("cpu", "SF"): 65, ("cpu", "EF
 """Of a frame that is compared with none; of the network 38 on a GPU, 56 on a processor."""
 
 
-@pytest.mark.parametrize(("weights", "more"), [(WEIGHTS, 0), (EARLIER, 2)])
+@pytest.mark.parametrize(("weights", "more"), [(WEIGHTS, 0), (DETAILED, 4)])
 def test_a_frame_takes_no_more_launches_than_allowed(device, launched, weights, more):
-    """On a GPU each costs as much as hundreds of thousands of multiply-adds; an earlier second colour costs one, of an SF two."""
+    """On a GPU each costs as much as hundreds of thousands of multiply-adds; detail costs three, of an SF four."""
     stream = Stream(weights, device, skip="off")
     for window, steps in calls_of(film(["moving"] * 7)):
         launched.clear()
