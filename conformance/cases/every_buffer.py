@@ -16,7 +16,7 @@ from conformance.cases.stage_inputs import Inputs, made_weights
 from stss_ref.weights import SECOND_COLORS, SecondColor, Weights
 
 STEPS = ((0, 2, 4), (1, 3, 5), (1, 3, 3), (1, 1, 1), (2, 3, 5))
-MOVES = (1, 0), (0, 2), (2, 0), (0, -3), (-5, 0)
+MOVES = (1.25, 0), (0.25, 2), (2, 0.5), (0.5, -3.25), (-5, 0.25)
 """Pixels from each display frame to the one before it: from one frame on, every sum of them is another."""
 BLOCK = 8
 SIZE = 3 * BLOCK, 4 * BLOCK

@@ -131,7 +131,7 @@ def large_inputs(stage: str, most: int | None = None, size: Size | None = None, 
 def user_inputs(stage: str, most: int, side: int | None = None) -> tuple[Made, ...]:
     """Stage network or frame at ``USER_SIZE``; none for ports that do not take it, and in a tier of fewer large frames than four."""
     fits = side is None or 2 * max(USER_SIZE) <= side
-    made = partial(frame_case, USER_SIZE, second="earlier", steps=(1, 2, 3)) if stage == "frame" else _made(stage, 1, USER_SIZE)
+    made = partial(frame_case, USER_SIZE, second="detail", steps=(1, 2, 3)) if stage == "frame" else _made(stage, 1, USER_SIZE)
     return (made,) if fits and most >= 4 else ()
 
 

@@ -24,7 +24,7 @@ from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
 
 MOST_FLOAT16 = 1.0
-NEWEST_WEIGHTS = 3
+NEWEST_WEIGHTS = 4
 """The latest version of weights: 1 has neither a second colour nor a hole test, 2 has no hole test."""
 RMS = "_rms"
 """Added to an output's name: the root mean square of all its errors, over its limit."""
@@ -245,8 +245,8 @@ class Judge:
             if len(self._weights) == MOST_WEIGHTS:
                 self._weights.clear()
             given = weights.convert(self.arithmetic.normal)
-            if self.weights_version < 3:
-                given = replace(given, hole_test="footprint", **({"second_color": "newest"} if self.weights_version < 2 else {}))
+            if self.weights_version < 4:
+                given = replace(given, second_color="newest", **({"hole_test": "footprint"} if self.weights_version < 3 else {}))
             self._weights[id(weights)] = weights, given
         return self._weights[id(weights)][1]
 

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from conformance.protocol.reference_copy import Mistake, change_arguments, fault, put, returns
+from conformance.protocol.reference_copy import Mistake, Plant, change_arguments, fault, put, returns
+from stss_ref.detail import PLACE
 from stss_ref.frame import stack_history
 from stss_ref.motion_chain import motion_chain
 from stss_ref.sample import follow, leads_inside
@@ -76,55 +77,72 @@ def _signed_history(warped: Any, valids: Any, change: Callable[[Any], Any] = np.
     return np.concatenate([np.stack([change(w) for w in warped[::-1]]), masks], axis=-1)
 
 
-def _second(name: str, what: str, change: Change) -> Mistake:
-    """The second colour of weights that want the earlier frame is ``change`` of other frames.
-
-    These are the oldest, the middle and the newest one, as warped, with their masks; the right second colour, and the inputs.
-    """
-
-    def wrong(made: Any, inputs: Any, second: str) -> Any:
-        if second == "newest":
-            return made
-        first, other = made.color[..., :3], made.color[..., 3:]
-        return replace(made, color=np.concatenate([first, np.maximum(change(*made.history, other, inputs), 0)], axis=-1))
-
-    return _frame(f"second_{name}", what, returns("frame.prepare", wrong))
+def _detail(name: str, what: str, plant: Plant) -> Mistake:
+    return _frame(f"detail_{name}", what, plant)
 
 
-def _trusted(by: Any, picture: Any, otherwise: Any) -> Any:
-    """Where the mask of ``by`` is 1 the colours of ``picture``."""
-    return np.where(by[..., 3:] > 0, picture[..., :3], otherwise[..., :3])
+def _warps(name: str, what: str, change: Change) -> Mistake:
+    """The details are those of other frames: each is a colour, the motion to it, and where it is valid; newest first."""
+    return _detail(name, what, change_arguments("frame.detail", frames=change))
 
 
-SECONDS = (
-    _second("ignored", "the newest frame is the second colour, whatever the weights say", lambda o, m, n, *_: n[..., :3]),
-    _frame(
-        "second_black",
-        "a black image for weights that want the earlier frame",
+def _measures(name: str, what: str, *factors: float) -> Mistake:
+    return _detail(name, what, returns("frame.detail", lambda made: made * np.asarray(factors, made.dtype)))
+
+
+def _tents(name: str, what: str, weigh: Callable[[Any], Any]) -> Mistake:
+    """The tap at or before a place and the next one weigh ``weigh`` of their distances from the two places of a pixel."""
+
+    def wrong(fraction: Any) -> Any:
+        places = np.stack([fraction - PLACE, fraction + PLACE])
+        return weigh(np.abs(places)), weigh(np.abs(places - 1))
+
+    return _detail(name, what, put("detail.tents", wrong))
+
+
+def _everywhere(frames: Any) -> Any:
+    return [(color, motion, np.ones_like(valid)) for color, motion, valid in frames]
+
+
+def _as_twin(frames: Any) -> Any:
+    """A missing frame, which has the motion of the one before it, is valid where that is."""
+    twins = [next(j for j, (_, motion, _) in enumerate(frames) if motion is own) for _, own, _ in frames]
+    return [(color, motion, frames[j][2]) for (color, motion, _), j in zip(frames, twins, strict=True)]
+
+
+DETAILS = (
+    _detail(
+        "ignored",
+        "the newest frame is the second colour, whatever the weights say",
+        change_arguments("frame.prepare", second=lambda _: "newest"),
+    ),
+    _detail(
+        "black",
+        "a black image for weights that want detail",
         returns("frame.frame", lambda got, weights: (got[0] * (weights.second_color == "newest"), got[1])),
     ),
-    _second("unmasked", "the earlier frame is the second colour in its holes, too", lambda o, m, n, *_: m[..., :3]),
-    _second("of_oldest", "the oldest frame for the earlier one as the second colour", lambda o, m, n, *_: _trusted(o, o, n)),
-    _second("by_newest_mask", "the newest frame's holes for the earlier one's", lambda o, m, n, *_: _trusted(n, m, n)),
-    _second(
-        "black_in_holes", "the second colour is black in the earlier frame's holes", lambda o, m, n, *_: _trusted(m, m, n * 0)
-    ),
-    _second(
-        "not_warped",
-        "the earlier frame is the second colour, but not warped",
-        lambda o, m, n, _, inputs: _trusted(m, inputs.colors[1], n),
-    ),
-    _second(
-        "missing_trusted",
-        "a missing earlier frame is the second colour",
-        lambda o, m, n, other, inputs: m[..., :3] if _missing(inputs, 1) else other,
-    ),
-    _second(
-        "ef_only", "an SF's second colour is the newest frame", lambda o, m, n, other, i: other if i.steps[0] else n[..., :3]
-    ),
-    _second(
-        "sf_only", "an EF's second colour is the newest frame", lambda o, m, n, other, i: n[..., :3] if i.steps[0] else other
-    ),
+    _warps("unmasked", "samples count in holes, too", _everywhere),
+    _warps("by_newest_mask", "all frames have the newest's holes", lambda frames: [(c, m, frames[0][2]) for c, m, _ in frames]),
+    _warps("missing_trusted", "a missing frame's samples count", _as_twin),
+    _warps("not_warped", "samples of all frames at the pixel's own place", lambda frames: [(c, m * 0, v) for c, m, v in frames]),
+    _warps("newest_alone", "samples of one frame alone", lambda frames: frames[:1]),
+    _warps("oldest_left_out", "no samples of the oldest frame", lambda frames: frames[:-1]),
+    _warps("ef_only", "nothing within the pixels of an SF", lambda frames: frames if len(frames) == 3 else []),
+    _warps("sf_only", "nothing within the pixels of an EF", lambda frames: [] if len(frames) == 3 else frames),
+    _measures("mirrored", "the left quarters less the right", -1, 1, 1),
+    _measures("upside_down", "the upper quarters less the lower", 1, -1, 1),
+    _measures("whole", "differences of the quarters' sums, not half of them", 2, 2, 1),
+    _measures("no_level", "no difference of the mean", 1, 1, 0),
+    _detail("turned", "down before across", returns("frame.detail", lambda made: made[..., [1, 0, 2]])),
+    _detail("up_from_0", "differences below 0 become 0", returns("frame.detail", lambda made: np.maximum(made, 0))),
+    _detail("own_black", "the pixel's own first colour counts as black", change_arguments("frame.detail", first=np.zeros_like)),
+    _tents("tent_of_a_pixel", "samples count up to a pixel away", lambda d: np.maximum(0, 1 - d)),
+    _tents("nearest", "the nearest sample counts whole", lambda d: (d < 0.5) * np.ones_like(d)),
+    _detail("half_a_pixel_apart", "places in the corners of the pixel", put("detail.PLACE", 0.5)),
+    _detail("own_whole", "the pixel's own first colour weighs 1", put("detail.OWN", 1.0)),
+    _detail("own_left_out", "the pixel's own first colour weighs next to nothing", put("detail.OWN", 1e-3)),
+    _detail("luma_of_equal_shares", "luma as the mean of R, G and B", put("detail.LUMA", (1 / 3, 1 / 3, 1 / 3))),
+    _detail("luma_709", "luma of Rec. 709", put("detail.LUMA", (0.2126, 0.7152, 0.0722))),
 )
 
 
@@ -203,7 +221,7 @@ FRAME = (
     _prepared("mask_of_oldest", "the oldest mask as the network's", mask=lambda made: made.history[0, ..., 3]),
     _prepared("mask_of_all", "the network's mask: valid in all three", mask=lambda made: made.history[..., 3].prod(axis=0)),
     _prepared("mask_all_valid", "the network's mask all 1", mask=lambda made: np.ones_like(made.mask)),
-    *SECONDS,
+    *DETAILS,
     _frame("negative_color", "colours below 0 stay", put("frame.two_pictures", lambda *both: np.concatenate(both, axis=-1))),
     _frame("negative_history", "colours below 0 stay in the history", put("frame.stack_history", _signed_history)),
     _frame(

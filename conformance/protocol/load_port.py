@@ -25,7 +25,7 @@ def load_port(
         program: a command line; the job folder is appended to it.
         timeout: most seconds that one run of a program may take.
         dtype: arithmetic of the port; None: as the port's own ``dtype`` says, float32 for a program.
-        weights_version: the latest version of weights that the port knows; None: as its own ``weights_version`` says, else 3.
+        weights_version: the latest version of weights that the port knows; None: as its own ``weights_version`` says, else 4.
         winograd: the port uses Winograd convolutions, even if its own ``winograd`` does not say so.
 
     Raises:

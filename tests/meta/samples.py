@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conformance.cases.engine_inputs import ENGINE_STAGES, engine_inputs
+from conformance.cases.every_buffer import frame_cases
 from conformance.protocol.port import Case, Outputs
 from conformance.protocol.stages import STAGES
 from conformance.tolerance import ratio
@@ -161,9 +162,10 @@ def _frame(generator: np.random.Generator) -> Any:
         inputs["motions"] = np.stack([motion(generator, size, "short") / 4 for _ in range(5)])
         inputs["gbuffer"], inputs["nov"] = generator.random((*size, 9)), generator.uniform(-1, 1, size)
         inputs["steps"] = np.array(steps, np.int32)
-        settings: tuple[tuple[SecondColor, HoleTest], ...] = (("newest", "footprint"), ("earlier", "paper"))
+        settings: tuple[tuple[SecondColor, HoleTest], ...] = (("newest", "footprint"), ("detail", "paper"))
         for second, test in settings:
             yield inputs, Weights(weights_of("plain"), second, test)
+    yield from (make(generator) for make in frame_cases()[::2])
 
 
 _SAMPLES: dict[str, Callable[[np.random.Generator], Any]] = {
