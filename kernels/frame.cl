@@ -164,5 +164,8 @@ kernel void show_detail(global const float *restrict color0, global const float 
 #ifdef MARK
     if (is_quiet(f, x, y, AT_ONCE)) return;
 #endif
+#ifdef EIGHTS
+    if (x + 8 <= strip.width && strip.top + y < strip.height && detail_eight(f, w, x, y)) return;
+#endif
     for (int i = 0; i < AT_ONCE; ++i) detail_pixel(f, w, x + i, y);
 }

@@ -67,17 +67,16 @@ class WeightsError(ValueError):
 VERSION_KEY, SECOND_COLOR_KEY, HOLE_TEST_KEY = "stss_weights_version", "second_color", "hole_test"
 NEWEST_ALONE, WITH_HOLE_TEST, WITH_DETAIL = "1", "3", "4"
 """Versions of a weights file: with the newest frame as the second colour and the footprint's hole test; with the hole test that the
-metadata name; and with the second colour that they name, too. Who knows the earlier versions alone refuses what it would compute wrongly.
-Version 2 had a second colour that is no more (decision 37)."""
+metadata name; and with detail as the second colour. Who knows the earlier versions alone refuses what it would compute wrongly. Version 2
+had a second colour that is no more (decision 37)."""
 
 
 def format_metadata(weights: Weights) -> dict[str, str]:
     """The entries that the metadata of a weights file must have (spec 10)."""
-    if weights.second_color != "newest":
-        return {VERSION_KEY: WITH_DETAIL, SECOND_COLOR_KEY: weights.second_color, HOLE_TEST_KEY: weights.hole_test}
-    if weights.hole_test != "footprint":
-        return {VERSION_KEY: WITH_HOLE_TEST, HOLE_TEST_KEY: weights.hole_test}
-    return {VERSION_KEY: NEWEST_ALONE}
+    if (weights.second_color, weights.hole_test) == ("newest", "footprint"):
+        return {VERSION_KEY: NEWEST_ALONE}
+    version = WITH_HOLE_TEST if weights.second_color == "newest" else WITH_DETAIL
+    return {VERSION_KEY: version, SECOND_COLOR_KEY: weights.second_color, HOLE_TEST_KEY: weights.hole_test}
 
 
 def take_format(metadata: dict[str, str]) -> Weights:
@@ -94,17 +93,13 @@ def take_format(metadata: dict[str, str]) -> Weights:
         found = "no such entry" if version is None else repr(str(version)[:20])
         known = f"{NEWEST_ALONE}, {WITH_HOLE_TEST} or {WITH_DETAIL}"
         raise WeightsError(f"expected {VERSION_KEY} {known} in the metadata, found {found}")
-    found = Weights({})
-    # Version 3 of before named the second colour, too, and "newest" is what it has without.
-    if version == WITH_DETAIL or (version == WITH_HOLE_TEST and SECOND_COLOR_KEY in metadata):
-        known = SECOND_COLORS if version == WITH_DETAIL else SECOND_COLORS[:1]
-        found = replace(found, second_color=_named(metadata, SECOND_COLOR_KEY, known))
-    if version != NEWEST_ALONE:
-        found = replace(found, hole_test=_named(metadata, HOLE_TEST_KEY, HOLE_TESTS))
-    for key in (SECOND_COLOR_KEY, HOLE_TEST_KEY):
-        if key in metadata:
-            raise WeightsError(f"{key}: expected no such entry in the metadata of {VERSION_KEY} {version}")
-    return found
+    if version == NEWEST_ALONE:
+        for key in (SECOND_COLOR_KEY, HOLE_TEST_KEY):
+            if key in metadata:
+                raise WeightsError(f"{key}: expected no such entry in the metadata of {VERSION_KEY} {version}")
+        return Weights({})
+    second = _named(metadata, SECOND_COLOR_KEY, SECOND_COLORS if version == WITH_DETAIL else SECOND_COLORS[:1])
+    return Weights({}, second, _named(metadata, HOLE_TEST_KEY, HOLE_TESTS))
 
 
 Name = TypeVar("Name", bound=str)

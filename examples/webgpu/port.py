@@ -123,6 +123,15 @@ class Maker(Calls):
         self.add("occlusion_warp.lookup", depth, 1, size, {1: motion, 4: winner, 5: found})
         return found, self.copy(warped, self.warp(color, found)[0], where=valid)
 
+    def detail(self, first: Picture, frames: list[tuple[Picture, Picture, Picture]]) -> Picture:
+        """The second colour of weights that want it; of each frame that is warped its colour, the motion to it, and where it is valid."""
+        quarters, second = self.empty(first.height, first.width, 8), self.empty(first.height, first.width, 3)
+        size = first.width, first.height
+        for color, motion, valid in frames:
+            self.add("detail.add_samples", first, 1, size, {1: color, 2: motion, 3: valid, 4: quarters})
+        self.add("detail.show_detail", first, 1, size, {1: first, 4: quarters, 5: second})
+        return second
+
     def rrm(self, valid: Picture, rectangle: NDArray[Any]) -> Picture:
         """``valid`` with a hole."""
         masked = self.empty(valid.height, valid.width)
@@ -208,8 +217,9 @@ class Maker(Calls):
             _, instead = self.occlusion_warp(colors[0], warped[0], chain[steps[0] - 1], self.put(depth), valid[0])
         color = self.copy(instead, self.empty(height, width, 6), positive=True)
         self.copy(warped[0], color, 3, positive=True)
-        if getattr(self.weights, "second_color", "newest") == "earlier":
-            self.copy(warped[1], color, 3, positive=True, where=valid[1])
+        if getattr(self.weights, "second_color", "newest") == "detail":
+            frames = [(colors[i], chain[step - 1], valid[i]) for i, step in enumerate(steps) if step]
+            self.copy(self.detail(self.copy(color, self.empty(height, width, 3), channels=3), frames), color, 3)
         history = [self.copy(w, self.empty(height, width, 4), positive=True) for w in warped]
         return self.network(color, gbuffer, valid[0], [self.copy(v, h, 3) for v, h in zip(valid, history, strict=True)][::-1])
 

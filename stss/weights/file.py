@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Read and write weights as files in the project's own format, and identify weights.
 
-The format is safetensors with the authors' 92 names (spec 10) and the metadata entry ``stss_weights_version``; in version 2 also
-``second_color``, see `stss_ref.weights.SecondColor`, and in version 3 ``hole_test``, see `stss_ref.constants.HoleTest`.
+The format is safetensors with the authors' 92 names (spec 10) and the metadata entry ``stss_weights_version``; in versions 3 and 4 also
+``second_color``, see `stss_ref.weights.SecondColor`, and ``hole_test``, see `stss_ref.constants.HoleTest`.
 """
 
 from __future__ import annotations

@@ -137,7 +137,7 @@ def print_inspection(inspection: Inspection, console: Console) -> None:
     parts = [(row.units, row.layer) for row in inspection.layers if 0 < row.units < row.layer.outputs]
     if parts:
         console.print("units that run:", ", ".join(f"{units} of {layer.outputs} of {layer.name}" for units, layer in parts))
-    what = "the frame before, where it is valid" if inspection.second_color == "earlier" else "the newest frame"
+    what = "what warped frames show within a pixel" if inspection.second_color == "detail" else "the newest frame"
     console.print(f"second colour: {inspection.second_color}, {what}")
     console.print(f"hole test: {inspection.hole_test}")
 

@@ -158,7 +158,7 @@ def test_prepare_in_wide_frames(device):
     motions[:, :, 25::50][..., 1] = np.resize(far, motions[:, :, 25::50][..., 1].shape)
     stencils = (random.random((4, *size)) < 0.1).astype(np.float32)
     inputs = noise(size, motions=motions, stencils=stencils, positions=random.random((4, *size, 3)) * 30)
-    assert_prepared(device, prepared(Prepare(device, *size), inputs), inputs, size)
+    assert_prepared(device, prepared(Prepare(device, *size, second="detail"), inputs), inputs, size, "detail")
 
 
 @pytest.mark.parametrize(("test", "motion"), [("footprint", (1.5, 0.75)), ("footprint", (0.0, 0.0)), ("paper", (-3.25, 0.0))])
@@ -177,9 +177,9 @@ def test_prepare_where_hardly_anything_is_a_hole(device, test, motion):
     colors, normals = random.normal(0.5, 0.5, (3, *size, 3)), random.normal(0, 1, (4, *size, 3))
     motions = motion + random.uniform(0, 0.2, (5, *size, 2))
     inputs = noise(size, colors=colors, motions=motions, stencils=stencils, normals=normals, positions=positions)
-    preparation = Prepare(device, *size, test=test)
+    preparation = Prepare(device, *size, second="detail", test=test)
     for _ in range(2):  # nothing that the first marked is left in the second
-        assert_prepared(device, prepared(preparation, inputs), inputs, size, test=test)
+        assert_prepared(device, prepared(preparation, inputs), inputs, size, "detail", test)
         assert not downloaded(device, preparation._keys, size, np.uint32).any()
     assert 0 < np.mean(downloaded(device, preparation.mask, size, np.uint8) == 0) < 0.2
 

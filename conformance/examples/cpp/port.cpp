@@ -357,7 +357,7 @@ struct Layer {
 struct Weights {
     fs::path file;
     std::map<std::string, Layer> layers;  // by the tensors' names, less .weight and .bias
-    bool earlier = false;                 // the network's second colour is that of the frame before, where that is valid
+    bool detail = false;                  // the network's second colour is what warped frames show within a pixel
     HoleTest test = HoleTest::footprint;
 
     const Layer &layer(const std::string &name, int inputs) const {
@@ -613,11 +613,46 @@ struct FrameInputs {
     std::vector<Surface> surfaces;  // 4: of the frame itself, then of `colors`
 };
 
+// A frame that is warped: its colour, the motion to it, and where to trust it.
+struct Warp {
+    const Image *color;
+    Image motion, trust;
+};
+
+static float luma(const float *c) { return 0.299f * c[0] + 0.587f * c[1] + 0.114f * c[2]; }
+
+static float tent(float distance) { return std::max(0.0f, 1.0f - 2.0f * std::fabs(distance)); }
+
+// The second colour "detail": each sample within half a pixel of a quarter's middle counts there, and so does the first colour.
+static void show_detail(const std::vector<Warp> &warps, Image &color) {
+    each_pixel(color, [&](int y, int x) {
+        float *const c = color.at(y, x), own = luma(c), lumas[4];
+        for (int q = 0; q < 4; ++q) {
+            float sum = 0.25f * own, total = 0.25f;
+            for (const Warp &w : warps) {
+                if (*w.trust.at(y, x) == 0.0f) continue;
+                const Taps at = taps(follow(w.motion, y, x), color.height, color.width);
+                const float right = at.fx + (q % 2 ? 0.25f : -0.25f), down = at.fy + (q / 2 ? 0.25f : -0.25f);
+                for (int tap = 0; tap < 4; ++tap) {
+                    const float weight = tent(right - float(tap % 2)) * tent(down - float(tap / 2));
+                    sum += weight * luma(w.color->at(tap / 2 ? at.y1 : at.y0, tap % 2 ? at.x1 : at.x0));
+                    total += weight;
+                }
+            }
+            lumas[q] = sum / total;
+        }
+        c[3] = 0.5f * ((lumas[1] - lumas[0]) + (lumas[3] - lumas[2]));
+        c[4] = 0.5f * ((lumas[2] - lumas[0]) + (lumas[3] - lumas[1]));
+        c[5] = 0.25f * ((lumas[0] + lumas[1]) + (lumas[2] + lumas[3])) - own;
+    });
+}
+
 static Image frame(const FrameInputs &in, const Weights &weights) {
     const Image depth = some_channels(in.gbuffer, 3, 1);
     Image motion = in.motions[0];  // over `reached` frames: the three chains share their beginning
     int reached = 1;
     std::vector<Image> frames;  // oldest first
+    std::vector<Warp> warps;
     Image color(0, 0, 0), mask(0, 0, 0);
     for (size_t i = 0; i < 3; ++i) {
         const int step = in.steps[i];
@@ -639,11 +674,10 @@ static Image frame(const FrameInputs &in, const Weights &weights) {
             color = concat({&instead, &warped});
             mask = trust;
         }
-        if (i == 1 && weights.earlier)
-            for (size_t p = 0; p < trust.data.size(); ++p)
-                if (trust.data[p] != 0) std::copy_n(&warped.data[p * 3], 3, &color.data[p * 6 + 3]);
+        if (step > 0 && weights.detail) warps.push_back({&in.colors[i], motion, trust});
         frames.insert(frames.begin(), concat({&warped, &trust}));
     }
+    if (weights.detail) show_detail(warps, color);
     seen("color", color);
     seen("mask", mask);
     for (const Image &x : frames) seen("history", x);
@@ -831,14 +865,14 @@ static const Weights &read_weights(const fs::path &path) {
     weights = {path, {}, false, HoleTest::footprint};
     std::map<std::string, std::string> metadata;
     const std::map<std::string, Tensor> tensors = read_safetensors(path, bytes, metadata);
-    // Version 1 has neither entry, version 2 the first of them.
+    // Version 1 has neither entry, version 3 the hole test, version 4 both.
     const std::string version = metadata["stss_weights_version"];
-    const std::string second_color = version == "2" || version == "3" ? metadata["second_color"] : "newest";
-    const std::string test = version == "3" ? metadata["hole_test"] : "footprint";
+    const std::string second_color = version == "4" ? metadata["second_color"] : "newest";
+    const std::string test = version == "3" || version == "4" ? metadata["hole_test"] : "footprint";
     if (test != "footprint" && test != "paper") refuse(path, "hole_test: expected footprint or paper, got " + test);
     weights.test = test == "paper" ? HoleTest::paper : HoleTest::footprint;
-    if (second_color != "newest" && second_color != "earlier") refuse(path, "second_color: expected newest or earlier, got " + second_color);
-    weights.earlier = second_color == "earlier";
+    if (second_color != "newest" && second_color != "detail") refuse(path, "second_color: expected newest or detail, got " + second_color);
+    weights.detail = second_color == "detail";
     for (const auto &[name, weight] : tensors) {
         if (weight.shape.size() == 1) continue;  // a bias
         const std::string layer = name.substr(0, name.rfind('.'));
