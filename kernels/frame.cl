@@ -23,12 +23,11 @@
 // history, x0 and color3 may be a strip of the frame: R rows whose row 0 is the frame's row `top`; mask and keys are of the whole.
 // Build: -D of motion_chain.clh and holes.cl, optionally -D STORED (history and x0), -D STREAM, -D MARK, and -D EIGHTS: eight pixels in a row to a
 // work-item, for processors; -D LONGEST where GATHER is gather_longest.
-// Order: chain_steps, prepare_older for each older frame, prepare_newest, splat_nearest, splat_first, fill_holes; show_detail for weights whose
-// second colour is that; then downsample_8.cl.
-// Launch (W, H); prepare_*, fill_holes and show_detail (C, R); with EIGHTS an eighth of the columns, but for fill_holes.
+// Order: chain_steps, prepare_older for each older frame, prepare_newest, splat_nearest, splat_first, fill_holes; then downsample_8.cl.
+// Launch (W, H); prepare_* and fill_holes (C, R); with EIGHTS an eighth of the columns, but for fill_holes.
 #ifdef EIGHTS
 #define AT_ONCE 8
-#define NOTE static __attribute__((noinline))
+#define CALLED static __attribute__((noinline))
 #else
 #define AT_ONCE 1
 #endif
@@ -76,6 +75,12 @@ INLINE void prepare_pixels(const Frame f, global int *bad, const int checks)
     if (checks && shown > 0) note_pixels(f, bad, pixel, shown);
 #ifdef EIGHTS
     if (shown == 8 && f.is_warped && prepare_eight(f, x, y)) return;
+#ifdef DETAIL
+    if (shown == 8 && f.is_newest && !f.is_warped) {
+        write_eight(f, x, y, pixel, read_triple8(f.color + pixel * 3));
+        return;
+    }
+#endif
 #endif
     for (int i = 0; i < AT_ONCE; ++i) prepare_pixel(f, x + i, y);
 }
@@ -96,20 +101,27 @@ kernel void prepare_older(PLANES, global stored *restrict history, global uchar 
                           const int is_missing)
 {
     const Frame f = {OF_PLANES, .is_warped = is_warped, .is_missing = is_missing, .is_stored = true, .strip = strip,
-                     .history = history_image(history, strip, image), .dirty = dirty,
+                     .history = history, .image = image, .dirty = dirty,
                      .history_changes = history_map(history_changes, strip, image)};
     prepare_pixels(f, bad, checks);
 }
 
-// `stores`: the history's last image is written; `is_detailed`: show_detail follows.
+// Of the older frames what -D DETAIL reads; warps_*: whether they are warped.
+#define OLDER                                                                                                                    \
+    global const float *restrict middle_color, global const float *restrict oldest_color, global const float2 *restrict to_middle,          \
+        global const float2 *restrict to_oldest, const int warps_middle, const int warps_oldest
+#define OF_OLDER \
+    .middle = middle_color, .oldest = oldest_color, .to_middle = warps_middle ? to_middle : 0, .to_oldest = warps_oldest ? to_oldest : 0
+
+// `stores`: the history's last image is written.
 kernel void prepare_newest(PLANES, global stored *restrict history, global uchar *restrict history_changes, global int *restrict bad,
                            const int is_warped, const int checks, const Strip strip, global const uchar *restrict dirty,
                            global stored *restrict x0, global float4 *restrict color3, global uchar *restrict mask,
                            global uint *restrict keys, global uint *restrict first, global uchar *restrict input_changes,
-                           const int stores, const int is_detailed, const int marks_wanted)
+                           const int stores, const int marks_wanted, OLDER)
 {
     const Frame f = {OF_PLANES, .is_newest = true, .is_warped = is_warped, .is_stored = stores, .strip = strip,
-                     .history = history_image(history, strip, 2), .is_detailed = is_detailed,
+                     .history = history, .image = 2, OF_OLDER,
                      .x0 = x0, .color3 = color3, .mask = mask, .keys = keys, .first = first, .marks_wanted = marks_wanted,
                      .dirty = dirty, .input_changes = input_changes, .history_changes = history_map(history_changes, strip, 2)};
     prepare_pixels(f, bad, checks);
@@ -141,31 +153,11 @@ kernel void splat_first(global const float2 *restrict motion, global const float
 
 kernel void fill_holes(global const float *restrict color, global const float2 *restrict motion, global uint *restrict keys,
                        global uint *restrict first, global uchar *restrict mask, global stored *restrict x0,
-                       global float4 *restrict color3, global uchar *restrict input_changes, const Strip strip)
+                       global float4 *restrict color3, global uchar *restrict input_changes, const Strip strip,
+                       global stored *restrict history, OLDER)
 {
     const int x = get_global_id(0), y = get_global_id(1);
-    const Frame f = {.color = color, .motion = motion, .keys = keys, .first = first, .mask = mask, .x0 = x0, .color3 = color3,
+    const Frame f = {.history = history, OF_OLDER, .color = color, .motion = motion, .keys = keys, .first = first, .mask = mask, .x0 = x0, .color3 = color3,
                      .input_changes = input_changes, .strip = strip};
     if (x < strip.columns && y < strip.rows) fill_pixel(f, x, y);
-}
-
-// color0..2: of the colour frames, newest first; warps0..2: whether they are warped; the rest as prepare_* and fill_holes left it.
-kernel void show_detail(global const float *restrict color0, global const float *restrict color1, global const float *restrict color2,
-                        global const float2 *restrict to_newest, global const float2 *restrict to_middle, global const float2 *restrict to_oldest,
-                        const int warps0, const int warps1, const int warps2, global stored *restrict history, global float4 *restrict color3,
-                        global uchar *restrict mask, global stored *restrict x0, global const uchar *restrict dirty,
-                        global uchar *restrict input_changes, const Strip strip)
-{
-    const Frame f = {.is_newest = true, .is_warped = warps0, .strip = strip, .history = history, .x0 = x0, .color3 = color3, .mask = mask,
-                     .dirty = dirty, .input_changes = input_changes};
-    const Warps w = {{color0, color1, color2}, {warps0 ? to_newest : 0, warps1 ? to_middle : 0, warps2 ? to_oldest : 0}};
-    const int x = get_global_id(0) * AT_ONCE, y = get_global_id(1);
-    if (x >= strip.columns || y >= strip.rows) return;
-#ifdef MARK
-    if (is_quiet(f, x, y, AT_ONCE)) return;
-#endif
-#ifdef EIGHTS
-    if (x + 8 <= strip.width && strip.top + y < strip.height && detail_eight(f, w, x, y)) return;
-#endif
-    for (int i = 0; i < AT_ONCE; ++i) detail_pixel(f, w, x + i, y);
 }

@@ -131,6 +131,7 @@ class Frame:
                 second=layers.second_color,
                 test=layers.hole_test,
                 frames=layers.colors_read,
+                history=layers.reads_history,
                 tops=[strip.top for strip in layers.strips],
             )
         return self._prepare

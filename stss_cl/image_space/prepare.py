@@ -33,19 +33,16 @@ PLANES = (
     "stencil_previous", "normal_previous", "position_previous", "normal_stride",
 )  # fmt: skip
 COLOR_FRAME = (*PLANES, "history", "history_changes", "bad", "is_warped", "checks", "strip", "dirty")
+OLDER = ("middle_color", "oldest_color", "to_middle", "to_oldest", "warps_middle", "warps_oldest")
 ARGUMENTS = {
     "chain_steps": (*MOTIONS, "newest", "middle", "oldest", *CHAINED, "height", "width", "dirty"),
     "prepare_older": (*COLOR_FRAME, "image", "is_missing"),
     "prepare_newest": (
-        *COLOR_FRAME, "x0", "color3", "mask", "keys", "first", "input_changes", "stores", "is_detailed", "marks_wanted",
+        *COLOR_FRAME, "x0", "color3", "mask", "keys", "first", "input_changes", "stores", "marks_wanted", *OLDER,
     ),
     "splat_nearest": ("motion", "gbuffer", "keys", "height", "width"),
     "splat_first": ("motion", "gbuffer", "keys", "first", "height", "width"),
-    "fill_holes": ("color", "motion", "keys", "first", "mask", "x0", "color3", "input_changes", "strip"),
-    "show_detail": (
-        "color0", "color1", "color2", *CHAINED, "warps0", "warps1", "warps2", "history", "color3", "mask", "x0", "dirty", "input_changes",
-        "strip",
-    ),
+    "fill_holes": ("color", "motion", "keys", "first", "mask", "x0", "color3", "input_changes", "strip", "history", *OLDER),
     "downsample_8": (
         "gbuffer", "mask", "eighth", "height", "width", "eighth_height", "eighth_width", "eighth_columns", "top", "eighth_changes",
     ),
@@ -61,7 +58,6 @@ class _Launches:
     colors: tuple[Launch, ...]
     splat: tuple[Launch, Launch]
     fill: Launch
-    detail: Launch
     eighth: Launch
 
 
@@ -75,6 +71,7 @@ class Prepare:
         inputs: buffers to write to; None: buffers of its own. If they have change maps, only ``dirty`` tiles are computed.
         second, test: the network's second colour and the hole test, see ``stss_ref.frame.prepare``.
         frames: how many of the three colour frames are read, from the newest on: 1 or 3. With 1 ``inputs.earlier`` is not written.
+        history: whether anybody reads ``inputs.earlier``; if not, the newest frame is not written there.
         tops: the rows of the frame at which the strips of ``inputs`` begin.
 
     Attributes:
@@ -94,10 +91,11 @@ class Prepare:
         second: SecondColor = "newest",
         test: HoleTest = "footprint",
         frames: int = 3,
+        history: bool = True,
         tops: Sequence[int] = (0,),
     ) -> None:
         self.device, self.height, self.width, self._gather = device, height, width, gather
-        self._frames, self._tops, self._is_detailed = frames, tuple(tops), second == "detail"
+        self._frames, self._tops, self._is_detailed, self._stores = frames, tuple(tops), second == "detail", history
         self._test: HoleTest = test
         rows, columns = ceil_div(height, 8) * 8, ceil_div(width, 8) * 8
         self.inputs = inputs_for(device, rows, columns, np.dtype(np.float32)) if inputs is None else inputs
@@ -126,7 +124,14 @@ class Prepare:
         inputs, (height, width) = self.inputs, (self.height, self.width)
         options = {"STORED": storage(inputs.input.dtype), "MARK": marks}
         gather = {"GATHER": f"gather_{self._gather}", "LONGEST": self._gather == "longest", "EIGHTS": self.device.is_cpu}
-        frame = program(self.device, "frame.cl", {**gather, **options, **hole_options(self._test), "STREAM": self.device.streams})
+        frame_options = {
+            **gather,
+            **options,
+            **hole_options(self._test),
+            "STREAM": self.device.streams,
+            "DETAIL": self._is_detailed,
+        }
+        frame = program(self.device, "frame.cl", frame_options)
         eighth = build(self.device, "downsample_8.cl", {"MASK": "uchar", **options})
         input_changes, history_changes, eighth_changes = self._maps if marks else 3 * (self.mask,)
         known: dict[str, Any] = {
@@ -135,14 +140,14 @@ class Prepare:
             "mask": self.mask, "keys": self._keys, "first": self._first, "bad": self._bad, "dirty": self.dirty,
             "input_changes": input_changes, "history_changes": history_changes, "eighth_changes": eighth_changes,
             "height": height, "width": width, "eighth_height": inputs.eighth.height, "eighth_width": inputs.eighth.width,
-            "eighth_columns": inputs.eighth.columns, "stores": self._frames == 3, "is_detailed": self._is_detailed,
+            "eighth_columns": inputs.eighth.columns, "stores": self._stores and self._frames == 3,
         }  # fmt: skip
         across = 8 if self.device.is_cpu else 1
 
         def made(name: str, columns: int, rows: int, of: cl.Program = frame, **own: int) -> Launch:
             # What a frame brings stands open until then: of a kernel's numbers those must come first.
             brought = {"strip": self._strip(0), "normal_stride": 3, "top": 0, "is_warped": 0, "is_missing": 0, "checks": 0}
-            brought |= {"marks_wanted": 0, "newest": 0, "middle": 0, "oldest": 0, "warps0": 0, "warps1": 0, "warps2": 0}
+            brought |= {"marks_wanted": 0, "newest": 0, "middle": 0, "oldest": 0, "warps_middle": 0, "warps_oldest": 0}
             arguments = {each: (own | known | brought).get(each, self.mask) for each in ARGUMENTS[name]}
             return Launch(name, kernel(of, name, arguments), *grid(self.device, columns, rows), arguments)
 
@@ -153,7 +158,6 @@ class Prepare:
             colors=(made("prepare_newest", *strip), *older),
             splat=(made("splat_nearest", *whole), made("splat_first", *whole)),
             fill=made("fill_holes", self.columns, self.rows),
-            detail=made("show_detail", *strip),
             eighth=made("downsample_8", inputs.eighth.width, inputs.eighth.height, eighth),
         )
 
@@ -220,14 +224,16 @@ class Prepare:
             )  # fmt: skip
         for launch, (newer, older) in zip(launches.colors[1:], pairwise(s.steps), strict=False):
             launch.set(is_missing=newer == older)
+        if self._is_detailed:
+            for launch in (launches.colors[0], launches.fill):
+                warped = {"warps_middle": s.steps[1] > 0, "warps_oldest": s.steps[2] > 0}
+                launch.set(middle_color=s.colors[1], oldest_color=s.colors[2], **warped)
         for top in self._tops:
             self._warp(top, checks=checks, marks_wanted=True)
         for launch in launches.splat if s.steps[0] else ():
             launch.set(motion=motions[0], gbuffer=s.gbuffer)
             launch.enqueue(self.device.queue)
         launches.fill.set(color=s.colors[0], motion=motions[0])
-        if self._is_detailed:
-            launches.detail.set(**{f"color{i}": s.colors[i] for i in range(3)}, **{f"warps{i}": s.steps[i] > 0 for i in range(3)})
         launches.eighth.set(gbuffer=s.gbuffer)
 
     def not_finite(self) -> str | None:
@@ -247,9 +253,6 @@ class Prepare:
         if self._read.steps[0]:
             self._launches.fill.set(strip=self._strip(top))
             self._launches.fill.enqueue(self.device.queue)
-        if self._is_detailed:
-            self._launches.detail.set(strip=self._strip(top))
-            self._launches.detail.enqueue(self.device.queue)
         self._launches.eighth.set(top=top)
         self._done = self._launches.eighth.enqueue(self.device.queue)
 
@@ -259,7 +262,7 @@ class Prepare:
         ``checks``: look for what is not finite; ``marks_wanted``: False if the places were marked before.
         """
         self._launches.colors[0].set(marks_wanted=marks_wanted)
-        for launch in self._launches.colors:
+        for launch in reversed(self._launches.colors):  # the newest may read where the older ones are valid
             launch.set(strip=self._strip(top), checks=checks)
             launch.enqueue(self.device.queue)
 

@@ -64,6 +64,7 @@ class FrameCache:
             second=layers.second_color,
             test=layers.hole_test,
             frames=layers.colors_read,
+            history=layers.reads_history,
         )
         self.last: Last | None = None
         self._is_first = True
