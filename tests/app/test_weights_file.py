@@ -134,8 +134,8 @@ def test_inspection_says_what_is_left_out(capsys):
     reader = "up1.conv.double_conv.2.weight"
     print_inspection(inspect(random(1) | {reader: random(1)[reader] * (np.arange(64) < 32)[:, None, None]}, 540, 960), Console())
     assert "units that run: 32 of 64 of up1.conv.double_conv.0" in " ".join(capsys.readouterr().out.split())
-    print_inspection(inspect(Weights(unread, "earlier"), 540, 960), Console())
-    assert "second colour: earlier, the frame before" in capsys.readouterr().out
+    print_inspection(inspect(Weights(unread, "detail"), 540, 960), Console())
+    assert "second colour: detail, what warped frames show" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", ["realtime", "antialiased"])

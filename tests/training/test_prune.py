@@ -10,10 +10,16 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test
 torch.set_num_threads(1)
 
 from tests.training.test_network import inputs, tensors  # noqa: E402
-from tests.training.test_readout import network_of  # noqa: E402
+from training.network import Network, load_weights  # noqa: E402
 from training.prune import main  # noqa: E402
 from training.prune import prune as prune_below  # noqa: E402
 from training.train import main as train  # noqa: E402
+
+
+def network_of(weights):
+    network = Network()
+    load_weights(network, weights)
+    return network.eval()
 
 
 def test_the_mean_is_in_the_bias():

@@ -45,12 +45,12 @@ class ExtraNet(nn.Module):
         """The frame, (N, 3, H, W). H and W are multiples of 8.
 
         Args:
-            color: (N, 6, H, W) the newest frame warped with its holes filled, and as it was warped.
+            color: (N, 6, H, W) or more, the newest frame warped with its holes filled, and as it was warped.
             gbuffer: (N, 9, H, W) of the frame that is made.
             mask: (N, 1, H, W) 0 in holes.
             history: (N, 3, 4, H, W) three earlier frames, warped, each with its mask.
         """
-        holed = color[:, 3:] * mask
+        holed = color[:, 3:6] * mask
         x1 = self.conv2(self.conv1(torch.cat([color[:, :3], holed, mask, gbuffer], 1)).relu()).relu()
         x2 = self.down1(x1)
         x3 = self.down2(x2)
