@@ -65,10 +65,14 @@ def augment(
     truth: Array,
     random: Random,
     *,
+    upright: bool = False,
     colors: Sequence[slice] = COLORS,
     motions: Sequence[slice] = (MOTION,),
 ) -> tuple[Array, Array]:
     """Turn and mirror crops, and change their exposure and colours, all alike; returns new float32 arrays.
+
+    ``upright`` leaves out what no renderer's frames show: a camera on its side or its head, and colours that changed places. They are
+    means against too few films; with enough of them, they cost what the network could learn in their place.
 
     Args:
         inputs: (N, H, W, 35) or more channels.
@@ -76,7 +80,7 @@ def augment(
         random: where chance comes from.
         colors, motions: the channels of colours and of motions.
     """
-    quarters, mirrored = int(random.integers(4)), bool(random.random() < 0.5)
+    quarters, mirrored = 0 if upright else int(random.integers(4)), bool(random.random() < 0.5)
     inputs, truth = np.rot90(inputs, quarters, (1, 2)).copy(), np.rot90(truth, quarters, (1, 2)).copy()
     for _ in range(quarters):
         for part in motions:
@@ -90,7 +94,7 @@ def augment(
     inputs[..., NORMAL] = inputs[..., NORMAL] @ turn_of_the_world(random.uniform(0, 2 * math.pi), mirrored=mirrored).T
     if random.random() < 0.5:
         inputs[..., NORMAL] = inputs[..., NORMAL] @ Y_UP.T
-    order = random.permutation(3)
+    order = np.arange(3) if upright else random.permutation(3)
     # Display curves are nearly powers, so a factor on the light is nearly a factor on the display-referred value.
     exposure = np.float32(math.exp(random.uniform(-EXPOSURE, EXPOSURE)))
     for part in colors:

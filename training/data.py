@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path, PurePath
 from typing import Literal
 
@@ -95,7 +96,8 @@ class Batches:
 
     A batch depends only on the seed and its number, so a resumed run sees the same batches.
 
-    ``kinds``: both in equal shares, or one alone; ``masking=False``: without Random Reshading Masking.
+    ``kinds``: both in equal shares, or one alone; ``masking=False``: without Random Reshading Masking. ``upright``: see
+    `training.augment.augment`.
     """
 
     def __init__(
@@ -107,8 +109,9 @@ class Batches:
         seed: int,
         kinds: Sequence[Kind] = KINDS,
         masking: bool = True,
+        upright: bool = False,
     ):
-        self._masking, self.augment = masking, augment
+        self._masking, self.augment = masking, partial(augment, upright=upright)
         both = pairs(shards, "training")
         self._sets = sets(both if len(kinds) > 1 else [(place,) for place in places(shards, "training", kinds[0])])
         self._together = len(kinds)

@@ -41,6 +41,7 @@ class Settings:
     ``structure``, ``structure_ef``: the perceptual distance is so many times 1 - SSIM, in SFs and in EFs.
     ``extrapolated``: the share of EFs in the squared error.
     ``masking``: Random Reshading Masking. ``holes``: how often errors in reshading regions count in the squared error.
+    ``upright``: see `training.augment.augment`.
     ``compiled``: whether a step is compiled, which changes its rounding. ``second_color``: see `stss_ref.frame.prepare`.
     ``steady``: see `training.step.Aims`.
     """
@@ -59,6 +60,7 @@ class Settings:
     extrapolated: float = 0.5
     masking: bool = True
     holes: float = 1.0
+    upright: bool = False
     compiled: bool = False
     second_color: SecondColor = "newest"
     steady: float = 0.0
@@ -165,7 +167,8 @@ def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan
     log.cut(state.step)
     if state.step == 0:
         log(step=0, bilinear=validate(bilinear, shards, "validation", most=plan.most, device=device))
-    batches = Batches(shards, side=settings.crop, batch=settings.batch, seed=settings.seed, masking=settings.masking)
+    drawn = {"masking": settings.masking, "upright": settings.upright}
+    batches = Batches(shards, side=settings.crop, batch=settings.batch, seed=settings.seed, **drawn)
     aims = Aims(
         half=settings.half,
         squares=settings.squares,
@@ -214,6 +217,9 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--no-masking", dest="masking", action="store_false", help="without Random Reshading Masking")
     parser.add_argument("--no-history", dest="history", action="store_false", help="weights that do not read the history")
     parser.add_argument(
+        "--upright", action="store_true", help="crops are mirrored, but neither turned nor their colours exchanged"
+    )
+    parser.add_argument(
         "--second-color",
         choices=SECOND_COLORS,
         help="what the network's second colour shows; default: as in --initial, or newest",
@@ -254,6 +260,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         extrapolated=chosen.extrapolated,
         masking=chosen.masking,
         holes=chosen.holes,
+        upright=chosen.upright,
         compiled=chosen.compile,
         second_color=chosen.second_color or before,
         steady=chosen.steady,

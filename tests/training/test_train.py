@@ -67,6 +67,7 @@ def test_options_reach_the_run(data, tmp_path):
         "structure": ("--structure", "90"),
         "structure of EFs": ("--structure", "90", "--structure-ef", "20"),
         "extrapolated": (*squares, "--extrapolated", "0.7"),
+        "upright": ("--upright",),
         "detail": ("--second-color", "detail"),
     }
     for name, options in runs.items():
