@@ -22,7 +22,7 @@
 // and x0 is at (y + 1, x + 1); their border of zeros is never written.
 // history, x0 and color3 may be a strip of the frame: R rows whose row 0 is the frame's row `top`; mask and keys are of the whole.
 // Build: -D of motion_chain.clh and holes.cl, optionally -D STORED (history and x0), -D STREAM, -D MARK, and -D EIGHTS: eight pixels in a row to a
-// work-item, for processors; -D LONGEST where GATHER is gather_longest.
+// work-item, for processors; -D LONGEST where GATHER is gather_longest; -D DETAIL: the second colour is what warped frames show within a pixel.
 // Order: chain_steps, prepare_older for each older frame, prepare_newest, splat_nearest, splat_first, fill_holes; then downsample_8.cl.
 // Launch (W, H); prepare_* and fill_holes (C, R); with EIGHTS an eighth of the columns, but for fill_holes.
 #ifdef EIGHTS

@@ -13,7 +13,7 @@ from stss_cl.frame import Frame
 from stss_cl.network.network import Network
 from stss_cl.skip.stream import SKIPS, Stream
 from tests.cl.conftest import QUICK, launch_nothing
-from tests.cl.films import EARLIER, WEIGHTS, calls_of, film, frame_inputs, halve
+from tests.cl.films import DETAILED, WEIGHTS, calls_of, film, frame_inputs, halve
 
 SIZE = 19, 45
 
@@ -43,7 +43,7 @@ def programs(row):
         for precision in QUICK:
             for size in ((32, 48), (544, 960)):  # of few tiles, and of many
                 Network(WEIGHTS, device, precision).layers(*size)
-            for weights, skip in product((WEIGHTS, EARLIER), SKIPS):
+            for weights, skip in product((WEIGHTS, DETAILED), SKIPS):
                 stream = Stream(weights, device, precision, skip=skip)
                 for call in calls_of(frames):
                     stream(*call)
