@@ -142,6 +142,18 @@ def test_one_pixel_that_moves_is_seen(device, x):
     assert keeping.report.network == "changed"
 
 
+def test_older_frames_show_detail_in_a_hole_of_the_newest(device):
+    """The surface is another in one colour frame alone; the one before shows another colour there."""
+    keeping, plain, frames = Stream(DETAILED, device), Stream(DETAILED, device, skip="off"), still(12)
+    frames[10].stencil[5:9, 6:12] = 1
+    frames[8].color[5:9, 6:12] *= 0.5
+    for call in calls_of(frames)[6:]:
+        got, want = (stream(*call) for stream in (keeping, plain))
+        assert_same(got, want)
+    assert keeping.report.network == "changed"
+    assert not got[1].all()
+
+
 def test_what_weights_do_not_read_is_not_computed(device):
     """An older colour that changes costs weights that do not read it no more than a comparison, and those that do a part of the network.
 
