@@ -49,7 +49,7 @@ def test_the_reference_as_a_program_has_the_bits_of_the_reference():
     """Every stage, at one start of the program."""
     cases = [case for stage in STAGES for case in samples(stage)[:6]]
     last = smallest_case("frame")
-    cases.append(replace(last, weights=Weights(last.weights, "earlier")))
+    cases.append(replace(last, weights=Weights(last.weights, "detail")))
     results = FolderPort(command("ref"), timeout=120).run_many(cases)
     for case, got in zip(cases, results, strict=True):
         assert bits(got) == bits(reference(case.stage, case.inputs, case.weights)), case.stage

@@ -296,8 +296,8 @@ def test_the_example_in_cpp_passes(tmp_path):
         assert max(largest(right[name], layers[name]) for name in names) <= 1
     results = run_suite(Judge(port, Tier("some", 4, 1, 0)))
     assert not [f"{result.id}: {result.message}" for result in results if result.outcome != "passed"]
-    earlier = [replace(case, weights=Weights(case.weights, "earlier")) for case in samples("frame")]
-    for case in earlier:
+    detailed = [replace(case, weights=Weights(case.weights, "detail")) for case in samples("frame")]
+    for case in detailed:
         got = port.run(case.stage, case.inputs, case.weights)
         exact = {name: a.astype(np.float64) if a.dtype.kind == "f" else a for name, a in case.inputs.items()}
         for name, answer in expect("frame", exact, case.weights, Arithmetic(), got).items():
