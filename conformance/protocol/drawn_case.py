@@ -50,7 +50,7 @@ def write_drawn(folder: Path, test: str, drawn: Any) -> None:
         name, _ = arrays.setdefault(id(array), (f"{len(arrays):04d}.npy", array))
         return name
 
-    text = json.dumps({"test": test, "drawn": _written(drawn, noted)}, indent=1)
+    text = json.dumps({"test": test, "drawn": _written(drawn, noted)})
     (folder / PROPERTY).write_text(text, encoding="utf-8")
     for name, array in arrays.values():
         np.save(folder / name, np.ascontiguousarray(array), allow_pickle=False)

@@ -112,7 +112,7 @@ def test_batches_are_half_and_half_and_depend_on_the_step_alone(data):
     for got, want in zip(ahead[5], batches[5], strict=True):
         np.testing.assert_array_equal(got, want)
     assert [array.shape for array in batches[0]] == [
-        (4, 6, 16, 16),
+        (4, 9, 16, 16),
         (4, 9, 16, 16),
         (4, 1, 16, 16),
         (4, 3, 4, 16, 16),
