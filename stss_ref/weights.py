@@ -98,8 +98,8 @@ def take_format(metadata: dict[str, str]) -> Weights:
             if key in metadata:
                 raise WeightsError(f"{key}: expected no such entry in the metadata of {VERSION_KEY} {version}")
         return Weights({})
-    seconds: tuple[SecondColor, ...] = SECOND_COLORS if version == WITH_DETAIL else ("newest",)
-    second = _named(metadata, SECOND_COLOR_KEY, seconds)
+    seconds = SECOND_COLORS if version == WITH_DETAIL else SECOND_COLORS[:1]
+    second: SecondColor = _named(metadata, SECOND_COLOR_KEY, seconds)
     return Weights({}, second, _named(metadata, HOLE_TEST_KEY, HOLE_TESTS))
 
 
