@@ -25,7 +25,7 @@ from stss_ref.weights import Weights
 
 MOST_FLOAT16 = 1.0
 NEWEST_WEIGHTS = 4
-"""The latest version of weights: 1 has neither a second colour nor a hole test, 2 has no hole test."""
+"""The latest version of weights: 1 has neither a second colour nor a hole test, 3 has a hole test, 4 a second colour, too."""
 RMS = "_rms"
 """Added to an output's name: the root mean square of all its errors, over its limit."""
 MOST_BEFORE = BATCH - 1

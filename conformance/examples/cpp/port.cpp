@@ -865,10 +865,11 @@ static const Weights &read_weights(const fs::path &path) {
     weights = {path, {}, false, HoleTest::footprint};
     std::map<std::string, std::string> metadata;
     const std::map<std::string, Tensor> tensors = read_safetensors(path, bytes, metadata);
-    // Version 1 has neither entry, version 3 the hole test, version 4 both.
+    // Version 1 has neither entry, versions 3 and 4 have both.
     const std::string version = metadata["stss_weights_version"];
-    const std::string second_color = version == "4" ? metadata["second_color"] : "newest";
-    const std::string test = version == "3" || version == "4" ? metadata["hole_test"] : "footprint";
+    if (version != "1" && version != "3" && version != "4") refuse(path, "expected stss_weights_version 1, 3 or 4, got " + version);
+    const std::string second_color = version == "1" ? "newest" : metadata["second_color"];
+    const std::string test = version == "1" ? "footprint" : metadata["hole_test"];
     if (test != "footprint" && test != "paper") refuse(path, "hole_test: expected footprint or paper, got " + test);
     weights.test = test == "paper" ? HoleTest::paper : HoleTest::footprint;
     if (second_color != "newest" && second_color != "detail") refuse(path, "second_color: expected newest or detail, got " + second_color);
