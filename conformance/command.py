@@ -47,8 +47,8 @@ MOST_SIDE = 2**17
 @click.option("--winograd", is_flag=True, help="The port computes convolutions by Winograd's method: wider bounds for them.")
 @click.option(
     "--weights-version",
-    type=click.IntRange(1, 4),
-    help="Latest version of weights that the port knows  [default: what it says; 4]",
+    type=int,
+    help="Latest version of weights that the port knows: 1, 3 or 4  [default: what it says; 4]",
 )
 @click.option(
     "--timeout", type=Number(0, MAX_SECONDS, min_open=True), default=120, show_default=True, help="Seconds for one start."

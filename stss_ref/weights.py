@@ -69,6 +69,7 @@ NEWEST_ALONE, WITH_HOLE_TEST, WITH_DETAIL = "1", "3", "4"
 """Versions of a weights file: with the newest frame as the second colour and the footprint's hole test; with the hole test that the
 metadata name; and with detail as the second colour. Who knows the earlier versions alone refuses what it would compute wrongly. Version 2
 had a second colour that is no more (decision 37)."""
+VERSIONS = (NEWEST_ALONE, WITH_HOLE_TEST, WITH_DETAIL)
 
 
 def format_metadata(weights: Weights) -> dict[str, str]:
@@ -89,10 +90,9 @@ def take_format(metadata: dict[str, str]) -> Weights:
         WeightsError: the entries are not those of a known version.
     """
     version = metadata.pop(VERSION_KEY, None)
-    if version not in (NEWEST_ALONE, WITH_HOLE_TEST, WITH_DETAIL):
+    if version not in VERSIONS:
         found = "no such entry" if version is None else repr(str(version)[:20])
-        known = f"{NEWEST_ALONE}, {WITH_HOLE_TEST} or {WITH_DETAIL}"
-        raise WeightsError(f"expected {VERSION_KEY} {known} in the metadata, found {found}")
+        raise WeightsError(f"expected {VERSION_KEY} 1, 3 or 4 in the metadata, found {found}")
     if version == NEWEST_ALONE:
         for key in (SECOND_COLOR_KEY, HOLE_TEST_KEY):
             if key in metadata:

@@ -13,6 +13,7 @@ from conformance.protocol.port import Port, PortError
 from conformance.protocol.program_port import FolderPort
 from conformance.protocol.stages import STAGES
 from stss_ground.errors import InputError
+from stss_ref.weights import VERSIONS
 
 
 def load_port(
@@ -46,6 +47,9 @@ def load_port(
             port.winograd = True
         if weights_version is not None:
             port.weights_version = weights_version
+        version = getattr(port, "weights_version", VERSIONS[-1])
+        if str(version) not in VERSIONS:
+            raise InputError(f"{spec or program}: weights_version: expected 1, 3 or 4, got {version!r}")
         unknown = set(port.stages()) - set(STAGES)
     except PortError as error:
         raise InputError(str(error)) from error

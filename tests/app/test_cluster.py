@@ -1,5 +1,6 @@
 """`stss run --cluster`: the files of one process, whatever becomes of the workers."""
 
+import contextlib
 import multiprocessing
 import os
 import signal
@@ -185,7 +186,7 @@ def sockets(process):
     found = []
     for end in Path(f"/proc/{process}/fd").iterdir():
         with contextlib.suppress(FileNotFoundError):  # closed since it was listed
-            found += [end] * os.readlink(end).startswith("socket:")
+            found += [end] * str(end.readlink()).startswith("socket:")
     return found
 
 

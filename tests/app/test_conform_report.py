@@ -16,7 +16,7 @@ def test_the_report_on_a_port_is_a_page_like_the_others(ask, tmp_path):
         arithmetic=SimpleNamespace(dtype="float32", winograd=False),
         tier=SimpleNamespace(name="quick"),
         seed=0,
-        weights_version=2,
+        weights_version=3,
         largest_side=None,
     )
     folder = tmp_path / "rrm.one"

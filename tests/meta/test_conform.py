@@ -19,6 +19,7 @@ from conformance.answers.expected import Expected, largest
 from conformance.answers.network import expect_layers
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.judging.judge import Judge, Tier
+from conformance.protocol import write_job
 from conformance.protocol.layers import LAYERS_OF
 from conformance.protocol.load_port import load_port
 from conformance.report.picture import draw
@@ -57,6 +58,7 @@ class Shape(Port):
         return {name: array[:-1] for name, array in super().run(stage, inputs, weights).items()}
 
 class Nothing: pass
+class Second(Port): weights_version = 2
 class Unknown(Port):
     def stages(self):
         return frozenset({"warp", "wrap"})
@@ -164,7 +166,7 @@ class Old(ReferencePort):
         return super().run(stage, inputs, weights)
 
 
-@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("version", [1, 3])
 def test_a_port_is_given_the_weights_that_it_knows(version):
     for declares in (True, False):
         port = Old(version)
@@ -231,6 +233,8 @@ def test_known_failures(here):
         (["--port", "wrong_port:Prot"], "module wrong_port has no Prot"),
         (["--port", "wrong_port:Nothing"], "without name, dtype, stages, run"),
         (["--port", "wrong_port:Unknown"], "stages: not in the table: wrap"),
+        (["--port", "wrong_port:Second"], "wrong_port:Second: weights_version: expected 1, 3 or 4, got 2"),
+        (["--port", "wrong_port:Port", "--weights-version", "2"], "weights_version: expected 1, 3 or 4, got 2"),
         (["--exec", "./no_such_program"], "./no_such_program: cannot be started"),
         (["--exec", "'"], "--exec: No closing quotation"),
         (["--exec", ""], "--exec: expected a command"),
@@ -302,3 +306,15 @@ def test_the_example_in_cpp_passes(tmp_path):
         exact = {name: a.astype(np.float64) if a.dtype.kind == "f" else a for name, a in case.inputs.items()}
         for name, answer in expect("frame", exact, case.weights, Arithmetic(), got).items():
             assert largest(answer, got[name]) <= 1
+    write_job(tmp_path / "job", detailed[:1])
+    (file,) = tmp_path.glob("job/0000/in/*.safetensors")
+    whole = file.read_bytes()
+    for version, words in (
+        (b"1", "no such entry in version 1"),
+        (b"2", "expected stss_weights_version"),
+        (b"3", "expected newest,"),
+    ):
+        file.write_bytes(whole.replace(b'"4"', b'"' + version + b'"'))
+        done = subprocess.run([tmp_path / "cpp" / "port", tmp_path / "job"], capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+        assert words in done.stderr

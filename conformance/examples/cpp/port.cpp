@@ -868,12 +868,15 @@ static const Weights &read_weights(const fs::path &path) {
     // Version 1 has neither entry, versions 3 and 4 have both.
     const std::string version = metadata["stss_weights_version"];
     if (version != "1" && version != "3" && version != "4") refuse(path, "expected stss_weights_version 1, 3 or 4, got " + version);
+    for (const char *entry : {"second_color", "hole_test"})
+        if (version == "1" && metadata.count(entry)) refuse(path, std::string(entry) + ": expected no such entry in version 1");
     const std::string second_color = version == "1" ? "newest" : metadata["second_color"];
     const std::string test = version == "1" ? "footprint" : metadata["hole_test"];
     if (test != "footprint" && test != "paper") refuse(path, "hole_test: expected footprint or paper, got " + test);
     weights.test = test == "paper" ? HoleTest::paper : HoleTest::footprint;
-    if (second_color != "newest" && second_color != "detail") refuse(path, "second_color: expected newest or detail, got " + second_color);
-    weights.detail = second_color == "detail";
+    weights.detail = version == "4" && second_color == "detail";
+    if (!weights.detail && second_color != "newest")
+        refuse(path, std::string("second_color: expected newest") + (version == "4" ? " or detail" : "") + ", got " + second_color);
     for (const auto &[name, weight] : tensors) {
         if (weight.shape.size() == 1) continue;  // a bias
         const std::string layer = name.substr(0, name.rfind('.'));
