@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT
-// Building blocks finite and differ for GPUs, in one launch for each new display frame; processors use changed_tiles.cl and finite.cl instead;
-// reference stss_ref/arrays.py::require_finite.
+// Building block arrive for GPUs, one launch for each new display frame: where it differs, and whether all is finite; changed_tiles.cl is the same for
+// processors; reference stss_ref/arrays.py::require_finite.
 //
 //  buffer           dir  shape        unit
 //  motion           in   (H, W, 2)    px

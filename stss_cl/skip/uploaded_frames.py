@@ -14,7 +14,7 @@ import pyopencl.array as cla
 
 from stss_cl.device.discovery import Device
 from stss_cl.image_space.frame_planes import Sources
-from stss_cl.skip.arrival import Arrival, ArrivalOnGpu, ArrivalOnProcessor, Tiles
+from stss_cl.skip.arrival import Arrival, Tiles
 from stss_cl.skip.display_frame import DisplayFrame, Given
 from stss_cl.skip.planes import Planes
 from stss_ref.arrays import require_finite
@@ -54,7 +54,7 @@ class UploadedFrames:
 
     def __init__(self, device: Device, height: int, width: int):
         self._device, self.size = device, (height, width)
-        self._arrival: Arrival = (ArrivalOnProcessor if device.is_cpu else ArrivalOnGpu)(device, height, width)
+        self._arrival = Arrival(device, height, width)
         self._shape = -(-height // 4), -(-width // 4)
         self._planes = Planes(device)
         self._chain: deque[UploadedFrame] = deque()
