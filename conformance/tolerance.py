@@ -55,6 +55,10 @@ BOUNDS = {
     "rms.stored": Bound(1, 0, "of 3 roundings, each of up to u, the rms is u; changes of up to 3 u have sqrt(3) u"),
     "sums.square": Bound(2, 0, "mean of at least 1000 squared errors, each over its largest variance, n S^2 u^2 / 3"),
     "sums.signed": Bound(8, 0, "sum of N such errors over sqrt(N): standard deviations of what is rounded either way as often"),
+    "quarter": Bound(1, 0, "fraction -+ 1/4, below 2, rounded once; scale: 1 pixel, times slope and contrast, as motion"),
+    "detail": Bound(
+        96, 0, "a place 36: luma 4, product, 12 sums twice, quotient, weights 3 of the contrast; four, halved; 4; first colour 20"
+    ),
     "image": Bound(16, 0, "upsampled colour: 10; pixel shuffle and its sum; the sigmoids' own; scale: largest output"),
     # agreement of two implementations in one dtype: each may err by the bound, hence twice the roundings of one
     "warp.warped": Bound(

@@ -9,10 +9,10 @@ data, weights and depth exactly as rounding errors do, and needs no constant for
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from conformance.answers.expected import Expected
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.protocol.layers import reference_layers
-from conformance.protocol.port import Outputs
-from conformance.protocol.stages import STAGES, check_inputs, network_inputs
+from conformance.protocol.port import Arrays, Outputs
+from conformance.protocol.stages import STAGES, check_inputs
 from conformance.tolerance import BOUNDS, UNIT
 from stss_ref.weights import Tensors, Weights, astype
 
@@ -39,8 +39,15 @@ _made: dict[tuple[int, Arithmetic], tuple[Weights, tuple[Weights, list[Weights],
 """By the identity of a set, which is held, so that no other takes its place."""
 
 
+class Errors(NamedTuple):
+    """(H, W, 3) the most by which a port's second colour is off: by its own rounding, and by that of the motion it reads by."""
+
+    rounded: NDArray[Any]
+    moved: NDArray[Any]
+
+
 def expect_with_weights(
-    stage: str, inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: Arithmetic
+    stage: str, inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: Arithmetic, errors: Errors | None = None
 ) -> dict[str, Expected]:
     """The right answers and allowed errors of a stage that takes weights.
 
@@ -49,11 +56,9 @@ def expect_with_weights(
         inputs: float64.
         weights: float32.
         arithmetic: of the port.
+        errors: of the second colour among the inputs; None: it is exact.
     """
-    if stage == "frame":  # what comes before the network does not depend on the tensors
-        stage, inputs = "network", network_inputs(inputs, weights)
-    compute, part = STAGES[stage].compute, _part(stage, inputs)
-    return _spread(partial(compute, inputs), weights, arithmetic, None if part is None else partial(compute, part))
+    return _spread(STAGES[stage].compute, inputs, weights, arithmetic, _part(stage, inputs), errors)
 
 
 def expect_layers(stage: str, inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: Arithmetic) -> dict[str, Expected]:
@@ -61,45 +66,63 @@ def expect_layers(stage: str, inputs: dict[str, NDArray[Any]], weights: Weights,
 
     Arguments as of `expect_with_weights`.
     """
-    return _spread(partial(reference_layers, stage, inputs), weights, arithmetic)
+    return _spread(partial(reference_layers, stage), inputs, weights, arithmetic)
 
 
-def _part(stage: str, inputs: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]] | None:
+def _part(stage: str, inputs: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """The first rows and columns of a frame larger than ``SAMPLE`` both ways: enough numbers for a root mean square."""
     specs = STAGES[stage].inputs
     sizes = check_inputs(stage, inputs)
     if min(sizes["H"], sizes["W"]) <= SAMPLE:
-        return None
+        return inputs
     sizes |= {"H": SAMPLE, "W": SAMPLE}
     return {name: array[tuple(slice(n) for n in specs[name].shape(sizes))] for name, array in inputs.items()}
 
 
 def _spread(
-    compute: Callable[[Weights], Outputs],
+    compute: Callable[[Arrays, Weights], Outputs],
+    inputs: dict[str, NDArray[Any]],
     weights: Weights,
     arithmetic: Arithmetic,
-    compute_part: Callable[[Weights], Outputs] | None = None,
+    part: dict[str, NDArray[Any]] | None = None,
+    errors: Errors | None = None,
 ) -> dict[str, Expected]:
-    """The outputs of ``compute`` for the weights, and how far changes of the weights of the size of rounding move them.
+    """The outputs of ``compute``, and how far changes of the size of rounding move them: of the weights, and of the second colour.
 
-    ``compute_part`` computes the part of a large frame by which its bounds are found.
+    ``part`` is the part of a large frame by which its bounds are found.
     """
     exact, changed, open_ = _variants(weights, arithmetic)
-    truth = compute(exact)
-    part = compute_part or compute
-    still = part(exact) if compute_part else truth
-    runs = [part(each) for each in changed]
-    opened = part(open_)
+    truth, part = compute(inputs, exact), inputs if part is None else part
+    still = truth if part is inputs else compute(part, exact)
+    random = np.random.default_rng(1)
+    runs = [compute(_off(part, errors and errors.rounded, random), each) for each in changed]
+    moving = [compute(_off(part, errors.moved, random), exact) for _ in changed] if errors and errors.moved.any() else []
+    opened = compute(part, open_)
     kind = ".stored" if arithmetic.dtype != "float32" else ".winograd" if arithmetic.winograd else ""
     expected: dict[str, Expected] = {}
     for name, want in truth.items():
-        moved = np.abs([run[name] - still[name] for run in runs])
-        spread = max(float(np.sqrt(np.mean(moved * moved))), float(moved.max(initial=0)) / TAIL)
+        spread, slid = (_typical([run[name] - still[name] for run in some]) for some in (runs, moving))
         ungated = BOUNDS["gate"].roundings * arithmetic.unit * np.abs(opened[name]).max(initial=0)
         floor = ungated + BOUNDS["image"].roundings * (arithmetic.unit * np.abs(want).max(initial=0) + arithmetic.tiny)
-        rms = BOUNDS[f"rms{kind}"].roundings * spread + floor
-        expected[name] = Expected(want, float(BOUNDS["spread"].roundings * spread + floor), rms=float(rms))
+        rms = BOUNDS[f"rms{kind}"].roundings * spread + slid + floor
+        expected[name] = Expected(want, float(BOUNDS["spread"].roundings * (spread + slid) + floor), rms=float(rms))
     return expected
+
+
+def _typical(moved: Sequence[NDArray[Any]]) -> float:
+    """The root mean square, or more where the largest is far beyond it."""
+    far = np.abs(moved)
+    return max(float(np.sqrt(np.mean(far * far))), float(far.max(initial=0)) / TAIL) if len(far) else 0.0
+
+
+def _off(inputs: dict[str, NDArray[Any]], error: NDArray[Any] | None, random: np.random.Generator) -> dict[str, NDArray[Any]]:
+    """The inputs with each number of the second colour off by its largest error, up or down at random."""
+    if error is None:
+        return inputs
+    color = inputs["color"].copy()
+    height, width, _ = color.shape
+    color[..., 3:] += error[:height, :width] * random.choice((-1, 1), (height, width, 3))
+    return {**inputs, "color": color}
 
 
 def layer_change(terms: int, arithmetic: Arithmetic) -> float:

@@ -55,11 +55,11 @@ def peaks(image: Float64, at: Reach, origin: Float64 | float = 0.0) -> tuple[Flo
     places = ((cell.y0, cell.x0), (cell.y0, cell.x1), (cell.y1, cell.x0), (cell.y1, cell.x1))
     own = reduce(np.maximum, (np.where(c[..., None], np.abs(image[p] - origin), 0) for c, p in zip(counts, places, strict=True)))
     # Subtraction rounds in order, so the extremes of the window, less the origin, are those of its differences.
-    most, least = (_over_windows(extreme, image)[cell.y0, cell.x0] - origin for extreme in (np.maximum, np.minimum))
+    most, least = (over_windows(extreme, image)[cell.y0, cell.x0] - origin for extreme in (np.maximum, np.minimum))
     return own, (np.maximum(np.abs(most), np.abs(least)), most - least)
 
 
-def _over_windows(extreme: np.ufunc, image: Float64) -> Float64:
+def over_windows(extreme: np.ufunc, image: NDArray[Any]) -> NDArray[Any]:
     """``extreme`` of the 4 x 4 pixels from the one before each to the second one after it, as far as the frame goes; both axes."""
     for axis in (0, 1):
         size = image.shape[axis]
