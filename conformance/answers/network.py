@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ from conformance.protocol.stages import STAGES, check_inputs
 from conformance.tolerance import BOUNDS, UNIT
 from stss_ref.weights import Tensors, Weights, astype
 
+Errors = tuple[NDArray[Any] | float, NDArray[Any] | float]
+"""(H, W, 3) the most by which a port's second colour is off: by its own rounding, and by that of the motion that it reads by."""
 OPEN = 100.0
 """A gate's bias at which its sigmoid is 1."""
 TAIL = 4.0
@@ -39,15 +41,8 @@ _made: dict[tuple[int, Arithmetic], tuple[Weights, tuple[Weights, list[Weights],
 """By the identity of a set, which is held, so that no other takes its place."""
 
 
-class Errors(NamedTuple):
-    """(H, W, 3) the most by which a port's second colour is off: by its own rounding, and by that of the motion it reads by."""
-
-    rounded: NDArray[Any]
-    moved: NDArray[Any]
-
-
 def expect_with_weights(
-    stage: str, inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: Arithmetic, errors: Errors | None = None
+    stage: str, inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: Arithmetic, errors: Errors = (0.0, 0.0)
 ) -> dict[str, Expected]:
     """The right answers and allowed errors of a stage that takes weights.
 
@@ -56,7 +51,7 @@ def expect_with_weights(
         inputs: float64.
         weights: float32.
         arithmetic: of the port.
-        errors: of the second colour among the inputs; None: it is exact.
+        errors: of the second colour among the inputs.
     """
     return _spread(STAGES[stage].compute, inputs, weights, arithmetic, _part(stage, inputs), errors)
 
@@ -85,7 +80,7 @@ def _spread(
     weights: Weights,
     arithmetic: Arithmetic,
     part: dict[str, NDArray[Any]] | None = None,
-    errors: Errors | None = None,
+    errors: Errors = (0.0, 0.0),
 ) -> dict[str, Expected]:
     """The outputs of ``compute``, and how far changes of the size of rounding move them: of the weights, and of the second colour.
 
@@ -95,8 +90,8 @@ def _spread(
     truth, part = compute(inputs, exact), inputs if part is None else part
     still = truth if part is inputs else compute(part, exact)
     random = np.random.default_rng(1)
-    runs = [compute(_off(part, errors and errors.rounded, random), each) for each in changed]
-    moving = [compute(_off(part, errors.moved, random), exact) for _ in changed] if errors and errors.moved.any() else []
+    runs = [compute(_off(part, errors[0], random), each) for each in changed]
+    moving = [compute(_off(part, errors[1], random), exact) for _ in changed] if np.any(errors[1]) else []
     opened = compute(part, open_)
     kind = ".stored" if arithmetic.dtype != "float32" else ".winograd" if arithmetic.winograd else ""
     expected: dict[str, Expected] = {}
@@ -115,14 +110,13 @@ def _typical(moved: Sequence[NDArray[Any]]) -> float:
     return max(float(np.sqrt(np.mean(far * far))), float(far.max(initial=0)) / TAIL) if len(far) else 0.0
 
 
-def _off(inputs: dict[str, NDArray[Any]], error: NDArray[Any] | None, random: np.random.Generator) -> dict[str, NDArray[Any]]:
+def _off(inputs: dict[str, NDArray[Any]], error: NDArray[Any] | float, random: np.random.Generator) -> dict[str, NDArray[Any]]:
     """The inputs with each number of the second colour off by its largest error, up or down at random."""
-    if error is None:
+    if not np.any(error):
         return inputs
-    color = inputs["color"].copy()
-    height, width, _ = color.shape
-    color[..., 3:] += error[:height, :width] * random.choice((-1, 1), (height, width, 3))
-    return {**inputs, "color": color}
+    height, width, _ = inputs["color"].shape
+    change = np.asarray(error)[:height, :width] * random.choice((-1, 1), (height, width, 3))
+    return {**inputs, "color": inputs["color"] + np.concatenate([change * 0, change], axis=-1)}
 
 
 def layer_change(terms: int, arithmetic: Arithmetic) -> float:

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from hypothesis.errors import Flaky
 
 from conformance.cases.constants import constant_cases, pinned_by
+from conformance.cases.engine_inputs import engine_inputs
 from conformance.cases.large_inputs import large_inputs, user_inputs
 from conformance.explain.confirm import UNSTABLE, confirm
 from conformance.explain.diagnosis import diagnose
@@ -69,6 +70,12 @@ def agrees_on_constants(stage: str) -> Test:
     """Make a stage's test on cases that each pin a constant."""
     words = "Cases agree, too, in which a constant shows: just beside a limit, or near a small number that is added or is a least value."
     return _agrees(stage, constant_cases(stage), words, pinned_by)
+
+
+def agrees_on_engines(stage: str) -> Test:
+    """Make a stage's test on what no strategy draws."""
+    words = "Cases agree, too, with motion of -0, stencils up to 65536, lost motion and positions, motions that no step needs."
+    return _agrees(stage, engine_inputs(stage), words)
 
 
 def _agrees(

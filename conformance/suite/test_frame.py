@@ -4,7 +4,6 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from conformance.cases.engine_inputs import engine_inputs
 from conformance.cases.every_buffer import frame_cases
 from conformance.cases.stage_inputs import Inputs, frame_inputs, frame_weights, scene_inputs
 from conformance.judging.judge import Judge
@@ -13,6 +12,7 @@ from conformance.suite.properties import (
     agrees_in_large_frames,
     agrees_in_windows,
     agrees_on_constants,
+    agrees_on_engines,
     cases,
     made_cases,
     same_twice,
@@ -80,10 +80,7 @@ def test_every_buffer_of_every_frame_counts(judge: Judge, case: tuple[Inputs, We
 test_constants_are_those_of_the_specification = agrees_on_constants("frame")
 
 
-@made_cases(engine_inputs("frame"))
-def test_agrees_on_what_engines_send(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """Frames agree, too, with motion of -0, stencils up to 65536, lost motion and positions, and more motions than the steps need."""
-    yield from judge.agrees("frame", *case)
+test_agrees_on_what_engines_send = agrees_on_engines("frame")
 
 
 test_large_frames_agree_with_the_reference = agrees_in_large_frames("frame")

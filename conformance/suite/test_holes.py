@@ -6,12 +6,11 @@ from hypothesis import strategies as st
 
 from conformance.answers.port_arithmetic import reach
 from conformance.answers.warp import within_frame
-from conformance.cases.engine_inputs import engine_inputs
 from conformance.cases.planes import SEEDS, Size, sizes
 from conformance.cases.stage_inputs import Inputs, holes_inputs, thresholds
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import agrees_in_large_frames, agrees_on_constants, cases, made_cases, same_twice
+from conformance.suite.properties import agrees_in_large_frames, agrees_on_constants, agrees_on_engines, cases, same_twice
 
 
 @cases(holes_inputs())
@@ -24,14 +23,6 @@ def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
 def test_agrees_near_the_thresholds(judge: Judge, inputs: Inputs) -> Talk:
     """Masks agree, too, where one comparison decides: the distance or angle of a surface near its limit, or another object's edge."""
     yield from judge.agrees("holes", inputs)
-
-
-@cases(holes_inputs())
-def test_what_is_valid_is_in_the_frame(judge: Judge, inputs: Inputs) -> Talk:
-    """A place off screen is always a hole."""
-    valid = (yield ask("holes", inputs))["valid"]
-    inside, edge = within_frame(reach(judge.exactly(inputs, "holes")["motion"], judge.arithmetic))
-    judge.same("holes.valid", np.where(inside | edge, 0, valid), np.zeros_like(valid))
 
 
 @cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS, st.sampled_from([np.nan, np.inf]))))
@@ -49,21 +40,6 @@ def test_a_lost_position_is_a_hole(judge: Judge, case: tuple[Size, int, float]) 
     holes = gone | gone[down] | gone[:, right] | gone[down][:, right]
     got = (yield ask("holes", {**inputs, "position": position, "position_previous": previous}))["valid"]
     judge.same("holes.valid", got, (~holes).astype(np.uint8))
-
-
-@cases(holes_inputs())
-def test_the_view_has_no_sign(judge: Judge, inputs: Inputs) -> Talk:
-    """The sign of NoV does not matter: a normal that points away from the camera counts as one that points to it."""
-    first, second = yield [ask("holes", {**inputs, "nov": nov}) for nov in (inputs["nov"], -inputs["nov"])]
-    judge.same("holes.valid", second["valid"], first["valid"])
-
-
-@cases(holes_inputs())
-def test_another_object_is_a_hole(judge: Judge, inputs: Inputs) -> Talk:
-    """If every stencil differs from the current one, every pixel is a hole."""
-    inputs = {**inputs, "stencil_previous": inputs["stencil"] * 0 + 5, "stencil": inputs["stencil"]}
-    valid = (yield ask("holes", inputs))["valid"]
-    judge.same("holes.valid", valid, np.zeros_like(valid))
 
 
 @cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS, st.sampled_from([-512.0, 0.25, 64.0]))))
@@ -117,10 +93,7 @@ test_the_same_twice = same_twice("holes", cases(holes_inputs()))
 test_constants_are_those_of_the_specification = agrees_on_constants("holes")
 
 
-@made_cases(engine_inputs("holes"))
-def test_agrees_on_what_engines_send(judge: Judge, inputs: Inputs) -> Talk:
-    """Cases agree, too, with motion of -0, and stencils up to 65536."""
-    yield from judge.agrees("holes", inputs)
+test_agrees_on_what_engines_send = agrees_on_engines("holes")
 
 
 test_large_frames_agree_with_the_reference = agrees_in_large_frames("holes")

@@ -4,35 +4,17 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from conformance.cases.engine_inputs import engine_inputs
-from conformance.cases.planes import Float64, dyadic_motions, motions, sizes
+from conformance.cases.planes import sizes
 from conformance.cases.stage_inputs import Inputs, chain_inputs
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import agrees_in_large_frames, cases, made_cases
+from conformance.suite.properties import agrees_in_large_frames, agrees_on_engines, cases, made_cases
 
 
 @cases(chain_inputs())
 def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
     """The chained motion is the float64 reference's; where rounding picks the pixel or the longest motion, either pick is right."""
     yield from judge.agrees("motion_chain", inputs)
-
-
-@cases(sizes().flatmap(lambda size: st.tuples(motions(size, broken=True), st.integers(1, 4))))
-def test_over_still_frames_it_is_the_newest(judge: Judge, case: tuple[Float64, int]) -> Talk:
-    """If only the newest frame moves, the chained motion is that frame's, bit for bit, over any number of frames."""
-    newest, more = case
-    given = judge.round_inputs({"motions": np.concatenate([newest[None], np.zeros((more, *newest.shape))])})["motions"]
-    got = (yield ask("motion_chain", {"motions": given}))["motion"]
-    finite = np.isfinite(given[0]).all(axis=-1, keepdims=True)
-    judge.same("motion_chain.motion", np.where(finite, got, 0), np.where(finite, given[0], 0))
-
-
-@cases(sizes().flatmap(lambda size: dyadic_motions(size, "short")))
-def test_one_frame_is_itself(judge: Judge, motion: Float64) -> Talk:
-    """The chained motion of one frame is that frame's motion, bit for bit."""
-    got = yield ask("motion_chain", {"motions": motion[None]})
-    judge.same("motion_chain.motion", got["motion"], motion.astype(np.float32))
 
 
 @cases(st.tuples(sizes(20), st.integers(2, 5), st.integers(-3, 3), st.integers(-3, 3)))
@@ -63,10 +45,7 @@ def test_a_motion_is_never_lost_in_a_sum(judge: Judge, inputs: Inputs) -> Talk:
     yield from judge.agrees("motion_chain", inputs)
 
 
-@made_cases(engine_inputs("motion_chain"))
-def test_agrees_on_what_engines_send(judge: Judge, inputs: Inputs) -> Talk:
-    """Cases agree, too, with motion of -0."""
-    yield from judge.agrees("motion_chain", inputs)
+test_agrees_on_what_engines_send = agrees_on_engines("motion_chain")
 
 
 test_large_frames_agree_with_the_reference = agrees_in_large_frames("motion_chain")

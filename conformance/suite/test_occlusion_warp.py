@@ -4,11 +4,10 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from conformance.cases.engine_inputs import engine_inputs
 from conformance.cases.stage_inputs import Inputs, occlusion_inputs
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import agrees_in_large_frames, agrees_on_constants, cases, made_cases, same_twice
+from conformance.suite.properties import agrees_in_large_frames, agrees_on_constants, agrees_on_engines, cases, same_twice
 
 
 @cases(occlusion_inputs())
@@ -78,10 +77,7 @@ test_the_same_twice = same_twice("occlusion_warp", cases(occlusion_inputs()))
 test_constants_are_those_of_the_specification = agrees_on_constants("occlusion_warp")
 
 
-@made_cases(engine_inputs("occlusion_warp"))
-def test_agrees_on_what_engines_send(judge: Judge, inputs: Inputs) -> Talk:
-    """Cases agree, too, with motion of -0."""
-    yield from judge.agrees("occlusion_warp", inputs)
+test_agrees_on_what_engines_send = agrees_on_engines("occlusion_warp")
 
 
 test_large_frames_agree_with_the_reference = agrees_in_large_frames("occlusion_warp")

@@ -5,12 +5,11 @@ import numpy as np
 from hypothesis import strategies as st
 
 from conformance.answers.expected import Expected
-from conformance.cases.engine_inputs import engine_inputs
 from conformance.cases.planes import Float64, colors, dyadic_motions, sizes
 from conformance.cases.stage_inputs import Inputs, warp_inputs, wide_warp_inputs
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import agrees_in_large_frames, cases, made_cases, same_twice
+from conformance.suite.properties import agrees_in_large_frames, agrees_on_engines, cases, same_twice
 
 
 @cases(warp_inputs())
@@ -110,10 +109,7 @@ def test_lost_motion_is_off_screen(judge: Judge, case: tuple[Float64, Float64, f
 test_the_same_twice = same_twice("warp", cases(warp_inputs()))
 
 
-@made_cases(engine_inputs("warp"))
-def test_agrees_on_what_engines_send(judge: Judge, inputs: Inputs) -> Talk:
-    """Cases agree, too, with motion of -0."""
-    yield from judge.agrees("warp", inputs)
+test_agrees_on_what_engines_send = agrees_on_engines("warp")
 
 
 test_large_frames_agree_with_the_reference = agrees_in_large_frames("warp")
