@@ -40,6 +40,20 @@ THINGS = (
     "stklib_aztekVase_a", "stklib_easel_a", "stklib_jackOLantern_a", "stklib_computer_a", "stklib_hayBall_a", "stklib_bench_a",
     "stklib_agave_a", "stklib_candle_a", "stklib_fern_a", "hd_chineseRedLantern_a", "stklib_cabbage_a",
 )  # fmt: skip
+PLANTS = (
+    "stklib_accacia_a", "stklib_cocoaTree_a", "stklib_cypress_a", "stklib_tropicalPlant_a", "stklib_lowPineTree_a", "stklib_agave_a",
+    "stklib_autumnSmallBush_a", "stklib_autumnTree_a", "stklib_snowSmallBush_a", "stklib_lowPalmTree_a", "hd_palmTree_a", "stklib_liana_a",
+)  # fmt: skip
+"""None of black_forest's."""
+GROUNDS = (
+    "grass2.jpg",
+    "grass_dark.jpg",
+    "stk_generic_dirtGrassA.png",
+    "dirt.jpg",
+    "sand2.jpg",
+    "stk_generic_grassB.png",
+    "road_dirt.jpg",
+)
 KARTS = ("tux", "konqi", "gnu", "kiki", "suzanne", "wilber", "puffy", "nolok", "pidgin", "xue")
 DAY, DUSK, NIGHT = ("park", "sky", "esplanade", "bridge", "venice"), ("dawn", "sunset", "sunrise"), ("night",)
 FRAMES, TRUTHS, SIZE = 7, (5, 6), (256, 144)
@@ -141,6 +155,28 @@ def draw_room(number: int) -> Clip:
     }
 
 
+def draw_grove(number: int) -> Clip:
+    """The grove with this number: plants along a straight way between four walls, a camera that mostly flies."""
+    random = np.random.default_rng((2, number))
+    clip, width, depth = draw_room(number), random.uniform(16, 40), random.uniform(20, 60)
+    plants = [
+        {"name": str(random.choice(PLANTS)), "turn": random.uniform(-3, 3), "ahead": random.uniform(2, depth),
+         "aside": random.choice((-1, 1)) * random.uniform(2, width / 2)}
+        for _ in range(int(random.integers(15, 40)))
+    ]  # fmt: skip
+    surfaces = [(str(random.choice(GROUNDS)), random.uniform(2, 6)), *clip["room"]["surfaces"][1:]]
+    room = clip["room"] | {
+        "surfaces": surfaces,
+        "width": width,
+        "depth": depth,
+        "height": random.uniform(0.5, 4),
+        "things": plants,
+    }
+    camera = ("fly", "fly", "pan", "still")[number % 4]
+    karts, fov = draw_clip(number)["karts"], random.uniform(40, 75)
+    return clip | {"name": f"grove_{number:03}", "room": room, "camera": camera, "karts": karts, "fov": fov}
+
+
 def write_clip(raw: Path, clip: Mapping[str, Any], out: Path) -> None:
     """Write ``out/lr``, ``out/hr`` and ``out/camera.csv`` of a rendered clip: centimetres, z up, colours exposed alike."""
     name, (width, height) = clip["name"], clip["size"]
@@ -188,19 +224,21 @@ def _upright(vectors: NDArray[Any]) -> NDArray[Any]:
     return np.stack([vectors[..., 0], -vectors[..., 2], vectors[..., 1]], -1)
 
 
+DRAW = {"track": draw_clip, "room": draw_room, "grove": draw_grove}
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """``python -m training.raster.make``."""
     parser = argparse.ArgumentParser(prog="python -m training.raster.make", description=__doc__)
     parser.add_argument("--assets", type=Path, required=True, help="folder with node_modules/ and SuperTuxKart's data in stk/")
     parser.add_argument("--clips", type=int, default=64)
     parser.add_argument("--first", type=int, default=0, help="number of the first clip")
-    parser.add_argument("--rooms", action="store_true", help="rooms in place of tracks")
+    parser.add_argument("--kind", choices=DRAW, default="track")
     parser.add_argument("--jitter", action="store_true", help="shift the camera by half pixels, the truth's too")
     parser.add_argument("-o", "--out", type=Path, required=True, help="a folder for each clip; an existing one is not made again")
     chosen = parser.parse_args(arguments)
     jitter = JITTER if chosen.jitter else None
-    draw = draw_room if chosen.rooms else draw_clip
-    clips = [draw(n) | {"jitter": jitter} for n in range(chosen.first, chosen.first + chosen.clips)]
+    clips = [DRAW[chosen.kind](n) | {"jitter": jitter} for n in range(chosen.first, chosen.first + chosen.clips)]
     raw = chosen.out / f".raw{chosen.first}"
     wanted = [c for c in clips if not (chosen.out / c["name"]).exists()]
     raw.mkdir(parents=True, exist_ok=True)

@@ -196,6 +196,7 @@ export async function loadRoom({surfaces, width, depth, height, things}) {
     await place(node, `${folder}node.xml`, [folder, SHARED]);
     node.position.set(aside, 0, ahead);
     node.rotation.y = turn;
+    node.traverse(({material}) => { if (material?.alphaTest) material.vertexColors = false; }); // they are wind, not light
     group.add(node);
   }
   return group;
