@@ -23,7 +23,7 @@
 // history, x0 and color3 may be a strip of the frame: R rows whose row 0 is the frame's row `top`; mask and keys are of the whole.
 // Build: -D of motion_chain.clh and holes.cl, optionally -D STORED (history and x0), -D STREAM, -D MARK, and -D EIGHTS: eight pixels in a row to a
 // work-item, for processors; -D LONGEST where GATHER is gather_longest; -D DETAIL: the second colour is what warped frames show within a pixel.
-// Order: chain_steps, prepare_older for each older frame, prepare_newest, splat_nearest, splat_first, fill_holes; then downsample_8.cl.
+// Order: chain_steps, prepare_older for each older frame where the history is read, prepare_newest, splat_nearest, splat_first, fill_holes; then downsample_8.cl.
 // Launch (W, H); prepare_* and fill_holes (C, R); with EIGHTS an eighth of the columns, but for fill_holes.
 #ifdef EIGHTS
 #define AT_ONCE 8
@@ -106,12 +106,14 @@ kernel void prepare_older(PLANES, global stored *restrict history, global uchar 
     prepare_pixels(f, bad, checks);
 }
 
-// Of the older frames what -D DETAIL reads; warps_*: whether they are warped.
+// Of the older frames what -D DETAIL reads; reads_*: whether they are warped, and not missing.
 #define OLDER                                                                                                                    \
-    global const float *restrict middle_color, global const float *restrict oldest_color, global const float2 *restrict to_middle,          \
-        global const float2 *restrict to_oldest, const int warps_middle, const int warps_oldest
-#define OF_OLDER \
-    .middle = middle_color, .oldest = oldest_color, .to_middle = warps_middle ? to_middle : 0, .to_oldest = warps_oldest ? to_oldest : 0
+    global const float *restrict middle_color, global const float *restrict oldest_color, global const float *restrict stencil_middle,      \
+        global const float *restrict stencil_oldest, global const float2 *restrict to_middle, global const float2 *restrict to_oldest,      \
+        const int reads_middle, const int reads_oldest
+#define OF_OLDER                                                                                                                 \
+    .middle = middle_color, .oldest = oldest_color, .stencil_middle = stencil_middle, .stencil_oldest = stencil_oldest,                     \
+    .to_middle = reads_middle ? to_middle : 0, .to_oldest = reads_oldest ? to_oldest : 0
 
 // `stores`: the history's last image is written.
 kernel void prepare_newest(PLANES, global stored *restrict history, global uchar *restrict history_changes, global int *restrict bad,
@@ -154,10 +156,10 @@ kernel void splat_first(global const float2 *restrict motion, global const float
 kernel void fill_holes(global const float *restrict color, global const float2 *restrict motion, global uint *restrict keys,
                        global uint *restrict first, global uchar *restrict mask, global stored *restrict x0,
                        global float4 *restrict color3, global uchar *restrict input_changes, const Strip strip,
-                       global stored *restrict history, OLDER)
+                       global const float *restrict stencil, global const float *restrict stencil_previous, OLDER)
 {
     const int x = get_global_id(0), y = get_global_id(1);
-    const Frame f = {.history = history, OF_OLDER, .color = color, .motion = motion, .keys = keys, .first = first, .mask = mask, .x0 = x0, .color3 = color3,
+    const Frame f = {OF_OLDER, .stencil = stencil, .stencil_previous = stencil_previous, .is_warped = true, .color = color, .motion = motion, .keys = keys, .first = first, .mask = mask, .x0 = x0, .color3 = color3,
                      .input_changes = input_changes, .strip = strip};
     if (x < strip.columns && y < strip.rows) fill_pixel(f, x, y);
 }

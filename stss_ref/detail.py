@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stss_ref.arrays import Array, Image, Mask, Plane
-from stss_ref.sample import follow, taps
+from stss_ref.arrays import Array, Image, Plane
+from stss_ref.sample import follow, leads_inside, taps
 
 LUMA = (0.299, 0.587, 0.114)
 """Share of R, G and B in a luma (Rec. 601)."""
@@ -18,19 +18,20 @@ OWN = 0.25
 """Weight of the pixel's own first colour at each of its places: that of a sample at the pixel's place."""
 
 
-def detail(first: Image, frames: Sequence[tuple[Image, Image, Mask]]) -> Image:
+def detail(first: Image, stencil: Plane, frames: Sequence[tuple[Image, Image, Plane]]) -> Image:
     """Differences of luma between the four places of a pixel, of all samples that lie within half a pixel of one.
 
     A sample ``r`` of frame ``i`` weighs ``w = t(dx) t(dy)`` at a place ``s`` of pixel ``p``, with ``(dx, dy) = p + s + motion_i(p) - r``
     and ``t(d) = max(0, 1 - 2 |d|)``. The place's luma is ``(OWN Y(first(p)) + sum w Y(r)) / (OWN + sum w)``; the sums run over the
-    frames that are valid at ``p``.
+    samples that show an object of the same number, in the frames into which ``p + motion_i(p)`` leads.
 
     Source: decision 37. Bilinear reading takes the mean of the samples around a place, so that it shows no detail of its own; here
-    each sample goes to the place that it lies at.
+    each sample goes to the place that it lies at. Holes do not count: beyond a silhouette that moves as the pixel does, samples are right.
 
     Args:
         first: (H, W, 3) the network's first colour.
-        frames: of each frame that is warped its colour (H, W, 3), the motion to it (H, W, 2) in pixels, and where to trust it, (H, W).
+        stencil: (H, W) object number.
+        frames: of each frame that is warped its colour (H, W, 3), the motion to it (H, W, 2) in pixels, and its stencil.
 
     Returns:
         (H, W, 3) luma of the right places less the left, half of it; of the lower less the upper, half of it; the mean of the four less
@@ -38,12 +39,13 @@ def detail(first: Image, frames: Sequence[tuple[Image, Image, Mask]]) -> Image:
     """
     own = luma(first)
     sums, totals = np.full((2, 2, *own.shape), OWN * own), np.full((2, 2, *own.shape), OWN, own.dtype)
-    for color, motion, valid in frames:
-        lit, at = luma(color), taps(follow(motion))
+    for color, motion, numbers in frames:
+        place = follow(motion)
+        lit, at, inside = luma(color), taps(place), leads_inside(place)
         across, down = tents(at.fx), tents(at.fy)
         for j, y in enumerate((at.y0, at.y1)):
             for i, x in enumerate((at.x0, at.x1)):
-                weight = np.where(valid, down[j][:, None] * across[i][None], 0)
+                weight = np.where(inside & (numbers[y, x] == stencil), down[j][:, None] * across[i][None], 0)
                 totals += weight
                 sums += weight * lit[y, x]
     (a, b), (c, d) = sums / totals

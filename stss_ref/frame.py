@@ -93,9 +93,9 @@ def prepare(
     warped, valids = [w for w, _ in pairs], [valid for _, valid in pairs]
     color = two_pictures(fill(inputs, warped[0], valids[0], motions.get(inputs.steps[0])), warped[0])
     if second == "detail":
-        moved = [i for i, step in enumerate(inputs.steps) if step in motions]
-        frames = [(inputs.colors[i], motions[inputs.steps[i]], valids[i]) for i in moved]
-        color[..., 3:] = detail(color[..., :3], frames)
+        moved = [i for i, step in enumerate(inputs.steps) if step in motions and not is_missing(inputs.steps, i)]
+        frames = [(inputs.colors[i], motions[inputs.steps[i]], inputs.stencils[i + 1]) for i in moved]
+        color[..., 3:] = detail(color[..., :3], inputs.stencils[0], frames)
     return NetworkInputs(color, inputs.gbuffer, valids[0].astype(color.dtype), stack_history(warped, valids))
 
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from conformance.protocol.reference_copy import Mistake, Plant, change_arguments, fault, put, returns
+from conformance.protocol.reference_copy import Copy, Mistake, Plant, change_arguments, fault, put, returns, wrap
 from stss_ref.detail import PLACE
-from stss_ref.frame import stack_history
+from stss_ref.frame import is_missing, stack_history
 from stss_ref.motion_chain import motion_chain
 from stss_ref.sample import follow, leads_inside
 
@@ -82,7 +82,7 @@ def _detail(name: str, what: str, plant: Plant) -> Mistake:
 
 
 def _warps(name: str, what: str, change: Change) -> Mistake:
-    """The details are those of other frames: each is a colour, the motion to it, and where it is valid; newest first."""
+    """The details are those of other frames: each is a colour, the motion to it, and its stencil; newest first."""
     return _detail(name, what, change_arguments("frame.detail", frames=change))
 
 
@@ -100,14 +100,23 @@ def _tents(name: str, what: str, weigh: Callable[[Any], Any]) -> Mistake:
     return _detail(name, what, put("detail.tents", wrong))
 
 
-def _everywhere(frames: Any) -> Any:
-    return [(color, motion, np.ones_like(valid)) for color, motion, valid in frames]
+def _not_in_holes(copy: Copy) -> None:
+    """Samples count where the warped colour is to be trusted."""
+    valids: dict[int, Any] = {}
 
+    def warped(right: Change, inputs: Any, i: int, motion: Any, test: Any) -> Any:
+        made = right(inputs, i, motion, test)
+        if not is_missing(inputs.steps, i):
+            valids[id(motion)] = made[1]
+        return made
 
-def _as_twin(frames: Any) -> Any:
-    """A missing frame, which has the motion of the one before it, is valid where that is."""
-    twins = [next(j for j, (_, motion, _) in enumerate(frames) if motion is own) for _, own, _ in frames]
-    return [(color, motion, frames[j][2]) for (color, motion, _), j in zip(frames, twins, strict=True)]
+    def detail(right: Change, first: Any, stencil: Any, frames: Any) -> Any:
+        return right(
+            first, stencil, [(c, np.where(valids[id(m)][..., None], m, np.nan).astype(m.dtype), n) for c, m, n in frames]
+        )
+
+    wrap("frame.warp_one", warped)(copy)
+    wrap("frame.detail", detail)(copy)
 
 
 DETAILS = (
@@ -121,10 +130,16 @@ DETAILS = (
         "a black image for weights that want detail",
         returns("frame.frame", lambda got, weights: (got[0] * (weights.second_color == "newest"), got[1])),
     ),
-    _warps("unmasked", "samples count in holes, too", _everywhere),
-    _warps("by_newest_mask", "all frames have the newest's holes", lambda frames: [(c, m, frames[0][2]) for c, m, _ in frames]),
-    _warps("missing_trusted", "a missing frame's samples count", _as_twin),
-    _warps("not_warped", "samples of all frames at the pixel's own place", lambda frames: [(c, m * 0, v) for c, m, v in frames]),
+    _detail("not_in_holes", "samples count where the warped colour is to be trusted", _not_in_holes),
+    _detail(
+        "of_all_objects",
+        "samples of other objects count, too",
+        change_arguments("frame.detail", stencil=np.zeros_like, frames=lambda frames: [(c, m, n * 0) for c, m, n in frames]),
+    ),
+    _warps(
+        "numbers_of_newest", "the newest's object numbers for all", lambda frames: [(c, m, frames[0][2]) for c, m, _ in frames]
+    ),
+    _warps("not_warped", "samples of all frames at the pixel's own place", lambda frames: [(c, m * 0, n) for c, m, n in frames]),
     _warps("newest_alone", "samples of one frame alone", lambda frames: frames[:1]),
     _warps("oldest_left_out", "no samples of the oldest frame", lambda frames: frames[:-1]),
     _warps("ef_only", "nothing within the pixels of an SF", lambda frames: frames if len(frames) == 3 else []),

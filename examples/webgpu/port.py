@@ -124,11 +124,11 @@ class Maker(Calls):
         return found, self.copy(warped, self.warp(color, found)[0], where=valid)
 
     def detail(self, first: Picture, frames: list[tuple[Picture, Picture, Picture]]) -> Picture:
-        """The second colour of weights that want it; of each frame that is warped its colour, the motion to it, and where it is valid."""
+        """The second colour of weights that want it; of each frame that is warped its colour, the motion to it, and object numbers."""
         quarters, second = self.empty(first.height, first.width, 8), self.empty(first.height, first.width, 3)
         size = first.width, first.height
-        for color, motion, valid in frames:
-            self.add("detail.add_samples", first, 1, size, {1: color, 2: motion, 3: valid, 4: quarters})
+        for color, motion, numbers in frames:
+            self.add("detail.add_samples", first, 1, size, {1: color, 2: motion, 3: numbers, 4: quarters})
         self.add("detail.show_detail", first, 1, size, {1: first, 4: quarters, 5: second})
         return second
 
@@ -218,7 +218,9 @@ class Maker(Calls):
         color = self.copy(instead, self.empty(height, width, 6), positive=True)
         self.copy(warped[0], color, 3, positive=True)
         if getattr(self.weights, "second_color", "newest") == "detail":
-            frames = [(colors[i], chain[step - 1], valid[i]) for i, step in enumerate(steps) if step]
+            numbers = [self.put(np.stack([then, given["stencils"][0]], axis=-1)) for then in given["stencils"][1:]]
+            there = [i for i, step in enumerate(steps) if step > (0, *steps)[i]]
+            frames = [(colors[i], chain[steps[i] - 1], numbers[i]) for i in there]
             self.copy(self.detail(self.copy(color, self.empty(height, width, 3), channels=3), frames), color, 3)
         history = [self.copy(w, self.empty(height, width, 4), positive=True) for w in warped]
         return self.network(color, gbuffer, valid[0], [self.copy(v, h, 3) for v, h in zip(valid, history, strict=True)][::-1])

@@ -33,7 +33,9 @@ PLANES = (
     "stencil_previous", "normal_previous", "position_previous", "normal_stride",
 )  # fmt: skip
 COLOR_FRAME = (*PLANES, "history", "history_changes", "bad", "is_warped", "checks", "strip", "dirty")
-OLDER = ("middle_color", "oldest_color", "to_middle", "to_oldest", "warps_middle", "warps_oldest")
+OLDER = (
+    "middle_color", "oldest_color", "stencil_middle", "stencil_oldest", "to_middle", "to_oldest", "reads_middle", "reads_oldest",
+)  # fmt: skip
 ARGUMENTS = {
     "chain_steps": (*MOTIONS, "newest", "middle", "oldest", *CHAINED, "height", "width", "dirty"),
     "prepare_older": (*COLOR_FRAME, "image", "is_missing"),
@@ -42,7 +44,9 @@ ARGUMENTS = {
     ),
     "splat_nearest": ("motion", "gbuffer", "keys", "height", "width"),
     "splat_first": ("motion", "gbuffer", "keys", "first", "height", "width"),
-    "fill_holes": ("color", "motion", "keys", "first", "mask", "x0", "color3", "input_changes", "strip", "history", *OLDER),
+    "fill_holes": (
+        "color", "motion", "keys", "first", "mask", "x0", "color3", "input_changes", "strip", "stencil", "stencil_previous", *OLDER,
+    ),
     "downsample_8": (
         "gbuffer", "mask", "eighth", "height", "width", "eighth_height", "eighth_width", "eighth_columns", "top", "eighth_changes",
     ),
@@ -71,7 +75,7 @@ class Prepare:
         inputs: buffers to write to; None: buffers of its own. If they have change maps, only ``dirty`` tiles are computed.
         second, test: the network's second colour and the hole test, see ``stss_ref.frame.prepare``.
         frames: how many of the three colour frames are read, from the newest on: 1 or 3. With 1 ``inputs.earlier`` is not written.
-        history: whether anybody reads ``inputs.earlier``; if not, the newest frame is not written there.
+        history: whether anybody reads ``inputs.earlier``; if not, it is not written, and no older frame is searched for holes.
         tops: the rows of the frame at which the strips of ``inputs`` begin.
 
     Attributes:
@@ -95,7 +99,12 @@ class Prepare:
         tops: Sequence[int] = (0,),
     ) -> None:
         self.device, self.height, self.width, self._gather = device, height, width, gather
-        self._frames, self._tops, self._is_detailed, self._stores = frames, tuple(tops), second == "detail", history
+        self._frames, self._tops, self._is_detailed, self._stores = (
+            frames,
+            tuple(tops),
+            second == "detail",
+            history and frames == 3,
+        )
         self._test: HoleTest = test
         rows, columns = ceil_div(height, 8) * 8, ceil_div(width, 8) * 8
         self.inputs = inputs_for(device, rows, columns, np.dtype(np.float32)) if inputs is None else inputs
@@ -140,19 +149,19 @@ class Prepare:
             "mask": self.mask, "keys": self._keys, "first": self._first, "bad": self._bad, "dirty": self.dirty,
             "input_changes": input_changes, "history_changes": history_changes, "eighth_changes": eighth_changes,
             "height": height, "width": width, "eighth_height": inputs.eighth.height, "eighth_width": inputs.eighth.width,
-            "eighth_columns": inputs.eighth.columns, "stores": self._stores and self._frames == 3,
+            "eighth_columns": inputs.eighth.columns, "stores": self._stores,
         }  # fmt: skip
         across = 8 if self.device.is_cpu else 1
 
         def made(name: str, columns: int, rows: int, of: cl.Program = frame, **own: int) -> Launch:
             # What a frame brings stands open until then: of a kernel's numbers those must come first.
             brought = {"strip": self._strip(0), "normal_stride": 3, "top": 0, "is_warped": 0, "is_missing": 0, "checks": 0}
-            brought |= {"marks_wanted": 0, "newest": 0, "middle": 0, "oldest": 0, "warps_middle": 0, "warps_oldest": 0}
+            brought |= {"marks_wanted": 0, "newest": 0, "middle": 0, "oldest": 0, "reads_middle": 0, "reads_oldest": 0}
             arguments = {each: (own | known | brought).get(each, self.mask) for each in ARGUMENTS[name]}
             return Launch(name, kernel(of, name, arguments), *grid(self.device, columns, rows), arguments)
 
         whole, strip = (ceil_div(width, across), height), (ceil_div(self.columns, across), self.rows)
-        older = (made("prepare_older", *strip, image=2 - i) for i in range(1, self._frames))
+        older = (made("prepare_older", *strip, image=2 - i) for i in (1, 2) if self._stores)
         return _Launches(
             chain=made("chain_steps", *whole),
             colors=(made("prepare_newest", *strip), *older),
@@ -181,6 +190,7 @@ class Prepare:
             ArrayError: shapes, dtypes or steps are not a frame's.
         """
         chosen, size, device, read = check_steps(steps), (self.height, self.width), self.device, self._frames
+        surfaces = 4 if self._stores else 2
         if self._done is not None:
             self._done.wait()  # until then the last frame's arrays are in use
         far = chosen[read - 1]
@@ -191,8 +201,8 @@ class Prepare:
             gbuffer=upload(device, "gbuffer", gbuffer, (*size, 9)),
             nov=upload(device, "nov", nov, size),
             stencils=planes(device, "stencils", stencils, read + 1, size, stack=4),
-            normals=planes(device, "normals", normals, read + 1, (*size, 3), stack=4),
-            positions=planes(device, "positions", positions, read + 1, (*size, 3), stack=4),
+            normals=planes(device, "normals", normals, surfaces, (*size, 3), stack=4),
+            positions=planes(device, "positions", positions, surfaces, (*size, 3), stack=4),
         )
         self.start(sources, checks=True)
 
@@ -226,14 +236,16 @@ class Prepare:
             launch.set(is_missing=newer == older)
         if self._is_detailed:
             for launch in (launches.colors[0], launches.fill):
-                warped = {"warps_middle": s.steps[1] > 0, "warps_oldest": s.steps[2] > 0}
-                launch.set(middle_color=s.colors[1], oldest_color=s.colors[2], **warped)
+                launch.set(
+                    middle_color=s.colors[1], oldest_color=s.colors[2], stencil_middle=s.stencils[2], stencil_oldest=s.stencils[3],
+                    reads_middle=s.steps[1] > s.steps[0], reads_oldest=s.steps[2] > s.steps[1],
+                )  # fmt: skip
         for top in self._tops:
             self._warp(top, checks=checks, marks_wanted=True)
         for launch in launches.splat if s.steps[0] else ():
             launch.set(motion=motions[0], gbuffer=s.gbuffer)
             launch.enqueue(self.device.queue)
-        launches.fill.set(color=s.colors[0], motion=motions[0])
+        launches.fill.set(color=s.colors[0], motion=motions[0], stencil=s.stencils[0], stencil_previous=s.stencils[1])
         launches.eighth.set(gbuffer=s.gbuffer)
 
     def not_finite(self) -> str | None:
@@ -257,12 +269,12 @@ class Prepare:
         self._done = self._launches.eighth.enqueue(self.device.queue)
 
     def _warp(self, top: int, *, checks: bool, marks_wanted: bool) -> None:
-        """Warp the colour frames and find their holes; for the newest, mark the places that holes look up.
+        """Warp the colour frames that are read, and find their holes; for the newest, mark the places that holes look up.
 
         ``checks``: look for what is not finite; ``marks_wanted``: False if the places were marked before.
         """
         self._launches.colors[0].set(marks_wanted=marks_wanted)
-        for launch in reversed(self._launches.colors):  # the newest may read where the older ones are valid
+        for launch in self._launches.colors:
             launch.set(strip=self._strip(top), checks=checks)
             launch.enqueue(self.device.queue)
 

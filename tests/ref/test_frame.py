@@ -95,7 +95,7 @@ def test_holes_are_filled_in_the_first_three_channels_only():
 @settings(max_examples=15)
 @given(data=st.data(), size=sizes(10), seed=SEEDS)
 def test_the_weights_say_what_the_second_colour_is(data, size, seed):
-    """Which is part of no other input; it shows the frames that are warped, where they are valid: in an SF not the newest."""
+    """Which is part of no other input; it shows the frames that are warped and are not missing: in an SF not the newest."""
     inputs = replace(still_scene(size, seed, data.draw(st.sampled_from(((0, 2, 4), (1, 3, 5), (0, 0, 0), (1, 1, 3))))),
                      motions=np.stack([data.draw(motions(size)) for _ in range(5)]))  # fmt: skip
     inputs = replace(inputs, colors=np.random.default_rng(seed).random((3, *size, 3)))
@@ -103,8 +103,10 @@ def test_the_weights_say_what_the_second_colour_is(data, size, seed):
     for name in ("gbuffer", "mask", "history"):
         np.testing.assert_array_equal(getattr(newest, name), getattr(detailed, name))
     first, chained = newest.color[..., :3], motion_by_step(inputs.motions, inputs.steps, "longest")
-    frames = [(inputs.colors[i], chained[step], newest.history[2 - i, ..., 3] > 0) for i, step in enumerate(inputs.steps) if step]
-    np.testing.assert_array_equal(detailed.color, np.concatenate([first, detail(first, frames)], axis=-1))
+    before = (0, *inputs.steps)
+    there = [i for i, step in enumerate(inputs.steps) if step > before[i]]
+    frames = [(inputs.colors[i], chained[inputs.steps[i]], inputs.stencils[i + 1]) for i in there]
+    np.testing.assert_array_equal(detailed.color, np.concatenate([first, detail(first, inputs.stencils[0], frames)], axis=-1))
     for prepared, given_weights in ((newest, weights), (detailed, Weights(weights, "detail"))):
         want = network(prepared.color, prepared.gbuffer, prepared.mask, prepared.history, weights)
         np.testing.assert_array_equal(frame(inputs, given_weights)[0], want)

@@ -613,29 +613,33 @@ struct FrameInputs {
     std::vector<Surface> surfaces;  // 4: of the frame itself, then of `colors`
 };
 
-// A frame that is warped: its colour, the motion to it, and where to trust it.
+// A frame that is warped: its colour, the motion to it, and its object numbers.
 struct Warp {
     const Image *color;
-    Image motion, trust;
+    Image motion;
+    const Image *stencil;
 };
 
 static float luma(const float *c) { return 0.299f * c[0] + 0.587f * c[1] + 0.114f * c[2]; }
 
 static float tent(float distance) { return std::max(0.0f, 1.0f - 2.0f * std::fabs(distance)); }
 
-// The second colour "detail": each sample within half a pixel of a quarter's middle counts there, and so does the first colour.
-static void show_detail(const std::vector<Warp> &warps, Image &color) {
+// The second colour "detail": each sample of the same object within half a pixel of a quarter's middle counts there, and so does the first colour.
+static void show_detail(const std::vector<Warp> &warps, const Image &stencil, Image &color) {
     each_pixel(color, [&](int y, int x) {
         float *const c = color.at(y, x), own = luma(c), lumas[4];
         for (int q = 0; q < 4; ++q) {
             float sum = 0.25f * own, total = 0.25f;
             for (const Warp &w : warps) {
-                if (*w.trust.at(y, x) == 0.0f) continue;
-                const Taps at = taps(follow(w.motion, y, x), color.height, color.width);
+                const Place to = follow(w.motion, y, x);
+                if (!leads_inside(to, color)) continue;
+                const Taps at = taps(to, color.height, color.width);
                 const float right = at.fx + (q % 2 ? 0.25f : -0.25f), down = at.fy + (q / 2 ? 0.25f : -0.25f);
                 for (int tap = 0; tap < 4; ++tap) {
+                    const int ty = tap / 2 ? at.y1 : at.y0, tx = tap % 2 ? at.x1 : at.x0;
+                    if (*w.stencil->at(ty, tx) != *stencil.at(y, x)) continue;
                     const float weight = tent(right - float(tap % 2)) * tent(down - float(tap / 2));
-                    sum += weight * luma(w.color->at(tap / 2 ? at.y1 : at.y0, tap % 2 ? at.x1 : at.x0));
+                    sum += weight * luma(w.color->at(ty, tx));
                     total += weight;
                 }
             }
@@ -674,10 +678,10 @@ static Image frame(const FrameInputs &in, const Weights &weights) {
             color = concat({&instead, &warped});
             mask = trust;
         }
-        if (step > 0 && weights.detail) warps.push_back({&in.colors[i], motion, trust});
+        if (step > 0 && !missing && weights.detail) warps.push_back({&in.colors[i], motion, &in.surfaces[i + 1].stencil});
         frames.insert(frames.begin(), concat({&warped, &trust}));
     }
-    if (weights.detail) show_detail(warps, color);
+    if (weights.detail) show_detail(warps, in.surfaces[0].stencil, color);
     seen("color", color);
     seen("mask", mask);
     for (const Image &x : frames) seen("history", x);
