@@ -15,7 +15,7 @@ from conformance.answers.motion_chain import expect_motion_chain
 from conformance.answers.network import Errors, expect_with_weights
 from conformance.answers.occlusion_warp import expect_occlusion_warp
 from conformance.answers.port_arithmetic import Arithmetic, Reach, reach
-from conformance.answers.warp import over_windows
+from conformance.answers.warp import over_windows, within_frame
 from conformance.protocol.stages import network_inputs
 from conformance.tolerance import BOUNDS
 from stss_ref.detail import OWN, luma, tents
@@ -24,8 +24,8 @@ from stss_ref.sample import taps
 from stss_ref.weights import Weights
 
 Inputs = dict[str, NDArray[Any]]
-Seen = tuple[NDArray[Any], Reach, NDArray[np.bool_]]
-"""A colour frame that is warped: its colour (H, W, 3), where its motion leads, where to trust it."""
+Seen = tuple[NDArray[Any], Reach, NDArray[Any], NDArray[np.bool_]]
+"""A colour frame that is warped, for detail: its colour (H, W, 3), where its motion leads, its stencil, and where it counts, (H, W)."""
 
 
 def expect_frame(inputs: Inputs, weights: Weights, arithmetic: Arithmetic) -> dict[str, Expected]:
@@ -59,17 +59,23 @@ def expect_frame(inputs: Inputs, weights: Weights, arithmetic: Arithmetic) -> di
             return {}
         if i == 0 and expect_occlusion_warp(given, arithmetic, off=off)["occlusion_motion"].undecided:
             return {}
-        seen.append((color, reach(motion, arithmetic, off), valid.want.astype(bool) & (not is_missing(steps, i))))
+        at = reach(motion, arithmetic, off)
+        inside, unsure = within_frame(at)
+        if weights.second_color == "detail" and unsure.any():
+            return {}
+        seen.append((color, at, planes["stencil_previous"], inside & (not is_missing(steps, i))))
     made = network_inputs(inputs, weights)
-    errors = detail_errors(made["color"][..., :3], seen, arithmetic) if weights.second_color == "detail" else (0.0, 0.0)
+    first, is_detailed = made["color"][..., :3], weights.second_color == "detail"
+    errors = detail_errors(first, inputs["stencils"][0], seen, arithmetic) if is_detailed else (0.0, 0.0)
     return expect_with_weights("network", made, weights, arithmetic, errors)
 
 
-def detail_errors(first: NDArray[Any], seen: Sequence[Seen], arithmetic: Arithmetic) -> Errors:
+def detail_errors(first: NDArray[Any], stencil: NDArray[Any], seen: Sequence[Seen], arithmetic: Arithmetic) -> Errors:
     """The most by which a port's second colour ``detail`` is off: docs/conformance.md, Second colour.
 
     Args:
         first: (H, W, 3) the first colour.
+        stencil: (H, W) object number.
         seen: the frames that are warped.
         arithmetic: of the port.
     """
@@ -77,17 +83,20 @@ def detail_errors(first: NDArray[Any], seen: Sequence[Seen], arithmetic: Arithme
     most, least, peak = own, own, luma(np.abs(first))
     total = np.full((2, 2, *own.shape), OWN)
     change = np.zeros((2, *total.shape))  # of the weights: by the port's own rounding, and by that of its motion
-    for color, at, valid in seen:
+    for color, at, numbers, counts in seen:
         cell = taps(at.at)
         light, bright = luma(color), luma(np.abs(color))
         most, least, peak = (
-            np.where(valid, extreme(old, over_windows(extreme, image)[cell.y0, cell.x0]), old)
+            np.where(counts, extreme(old, over_windows(extreme, image)[cell.y0, cell.x0]), old)
             for extreme, image, old in ((np.maximum, light, most), (np.minimum, light, least), (np.maximum, bright, peak))
         )
-        across, down = np.add(*tents(cell.fx))[None], np.add(*tents(cell.fy))[:, None]
-        total += np.where(valid, down * across, 0)
+        columns, rows = tents(cell.fx), tents(cell.fy)
+        for y, row in zip((cell.y0, cell.y1), rows, strict=True):
+            for x, column in zip((cell.x0, cell.x1), columns, strict=True):
+                total += np.where(counts & (numbers[y, x] == stencil), row[:, None] * column[None], 0)
+        across, down = np.add(*columns)[None], np.add(*rows)[:, None]
         place = BOUNDS["quarter"].roundings * arithmetic.unit
         for i, (x, y) in enumerate(((at.rounded_x + place, at.rounded_y + place), (at.off_x, at.off_y))):
-            change[i] += np.where(valid, 2 * (x * down + y * across + 2 * x * y), 0)  # 2 is the slope of a tent
+            change[i] += np.where(counts, 2 * (x * down + y * across + 2 * x * y), 0)  # 2 is the slope of a tent
     rounded, moved = (np.minimum(change / total, 1) * (most - least)).sum(axis=(1, 2))[..., None] / (2, 2, 4)
     return rounded + (BOUNDS["detail"].roundings * arithmetic.unit * peak[..., None]), moved
