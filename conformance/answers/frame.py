@@ -23,12 +23,11 @@ from stss_ref.frame import is_missing
 from stss_ref.sample import taps
 from stss_ref.weights import Weights
 
-Inputs = dict[str, NDArray[Any]]
 Seen = tuple[NDArray[Any], Reach, NDArray[Any], NDArray[np.bool_]]
 """A colour frame that is warped, for detail: its colour (H, W, 3), where its motion leads, its stencil, and where it counts, (H, W)."""
 
 
-def expect_frame(inputs: Inputs, weights: Weights, arithmetic: Arithmetic) -> dict[str, Expected]:
+def expect_frame(inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: Arithmetic) -> dict[str, Expected]:
     """The right image; empty if a decision before the network (motion, holes, splat) is within rounding of its threshold.
 
     Each may change the whole image, so a frame that has one is not judged.

@@ -178,6 +178,15 @@ HOLES = (
 _fill = partial(fault, "occlusion_warp")
 
 
+def _looked_up(name: str, what: str, change: Change) -> Mistake:
+    return _fill(name, what, returns("occlusion_warp.look_up", change))
+
+
+def _pixels(name: str, what: str, change: Change) -> Mistake:
+    """Other pixels of the four are written to."""
+    return _fill(name, what, returns("occlusion_warp.written_pixels", change))
+
+
 def _nearest(name: str, what: str, change: Callable[[Any], Any]) -> Mistake:
     """The surface of the smallest ``change`` of the depth stays."""
     return _fill(name, what, change_arguments("occlusion_warp.writing_order", depth=change))
@@ -217,30 +226,20 @@ OCCLUSION_WARP = (
     _nearest("half_depth", "depth in half precision", half),
     _nearest("minus_zero", "depth by its bits: -0 is the farthest", lambda depth: np.where(np.signbit(depth), 99, depth)),
     _fill("starts_at_1", "the depth buffer starts at 1: a background at 1 does not splat", put("occlusion_warp.FARTHEST", 1.0)),
-    _fill(
-        "one_pixel", "writes one pixel of four", returns("occlusion_warp.written_pixels", lambda xy: (xy[0][:, :1], xy[1][:, :1]))
-    ),
-    _fill(
-        "weighted_pixels",
-        "whole-pixel motion writes no right neighbour",
-        returns("occlusion_warp.written_pixels", _where_it_moves),
-    ),
-    _fill(
-        "corner_must_land", "drops all four where the first is outside", returns("occlusion_warp.written_pixels", _if_first_lands)
-    ),
+    _pixels("one_pixel", "writes one pixel of four", lambda xy: (xy[0][:, :1], xy[1][:, :1])),
+    _pixels("weighted_pixels", "whole-pixel motion writes no right neighbour", _where_it_moves),
+    _pixels("corner_must_land", "drops all four where the first is outside", _if_first_lands),
     _written("truncated_splat", "trunc for floor in the splat", lambda at: at._replace(x=at.x + ((at.x < 0) & (at.fx > 0)))),
     _written("rounded_splat", "splats around the nearest pixel", lambda at: at._replace(x=at.x + (at.fx >= 0.5))),
     _fill("rounded_lookup", "looks up the nearest pixel", change_arguments("occlusion_warp.look_up", motion=np.rint)),
     _fill("looked_up_here", "looks up the pixel itself", put("occlusion_warp.look_up", lambda earlier, _: earlier)),
-    _fill(
-        "interpolated_lookup",
-        "interpolates the splatted map",
-        put("occlusion_warp.look_up", lambda earlier, motion: bilinear(earlier, taps(follow(motion)))),
+    _looked_up(
+        "interpolated_lookup", "interpolates the splatted map", lambda _, earlier, motion: bilinear(earlier, taps(follow(motion)))
     ),
-    _fill(
+    _looked_up(
         "outside_looks_up_0",
         "off screen looks up 0, not the border",
-        returns("occlusion_warp.look_up", lambda found, motion: found * leads_inside(follow(motion))[..., None]),
+        lambda found, motion: found * leads_inside(follow(motion))[..., None],
     ),
     _fill("half_motion", "moves motion in half precision", returns("occlusion_warp.splat", half)),
     _fill(
@@ -250,11 +249,7 @@ OCCLUSION_WARP = (
             "occlusion_warp.splat", motion=lambda motion: np.where(np.isfinite(motion).all(axis=-1)[..., None], motion, 0)
         ),
     ),
-    _fill(
-        "added_to_motion",
-        "the new motion added to the one before",
-        returns("occlusion_warp.look_up", lambda found, motion: found + motion),
-    ),
+    _looked_up("added_to_motion", "the new motion added to the one before", lambda found, motion: found + motion),
     _fill("second_sign", "the new motion with the other sign", change_arguments("occlusion_warp.read_along", motion=np.negative)),
     _fill("unfilled", "holes are left as they are", change_arguments("occlusion_warp.occlusion_warp", valid=np.ones_like)),
     _fill(

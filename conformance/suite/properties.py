@@ -16,7 +16,9 @@ from hypothesis.errors import Flaky
 
 from conformance.cases.constants import constant_cases, pinned_by
 from conformance.cases.engine_inputs import engine_inputs
+from conformance.cases.exact_weights import LAST, exact_inputs, rounded_sums
 from conformance.cases.large_inputs import large_inputs, user_inputs
+from conformance.cases.planes import Size
 from conformance.explain.confirm import UNSTABLE, confirm
 from conformance.explain.diagnosis import diagnose
 from conformance.explain.first_layer import first_departure
@@ -109,6 +111,26 @@ def same_twice(stage: str, drawn: Callable[[Body], Test]) -> Test:
             judge.same(f"{stage}.{name}", np.nan_to_num(second[name]), np.nan_to_num(first[name]))
 
     return drawn(body)
+
+
+def agrees_exactly(stage: str, size: st.SearchStrategy[Size]) -> Test:
+    """Make a stage's test on sums that no order of theirs rounds."""
+
+    def body(judge: Judge, case: tuple[Any, Weights]) -> Talk:
+        """Sums of eighths and few weights of 1 need no rounding in any order: they are right bit for bit."""
+        yield from judge.agrees_exactly(stage, *case)
+
+    return cases(exact_inputs(stage, size), slow=True)(body)
+
+
+def rounds_either_way(stage: str, output: str) -> Test:
+    """Make a stage's test of how the sums of the last layer before ``output`` are rounded."""
+
+    def body(judge: Judge, case: tuple[Any, Weights]) -> Talk:
+        """Thousands of sums of one layer are off by no more than rounding to nearest causes on average, and not all to one side."""
+        yield from judge.rounds_either_way(stage, output, *case, LAST[stage])
+
+    return cases(rounded_sums(stage), slow=True)(body)
 
 
 @contextmanager

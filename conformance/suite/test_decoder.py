@@ -4,11 +4,10 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from conformance.cases.exact_weights import LAST, exact_inputs, rounded_sums
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import agrees_in_large_frames, cases, same_twice
+from conformance.suite.properties import agrees_exactly, agrees_in_large_frames, cases, rounds_either_way, same_twice
 from stss_ref.weights import Weights, zeros
 
 CASES = st.tuples(network_inputs("decoder"), weights())
@@ -40,16 +39,10 @@ def test_one_colour_stays_one_colour(judge: Judge, inputs: Inputs) -> Talk:
 test_the_same_twice = same_twice("decoder", cases(CASES, slow=True))
 
 
-@cases(exact_inputs("decoder", multiples()), slow=True)
-def test_what_needs_no_rounding_is_exact(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """Sums of eighths and few weights of 1 over flat features need no rounding in any order: the image is right bit for bit."""
-    yield from judge.agrees_exactly("decoder", *case)
+test_what_needs_no_rounding_is_exact = agrees_exactly("decoder", multiples())
 
 
-@cases(rounded_sums("decoder"), slow=True)
-def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """Thousands of sums of one layer are off by no more than rounding to nearest causes on average, and not all to one side."""
-    yield from judge.rounds_either_way("decoder", "image", *case, LAST["decoder"])
+test_sums_round_either_way = rounds_either_way("decoder", "image")
 
 
 test_large_frames_agree_with_the_reference = agrees_in_large_frames("decoder")

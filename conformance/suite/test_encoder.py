@@ -5,11 +5,10 @@ import numpy as np
 from hypothesis import strategies as st
 
 from conformance.answers.expected import Expected
-from conformance.cases.exact_weights import LAST, exact_inputs, rounded_sums
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import agrees_in_large_frames, cases, same_twice
+from conformance.suite.properties import agrees_exactly, agrees_in_large_frames, cases, rounds_either_way, same_twice
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("encoder"), weights())
@@ -59,16 +58,10 @@ def test_a_pixel_is_seen_from_nearby_only(judge: Judge, case: tuple[Inputs, Weig
 test_the_same_twice = same_twice("encoder", cases(CASES, slow=True))
 
 
-@cases(exact_inputs("encoder", multiples()), slow=True)
-def test_what_needs_no_rounding_is_exact(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """Sums of eighths and few weights of 1 need no rounding in any order: all four features are right bit for bit."""
-    yield from judge.agrees_exactly("encoder", *case)
+test_what_needs_no_rounding_is_exact = agrees_exactly("encoder", multiples())
 
 
-@cases(rounded_sums("encoder"), slow=True)
-def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """Thousands of sums of one layer are off by no more than rounding to nearest causes on average, and not all to one side."""
-    yield from judge.rounds_either_way("encoder", "x1", *case, LAST["encoder"])
+test_sums_round_either_way = rounds_either_way("encoder", "x1")
 
 
 test_large_frames_agree_with_the_reference = agrees_in_large_frames("encoder")

@@ -39,7 +39,7 @@ def test_a_masked_value_influences_nobody(judge: Judge, case: tuple[Inputs, Weig
     wide = {n: t for n, t in given.items() if n.startswith(("latentEncoder", "KEncoder")) and t.ndim == 4}
     taps = given | {name: _centre(tensor) for name, tensor in wide.items()}
     closed = _quarter(inputs)
-    changed = {**closed, "x4": np.where(_eighth(closed["mask"])[..., None] == 0, 3 - closed["x4"], closed["x4"])}
+    changed = {**closed, "x4": np.where(closed["mask"][3::8, 3::8, None] == 0, 3 - closed["x4"], closed["x4"])}
     right = judge.right("erm", closed, taps)["reshaded"]
     first, second = yield [ask("erm", i, taps) for i in (closed, changed)]
     judge.holds("erm.reshaded", second["reshaded"], Expected(first["reshaded"], 2 * np.asarray(right.allowed)))
@@ -103,7 +103,3 @@ def _quarter(inputs: Inputs) -> Inputs:
     height, width = inputs["mask"].shape
     y, x = np.indices((height, width)) // 8
     return {**inputs, "mask": ((y + x) % 2 == 0).astype(np.float64)}
-
-
-def _eighth(mask: np.ndarray) -> np.ndarray:
-    return mask[3::8, 3::8]

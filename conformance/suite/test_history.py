@@ -5,11 +5,10 @@ import numpy as np
 from hypothesis import strategies as st
 
 from conformance.answers.expected import Expected
-from conformance.cases.exact_weights import LAST, exact_inputs, rounded_sums
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import agrees_in_large_frames, cases, same_twice
+from conformance.suite.properties import agrees_exactly, agrees_in_large_frames, cases, rounds_either_way, same_twice
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("history"), weights())
@@ -48,16 +47,10 @@ def test_without_weights_the_bias_is_left(judge: Judge, case: tuple[Inputs, Weig
 test_the_same_twice = same_twice("history", cases(CASES, slow=True))
 
 
-@cases(exact_inputs("history", multiples(32)), slow=True)
-def test_what_needs_no_rounding_is_exact(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """Sums of eighths and few weights of 1 need no rounding in any order: the feature is right bit for bit."""
-    yield from judge.agrees_exactly("history", *case)
+test_what_needs_no_rounding_is_exact = agrees_exactly("history", multiples(32))
 
 
-@cases(rounded_sums("history"), slow=True)
-def test_sums_round_either_way(judge: Judge, case: tuple[Inputs, Weights]) -> Talk:
-    """Thousands of sums of one layer are off by no more than rounding to nearest causes on average, and not all to one side."""
-    yield from judge.rounds_either_way("history", "feature", *case, LAST["history"])
+test_sums_round_either_way = rounds_either_way("history", "feature")
 
 
 test_large_frames_agree_with_the_reference = agrees_in_large_frames("history")

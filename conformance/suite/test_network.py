@@ -28,10 +28,7 @@ def test_padding_repeats_the_last_row_and_column(judge: Judge, case: tuple[Input
     inputs, given = case
     height, width = inputs["mask"].shape
     rows, columns = (np.minimum(np.arange(-(-n // 8) * 8), n - 1) for n in (height, width))
-    padded = {
-        name: array[..., rows[:, None], columns] if array.ndim == 2 else _pad(array, rows, columns)
-        for name, array in inputs.items()
-    }
+    padded = {n: a[rows[:, None], columns] if a.ndim == 2 else a[..., rows[:, None], columns, :] for n, a in inputs.items()}
     right = judge.right("network", inputs, given)["image"]
     got, whole = yield ask("network", inputs, given), ask("network", padded, given)
     judge.holds("network.image", got["image"], Expected(whole["image"][: 2 * height, : 2 * width], 2 * np.asarray(right.allowed)))
@@ -53,7 +50,3 @@ test_large_frames_agree_with_the_reference = agrees_in_large_frames("network")
 
 
 test_a_users_size_agrees_in_windows = agrees_in_windows("network")
-
-
-def _pad(array: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    return array[..., rows[:, None], columns, :]

@@ -68,7 +68,7 @@ def test_a_job_that_fails_as_a_whole_is_a_failure_though_its_cases_pass():
 
     program = Program(crash)
     with pytest.raises(DepartureError, match=r"depends on the cases before: .* one of 40 in a job: ended by SIGSEGV"):
-        Judge(program).check(find_property("warp.nothing_moves"), *(still(i + 1) for i in range(40)))
+        Judge(program).check(find_property("warp.whole_pixels_move_exactly"), *(still(i + 1) for i in range(40)))
     assert program.starts == [40, 1]
 
 
@@ -81,7 +81,7 @@ def test_the_case_at_which_a_job_failed_is_found_at_one_more_start():
     program = Program(crash)
     judge = Judge(program)
     with pytest.raises(DepartureError, match="warp: ended by SIGSEGV"):
-        judge.check(find_property("warp.nothing_moves"), *(still(i + 1) for i in range(40)))
+        judge.check(find_property("warp.whole_pixels_move_exactly"), *(still(i + 1) for i in range(40)))
     assert program.starts == [40, 1]
     assert judge.record.failure.drawn["color"].shape == (2, 8, 1)
 
