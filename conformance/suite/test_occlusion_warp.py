@@ -44,17 +44,6 @@ def test_one_colour_fills_with_itself(judge: Judge, inputs: Inputs) -> Talk:
     judge.same("occlusion_warp.occlusion_warp", got, flat)
 
 
-@cases(occlusion_inputs(motion="whole").flatmap(lambda inputs: st.tuples(st.just(inputs), st.sampled_from([np.nan, np.inf]))))
-def test_lost_motion_writes_nothing(judge: Judge, case: tuple[Inputs, float]) -> Talk:
-    """A pixel whose motion is not finite splats nothing, not even a 0, and looks up the map at its own place."""
-    inputs, lost = case
-    motion = inputs["motion"].copy()
-    motion[np.random.default_rng(0).random(motion.shape[:2]) < 0.5, 0] = lost
-    got = (yield ask("occlusion_warp", {**inputs, "motion": motion}))["occlusion_motion"]
-    want = _looped(motion, judge.round_inputs(inputs, "occlusion_warp")["depth"]).astype(np.float32)
-    judge.same("occlusion_warp.occlusion_motion", got, want)
-
-
 test_the_same_twice = same_twice("occlusion_warp", cases(occlusion_inputs()))
 
 
@@ -71,12 +60,10 @@ def _looped(motion: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """The splat as a plain loop (spec 5), for motion of halves and quarters."""
     height, width = depth.shape
     nearest, earlier = np.full((height, width), 10.0), np.zeros_like(motion)
-    finite = np.asarray(np.isfinite(motion).all(axis=-1))
-    followed = np.where(finite[..., None], motion, 0)
-    corner = np.floor(followed + np.moveaxis(np.indices((height, width))[::-1], 0, -1)).astype(int)
-    for y, x in np.argwhere(finite):
+    corner = np.floor(motion + np.moveaxis(np.indices((height, width))[::-1], 0, -1)).astype(int)
+    for y, x in np.ndindex(height, width):
         for j, i in ((0, 0), (0, 1), (1, 0), (1, 1)):
             at = corner[y, x, 1] + j, corner[y, x, 0] + i
             if 0 <= at[0] < height and 0 <= at[1] < width and depth[y, x] < nearest[at]:
-                nearest[at], earlier[at] = depth[y, x], followed[y, x]
+                nearest[at], earlier[at] = depth[y, x], motion[y, x]
     return earlier[np.clip(corner[..., 1], 0, height - 1), np.clip(corner[..., 0], 0, width - 1)]
