@@ -31,9 +31,9 @@ def judged(name, tier=TIERS["full"], stages=SUITE):
 def table(found):
     """Markdown: a row for each port."""
     stages = [stage for stage in STAGES if stage != "rrm"]
-    rows = ["| port | cases | " + " | ".join(stages) + " |", "|---|---|" + "---|" * len(stages)]
-    for name, (_, worst, counts) in found.items():
-        rows.append(f"| `{name}` | {counts[0]} | " + " | ".join(f"{worst[stage]:.2g}" for stage in stages) + " |")
+    rows = ["| port | " + " | ".join(stages) + " |", "|---|" + "---|" * len(stages)]
+    for name, (_, worst, _) in found.items():
+        rows.append(f"| `{name}` | " + " | ".join(f"{worst[stage]:.2g}" for stage in stages) + " |")
     return "\n".join(rows)
 
 
