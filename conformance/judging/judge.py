@@ -21,11 +21,9 @@ from conformance.judging.questions import BATCH, Answer, Dialogue, Talk, answers
 from conformance.protocol.port import Arrays, Case, Outputs, Port, PortError
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs, network_inputs, reference
 from stss_ref.arrays import ArrayError
-from stss_ref.weights import Weights
+from stss_ref.weights import VERSIONS, Weights
 
 MOST_FLOAT16 = 1.0
-NEWEST_WEIGHTS = 4
-"""The latest version of weights: 1 has neither a second colour nor a hole test, 3 has a hole test, 4 a second colour, too."""
 RMS = "_rms"
 """Added to an output's name: the root mean square of all its errors, over its limit."""
 MOST_BEFORE = BATCH - 1
@@ -86,7 +84,7 @@ class Judge:
         self.port, self.tier, self.seed, self.shrink, self.repeat = port, tier, seed, shrink, repeat
         self.size, self.largest_side = size, largest_side
         self.arithmetic = Arithmetic(port.dtype, bool(getattr(port, "winograd", False)))
-        self.weights_version = int(getattr(port, "weights_version", NEWEST_WEIGHTS))
+        self.weights_version = int(getattr(port, "weights_version", VERSIONS[-1]))
         self.stages = port.stages()
         self.record = Record()
         self.tell: Callable[[Finding], None] = lambda _: None

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from conformance.judging.findings import TestResult, tally
-from conformance.judging.judge import NEWEST_WEIGHTS, Judge
+from conformance.judging.judge import Judge
 from conformance.protocol.stages import STAGES
 from conformance.report.versions import versions_of_cases
 from conformance.suite.run_suite import JUDGED, REQUIRED, SEQUENCE, SUITE
@@ -24,6 +24,7 @@ from stss_ground.output.write_whole import write_named
 from stss_ground.pages.page import page
 from stss_ground.terminal import printable
 from stss_ground.version import VERSION
+from stss_ref.weights import VERSIONS
 
 FORMAT = 1
 """Version of the JSON; raised when a field changes its meaning."""
@@ -151,7 +152,7 @@ def judged_on(judge: Judge, results: Sequence[TestResult]) -> list[str]:
 def _declared(judge: Judge) -> list[str]:
     """What the port does not take, in words."""
     version = judge.weights_version
-    old = [f"weights up to version {version} only, as the port declares"] if version < NEWEST_WEIGHTS else []
+    old = [f"weights up to version {version} only, as the port declares"] if str(version) != VERSIONS[-1] else []
     narrow = [f"no array of more than {judge.largest_side} rows or columns, as the port declares"] if judge.largest_side else []
     return old + narrow
 

@@ -241,10 +241,7 @@ def test_known_failures(here):
         (["--port", "wrong_port:Port", "--stages", "wrap"], "--stages: expected some of motion_chain"),
         (["--port", "wrong_port:Port", "--replay", "nowhere"], "nowhere: no such folder"),
         (["--port", "wrong_port:Port", "--known-failures", "nowhere"], "nowhere: No such file"),
-        (
-            ["--port", "wrong_port:Port", "--json", "nowhere/found.json"],
-            "nowhere/found.json: expected a file in a folder that exists",
-        ),
+        (["--port", "wrong_port:Port", "--json", "nowhere/found.json"], "nowhere/found.json: expected a file in a folder"),
         (["--port", "wrong_port:Port", "--report", "."], ".: expected a file"),
         (["--port", "wrong_port:Port", "--junit", "nowhere/junit.xml"], "nowhere/junit.xml: expected a file"),
         (["--port", "wrong_port:Port", "--failures", "wrong_port.py"], "wrong_port.py: expected a folder"),
@@ -304,11 +301,8 @@ def test_the_example_in_cpp_passes(tmp_path):
     write_job(tmp_path / "job", detailed[:1])
     (file,) = tmp_path.glob("job/0000/in/*.safetensors")
     whole = file.read_bytes()
-    for version, words in (
-        (b"1", "no such entry in version 1"),
-        (b"2", "expected stss_weights_version"),
-        (b"3", "expected newest,"),
-    ):
+    said = {b"1": "no such entry in version 1", b"2": "expected stss_weights_version", b"3": "expected newest,"}
+    for version, words in said.items():
         file.write_bytes(whole.replace(b'"4"', b'"' + version + b'"'))
         done = subprocess.run([tmp_path / "cpp" / "port", tmp_path / "job"], capture_output=True, text=True, check=False)
         assert (done.returncode, done.stderr.count("\n")) == (2, 1)
