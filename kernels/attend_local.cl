@@ -69,8 +69,8 @@ void attend_local(global const stored *restrict key, global const stored *restri
         barrier(CLK_LOCAL_MEM_FENCE);
         // sum_d w(d) m V(p + d) / max(sum_d w(d), 1e-6): eight channels of a pixel, and here the mask is applied to the values.
         const int pixel = item / VALUES8, c = item % VALUES8, y = top + pixel / 4, x = left + pixel % 4;
-        BEGIN_TILE;
         if (y < height && x < width) {
+            BEGIN_PIXEL;
             float8 total = 0.0f;
             float together = 0.0f;
             for (int tap = 0; tap < TAPS; ++tap) {
@@ -82,7 +82,7 @@ void attend_local(global const stored *restrict key, global const stored *restri
                 together += weight;
             }
             PUT(total / fmax(together, 1e-6f), ((y + 1) * columns + x + 1) * (out_channels / 8) + c, reshaded);
+            END_PIXEL(y * (columns - 2) + x);
         }
-        END_TILE(TILE_ROW(tiles[t]) * ((columns - 2) / 4) + TILE_COLUMN(tiles[t]));
     }
 }

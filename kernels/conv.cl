@@ -96,7 +96,7 @@ static inline void compute(global const stored *restrict a, global const stored 
 #ifdef GATED
         const float8 open = sigmoid8((float8)(sum8(gate[p]) + gate_bias));
 #endif
-        BEGIN_TILE;
+        BEGIN_PIXEL;
 #pragma unroll
         for (int j = 0; j < EIGHTS_HELD; ++j) {
             float8 value = sum[p * EIGHTS_HELD + j];
@@ -108,7 +108,7 @@ static inline void compute(global const stored *restrict a, global const stored 
 #endif
             PUT(value, pixel + j, out);
         }
-        END_TILE(y / 4 * ((out_columns - 2) / 4) + x0 / 4);
+        END_PIXEL(y * (out_columns - 2) + x0 + p);
     }
 }
 

@@ -87,20 +87,19 @@ static inline void finish(const float *sums, const int y, const int x, const int
     for (int p = 0; p < ACROSS; ++p) open[p] = sums[(OUT / 16 * ACROSS + p) * 16 + OUT % 16];
     for (int i = 0; i < ACROSS / 8; ++i) ((float8 *)open)[i] = sigmoid8(((const float8 *)open)[i]);
 #endif
-    for (int first = 0; first < pixels; first += 4) {
-        BEGIN_TILE;
-        for (int p = first; p < least(first + 4, pixels); ++p)
-            for (int c = 0; c < OUT / 8; ++c) {
-                float8 value = *(const float8 *)(sums + (c / 2 * ACROSS + p) * 16 + c % 2 * 8);
+    for (int p = 0; p < pixels; ++p) {
+        BEGIN_PIXEL;
+        for (int c = 0; c < OUT / 8; ++c) {
+            float8 value = *(const float8 *)(sums + (c / 2 * ACROSS + p) * 16 + c % 2 * 8);
 #ifdef GATED
-                value *= open[p];
+            value *= open[p];
 #endif
 #ifdef RELU
-                value = relu8(value);
+            value = relu8(value);
 #endif
-                PUT(value, ((y + 1) * out_columns + x + p + 1) * (out_channels / 8) + c, out);
-            }
-        END_TILE(y / 4 * ((out_columns - 2) / 4) + (x + first) / 4);
+            PUT(value, ((y + 1) * out_columns + x + p + 1) * (out_channels / 8) + c, out);
+        }
+        END_PIXEL(y * (out_columns - 2) + x + p);
     }
 }
 

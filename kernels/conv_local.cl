@@ -175,12 +175,12 @@ void conv_local(global const stored *restrict a, global const stored *restrict b
         const float8 open = sigmoid8((float8)(gate[0], gate[1], gate[2], gate[3], gate[4], gate[5], gate[6], gate[7]));
         const float opens[8] = {open.s0, open.s1, open.s2, open.s3, open.s4, open.s5, open.s6, open.s7};
 #endif
-        BEGIN_TILE;
 #pragma unroll
         for (int i = 0; i < PIXELS; ++i) {
             const int x = left + 4 * lx + i % 4, y = up + ROWS * ly + i / 4;
             if (x >= width || y >= height) continue;
             float8 value = sum[i];
+            BEGIN_PIXEL;
 #ifdef GATED
             value *= opens[i];
 #endif
@@ -188,11 +188,11 @@ void conv_local(global const stored *restrict a, global const stored *restrict b
             value = relu8(value);
 #endif
             PUT(value, ((y + 1) * out_columns + x + 1) * (out_channels / 8) + out_first / 8 + slice, to);
-        }
 #ifdef IMAGES
-        END_TILE(which * map_next + (up + ROWS * ly) / 4 * ((out_columns - 2) / 4) + left / 4 + lx);
+            END_PIXEL(which * map_next + y * (out_columns - 2) + x);
 #else
-        END_TILE((up + ROWS * ly) / 4 * ((out_columns - 2) / 4) + left / 4 + lx);
+            END_PIXEL(y * (out_columns - 2) + x);
 #endif
+        }
     }
 }

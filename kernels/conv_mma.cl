@@ -134,7 +134,7 @@ UNROLL
             const int x = left + across + i / ITS % 2 * UNIT + PIXEL(lane, i % ITS), y = top + down + i / ITS / 2;
             if (x >= width || y >= height) continue;
             const int place = ((y + 1) * out_columns + x + 1) * out_channels + out_first + from_output;
-            global uchar *mark = marks + y / 4 * ((out_columns - 2) / 4) + x / 4;
+            global uchar *mark = marks + y * (out_columns - 2) + x;
 #ifdef GATED
             const float open = opening(sum[i / ITS][EACH / HELD], i % ITS);
 #endif

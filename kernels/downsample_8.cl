@@ -34,8 +34,8 @@ kernel void downsample_8(global const float *restrict gbuffer, global const MASK
     mean[9] = (((float)mask[nw] + (float)mask[sw]) * 0.5f + ((float)mask[ne] + (float)mask[se]) * 0.5f) * 0.5f;
     for (int c = 10; c < 16; ++c) mean[c] = 0.0f;
     const int to = ((y + 1) * columns + x + 1) * 2;
-    BEGIN_TILE;
+    BEGIN_PIXEL;
     PUT(((const float8 *)mean)[0], to, eighth);
     PUT(((const float8 *)mean)[1], to + 1, eighth);
-    END_TILE(y / 4 * ((columns - 2) / 4) + x / 4);
+    END_PIXEL(y * (columns - 2) + x);
 }

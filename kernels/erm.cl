@@ -29,11 +29,11 @@ kernel void normalise(global const stored *restrict key, global stored *restrict
 {
     const int2 part = part_of_list(count[0], 1);
     for (int t = part.x; t < part.y; ++t) {
-        BEGIN_TILE;
         for (int i = WORKER; i < 16; i += WORKERS) {
             const int y = 4 * TILE_ROW(tiles[t]) + i / 4, x = 4 * TILE_COLUMN(tiles[t]) + i % 4;
             if (y >= height || x >= width) continue;
             const int pixel = ((y + 1) * columns + x + 1) * KEYS8;
+            BEGIN_PIXEL;
             float8 squares = 0.0f;
             for (int c = 0; c < KEYS8; ++c) {
                 const float8 k = LOAD8(key, pixel + c);
@@ -41,8 +41,8 @@ kernel void normalise(global const stored *restrict key, global stored *restrict
             }
             const float length = max(sqrt(sum8(squares)), 1e-12f);
             for (int c = 0; c < KEYS8; ++c) PUT(LOAD8(key, pixel + c) / length, pixel + c, unit);
+            END_PIXEL(y * (columns - 2) + x);
         }
-        END_TILE(TILE_ROW(tiles[t]) * ((columns - 2) / 4) + TILE_COLUMN(tiles[t]));
     }
 }
 
@@ -53,11 +53,11 @@ kernel void attend(global const stored *restrict unit, global const stored *rest
 {
     const int2 part = part_of_list(count[0], 1);
     for (int t = part.x; t < part.y; ++t) {
-        BEGIN_TILE;
         for (int i = WORKER; i < 16; i += WORKERS) {
             const int y = 4 * TILE_ROW(tiles[t]) + i / 4, x = 4 * TILE_COLUMN(tiles[t]) + i % 4;
             if (y >= height || x >= width) continue;
             const int pixel = (y + 1) * columns + x + 1;
+            BEGIN_PIXEL;
             float8 query[KEYS8], total[VALUES8];
             for (int c = 0; c < KEYS8; ++c) query[c] = LOAD8(unit, pixel * KEYS8 + c);
             for (int c = 0; c < VALUES8; ++c) total[c] = 0.0f;
@@ -75,7 +75,7 @@ kernel void attend(global const stored *restrict unit, global const stored *rest
                 }
             weights = max(weights, 1e-6f);
             for (int c = 0; c < VALUES8; ++c) PUT(total[c] / weights, pixel * (out_channels / 8) + c, reshaded);
+            END_PIXEL(y * (columns - 2) + x);
         }
-        END_TILE(TILE_ROW(tiles[t]) * ((columns - 2) / 4) + TILE_COLUMN(tiles[t]));
     }
 }

@@ -45,7 +45,7 @@ kernel void chain_steps(global const float2 *restrict motion0, global const floa
     const int left = get_global_id(0) * AT_ONCE, y = get_global_id(1);
     if (left >= width || y >= height) return;
 #ifdef MARK
-    if (!any_marked(dirty, left, y, (width + 7) / 8 * 8, AT_ONCE)) return;  // nothing has moved there, and the motion is 0 already
+    if (!any_dirty(dirty, left, y, (width + 7) / 8 * 8, AT_ONCE)) return;  // nothing has moved there, and the motion is 0 already
 #endif
     const Chain c = {{motion0, motion1, motion2, motion3, motion4}, newest, middle, oldest, to_newest, to_middle, to_oldest, height, width};
 #if defined(EIGHTS) && defined(LONGEST)

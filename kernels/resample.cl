@@ -49,7 +49,6 @@ kernel void upsample_corners(global const stored *restrict in, global stored *re
             for (int i = 0; i < 32 * eights; i += 64 / sizeof(stored)) __builtin_prefetch((const void *)(size_t)(line + i), 1, 2);
         }
 #endif
-        BEGIN_TILE;
         // One quotient for each row and column of the tile: it takes as long as a pixel.
         Between across[COLUMNS];
 #pragma unroll
@@ -61,6 +60,7 @@ kernel void upsample_corners(global const stored *restrict in, global stored *re
                 const int x = left + WORKER % 4 + j;
                 if (x >= 2 * width) break;
                 const Between u = across[j];
+                BEGIN_PIXEL;
                 for (int c = 0; c < eights; ++c) {
                     const float8 nw = LOAD8(in, (upper + u.first) * eights + c), ne = LOAD8(in, (upper + u.second) * eights + c);
                     const float8 sw = LOAD8(in, (lower + u.first) * eights + c), se = LOAD8(in, (lower + u.second) * eights + c);
@@ -69,8 +69,8 @@ kernel void upsample_corners(global const stored *restrict in, global stored *re
                     const float8 value = west + (east - west) * u.share;
                     PUT(value, ((y + 1) * out_columns + x + 1) * eights + c, out);
                 }
+                END_PIXEL(y * (out_columns - 2) + x);
             }
         }
-        END_TILE(TILE_ROW(tiles[t]) * ((out_columns - 2) / 4) + TILE_COLUMN(tiles[t]));
     }
 }

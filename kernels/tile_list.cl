@@ -1,52 +1,86 @@
 // SPDX-License-Identifier: MIT
-// Lists of tiles (tile_list.clh): the tiles of a layer's output that marked tiles of its inputs reach.
+// Lists of tiles (tile_list.clh): the tiles of a layer's output that marked pixels of its inputs reach.
 //
 //  buffer   dir  shape                 content
-//  a, b, c  in   (map_rows, map_columns)  maps of the inputs: 1 = marked, for each 4 x 4 pixels (change_map.clh); a begins at a_tile, and has one for
-//                                     each of `images`; b: (b_rows, b_columns), of an input of half the size where b_part is 2
+//  a, b, c  in   (map_rows, map_columns)  maps of the inputs: not 0 = marked, for each pixel (change_map.clh); a begins at a_first, and has one for
+//                                     each of `images`
 //  tiles    out  (count)               the list, in any order
 //  count    out  (1)                   how many; the caller clears it
 //
-// Tile t of the output, along either axis, reads the pixels step * t - before .. step * (t + 1) + beyond of the inputs; of half the size, those with half
-// the step. `rows`, `columns`: of tiles, of each image.
-// Build -D SPAN=tiles of a work-item, at most 64.  Launch (ceil(columns / SPAN), rows of all images), or more.
-#ifndef SPAN
-#error "tile_list.cl needs -D SPAN=tiles of a work-item"
-#endif
+// Tile t of the output, along either axis, reads the pixels step * t - before .. step * (t + 1) + beyond of the inputs. `rows`, `columns`: of tiles,
+// of each image; `span`: tiles of a work-item, at most 64.
+// Build for processors -D PIXELS=a multiple of 64, the most that `span` steps take; without it `span` is 1, and fours of pixels count as one.
+// Launch (ceil(columns / span), rows of all images), or more.
 #include "common.clh"
 #include "change_map.clh"
 
-// Whether a mark of the map reaches one of the tiles (y, first .. last).
-static inline int reached(global const uchar *map, const int map_rows, const int map_columns, const int step_y, const int step_x,
-                          const int before, const int beyond, const int y, const int first, const int last)
-{
-    const int top = most(step_y * y - before, 0) / 4, bottom = least((step_y * (y + 1) + beyond) / 4, map_rows - 1);
-    const int left = most(step_x * first - before, 0) / 4, right = least((step_x * (last + 1) + beyond) / 4, map_columns - 1);
-    return marked_tiles(map, map_columns, top, bottom, left, right);
-}
+#define MOST_BEFORE 8
+#ifdef PIXELS
+typedef ulong ulong_anywhere __attribute__((aligned(1)));
+typedef ulong8 ulong8_anywhere __attribute__((aligned(1)));
 
-kernel void tile_list(global const uchar *restrict a, global const uchar *restrict b, global const uchar *restrict c, const int a_tile,
-                      const int map_rows, const int map_columns, const int b_rows, const int b_columns, const int b_part, const int step_y,
-                      const int step_x, const int before, const int beyond, const int rows, const int columns, const int images,
-                      global uint *restrict tiles, global int *restrict count)
+// Marks of 64 pixels in any of the rows top .. bottom.
+static inline ulong8 marks(global const uchar *map, const int columns, const int top, const int bottom)
 {
-    const int first = get_global_id(0) * SPAN, last = least(first + SPAN, columns) - 1, line = get_global_id(1);
-    if (first > last || line >= images * rows) return;
-    const int image = line / rows, y = line - image * rows, half_y = step_y / b_part, half_x = step_x / b_part;
-    const int has_b = b != a, has_c = c != b;
-    a += a_tile + image * map_rows * map_columns;
-    const int any_a = reached(a, map_rows, map_columns, step_y, step_x, before, beyond, y, first, last);
-    const int any_b = has_b && reached(b, b_rows, b_columns, half_y, half_x, before, beyond, y, first, last);
-    const int any_c = has_c && reached(c, map_rows, map_columns, step_y, step_x, before, beyond, y, first, last);
-    if (!any_a && !any_b && !any_c) return;
-    ulong found = 0;
-    for (int x = first; x <= last; ++x) {
-        const int marked = (any_a && reached(a, map_rows, map_columns, step_y, step_x, before, beyond, y, x, x)) ||
-                           (any_b && reached(b, b_rows, b_columns, half_y, half_x, before, beyond, y, x, x)) ||
-                           (any_c && reached(c, map_rows, map_columns, step_y, step_x, before, beyond, y, x, x));
-        if (marked) found |= 1ul << (x - first);
+    ulong8 any = 0;
+    for (int y = top; y <= bottom; ++y) any |= *(global const ulong8_anywhere *)(map + y * columns);
+    return any;
+}
+#else
+// Whether a pixel of the rows top .. bottom is marked, from `left` to `right`.
+static inline bool any_marked(global const uchar *map, const int columns, const int top, const int bottom, const int left, const int right)
+{
+    uint any = 0;
+    for (int y = top; y <= bottom; ++y)
+        for (int i = (y * columns + left) / 4; i <= (y * columns + right) / 4; ++i) any |= ((global const uint *)map)[i];
+    return any != 0;
+}
+#endif
+
+kernel void tile_list(global const uchar *restrict a, global const uchar *restrict b, global const uchar *restrict c, const int a_first,
+                      const int map_rows, const int map_columns, const int step_y, const int step_x, const int before, const int beyond,
+                      const int rows, const int columns, const int images, const int span, global uint *restrict tiles,
+                      global int *restrict count)
+{
+    const int first = get_global_id(0) * span, last = least(first + span, columns) - 1, row = get_global_id(1);
+    if (first > last || row >= images * rows) return;
+    const int image = row / rows, y = row - image * rows, start = step_x * first;
+    const int top = most(step_y * y - before, 0), bottom = least(step_y * (y + 1) + beyond, map_rows - 1);
+    const int left = most(start - before, 0), right = least(step_x * (last + 1) + beyond, map_columns - 1);
+    const bool has_b = b != a, has_c = c != b;
+    a += a_first + image * map_rows * map_columns;
+#ifdef PIXELS
+    // The marks of all rows and maps; 0 beyond the frame. The first tile's own pixels begin at MOST_BEFORE.
+    uchar line[MOST_BEFORE + PIXELS + 3 * 64];
+    ulong8 all = 0;
+    *(ulong *)line = 0;
+    uchar *to = line + MOST_BEFORE - start;
+    for (int x = left; x <= right; x += 64) {
+        ulong8 any = marks(a + x, map_columns, top, bottom);
+        if (has_b) any |= marks(b + x, map_columns, top, bottom);
+        if (has_c) any |= marks(c + x, map_columns, top, bottom);
+        *(ulong8_anywhere *)(to + x) = any;
+        all |= any;
     }
-    int at = found ? atomic_add(count, (int)popcount(found)) : 0;
-    for (int x = first; x <= last; ++x)
-        if (found >> (x - first) & 1) tiles[at++] = (uint)line << 16 | x;
+    const ulong4 four = all.lo | all.hi;
+    if ((four.x | four.y | four.z | four.w) == 0) return;
+    *(ulong8_anywhere *)(to + right + 1) = 0;
+    ulong found = 0;
+    for (int i = -before; i <= step_x + beyond; i += 8) {
+        const ulong read = i + 7 <= step_x + beyond ? ~0ul : ~0ul >> 8 * (i + 7 - step_x - beyond);
+        const uchar *from = line + MOST_BEFORE + i;
+        for (int x = 0; x <= last - first; ++x) found |= (ulong)((*(const ulong_anywhere *)(from + step_x * x) & read) != 0) << x;
+    }
+    if (!found) return;
+    // Without branches: what is written for a tile that is not found is overwritten.
+    int at = atomic_add(count, (int)popcount(found));
+    for (int x = 0; x <= last - first && found >> x; ++x) {
+        tiles[at] = (uint)row << 16 | (first + x);
+        at += found >> x & 1;
+    }
+#else
+    if (any_marked(a, map_columns, top, bottom, left, right) || (has_b && any_marked(b, map_columns, top, bottom, left, right)) ||
+        (has_c && any_marked(c, map_columns, top, bottom, left, right)))
+        tiles[atomic_inc(count)] = (uint)row << 16 | first;
+#endif
 }

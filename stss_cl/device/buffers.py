@@ -89,8 +89,8 @@ def padded_bytes(height: int, width: int, channels: int, dtype: np.dtype[Any], i
 
 
 def map_bytes(height: int, width: int, images: int = 1) -> int:
-    """Size of a change map: a byte for each tile of 4 x 4 pixels."""
-    return images * -(-height // 4) * -(-width // 4)
+    """Size of change maps: a byte for each pixel, rows and columns rounded up to whole fours; 64 more may be read behind them."""
+    return images * (-(-height // 4) * 4) * (-(-width // 4) * 4) + 64
 
 
 def padded(

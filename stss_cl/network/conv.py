@@ -9,7 +9,7 @@ from typing import Any
 import pyopencl as cl
 
 from stss_cl.device import amx, matrix_units
-from stss_cl.device.buffers import Padded, constant, map_bytes, storage
+from stss_cl.device.buffers import Padded, constant, storage
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, list_size
 from stss_cl.device.tuning import tuning_for
@@ -106,12 +106,12 @@ def conv(
 
 
 def _from_image_to_image(a: Padded, out: Padded, packed: Packed, shape: Shape) -> dict[str, int]:
-    """How far it is from one image to the next: values of the input and of the output, bytes of the change map, rows of tiles."""
+    """How far it is from one image to the next: values of the input and of the output, pixels of the change map, rows of tiles."""
     several = out.images > 1
     return {
         "a_next": a.rows * a.columns * a.channels,
         "out_next": out.rows * out.columns * out.channels if several else packed.direct.shape[-1],
-        "map_next": map_bytes(out.height, out.width) if several else 0,
+        "map_next": (out.rows - 2) * (out.columns - 2) if several else 0,
         "tile_rows": shape.tiling.rows,
     }
 
@@ -182,7 +182,7 @@ def _maps(a: Padded, image: int, other: Padded | Final | None) -> Maps | None:
     if a.changes is None:
         return None
     buffers = (a.changes,) if other is None or other.changes is None else (a.changes, other.changes)
-    return Maps(buffers, ceil_div(a.height, 4), ceil_div(a.width, 4), image * map_bytes(a.height, a.width))
+    return Maps(buffers, a.rows - 2, a.columns - 2, image * (a.rows - 2) * (a.columns - 2))
 
 
 def _winograd(device: Device, packed: Packed, out: Padded, side: int, stride: int, final: Final | None) -> Shape:

@@ -116,7 +116,7 @@ class LayerBuilder:
         group = 1 if self._device.is_cpu else max(GROUP, workers)
         size = list_size(self._device, tiling.most, workers=workers, group=group)
         maps = tuple(held.changes for held in reads if held.changes is not None)
-        known = Maps(maps, -(-reads[0].height // 4), -(-reads[0].width // 4)) if maps else None
+        known = Maps(maps, reads[0].rows - 2, reads[0].columns - 2) if maps else None
         self.launches.append(layer(self._device, stage, name, source, arguments, tiling, (size,), (group,), known, out))
         self.results.append(None)
         return self.launches[-1]

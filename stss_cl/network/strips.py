@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import DTypeLike
 
-from stss_cl.device.buffers import padded_bytes
+from stss_cl.device.buffers import map_bytes, padded_bytes
 from stss_cl.device.parts import whole_pages
 from stss_cl.network.plan import Plan, plan
 from stss_ground.errors import DeviceError
@@ -24,8 +24,6 @@ convolution of stride 1 counts 4 times, at an eighth of the size twice: 230.
 STEP = 32
 """Strips begin at multiples of this: Winograd's tiles of 4 pixels at 1/8 size then lie as in the whole frame."""
 
-MAP = 1 / 16
-"""Bytes of a change map for each pixel: one for 4 x 4."""
 BASE, IMAGE, PREPARE = 16, 48, 3 * 8 + 2 * 4 + 1
 """Bytes for each pixel: of the decoder's base; of the image; of motions, splat and holes (``stss_cl.image_space.prepare``)."""
 WEIGHTS = 8 << 20
@@ -55,7 +53,7 @@ def bytes_for(rows: int, height: int, width: int, dtype: DTypeLike, *, keep: boo
     for slot in (what or _largest(keep)).slots:
         size = rows // slot.divisor, width // slot.divisor, slot.channels
         total += whole_pages(padded_bytes(*size, np.dtype(dtype), slot.images))
-        total += int(keep * slot.images * size[0] * size[1] * MAP)
+        total += keep * map_bytes(*size[:2], slot.images)
     return total
 
 

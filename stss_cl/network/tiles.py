@@ -17,7 +17,9 @@ from stss_cl.device.launch import Launch, kernel
 from stss_cl.device.program import build
 
 SIDE = 4
-"""Side of a change map's tile; pixels."""
+"""Side of most tiles; pixels."""
+PIXELS = 256
+"""On a CPU tiles that step over so many pixels share a work-item: most have nothing to do, and each work-item costs something."""
 MOST_TILES = 1 << 16
 """Most rows or columns of tiles that a list's numbers can express."""
 
@@ -66,16 +68,12 @@ def of_convolution(height: int, width: int, stride: int, size: int, side: int = 
 
 
 class Maps(NamedTuple):
-    """Change maps of a layer's inputs, up to three of one size; the first buffer's map begins at element ``first``.
-
-    ``half``: rows and columns of the second map, if its input has half the size of the others.
-    """
+    """Change maps of a layer's inputs, up to three of one size; the first buffer's map begins at element ``first``."""
 
     buffers: tuple[cl.Buffer, ...]
     rows: int
     columns: int
     first: int = 0
-    half: tuple[int, int] | None = None
 
 
 _whole: WeakKeyDictionary[cl.Context, dict[tuple[int, int, int], TileList]] = WeakKeyDictionary()
@@ -94,14 +92,12 @@ def whole(device: Device, rows: int, columns: int, first: int = 0) -> TileList:
 
 def find_tiles(device: Device, tiling: Tiling, maps: Maps, to: TileList) -> Launch:
     """The launch that lists the tiles that marks reach; ``to.count`` must be 0 before."""
-    span = _span(device)
+    span = min(PIXELS // tiling.step[1], 64) if device.is_cpu else 1
     a, b, c = (*maps.buffers, *2 * maps.buffers[-1:])[:3]
-    b_rows, b_columns = maps.half or (maps.rows, maps.columns)
     arguments = {
-        "a": a, "b": b, "c": c, "a_tile": maps.first, "map_rows": maps.rows, "map_columns": maps.columns,
-        "b_rows": b_rows, "b_columns": b_columns, "b_part": 1 if maps.half is None else 2,
+        "a": a, "b": b, "c": c, "a_first": maps.first, "map_rows": maps.rows, "map_columns": maps.columns,
         "step_y": tiling.step[0], "step_x": tiling.step[1], "before": tiling.before, "beyond": tiling.beyond,
-        "rows": tiling.rows, "columns": tiling.columns, "images": tiling.images,
+        "rows": tiling.rows, "columns": tiling.columns, "images": tiling.images, "span": span,
         "tiles": to.tiles, "count": to.count,
     }  # fmt: skip
     size, group = grid(device, ceil_div(tiling.columns, span), tiling.lines)
@@ -113,9 +109,4 @@ def find_tiles(device: Device, tiling: Tiling, maps: Maps, to: TileList) -> Laun
 
 def finder(device: Device) -> cl.Program:
     """The program of the kernel of ``find_tiles``; built once."""
-    return build(device, "tile_list.cl", {"SPAN": _span(device)})
-
-
-def _span(device: Device) -> int:
-    """Tiles of a work-item. On a CPU they are many, since most have nothing to do and each work-item costs something."""
-    return 64 if device.is_cpu else 1
+    return build(device, "tile_list.cl", {"PIXELS": PIXELS} if device.is_cpu else {})

@@ -28,7 +28,7 @@ class Report:
 
     Attributes:
         prepared: share of the tiles of 4 x 4 pixels whose inputs were computed anew.
-        changed: share of the tiles whose inputs then differed; 1 if they were not compared.
+        changed: share of the pixels whose inputs then differed; 1 if they were not compared.
         network: what of the network ran.
     """
 
@@ -110,10 +110,12 @@ class FrameCache:
             staging(self._device).write(self.prepare.dirty, tiles)
 
     def _changed(self) -> float:
-        """The share of tiles whose inputs differ from the last ones; waits for them."""
-        assert self.layers.inputs.changes is not None
-        now, earlier, _ = self.layers.inputs.changes.read()
-        return float(max(np.mean(now != 0), np.mean(earlier.reshape(3, -1).any(axis=0))))
+        """The share of pixels whose inputs differ from the last ones; waits for them."""
+        inputs = self.layers.inputs
+        assert inputs.changes is not None
+        pixels = inputs.input.height * inputs.input.width
+        marks = [part[: len(part) // pixels * pixels].reshape(-1, pixels) for part in inputs.changes.read()[:2]]
+        return max(np.count_nonzero(np.bitwise_or.reduce(part)) for part in marks) / pixels
 
 
 def _spread(changed: Tiles | None, size: tuple[int, int]) -> NDArray[np.uint8]:

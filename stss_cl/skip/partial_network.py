@@ -65,18 +65,18 @@ class PartialNetwork:
     def activity(self) -> NDArray[np.float32]:
         """The share of the stored activations that the last ``run_changed`` changed, for each 4 x 4 pixels of the largest ones.
 
-        Waits for the queue. A tile of smaller activations counts for all pixels that it covers.
+        Waits for the queue. A pixel of smaller activations counts for all that it covers.
         """
         layers = self.layers
         height, width = layers.inputs.input.height, layers.inputs.input.width
-        total, values = np.zeros((height // 4, width // 4), np.float32), 0.0
+        total, values = np.zeros((height, width), np.float32), 0.0
         for buffer in layers.marked:
             assert buffer.changes is not None
-            changes = np.empty((buffer.images, -(-buffer.height // 4), -(-buffer.width // 4)), np.uint8)
+            changes = np.empty((buffer.images, buffer.rows - 2, buffer.columns - 2), np.uint8)
             cl.enqueue_copy(layers.device.queue, changes, buffer.changes)
             marks = changes.mean(axis=0)
             divisor = height // buffer.height
             share = buffer.images * buffer.channels / divisor**2
-            total += share * marks.repeat(divisor, 0).repeat(divisor, 1)[: height // 4, : width // 4]
+            total += share * marks.repeat(divisor, 0).repeat(divisor, 1)[:height, :width]
             values += share
-        return (total / values).astype(np.float32)
+        return (total / values).reshape(height // 4, 4, width // 4, 4).mean((1, 3), dtype=np.float32)
