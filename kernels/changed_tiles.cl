@@ -2,13 +2,14 @@
 // arrive.cl for processors, with the same buffers: a work-item has SPAN tiles of a row of tiles. It looks at one array after the other, since a
 // processor prefetches only few streams at a time, and at TOGETHER tiles at once, since mostly nothing changed there.
 //
-// Build -D SPAN=tiles of a work-item.  Launch (ceil(ceil(W / 4) / SPAN), ceil(H / 4)).
+// Build -D SPAN=tiles of a work-item, optionally -D PREFETCH (of values AHEAD).  Launch (ceil(ceil(W / 4) / SPAN), ceil(H / 4)).
 #ifndef SPAN
 #error "changed_tiles.cl needs -D SPAN=tiles of a work-item"
 #endif
 #include "common.clh"
 
 #define TOGETHER 16
+#define AHEAD 512
 #define EXPONENT 0x7f800000u
 typedef uint16 uint16_anywhere __attribute__((aligned(4)));
 // Always inline: on PoCL a called function has no vectors of 16.
@@ -24,6 +25,10 @@ ALWAYS Seen see(global const uint *now, global const uint *before, const int cou
     Seen s = {0, 0};
     int i = 0;
     for (; i + 16 <= count; i += 16) {
+#ifdef PREFETCH
+        __builtin_prefetch((const void *)(size_t)(now + i + AHEAD), 0, 2);
+        if (compares) __builtin_prefetch((const void *)(size_t)(before + i + AHEAD), 0, 2);
+#endif
         const uint16 value = *(global const uint16_anywhere *)(now + i), size = value & 0x7fffffffu;
         if (compares) s.differ |= value ^ *(global const uint16_anywhere *)(before + i);
         s.largest = size > s.largest ? size : s.largest;

@@ -6,6 +6,7 @@
 //  mask      in   (H, W) of MASK    1 = to be trusted
 //  eighth    out  padded, (16)      both at 1/8 size: gbuffer 9, mask, zeros 6
 //
+// `dirty` (H / 4, W / 4, rounded up to whole eights of pixels): read with -D MARK: only what has a dirty tile is computed.
 // `height`, `width`: of the frame; `down`, `across`: of `eighth`, whose row 0 is the frame's row `top`.
 // Build -D MASK=float or uchar, optionally -D STORED.  Launch (across, down), or more.
 //
@@ -19,10 +20,14 @@
 // The mean of pixels 8i + 3 and 8i + 4 each way; beyond the frame its last row and column are repeated (pad_to_8).
 kernel void downsample_8(global const float *restrict gbuffer, global const MASK *restrict mask, global stored *restrict eighth,
                          const int height, const int width, const int down, const int across, const int columns,
-                         const int top, global uchar *restrict changes)
+                         const int top, global uchar *restrict changes, global const uchar *restrict dirty)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= across || y >= down) return;
+#ifdef MARK
+    global const uchar *upper = dirty + 4 * y * across + 2 * x, *lower = upper + 2 * across;
+    if (!(upper[0] | upper[1] | lower[0] | lower[1])) return;
+#endif
     const int west = min(8 * x + 3, width - 1), east = min(8 * x + 4, width - 1);
     const int north = min(top + 8 * y + 3, height - 1) * width, south = min(top + 8 * y + 4, height - 1) * width;
     const int nw = north + west, ne = north + east, sw = south + west, se = south + east;

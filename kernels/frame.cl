@@ -24,7 +24,7 @@
 // Build: -D of motion_chain.clh and holes.cl, optionally -D STORED (history and x0), -D STREAM, -D MARK, and -D EIGHTS: eight pixels in a row to a
 // work-item, for processors; -D LONGEST where GATHER is gather_longest; -D DETAIL: the second colour is what warped frames show within a pixel.
 // Order: chain_steps, prepare_older for each older frame where the history is read, prepare_newest, splat_nearest, splat_first, fill_holes; then downsample_8.cl.
-// Launch (W, H); prepare_* and fill_holes (C, R); with EIGHTS an eighth of the columns, but for fill_holes.
+// Launch (W, H); prepare_* and fill_holes (C, R); with EIGHTS an eighth of the columns.
 #ifdef EIGHTS
 #define AT_ONCE 8
 #define CALLED static __attribute__((noinline))
@@ -158,8 +158,12 @@ kernel void fill_holes(global const float *restrict color, global const float2 *
                        global float4 *restrict color3, global uchar *restrict input_changes, const Strip strip,
                        global const float *restrict stencil, global const float *restrict stencil_previous, OLDER)
 {
-    const int x = get_global_id(0), y = get_global_id(1);
+    const int left = get_global_id(0) * AT_ONCE, y = get_global_id(1);
+    if (left >= strip.columns || y >= strip.rows) return;
+#ifdef EIGHTS
+    if (left + 8 <= strip.width && strip.top + y < strip.height && all_valid8(mask + (strip.top + y) * strip.width + left)) return;
+#endif
     const Frame f = {OF_OLDER, .stencil = stencil, .stencil_previous = stencil_previous, .is_warped = true, .color = color, .motion = motion, .keys = keys, .first = first, .mask = mask, .x0 = x0, .color3 = color3,
                      .input_changes = input_changes, .strip = strip};
-    if (x < strip.columns && y < strip.rows) fill_pixel(f, x, y);
+    for (int x = left; x < left + AT_ONCE; ++x) fill_pixel(f, x, y);
 }

@@ -48,7 +48,7 @@ ARGUMENTS = {
         "color", "motion", "keys", "first", "mask", "x0", "color3", "input_changes", "strip", "stencil", "stencil_previous", *OLDER,
     ),
     "downsample_8": (
-        "gbuffer", "mask", "eighth", "height", "width", "eighth_height", "eighth_width", "eighth_columns", "top", "eighth_changes",
+        "gbuffer", "mask", "eighth", "height", "width", "eighth_height", "eighth_width", "eighth_columns", "top", "eighth_changes", "dirty",
     ),
 }  # fmt: skip
 """The arguments of each kernel of frame.cl and downsample_8.cl, in order."""
@@ -166,7 +166,7 @@ class Prepare:
             chain=made("chain_steps", *whole),
             colors=(made("prepare_newest", *strip), *older),
             splat=(made("splat_nearest", *whole), made("splat_first", *whole)),
-            fill=made("fill_holes", self.columns, self.rows),
+            fill=made("fill_holes", *strip),
             eighth=made("downsample_8", inputs.eighth.width, inputs.eighth.height, eighth),
         )
 

@@ -36,7 +36,7 @@ class PackInputs:
         group = gcd(to.input.width, 64), 1
         self._input(queue, full, group, color, gbuffer, mask, to.input.data, to.base, self._bad, *size, columns, first)
         place = np.int32(to.eighth.height), np.int32(to.eighth.width), np.int32(to.eighth.columns), first
-        self._eighth(queue, *grid(self._device, *eighth), gbuffer, mask, to.eighth.data, *size, *place, to.eighth.data)
+        self._eighth(queue, *grid(self._device, *eighth), gbuffer, mask, to.eighth.data, *size, *place, to.eighth.data, mask)
         if history is not None:
             place = np.int32(to.earlier.rows), np.int32(to.earlier.columns), first
             self._history(queue, (*full, 3), (*group, 1), history, to.earlier.data, self._bad, *size, *place)

@@ -40,7 +40,9 @@ class Arrival:
         self._found = Parts(device, (16, tiles, tiles))  # bad, changed, recolored
         if device.is_cpu:
             self._queue, self._groups = device.queue, ((ceil_div(columns, SPAN), rows), (1, 1))
-            self._kernel = cl.Kernel(build(device, "changed_tiles.cl", {"SPAN": SPAN}), "arrive")
+            self._kernel = cl.Kernel(
+                build(device, "changed_tiles.cl", {"SPAN": SPAN, "PREFETCH": device.takes_prefetch}), "arrive"
+            )
         else:
             # In the queue of what arrives: the host waits for what is found, and not for the frame before.
             self._queue, self._groups = staging(device).uploads, ((ITEMS * ceil_div(columns, ACROSS), rows), (ITEMS, 1))

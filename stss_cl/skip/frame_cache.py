@@ -112,10 +112,13 @@ class FrameCache:
     def _changed(self) -> float:
         """The share of pixels whose inputs differ from the last ones; waits for them."""
         inputs = self.layers.inputs
-        assert inputs.changes is not None
-        pixels = inputs.input.height * inputs.input.width
-        marks = [part[: len(part) // pixels * pixels].reshape(-1, pixels) for part in inputs.changes.read()[:2]]
-        return max(np.count_nonzero(np.bitwise_or.reduce(part)) for part in marks) / pixels
+        shares: list[float] = []
+        for buffer in (inputs.input, inputs.earlier)[: 1 + self.layers.reads_history]:
+            assert buffer.changes is not None
+            marks = np.empty((buffer.images, buffer.height * buffer.width), np.bool_)
+            cl.enqueue_copy(self._device.queue, marks, buffer.changes)
+            shares.append(np.count_nonzero(np.logical_or.reduce(marks)) / marks.shape[1])
+        return max(shares)
 
 
 def _spread(changed: Tiles | None, size: tuple[int, int]) -> NDArray[np.uint8]:
