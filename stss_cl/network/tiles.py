@@ -20,8 +20,6 @@ SIDE = 4
 """Side of most tiles; pixels."""
 PIXELS = 256
 """On a CPU tiles that step over so many pixels share a work-item: most have nothing to do, and each work-item costs something."""
-MOST_TILES = 1 << 16
-"""Most rows or columns of tiles that a list's numbers can express."""
 
 
 @dataclass(frozen=True)

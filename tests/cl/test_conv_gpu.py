@@ -66,9 +66,9 @@ class Case:
                 stride=self.stride, side=side,
             )  # fmt: skip
 
-    def run(self, layer):
-        """What the layer leaves of NaN; nothing is written beyond the image."""
-        write(self.device, self.out, np.full((*self.size, self.outputs), np.nan, FLOAT))
+    def run(self, layer, before=np.nan):
+        """What the layer leaves of what was there before; nothing is written beyond the image."""
+        write(self.device, self.out, np.broadcast_to(np.float32(before), (*self.size, self.outputs)))
         layer.enqueue(self.device.queue)
         held = np.empty((self.out.rows, self.out.columns, self.outputs), self.out.dtype)
         cl.enqueue_copy(self.device.queue, held, self.out.data)
@@ -148,12 +148,12 @@ ROWS = {
 }
 
 
-@pytest.mark.parametrize("name", ROWS)
+@pytest.mark.parametrize(("name", "dtype"), [*((name, HALF) for name in ROWS), ("Winograd, vectors of 16", FLOAT)], ids=str)
 @pytest.mark.parametrize("layer", [LAYERS[0], LAYERS[6]], ids=str)
-def test_tiles_of_a_list(device, processor, layer, name):
+def test_tiles_of_a_list(device, processor, layer, name, dtype):
     """Only the listed tiles are written, whatever the number of work-groups; a pixel is marked if its bits now differ."""
     device = device if ROWS[name].get("local") else processor
-    case = Case(device, layer, HALF)
+    case = Case(device, layer, dtype)
     made = case.by(replace(built_in(device), **ROWS[name]))
     whole = case.run(made)
     tiling = made.tiling
@@ -165,12 +165,14 @@ def test_tiles_of_a_list(device, processor, layer, name):
     inside = np.zeros(case.size, bool)
     for y, x in tiles:
         inside[tall * y : tall * (y + 1), wide * x : wide * (x + 1)] = True
-    got = case.run(some)
-    np.testing.assert_array_equal(got[inside], whole[inside])
-    assert np.isnan(got[~inside]).all()
-    marks = np.empty((case.out.rows - 2, case.out.columns - 2), np.bool_)
-    cl.enqueue_copy(device.queue, marks, case.out.changes)
-    np.testing.assert_array_equal(marks[: case.size[0], : case.size[1]], inside)
+    for channel in (3, 9, 17):  # in which alone bits differ
+        before, marks = whole.copy(), np.zeros((case.out.rows - 2, case.out.columns - 2), np.bool_)
+        before[..., channel] = np.nan
+        cl.enqueue_copy(device.queue, case.out.changes, marks)
+        got = case.run(some, before)
+        np.testing.assert_array_equal(got, np.where(inside[..., None], whole, before))
+        cl.enqueue_copy(device.queue, marks, case.out.changes)
+        np.testing.assert_array_equal(marks[: case.size[0], : case.size[1]], inside)
 
 
 @pytest.mark.parametrize("local", [Local(1), MATRIX], ids=str)

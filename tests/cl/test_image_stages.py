@@ -184,6 +184,43 @@ def test_prepare_where_hardly_anything_is_a_hole(device, test, motion):
     assert 0 < np.mean(downloaded(device, preparation.mask, size, np.uint8) == 0) < 0.2
 
 
+def edge(motion, off, where=..., *, far=None, apart=1, depth=0.0):
+    """A surface, ``apart`` cm from pixel to pixel, a hundred times that from row to row, seen again by ``motion``, ``off`` cm away; pixels
+    that are ``far`` do not count for their neighbours."""
+    size, (dx, dy) = (16, 24), motion
+    y, x = np.indices(size)
+    now = np.stack([apart * x, apart * 100 * y, 0 * x], -1).astype(np.float32)
+    if far is not None:
+        now[..., 2][far] = 1e20
+    before = now.copy()
+    before[..., 2][where] += off
+    positions = np.stack([now, *3 * [np.roll(before, (dy, dx), (0, 1))]])
+    gbuffer = np.zeros((*size, 9))
+    gbuffer[..., 3] = depth
+    return noise(size, motions=np.full((5, *size, 2), motion), positions=positions, gbuffer=gbuffer, nov=np.ones(size))
+
+
+ROOT = 1.5 * 10001**0.5
+"""The largest trusted distance by the footprint; by the paper's test it is 7.5 cm + 50 ``depth``."""
+
+
+@pytest.mark.parametrize(
+    ("test", "inputs"),
+    [
+        ("footprint", edge((0, 0), ROOT * (1 + 1e-5))),
+        ("footprint", edge((0, 0), 160, np.s_[:, 0], far=np.s_[:, 1])),
+        ("footprint", edge((-1, 0), 160, np.s_[:, 23], far=np.s_[:, 22])),
+        ("footprint", edge((0, -1), 2, np.s_[15], far=np.s_[14])),
+        ("paper", edge((0, 0), 7.5 * (1 + 1e-5), apart=0)),
+        ("paper", edge((0, 0), 1, apart=0, depth=-1.0)),
+        ("paper", edge((0, 0), 2e19, apart=0, depth=1e18)),
+    ],
+)
+def test_prepare_trusts_eight_pixels_only_where_it_trusts_each(device, test, inputs):
+    preparation = Prepare(device, 16, 24, test=test)
+    assert_prepared(device, prepared(preparation, inputs), inputs, (16, 24), test=test)
+
+
 @pytest.mark.parametrize("steps", [(0, 2, 4), (1, 3, 5), (1, 1, 1)])
 def test_prepare_sees_what_is_not_finite(device, steps):
     """In each plane of each array, in whole rows of eight and behind the last one, in one strip and in three; and forgets it."""

@@ -131,17 +131,6 @@ def test_frames_older_than_the_window_are_let_go(gpu):
     assert [ref() is not None for ref in seen] == 6 * [False] + 6 * [True]
 
 
-@pytest.mark.parametrize("x", [2, 7, 10])
-def test_one_pixel_that_moves_is_seen(device, x):
-    """Nothing else changes, so nothing else gives it away; in columns of whole tiles, and in the last one, which is cut off."""
-    keeping, plain, frames = Stream(WEIGHTS, device), Stream(WEIGHTS, device, skip="off"), still(12, (9, 11))
-    frames[11].motion[5, x] = -1.75, 1.25
-    for call in calls_of(frames)[6:]:
-        got, want = (stream(*call) for stream in (keeping, plain))
-    assert_same(got, want)
-    assert keeping.report.network == "changed"
-
-
 def test_older_frames_show_detail_in_a_hole_of_the_newest(device):
     """The surface is another in one colour frame alone; the one before shows another colour there."""
     keeping, plain, frames = Stream(DETAILED, device), Stream(DETAILED, device, skip="off"), still(12)
