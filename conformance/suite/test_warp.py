@@ -60,10 +60,7 @@ def test_channels_do_not_mix(judge: Judge, case: tuple[Inputs, list[int]]) -> Ta
     judge.same("warp.warped", turned["warped"], whole["warped"][..., order])
 
 
-PART = st.integers(0, 18)
-
-
-@cases(sizes(20).flatmap(lambda size: st.tuples(colors(size, 2), dyadic_motions(size, "short"), PART, PART)))
+@cases(sizes(20).flatmap(lambda size: st.tuples(colors(size, 2), dyadic_motions(size, "short"), st.integers(0), st.integers(0))))
 def test_a_part_is_as_the_whole(judge: Judge, case: tuple[Float64, Float64, int, int]) -> Talk:
     """Warping a crop gives the crop of the warped frame, where all pixels that are read lie in the crop: no result depends on its place."""
     color, motion, top, left = case
