@@ -184,7 +184,7 @@ def test_prepare_where_hardly_anything_is_a_hole(device, test, motion):
     assert 0 < np.mean(downloaded(device, preparation.mask, size, np.uint8) == 0) < 0.2
 
 
-def edge(motion, off, where=..., *, far=None, apart=1, depth=0.0):
+def edge(motion, off, where=..., *, far=None, apart=1, depth=0.0, stencil=0.0):
     """A surface, ``apart`` cm from pixel to pixel, a hundred times that from row to row, seen again by ``motion``, ``off`` cm away; pixels
     that are ``far`` do not count for their neighbours."""
     size, (dx, dy) = (16, 24), motion
@@ -195,9 +195,8 @@ def edge(motion, off, where=..., *, far=None, apart=1, depth=0.0):
     before = now.copy()
     before[..., 2][where] += off
     positions = np.stack([now, *3 * [np.roll(before, (dy, dx), (0, 1))]])
-    gbuffer = np.zeros((*size, 9))
-    gbuffer[..., 3] = depth
-    return noise(size, motions=np.full((5, *size, 2), motion), positions=positions, gbuffer=gbuffer, nov=np.ones(size))
+    planes = {"gbuffer": np.full((*size, 9), depth), "nov": np.ones(size), "motions": np.full((5, *size, 2), motion)}
+    return noise(size, positions=positions, stencils=np.stack([x * 0 + stencil, *3 * [0 * x]]), **planes)
 
 
 ROOT = 1.5 * 10001**0.5
@@ -211,6 +210,7 @@ ROOT = 1.5 * 10001**0.5
         ("footprint", edge((0, 0), 160, np.s_[:, 0], far=np.s_[:, 1])),
         ("footprint", edge((-1, 0), 160, np.s_[:, 23], far=np.s_[:, 22])),
         ("footprint", edge((0, -1), 2, np.s_[15], far=np.s_[14])),
+        ("footprint", edge((0, 0), 0, stencil=0.34)),
         ("paper", edge((0, 0), 7.5 * (1 + 1e-5), apart=0)),
         ("paper", edge((0, 0), 1, apart=0, depth=-1.0)),
         ("paper", edge((0, 0), 2e19, apart=0, depth=1e18)),
