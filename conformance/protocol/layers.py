@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -44,10 +43,6 @@ LAYERS_OF: Mapping[str, Mapping[str, ArraySpec]] = {
     "frame": {**{name: array_spec(text) for name, text in _GIVEN.items()}, **_WHOLE},
 }
 """Of each stage that has any, in the order of computation: names and shapes. Each as the next layer reads it: behind gate and ReLU."""
-
-
-Watched = Callable[[], AbstractContextManager[Seen]]
-"""``stss_ref.watch.watched``, of the reference or of a copy of it."""
 
 
 def reference_layers(stage: str, inputs: Arrays, weights: Weights) -> Outputs:

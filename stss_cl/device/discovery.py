@@ -119,8 +119,8 @@ class Properties:
 
     @property
     def takes_prefetch(self) -> bool:
-        """Whether its compiler accepts ``__builtin_prefetch``; the compilers of rusticl 22.3 and Oclgrind 21.10 crash on it."""
-        return not self.name.startswith(("rusticl:", "Oclgrind:"))
+        """Whether its compiler accepts ``__builtin_prefetch``: not NVIDIA's; those of rusticl 22.3 and Oclgrind 21.10 crash."""
+        return self.kind == "CPU" and not self.name.startswith(("rusticl:", "Oclgrind:"))
 
     @property
     def streams(self) -> bool:

@@ -76,7 +76,8 @@ class OpenCL:
         self._inputs: dict[str, Any] = dict(vars(inputs))
         if self._on_device:
             to_device: Any = importlib.import_module("pyopencl.array").to_device
-            self._inputs = {n: to_device(self._queue, np.ascontiguousarray(x)) for n, x in self._inputs.items()}
+            arrays = {n: x for n, x in self._inputs.items() if isinstance(x, np.ndarray)}
+            self._inputs |= {n: to_device(self._queue, np.ascontiguousarray(x)) for n, x in arrays.items()}
 
     def run(self) -> None:
         """See `Contender`."""
@@ -143,7 +144,7 @@ OURS: dict[str, Callable[[Setup], Contender]] = {
     "cl-half": partial(_NETWORK, precision="half"),
     "cl-bfloat16": partial(_NETWORK, precision="bfloat16"),
     "cl-host": partial(_NETWORK, precision="float32", on_device=False),
-    "cl-frame": partial(OpenCL, module="frame", name="Frame", precision="float32", on_device=False),
+    "cl-frame": partial(OpenCL, module="frame", name="Frame", precision="float32", on_device=True),
     "cl-stream": partial(Streamed, ahead=False),
     "cl-stream-ahead": partial(Streamed, ahead=True),
     "ref": Reference,

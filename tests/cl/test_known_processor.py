@@ -73,6 +73,11 @@ def test_what_is_compiled_for_stands_in_the_version(version, target):
     assert Properties(SimpleNamespace(version=f"OpenCL 3.0 PoCL HSTR: {version}", type=2)).target == target
 
 
+@pytest.mark.parametrize(("kind", "takes"), [(2, True), (4, False), (8, False)])
+def test_processors_alone_get_prefetches(kind, takes):
+    assert Properties(SimpleNamespace(platform=SimpleNamespace(name="any"), name="any", type=kind)).takes_prefetch is takes
+
+
 def test_memory_that_is_not_there_is_no_fault():
     assert known_processor._read(8, 8) == b""
 

@@ -19,7 +19,6 @@ from conformance.tolerance import ratio
 from stss_ref.constants import HoleTest
 from stss_ref.weights import SecondColor, Weights, random
 
-Float = NDArray[np.float32]
 Size = tuple[int, int]
 
 
