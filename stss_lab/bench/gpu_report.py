@@ -98,7 +98,7 @@ def steps(folder: Path, device: str, *, tiny: bool) -> list[Step]:
         _driver(),
         Step(
             "tests",
-            (sys.executable, "-m", "pytest", "-qn4", "-p", "no:cacheprovider", *tests) if (ROOT / "tests").is_dir() else None,
+            (sys.executable, "-m", "pytest", "-n4", "-p", "no:cacheprovider", *tests) if (ROOT / "tests").is_dir() else None,
             400,
             "the tests come with a checkout, not with the wheel",
         ),
