@@ -298,11 +298,11 @@ def test_the_same_bits_every_time(net):
 def test_the_memory_of_a_dropped_image_serves_the_next(net, device):
     import pyopencl.array as cla
 
-    inputs = [cla.to_device(device.queue, x) for x in network_inputs((9, 10), 4)]
+    inputs, others = [cla.to_device(device.queue, x) for x in network_inputs((9, 10), 4)], device.pool.active_blocks
     first, second = net(*inputs), net(*inputs)
-    assert device.pool.active_blocks == 2, "an image that is held must keep its memory"
+    assert device.pool.active_blocks == others + 2, "an image that is held must keep its memory"
     managed = device.pool.managed_bytes
     del first, second
     for _ in range(4):
         net(*inputs)
-    assert (device.pool.active_blocks, device.pool.managed_bytes) == (0, managed)
+    assert (device.pool.active_blocks, device.pool.managed_bytes) == (others, managed)
