@@ -43,7 +43,7 @@ def frame_inputs(size, seed=0, steps=(1, 3, 5), **others):
         "normals": np.ones((4, *size, 3)),
         "positions": np.zeros((4, *size, 3)),
     } | others
-    return FrameInputs(steps=steps, **{name: array.astype(np.float32) for name, array in drawn.items()})
+    return FrameInputs(steps=steps, **{name: np.asarray(array, np.float32) for name, array in drawn.items()})
 
 
 def uneven(size, seed=0):

@@ -109,8 +109,7 @@ def prepared(preparation, inputs):
 
 def assert_prepared(device, preparation, inputs, size, second="newest", test="footprint"):
     """All that the network is given, padding and borders too."""
-    rows, columns = preparation.rows, preparation.columns
-    got = preparation.inputs
+    rows, columns, got = preparation.rows, preparation.columns, preparation.inputs
     with np.errstate(invalid="ignore", over="ignore"):
         want = prepare(inputs, second=second, test=test)
     color, gbuffer, mask = pad_to_8(want.color), pad_to_8(want.gbuffer), pad_to_8(want.mask[..., None])
@@ -119,8 +118,7 @@ def assert_prepared(device, preparation, inputs, size, second="newest", test="fo
     assert_same(downloaded(device, got.input.data, (rows + 2, columns + 2, 24)), np.pad(packed, border))
     history = np.pad(pad_to_8(want.history), ((0, 0), *border))
     assert_same(downloaded(device, got.earlier.data, (3, rows + 2, columns + 2, 4)), history)
-    color3 = np.pad(color[..., :3], ((0, 0), (0, 0), (0, 1)))
-    assert_same(downloaded(device, got.base, (rows, columns, 4)), color3)
+    assert_same(downloaded(device, got.base, (rows, columns, 4)), np.pad(color[..., :3], ((0, 0), (0, 0), (0, 1))))
     f = np.concatenate([downsample_8(gbuffer), downsample_8(mask), np.zeros((rows // 8, columns // 8, 6), np.float32)], axis=-1)
     assert_same(read(device, got.eighth), f)
     assert_same(downloaded(device, preparation.mask, size, np.uint8), want.mask.astype(np.uint8))
@@ -194,7 +192,7 @@ def edge(motion, off, where=..., *, far=None, apart=1, depth=0.0, stencil=0.0):
         now[..., 2][far] = 1e20
     before = now.copy()
     before[..., 2][where] += off
-    positions = np.stack([now, *3 * [np.roll(before, (dy, dx), (0, 1))]])
+    positions = np.stack([now, now, *3 * [np.roll(before, (dy, dx), (0, 1))]])[1:]  # finite before the first row, too
     planes = {"gbuffer": np.full((*size, 9), depth), "nov": np.ones(size), "motions": np.full((5, *size, 2), motion)}
     return noise(size, positions=positions, stencils=np.stack([x * 0 + stencil, *3 * [0 * x]]), **planes)
 
@@ -209,6 +207,7 @@ ROOT = 1.5 * 10001**0.5
         ("footprint", edge((0, 0), ROOT * (1 + 1e-5))),
         ("footprint", edge((0, 0), 160, np.s_[:, 0], far=np.s_[:, 1])),
         ("footprint", edge((-1, 0), 160, np.s_[:, 23], far=np.s_[:, 22])),
+        ("footprint", edge((0, 0), 2, np.s_[0], far=np.s_[1])),
         ("footprint", edge((0, -1), 2, np.s_[15], far=np.s_[14])),
         ("footprint", edge((0, 0), 0, stencil=0.34)),
         ("paper", edge((0, 0), 7.5 * (1 + 1e-5), apart=0)),

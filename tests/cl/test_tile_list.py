@@ -3,7 +3,7 @@
 
 import numpy as np
 import pyopencl as cl
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from stss_cl.device.buffers import map_bytes
@@ -17,6 +17,7 @@ MARKED = st.tuples(st.integers(0, 2), st.integers(0, 35), st.sampled_from((0, 3,
 
 @given(st.sampled_from(READ), st.integers(1, 3), st.booleans(), st.integers(1, 9), st.sampled_from((1, 2, 16, 63, 64, 65, 129)),
        st.lists(MARKED, max_size=5))  # fmt: skip
+@example(READ[6], 1, False, 3, 65, [(0, 0, 63), (0, 11, 255)])  # the last that a tile reads; what two work-items read
 def test_tiles_are_listed_that_marks_reach(device, read, count, images, fours_down, fours_across, marked):
     (height, width), (step, before, beyond) = (4 * fours_down, 4 * fours_across), read
     size = [ceil_div(length, s) for length, s in zip((height, width), step, strict=True)]
