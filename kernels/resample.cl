@@ -43,7 +43,7 @@ kernel void upsample_corners(global const stored *restrict in, global stored *re
         const int up = 4 * TILE_ROW(tiles[t]), left = 4 * TILE_COLUMN(tiles[t]);
 #if defined(MARK) && defined(PREFETCH)
         // What is compared is read before it is written, and that would wait for memory: the tile after the next one, line by line.
-        const uint soon = tiles[least(t + 2, part.y - 1)];
+        const uint soon = tiles[least(t + 2, count[0] - 1)];
         for (int y = 1; y <= 4; ++y) {
             global const stored *line = out + ((4 * TILE_ROW(soon) + y) * out_columns + 4 * TILE_COLUMN(soon) + 1) * 8 * eights;
             for (int i = 0; i < 32 * eights; i += 64 / sizeof(stored)) __builtin_prefetch((const void *)(size_t)(line + i), 1, 2);

@@ -42,7 +42,7 @@ void winograd(global const stored *restrict a, global const stored *restrict b, 
     const int2 part = part_of_list(count[0], TILES);
     for (int first = part.x; first < part.y; first += TILES) {
         const Strip strip = {tiles + first, least(part.y - first, TILES)};
-        const uint next = strip.tiles[first + TILES < part.y ? TILES : 0];
+        const Strip next = next_strip(strip, count[0] - first);
         multiply_strip(strip, next, a, b, in_columns, weight, gate_weight, out, out_columns, M, gates);
         open_gates(gates, gate_bias, open);
         for (int t = 0; t < strip.held; t += TILES_TOGETHER) {
