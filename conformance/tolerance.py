@@ -64,8 +64,6 @@ BOUNDS = {
     "warp.warped": Bound(
         6 + (6 + 4), 0, "3 lerps of 2 roundings each; the oracle's x and y rounded to u |position|, times contrast <= 2 peak"
     ),
-    "resample.upsampled": Bound(2 * 6, 0, "weight rounded once, 2 lerps of (difference, product, sum)"),
-    "resample.downsampled": Bound(2 * 4, 0, "two sums, two exact halvings; the oracle multiplies by rounded weights"),
     "erm.attend": Bound(
         2 * (2 * 32 + 3 * 25 + 4), 0, "32-term dot products, 25-term sums of products, one quotient; scale: on |inputs|"
     ),

@@ -8,12 +8,10 @@ from hypothesis import strategies as st
 from numpy.lib.stride_tricks import sliding_window_view
 
 from conformance.cases.planes import SEEDS, frames, motions, sizes
-from conformance.tolerance import ratio, sum_bound, worst
-from stss_ref.conv import conv
+from conformance.tolerance import ratio
 from stss_ref.erm import attend
 from stss_ref.loss import loss
 from stss_ref.network import network
-from stss_ref.resample import downsample_8, pixel_shuffle, upsample_centres, upsample_corners
 from stss_ref.sample import follow, leads_inside
 from stss_ref.warp import warp
 from stss_ref.weights import astype
@@ -60,43 +58,6 @@ def test_warp_is_map_coordinates(data, size):
     assert ratio("warp.warped", warped, np.stack(want, -1), max(size) * np.abs(color).max()) <= 1
     np.testing.assert_array_equal(inside, (x >= 0) & (x <= size[1] - 1) & (y >= 0) & (y <= size[0] - 1))
     np.testing.assert_array_equal(leads_inside(follow(motion)), inside)
-
-
-@given(
-    size=sizes(), inputs=st.integers(1, 5), outputs=st.integers(1, 5), stride=st.sampled_from([1, 2]),
-    kernel=st.sampled_from([1, 3]), seed=SEEDS,
-)  # fmt: skip
-def test_conv_is_correlate(size, inputs, outputs, stride, kernel, seed):
-    random = np.random.default_rng(seed)
-    x, w = random.normal(size=(*size, inputs)), random.normal(size=(outputs, inputs, kernel, kernel))
-    b = random.normal(size=outputs)
-    allowed = sum_bound(kernel**2 * inputs + 2, conv(np.abs(x), np.abs(w), np.abs(b), stride), np.float64)
-    whole = np.stack(
-        [b[o] + sum(scipy.ndimage.correlate(x[..., c], w[o, c], mode="constant") for c in range(inputs)) for o in range(outputs)],
-        axis=-1,
-    )
-    assert worst(np.abs(conv(x, w, b, stride) - whole[::stride, ::stride]), allowed) <= 1
-
-
-@given(data=st.data(), size=sizes())
-def test_both_grids_are_zooms(data, size):
-    x = data.draw(frames(size, 2))
-    for upsample, centres in ((upsample_corners, False), (upsample_centres, True)):
-        want = zoomed(x, centres=centres)
-        # Two positions of up to `side` pixels, each rounded, times a contrast of at most the peak.
-        assert ratio("resample.upsampled", upsample(x), want, (1 + max(size)) * np.abs(x).max()) <= 1
-
-
-@given(data=st.data(), eighths=sizes(4))
-def test_an_eighth_is_map_coordinates(data, eighths):
-    x = data.draw(frames((8 * eighths[0], 8 * eighths[1]), 2))
-    assert ratio("resample.downsampled", downsample_8(x), eighth(x), np.abs(x).max()) <= 1
-
-
-@given(data=st.data(), size=sizes())
-def test_pixel_shuffle_puts_each_channel_in_its_place(data, size):
-    x = data.draw(frames(size, 12))
-    np.testing.assert_array_equal(pixel_shuffle(x), shuffled(x))
 
 
 def attend_windows(query, key, value):
