@@ -1,18 +1,13 @@
 # SPDX-License-Identifier: MIT
-"""Mistakes that people make when they port a stage, as ports: they explain wrong answers, and test the judge.
-
-A command line names one as ``--port conformance.mistakes:warp_x_sign``.
-"""
+"""Mistakes that people make when they port a stage, as ports: they explain wrong answers, and test the judge."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 from conformance.mistakes.frame import FRAME
 from conformance.mistakes.holes import HOLES, OCCLUSION_WARP, RRM
 from conformance.mistakes.image import MOTION_CHAIN, WARP
 from conformance.mistakes.network import DECODER, ENCODER, ERM, HISTORY, NETWORK
-from conformance.protocol.reference_copy import Mistake, Variant
+from conformance.protocol.reference_copy import Mistake
 
 MISTAKES: tuple[Mistake, ...] = (
     *MOTION_CHAIN, *WARP, *HOLES, *OCCLUSION_WARP, *RRM, *HISTORY, *ENCODER, *ERM, *DECODER, *NETWORK, *FRAME,
@@ -27,9 +22,3 @@ def of_stage(stage: str, *, shared: bool = False) -> tuple[Mistake, ...]:
 def find(name: str) -> Mistake:
     """The mistake with this `Mistake.id`."""
     return next(mistake for mistake in MISTAKES if mistake.id == name)
-
-
-def __getattr__(name: str) -> Callable[[], Variant]:
-    if any(mistake.id == name for mistake in MISTAKES):
-        return find(name).port
-    raise AttributeError(name)

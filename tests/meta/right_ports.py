@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: MIT
 """Correct ports with other arithmetic: a suite that fails one of them asks for bits that nobody promised.
 
-``for port in ports()``, or one by name, for a command line: ``:fma`` of this module. All run in float32 but ``half`` and
-``half_flush``, which store in float16.
+All run in float32 but ``half`` and ``half_flush``, which store in float16.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from functools import cache, partial
 from typing import Any
@@ -251,17 +250,6 @@ PORTS = tuple(PLANTS)
 """Their names."""
 
 
-def ports() -> Iterator[Variant]:
-    """All of them."""
-    return map(port, PORTS)
-
-
 def port(name: str) -> Variant:
     """The one of this name."""
     return load(name, *PLANTS[name], **HOW.get(name, {}))
-
-
-def __getattr__(name: str) -> Callable[[], Variant]:
-    if name in PORTS:
-        return partial(port, name)
-    raise AttributeError(name)
