@@ -81,7 +81,7 @@ def samples(frames: Sequence[DisplayFrame], truths: Mapping[int, Image]) -> Iter
                 frame if (last.number - frame.number) % 2 == odd else replace(frame, color=None) for frame in window_at(frames, i)
             ]
             planned = plan(window)
-            if planned is not None:
+            if planned is not None and len(window) > 1:
                 given = frame_inputs(window, planned.steps)
                 inputs = pack(warp_all(given), _motion(window[-2], last), details(given))
                 yield Sample(last.number, kind, inputs, truths[last.number])

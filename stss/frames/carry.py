@@ -14,6 +14,9 @@ from stss_ref.warp import warp
 
 HIGHLIGHTS = "highlights"
 """Name of the plane with what the colour has above 1."""
+WHITE = (0.85, 0.95)
+"""Display-referred: a pixel below has no highlight, one above the whole of it. Where a bright sky stands behind leaves, the enlarged
+highlight covers them too, and the network's image says which pixels are sky (docs/quality.md)."""
 
 
 def highlights(color: Image) -> Image | None:
@@ -21,6 +24,20 @@ def highlights(color: Image) -> Image | None:
     if not (color > 1).any():  # NaN compares as False
         return None
     return np.where(color > 1, np.minimum(color, LARGEST) - 1, 0).astype(np.float32)
+
+
+def add_highlights(color: Image, image: Image, above: Image) -> None:
+    """Give the white pixels of a frame their highlights.
+
+    Args:
+        color: (H, W, 3) float32, contiguous, scene-linear, in [0, 1]; it is changed, to at most `LARGEST`.
+        image: (H, W, 3) the same, display-referred.
+        above: (H, W, 3) the plane `HIGHLIGHTS`, as `carry` made it.
+    """
+    at = np.flatnonzero(above > 0)
+    low, high = WHITE
+    share = np.clip((image.reshape(-1)[at] - low) / (high - low), 0, 1)
+    color.reshape(-1)[at] = np.minimum(color.reshape(-1)[at] + above.reshape(-1)[at] * share, LARGEST)
 
 
 def carry(planes: Mapping[str, Array], motion: Image | None, valid: Mask) -> dict[str, Image]:

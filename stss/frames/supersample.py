@@ -6,12 +6,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from stss.frames.backends import Backend
-from stss.frames.carry import HIGHLIGHTS, carry
+from stss.frames.carry import HIGHLIGHTS, add_highlights, carry
 from stss.frames.display_frame import DisplayFrame
-from stss.images.color import LARGEST, Transfer
+from stss.images.color import Transfer
 from stss_ground.errors import InputError
 from stss_ref.arrays import Image, Mask
 from stss_ref.schedule import FrameKind, Schedule, schedule
@@ -64,7 +62,7 @@ def decode(output: Output, curve: Transfer) -> Output:
     image = curve.decode(output.image)
     carried = dict(output.carried)
     if (above := carried.pop(HIGHLIGHTS, None)) is not None:
-        image = np.minimum(image + above, np.float32(LARGEST))
+        add_highlights(image, output.image, above)
     return replace(output, image=image, carried=carried)
 
 

@@ -100,7 +100,7 @@ def test_nothing_crosses_a_cut():
 
 
 def test_highlights_survive_and_nothing_else_changes():
-    """What lies above 1 comes out; where nothing does, not a bit differs."""
+    """What lies above 1 comes out; where nothing does, and where the picture is not white, not a bit differs."""
     plain = list(engine()(frames(4, scale=0.5)))
     assert all(output.image.max() <= 1 for output in plain)
     bright = list(engine()(frames(4, scale=8)))
@@ -109,6 +109,11 @@ def test_highlights_survive_and_nothing_else_changes():
             top = buffers.color.max()
         assert 0.5 * top < output.image.max() <= top, output.kind
         assert not output.carried
+    clipped = engine()(replace(b, color=None if b.color is None else np.minimum(b.color, 1)) for b in frames(4, scale=8))
+    for output, other in zip(bright, clipped, strict=True):
+        white = other.image > 0.692  # 0.85 display-referred
+        assert np.array_equal(output.image[~white], other.image[~white])
+        assert 0.05 < (output.image > other.image).mean() < white.mean()
 
 
 def test_other_planes_are_carried():

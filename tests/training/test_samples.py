@@ -53,6 +53,7 @@ def test_samples_are_what_the_tool_feeds_the_network(film):
             image = curve.decode(upsample_centres(inputs.color[..., :3]))
             np.testing.assert_array_equal(image, outputs[sample.number].image)
             np.testing.assert_array_equal(inputs.mask.astype(bool), outputs[sample.number].valid)
+    assert not list(samples(frames[:1], {0: np.zeros((48, 64, 3), np.float32)}))  # nothing lies before it
     window = frames[2:8]
     given = module.frame_inputs([module.replace(f, color=None) if f.number % 2 else f for f in window], (1, 3, 5))
     details = np.stack([made[3].inputs[..., part] @ LUMA for part in (ACROSS, DOWN, LEVEL)], axis=-1)
