@@ -22,6 +22,7 @@ from stss_cl.device.discovery import Device, DeviceError, open_device
 from stss_cl.device.program import build
 from stss_cl.image_space.stages import ImageStages
 from stss_cl.network.network import Network
+from stss_cl.skip.arrival import Arrival
 from stss_ref import weights
 from stss_ref.network import network as reference_network
 from stss_ref.occlusion_warp import occlusion_warp
@@ -29,6 +30,7 @@ from stss_ref.warp import warp
 
 COUNT = 1003
 GROUP = 64
+ARRIVING = {"motion": 2, "gbuffer": 9, "nov": 1, "stencil": 1, "position": 3}
 TURNS = 100_000
 """Of a loop, at least: Mesa's llvmpipe ends a work-item's loops after 65,535, and leaves the rest of its tiles as they were."""
 
@@ -137,8 +139,17 @@ def network(device: Device, generator: np.random.Generator) -> None:
         raise MismatchError(f"network: {error:.3g} times the allowed error")
 
 
+def skipping(device: Device, generator: np.random.Generator) -> None:
+    """The kernels that only `stss run` needs are accepted; one that looks for NaN finds it."""
+    planes = {name: _upload(device, generator.random((8, 24, n)).astype(np.float32)) for name, n in ARRIVING.items()}
+    broken = _upload(device, np.full((8, 24, 3), np.nan, np.float32))
+    build(device, "resample.cl", {"PREFETCH": device.takes_prefetch, "MARK": True})
+    if Arrival(device, 8, 24).look(planes, broken, planes, broken)[0] != "color":
+        raise MismatchError("arrive: NaN is not found")
+
+
 CHECKS: tuple[Callable[[Device, np.random.Generator], None], ...] = (
-    arithmetic, vectors, groups, turns, nearest, image_stages, network,
+    arithmetic, vectors, groups, turns, nearest, image_stages, network, skipping,
 )  # fmt: skip
 
 
