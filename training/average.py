@@ -21,26 +21,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """``python -m training.average``."""
     parser = argparse.ArgumentParser(prog="python -m training.average", description=__doc__)
     parser.add_argument("weights", nargs="+", help="safetensors files")
-    parser.add_argument("--shares", type=float, nargs="+", metavar="S", help="of each file; default: all alike")
     parser.add_argument("-o", "--out", type=Path, required=True)
     chosen = parser.parse_args(arguments)
     require_places({"--out": chosen.out}, map(Path, chosen.weights))
     loaded = [load(name) for name in chosen.weights]
-    shares = chosen.shares or [1.0] * len(loaded)
-    if len(shares) != len(loaded):
-        raise InputError(f"--shares: expected {len(loaded)}, one for each file, found {len(shares)}")
     seconds = {each.weights.second_color for each in loaded}
     if len(seconds) > 1:
         raise InputError(f"weights: expected one second colour, found {' and '.join(sorted(seconds))}")
     tensors = {
-        name: np.average([each.weights[name] for each in loaded], axis=0, weights=shares).astype(np.float32)
+        name: np.mean([each.weights[name] for each in loaded], axis=0, dtype=np.float64).astype(np.float32)
         for name in loaded[0].weights
     }
     save(
         chosen.out,
         loaded[0].weights | tensors,
         {
-            "shares": json.dumps(shares),
             "average_of": json.dumps([_unfold(dict(each.metadata)) for each in loaded]),
         },
     )

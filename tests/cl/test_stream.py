@@ -61,7 +61,7 @@ def test_what_is_kept_changes_no_bit(pair, calls):
         held.append(((image, valid), (image.copy(), valid.copy())))
     for now, then in held:
         assert_same(now, then)
-        assert not now[0].flags.writeable
+        assert not any(array.flags.writeable for array in now)
 
 
 def still(count, size=(16, 24), change="nothing"):

@@ -126,16 +126,6 @@ def test_a_stream_that_is_dropped_is_freed_at_once(device):
         gc.enable()
 
 
-def test_nobody_can_write_to_what_is_kept(device):
-    """The image and holes of a still picture are handed out again and again."""
-    stream = Stream(WEIGHTS, device)
-    for call in calls_of(still_with("nothing", at=0)):
-        for array in stream(*call):
-            with pytest.raises(ValueError, match="read-only"):
-                array[0, 0] = 0
-    assert stream.report.network == "none"
-
-
 @pytest.mark.parametrize("broken", ["partial_network.PartialNetwork.run_changed", "frame_cache.FrameCache._changed"])
 def test_a_call_that_ends_half_way_leaves_nothing_behind(device, monkeypatch, broken):
     """Such as by Ctrl-C, or by a device that ran out of memory: the same frame again is right."""

@@ -205,12 +205,6 @@ def test_the_average_of_runs(tmp_path):
     save(tmp_path / "a.safetensors", one, {"steps": "3"})
     save(tmp_path / "b.safetensors", two, {"steps": "5"})
     files = [str(tmp_path / "a.safetensors"), str(tmp_path / "b.safetensors"), "-o", str(tmp_path / "c.safetensors")]
-    average([*files, "--shares", "3", "1"])
-    np.testing.assert_allclose(
-        load(tmp_path / "c.safetensors").weights["outc.bias"], 0.75 * one["outc.bias"] + 0.25 * two["outc.bias"], rtol=1e-6
-    )
-    with pytest.raises(InputError, match="--shares: expected 2, one for each file, found 1"):
-        average([*files, "--shares", "3"])
     average(files)
     made = load(tmp_path / "c.safetensors")
     for name, tensor in made.weights.items():
