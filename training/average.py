@@ -29,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if len(seconds) > 1:
         raise InputError(f"weights: expected one second colour, found {' and '.join(sorted(seconds))}")
     tensors = {
-        name: np.mean([each.weights[name] for each in loaded], axis=0, dtype=np.float64).astype(np.float32)
+        name: np.asarray(np.mean([each.weights[name] for each in loaded], axis=0, dtype=np.float64), np.float32)
         for name in loaded[0].weights
     }
     save(
