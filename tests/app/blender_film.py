@@ -14,6 +14,11 @@ from pathlib import Path
 import bpy
 
 
+def settings(scene):
+    render = scene.render
+    return render.filepath, render.resolution_percentage, render.image_settings.file_format, scene.cycles.samples
+
+
 def main():
     place, out, command = Path(sys.argv[1]), sys.argv[2], sys.argv[3]
     spec = importlib.util.spec_from_file_location("stss_blender", place / "__init__.py", submodule_search_locations=[str(place)])
@@ -41,28 +46,17 @@ def main():
     scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 96, 64, 100
     scene.frame_start, scene.frame_end = 1, 4
     scene.render.threads_mode, scene.render.threads = "FIXED", 1
-    before = [
-        scene.render.filepath,
-        scene.render.resolution_percentage,
-        scene.render.image_settings.file_format,
-        scene.cycles.samples,
-    ]
+    before = settings(scene)
 
     extension.register()
     scene.stss.folder = out
     extension.chosen_command = lambda context: shlex.split(command)
     scene.stss.options = "--backend ref --weights bilinear"
     state = bpy.ops.stss.render()
-    after = [
-        scene.render.filepath,
-        scene.render.resolution_percentage,
-        scene.render.image_settings.file_format,
-        scene.cycles.samples,
-    ]
     image = bpy.data.images["stss"]
     found = {
         "state": list(state),
-        "kept": before == after,
+        "kept": before == settings(scene),
         "image": image.source,
         "index": [scene.objects["Plane"].pass_index, monkey.pass_index],
     }

@@ -41,17 +41,6 @@ def astype(inputs, dtype):
 
 
 @settings(max_examples=15)
-@given(size=sizes(12), seed=SEEDS)
-def test_a_still_scene_needs_no_extrapolation(size, seed):
-    """Nothing moves: the extrapolation frame is the supersampled one, bit for bit."""
-    weights = random_weights(7)
-    ef, valid = frame(still_scene(size, seed, (1, 3, 5)), weights)
-    sf, _ = frame(still_scene(size, seed, (0, 2, 4)), weights)
-    assert valid.all()
-    np.testing.assert_array_equal(ef, sf)
-
-
-@settings(max_examples=15)
 @given(data=st.data(), size=sizes(10), seed=SEEDS)
 def test_without_a_residual_it_is_the_bilinear_image(data, size, seed):
     """The `bilinear` weights add exactly 0, for any motion."""
