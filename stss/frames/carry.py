@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from stss.images.color import LARGEST
-from stss_ref.arrays import Array, Image, Mask
+from stss_ref.arrays import Array, Image
 from stss_ref.resample import upsample_centres
 from stss_ref.warp import warp
 
@@ -16,7 +16,7 @@ HIGHLIGHTS = "highlights"
 """Name of the plane with what the colour has above 1."""
 WHITE = (0.85, 0.95)
 """Display-referred: a pixel below has no highlight, one above the whole of it. Where a bright sky stands behind leaves, the enlarged
-highlight covers them too, and the network's image says which pixels are sky (docs/quality.md)."""
+highlight covers them too, and the network's image says which pixels are sky (decision 7)."""
 
 
 def highlights(color: Image) -> Image | None:
@@ -40,23 +40,14 @@ def add_highlights(color: Image, image: Image, above: Image) -> None:
     color.reshape(-1)[at] = np.minimum(color.reshape(-1)[at] + above.reshape(-1)[at] * share, LARGEST)
 
 
-def carry(planes: Mapping[str, Array], motion: Image | None, valid: Mask) -> dict[str, Image]:
+def carry(planes: Mapping[str, Array], motion: Image | None) -> dict[str, Image]:
     """Bring planes of the newest rendered frame to the size and time of the output.
-
-    A hole has no highlight: the surface that had it is not there any more. Other planes keep there what warping reads.
 
     Args:
         planes: name -> (H, W, C).
         motion: (H, W, 2) that leads from the display frame to the rendered one; None: they are the same frame.
-        valid: (H, W) False in warping holes.
 
     Returns:
         name -> (2H, 2W, C) float32.
     """
-    carried: dict[str, Image] = {}
-    for name, plane in planes.items():
-        here = plane if motion is None else warp(plane, motion)[0]
-        if name == HIGHLIGHTS:
-            here = here * valid[..., None]
-        carried[name] = upsample_centres(here)
-    return carried
+    return {name: upsample_centres(plane if motion is None else warp(plane, motion)[0]) for name, plane in planes.items()}

@@ -53,7 +53,7 @@ def compute(window: Sequence[DisplayFrame], backend: Backend) -> Output | None:
         return None
     image, valid = backend.compute(window, planned.steps)
     step, newest = planned.steps[0], window[-1]
-    carried = carry(window[-1 - step].carried, newest.motion if step else None, valid)
+    carried = carry(window[-1 - step].carried, newest.motion if step else None)
     return Output(newest.number, planned.kind, image, valid, carried)
 
 
