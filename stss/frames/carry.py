@@ -30,14 +30,14 @@ def add_highlights(color: Image, image: Image, above: Image) -> None:
     """Give the white pixels of a frame their highlights.
 
     Args:
-        color: (H, W, 3) float32, contiguous, scene-linear, in [0, 1]; it is changed, to at most `LARGEST`.
+        color: (H, W, 3) float32, contiguous, scene-linear, in [0, 1]; changed in place, to at most `LARGEST`.
         image: (H, W, 3) the same, display-referred.
         above: (H, W, 3) the plane `HIGHLIGHTS`, as `carry` made it.
     """
     at = np.flatnonzero(above > 0)
     low, high = WHITE
     share = np.clip((image.reshape(-1)[at] - low) / (high - low), 0, 1)
-    color.reshape(-1)[at] = np.minimum(color.reshape(-1)[at] + above.reshape(-1)[at] * share, LARGEST)
+    color.reshape(-1)[at] += above.reshape(-1)[at] * share
 
 
 def carry(planes: Mapping[str, Array], motion: Image | None) -> dict[str, Image]:
