@@ -31,7 +31,7 @@ class Cost:
 
     Attributes:
         network: where the network ran: ``none``, nowhere; ``changed``, where its inputs had changed; ``whole``, everywhere.
-        changed: share of the network's inputs that differed from the frame before of this kind; 1 where they were not compared.
+        changed: share of the frame that differed from the one before of its kind; 1 where they were not compared.
     """
 
     network: Literal["none", "changed", "whole"]

@@ -18,7 +18,7 @@ class Tally:
         self._computed = 0.0
 
     def add(self, cost: Cost | None) -> str:
-        """Count a frame; returns the share of all frames' network inputs that had not changed, as text; "" if none was looked at."""
+        """Count a frame; returns the share of all frames that had not changed, as text; "" if none was looked at."""
         if cost is not None:
             self._seen += 1
             self._computed += 0.0 if cost.network == "none" else cost.changed
@@ -30,6 +30,6 @@ def describe_costs(costs: Sequence[Cost]) -> str:
     whole, part, none = ([cost for cost in costs if cost.network == network] for network in ("whole", "changed", "none"))
     parts = [f"{len(whole)} whole"] if whole else []
     if part:
-        parts.append(f"{len(part)} in part ({np.mean([cost.changed for cost in part]):.0%} of the inputs had changed)")
+        parts.append(f"{len(part)} in part ({np.mean([cost.changed for cost in part]):.0%} of the frame had changed)")
     parts += [f"{len(none)} not at all"] if none else []
     return f"network computed: {', '.join(parts)}"

@@ -17,7 +17,7 @@ from stss_cl.image_space.prepare import Prepare
 from stss_cl.image_space.stages import Gather
 from stss_cl.network.layers import Layers
 from stss_cl.skip.arrival import Tiles
-from stss_cl.skip.change_control import Part
+from stss_cl.skip.change_control import MOST_CHANGED, Part
 from stss_cl.skip.last_image import LastImage
 from stss_cl.skip.partial_network import PartialNetwork
 
@@ -27,12 +27,11 @@ class Report:
     """The cost of a frame.
 
     Attributes:
-        prepared: share of the tiles of 4 x 4 pixels whose inputs were computed anew.
-        changed: share of the pixels whose inputs then differed; 1 if they were not compared.
+        changed: share of the tiles of 4 x 4 pixels in which something changed; where they are most of the frame, of the pixels whose
+            inputs then differed; 1 if nothing was compared.
         network: what of the network ran.
     """
 
-    prepared: float
     changed: float
     network: Part
 
@@ -85,13 +84,16 @@ class FrameCache:
             looking: whether to mark the tiles in which they then differ.
 
         Returns:
-            The share of these tiles; 1 if the inputs were not compared.
+            The share that changed, of `Report`.
         """
         self._is_first, self.last = self.last is None, None  # if this fails half-way, the next frame must not use it
         self._mark(dirty)
         self.prepare.start(sources, looking=looking)
         self.prepare.strip()
-        return 1.0 if self._is_first or not looking else self._changed()
+        if self._is_first or not looking:
+            return 1.0
+        share = 1.0 if dirty is None else float(dirty.mean())
+        return share if share <= MOST_CHANGED else self._changed()  # for fewer, the host need not wait
 
     def execute(self, network: Part) -> None:
         """Run this part of the network."""

@@ -62,7 +62,7 @@ class Stream:
     ):
         self.device = open_device() if device is None else device
         self.precision: Precision = precision
-        self.report = Report(1.0, 1.0, "whole")
+        self.report = Report(1.0, "whole")
         self._whole = Frame(weights, self.device, precision, gather, memory_limit)
         self._gather: Gather = gather
         self._weights, self._memory = weights, self.device.memory // 2 if memory_limit is None else memory_limit
@@ -165,7 +165,7 @@ class Stream:
         frames = uploaded.take(window, compare=cache is not None and looking)
         self._latest = cache
         if cache is None:
-            self.report = Report(1.0, 1.0, "whole")
+            self.report = Report(1.0, "whole")
             return self._compute_whole(sources(frames, chosen), size, out)
         dirty = self._dirty(uploaded, cache, frames, cache.read(chosen)) if looking else None
         return self._compute(cache, frames, chosen, dirty, looking, out)
@@ -199,13 +199,13 @@ class Stream:
     ) -> Begun:
         """Plan the frame, execute the plan, learn. ``dirty``, ``looking``: see ``FrameCache.prepare_inputs``."""
         if cache.last is not None and dirty is not None and not dirty.any():
-            self.report = Report(0.0, 0.0, "none")
+            self.report = Report(0.0, "none")
             return self._hand_out(cache, frames, steps, out, cache.last.valid)
         changed = cache.prepare_inputs(sources(frames, steps), dirty, looking=looking)
         network = self._control.plan(changed)
         cache.execute(network)
         self._control.learn(network)
-        self.report = Report(1.0 if dirty is None else float(dirty.mean()), changed, network)
+        self.report = Report(changed, network)
         return self._hand_out(cache, frames, steps, out, None)
 
     def _hand_out(

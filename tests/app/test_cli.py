@@ -108,7 +108,7 @@ def test_a_range_has_the_bits_of_the_whole_and_says_what_was_skipped(frames, wei
     assert frames_of(out).items() <= frames_of(by_network).items()
     assert "network computed: 2 whole" in result.stderr
     costs = [Cost("whole", 1.0), Cost("changed", 0.1), Cost("changed", 0.3), Cost("none", 0.0)]
-    assert describe_costs(costs) == "network computed: 1 whole, 2 in part (20% of the inputs had changed), 1 not at all"
+    assert describe_costs(costs) == "network computed: 1 whole, 2 in part (20% of the frame had changed), 1 not at all"
 
 
 @pytest.mark.parametrize(
