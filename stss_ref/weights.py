@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from math import prod, sqrt
-from typing import Any, Literal, NamedTuple, TypeVar, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from stss_ref.arrays import Array
-from stss_ref.constants import HOLE_TESTS, HoleTest
+from stss_ref.constants import HoleTest
 
 Tensors = Mapping[str, Array]
 """Arrays by name, of the network or of some layers: a convolution's weight is (out, in, kh, kw), its bias (out,)."""
@@ -62,56 +62,6 @@ class Weights(Mapping[str, Array]):
 
 class WeightsError(ValueError):
     """Weights are not what the network takes; the message names the tensor, what was expected and what was found."""
-
-
-VERSION_KEY, SECOND_COLOR_KEY, HOLE_TEST_KEY = "stss_weights_version", "second_color", "hole_test"
-NEWEST_ALONE, WITH_HOLE_TEST, WITH_DETAIL = "1", "3", "4"
-"""Versions of a weights file: with the newest frame as the second colour and the footprint's hole test; with the hole test that the
-metadata name; and with detail as the second colour. Who knows the earlier versions alone refuses what it would compute wrongly. Version 2
-had a second colour that is no more (decision 37)."""
-VERSIONS = (NEWEST_ALONE, WITH_HOLE_TEST, WITH_DETAIL)
-
-
-def format_metadata(weights: Weights) -> dict[str, str]:
-    """The entries that the metadata of a weights file must have (spec 10)."""
-    if (weights.second_color, weights.hole_test) == ("newest", "footprint"):
-        return {VERSION_KEY: NEWEST_ALONE}
-    version = WITH_HOLE_TEST if weights.second_color == "newest" else WITH_DETAIL
-    return {VERSION_KEY: version, SECOND_COLOR_KEY: weights.second_color, HOLE_TEST_KEY: weights.hole_test}
-
-
-def take_format(metadata: dict[str, str]) -> Weights:
-    """Take these entries out of a file's metadata.
-
-    Returns:
-        Weights without tensors, which have what the entries say.
-
-    Raises:
-        WeightsError: the entries are not those of a known version.
-    """
-    version = metadata.pop(VERSION_KEY, None)
-    if version not in VERSIONS:
-        found = "no such entry" if version is None else repr(str(version)[:20])
-        raise WeightsError(f"expected {VERSION_KEY} 1, 3 or 4 in the metadata, found {found}")
-    if version == NEWEST_ALONE:
-        for key in (SECOND_COLOR_KEY, HOLE_TEST_KEY):
-            if key in metadata:
-                raise WeightsError(f"{key}: expected no such entry in the metadata of {VERSION_KEY} {version}")
-        return Weights({})
-    seconds = SECOND_COLORS if version == WITH_DETAIL else SECOND_COLORS[:1]
-    second: SecondColor = _named(metadata, SECOND_COLOR_KEY, seconds)
-    return Weights({}, second, _named(metadata, HOLE_TEST_KEY, HOLE_TESTS))
-
-
-Name = TypeVar("Name", bound=str)
-
-
-def _named(metadata: dict[str, str], key: str, names: tuple[Name, ...]) -> Name:
-    named = metadata.pop(key, "")
-    for known in names:
-        if named == known:
-            return known
-    raise WeightsError(f"{key}: expected one of {', '.join(names)} in the metadata, found {str(named)[:20]!r}")
 
 
 def _padded(length: int) -> int:
@@ -311,106 +261,6 @@ def _frozen(tensor: NDArray[Any]) -> Array:
 def zeros() -> Weights:
     """Weights of the method ``bilinear``: the network adds nothing to the upsampled colour, whatever its inputs."""
     return Weights({name: _frozen(np.zeros(shape, np.float32)) for name, shape in TENSORS.items()})
-
-
-Mask = NDArray[np.bool_]
-GROUP = 16
-"""Units are left out by so many, the groups in which kernels sum; a layer of 24 is one group."""
-
-
-class Needed(NamedTuple):
-    """What the image depends on.
-
-    Attributes:
-        layers: those that must run, in order, with what they still read and how many units they still have.
-        once: names of those whose result no frame changes.
-        tensors: their arrays.
-    """
-
-    layers: Mapping[str, Layer]
-    once: Collection[str]
-    tensors: Tensors
-
-
-def find_needed(weights: Tensors) -> Needed:
-    """What must run with these weights for the image to be exact: units and layers that nobody reads, or that are always 0, need not.
-
-    A kernel that is exactly 0 reads nothing, and nobody needs to read a unit that is always 0.
-    """
-    zero = {name: np.zeros(channels, np.bool_) for name, channels in SOURCES.items()}
-    reads: dict[str, Mask] = {}
-    for layer in LAYERS:
-        arrays = [weights[name] for name, _ in layer.tensors()]
-        given = np.concatenate([np.tile(zero[read], times) for read, _, times in _parts(layer)])
-        kernels: list[Mask] = [kernel.any(axis=(2, 3)) & ~given for kernel in arrays[::2]]
-        none: Mask = arrays[1] <= 0 if layer.relu else arrays[1] == 0
-        zero[layer.name] = none & ~kernels[0].any(axis=1)
-        reads[layer.name] = (kernels[0] | kernels[-1]) & ~zero[layer.name][:, None]
-        if layer.name in ATTENTION:
-            zero["reshaded"] = zero[ATTENTION[0]] | zero.get(ATTENTION[1], zero["reshaded"]).all()
-    needed = {name: np.zeros(len(units), np.bool_) for name, units in zero.items()}
-    needed[LAYERS[-1].name][:] = True
-    live: dict[str, list[str]] = {}
-    for layer in reversed(LAYERS):
-        columns: Mask = np.logical_or.reduce(reads[layer.name][needed[layer.name]], axis=0)
-        live[layer.name] = []
-        for read, first, times in _parts(layer):
-            units = columns[first : first + times * len(zero[read])].reshape(times, -1).any(axis=0)
-            needed[read] |= units
-            live[layer.name] += [read] if units.any() else []
-        if needed["reshaded"].any():
-            needed[ATTENTION[0]] |= needed["reshaded"]
-            needed[ATTENTION[1]] |= ~zero[ATTENTION[1]]
-    return _cut(weights, needed, live)
-
-
-def _cut(weights: Tensors, needed: Mapping[str, Mask], reads: Mapping[str, Collection[str]]) -> Needed:
-    """Cut out the groups without a needed unit, and of each layer what it does not read."""
-    kept = {name: _in_groups(units) for name, units in needed.items()} | {n: np.ones(c, np.bool_) for n, c in SOURCES.items()}
-    kept["reshaded"] = kept[ATTENTION[0]]
-    varies = dict.fromkeys(SOURCES, True)
-    layers: dict[str, Layer] = {}
-    tensors: dict[str, Array] = {}
-    for layer in (each for each in LAYERS if needed[each.name].any()):
-        units, live = kept[layer.name], reads[layer.name]
-        columns = np.concatenate([np.tile(kept[read] & (read in live), times) for read, _, times in _parts(layer)])
-        varies[layer.name] = any(varies[read] for read in live)
-        for name, shape in layer.tensors():
-            rows = weights[name][units] if shape[0] == layer.outputs else weights[name]
-            tensors[name] = rows if len(shape) == 1 else rows[:, columns]
-        read = tuple(name for name in layer.reads if name in live)
-        layers[layer.name] = replace(layer, reads=read, inputs=int(columns.sum()), outputs=int(units.sum()))
-    return Needed(layers, {name for name in layers if not varies[name]}, tensors)
-
-
-def _in_groups(units: Mask) -> Mask:
-    size = GROUP if len(units) % GROUP != 8 else len(units)
-    return np.logical_or.reduceat(units, np.arange(0, len(units), size)).repeat(size)[: len(units)]
-
-
-def _parts(layer: Layer) -> Iterator[tuple[str, int, int]]:
-    """What a layer reads: name, first input channel, and how many images of it lie side by side."""
-    first = 0
-    for read in layer.reads:
-        source = BY_NAME.get(read)
-        times = 1 if source is None else source.repeats // layer.repeats
-        yield read, first, times
-        first += times * (SOURCES[read] if source is None else source.outputs)
-
-
-def reads_history(weights: Tensors) -> bool:
-    """Whether the image depends on the history: not if kernels on every way from it are exactly 0, such as those of its last layer."""
-    return any("history" in layer.reads for layer in find_needed(weights).layers.values())
-
-
-def colors_read(weights: Weights) -> int:
-    """How many of the three colour frames, from the newest on, the image depends on."""
-    return 3 if weights.second_color == "detail" or reads_history(weights) else 1
-
-
-def has_residual(weights: Tensors) -> bool:
-    """Whether the network adds anything: if its last layer is all zeros, the image is the upsampled frame, whatever else is computed."""
-    return bool(np.any(weights["outc.weight"]) or np.any(weights["outc.bias"]))
 
 
 def random(seed: int) -> Weights:

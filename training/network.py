@@ -10,7 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from stss_ref.weights import TENSORS, SecondColor, Weights, check, find_needed
+from stss_cl.liveness import find_live
+from stss_ref.weights import TENSORS, SecondColor, Weights, check
 
 Without = Literal["", "history", "deep"]
 """What a network does not compute: nothing; the history, whose features are then the same everywhere (`hold_history`); or all that is
@@ -249,7 +250,7 @@ def load_weights(network: Network, weights: Weights) -> None:
     """Copy the specification's 92 tensors into ``network``, which gets their second colour, too, and leaves out what they do not read."""
     network.load_state_dict({name: torch.from_numpy(np.array(tensor)) for name, tensor in weights.items()})
     network.second_color = weights.second_color
-    if "down2.conv2" not in find_needed(weights).layers:
+    if "down2.conv2" not in find_live(weights).layers:
         network.without = "deep"
 
 

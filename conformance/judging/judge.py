@@ -20,8 +20,9 @@ from conformance.judging.findings import DepartureError, Failure, Finding, Recor
 from conformance.judging.questions import BATCH, Answer, Dialogue, Talk, answers_of, ask, repeated
 from conformance.protocol.port import Arrays, Case, Outputs, Port, PortError
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs, network_inputs, reference
+from conformance.protocol.weights_format import VERSIONS
 from stss_ref.arrays import ArrayError
-from stss_ref.weights import VERSIONS, Weights
+from stss_ref.weights import Weights
 
 MOST_FLOAT16 = 1.0
 RMS = "_rms"

@@ -24,9 +24,10 @@ from conformance.protocol.array_specs import ArraySpec, Sizes, check_numbers
 from conformance.protocol.layers import LAYERS_OF, check_layers
 from conformance.protocol.port import AnyArray, Arrays, Case, Outputs, Unsupported
 from conformance.protocol.stages import check_input_shapes, check_inputs, check_output_shapes, find, require_inputs
+from conformance.protocol.weights_format import format_metadata, take_format
 from stss_ground.terminal import printable
 from stss_ref.arrays import ArrayError
-from stss_ref.weights import Weights, WeightsError, check, format_metadata, take_format
+from stss_ref.weights import Weights, WeightsError, check
 
 LAYERS = "layers"
 """Folder of a case for the outputs of layers inside its stage; the judge makes it to ask for them."""

@@ -12,8 +12,8 @@ from typing import Any
 from conformance.protocol.port import Port, PortError
 from conformance.protocol.program_port import FolderPort
 from conformance.protocol.stages import STAGES
+from conformance.protocol.weights_format import VERSIONS
 from stss_ground.errors import InputError
-from stss_ref.weights import VERSIONS
 
 
 def load_port(

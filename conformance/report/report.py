@@ -18,13 +18,13 @@ from rich.table import Table
 from conformance.judging.findings import TestResult, tally
 from conformance.judging.judge import Judge
 from conformance.protocol.stages import STAGES
+from conformance.protocol.weights_format import VERSIONS
 from conformance.report.versions import versions_of_cases
 from conformance.suite.run_suite import JUDGED, REQUIRED, SEQUENCE, SUITE
 from stss_ground.output.write_whole import write_named
 from stss_ground.pages.page import page
 from stss_ground.terminal import printable
 from stss_ground.version import VERSION
-from stss_ref.weights import VERSIONS
 
 FORMAT = 1
 """Version of the JSON; raised when a field changes its meaning."""

@@ -11,12 +11,13 @@ from typing import Literal, Protocol
 from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import DisplayFrame, OnArrays
 from stss.weights.file import LoadedWeights, load
+from stss_cl.liveness import has_residual
 from stss_ground.errors import InputError
 from stss_ref.arrays import Image, Mask
 from stss_ref.frame import FrameInputs, frame, prepare
 from stss_ref.motion_chain import Gather
 from stss_ref.resample import upsample_centres
-from stss_ref.weights import Weights, has_residual
+from stss_ref.weights import Weights
 
 NETWORK = "network"
 """The method that uses the network; `stss_lab.baselines` has the others."""

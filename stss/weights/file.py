@@ -17,22 +17,11 @@ from typing import Any, cast
 import numpy as np
 from safetensors import SafetensorError, safe_open
 
+from conformance.protocol.weights_format import HOLE_TEST_KEY, SECOND_COLOR_KEY, format_metadata, take_format
 from stss_ground.errors import InputError
 from stss_ground.output.write_whole import write_named
 from stss_ground.regular_file import require_regular
-from stss_ref.weights import (
-    HOLE_TEST_KEY,
-    SECOND_COLOR_KEY,
-    TENSORS,
-    Weights,
-    WeightsError,
-    check,
-    format_metadata,
-    require_names,
-    require_shape,
-    take_format,
-    zeros,
-)
+from stss_ref.weights import TENSORS, Weights, WeightsError, check, require_names, require_shape, zeros
 
 BILINEAR = "bilinear"
 """Name of the method without a network: `zeros`."""

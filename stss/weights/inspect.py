@@ -11,9 +11,10 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from stss_cl.liveness import find_live
 from stss_ground.errors import InputError
 from stss_ref.constants import HoleTest
-from stss_ref.weights import LAYERS, Layer, SecondColor, Weights, find_needed
+from stss_ref.weights import LAYERS, Layer, SecondColor, Weights
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ def inspect(weights: Weights, height: int, width: int) -> Inspection:
     """Inspect ``weights`` and count the network's cost for frames of (height, width); InputError below 1 x 1."""
     if height < 1 or width < 1:
         raise InputError(f"size {width}x{height}: expected at least 1x1")
-    needed = find_needed(weights)
+    needed = find_live(weights)
     runs = {name: layer.outputs for name, layer in needed.layers.items()}
     rows = tuple(
         LayerRow(

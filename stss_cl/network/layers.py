@@ -14,6 +14,7 @@ from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil8, ceil_div
 from stss_cl.device.launch import enqueue
 from stss_cl.device.tuning import tuning_for
+from stss_cl.liveness import Live, colors_read, find_live, reads_history
 from stss_cl.network.conv import Final
 from stss_cl.network.layer import LayerLaunch
 from stss_cl.network.layer_builder import LayerBuilder, dtype_of
@@ -24,7 +25,7 @@ from stss_cl.network.strips import OVERLAP, Strip, bytes_for, rows_within, strip
 from stss_cl.network.tiles import Tiling, of_convolution, whole
 from stss_ref.arrays import Array
 from stss_ref.constants import HoleTest
-from stss_ref.weights import BY_NAME, Needed, SecondColor, Weights, colors_read, find_needed, reads_history
+from stss_ref.weights import BY_NAME, SecondColor, Weights
 
 See = Callable[[LayerLaunch, tuple[Padded, int, int] | None], None]
 WINDOW = 5
@@ -49,7 +50,7 @@ class Layers:
         every: every unit runs for each frame, whatever these weights read.
 
     Attributes:
-        launches: in order, without what these weights need not run (``stss_ref.weights.find_needed``); the last one writes the image.
+        launches: in order, without what these weights need not run (``stss_cl.liveness.find_live``); the last one writes the image.
         once: those whose result no frame changes; they have run.
         inputs: the inputs of the first launches.
         features: the stages' outputs, by the names of ``stss_ref``.
@@ -82,7 +83,7 @@ class Layers:
         rows = rows_within(full, columns, dtype, limit, overlap)
         keep = keep and bytes_for(full, full, columns, dtype, keep=True) <= limit
         local = tuning_for(device).local is not None and not device.is_cpu
-        needed = Needed(BY_NAME, (), weights) if every else find_needed(weights)
+        needed = Live(BY_NAME, (), weights) if every else find_live(weights)
         planned = partial(plan, needed.layers, needed.once, keep=keep, fused=winograd or precision == "bfloat16", local=local)
         # The three images of the history in one launch, where that is known and their buffers have room.
         what = planned(together=local and not winograd and precision in ("float32", "half"))

@@ -89,7 +89,7 @@ def plan(
     """Plan a network.
 
     Args:
-        layers, once: see ``stss_ref.weights.Needed``.
+        layers, once: see ``stss_cl.liveness.Live``.
         keep: every step has an output of its own.
         fused: ``LAST`` makes the image itself.
         local: the attention is one kernel.

@@ -12,9 +12,10 @@ from conformance.cases.planes import SEEDS, motions, sizes
 from conformance.tolerance import ratio
 from stss_cl import Frame
 from stss_cl.frame import run_stage
+from stss_cl.liveness import colors_read
 from stss_ref.arrays import ArrayError
 from stss_ref.frame import frame
-from stss_ref.weights import Weights, colors_read, zeros
+from stss_ref.weights import Weights, zeros
 from tests.cl.films import DETAILED, UNREAD, WEIGHTS, frame_inputs, uneven
 
 STEPS = [(0, 2, 4), (1, 3, 5), (0, 0, 0), (1, 1, 1), (0, 2, 2), (1, 3, 3)]

@@ -21,13 +21,14 @@ from conformance.judging.judge import Judge, Tier, agreement
 from conformance.protocol import write_job
 from conformance.protocol.layers import LAYERS_OF
 from conformance.protocol.load_port import load_port
+from conformance.protocol.weights_format import VERSION_KEY, format_metadata
 from conformance.report.picture import draw
 from conformance.suite.run_suite import run_suite
 from stss.cli.main import stss
 from stss.images.read_write import read_rgb
 from stss.port import ReferencePort
 from stss_lab.stress.inputs import exact
-from stss_ref.weights import VERSION_KEY, Weights, format_metadata
+from stss_ref.weights import Weights
 from tests.hostile.cases import call
 from tests.meta.samples import samples
 

@@ -7,8 +7,9 @@ from conformance.answers.network import expect_with_weights
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.tolerance import ratio, sum_bound
 from stss.quality.metrics import C2, PEAK, WINDOW, luma, ssim_map
+from stss_cl.liveness import reads_history
 from stss_ref.loss import loss as reference_loss
-from stss_ref.weights import SECOND_COLORS, Weights, reads_history, zeros
+from stss_ref.weights import SECOND_COLORS, Weights, zeros
 from stss_ref.weights import random as random_weights
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test-training")

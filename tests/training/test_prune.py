@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from stss.weights.file import load, save
-from stss_ref.weights import BY_NAME, LAYERS, find_needed, random
+from stss_cl.liveness import find_live
+from stss_ref.weights import BY_NAME, LAYERS, random
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test-training")
 torch.set_num_threads(1)
@@ -41,6 +42,6 @@ def test_what_is_pruned_is_0_and_stays_so(data, tmp_path):
     below = [layer for layer in LAYERS if layer.divisor > 2 or layer.component != "backbone"]
     before, after = (load(tmp_path / name).weights for name in ("pruned.safetensors", "run/weights.safetensors"))
     for weights in (before, after):
-        assert BY_NAME.keys() - find_needed(weights).layers.keys() == {layer.name for layer in below}
+        assert BY_NAME.keys() - find_live(weights).layers.keys() == {layer.name for layer in below}
         assert not any(weights[name].any() for layer in below for name, _ in layer.tensors())
     assert (before["conv1.conv_feature.weight"] != after["conv1.conv_feature.weight"]).any()

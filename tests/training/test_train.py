@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from stss.weights.file import load, save
+from stss_cl.liveness import reads_history
 from stss_ground.errors import InputError
 from stss_ref.schedule import FrameKind
-from stss_ref.weights import random, reads_history
+from stss_ref.weights import random
 from training.samples import Sample, write
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test-training")

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: MIT
+"""The metadata of a weights file: its version, and the choices of its training besides the tensors (spec 10)."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+from stss_ref.constants import HOLE_TESTS
+from stss_ref.weights import SECOND_COLORS, SecondColor, Weights, WeightsError
+
+VERSION_KEY, SECOND_COLOR_KEY, HOLE_TEST_KEY = "stss_weights_version", "second_color", "hole_test"
+NEWEST_ALONE, WITH_HOLE_TEST, WITH_DETAIL = "1", "3", "4"
+"""Versions of a weights file: with the newest frame as the second colour and the footprint's hole test; with the hole test that the
+metadata name; and with detail as the second colour. A program that knows only earlier versions refuses this file. Version 2
+had a second colour that is no more (decision 37)."""
+VERSIONS = (NEWEST_ALONE, WITH_HOLE_TEST, WITH_DETAIL)
+
+
+def format_metadata(weights: Weights) -> dict[str, str]:
+    """The entries that the metadata of a weights file must have (spec 10)."""
+    if (weights.second_color, weights.hole_test) == ("newest", "footprint"):
+        return {VERSION_KEY: NEWEST_ALONE}
+    version = WITH_HOLE_TEST if weights.second_color == "newest" else WITH_DETAIL
+    return {VERSION_KEY: version, SECOND_COLOR_KEY: weights.second_color, HOLE_TEST_KEY: weights.hole_test}
+
+
+def take_format(metadata: dict[str, str]) -> Weights:
+    """Take these entries out of a file's metadata.
+
+    Returns:
+        Weights without tensors, which have what the entries say.
+
+    Raises:
+        WeightsError: the entries are not those of a known version.
+    """
+    version = metadata.pop(VERSION_KEY, None)
+    if version not in VERSIONS:
+        found = "no such entry" if version is None else repr(str(version)[:20])
+        raise WeightsError(f"expected {VERSION_KEY} 1, 3 or 4 in the metadata, found {found}")
+    if version == NEWEST_ALONE:
+        for key in (SECOND_COLOR_KEY, HOLE_TEST_KEY):
+            if key in metadata:
+                raise WeightsError(f"{key}: expected no such entry in the metadata of {VERSION_KEY} {version}")
+        return Weights({})
+    seconds = SECOND_COLORS if version == WITH_DETAIL else SECOND_COLORS[:1]
+    second: SecondColor = _named(metadata, SECOND_COLOR_KEY, seconds)
+    return Weights({}, second, _named(metadata, HOLE_TEST_KEY, HOLE_TESTS))
+
+
+Name = TypeVar("Name", bound=str)
+
+
+def _named(metadata: dict[str, str], key: str, names: tuple[Name, ...]) -> Name:
+    named = metadata.pop(key, "")
+    for known in names:
+        if named == known:
+            return known
+    raise WeightsError(f"{key}: expected one of {', '.join(names)} in the metadata, found {str(named)[:20]!r}")

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: MIT
+"""The layers and units that must run with given weights: the others are left out, and the image keeps its bits."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from stss_ref.arrays import Array, Mask
+from stss_ref.weights import ATTENTION, BY_NAME, LAYERS, SOURCES, Layer, Tensors, Weights
+
+GROUP = 16
+"""Units are left out in groups of this size, in which kernels sum; a layer of 24 is one group."""
+
+
+class Live(NamedTuple):
+    """The part of the network on which the image depends.
+
+    Attributes:
+        layers: those that must run, in order, with what they still read and how many units they still have.
+        once: names of those whose result no frame changes.
+        tensors: their arrays.
+    """
+
+    layers: Mapping[str, Layer]
+    once: Collection[str]
+    tensors: Tensors
+
+
+def find_live(weights: Tensors) -> Live:
+    """Find the layers and units that must run for the image to be exact.
+
+    A unit that no other reads, or that is always 0, need not run. A kernel that is exactly 0 reads nothing.
+    """
+    zero = {name: np.zeros(channels, np.bool_) for name, channels in SOURCES.items()}
+    reads: dict[str, Mask] = {}
+    for layer in LAYERS:
+        arrays = [weights[name] for name, _ in layer.tensors()]
+        given = np.concatenate([np.tile(zero[read], times) for read, _, times in _parts(layer)])
+        kernels: list[Mask] = [kernel.any(axis=(2, 3)) & ~given for kernel in arrays[::2]]
+        none: Mask = arrays[1] <= 0 if layer.relu else arrays[1] == 0
+        zero[layer.name] = none & ~kernels[0].any(axis=1)
+        reads[layer.name] = (kernels[0] | kernels[-1]) & ~zero[layer.name][:, None]
+        if layer.name in ATTENTION:
+            zero["reshaded"] = zero[ATTENTION[0]] | zero.get(ATTENTION[1], zero["reshaded"]).all()
+    needed = {name: np.zeros(len(units), np.bool_) for name, units in zero.items()}
+    needed[LAYERS[-1].name][:] = True
+    live: dict[str, list[str]] = {}
+    for layer in reversed(LAYERS):
+        columns: Mask = np.logical_or.reduce(reads[layer.name][needed[layer.name]], axis=0)
+        live[layer.name] = []
+        for read, first, times in _parts(layer):
+            units = columns[first : first + times * len(zero[read])].reshape(times, -1).any(axis=0)
+            needed[read] |= units
+            live[layer.name] += [read] if units.any() else []
+        if needed["reshaded"].any():
+            needed[ATTENTION[0]] |= needed["reshaded"]
+            needed[ATTENTION[1]] |= ~zero[ATTENTION[1]]
+    return _cut(weights, needed, live)
+
+
+def _cut(weights: Tensors, needed: Mapping[str, Mask], reads: Mapping[str, Collection[str]]) -> Live:
+    """Cut out the groups without a live unit, and the inputs that a layer does not read."""
+    kept = {name: _in_groups(units) for name, units in needed.items()} | {n: np.ones(c, np.bool_) for n, c in SOURCES.items()}
+    kept["reshaded"] = kept[ATTENTION[0]]
+    varies = dict.fromkeys(SOURCES, True)
+    layers: dict[str, Layer] = {}
+    tensors: dict[str, Array] = {}
+    for layer in (each for each in LAYERS if needed[each.name].any()):
+        units, live = kept[layer.name], reads[layer.name]
+        columns = np.concatenate([np.tile(kept[read] & (read in live), times) for read, _, times in _parts(layer)])
+        varies[layer.name] = any(varies[read] for read in live)
+        for name, shape in layer.tensors():
+            rows = weights[name][units] if shape[0] == layer.outputs else weights[name]
+            tensors[name] = rows if len(shape) == 1 else rows[:, columns]
+        read = tuple(name for name in layer.reads if name in live)
+        layers[layer.name] = replace(layer, reads=read, inputs=int(columns.sum()), outputs=int(units.sum()))
+    return Live(layers, {name for name in layers if not varies[name]}, tensors)
+
+
+def _in_groups(units: Mask) -> Mask:
+    size = GROUP if len(units) % GROUP != 8 else len(units)
+    return np.logical_or.reduceat(units, np.arange(0, len(units), size)).repeat(size)[: len(units)]
+
+
+def _parts(layer: Layer) -> Iterator[tuple[str, int, int]]:
+    """For each input of a layer: its name, its first channel, and the number of its images that lie side by side."""
+    first = 0
+    for read in layer.reads:
+        source = BY_NAME.get(read)
+        times = 1 if source is None else source.repeats // layer.repeats
+        yield read, first, times
+        first += times * (SOURCES[read] if source is None else source.outputs)
+
+
+def reads_history(weights: Tensors) -> bool:
+    """Whether the image depends on the history: not if kernels on every way from it are exactly 0, such as those of its last layer."""
+    return any("history" in layer.reads for layer in find_live(weights).layers.values())
+
+
+def colors_read(weights: Weights) -> int:
+    """How many of the three colour frames, from the newest on, the image depends on."""
+    return 3 if weights.second_color == "detail" or reads_history(weights) else 1
+
+
+def has_residual(weights: Tensors) -> bool:
+    """Whether the network adds anything: if its last layer is all zeros, the image is the upsampled frame, whatever else is computed."""
+    return bool(np.any(weights["outc.weight"]) or np.any(weights["outc.bias"]))
