@@ -13,7 +13,6 @@ import argparse
 import hashlib
 import json
 import os
-import re
 import shutil
 import sys
 import tempfile
@@ -33,6 +32,7 @@ from stss.frames.supersample import plan
 from stss.images.color import transfer
 from stss.images.read_write import read_rgb
 from stss.sequence.conventions import BACKGROUND_POSITION
+from stss.sequence.find_files import numbered_files
 from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array, Image
@@ -182,7 +182,7 @@ def sequence_samples(low: Path, high: Path, profile: str, camera: Path | None) -
 def number_files(folder: Path) -> dict[int, Path]:
     """The EXR and PNG files of a folder by the last number in their names."""
     paths = sorted(p for p in folder.iterdir() if p.suffix.lower() in (".exr", ".png"))
-    return {int(digits[-1]): path for path in paths if (digits := re.findall(r"\d+", path.stem))}
+    return {file.number: file.path for file in numbered_files(paths)}
 
 
 def split_of(scene: str) -> str:

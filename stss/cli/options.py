@@ -167,5 +167,6 @@ def perceptual_options(command: Command) -> Command:
 
 
 def _is_whole(word: str, digits: int) -> bool:
-    """Whether ``word`` is a whole number of at most ``digits`` ASCII digits; ``int`` raises for more than 4300."""
+    """Whether ``word`` is a whole number of at most ``digits`` ASCII digits, perhaps below 0; ``int`` raises for more than 4300."""
+    word = word.removeprefix("-")
     return word.isascii() and word.isdecimal() and len(word.lstrip("0")) <= digits

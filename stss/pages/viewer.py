@@ -76,7 +76,7 @@ class Viewer:
 
 def page_folder(path: Path) -> OutputFolder:
     """The folder for the pictures of a page that is written to ``path``."""
-    return OutputFolder(path.with_name(f"{path.stem}_files"), ("",), r"\d+-\d+\.png")
+    return OutputFolder(path.with_name(f"{path.stem}_files"), ("",), r"-?\d+-\d+\.png")
 
 
 def write_viewer(

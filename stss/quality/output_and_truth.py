@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ from pathlib import Path
 from stss.images.color import TRANSFERS, transfer
 from stss.images.headers import Value
 from stss.images.read_write import read_header, read_rgb
-from stss.sequence.find_files import frame_number
+from stss.sequence.find_files import numbered_files
 from stss_ground.errors import InputError
 from stss_ref.arrays import Image
 
@@ -100,11 +99,8 @@ def _numbered(folder: Path, frames: tuple[int, int] | None) -> dict[int, Path]:
     if not folder.is_dir():
         raise InputError(f"{folder}: " + ("expected a folder, found a file" if folder.exists() else "no such folder"))
     found: dict[int, Path] = {}
-    for path in sorted(folder.iterdir(), key=lambda p: (p.suffix.lower() != ".png", p.name)):
-        digits = re.findall(r"\d+", path.stem)
-        if path.suffix.lower() not in SUFFIXES or path.name.startswith(".") or not digits:
-            continue
-        number = frame_number(path, digits[-1])
+    images = [p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")]
+    for path, _, number, *_ in numbered_files(sorted(images, key=lambda p: (p.suffix.lower() != ".png", p.name))):
         if number in found and found[number].stem != path.stem:
             raise InputError(f"{folder}: frame {number} appears twice: {found[number].name}, {path.name}")
         if frames is None or frames[0] <= number <= frames[1]:

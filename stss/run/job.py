@@ -128,7 +128,7 @@ def require_unread(planned: RunPlan, sequence: Sequence, reads: Iterable[Path]) 
 
 def folder_of(out: Path) -> OutputFolder:
     """The folder of a run's files."""
-    return OutputFolder(out, ("", HOLES), r"frame\.\d+\.(exr|png)")
+    return OutputFolder(out, ("", HOLES), r"frame\.-?\d+\.(exr|png)")
 
 
 def _numbers(sequence: Sequence, frames: tuple[int, int] | None) -> range:

@@ -3,21 +3,65 @@
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Collection
+from collections import defaultdict
+from collections.abc import Collection, Iterable
 from pathlib import Path
+from typing import NamedTuple
 
 from stss_ground.errors import InputError
 
 _SEPARATORS = "._- "
 _STEM = re.compile(r"(.*?)(\d+)(\D*)", re.DOTALL)
 """The frame number is the last group of digits of the name without its suffix."""
+_PATTERN = re.compile(r"(.*?)#+([^#]*)", re.DOTALL)
+_FRACTION = re.compile(r"(.*[^\dvV]|)(\d+)\.", re.DOTALL)
+"""What stands before the digits of ``NAME.0001.5``; ``v1.0001`` is a version."""
 
 MAX_DIGITS = 9
 """Most digits of a frame number, not counting leading zeros; a longer number is a date or a hash."""
 
 Frames = dict[int, dict[str, Path]]
 """Frame number -> ending of the name before the number ("" for the file that buffers share) -> file."""
+
+
+class NumberedFile(NamedTuple):
+    """A file and the parts of its name.
+
+    Attributes:
+        path: the file.
+        before: the name before the number, with separators.
+        number: the frame.
+        digits: the number as it is written, without a sign.
+        after: the name behind the number, without the suffix.
+    """
+
+    path: Path
+    before: str
+    number: int
+    digits: str
+    after: str
+
+
+def numbered_files(paths: Iterable[Path]) -> list[NumberedFile]:
+    """Find the frame numbers in the names of files of one folder; a name without a number is left out.
+
+    A minus sign stands behind a separator (``shot.-006``), or where other files of the name have no separator (``shot-006``,
+    ``shot0001``). Elsewhere a dash is a separator: ``shot-0006`` is frame 6.
+
+    Raises:
+        InputError: a number has more than `MAX_DIGITS` digits.
+    """
+    matches = [(path, match[1], match[2], match[3]) for path in paths if (match := _STEM.fullmatch(path.stem))]
+    unseparated = {before for _, before, _, _ in matches}
+    found: list[NumberedFile] = []
+    for path, before, digits, after in matches:
+        rest = before.removesuffix("-")
+        negative = rest != before and (rest.endswith(tuple(_SEPARATORS)) or rest in unseparated | {""})
+        number = frame_number(path, digits)
+        found.append(NumberedFile(path, rest if negative else before, -number if negative else number, digits, after))
+    return found
 
 
 def find_frames(path: Path, endings: Collection[str]) -> Frames:
@@ -32,30 +76,44 @@ def find_frames(path: Path, endings: Collection[str]) -> Frames:
         InputError: there are no such files, those of several sequences, or two for one frame; a number has too many
             digits; or the folder cannot be read.
     """
-    folder, wanted = path, None
-    if "#" in path.name:
-        folder = path.parent
-        before, _, after = Path(path.name).stem.partition("#")
-        name = before + after.lstrip("#")
-        wanted = (_split(name, endings) or (name.rstrip(_SEPARATORS), ""))[0]
-    by_prefix: dict[str, Frames] = {}
-    for file in _files(path, folder):
-        match = _STEM.fullmatch(file.stem)
-        if file.suffix.lower() != ".exr" or file.name.startswith(".") or match is None:
+    stem = path.stem if path.suffix.lower() == ".exr" else path.name
+    pattern = None if os.path.isdir(path) else _PATTERN.fullmatch(stem)  # a folder's name may have a #
+    folder = path if pattern is None else path.parent
+    files = numbered_files(f for f in _files(path, folder) if f.suffix.lower() == ".exr" and not f.name.startswith("."))
+    parts = [(_name(file.before, file.after, endings), file) for file in files]
+    if pattern is not None:
+        wanted = (_name(pattern[1], pattern[2], endings) or (pattern[1].rstrip(_SEPARATORS) + pattern[2], ""))[0]
+        fitting = [(name, file) for name, file in parts if name is not None and name[0] == wanted]
+        parts = [(name, file) for name, file in fitting if _gap(file.before) == _gap(pattern[1])] or fitting
+    by_prefix: dict[str, Frames] = defaultdict(dict)
+    for name, file in parts:
+        if name is None:
             continue
-        name = _split(match[1].rstrip(_SEPARATORS) + match[3], endings)
-        if name is None or (wanted is not None and name[0] != wanted):
-            continue
-        other = by_prefix.setdefault(name[0], {}).setdefault(frame_number(file, match[2]), {}).setdefault(name[1], file)
-        if other != file:
-            raise InputError(f"{file}: the same frame as {other.name}")
+        other = by_prefix[name[0]].setdefault(file.number, {}).setdefault(name[1], file.path)
+        if other != file.path:
+            raise InputError(f"{file.path}: the same frame as {other.name}")
     if not by_prefix:
         kinds = "NAME.0001.exr" if "" in endings else f"NAME{_listed(endings)}.0001.exr"
-        raise InputError(f"{path}: no frames; expected files named like {kinds}")
+        raise InputError(f"{path}: no frames; expected files named like {kinds}{_fractions(files)}")
     if len(by_prefix) > 1:
         stems = ", ".join(name or "(no name)" for name in sorted(by_prefix))
-        raise InputError(f"{path}: several sequences: {stems}; give one as a pattern, like NAME.####.exr")
+        raise InputError(f"{path}: several sequences: {stems}; give one as a pattern, like NAME.####.exr{_fractions(files)}")
     return next(iter(by_prefix.values()))
+
+
+def _fractions(files: Iterable[NumberedFile]) -> str:
+    """What to say where files seem to be numbered 0001.0, 0001.5, 0002.0; else nothing."""
+    whole: dict[str, dict[str, str]] = defaultdict(dict)
+    for file in files:
+        if match := _FRACTION.fullmatch(file.before):
+            whole[match[1]][match[2]] = f"{match[2]}.{file.digits}"
+    found = next((numbers for numbers in whole.values() if len(numbers) > 1), None)
+    if found is None:
+        return ""
+    return (
+        f"; {max(found.values(), key=len)} looks like a fraction, and fractions are not frame numbers: number the display frames by"
+        " whole numbers, half frames too"
+    )
 
 
 def _files(path: Path, folder: Path) -> list[Path]:
@@ -79,12 +137,18 @@ def frame_number(file: Path, digits: str) -> int:
     return int(digits or 0)
 
 
-def _split(name: str, endings: Collection[str]) -> tuple[str, str] | None:
+def _name(before: str, after: str, endings: Collection[str]) -> tuple[str, str] | None:
     """A name without its number, as (sequence, ending); None where no ending fits. The longest ending wins."""
+    name = (before.rstrip(_SEPARATORS) + after).rstrip(_SEPARATORS)
     for ending in sorted(endings, key=len, reverse=True):
-        if name.rstrip(_SEPARATORS).endswith(ending):
-            return name.rstrip(_SEPARATORS).removesuffix(ending).rstrip(_SEPARATORS), ending
+        if name.endswith(ending):
+            return name.removesuffix(ending).rstrip(_SEPARATORS), ending
     return None
+
+
+def _gap(before: str) -> str:
+    """The separators between name and number."""
+    return before[len(before.rstrip(_SEPARATORS)) :]
 
 
 def _listed(endings: Collection[str]) -> str:

@@ -1,0 +1,104 @@
+"""Frame numbers in the names of files: signs, fractions, patterns, names with unusual characters."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stss.images.read_write import read_rgb, write_rgb
+from stss.quality.output_and_truth import find_pairs
+from stss.sequence.find_files import find_frames, numbered_files
+from stss_ground.errors import InputError
+from tests.app.conftest import PLAIN
+from tests.hostile.cases import call
+
+
+def found(folder, *names, path=None):
+    """Frame number -> name, of empty files."""
+    folder.mkdir(exist_ok=True)
+    for name in names:
+        (folder / f"{name}.exr").touch()
+    return {number: files[""].stem for number, files in find_frames(path or folder, {""}).items()}
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        {-6: "shot.-0006", -1: "shot.-0001", 0: "shot.0000", 1: "shot.0001"},
+        {-6: "shot_-006", -1: "shot_-001"},
+        {-6: "shot -6", 5: "shot 5"},
+        {-6: "shot--0006", 1: "shot-0001"},
+        {-6: "shot-006", 0: "shot0000", 12: "shot0012"},
+        {-6: "-0006", -1: "-0001", 0: "0000"},
+        {6: "shot-0006", 1: "shot-0001"},
+        {6: "sh010-0006", 1: "sh010-0001"},
+        {26: "2026-11-26", 27: "2026-11-27"},
+    ],
+    ids=str,
+)
+def test_a_minus_sign_is_told_from_a_dash(tmp_path, names):
+    assert found(tmp_path, *names.values()) == names
+
+
+def test_frames_before_zero_run_in_order(write_frames, tmp_path):
+    """A pre-roll: the outputs have the pictures of a run whose numbers begin at 0, under the numbers of their inputs."""
+    folder = write_frames(range(-6, 0), rendered={-6, -4, -2}, size=(16, 24))
+    moved = tmp_path / "moved"
+    moved.mkdir()
+    for number in range(-6, 0):
+        (moved / f"seq.{number + 6:04d}.exr").write_bytes((folder / f"seq.{number:04d}.exr").read_bytes())
+    for source, out in ((folder, "a"), (moved, "b")):
+        assert not call("run", source, "-o", tmp_path / out, *PLAIN).returncode
+    pairs = {n: (tmp_path / "a" / f"frame.{n:04d}.exr", tmp_path / "b" / f"frame.{n + 6:04d}.exr") for n in range(-6, 0)}
+    assert {p.name for p in (tmp_path / "a").glob("*.exr")} == {a.name for a, _ in pairs.values()}
+    for a, b in pairs.values():
+        np.testing.assert_array_equal(read_rgb(a), read_rgb(b))
+    for some, more in ((range(-3, 0), ()), (range(-2, 0), ("--overwrite",))):
+        part = "--frames", f"{some[0]}:{some[-1]}", "--cuts", "-4"
+        assert not call("run", folder, "-o", tmp_path / "c", *PLAIN, *part, *more).returncode
+        assert {p.name for p in (tmp_path / "c").glob("*.exr")} == {f"frame.{n:04d}.exr" for n in some}
+
+
+def test_frames_before_zero_are_compared(tmp_path):
+    for folder, width in (("out", 4), ("truth", 3)):
+        (tmp_path / folder).mkdir()
+        for number in (-2, -1, 1):
+            write_rgb(tmp_path / folder / f"frame.{number:0{width}d}.png", np.zeros((4, 4, 3)))
+    pairs, *others = find_pairs(tmp_path / "out", tmp_path / "truth", (-2, 0))
+    assert [pairs[n].truth.name for n in pairs] == ["frame.-02.png", "frame.-01.png"]
+    assert others == [[], []]
+
+
+def test_a_pattern_says_where_the_separators_are(tmp_path):
+    eyes = [f"sh.000{n}_{eye}" for n in (1, 2) for eye in "LR"]
+    assert found(tmp_path, *eyes, path=tmp_path / "sh.####_L.exr") == {1: "sh.0001_L", 2: "sh.0002_L"}
+    twice = ["a.0001", "a_0001", "a_0002"]
+    assert found(tmp_path, *twice, path=tmp_path / "a_####.exr") == {1: "a_0001", 2: "a_0002"}
+    assert found(tmp_path, *twice, path=tmp_path / "a.####") == {1: "a.0001"}
+    assert found(tmp_path, "b#c.0001", path=tmp_path / "b#c.#.exr") == {1: "b#c.0001"}
+
+
+def test_a_folder_may_have_a_number_sign(tmp_path):
+    assert found(tmp_path / "take #2", "a.0001") == {1: "a.0001"}
+    assert found(tmp_path / "take #2", path=tmp_path / "take #2" / "a.#.exr") == {1: "a.0001"}
+
+
+@pytest.mark.parametrize("pattern", ["", "shot.####.exr", "shot.####.#.exr"])
+@pytest.mark.parametrize("names", [("0001.0", "0001.5", "0002.0", "0002.5"), ("1", "1.5", "2", "2.5")], ids=" ".join)
+def test_fractions_are_named(tmp_path, names, pattern):
+    if names[0] == "1" and pattern == "shot.####.exr":
+        assert found(tmp_path, *(f"shot.{n}" for n in names), path=tmp_path / pattern) == {1: "shot.1", 2: "shot.2"}
+        return
+    with pytest.raises(InputError, match=rf"; {names[1]} looks like a fraction, .* by whole numbers, half frames too"):
+        found(tmp_path, *(f"shot.{n}" for n in names), path=tmp_path / pattern)
+
+
+def test_versions_are_no_fractions(tmp_path):
+    with pytest.raises(InputError) as error:
+        found(tmp_path, "shot_v1.0001", "shot_v2.0001")
+    assert "looks like" not in str(error.value)
+
+
+def test_a_long_number_is_refused_wherever_it_stands():
+    with pytest.raises(InputError, match="at most 9 digits, found 10"):
+        numbered_files([Path("a.-1234567890.exr")])
