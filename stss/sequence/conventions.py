@@ -40,7 +40,7 @@ def convert(
         The frame; its arrays may be views of ``planes``.
 
     Raises:
-        InputError: a plane is missing, has another shape, or is of whole numbers.
+        InputError: a plane is missing, has another shape, or is of whole numbers; the camera is none.
     """
     table = profile if isinstance(profile, Profile) else load_profile(profile)
     where = None if camera is None else _pose(np.asarray(camera, np.float64))
@@ -73,10 +73,14 @@ def convert(
 
 
 def _pose(camera: Array) -> CameraPose:
+    if camera.shape not in ((3,), (4, 4)):
+        raise InputError(f"camera: expected a position (3,) or a matrix (4, 4), found shape {camera.shape}")
+    if not np.isfinite(camera).all():
+        raise InputError("camera: expected finite numbers, found others")
     if camera.shape == (3,):
         return CameraPose(camera)
-    if camera.shape != (4, 4):
-        raise InputError(f"camera: expected a position (3,) or a matrix (4, 4), found shape {camera.shape}")
+    if not np.linalg.det(camera[:3, :3]):
+        raise InputError("camera: expected a matrix from world to camera, found one without an inverse")
     return CameraPose(-np.linalg.solve(camera[:3, :3], camera[:3, 3]), camera)
 
 

@@ -32,6 +32,8 @@ BUFFERS = {
 CONSTANTS = ("stencil", "roughness", "metallic")
 """Buffers that one number for the whole frame can stand in for."""
 
+_DEPTH_KEYS = {"planar": ("kind", "background"), "ray": ("kind", "background"), "device": ("kind", "near", "far", "reversed")}
+
 _TABLES = Path(__file__).with_name("profile_tables")
 
 Channels = tuple[str, ...]
@@ -142,7 +144,8 @@ def load_profile(name_or_path: str | Path, **changes: Any) -> Profile:
 
     Args:
         name_or_path: the name or the path.
-        changes: keys to replace, tables as dictionaries: ``units_per_cm=0.01, motion={"unit": "ndc", "y": "up"}``.
+        changes: keys to replace, tables as dictionaries: ``units_per_cm=0.01, motion={"unit": "ndc", "y": "up"}``. A table keeps what
+            its change leaves out; one of another ``kind`` keeps what that kind has too.
 
     Raises:
         InputError: there is no such profile; or a key of it is unknown, missing or wrong.
@@ -157,8 +160,14 @@ def load_profile(name_or_path: str | Path, **changes: Any) -> Profile:
     table = read_toml(path, InputError)
     for key, value in changes.items():
         old = table.rest.get(key)
-        table.rest[key] = {**cast("dict[str, Any]", old), **value} if isinstance(old, dict) and isinstance(value, dict) else value
+        both = isinstance(old, dict) and isinstance(value, dict)
+        table.rest[key] = _changed(cast("dict[str, Any]", old), cast("dict[str, Any]", value)) if both else value
     return _profile(path, table)
+
+
+def _changed(old: dict[str, Any], change: dict[str, Any]) -> dict[str, Any]:
+    known = _DEPTH_KEYS.get(str(change.get("kind")), old)
+    return {**{key: value for key, value in old.items() if key in known}, **change}
 
 
 def _profile(path: Path, top: Table) -> Profile:
@@ -203,16 +212,15 @@ def _motion(table: Table) -> MotionRule:
 
 
 def _depth(table: Table) -> DepthRule:
-    kind = table.choice("kind", ("planar", "ray", "device"))
+    kind = table.choice("kind", tuple(_DEPTH_KEYS))
     if kind == "device":
         near, far = table.number("near", positive=True), table.number("far", positive=True, infinite=True)
         rule = DepthRule(kind, math.inf, near, far, table.take("reversed", "true or false", bool))
         if far <= near:
             raise table.fail("far", f"more than near ({near})", far)
-        table.end("kind, near, far, reversed")
     else:
         rule = DepthRule(kind, table.number("background", positive=True, infinite=True))
-        table.end("kind, background")
+    table.end(", ".join(_DEPTH_KEYS[kind]))
     return rule
 
 
