@@ -12,8 +12,8 @@ from stss_ref.arrays import Array, Image
 from stss_ref.resample import upsample_centres
 from stss_ref.warp import warp
 
-HIGHLIGHTS = "highlights"
-"""Name of the plane with what the colour has above 1."""
+HIGHLIGHTS = "\0highlights"
+"""Name of the plane with what the colour has above 1. No channel has it: names in files end at a NUL."""
 WHITE = (0.85, 0.95)
 """Display-referred: a pixel below has no highlight, one above the whole of it. Where a bright sky stands behind leaves, the enlarged
 highlight covers them too, and the network's image says which pixels are sky (decision 7)."""

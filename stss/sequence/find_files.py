@@ -77,7 +77,8 @@ def find_frames(path: Path, endings: Collection[str]) -> Frames:
             digits; or the folder cannot be read.
     """
     stem = path.stem if path.suffix.lower() == ".exr" else path.name
-    pattern = None if os.path.isdir(path) else _PATTERN.fullmatch(stem)  # a folder's name may have a #
+    # A folder's name may have a #. Path.is_dir raises where a folder above cannot be entered.
+    pattern = None if os.path.isdir(path) else _PATTERN.fullmatch(stem)  # noqa: PTH112
     folder = path if pattern is None else path.parent
     files = numbered_files(f for f in _files(path, folder) if f.suffix.lower() == ".exr" and not f.name.startswith("."))
     parts = [(_name(file.before, file.after, endings), file) for file in files]

@@ -14,7 +14,6 @@ from stss.images.headers import Value
 from stss.images.read_write import read_channels
 from stss.sequence.camera import CameraPose
 from stss.sequence.channels import Source
-from stss.sequence.profiles import BUFFERS
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array
 
@@ -55,22 +54,26 @@ def read_stored(
     also: Mapping[str, Source] = NOTHING,
     *,
     color: bool = True,
-) -> dict[str, Array]:
-    """Read the buffers as they are stored or filled with a constant, and the planes of ``also``.
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Read the buffers as they are stored or filled with a constant, and the planes of ``also``, whose names may be those of buffers.
 
     Returns:
-        Name -> (H, W, channels) float32; without the colour where ``color`` is False.
+        Name -> (H, W, channels) float32 of both; without the colour where ``color`` is False.
     """
-    wanted = {buffer: source for buffer, source in (*frame.sources.items(), *also.items()) if color or buffer != "color"}
+    buffers = {buffer: source for buffer, source in frame.sources.items() if color or buffer != "color"}
+    wanted = [*buffers.values(), *also.values()]
     planes = {
-        path: read_channels(path, sorted({name for s in wanted.values() if s.path == path for name in s.names}))
-        for path in {source.path for source in wanted.values()}
+        path: read_channels(path, sorted({name for s in wanted if s.path == path for name in s.names}))
+        for path in {source.path for source in wanted}
     }
-    stored = {b: np.stack([planes[s.path][name] for name in s.names], axis=-1) for b, s in wanted.items()}
+    stored, carried = (
+        {name: np.stack([planes[s.path][channel] for channel in s.names], axis=-1) for name, s in of.items()}
+        for of in (buffers, also)
+    )
     for buffer, value in constants.items():
         if buffer not in stored:
             stored[buffer] = np.full((*size, 1), value, dtype=np.float32)
-    return stored
+    return stored, carried
 
 
 def settle_non_finite(stored: dict[str, Array], sources: Mapping[str, Source], policy: NonFinite) -> None:
@@ -81,18 +84,25 @@ def settle_non_finite(stored: dict[str, Array], sources: Mapping[str, Source], p
     Raises:
         InputError: the policy is "refuse", and there is such a value.
     """
-    for buffer in (*FINITE, *(name for name in stored if name not in BUFFERS)):
-        if buffer not in stored:
-            continue
-        bad = ~np.isfinite(stored[buffer])
+    color = stored.get("color")
+    hole = None if color is None else ~np.isfinite(color).all(axis=-1, keepdims=True)
+    settle_all_finite({buffer: stored[buffer] for buffer in FINITE if buffer in stored}, sources, policy, into=stored)
+    if hole is not None and hole.any():
+        stored["position"] = np.where(hole, np.float32(np.nan), stored["position"])
+
+
+def settle_all_finite(
+    planes: Mapping[str, Array], sources: Mapping[str, Source], policy: NonFinite, *, into: dict[str, Array]
+) -> None:
+    """The same for planes that must be finite everywhere; the ones changed are put ``into`` a dictionary."""
+    for name, plane in planes.items():
+        bad = ~np.isfinite(plane)
         if not bad.any():
             continue
         if policy == "refuse":
             channel = int(np.flatnonzero(bad.any(axis=(0, 1)))[0])
             y, x = np.argwhere(bad[..., channel])[0]
-            where = f"{sources[buffer].path}: channel {sources[buffer].names[channel]}"
+            where = f"{sources[name].path}: channel {sources[name].names[channel]}"
             count = int(bad[..., channel].sum())
             raise InputError(f"{where}: {count} non-finite values, first at (y={y}, x={x})")
-        stored[buffer] = np.where(bad, np.float32(0), stored[buffer])
-        if buffer == "color":
-            stored["position"] = np.where(bad.any(axis=-1, keepdims=True), np.float32(np.nan), stored["position"])
+        into[name] = np.where(bad, np.float32(0), plane)

@@ -18,7 +18,7 @@ from stss.sequence.channels import Source, find_buffers, missing_buffer
 from stss.sequence.conventions import linear_depth, to_specification
 from stss.sequence.find_files import find_frames
 from stss.sequence.profiles import BUFFERS, CONSTANTS, Profile, load_profile, profile_names
-from stss.sequence.raw_frame import CARRIED, UNIT_RANGE, NonFinite, RawFrame, read_stored, settle_non_finite
+from stss.sequence.raw_frame import CARRIED, UNIT_RANGE, NonFinite, RawFrame, read_stored, settle_all_finite, settle_non_finite
 from stss.sequence.solve_camera import solve_camera
 from stss_ground.errors import InputError
 from stss_ground.progress import Track
@@ -113,11 +113,12 @@ class Sequence:
             if not (buffer == "color" or self.has(number, buffer)):
                 there = sorted({name for path in frame.files for name in read_header(path).channels})
                 raise missing_buffer(self.profile, buffer, self._where(number), there)
-        carried = self._carried(number, also) if color and "color" in frame.sources else {}
-        stored = read_stored(frame, self.size, self.constants, carried, color=color)
+        others = self._carried(number, also) if color and "color" in frame.sources else {}
+        stored, carried = read_stored(frame, self.size, self.constants, others, color=color)
         camera = frame.camera if "nov" in stored or frame.camera is not None else self._solve(number, stored)
         depth = to_specification(stored, self.profile, camera)
-        settle_non_finite(stored, {**frame.sources, **carried}, self._non_finite)
+        settle_non_finite(stored, frame.sources, self._non_finite)
+        settle_all_finite(carried, others, self._non_finite, into=carried)
         for buffer in UNIT_RANGE:
             stored[buffer] = np.clip(stored[buffer], 0, 1)
         return Buffers(
@@ -132,7 +133,7 @@ class Sequence:
             base_color=stored["base_color"],
             roughness=stored["roughness"][..., 0],
             metallic=stored["metallic"][..., 0],
-            carried={name: stored[name] for name in carried},
+            carried=carried,
         )
 
     @property
@@ -159,14 +160,26 @@ class Sequence:
         there = {path: read_header(path).channels for path in frame.files}
         alpha = color.names[0][:-1] + "A"
         found = {"A": Source(color.path, (alpha,))} if color.names[0].endswith("R") and alpha in there[color.path] else {}
+        own = {letter: Source(color.path, (full,)) for letter, full in zip("RGB", color.names, strict=True)}
         for name in also:
             chosen = [
-                (path, full) for path, names in there.items() for full in names if full == name or full.startswith(name + ".")
+                Source(path, (full,))
+                for path, names in there.items()
+                for full in names
+                if full == name or full.startswith(name + ".")
             ]
             if not chosen:
                 names = sorted({full for names in there.values() for full in names})
                 raise InputError(f"{self._where(number)}: no layer or channel {name}; found {', '.join(names)}")
-            found |= {full: Source(path, (full,)) for path, full in chosen}
+            for source in chosen:
+                full = source.names[0]
+                other = (own | found).get(full, source)
+                if other != source:
+                    raise InputError(
+                        f"{source.path}: --also {name}: channel {full} would take the place of {other.names[0]} of {other.path.name}"
+                    )
+                if full not in own:
+                    found[full] = source
         return found
 
     def _frame(self, number: int) -> RawFrame:

@@ -4,6 +4,7 @@ import threading
 import time
 from collections import deque
 from contextlib import closing
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,15 +12,16 @@ import pytest
 from stss.frames.backends import ReferenceBackend
 from stss.images.encode import encode_exr
 from stss.images.headers import read_header
-from stss.images.read_write import read_channels
+from stss.images.read_write import read_channels, read_rgb
 from stss.run.job import run
 from stss.run.options import RunOptions
 from stss.run.pipeline import FRAMES_AHEAD, overlap
+from stss.sequence.profiles import load_profile
 from stss.sequence.reader import Sequence, open_sequence
 from stss.weights.file import BILINEAR, load
 from stss_ref.arrays import ArrayError
 from tests.app.conftest import PLAIN
-from tests.hostile.cases import call
+from tests.hostile.cases import call, refused
 
 SOON = 30
 """Seconds after which something that should happen at once counts as not happening."""
@@ -194,6 +196,39 @@ def test_alpha_highlights_layers_and_metadata_come_out(write_frames, tmp_path):
         assert 0 <= planes["A"].min() < planes["A"].max() <= 1
         assert np.array_equal(planes["A"], planes["light.R"])
         assert not planes["light.G"].any()
+
+
+TAKEN = ("highlights", "color", "depth", "stencil", "position", "A.A", "Z")
+"""Names of further channels that are those of buffers, or of planes of our own."""
+
+
+def test_the_name_of_a_channel_takes_nobody_s_place(write_frames, tmp_path):
+    """Passes with the names of our planes come out as they are, and the image is the one without them."""
+
+    def change(number, channels):
+        channels["R"] = 10 * channels["R"]
+        ramp = np.linspace(0, 1, 64) * np.ones((48, 1))
+        return channels | {name: (i + 1) * ramp for i, name in enumerate(TAKEN)}
+
+    lr = write_frames(range(3), change=change)
+    for out, also in (("plain", ()), ("out", ("--also", ",".join((*TAKEN, "R", "depth.Z"))))):
+        result = call("run", lr, "-o", tmp_path / out, *PLAIN, *also)
+        assert result.returncode == 0, result.stderr
+    for path in sorted((tmp_path / "plain").glob("*.exr")):
+        assert np.array_equal(read_rgb(path), read_rgb(tmp_path / "out" / path.name))
+        planes = read_channels(tmp_path / "out" / path.name, (*TAKEN, "depth.Z"))
+        assert [round(float(planes[name].max())) for name in TAKEN] == list(range(1, len(TAKEN) + 1))
+        assert planes["depth.Z"].max() == 200
+
+
+def test_two_channels_of_one_name_are_told_apart(write_frames, tmp_path):
+    """Blender's alpha is written as A: another A beside it has no place."""
+    folder = write_frames([1, 2], change=lambda _, c: c | {f"ViewLayer.Combined.{x}": c["R"] for x in "RGBA"} | {"A": c["R"]})
+    text = Path(load_profile("stss").path).read_text().replace('["R", "G", "B"]', str([f"ViewLayer.Combined.{x}" for x in "RGB"]))
+    (tmp_path / "other.toml").write_text(text)
+    for also in "AR":
+        result = call("run", folder, "-o", tmp_path / "out", *PLAIN, "--profile", tmp_path / "other.toml", "--also", also)
+        refused(result, "seq.0001.exr", f"--also {also}", f"channel {also} would take the place of ViewLayer.Combined.{also}")
 
 
 def give_metadata(path, metadata):
