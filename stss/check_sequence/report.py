@@ -44,7 +44,6 @@ BYTES_PER_PIXEL = 20
 """Of an input pixel: four pixels of three halves, and what zip leaves of them."""
 SECONDS_PER_PIXEL = 5e-7
 """Of one core: 110 ms for 960 x 544 on two cores (docs/benchmarks.md), and files."""
-LOSSY = ("pxr24", "b44", "b44a", "dwaa", "dwab")
 
 
 @dataclass(frozen=True)
@@ -221,9 +220,10 @@ def _storage(sequence: Sequence, numbers: list[int], tables: dict[str, object]) 
         source = sequence.frames[number].sources[buffer]
         header = read_header(source.path)
         formats = [header.formats[name] for name in source.names]
-        channels[buffer] = {"channels": list(source.names), "formats": formats, "compression": header.compression}
-        if buffer != "color" and header.compression.split(":")[0] in LOSSY:
-            lossy.setdefault(header.compression, []).append(buffer)
+        compression = ", ".join(dict.fromkeys(header.compression[name] for name in source.names))
+        channels[buffer] = {"channels": list(source.names), "formats": formats, "compression": compression}
+        if buffer != "color" and any(map(header.lossy, source.names)):
+            lossy.setdefault(compression, []).append(buffer)
     tables["channels"] = channels
     for compression, buffers in lossy.items():
         findings.append(CheckFinding("warning", f"{compression} compression changes {', '.join(buffers)}; expected zip, or none"))

@@ -49,7 +49,7 @@ class Header:
         height: pixels.
         channels: full names. Where parts of a multipart file repeat a name, the later one is ``PART.NAME``.
         formats: name -> "half", "float", "uint32", "uint8", "uint16".
-        compression: "zip", "dwaa", ...; "" where the format has no choice of it.
+        compression: name -> "zip", "dwaa", ... of the channel's part; "" where the format has no choice of it.
         attributes: metadata of all parts; where parts differ, the first part's value.
     """
 
@@ -58,13 +58,26 @@ class Header:
     height: int
     channels: tuple[str, ...]
     formats: Mapping[str, str]
-    compression: str
+    compression: Mapping[str, str]
     attributes: Mapping[str, Value]
 
     @property
     def size(self) -> tuple[int, int]:
         """(H, W)."""
         return self.height, self.width
+
+    def lossy(self, name: str) -> bool:
+        """Whether the compression of a channel changes its values.
+
+        PXR24 rounds 32-bit floats, B44 halves. DWA changes halves and floats whose names end as colours do, which a ``Y`` of a motion
+        or a normal does too; other names go through zip.
+
+        Source: OpenEXR, Technical Introduction, "Data Compression", and ``ImfDwaCompressor.cpp``, ``sDefaultChannelRules``.
+        """
+        kind, stored = self.compression[name].split(":")[0], self.formats[name]
+        if kind in ("dwaa", "dwab"):
+            return stored != "uint32" and name.rpartition(".")[2] in ("R", "G", "B", "Y", "RY", "BY")
+        return (kind, stored) in (("pxr24", "float"), ("b44", "half"), ("b44a", "half"))
 
 
 def read_header(path: Path) -> Header:
@@ -126,6 +139,7 @@ def locate(path: Path, image: oiio.ImageInput) -> tuple[Header, dict[str, tuple[
     """The header of all parts, and where each channel lies: name -> (part, index)."""
     places: dict[str, tuple[int, int]] = {}
     formats: dict[str, str] = {}
+    compression: dict[str, str] = {}
     attributes: dict[str, Value] = {}
     first = image.spec()
     part, size = 0, 0
@@ -139,13 +153,13 @@ def locate(path: Path, image: oiio.ImageInput) -> tuple[Header, dict[str, tuple[
                 raise InputError(f"{path}: channel {full} appears twice")
             places[full] = part, index
             formats[full] = _FORMATS.get(kind := str(spec.channelformat(index)), kind)
+            compression[full] = spec.get_string_attribute("compression")
         attributes = _attributes(spec) | attributes
         part += 1
         if part > MAX_PARTS or len(places) > MAX_CHANNELS or size > MAX_BYTES:
             limits = f"{MAX_PARTS}, {MAX_CHANNELS} and {MAX_BYTES}"
             raise InputError(f"{path}: {part} parts, {len(places)} channels, {size} bytes; at most {limits}")
     last_error(image)
-    compression = str(attributes.get("compression", ""))
     header = Header(path, first.width, first.height, tuple(places), formats, compression, attributes)
     return header, places
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from stss.frames.buffers import Buffers
 from stss.images.color import transfer
+from stss.images.headers import read_header
 from stss.sequence.reader import Sequence
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array
@@ -51,27 +52,32 @@ def judge_sampling(sequence: Sequence) -> Sampling:
 
     An antialiased G-buffer has normals that are not of unit length along every silhouette. If the G-buffer is aliased, the colour
     decides: where the surface's normal jumps from one pixel to the next, an aliased colour jumps as well, and an antialiased one
-    has a pixel in between. Where neither tells, frames count as aliased, since engines give such frames.
+    has a pixel in between. Where neither tells, frames count as aliased, since engines give such frames. Normals whose compression
+    changed their length tell nothing.
     """
     rendered = sorted(sequence.rendered)
     chosen = sorted({rendered[i * (len(rendered) - 1) // (LOOKED_AT - 1)] for i in range(LOOKED_AT)}) if rendered else []
     linear = sequence.profile.color_domain == "linear"
     hit = mixed = edges = between = 0
+    lossy = False
     for number in chosen:
         try:
             buffers = sequence.load(number)
         except InputError:
             continue
+        source = sequence.frames[number].sources["normal"]
+        lossy |= any(map(read_header(source.path).lossy, source.names))
         # A sky may have a depth, of the far plane or of a dome, but it has no normal to be mixed.
         seen = np.isfinite(buffers.depth) & np.isfinite(buffers.normal).all(axis=-1) & (buffers.normal != 0).any(axis=-1)
         length = np.linalg.norm(buffers.normal[seen].astype(np.float64), axis=-1)
         hit, mixed = hit + length.size, mixed + int((np.abs(length - 1) > NOT_UNIT).sum())
         found, of = _colors_between(buffers, linear=linear)
         edges, between = edges + of, between + found
-    if mixed > MIXED_NORMALS * hit:
+    if mixed > MIXED_NORMALS * hit and not lossy:
         return Sampling(True, f"{mixed / hit:.1%} of the normals are mixtures, not of unit length")
     if edges < MIN_EDGES:
-        return Sampling(False, f"normals are of unit length, and only {edges} edges show whether colours are")
+        told = "their compression changed the normals" if lossy else "normals are of unit length"
+        return Sampling(False, f"{told}, and only {edges} edges show whether colours are")
     share = f"{between / edges:.0%} of the surfaces' edges have a colour in between"
     return Sampling(between > MIXED_COLORS * edges, share)
 

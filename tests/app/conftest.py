@@ -74,11 +74,14 @@ KINDS = {"uint8": "uint8", "uint32": "uint", "float32": "float"}
 """OpenImageIO's names for them."""
 
 
-def write_parts(path, *parts):
-    """Write an image by OpenImageIO alone; of each part (H, W, C) pixels, the channels' names and attributes, each with its arguments."""
+def write_parts(path, *parts, stored=None):
+    """Write an image by OpenImageIO alone; of each part (H, W, C) pixels, the channels' names and attributes, each with its arguments.
+
+    ``stored``: as what its values are stored; None: as what they are.
+    """
     output, specs = oiio.ImageOutput.create(str(path)), []
     for pixels, names, attributes in parts:
-        spec = oiio.ImageSpec(*pixels.shape[1::-1], pixels.shape[2], KINDS[str(pixels.dtype)])
+        spec = oiio.ImageSpec(*pixels.shape[1::-1], pixels.shape[2], stored or KINDS[str(pixels.dtype)])
         spec.channelnames = names
         for name, value in attributes.items():
             spec.attribute(name, *value)

@@ -9,12 +9,13 @@ import pytest
 from conformance.scenes import DEMO, render
 from stss.check_sequence.report import check
 from stss.demo import demo_path, frame_channels
-from stss.images.read_write import write_channels
+from stss.images.read_write import read_channels, read_header, write_channels
 from stss.sequence.antialiasing import judge_sampling
 from stss.sequence.choose_weights import AUTO, choose_weights
 from stss.sequence.reader import open_sequence
 from stss.weights.file import load
 from stss_ground.errors import InputError
+from tests.app.conftest import write_parts
 
 SIZE = (72, 128)
 
@@ -58,6 +59,31 @@ def test_frames_say_how_they_were_sampled(rendered, kind, antialiased, reason):
     report = check(rendered / kind, "stss")
     assert any(f"stss run takes the weights {name}" in finding.text for finding in report.findings)
     assert json.loads(report.to_json())["sampling"]["antialiased"] is antialiased
+
+
+@pytest.mark.parametrize(("beauty", "others"), [("zip", "dwaa:1000"), ("dwaa:45", "zip")])
+def test_each_part_has_its_own_compression(rendered, tmp_path, beauty, others):
+    """What it changed in the normals is no antialiasing; what it changed in the colour alone is no warning."""
+    for number in range(2):
+        channels = read_channels(
+            demo_path(rendered / "aliased", number), read_header(demo_path(rendered / "aliased", number)).channels
+        )
+        color, rest = ([n for n in channels if (n in "RGB") == of] for of in (True, False))
+        parts = [
+            (np.stack([channels[n] for n in of], axis=-1), of, {"compression": (kind,)})
+            for of, kind in ((color, beauty), (rest, others))
+            if of
+        ]
+        write_parts(demo_path(tmp_path, number), *parts)
+    report = check(tmp_path, "stss")
+    lossy = [finding.text for finding in report.findings if finding.level == "warning" and "compression" in finding.text]
+    if others == "zip":
+        assert not lossy
+    else:
+        (text,) = lossy
+        assert text.startswith("dwaa compression changes motion, normal, position, base_color;")
+    assert not judge_sampling(open_sequence(tmp_path, "stss")).antialiased
+    assert {row["compression"] for row in report.tables["channels"].values()} == {"dwaa", "zip"}
 
 
 def test_where_nothing_is_to_be_chosen_nothing_is_said(rendered):

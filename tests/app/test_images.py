@@ -25,7 +25,7 @@ def test_channels_come_back_by_their_full_name(tmp_path):
     header = images.read_header(path)
     assert set(header.channels) == set(written)
     assert {name for name, kind in header.formats.items() if kind == "half"} == {"R", "G"}
-    assert header.compression == "zip"
+    assert set(header.compression.values()) == {"zip"}
     assert header.attributes["stss:key"] == 'é {"a": 1}\nb'
     assert (header.height, header.width) == header.size == (9, 7)
     with pytest.raises(InputError, match=r"a\.exr: no channel depth\.V; it has R, G, B, .*, motion\.Y"):
@@ -37,6 +37,21 @@ def test_channels_come_back_by_their_full_name(tmp_path):
         assert plane.flags.c_contiguous
         want = written[name].astype(np.float16) if name == "R" else written[name]
         np.testing.assert_array_equal(plane, want.astype(np.float32))
+
+
+@pytest.mark.parametrize("kind", ["none", "rle", "zips", "zip", "piz", "pxr24", "b44", "b44a", "dwaa:45", "dwab", "htj2k32"])
+@pytest.mark.parametrize("stored", ["half", "float", "uint"])
+def test_what_a_compression_changes_is_known(tmp_path, kind, stored):
+    """By the pixels that come back: of channels that are named as colours, and of others."""
+    names = ("R", "light.B", "motion.X", "motion.Y", "normal.Z", "depth.V", "a.RY", "y", "red")
+    pixels = np.abs(100 * np.random.default_rng(0).standard_normal((32, 32, len(names))))
+    pixels = pixels.astype(np.uint32 if stored == "uint" else np.float32)
+    for path, compression in (("a.exr", kind), ("b.exr", "none")):
+        write_parts(tmp_path / path, (pixels, names, {"compression": (compression,)}), stored=stored)
+    header = images.read_header(tmp_path / "a.exr")
+    read, expected = (images.read_channels(tmp_path / path, names) for path in ("a.exr", "b.exr"))
+    changed = [name for name in names if not np.array_equal(read[name], expected[name])]
+    assert [name for name in names if header.lossy(name)] == changed
 
 
 def test_whole_numbers_keep_their_value(tmp_path):
