@@ -124,6 +124,7 @@ def check(
         if not looked:
             raise InputError(f"{sequence_path}: no frames from {frames}; it has {numbers[0]} to {numbers[-1]}")
         findings += missing_buffers(sequence, looked)
+        findings += [CheckFinding("warning", text) for text in (sequence.one_view,) if text]
         tables |= {"size": list(sequence.size), "frames": _frame_table(sequence, looked)}
         tables["summary"] = summary(looked, sequence.size)
         findings += _storage(sequence, looked, tables)

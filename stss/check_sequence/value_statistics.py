@@ -11,6 +11,7 @@ import numpy as np
 from stss.check_sequence.motion_convention import ConventionVerdict
 from stss.frames.buffers import Buffers
 from stss.images.headers import read_header
+from stss.images.read_write import WHOLE
 from stss.sequence.profiles import BUFFERS
 from stss.sequence.raw_frame import FINITE, NonFinite, read_stored
 from stss.sequence.reader import Sequence
@@ -34,6 +35,10 @@ def motion_lines(verdict: ConventionVerdict, profile: str) -> list[Line]:
     times = 1 / max(verdict.ratios[verdict.better], 1e-3)
     text = f"motion: fits {times:.1f} times as well with {verdict.better}, so profile {profile} seems wrong ({compared})"
     return [("warning", text)]
+
+
+WHOLE_HALF = 1 << 11
+"""Up to here a half has every whole number."""
 
 
 class Values:
@@ -68,6 +73,7 @@ class Values:
             moved = np.abs(buffers.motion).max(axis=-1)
         count["off the frame"] += int((hit & ~(moved < max(sequence.size))).sum())
         self._highest("motion", moved)
+        self._highest("stencil", buffers.stencil)
         self._highest("position", np.abs(buffers.position[hit]))
         footprints = np.sqrt(squared_footprint(buffers.position)[hit & np.isfinite(buffers.position).all(axis=-1)])
         if footprints.size:
@@ -154,7 +160,17 @@ class Values:
             lines.append(("warning", f"motion: {share:.1%} of the pixels move by more than the frame, or non-finite"))
         if self._most.get("motion") == 0:
             lines.append(("note", "motion: 0 everywhere; expected only where neither camera nor objects move"))
-        return lines + self._stencil_lines()
+        return lines + self._merged_lines(sequence) + self._stencil_lines()
+
+    def _merged_lines(self, sequence: Sequence) -> list[Line]:
+        source = next((f.sources["stencil"] for f in sequence.frames.values() if "stencil" in f.sources), None)
+        if source is None:
+            return []
+        stored = read_header(source.path).formats[source.names[0]]
+        limit, most = WHOLE_HALF if stored == "half" else WHOLE, self._most.get("stencil", 0)
+        if most < limit or stored == "uint32":  # such a file's numbers are refused where they do not fit
+            return []
+        return [("warning", f"stencil: up to {most:.0f}, stored as {stored}, in which numbers above {limit} run together")]
 
     def _stencil_lines(self) -> list[Line]:
         if self._counts["fractional stencils"]:

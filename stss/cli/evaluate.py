@@ -40,6 +40,7 @@ def compare_command(
     flip: bool,
     vmaf: bool,
     as_json: bool,
+    non_finite: Any,
     **options: Any,
 ) -> None:
     """Compare the frames in OUT with those in TRUTH: PSNR and SSIM over all pixels, edges and holes."""
@@ -48,15 +49,17 @@ def compare_command(
     from stss.quality.output_and_truth import find_pairs
 
     shown = partial(track, console=Terminal(stderr=True))
-    files = None if sequence is None else open_sequence(sequence, **options, track=shown)
-    pairs = find_pairs(out, truth, frames)[0]
+    files = None if sequence is None else open_sequence(sequence, **options, non_finite=non_finite, track=shown)
+    pairs = find_pairs(out, truth, frames, non_finite)[0]
     require_places(
         {"--html": html},
         () if files is None else files.reads,
         folders=[] if html is None else [page_folder(html)],
         inputs=comparing.files_of(pairs),
     )
-    comparison = comparing.compare(out, truth, frames=frames, sequence=files, flip=flip, vmaf=vmaf, track=shown)
+    comparison = comparing.compare(
+        out, truth, frames=frames, sequence=files, flip=flip, vmaf=vmaf, non_finite=non_finite, track=shown
+    )
     if as_json:
         click.echo(comparison.to_json())
     else:

@@ -68,6 +68,8 @@ def run(
     frames = open_sequence(sequence, profile, **constants, track=partial(track, console=console, text="reading headers"))
     if profile is None:
         _tell(f"profile: {frames.profile.name}, by the channels' names; --profile takes another")
+    if frames.one_view:
+        _tell(frames.one_view)
     if frames.solves_camera:
         _tell("camera: from position and depth; --camera CSV takes one")
     options = RunOptions.of(frames.profile, format=suffix, **chosen)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stss.frames.buffers import Buffers
+from stss.images.read_write import WHOLE
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array, Mask
 
@@ -62,6 +63,24 @@ def check_buffers(buffers: Buffers) -> None:
         _check(f"frame {buffers.number}: {name}", array, (height, width, channels), _Plane(channels))
 
 
+def require_unmasked(where: str, array: object) -> None:
+    """Raise InputError where a masked array hides a value: what lies under the mask would be read."""
+    if np.ma.is_masked(array):
+        raise InputError(
+            f"{where}: expected an array without a mask, found one that hides values; fill it first: array.filled(0)"
+        )
+
+
+def require_distinct(where: str, numbers: Array, stored: Array) -> None:
+    """Raise InputError where ``numbers`` of objects run together in ``stored``, their 32-bit floats."""
+    large = numbers > WHOLE
+    bad = large & (stored.astype(np.float64) != numbers)
+    if bad.any():
+        raise _error(
+            where, f"whole numbers up to {WHOLE}, beyond which 32-bit floats merge them", numbers, bad, _PLANES["stencil"]
+        )
+
+
 def _size(buffers: Buffers) -> tuple[int, int]:
     depth = buffers.depth
     if not isinstance(depth, np.ndarray) or depth.ndim != 2 or 0 in depth.shape:  # pyright: ignore[reportUnnecessaryIsInstance]
@@ -77,6 +96,9 @@ def _check(where: str, array: Array, shape: tuple[int, ...], plane: _Plane) -> N
         raise InputError(f"{where}: expected floating-point numbers, found {array.dtype}; {_UNIT}")
     if array.shape != shape:
         raise InputError(f"{where}: expected shape {shape}, found {array.shape}")
+    require_unmasked(where, array)
+    if where.endswith(": stencil"):
+        require_distinct(where, array, array.astype(np.float32))
     if plane.otherwise == "any":
         return
     bad = np.isnan(array) if plane.otherwise == "inf" else ~np.isfinite(array)

@@ -20,7 +20,13 @@ from stss_ground.errors import InputError
 from stss_ref.arrays import Array
 
 HALF_MAX = 65504.0
-_TYPES = {"FramesPerSecond": "rational", "smpte:TimeCode": "timecode"}
+_TYPES = {
+    "framesPerSecond": "rational",
+    "FramesPerSecond": "rational",
+    "smpte:TimeCode": "timecode",
+    "worldToCamera": "matrix",
+    "worldToNDC": "matrix",
+}
 """Metadata of several numbers -> OpenImageIO's type; the others are floats."""
 
 _CHUNK_LINES = 16

@@ -51,6 +51,7 @@ class Header:
         formats: name -> "half", "float", "uint32", "uint8", "uint16".
         compression: name -> "zip", "dwaa", ... of the channel's part; "" where the format has no choice of it.
         attributes: metadata of all parts; where parts differ, the first part's value.
+        views: a stereo file's, such as "left" and "right", the default one first.
     """
 
     path: Path
@@ -60,6 +61,7 @@ class Header:
     formats: Mapping[str, str]
     compression: Mapping[str, str]
     attributes: Mapping[str, Value]
+    views: tuple[str, ...] = ()
 
     @property
     def size(self) -> tuple[int, int]:
@@ -141,6 +143,7 @@ def locate(path: Path, image: oiio.ImageInput) -> tuple[Header, dict[str, tuple[
     formats: dict[str, str] = {}
     compression: dict[str, str] = {}
     attributes: dict[str, Value] = {}
+    views: dict[str, None] = {}
     first = image.spec()
     part, size = 0, 0
     while image.seek_subimage(part, 0):
@@ -154,13 +157,15 @@ def locate(path: Path, image: oiio.ImageInput) -> tuple[Header, dict[str, tuple[
             places[full] = part, index
             formats[full] = _FORMATS.get(kind := str(spec.channelformat(index)), kind)
             compression[full] = spec.get_string_attribute("compression")
-        attributes = _attributes(spec) | attributes
+        found = _attributes(spec)
+        views |= dict.fromkeys(_words(found.get("multiView")) or _words(found.get("view")))
+        attributes = found | attributes
         part += 1
         if part > MAX_PARTS or len(places) > MAX_CHANNELS or size > MAX_BYTES:
             limits = f"{MAX_PARTS}, {MAX_CHANNELS} and {MAX_BYTES}"
             raise InputError(f"{path}: {part} parts, {len(places)} channels, {size} bytes; at most {limits}")
     last_error(image)
-    header = Header(path, first.width, first.height, tuple(places), formats, compression, attributes)
+    header = Header(path, first.width, first.height, tuple(places), formats, compression, attributes, tuple(views))
     return header, places
 
 
@@ -200,6 +205,11 @@ def _attributes(spec: oiio.ImageSpec) -> dict[str, Value]:
         elif isinstance(value, tuple | list | np.ndarray):
             found[name] = tuple(x.item() if isinstance(x, np.generic) else x for x in np.ravel(value))
     return found
+
+
+def _words(value: Any) -> tuple[str, ...]:
+    """The words of an attribute that is text, or several of it."""
+    return tuple(str(word) for word in (value if isinstance(value, tuple) else (value,)) if word)
 
 
 def last_error(source: Any) -> str:

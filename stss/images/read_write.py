@@ -12,10 +12,12 @@ from stss.images.encode import encode_exr, encode_png, require_finite
 from stss.images.headers import Header, Value, last_error, locate, open_image, read_header
 from stss_ground.errors import InputError
 from stss_ground.output.write_whole import write_whole
-from stss_ref.arrays import Image, Mask, Plane
+from stss_ref.arrays import Array, Image, Mask, Plane
 
 __all__ = ["Header", "read_channels", "read_header", "read_rgb", "write_channels", "write_mask", "write_rgb"]
 
+WHOLE = 1 << 24
+"""Up to here a 32-bit float has every whole number."""
 _GAP = 4
 """Most unwanted channels to read along between wanted ones: a second read would decompress the file once more."""
 
@@ -42,8 +44,22 @@ def read_channels(path: Path, names: Sequence[str]) -> dict[str, Plane]:
                 raise InputError(f"{path}: truncated or corrupt: {error or 'pixels cannot be decoded'}")
             for name in names:
                 if places[name][0] == part and first <= places[name][1] < stop:
-                    planes[name] = _quiet(np.ascontiguousarray(pixels[..., places[name][1] - first], dtype=np.float32))
+                    values = pixels[..., places[name][1] - first]
+                    planes[name] = _quiet(np.ascontiguousarray(values, dtype=np.float32))
+                    if (bad := merged(values, planes[name])) is not None:
+                        raise InputError(f"{path}: channel {name}: {bad}")
     return {name: planes[name] for name in names}
+
+
+def merged(values: Array, plane: Plane) -> str | None:
+    """What is wrong where whole numbers (H, W) do not fit into 32-bit floats: two objects would have one number."""
+    if not values.size or values.max() <= WHOLE:
+        return None
+    bad = (values > WHOLE) & (plane.astype(np.float64) != values)
+    if not bad.any():
+        return None
+    y, x = np.argwhere(bad)[0]
+    return f"expected whole numbers up to {WHOLE}, beyond which 32-bit floats merge them; found {values[y, x]} at (y={y}, x={x})"
 
 
 def _quiet(plane: Plane) -> Plane:

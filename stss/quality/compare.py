@@ -20,6 +20,7 @@ from stss.quality.changes import Follower, Shown, temporal_psnr
 from stss.quality.flip_vmaf import require_packages, vmaf_scores
 from stss.quality.metrics import REGIONS, Scores, mean_scores, score, to_8bit, upsample_holes
 from stss.quality.output_and_truth import FALLBACK, KINDS, MADE_WITH, Pair, find_pairs, list_numbers, require_size
+from stss.sequence.raw_frame import NonFinite
 from stss.sequence.reader import Sequence as Input
 from stss_ground.errors import InputError
 from stss_ground.progress import Track
@@ -131,6 +132,7 @@ def compare(
     sequence: Input | None = None,
     flip: bool = False,
     vmaf: bool = False,
+    non_finite: NonFinite = "refuse",
     track: Track = iter,
 ) -> Comparison:
     """Compare the frames of a folder with those of the same numbers in another.
@@ -146,14 +148,15 @@ def compare(
         frames: first and last to compare, both included; None: all.
         sequence: the input of the output, by whose motion flicker is measured; None: it is not.
         flip, vmaf: take these too.
+        non_finite: what to do with values that are not finite: "refuse", or "mask": 0.
         track: yields the numbers that it is given, and may show how far the comparison is.
 
     Raises:
-        InputError: a folder is not there, the two have no frame in common, a file cannot be read, sizes differ or do
-            not fit the sequence, only some of the output's files name their kind, or a package is missing.
+        InputError: a folder is not there, the two have no frame in common, a file cannot be read or has a value that is not finite,
+            sizes differ or do not fit the sequence, only some of the output's files name their kind, or a package is missing.
     """
     require_packages(flip=flip, vmaf=vmaf)
-    pairs, without_truth, without_output = find_pairs(out, truth, frames)
+    pairs, without_truth, without_output = find_pairs(out, truth, frames, non_finite)
     notes = _notes(out, pairs)
     rows = _rows(pairs, track(list(pairs)), sequence, flip=flip)
     if vmaf:
@@ -267,6 +270,10 @@ def _notes(out: Path, pairs: Mapping[int, Pair]) -> list[str]:
         notes.append(f"{out}: kinds of frame are not known (no stss:kind); means are over all frames")
     if any(p.transfer is None and ".exr" in (p.output.suffix.lower(), p.truth.suffix.lower()) for p in pairs.values()):
         notes.append(f"{out}: no transfer named (no stss:transfer); EXR is taken as scene-linear and shown as {FALLBACK}")
+    apart = [n for n, pair in pairs.items() if pair.primaries is not None]
+    if apart:
+        ours, theirs = pairs[apart[0]].primaries or ("", "")
+        notes.append(f"chromaticities of {list_numbers(apart)}: {ours} in the output, {theirs} in the truth; not converted")
     lacking = [n for n, pair in pairs.items() if pair.holes is None and pair.kind != "SF"]
     if lacking:
         notes.append(f"{out / 'holes'}: no holes of {list_numbers(lacking)}; not scored there")

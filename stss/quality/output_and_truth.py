@@ -7,16 +7,23 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from stss.images.color import TRANSFERS, transfer
 from stss.images.headers import Value
 from stss.images.read_write import read_header, read_rgb
 from stss.sequence.find_files import numbered_files
+from stss.sequence.raw_frame import NonFinite
 from stss_ground.errors import InputError
 from stss_ref.arrays import Image
 
 KINDS = ("SF", "EF")
 SUFFIXES = (".png", ".exr")
 MADE_WITH = ("method", "weights", "backend", "transfer")
+REC709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
+"""Chromaticities x, y of red, green, blue and white."""
+SAME_PRIMARIES = 1e-3
+"""Chromaticities that differ by less are rounded ones."""
 FALLBACK = "srgb"
 """The transfer for files that name none."""
 
@@ -33,6 +40,8 @@ class Pair:
         holes: the file of its warping holes; None without one.
         static_holes: the share of its static surfaces that are holes, where the file says it.
         made_with: method, weights, backend and transfer, as far as the file names them.
+        primaries: of both, where they differ; their colours are compared as they are.
+        non_finite: what to do with values that are not finite: "refuse", or "mask": 0.
     """
 
     output: Path
@@ -42,31 +51,50 @@ class Pair:
     holes: Path | None
     static_holes: float | None
     made_with: Mapping[str, str]
+    primaries: tuple[str, str] | None = None
+    non_finite: NonFinite = "refuse"
 
     def load(self) -> tuple[Image, Image]:
-        """Output and truth as a screen shows them: (H, W, 3) float32, in [0, 1]; raises InputError where sizes differ."""
+        """Output and truth as a screen shows them: (H, W, 3) float32, in [0, 1].
+
+        Raises:
+            InputError: sizes differ, or a value is not finite and is not to be masked.
+        """
         curve = transfer(self.transfer or FALLBACK)
         image, truth = (
-            curve.display(read_rgb(path)) if path.suffix.lower() == ".exr" else read_rgb(path)
+            curve.display(self._finite(path, read_rgb(path))) if path.suffix.lower() == ".exr" else read_rgb(path)
             for path in (self.output, self.truth)
         )
         require_size(self.truth, truth, self.output, image.shape[:2])
         return image, truth
 
+    def _finite(self, path: Path, image: Image) -> Image:
+        bad = ~np.isfinite(image)
+        if not bad.any():
+            return image
+        if self.non_finite == "refuse":
+            y, x, channel = np.argwhere(bad)[0]
+            found = f"{int(bad.sum())} non-finite values, first in {'RGB'[channel]} at (y={y}, x={x})"
+            raise InputError(f"{path}: {found}; --non-finite mask takes them as 0")
+        return np.where(bad, np.float32(0), image)
 
-def find_pairs(out: Path, truth: Path, frames: tuple[int, int] | None = None) -> tuple[dict[int, Pair], list[int], list[int]]:
+
+def find_pairs(
+    out: Path, truth: Path, frames: tuple[int, int] | None = None, non_finite: NonFinite = "refuse"
+) -> tuple[dict[int, Pair], list[int], list[int]]:
     """Find the frames that two folders have in common, by number, and those that only the first or only the second has.
 
     Args:
         out: written by `stss run`, or by anything that numbers its files.
         truth: likewise.
         frames: first and last to include; None: all.
+        non_finite: see `Pair`.
 
     Raises:
         InputError: a folder is not there, the two have no frame in common, or a file cannot be read.
     """
     outputs, truths = _numbered(out, frames), _numbered(truth, frames)
-    pairs = {n: _pair(outputs[n], truths[n]) for n in sorted(outputs.keys() & truths.keys())}
+    pairs = {n: _pair(outputs[n], truths[n], non_finite) for n in sorted(outputs.keys() & truths.keys())}
     if not pairs:
         found = f"found {list_numbers(truths)}" + (f" within {frames[0]} to {frames[1]}" if frames else "")
         raise InputError(f"{truth}: expected a frame that {out} has, one of {list_numbers(outputs)}; {found}")
@@ -108,8 +136,8 @@ def _numbered(folder: Path, frames: tuple[int, int] | None) -> dict[int, Path]:
     return found
 
 
-def _pair(output: Path, truth: Path) -> Pair:
-    attributes = read_header(output).attributes
+def _pair(output: Path, truth: Path, non_finite: NonFinite) -> Pair:
+    attributes, other = (read_header(path).attributes for path in (output, truth))
     made_with = {name: str(attributes[f"stss:{name}"]) for name in MADE_WITH if f"stss:{name}" in attributes}
     kind, domain = attributes.get("stss:kind"), made_with.get("transfer")
     if kind not in (*KINDS, None):
@@ -119,7 +147,20 @@ def _pair(output: Path, truth: Path) -> Pair:
     holes = output.parent / "holes" / f"{output.stem}.png"
     share = _share(output, attributes.get("stss:static-holes"))
     kind = None if kind is None else str(kind)
-    return Pair(output, truth, kind, domain, holes if holes.exists() else None, share, made_with)
+    return Pair(
+        output, truth, kind, domain, holes if holes.exists() else None, share, made_with, _differ(attributes, other), non_finite
+    )
+
+
+def _differ(output: Mapping[str, Value], truth: Mapping[str, Value]) -> tuple[str, str] | None:
+    """The primaries and white points of both as text, where they differ; a file that names none has those of Rec. 709."""
+    found = [attributes.get("chromaticities", REC709) for attributes in (output, truth)]
+    numbers = [
+        np.array(value, np.float64) if isinstance(value, tuple) and len(value) == 8 else np.array(REC709) for value in found
+    ]
+    if np.abs(numbers[0] - numbers[1]).max() < SAME_PRIMARIES:
+        return None
+    return tuple(", ".join(f"{x:.4g}" for x in value) for value in numbers)  # pyright: ignore[reportReturnType]
 
 
 def _share(path: Path, text: Value | None) -> float | None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from stss.frames.buffers import Buffers
+from stss.frames.check_buffers import require_distinct, require_unmasked
 from stss.sequence.camera import CameraPose
 from stss.sequence.profiles import BUFFERS, CONSTANTS, DepthRule, MotionRule, NormalRule, Profile, load_profile
 from stss_ground.errors import InputError
@@ -53,12 +54,15 @@ def convert(
             if name == "color" or (name == "nov" and where is not None):
                 continue
             raise InputError(f"frame {number}: no {name}; expected an array" + (", or a camera" if name == "nov" else ""))
+        require_unmasked(f"frame {number}: {name}", planes[name])
         given = np.asarray(planes[name])
         if given.ndim and given.dtype.kind != "f" and name != "stencil":
             raise InputError(
                 f"frame {number}: {name}: expected floating-point numbers, found {given.dtype}; divide 8-bit values by 255"
             )
         plane = given.astype(np.float32)
+        if name == "stencil":
+            require_distinct(f"frame {number}: {name}", given, plane)
         if plane.ndim == 0 and name in CONSTANTS:
             plane = np.full(shape, plane)
         plane = plane[..., None] if plane.ndim == 2 else plane
@@ -67,7 +71,11 @@ def convert(
         stored[name] = plane
     depth = to_specification(stored, table, where)
     single = {name: stored[name][..., 0] for name in ("stencil", "nov", "roughness", "metallic")}
-    others = {name: np.asarray(plane, np.float32) for name, plane in planes.items() if name not in BUFFERS}
+    others: dict[str, Array] = {}
+    for name, plane in planes.items():
+        if name not in BUFFERS:
+            require_unmasked(f"frame {number}: {name}", plane)
+            others[name] = np.asarray(plane, np.float32)
     several = {name: stored[name] for name in ("motion", "normal", "position", "base_color")}
     return Buffers(number, stored.get("color"), depth=depth, **single, **several, cut=cut, carried=others)
 

@@ -24,8 +24,18 @@ UNIT_RANGE = ("base_color", "roughness", "metallic")
 FINITE = ("color", "normal", "stencil", "nov", *UNIT_RANGE)
 """Buffers that must be finite. In motion, depth and position a non-finite value has a meaning: off screen, nothing hit, a hole."""
 
-CARRIED = ("FramesPerSecond", "PixelAspectRatio", "chromaticities", "oiio:ColorSpace", "smpte:TimeCode")
-"""Metadata that outputs have from the frame's files."""
+CARRIED = (
+    "framesPerSecond",
+    "FramesPerSecond",
+    "PixelAspectRatio",
+    "chromaticities",
+    "whiteLuminance",
+    "oiio:ColorSpace",
+    "smpte:TimeCode",
+    "worldToCamera",
+    "worldToNDC",
+)
+"""Metadata that outputs have from the frame's files, by OpenImageIO's names. OpenEXR's rate has a small f; some writers' a capital."""
 
 NOTHING: Mapping[str, Source] = {}
 

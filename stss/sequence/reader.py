@@ -137,6 +137,23 @@ class Sequence:
         )
 
     @property
+    def one_view(self) -> str:
+        """What to say where the files have several views, of which the profile names one; empty where they have not."""
+        frame = self.frames[self.numbers[0]]
+        views = tuple(dict.fromkeys(view for path in frame.files for view in read_header(path).views))
+        if len(views) < 2 or "color" not in frame.sources:
+            return ""
+        names = frame.sources["color"].names
+        letter = names[0].rpartition(".")[2]
+        others = [n for n in read_header(frame.sources["color"].path).channels if n.endswith(f".{letter}") and n not in names]
+        other = next((name for view in views for name in others if view in name), None)
+        such = f", such as {other}" if other else ""
+        return (
+            f"views: the files have {', '.join(views)}; only {', '.join(names)} and what goes with them are read: "
+            f"for another view write its channels{such}, into a copy of the profile"
+        )
+
+    @property
     def solves_camera(self) -> bool:
         """Whether the camera is found from position and depth: no file has it, nor NoV."""
         frame = self.frames[self.numbers[0]]

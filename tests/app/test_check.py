@@ -4,12 +4,16 @@ import io
 import json
 
 import numpy as np
+import OpenImageIO as oiio  # noqa: N813
 import pytest
 from rich.console import Console
 
 from stss.check_sequence.motion_convention import CHOICES
 from stss.check_sequence.report import check, print_report
+from stss.images.read_write import read_channels, read_header
 from stss_ground.errors import InputError
+from tests.app.conftest import PLAIN, write_parts
+from tests.hostile.cases import call
 
 
 def texts(report, level):
@@ -186,6 +190,44 @@ def test_lossy_compression(write_frames, monkeypatch):
     assert text.startswith("dwaa")
     assert "motion" in text
     assert "color" not in text.replace("base_color", "")
+
+
+@pytest.mark.parametrize(
+    ("least", "half", "limit"), [(2046, True, 0), (4097, True, 2048), (4097, False, 0), (2**24, False, 16777216)]
+)
+def test_object_numbers_that_run_together_are_named(write_frames, least, half, limit):
+    def change(number, channels):
+        channels["stencil.X"] = channels["stencil.X"] * (least + np.arange(64) // 32)
+
+    folder = write_frames([1, 2], change=change, half=("stencil.X",) if half else ())
+    found = [text for text in texts(check(folder, "stss"), "warning") if "run together" in text]
+    assert len(found) == (limit > 0)
+    assert all(text.startswith("stencil: up to ") and f"above {limit} run together" in text for text in found)
+
+
+def test_the_other_eye_is_named(write_frames, tmp_path):
+    """Of the views in parts, and of those in names, one is read; both commands say which channels the other has."""
+    folder = write_frames([1, 2], size=(16, 24))
+    for kind in ("parts", "names"):
+        (tmp_path / kind).mkdir()
+        for number in (1, 2):
+            channels = read_channels(folder / f"seq.{number:04d}.exr", read_header(folder / f"seq.{number:04d}.exr").channels)
+            pixels, names = np.stack([*channels.values()], axis=-1), (*channels,)
+            path = tmp_path / kind / f"seq.{number:04d}.exr"
+            if kind == "parts":
+                parts = [(pixels, names, {"view": (eye,), "oiio:subimagename": (eye,)}) for eye in ("left", "right")]
+            else:
+                twice = (*names, *(f"right.{name}" for name in names))
+                attribute = oiio.TypeDesc("string[2]"), ("left", "right")
+                parts = [(np.concatenate([pixels, pixels], axis=-1), twice, {"multiView": attribute})]
+            write_parts(path, *parts)
+        told = "views: the files have left, right; only R, G, B and what goes with them are read: "
+        said = call("run", tmp_path / kind, "-o", tmp_path / "out", *PLAIN, "--overwrite").stderr.splitlines()
+        for lines in (texts(check(tmp_path / kind, "stss"), "warning"), said):
+            (text,) = (line for line in lines if "views" in line)
+            assert text.startswith(told)
+            assert "write its channels, such as right.R, into a copy of the profile" in text
+    assert not [text for text in texts(check(folder, "stss"), "warning") if "views" in text]
 
 
 def test_frames_and_files_that_do_not_fit(write_frames, tmp_path):

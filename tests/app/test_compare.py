@@ -12,9 +12,13 @@ import pytest
 from rich.console import Console
 
 from stss.images.color import transfer
+from stss.images.encode import encode_exr
 from stss.images.read_write import write_mask, write_rgb
 from stss.quality.compare import compare, facts, print_comparison
+from stss.quality.output_and_truth import REC709
 from stss_ground.errors import InputError
+from tests.app.conftest import write_raw
+from tests.hostile.cases import call, refused
 
 SIZE = (24, 32)
 LEVEL = 1 / 255
@@ -116,6 +120,41 @@ def test_exr_and_png_are_judged_alike(out, truth, name):
     write_rgb(truth / "frame.0001.exr", color)
     (truth / "frame.0001.png").unlink()
     assert compare(out, truth).rows[0].scores["all"].psnr_rgb == math.inf
+
+
+@pytest.mark.parametrize("side", ["out", "truth"])
+def test_values_that_are_not_finite_are_refused(out, truth, side):
+    bad = np.full((*SIZE, 3), 0.5, np.float32)
+    bad[3, 4, 1] = np.nan
+    bad[5, 6] = np.inf
+    for folder in (out, truth):
+        image = bad if folder.name == side else np.nan_to_num(bad, nan=0.0, posinf=0.0)
+        write_raw(folder / "frame.0001.exr", {name: image[..., i] for i, name in enumerate("RGB")})
+    found = rf"{side}/frame\.0001\.exr: 4 non-finite values, first in G at \(y=3, x=4\); --non-finite mask takes them as 0"
+    with pytest.raises(InputError, match=found):
+        compare(out, truth)
+    assert compare(out, truth, non_finite="mask").rows[0].scores["all"].psnr_rgb == math.inf
+    refused(call("compare", out, truth), "4 non-finite values")
+    assert call("compare", out, truth, "--non-finite", "mask").returncode == 0
+
+
+def test_other_primaries_are_named(out, truth):
+    """Colours are compared as they are; a file without the attribute has those of Rec. 709."""
+    image = {name: np.full(SIZE, 0.5) for name in "RGB"}
+    wide = 0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.329
+    given = (None, wide, wide, (*REC709[:-1], 0.3290001))
+    for number, (ours, theirs) in enumerate(zip(given, (wide, wide, None, None), strict=True)):
+        for folder, chromaticities in ((out, ours), (truth, theirs)):
+            pixels = np.stack([*image.values()], axis=-1).astype(np.float32)
+            metadata = {"stss:kind": "SF"} | ({} if chromaticities is None else {"chromaticities": chromaticities})
+            path = folder / f"frame.{number:04d}.exr"
+            path.write_bytes(encode_exr(path, ("R", "G", "B"), pixels, (), metadata))
+    told = [line for line in facts(compare(out, truth)) if "chromaticities" in line]
+    assert len(told) == 1
+    assert told[0].startswith(
+        "chromaticities of frames 0, 2: 0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329 in the output, 0.708, "
+    )
+    assert told[0].endswith("in the truth; not converted")
 
 
 def test_frames_without_partner_are_listed(out, truth):

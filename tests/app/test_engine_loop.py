@@ -99,6 +99,37 @@ def test_nothing_crosses_a_cut():
     assert loop.push(next(frames(1, first=5))) is None
 
 
+def test_no_masked_array_is_read_under_its_mask():
+    buffers = next(frames(1))
+    hidden = np.zeros(SIZE, bool)
+    hidden[2, 3] = True
+    masked = {name: np.ma.array(getattr(buffers, name), mask=hidden) for name in ("depth", "stencil")}
+    for name, plane in masked.items():
+        with pytest.raises(InputError, match=f"frame 0: {name}: expected an array without a mask, .*; fill it first"):
+            engine().push(replace(buffers, **{name: plane}))
+    planes = {
+        name: getattr(buffers, name) for name in ("motion", "normal", "position", "base_color", "roughness", "metallic", "nov")
+    }
+    for given in ({"stencil": 0, **masked}, {"depth": buffers.depth, "stencil": 0, "light": masked["depth"]}):
+        with pytest.raises(InputError, match="expected an array without a mask"):
+            stss.convert(0, planes | given)
+    engine().push(replace(buffers, depth=np.ma.array(buffers.depth, mask=False)))
+
+
+@pytest.mark.parametrize("kind", [np.int32, np.int64, np.uint32, np.float64])
+def test_object_numbers_that_run_together_are_refused(kind):
+    buffers = next(frames(1))
+    numbers = np.full(SIZE, 2**24, kind)
+    engine().push(replace(buffers, stencil=numbers))
+    numbers[2, 3] += 1
+    planes = {name: getattr(buffers, name) for name in ("motion", "normal", "depth", "position", "base_color", "nov")}
+    message = r"frame 0: stencil: expected whole numbers up to 16777216, .* found 1\.67772e\+07 at \(2, 3\)"
+    with pytest.raises(InputError, match=message):
+        engine().push(replace(buffers, stencil=numbers))
+    with pytest.raises(InputError, match=message):
+        stss.convert(0, planes | {"stencil": numbers, "roughness": 1.0, "metallic": 0.0})
+
+
 def test_highlights_survive_and_nothing_else_changes():
     """What lies above 1 comes out; where nothing does, and where the picture is not white, not a bit differs."""
     plain = list(engine()(frames(4, scale=0.5)))

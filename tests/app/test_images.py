@@ -60,6 +60,18 @@ def test_whole_numbers_keep_their_value(tmp_path):
     np.testing.assert_array_equal(images.read_channels(tmp_path / "a.exr", ["id"])["id"], ids[..., 0])
 
 
+def test_whole_numbers_that_run_together_are_refused(tmp_path):
+    ids = np.full((3, 4, 1), 2**24, np.uint32)
+    write_parts(tmp_path / "a.exr", (ids, ("id",), {}))
+    assert images.read_channels(tmp_path / "a.exr", ["id"])["id"].max() == 2**24
+    ids[1, 2] += 1
+    write_parts(tmp_path / "a.exr", (ids, ("id",), {}))
+    with pytest.raises(
+        InputError, match=r"channel id: expected whole numbers up to 16777216, .*; found 16777217 at \(y=1, x=2\)"
+    ):
+        images.read_channels(tmp_path / "a.exr", ["id"])
+
+
 @pytest.mark.parametrize("suffix", [".exr", ".png"])
 def test_no_truncated_file_is_read_and_nothing_is_printed(tmp_path, suffix):
     """At any length, also where only the last pixels are gone."""

@@ -166,6 +166,9 @@ def test_an_error_of_the_writer_stops_the_run(sequence, tmp_path):
     assert not [path for path in (tmp_path / "out").rglob("*") if path.name.startswith(".")]
 
 
+ORDER = tuple(map(float, range(16)))
+
+
 def test_alpha_highlights_layers_and_metadata_come_out(write_frames, tmp_path):
     """A sequence with alpha, highlights of 10 and a light pass, a cut, and what a compositor needs in its headers."""
 
@@ -177,7 +180,9 @@ def test_alpha_highlights_layers_and_metadata_come_out(write_frames, tmp_path):
 
     lr = write_frames(range(3, 9), change=change, rendered=(3, 5, 6, 8))
     for path in lr.glob("*.exr"):
-        give_metadata(path, {"FramesPerSecond": (24, 1), "PixelAspectRatio": 2.0})
+        give_metadata(
+            path, {"framesPerSecond": (24000, 1001), "PixelAspectRatio": 2.0, "whiteLuminance": 80.0, "worldToNDC": ORDER}
+        )
     result = call("run", lr, "-o", tmp_path / "out", *PLAIN, "--cuts", "6", "--also", "light")
     assert result.returncode == 0, result.stderr
     assert "highlights: up to" in result.stderr
@@ -190,7 +195,10 @@ def test_alpha_highlights_layers_and_metadata_come_out(write_frames, tmp_path):
         header = read_header(tmp_path / "out" / f"frame.{number:04d}.exr")
         assert {*header.channels} == {"R", "G", "B", "A", "light.R", "light.G"}
         assert header.attributes["PixelAspectRatio"] == 2.0
-        assert tuple(header.attributes["FramesPerSecond"]) == (24, 1)
+        assert b"\0framesPerSecond\0rational\0" in header.path.read_bytes()  # as OpenEXR spells it
+        assert header.attributes["framesPerSecond"] == (24000, 1001)
+        assert header.attributes["whiteLuminance"] == 80
+        assert header.attributes["worldToNDC"] == ORDER
         planes = read_channels(header.path, ["R", "A", "light.R", "light.G"])
         assert planes["R"].max() > 10
         assert 0 <= planes["A"].min() < planes["A"].max() <= 1
