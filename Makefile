@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test test-training check bench mutants alarms fuzz gpu offline portability lowest judge-wheel clean
+.PHONY: demo test test-training check bench mutants alarms fuzz kills gpu offline portability lowest judge-wheel clean
 
 demo: $(VENV)/.base
 	$(BIN)/stss demo demo --overwrite
@@ -34,6 +34,9 @@ mutants alarms: $(VENV)/.test
 # Damaged files of every kind, a hundred times as many (some minutes).
 fuzz: $(VENV)/.test
 	$(BIN)/python -m pytest -n 2 --hypothesis-profile=fuzz tests/hostile/test_damaged.py
+
+kills: $(VENV)/.test
+	$(BIN)/python -m tests.hostile.run_kills
 
 # What there is to know of the first GPU that meets this: one folder, 25 minutes at most, no network once installed.
 gpu: $(VENV)/.test

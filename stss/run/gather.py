@@ -3,23 +3,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+import hashlib
+import os
+import re
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from stss.run.job import REFUSAL, folder_of
+from stss.run.job import folder_of
 from stss_ground.errors import InputError
 from stss_ground.output.apart import require_places
 from stss_ground.output.folder import SUMS, OutputFolder
-from stss_ground.output.write_whole import tell_errors
+from stss_ground.output.lock import locked
+from stss_ground.output.write_whole import remove_unfinished, sync_folder, tell_errors, write_whole
 from stss_ground.progress import Track
+
+MARK = "stss-gathered.sha256"
+"""Name of a list beside the parts, there while they are removed: the files that all parts held, which the folder has by then."""
+_LINE = re.compile(r"([0-9a-f]{64})  ([^/]+)/(.+)")
 
 
 def gather(parts: Path, out: Path, sequence: Path | None = None, *, overwrite: bool = False, track: Track = iter) -> int:
     """Move the files of all parts into one folder, as one run would have left it. What was interrupted can be repeated.
 
+    No file of a part is removed before all files of all parts are in the folder and on the disk. From then on `MARK` lies beside the
+    parts, until the last one is gone: by it a repeated call knows what the parts held that it no longer finds.
+
     Args:
-        parts: holds a folder for each part.
+        parts: holds a folder for each part. A part is a folder with a list, and no link; what else is there stays.
         out: the folder to write to; the rules for a run's folder hold.
         sequence: the folder or pattern of the frames that the parts were made from: nothing is written to it.
         overwrite: replace the files of an earlier run.
@@ -32,9 +43,13 @@ def gather(parts: Path, out: Path, sequence: Path | None = None, *, overwrite: b
         InputError: there is no part, a file of one is not as its list says, two parts differ in a file, a process writes to one, or
             ``out`` may not be written to.
     """
-    folders = sorted(path for path in parts.iterdir() if path.is_dir()) if parts.is_dir() else []
-    if not folders:
+    with tell_errors(parts):
+        before = _read_mark(parts / MARK)
+        folders = _parts_in(parts)
+    if not folders and not before:
         raise InputError(f"{parts}: expected a folder with a folder for each part of a run")
+    if parts.resolve() in (out.resolve(), *out.resolve().parents):
+        raise InputError(f"{out}: expected a folder outside of {parts}, which holds the parts")
     target = folder_of(out)
     inputs = [path for folder in folders for path in folder_of(folder).present()]
     if sequence is not None:
@@ -42,29 +57,66 @@ def gather(parts: Path, out: Path, sequence: Path | None = None, *, overwrite: b
         with tell_errors(frames):
             inputs += [path for path in frames.iterdir() if path.is_file()]
     require_places(folders=[target], inputs=inputs)
-    with target.open(refusal=None):
-        sums = _checked(folders, target, track)
-        if not overwrite and any(sums.get(name) != digest for name, digest in target.sums().items()):
-            raise InputError(f"{out}: {REFUSAL}")
+    with locked(parts), target.open(refusal=None):
+        remove_unfinished(parts)
+        sums, lists = _checked(folders, target, before, track)
+        if not overwrite:
+            _require_same(target, sums)
         for folder in map(folders.__getitem__, track(range(len(folders)))):
-            with _opened(folder) as part:
-                for name in part.sums():
-                    if part.holds(name):
-                        with tell_errors(folder / name):
-                            target.write(name, (folder / name).read_bytes())
-                    else:
-                        target.keep(name)
+            _copy(folder, target, sums)
+        for name in sums:
+            target.keep(name)
         target.finish(remove_others=overwrite)
-        for folder in folders:
-            _remove(folder)
+        write_whole(parts / MARK, "".join(f"{digest}  {place}\n" for place, digest in (before | lists).items()).encode())
+        sync_folder(parts)
+        for name in sorted({place.partition("/")[0] for place in before | lists}):
+            if _is_folder(parts / name):
+                folder_of(parts / name).dissolve(target.sums())
+    with tell_errors(parts / MARK):
+        (parts / MARK).unlink(missing_ok=True)
     with suppress(OSError):
         parts.rmdir()
     return len(folders)
 
 
-def _checked(folders: Sequence[Path], target: OutputFolder, track: Track) -> dict[str, str]:
-    """The lists of all parts as one, after a look at every file."""
-    sums: dict[str, str] = {}
+def _parts_in(parts: Path) -> list[Path]:
+    """The folders of the parts.
+
+    Raises:
+        InputError: a link leads to something like a part: what is behind it may be somebody's finished run, and would be removed.
+    """
+    found: list[Path] = []
+    for path in sorted(parts.iterdir()) if parts.is_dir() else ():
+        part = folder_of(path)
+        if path.is_dir() and part.present():  # frames without a list too: that is told, and not left out in silence
+            for place in part.folders():
+                if place.is_symlink():
+                    raise InputError(f"{place}: expected the folder of a part, found a link")
+            found.append(path)
+    return found
+
+
+def _read_mark(path: Path) -> dict[str, str]:
+    """Part and name -> SHA-256, as the mark of a call that was interrupted has them; a line that is damaged is left out."""
+    text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() and not path.is_symlink() else ""
+    found = [match for line in text.split("\n") if (match := _LINE.fullmatch(line)) and match[2] not in (".", "..")]
+    return {f"{match[2]}/{match[3]}": match[1] for match in found}
+
+
+def _is_folder(path: Path) -> bool:
+    return path.is_dir() and not path.is_symlink()
+
+
+def _checked(
+    folders: Sequence[Path], target: OutputFolder, before: Mapping[str, str], track: Track
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Look at every file of all parts.
+
+    Returns:
+        sums: name -> SHA-256: the lists of all parts as one, and what ``before`` has besides.
+        lists: the lists as they come into the mark.
+    """
+    sums, lists = dict[str, str](), dict[str, str]()
     for folder in map(folders.__getitem__, track(range(len(folders)))):
         with _opened(folder) as part:
             for name, digest in part.sums().items():
@@ -72,18 +124,40 @@ def _checked(folders: Sequence[Path], target: OutputFolder, track: Track) -> dic
                     raise InputError(f"{folder / name}: another part has another file of this name")
                 if not part.holds(name) and not (target.sums().get(name) == digest and target.holds(name)):
                     raise InputError(f"{folder / name}: not as its list says; make this part again with --resume")
-    return sums
+                lists[f"{folder.name}/{name}"] = digest
+        # A part without a frame is one too.
+        lists[f"{folder.name}/{SUMS}"] = hashlib.sha256((folder / SUMS).read_bytes()).hexdigest()
+    for place, digest in before.items():
+        name = place.partition("/")[2]
+        if name != SUMS and name not in sums:
+            if target.sums().get(name) != digest or not target.holds(name):
+                raise InputError(f"{target.path / name}: not as {MARK} says of {place}: repeat the gather that was stopped first")
+            sums[name] = digest
+    return sums, lists
 
 
-def _remove(folder: Path) -> None:
-    """Remove what a run wrote into the folder; what else is there stays."""
+def _require_same(target: OutputFolder, sums: Mapping[str, str]) -> None:
+    """Raise InputError for a file in the folder that would be replaced, or that is not as the folder's list says."""
+    for name, digest in target.sums().items():
+        path = target.path / name
+        if os.path.lexists(path):
+            if sums.get(name, digest) != digest:
+                raise InputError(f"{path}: a part has another frame of this name; --overwrite replaces what an earlier run wrote")
+            if name not in sums and not target.holds(name):
+                raise InputError(f"{path}: neither as {SUMS} says nor in a part; expected another folder")
+
+
+def _copy(folder: Path, target: OutputFolder, sums: Mapping[str, str]) -> None:
+    """Write what the folder does not hold yet of a part."""
     with _opened(folder) as part:
-        part.finish(remove_others=True)
-    with suppress(OSError):
-        (folder / SUMS).unlink()
-        for place in sorted({*part.folders(), folder}, reverse=True):
-            if place.is_dir():
-                place.rmdir()
+        for name, digest in part.sums().items():
+            if target.sums().get(name) == digest and target.holds(name):
+                continue
+            with tell_errors(folder / name):
+                data = (folder / name).read_bytes()
+            if hashlib.sha256(data).hexdigest() != sums.get(name):
+                raise InputError(f"{folder / name}: changed while the parts were gathered; repeat the command")
+            target.write(name, data)
 
 
 @contextmanager

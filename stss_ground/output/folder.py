@@ -6,15 +6,24 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
 from typing import BinaryIO
 
 from stss_ground.errors import InputError
 from stss_ground.output.lock import LOCK, locked
-from stss_ground.output.write_whole import UNFINISHED, make_folder, same_place, sync, tell_errors, write_whole
+from stss_ground.output.write_whole import (
+    UNFINISHED,
+    make_folder,
+    remove_unfinished,
+    same_place,
+    sync,
+    sync_folder,
+    tell_errors,
+    write_whole,
+)
 from stss_ground.terminal import echo
 
 SUMS = "stss.sha256"
@@ -148,6 +157,31 @@ class OutputFolder:
                 (self.path / name).unlink(missing_ok=True)
         self._sums = {name: digests[-1:] for name, digests in self._sums.items() if (self.path / name).is_file()}
         write_whole(self.path / SUMS, self._lines())
+        for folder in self.folders():
+            sync_folder(folder)
+
+    def dissolve(self, elsewhere: Mapping[str, str]) -> None:
+        """Remove each file that another folder has alike, then the list and the folders; what else is there stays.
+
+        Args:
+            elsewhere: name -> SHA-256 of the other folder's files.
+
+        Raises:
+            InputError: another process has the lock, or a file can't be removed.
+        """
+        with locked(self.path), tell_errors(self.path):
+            self._sums = self._read()
+            self._tidy()
+            for name in [name for name in self._sums if self._digest(name) == elsewhere.get(name)]:
+                (self.path / name).unlink()
+            self._sums = {name: digests for name, digests in self._sums.items() if os.path.lexists(self.path / name)}
+            if self._sums:
+                write_whole(self.path / SUMS, self._lines())
+            else:
+                (self.path / SUMS).unlink(missing_ok=True)
+        with suppress(OSError):
+            for folder in sorted(filter(Path.is_dir, self.folders()), reverse=True):
+                folder.rmdir()
 
     def _clear(self, name: str) -> None:
         """Move what is at a file's place aside, unless it is what was written there."""
@@ -177,12 +211,11 @@ class OutputFolder:
                 raise InputError(f"{self.path / name}: expected a file, found a folder")
         if present and refusal is not None:
             raise InputError(f"{self.path}: {refusal}")
-        self._remove_unfinished()
+        self._tidy()
 
-    def _remove_unfinished(self) -> None:
-        for path in self._listed():
-            if UNFINISHED.fullmatch(path.name):
-                path.unlink(missing_ok=True)
+    def _tidy(self) -> None:
+        for folder in filter(Path.is_dir, self.folders()):
+            remove_unfinished(folder)
 
     def _read(self) -> dict[str, list[str]]:
         """Read the list. A line that was cut off, or that names a file elsewhere, is ignored."""

@@ -52,6 +52,18 @@ def write_named(path: Path, data: bytes | str) -> None:
             _write_beside(path.resolve() if path.is_symlink() else path, data)
 
 
+def remove_unfinished(folder: Path) -> None:
+    """Remove what processes that were killed left of files that they wrote.
+
+    Raises:
+        InputError: the folder can't be written to.
+    """
+    with tell_errors(folder):
+        for path in folder.iterdir():
+            if UNFINISHED.fullmatch(path.name):
+                path.unlink(missing_ok=True)
+
+
 def make_folder(path: Path) -> None:
     """Make a folder and those above it, unless it is there.
 
@@ -110,3 +122,13 @@ def sync(handle: int) -> None:
     except OSError as error:
         if error.errno not in _NO_SYNC:
             raise
+
+
+def sync_folder(path: Path) -> None:
+    """Wait until the names in a folder are on the disk, where the system has that: only then may a file's other copy go."""
+    if os.name == "posix" and path.is_dir():
+        handle = os.open(path, os.O_RDONLY)
+        try:
+            sync(handle)
+        finally:
+            os.close(handle)

@@ -116,15 +116,23 @@ def test_parts_make_what_one_run_makes(parts, frames, tmp_path):
     for path in moved:
         path.unlink()
     (parts / "0" / "notes.txt").write_text("mine")
+    (parts / "mine").mkdir()
     plain(frames, parts / "1", (5, 7))
     gather(parts, out, frames)
     assert files(out) == files(tmp_path / "one")
     assert files(parts) == {"0/notes.txt": b"mine"}
+    assert (parts / "mine").is_dir()
 
 
 def write(path):
     path.parent.mkdir(exist_ok=True)
     path.write_bytes(b"mine")
+
+
+def linked(parts, out, frames):
+    """A finished run behind a link among the parts."""
+    (parts.parent / "one").rename(parts.parent / "finished")
+    (parts / "2").symlink_to(parts.parent / "finished")
 
 
 FAULTS = {  # what becomes of parts, target and frames -> what is said
@@ -136,12 +144,18 @@ FAULTS = {  # what becomes of parts, target and frames -> what is said
         lambda parts, _, frames: plain(frames, parts / "2", (7, 7), transfer="none"),
         "frame.0007.exr: another part has",
     ),
-    "another run": (lambda _, out, frames: plain(frames, out, transfer="none"), "holds frames of an earlier run"),
+    "another run": (
+        lambda _, out, frames: plain(frames, out, transfer="none"),
+        "frame.0000.exr: a part has another frame of this name",
+    ),
     "a stranger's": (
         lambda _, out, frames: write(out / "frame.0003.exr"),
         "frame.0003.exr: not in stss.sha256, so not from an earlier",
     ),
     "the frames": (lambda _, out, frames: out.symlink_to(frames), "the folder of the frames that are read"),
+    "a link": (linked, "2: expected the folder of a part, found a link"),
+    "a frame without a list": (lambda parts, *_: write(parts / "2" / "frame.0000.exr"), "not in stss.sha256, so not from"),
+    "among the parts": (lambda parts, out, _: out.symlink_to(parts / "all"), "out: expected a folder outside of"),
     "no parts": (lambda parts, *_: parts.rename(parts.with_name("gone")), "expected a folder with a folder for each part"),
 }
 
