@@ -31,8 +31,10 @@ OPEN = 100.0
 """A gate's bias at which its sigmoid is 1."""
 TAIL = 4.0
 """The largest of many normal deviations, in rms. Where gates nearly close, a few deviations are larger, and then these count."""
-SAMPLE = 304
+SAMPLE = 96
 """Rows and columns that give a larger frame's bounds: its numbers are of one kind everywhere, so their mean square is one."""
+SPARSE = {"erm": 3}
+"""Times as many for a stage all of whose numbers are at 1/8 size, with windows of which many would be cut."""
 RUNS = 3
 """Runs with changed weights; every number of every output is a sample."""
 MOST_SETS = 8
@@ -53,7 +55,7 @@ def expect_with_weights(
         arithmetic: of the port.
         errors: of the second colour among the inputs.
     """
-    return _spread(STAGES[stage].compute, inputs, weights, arithmetic, _part(stage, inputs), errors)
+    return _spread(STAGES[stage].compute, inputs, weights, arithmetic, part_of(stage, inputs), errors)
 
 
 def expect_layers(stage: str, inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: Arithmetic) -> dict[str, Expected]:
@@ -64,14 +66,20 @@ def expect_layers(stage: str, inputs: dict[str, NDArray[Any]], weights: Weights,
     return _spread(partial(reference_layers, stage), inputs, weights, arithmetic)
 
 
-def _part(stage: str, inputs: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """The first rows and columns of a frame larger than ``SAMPLE`` both ways: enough numbers for a root mean square."""
-    specs = STAGES[stage].inputs
+def part_of(stage: str, inputs: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """The first rows and columns of a frame of more than ``SAMPLE`` times ``SAMPLE`` pixels: enough numbers for a root mean square."""
+    specs, side = STAGES[stage].inputs, SAMPLE * SPARSE.get(stage, 1)
     sizes = check_inputs(stage, inputs)
-    if min(sizes["H"], sizes["W"]) <= SAMPLE:
+    height, width = sizes["H"], sizes["W"]
+    if height * width <= side * side:
         return inputs
-    sizes |= {"H": SAMPLE, "W": SAMPLE}
+    sizes |= {"H": _at_most(side, height, width), "W": _at_most(side, width, height)}
     return {name: array[tuple(slice(n) for n in specs[name].shape(sizes))] for name, array in inputs.items()}
+
+
+def _at_most(side: int, length: int, other: int) -> int:
+    """Rows of a part of a frame, or columns: more than ``side`` where there are fewer of the others."""
+    return min(length, side * side // min(side, other) // 8 * 8)
 
 
 def _spread(

@@ -1,70 +1,138 @@
 # SPDX-License-Identifier: MIT
-"""Right answers of the whole network in a few windows of a frame whose whole would take minutes in float64."""
+"""Right answers in a few windows of a frame whose whole would take minutes in float64.
+
+Windows lie around a corner that tiles of 64, 128, 256 and 512 have in common, and at both ends and the middle of the last rows.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from conformance.answers.by_stage import expect
 from conformance.answers.expected import Expected
-from conformance.answers.network import expect_with_weights
+from conformance.answers.network import expect_with_weights, part_of
 from conformance.answers.port_arithmetic import Arithmetic
+from conformance.protocol.array_specs import ArraySpec
+from conformance.protocol.layers import PADDED
+from conformance.protocol.port import Outputs
 from conformance.protocol.reference_copy import load, put
+from conformance.protocol.stages import STAGES, check_inputs
 from stss_ref.resample import lerp_along, pad_to_8
 from stss_ref.weights import Weights
 
 Inputs = dict[str, NDArray[Any]]
-REACH = 128
-"""Input pixels, at most, from an output pixel to what it depends on, in multiples of 8: 37 of the encoder, 40 of erm, 30 of the decoder."""
+REACH = {"network": 112, "history": 48, "encoder": 40, "erm": 40, "decoder": 32}
+"""Input pixels, at most, from an output pixel to what it depends on, in multiples of 8: 43 of history, 37 of encoder, 40 of erm, 30 of
+decoder, and the last three together."""
+IMAGE_REACH = 32
+"""The same for the image stages with motion of up to 8 pixels: a chain of three, or a splat, its look-up and what is read by it."""
 SIDE = 32
 """Rows and columns of a window; input pixels."""
-PART = 96
-"""Rows and columns that give the bound: numbers are of one kind everywhere."""
+TILE = 512
+"""Columns and rows of the largest tile."""
 
 
-def expect_windows(inputs: Inputs, weights: Weights, arithmetic: Arithmetic) -> Iterator[tuple[tuple[slice, slice], Expected]]:
-    """The right image of stage ``network`` in the last rows: at its left, in its middle and at its right.
+@dataclass(frozen=True)
+class Window:
+    """Rows and columns of the inputs, and what is right there: of each output its place, and the right answers."""
+
+    rows: slice
+    columns: slice
+    outputs: dict[str, tuple[tuple[slice, ...], Expected]]
+
+
+def places(height: int, width: int) -> list[tuple[slice, slice]]:
+    """The windows of a frame: the first and the last corner of tiles in it, and the left, the middle and the right of the last rows."""
+    half = SIDE // 2
+    corners = [(y - half, x - half) for y in range(TILE, height - half + 1, TILE) for x in range(TILE, width - half + 1, TILE)]
+    middle = (width - SIDE) // 2 // 8 * 8
+    begins = [*corners[:1], *corners[1:][-1:], *((height - SIDE, left) for left in (0, middle, width - SIDE))]
+    return [(slice(top, top + SIDE), slice(left, left + SIDE)) for top, left in begins]
+
+
+def expect_windows(
+    stage: str, inputs: Inputs, weights: Weights | None, arithmetic: Arithmetic, outputs: Outputs
+) -> Iterator[Window]:
+    """The right answers of a stage in the windows of a large frame.
 
     Args:
-        inputs: of the stage, float64, larger than ``PART`` both ways.
+        stage: any but ``frame``, whose network is judged in its place.
+        inputs: float64, larger than two windows and their reach both ways; motion is no longer than 8 pixels.
         weights: float32.
         arithmetic: of the port.
-
-    Yields:
-        Rows and columns of the image, and what is right there.
+        outputs: the port's answer, since one output may depend on the port's own choice in another.
     """
-    height, width = inputs["mask"].shape
-    part = {name: _cut(array, slice(PART), slice(PART), name) for name, array in inputs.items()}
-    bound = expect_with_weights("network", part, weights, arithmetic)["image"]
-    padded = {name: pad_to_8(array[..., None])[..., 0] if name == "mask" else pad_to_8(array) for name, array in inputs.items()}
-    whole = padded["mask"].shape
-    rows = slice(height - SIDE, height)
-    for left in (0, (width - SIDE) // 2, width - SIDE):
-        columns = slice(left, left + SIDE)
-        high, wide = (
-            slice(max(0, s.start - REACH) // 8 * 8, min(n, -(-(s.stop + REACH) // 8) * 8))
-            for s, n in zip((rows, columns), whole, strict=True)
-        )
-        first = high.start, wide.start
-        port = load(
-            "window",
-            put(
-                "resample.upsample_corners",
-                _corners_of(first, whole, (high.stop - high.start, wide.stop - wide.start)),
-            ),
-        )
-        got = port.run("network", {name: _cut(array, high, wide, name) for name, array in padded.items()}, weights)["image"]
-        own = tuple(slice(2 * (s.start - at), 2 * (s.stop - at)) for s, at in zip((rows, columns), first, strict=True))
-        place = slice(2 * rows.start, 2 * rows.stop), slice(2 * columns.start, 2 * columns.stop)
-        yield place, replace(bound, want=got[own])
+    sizes = check_inputs(stage, inputs)
+    windows = places(sizes["H"], sizes["W"])
+    if weights is None:
+        yield from (_image_window(stage, inputs, arithmetic, outputs, window) for window in windows)
+        return
+    bounds = expect_with_weights(stage, part_of(stage, inputs), weights, arithmetic)
+    padded = inputs
+    if stage in PADDED:
+        padded = {
+            name: pad_to_8(array[..., None])[..., 0] if name == "mask" else pad_to_8(array) for name, array in inputs.items()
+        }
+    for window in windows:
+        got = _network_window(stage, padded, weights, window)
+        yield Window(*window, {name: (at, replace(bounds[name], want=want)) for name, (at, want) in got.items()})
 
 
-def _cut(array: NDArray[Any], rows: slice, columns: slice, name: str) -> NDArray[Any]:
-    return array[rows, columns] if name == "mask" else array[..., rows, columns, :]
+def _network_window(stage: str, inputs: Inputs, weights: Weights, window: tuple[slice, slice]) -> dict[str, Any]:
+    sizes = check_inputs(stage, inputs)
+    whole = sizes["H"], sizes["W"]
+    around = _around(window, whole, REACH[stage])
+    size = around[0].stop - around[0].start, around[1].stop - around[1].start
+    plant = put("resample.upsample_corners", _corners_of((around[0].start, around[1].start), whole, size))
+    got = load("window", plant).run(stage, _cut(stage, inputs, around), weights)
+    return {name: (_place(spec, window), got[name][_place(spec, window, around)]) for name, spec in STAGES[stage].outputs.items()}
+
+
+def _image_window(stage: str, inputs: Inputs, arithmetic: Arithmetic, outputs: Outputs, window: tuple[slice, slice]) -> Window:
+    sizes = check_inputs(stage, inputs)
+    around = _around(window, (sizes["H"], sizes["W"]), IMAGE_REACH)
+    specs = STAGES[stage].outputs
+    answer = {name: array[_place(specs[name], around)] for name, array in outputs.items()}
+    right = expect(stage, _cut(stage, inputs, around), None, arithmetic, answer)
+    found: dict[str, tuple[tuple[slice, ...], Expected]] = {}
+    for name, expected in right.items():
+        own = _place(specs[name], window, around)
+        allowed: Any = expected.allowed
+        if isinstance(allowed, np.ndarray):
+            allowed = np.broadcast_to(allowed, expected.want.shape)[own]
+        others = tuple(other[own] for other in expected.others)
+        found[name] = _place(specs[name], window), replace(expected, want=expected.want[own], allowed=allowed, others=others)
+    return Window(*window, found)
+
+
+def _around(window: tuple[slice, slice], whole: tuple[int, int], reach: int) -> tuple[slice, slice]:
+    """The window and what it depends on, in whole blocks of 8."""
+    high, wide = (
+        slice(max(0, s.start - reach) // 8 * 8, min(n, -(-(s.stop + reach) // 8) * 8)) for s, n in zip(window, whole, strict=True)
+    )
+    return high, wide
+
+
+def _cut(stage: str, inputs: Inputs, around: tuple[slice, slice]) -> Inputs:
+    return {name: np.ascontiguousarray(array[_place(STAGES[stage].inputs[name], around)]) for name, array in inputs.items()}
+
+
+def _place(spec: ArraySpec, window: tuple[slice, slice], origin: tuple[slice, slice] | None = None) -> tuple[slice, ...]:
+    """Where an array has this window, in a part of the frame that begins at ``origin``."""
+    first = {"H": 0, "W": 0} if origin is None else {"H": origin[0].start, "W": origin[1].start}
+    found: list[slice] = []
+    for dim in spec.dims:
+        if dim.letter not in first:
+            found.append(slice(None))
+            continue
+        own = window[0 if dim.letter == "H" else 1]
+        found.append(slice(*((at - first[dim.letter]) * dim.times // dim.over for at in (own.start, own.stop))))
+    return tuple(found)
 
 
 def _corners_of(first: tuple[int, int], whole: tuple[int, ...], size: tuple[int, ...]) -> Any:

@@ -18,15 +18,35 @@ from conformance.cases.planes import Size
 from conformance.cases.stage_inputs import Inputs, made_weights
 from stss_ref.weights import SECOND_COLORS, SecondColor, Weights
 
-IMAGE_SIZES: tuple[Size, ...] = ((2, 4500), (301, 3), (540, 960), (129, 66), (65, 129), (65_601, 1), (1, 65_601))
-"""(H, W) for the image stages. The third is a frame as people have them; the last two have more columns or rows than 16 bits count."""
-NETWORK_SIZES: tuple[Size, ...] = ((8, 528), (264, 8), (72, 136), (8, 2080), (528, 64), (264, 256))
-"""(H, W) for stages of the network: at 1/8 they have up to 33 rows and 260 columns; the last has more than 65,536 pixels."""
-ANY_SIZES: tuple[Size, ...] = ((7, 301), (261, 5), (67, 131), (515, 13), (257, 259))
+IMAGE_SIZES: tuple[Size, ...] = ((2, 4500), (301, 3), (540, 960), (129, 66), (65, 129), (65_601, 1), (1, 65_601), (1080, 1920))
+"""(H, W) for the image stages. The third is a frame as people have them; then more columns or rows than 16 bits count."""
+NETWORK_SIZES: tuple[Size, ...] = ((8, 2080), (2080, 8), (136, 144), (8, 528), (264, 8), (528, 64), (264, 272))
+"""(H, W) for stages of the network: at 1/8 they have up to 260 rows or columns. The third has more than two tiles of 64 both ways, the
+last more than 65,536 pixels."""
+HISTORY_SIZES: tuple[Size, ...] = ((8, 2080), (2080, 8), (264, 272), (8, 528), (264, 8), (528, 64))
+"""(H, W) for stage history, whose work begins at half the size."""
+PLACES_SIZES: tuple[Size, ...] = ((8, 8_400), (8_400, 8), (1056, 1056), (72, 136), (528, 64))
+"""(H, W) for stage erm, all of whose work is at 1/8 size: there it has up to 1,050 rows or columns, and more than two tiles of 64 both
+ways."""
+ANY_SIZES: tuple[Size, ...] = ((7, 1_040), (1_040, 5), (67, 131), (515, 13), (257, 259))
 """(H, W) for stages network and frame, which pad them."""
-USER_SIZE: Size = (720, 1280)
-"""Of a user: a feature of 24 channels has more numbers than float32 counts, and beside another more bytes than 128 MiB."""
+USER_SIZES: dict[str, Size] = {"quick": (720, 1280), "full": (1080, 1920)}
+"""(H, W) as users have them. At 720 x 1280 a feature of 24 channels has more numbers than float32 counts, and beside another more bytes
+than 128 MiB. At 1080 x 1920 there are more pixels than 20 bits count, and more than 65,535 groups of 64 numbers."""
+IN_FULL = ("history", "encoder", "erm", "decoder")
+"""Stages that only the full tier judges at such a size."""
+FEW = 4
+"""Large frames of a quick tier."""
+SHORT = 8
+"""Longest motion of frames that are judged in windows; pixels."""
 Made = Callable[[Generator], Any]
+
+
+def short_motion(rng: Generator, size: Size) -> NDArray[np.float64]:
+    """(H, W, 2) motion of up to ``SHORT`` pixels: fractions, halves, whole pixels."""
+    moved = rng.random((*size, 2), np.float32) * np.float32(2 * SHORT) - np.float32(SHORT)
+    kind = rng.integers(0, 4, size, np.int8)[..., None]
+    return np.select([kind == 1, kind == 2], [np.round(moved), np.round(moved * 2) / 2], moved).astype(np.float64)
 
 
 def motion(rng: Generator, size: Size) -> NDArray[np.float64]:
@@ -40,13 +60,17 @@ def motion(rng: Generator, size: Size) -> NDArray[np.float64]:
     return np.select([kind == i for i in range(4)], kinds).astype(np.float32).astype(np.float64)
 
 
-def _holes(size: Size, rng: Generator) -> Inputs:
+Moving = Callable[[Generator, Size], NDArray[np.float64]]
+"""Makes the motion of a frame."""
+
+
+def _holes(moving: Moving, size: Size, rng: Generator) -> Inputs:
     """Objects on a ground, with distances and angles near the limits of what is trusted."""
     normal, position = rng.normal(0, 1, (*size, 3)), rng.normal(0, 15, (*size, 3))
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     stencil = (rng.random(size) < 0.3) * 2.0
     # Half of the pixels do not move, since hardly any other pixel is trusted.
-    moved = np.where((rng.random(size) < 0.5)[..., None], 0, motion(rng, size))
+    moved = np.where((rng.random(size) < 0.5)[..., None], 0, moving(rng, size))
     return {
         "motion": moved, "stencil": stencil, "stencil_previous": stencil, "normal": normal, "position": position,
         "normal_previous": normal + rng.normal(0, 0.1, normal.shape), "position_previous": position + rng.normal(0, 8, normal.shape),
@@ -54,14 +78,14 @@ def _holes(size: Size, rng: Generator) -> Inputs:
     }  # fmt: skip
 
 
-def _occlusion_warp(size: Size, rng: Generator) -> Inputs:
+def _occlusion_warp(moving: Moving, size: Size, rng: Generator) -> Inputs:
     color, warped = rng.random((2, *size, 3))
     depth = np.where(rng.random(size) < 0.3, 0.5, rng.random(size))
     valid = (rng.random(size) < 0.5).astype(np.uint8)
-    return {"color": color, "warped": warped, "motion": motion(rng, size), "depth": depth, "valid": valid}
+    return {"color": color, "warped": warped, "motion": moving(rng, size), "depth": depth, "valid": valid}
 
 
-def _rrm(size: Size, rng: Generator) -> Inputs:
+def _rrm(_: Moving, size: Size, rng: Generator) -> Inputs:
     height, width = size
     rectangle = np.array([height // 4, width // 4, -(-height // 2), -(-width // 2)], np.int32)
     return {"valid": (rng.random(size) < 0.7).astype(np.uint8), "rectangle": rectangle}
@@ -105,9 +129,9 @@ def frame_case(
     return inputs, made_weights("random", 0, second)
 
 
-_IMAGE: dict[str, Callable[[Size, Generator], Inputs]] = {
-    "motion_chain": lambda size, rng: {"motions": np.stack([motion(rng, size) for _ in range(3)])},
-    "warp": lambda size, rng: {"color": rng.random((*size, 3)), "motion": motion(rng, size)},
+_IMAGE: dict[str, Callable[[Moving, Size, Generator], Inputs]] = {
+    "motion_chain": lambda moving, size, rng: {"motions": np.stack([moving(rng, size) for _ in range(3)])},
+    "warp": lambda moving, size, rng: {"color": rng.random((*size, 3)), "motion": moving(rng, size)},
     "holes": _holes, "occlusion_warp": _occlusion_warp, "rrm": _rrm,
 }  # fmt: skip
 
@@ -129,27 +153,47 @@ def large_inputs(stage: str, most: int | None = None, size: Size | None = None, 
 
 
 def user_inputs(stage: str, most: int, side: int | None = None) -> tuple[Made, ...]:
-    """Stage network or frame at ``USER_SIZE``; none for ports that do not take it, and in a tier of fewer large frames than four."""
-    fits = side is None or 2 * max(USER_SIZE) <= side
-    made = partial(frame_case, USER_SIZE, second="detail", steps=(1, 2, 3)) if stage == "frame" else _made(stage, 1, USER_SIZE)
-    return (made,) if fits and most >= 4 else ()
+    """The cases of a stage that are judged in windows, at sizes of users: none that a port does not take."""
+    sizes = [_taken(stage, size) for size in user_sizes(stage, most, side)]
+    if stage == "frame":
+        return tuple(partial(frame_case, size, second="detail", steps=(1, 2, 3)) for size in sizes)
+    if stage in _IMAGE:
+        return tuple(partial(_IMAGE[stage], short_motion, size) for size in sizes)
+    return tuple(partial(network_case, stage, size) for size in sizes)
+
+
+def user_sizes(stage: str, most: int, side: int | None = None) -> tuple[Size, ...]:
+    """Their sizes: image stages at the larger one in any tier; the network at the smaller one in a tier of few large frames.
+
+    Args:
+        stage: its name.
+        most: large frames of the tier; of fewer than four, none is of a user's size.
+        side: the most rows or columns of any array; None: any.
+    """
+    if most < FEW or (most <= FEW and stage in IN_FULL):
+        return ()
+    size = USER_SIZES["quick" if most <= FEW and stage not in _IMAGE else "full"]
+    scale = 2 if stage in ("decoder", "network", "frame") else 1
+    return (size,) if side is None or scale * max(size) <= side else ()
 
 
 def _sizes(stage: str) -> tuple[Size, ...]:
-    if stage in _IMAGE:
-        return IMAGE_SIZES
+    if stage in _IMAGE:  # all of rrm's largest frame is judged, and at once
+        return IMAGE_SIZES if stage != "rrm" else (IMAGE_SIZES[-1], *IMAGE_SIZES[:-1])
+    if stage in ("history", "erm"):
+        return PLACES_SIZES if stage == "erm" else HISTORY_SIZES
     return ANY_SIZES if stage in ("network", "frame") else NETWORK_SIZES
 
 
 def _taken(stage: str, size: Size) -> Size:
     """A size that the stage takes, at least ``size``."""
     height, width = size
-    return size if _sizes(stage) != NETWORK_SIZES else (-(-height // 8) * 8, -(-width // 8) * 8)
+    return size if stage in _IMAGE or stage in ("network", "frame") else (-(-height // 8) * 8, -(-width // 8) * 8)
 
 
 def _made(stage: str, number: int, size: Size) -> Made:
     if stage in _IMAGE:
-        return partial(_IMAGE[stage], size)
+        return partial(_IMAGE[stage], motion, size)
     if stage == "frame":
         return partial(frame_case, size, second=SECOND_COLORS[number % 2])
     return partial(network_case, stage, size)

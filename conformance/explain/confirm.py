@@ -18,19 +18,18 @@ MOST_SECONDS = 60.0
 """Most time for these."""
 
 
-def confirm(judge: Judge, body: Body) -> Failure:
-    """Confirm the failure of the test that ran last; its message says if it does not fail alone.
+def confirm(judge: Judge, body: Body, small: Failure, first: Failure) -> Failure:
+    """Confirm a failure; its message says if it does not fail alone.
 
     Args:
-        judge: its ``record`` has the failure.
+        judge: has the port.
         body: the property.
+        small: the failure in its smallest form.
+        first: as it failed first, with the cases before it.
 
     Returns:
         The smallest case if that fails alone. Otherwise the first case that failed, with as few of the cases before it as it needs.
     """
-    small, first = judge.record.failure, judge.record.first
-    assert small is not None
-    assert first is not None
     if (found := fails(judge, body, replace(small, before=()))) is not None:
         return found
     few = 1

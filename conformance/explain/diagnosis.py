@@ -116,7 +116,11 @@ def _distance(mistake: Mistake, answered: _Answered) -> float:
     numbers, within twice their bound, wherever those are right.
     """
     case = answered.case
-    made = _port(mistake).run(case.stage, case.inputs, case.weights)
+    try:
+        made = _port(mistake).run(case.stage, case.inputs, case.weights)
+    except Exception:
+        # Planted code on a stranger's case: what it cannot compute, it does not explain.
+        return np.inf
     distances = [0.0]
     for name, expected in answered.right.items():
         got, wrong = answered.got[name], answered.wrong[name]

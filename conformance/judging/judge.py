@@ -166,6 +166,12 @@ class Judge:
             dialogue.go_on(answers)
         except DepartureError as error:
             return error
+        except Exception as error:
+            # The judge's own fault: what led to it is kept as any other failure is.
+            if self._last is not None:
+                finding = Finding(f"judging failed: {type(error).__name__}: {error}", self._last, "", None, None)
+                self.record.failure = Failure(finding, dialogue.drawn)
+            raise
         return None
 
     def _ask(self, dialogues: Sequence[Dialogue]) -> list[list[Outputs] | DepartureError | None]:
@@ -312,19 +318,22 @@ class Judge:
         found = rounding(got[sums], want[sums], terms, self.arithmetic)
         self.holds(f"{stage}.rounding", found, expected_rounding(self.arithmetic))
 
-    def agrees_in_windows(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights) -> Talk:
-        """Ask for a large frame, and compare a few windows of its image; a wrong one is not compared with mistakes, which takes long."""
-        image = (yield ask(stage, inputs, weights))["image"]
+    def agrees_in_windows(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Talk:
+        """Ask for a large frame, and compare a few windows of it; a wrong one is not compared with mistakes, which takes long."""
+        outputs = yield ask(stage, inputs, weights)
         self._last = self.make_case(stage, inputs, weights)
-        exact, given = self.exactly(inputs, stage), self._given_weights(weights)
-        if stage == "frame":
+        exact, given = self.exactly(inputs, stage), None if weights is None else self._given_weights(weights)
+        computed = "network" if stage == "frame" else stage
+        if stage == "frame" and given is not None:
             exact = network_inputs(exact, given)
-        for (rows, columns), right in expect_windows(exact, given, self.arithmetic):
-            try:
-                self.holds(f"{stage}.image", image[rows, columns], right)
-            except DepartureError as error:
-                where = f"{error.finding.message}, counted from row {rows.start}, column {columns.start}"
-                raise DepartureError(replace(error.finding, message=where, got=None, expected=None)) from error
+        for window in expect_windows(computed, exact, given, self.arithmetic, outputs):
+            for name, (place, right) in window.outputs.items():
+                try:
+                    self.holds(f"{stage}.{name}", outputs[name][place], right)
+                except DepartureError as error:
+                    at = f"in the window at row {window.rows.start}, column {window.columns.start} of the inputs"
+                    finding = replace(error.finding, message=f"{error.finding.message}, {at}", got=None, expected=None)
+                    raise DepartureError(finding) from error
 
     def _finite(self, stage: str, outputs: Outputs) -> None:
         """Expect finite numbers only, of an answer that cannot be judged since rounding decides on the whole of it."""

@@ -62,6 +62,7 @@ def _answer(port: Any, case: Case) -> Answer:
     inputs = {name: array.copy() for name, array in case.inputs.items()}
     try:
         outputs = port.run(case.stage, inputs, None if case.weights is None else case.weights.convert(np.copy))
+        return {name: array.copy() for name, array in outputs.items()}
     except PortError as error:
         return error
     except ArrayError as error:
@@ -69,7 +70,6 @@ def _answer(port: Any, case: Case) -> Answer:
     except Exception as error:
         # The port is foreign code: anything that it raises is a failure on this case.
         return PortError(f"{type(error).__name__}: {error}")
-    return {name: array.copy() for name, array in outputs.items()}
 
 
 def _computed(port: Any, cases: Sequence[Case]) -> list[Answer]:

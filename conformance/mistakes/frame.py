@@ -169,7 +169,7 @@ FRAME = (
     _frame(
         "newest_motion_for_all",
         "one motion for the three colours",
-        returns("frame.motion_by_step", lambda motions, steps: dict.fromkeys(motions, motions.get(steps[0]))),
+        returns("frame.motion_by_step", lambda motions: dict.fromkeys(motions, motions[min(motions)]) if motions else motions),
     ),
     _steps("one_step_too_far", "each motion one frame too far", 1),
     _steps("one_step_short", "each motion one frame short", -1),

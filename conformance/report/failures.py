@@ -84,11 +84,22 @@ def _write_failure(folder: Path, finding: Finding, again: str) -> None:
     parts = [finding.message, "\n".join(finding.terms)]
     if finding.expected is not None and finding.got is not None:
         _write_right(folder / CASE, finding.output, finding.got, finding.expected)
-        if (picture := draw(finding.got, finding.expected)) is not None:
-            write_whole(folder / "picture.png", png(picture.pixels))
-            parts.append(f"picture.png, from left to right: {picture.words}")
+        parts.append(_write_picture(folder / "picture.png", finding.got, finding.expected))
     parts.append(f"Run it again:\n  {again}\n")
     write_whole(folder / "README.txt", "\n\n".join(filter(None, parts)).encode())
+
+
+def _write_picture(path: Path, got: NDArray[Any], expected: Expected) -> str:
+    """Words on the picture; "" where there is none to draw."""
+    try:
+        picture = draw(got, expected)
+    except Exception as error:
+        # A failure is kept with or without its picture.
+        return f"drawing it failed: {type(error).__name__}: {error}"
+    if picture is None:
+        return ""
+    write_whole(path, png(picture.pixels))
+    return f"{path.name}, from left to right: {picture.words}"
 
 
 def _write_right(case: Path, output: str, got: NDArray[Any], expected: Expected) -> None:

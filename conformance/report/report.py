@@ -15,8 +15,9 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from conformance.cases.large_inputs import USER_SIZES, user_sizes
 from conformance.judging.findings import TestResult, tally
-from conformance.judging.judge import Judge
+from conformance.judging.judge import TIERS, Judge
 from conformance.protocol.stages import STAGES
 from conformance.protocol.weights_format import VERSIONS
 from conformance.report.versions import versions_of_cases
@@ -146,7 +147,19 @@ def judged_on(judge: Judge, results: Sequence[TestResult]) -> list[str]:
         if max(largest):
             sizes.setdefault(largest, []).append(stage)
     lines = [f"largest height {height}, largest width {width}: {', '.join(names)}" for (height, width), names in sizes.items()]
-    return [*lines, *_declared(judge)]
+    return [*lines, *_declared(judge), *_left_to_full(judge, [stage for some in sizes.values() for stage in some])]
+
+
+def _left_to_full(judge: Judge, stages: Sequence[str]) -> list[str]:
+    """What only a larger tier judges, and the option that asks for it."""
+    side = judge.largest_side
+    smaller = [
+        stage
+        for stage in STAGES
+        if stage in stages and user_sizes(stage, judge.tier.large, side) != user_sizes(stage, TIERS["full"].large, side)
+    ]
+    height, width = USER_SIZES["full"]
+    return [f"not judged at {height} x {width}, as --tier full does: {', '.join(smaller)}"] if smaller else []
 
 
 def _declared(judge: Judge) -> list[str]:

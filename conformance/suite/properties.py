@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import wraps
 from importlib import import_module
 from typing import Any
@@ -19,11 +18,8 @@ from conformance.cases.engine_inputs import engine_inputs
 from conformance.cases.exact_weights import LAST, exact_inputs, rounded_sums
 from conformance.cases.large_inputs import large_inputs, user_inputs
 from conformance.cases.planes import Size
-from conformance.explain.confirm import UNSTABLE, confirm
-from conformance.explain.diagnosis import diagnose
-from conformance.explain.first_layer import first_departure
-from conformance.explain.terms import terms_at_worst
-from conformance.judging.findings import DepartureError, Failure, Record
+from conformance.explain.explain import explain
+from conformance.judging.findings import DepartureError
 from conformance.judging.judge import Body, Judge
 from conformance.judging.questions import Talk, ask
 from conformance.judging.search import Drawn, Made, Maker, Makers
@@ -93,9 +89,9 @@ def _agrees(
 def agrees_in_windows(stage: str) -> Test:
     """Make a stage's test on a frame of a user's size."""
 
-    def body(judge: Judge, case: tuple[Any, Weights]) -> Talk:
-        """A frame of 720 x 1280 agrees, too, at the left, in the middle and at the right of its last rows."""
-        yield from judge.agrees_in_windows(stage, *case)
+    def body(judge: Judge, case: Any) -> Talk:
+        """A frame of 720 x 1280 or 1080 x 1920 agrees, too, around the corners of tiles, and in its last rows."""
+        yield from judge.agrees_in_windows(stage, *(case if STAGES[stage].weights else (case,)))
 
     return made_cases(lambda judge: user_inputs(stage, judge.tier.large, judge.largest_side))(body)
 
@@ -141,25 +137,8 @@ def _confirmed(judge: Judge, body: Body) -> Generator[None]:
         yield
     except (DepartureError, Flaky) as error:
         if judge.shrink:
-            first = judge.record.first
-            judge.record.failure = _diagnosed(judge, confirm(judge, body), first)
-        assert judge.record.failure is not None
-        raise DepartureError(judge.record.failure.finding) from error
-
-
-def _diagnosed(judge: Judge, failure: Failure, first: Failure | None) -> Failure:
-    """Add to the message what the failure looks like, by the case that failed first, the smallest, and those that were answered last.
-
-    The test's record does not count the cases that the port computes for this.
-    """
-    met, judge.record = judge.record, Record()
-    words: list[str] = []
-    # What does not come back alone cannot be asked for again.
-    if not failure.before and UNSTABLE not in failure.finding.message:
-        words = [first_departure(judge, failure.finding), diagnose(judge, [(first or failure).finding, failure.finding])]
-    judge.record = met
-    message = "; ".join(filter(None, [failure.finding.message, met.about, *words]))
-    return replace(failure, finding=replace(failure.finding, message=message, terms=terms_at_worst(failure.finding)))
+            judge.record.failure = explain(judge, body)
+        raise DepartureError(judge.failure().finding) from error
 
 
 def find_test(test: str) -> Any:

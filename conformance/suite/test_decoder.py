@@ -7,7 +7,14 @@ from hypothesis import strategies as st
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import agrees_exactly, agrees_in_large_frames, cases, rounds_either_way, same_twice
+from conformance.suite.properties import (
+    agrees_exactly,
+    agrees_in_large_frames,
+    agrees_in_windows,
+    cases,
+    rounds_either_way,
+    same_twice,
+)
 from stss_ref.weights import Weights, zeros
 
 CASES = st.tuples(network_inputs("decoder"), weights())
@@ -46,3 +53,6 @@ test_sums_round_either_way = rounds_either_way("decoder", "image")
 
 
 test_large_frames_agree_with_the_reference = agrees_in_large_frames("decoder")
+
+
+test_a_users_size_agrees_in_windows = agrees_in_windows("decoder")

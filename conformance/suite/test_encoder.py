@@ -8,7 +8,14 @@ from conformance.answers.expected import Expected
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import agrees_exactly, agrees_in_large_frames, cases, rounds_either_way, same_twice
+from conformance.suite.properties import (
+    agrees_exactly,
+    agrees_in_large_frames,
+    agrees_in_windows,
+    cases,
+    rounds_either_way,
+    same_twice,
+)
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("encoder"), weights())
@@ -65,3 +72,6 @@ test_sums_round_either_way = rounds_either_way("encoder", "x1")
 
 
 test_large_frames_agree_with_the_reference = agrees_in_large_frames("encoder")
+
+
+test_a_users_size_agrees_in_windows = agrees_in_windows("encoder")

@@ -10,7 +10,14 @@ from conformance.cases.planes import SEEDS, Size, sizes
 from conformance.cases.stage_inputs import Inputs, holes_inputs, thresholds
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import agrees_in_large_frames, agrees_on_constants, agrees_on_engines, cases, same_twice
+from conformance.suite.properties import (
+    agrees_in_large_frames,
+    agrees_in_windows,
+    agrees_on_constants,
+    agrees_on_engines,
+    cases,
+    same_twice,
+)
 
 
 @cases(holes_inputs())
@@ -83,6 +90,9 @@ test_agrees_on_what_engines_send = agrees_on_engines("holes")
 
 
 test_large_frames_agree_with_the_reference = agrees_in_large_frames("holes")
+
+
+test_a_users_size_agrees_in_windows = agrees_in_windows("holes")
 
 
 def _quarters(size: Size, seed: int) -> Inputs:

@@ -8,7 +8,7 @@ from conformance.cases.planes import sizes
 from conformance.cases.stage_inputs import Inputs, chain_inputs
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import agrees_in_large_frames, agrees_on_engines, cases, made_cases
+from conformance.suite.properties import agrees_in_large_frames, agrees_in_windows, agrees_on_engines, cases, made_cases
 
 
 @cases(chain_inputs())
@@ -49,3 +49,6 @@ test_agrees_on_what_engines_send = agrees_on_engines("motion_chain")
 
 
 test_large_frames_agree_with_the_reference = agrees_in_large_frames("motion_chain")
+
+
+test_a_users_size_agrees_in_windows = agrees_in_windows("motion_chain")

@@ -7,7 +7,14 @@ from hypothesis import strategies as st
 from conformance.cases.stage_inputs import Inputs, occlusion_inputs
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import agrees_in_large_frames, agrees_on_constants, agrees_on_engines, cases, same_twice
+from conformance.suite.properties import (
+    agrees_in_large_frames,
+    agrees_in_windows,
+    agrees_on_constants,
+    agrees_on_engines,
+    cases,
+    same_twice,
+)
 
 
 @cases(occlusion_inputs())
@@ -54,6 +61,9 @@ test_agrees_on_what_engines_send = agrees_on_engines("occlusion_warp")
 
 
 test_large_frames_agree_with_the_reference = agrees_in_large_frames("occlusion_warp")
+
+
+test_a_users_size_agrees_in_windows = agrees_in_windows("occlusion_warp")
 
 
 def _looped(motion: np.ndarray, depth: np.ndarray) -> np.ndarray:

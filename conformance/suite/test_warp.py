@@ -9,7 +9,7 @@ from conformance.cases.planes import Float64, colors, dyadic_motions, sizes
 from conformance.cases.stage_inputs import Inputs, warp_inputs, wide_warp_inputs
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import agrees_in_large_frames, agrees_on_engines, cases, same_twice
+from conformance.suite.properties import agrees_in_large_frames, agrees_in_windows, agrees_on_engines, cases, same_twice
 
 
 @cases(warp_inputs())
@@ -97,3 +97,6 @@ test_agrees_on_what_engines_send = agrees_on_engines("warp")
 
 
 test_large_frames_agree_with_the_reference = agrees_in_large_frames("warp")
+
+
+test_a_users_size_agrees_in_windows = agrees_in_windows("warp")

@@ -1,15 +1,21 @@
 """A wrong answer leads to its mistake: the planted one is among those that are named, and nothing is named that does not fit."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
+from conformance.cases.every_buffer import frame_cases
+from conformance.cases.stage_inputs import made_weights
 from conformance.explain.diagnosis import diagnose
 from conformance.judging.findings import DepartureError
-from conformance.judging.judge import Judge
-from conformance.mistakes import find
+from conformance.judging.judge import Judge, Tier
+from conformance.mistakes import MISTAKES, find, of_stage
 from conformance.mistakes.precision import rounded_at
-from conformance.protocol.reference_copy import half, load, returns
+from conformance.protocol.reference_copy import half, load, put, returns
+from conformance.report.failures import keep_failure
 from conformance.suite.properties import find_property
+from conformance.suite.run_suite import run_suite
 from stss.port import ReferencePort
 from tests.meta.samples import samples
 
@@ -80,3 +86,82 @@ def test_a_right_answer_looks_like_nothing():
     with pytest.raises(DepartureError) as caught:
         judge.check(find_property("warp.agrees_with_the_reference"), case.inputs)
     assert diagnose(Judge(ReferencePort()), [caught.value.finding]) == ""
+
+
+STEPS = ((0, 0, 0), (0, 2, 2), (0, 2, 4), (0, 1, 2), (1, 1, 1), (1, 3, 3), (1, 3, 5), (2, 3, 5))
+
+
+def frames_of_every_kind():
+    """Tiny frames: each choice of steps, of missing frames, of second colour and of hole test."""
+    inputs, _ = frame_cases()[1](np.random.default_rng(0))
+    planes = "nov", "stencils"
+    tiny = {n: a[..., :6, :7] if n in planes else a[..., :6, :7, :] for n, a in inputs.items() if n != "steps"}
+    for steps, second, test in product(STEPS, ("newest", "detail"), ("footprint", "paper")):
+        yield {**tiny, "steps": np.array(steps, np.int32)}, made_weights("random", 0, second, test)
+
+
+@pytest.mark.parametrize("stage", ["history", "encoder", "erm", "decoder"])
+def test_every_mistake_runs_on_what_its_stage_draws(stage):
+    """One that raises would explain nothing. `test_mutants` runs those of image stages on all of their samples."""
+    cases = samples(stage)[:3]
+    for mistake in MISTAKES:
+        if stage in (mistake.stage, *mistake.also) and not mistake.large:
+            port = mistake.port()
+            for case in cases:
+                port.run(stage, case.inputs, case.weights)
+
+
+def test_every_mistake_runs_on_every_kind_of_frame():
+    """The network itself, which takes long and none of them changes, is left out."""
+    judge = Judge(ReferencePort())
+    cases = [judge.make_case("frame", *case) for case in frames_of_every_kind()]
+    black = put("frame.network", lambda color, *_: np.zeros((2 * color.shape[0], 2 * color.shape[1], 3), color.dtype))
+    for mistake in of_stage("frame"):
+        port = load(mistake.id, black, *mistake.plants)
+        for case in cases:
+            port.run("frame", case.inputs, case.weights)
+
+
+def lost(*_):
+    raise AttributeError("no attribute 'shape'")
+
+
+@pytest.mark.parametrize("part", ["diagnose", "first_departure", "terms_at_worst", "confirm"])
+def test_a_failure_outlives_its_explanation(part, monkeypatch, tmp_path):
+    """With its numbers, and with what is kept in its folder."""
+    monkeypatch.setattr(f"conformance.explain.explain.{part}", lost)
+    (result,) = run_suite(Judge(find("warp_x_sign").port(), Tier("some", 20, 2)), ["warp"], first_only=True)
+    assert result.outcome == "failed"
+    assert "error / bound" in result.message
+    assert "explaining it failed: AttributeError: no attribute 'shape'" in result.message
+    monkeypatch.setattr("conformance.report.failures.draw", lost)
+    kept = keep_failure(tmp_path, result.id, result.record.failure, "stss conform")
+    said = (kept / "README.txt").read_text()
+    assert "drawing it failed: AttributeError" in said
+    assert "--replay" in said
+
+
+def test_a_mistake_that_raises_explains_nothing(monkeypatch):
+    mistake = find("warp_x_sign")
+    monkeypatch.setattr("conformance.explain.diagnosis.of_stage", lambda *_, **__: (mistake,))
+    monkeypatch.setattr("conformance.explain.diagnosis._port", lost)
+    assert "looks like none of the" in said(mistake.port(), "warp")
+
+
+def test_the_judges_own_fault_keeps_its_case(monkeypatch, tmp_path):
+    """It is an error, no failure of the port; and its case can be run again."""
+    monkeypatch.setattr("conformance.judging.judge.expect", lost)
+    (result,) = run_suite(Judge(ReferencePort(), Tier("some", 20, 2)), ["warp"], first_only=True)
+    assert result.outcome == "error"
+    assert (keep_failure(tmp_path, result.id, result.record.failure, "stss conform") / "0000" / "in" / "color.npy").exists()
+
+
+class Nothing(ReferencePort):
+    def run(self, stage, inputs, weights=None):
+        return None
+
+
+def test_a_port_that_returns_nothing_is_judged():
+    (result,) = run_suite(Judge(Nothing(), Tier("some", 20, 2)), ["warp"], first_only=True)
+    assert result.outcome == "failed"
+    assert "NoneType" in result.message

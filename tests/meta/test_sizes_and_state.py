@@ -10,6 +10,7 @@ from conformance.judging.findings import DepartureError
 from conformance.judging.judge import TIERS, Judge, Tier
 from conformance.protocol.stages import STAGES
 from conformance.report.failures import keep_failure, replay
+from conformance.report.report import judged_on
 from conformance.suite.properties import find_property
 from conformance.suite.run_suite import run_suite
 from stss.port import ReferencePort
@@ -83,6 +84,38 @@ def test_a_mistake_of_size_is_found_in_the_quick_tier(stage, kind):
 def test_a_mistake_of_size_says_where_it_begins():
     (message,) = messages(Sized(64), Tier("few", 2, 2, 1), "motion_chain")
     assert "numbers depart, none before column 64" in message
+
+
+class Counted(ReferencePort):
+    """Fails where a frame has more than ``most`` rows, pixels or numbers: what lies beyond is that of the first ones."""
+
+    def __init__(self, what, most):
+        self.what, self.most = what, most
+
+    def run(self, stage, inputs, weights=None):
+        outputs = super().run(stage, inputs, weights)
+        for array in outputs.values():
+            flat = array.reshape(
+                {"rows": len(array), "pixels": array.shape[0] * array.shape[1], "numbers": array.size}[self.what], -1
+            )
+            flat[self.most :] = flat[: len(flat[self.most :])]
+        return outputs
+
+
+@pytest.mark.parametrize("counted", [("rows", 720), ("pixels", 1 << 20), ("numbers", 65_535 * 64)], ids=str)
+@pytest.mark.parametrize("stage", ["warp", "rrm"])
+def test_a_mistake_beyond_720p_is_found_in_the_quick_tier(stage, counted):
+    if (stage, counted[0]) == ("rrm", "numbers"):
+        counted = "numbers", 65_535 * 16
+    (result,) = run_suite(Judge(Counted(*counted), shrink=False), [stage], only="large or users", first_only=True)[-1:]
+    assert result.outcome == "failed"
+
+
+def test_what_quick_leaves_to_full_is_the_last_line():
+    judge = Judge(ReferencePort(), Tier("quick", 1, 1, 4))
+    results = [result for stage in ("history", "rrm") for result in run_suite(judge, [stage], only="agrees_with")]
+    assert judged_on(judge, results)[-1] == "not judged at 1080 x 1920, as --tier full does: history"
+    assert "not judged" not in judged_on(Judge(ReferencePort(), TIERS["full"]), results)[-1]
 
 
 class Remembering(ReferencePort):

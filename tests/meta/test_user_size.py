@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from conformance.answers.expected import largest
 from conformance.answers.windows import expect_windows
-from conformance.cases.large_inputs import IMAGE_SIZES, large_inputs
+from conformance.cases.large_inputs import IMAGE_SIZES, large_inputs, user_inputs
 from conformance.command import conform
 from conformance.judging.judge import Judge, Tier
 from conformance.protocol.port import Arrays, Outputs
-from conformance.protocol.stages import network_inputs, reference
+from conformance.protocol.stages import STAGES, check_inputs, reference
 from conformance.reference_port import ReferencePort
 from conformance.report.report import judged_on
 from conformance.suite.run_suite import run_suite
@@ -18,7 +19,7 @@ from conformance.tolerance import ratio
 from stss_ref.weights import Weights
 
 FEW = Tier("few", 1, 1, 1)
-BEYOND = 600
+BEYOND = 1200
 
 
 class FailsBeyond(ReferencePort):
@@ -32,7 +33,7 @@ class FailsBeyond(ReferencePort):
         return outputs
 
 
-@pytest.mark.parametrize(("stage", "size"), [("rrm", (610, 20))])
+@pytest.mark.parametrize(("stage", "size"), [("rrm", (1210, 20))])
 def test_a_fault_beyond_every_size_is_found_at_a_users_size(stage: str, size: tuple[int, int]):
     run = [run_suite(Judge(FailsBeyond(), FEW, size=each), [stage], only="large") for each in (None, size)]
     assert [[r.outcome for r in results] for results in run] == [["passed"], ["failed"]]
@@ -53,7 +54,7 @@ def test_bounds_of_a_larger_frame_come_from_a_part_of_it(monkeypatch: pytest.Mon
 
 def test_no_case_has_more_rows_or_columns_than_a_port_takes():
     judge = Judge(ReferencePort(), Tier("some", 1, 1, len(IMAGE_SIZES)), largest_side=8192)
-    results = run_suite(judge, ["rrm", "warp"], only="large")
+    results = run_suite(judge, ["rrm"], only="large")
     assert max(max(r.record.largest) for r in results) == 8192
     assert judged_on(judge, results)[-1] == "no array of more than 8192 rows or columns, as the port declares"
     sizes = [make(np.random.default_rng(0))[0]["mask"].shape for make in large_inputs("network", side=512, size=(257, 8))]
@@ -67,24 +68,58 @@ def test_a_size_that_is_none_is_refused(words: str):
     assert "1280x720" in result.output
 
 
-@pytest.mark.parametrize("stage", ["network", "frame"])
+@pytest.mark.parametrize("stage", [stage for stage in STAGES if stage not in ("rrm", "frame")])
 def test_windows_are_those_of_the_whole(stage: str, monkeypatch: pytest.MonkeyPatch):
-    """A window's numbers are the whole's to float64's rounding, at each end of the last rows and between."""
+    """A window's numbers are the whole's to float64's rounding: at corners of tiles, at each end of the last rows and between."""
     monkeypatch.setattr("conformance.answers.windows.SIDE", 16)
-    inputs, weights = large_inputs(stage, 0, (149, 331))[0](np.random.default_rng(0))
+    monkeypatch.setattr("conformance.answers.windows.TILE", 64)
+    monkeypatch.setattr("conformance.cases.large_inputs.USER_SIZES", dict.fromkeys(("quick", "full"), (149, 331)))
+    (make,) = user_inputs(stage, 99)
+    made = make(np.random.default_rng(0))
+    inputs, weights = made if STAGES[stage].weights else (made, None)
     judge = Judge(ReferencePort())
     exact = judge.exactly(inputs, stage)
-    whole = reference(stage, exact, weights)["image"]
-    network = network_inputs(exact, weights) if stage == "frame" else exact
-    places = []
-    for (rows, columns), right in expect_windows(network, weights, judge.arithmetic):
-        assert ratio("network.float64", right.want, whole[rows, columns]) < 1
-        places.append((rows.stop, columns.start, columns.stop))
-    assert places == [(298, 0, 32), (298, 314, 346), (298, 630, 662)]
+    whole = reference(stage, exact, weights)
+    first, *rest = windows = [*expect_windows(stage, exact, weights, judge.arithmetic, whole)]
+    assert (first.rows.start, first.columns.start) == (56, 56)
+    assert {each.rows.stop for each in rest[1:]} == {check_inputs(stage, exact)["H"]}
+    assert len(windows) == 5
+    for window in windows:
+        for name, (place, right) in window.outputs.items():
+            if weights is None:
+                assert largest(right, whole[name][place]) <= 1
+                np.testing.assert_array_equal(right.want, whole[name][place])
+            else:
+                assert ratio("network.float64", right.want, whole[name][place]) < 1
+
+
+class TileCorners(ReferencePort):
+    """What lies diagonally across a corner of four tiles is not seen: a place there is as if the frame ended at the tile's edge."""
+
+    def __init__(self, tile: int):
+        self._tile = tile
+
+    def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
+        outputs = dict(super().run(stage, inputs, weights))
+        for name, array in outputs.items():
+            tile = self._tile * (2 if name == "image" else 1)
+            outputs[name] = array.copy()
+            outputs[name][tile::tile, tile::tile] *= 1.01
+        return outputs
+
+
+CORNERS = [("erm", 64), ("erm", 32), ("encoder", 64), ("history", 16), ("decoder", 64)]
+
+
+@pytest.mark.parametrize(("stage", "tile"), CORNERS)
+def test_a_corner_of_tiles_is_found_in_the_quick_tier(stage: str, tile: int):
+    (result,) = run_suite(Judge(TileCorners(tile), shrink=False), [stage], only="large")
+    assert result.outcome == "failed"
+    assert f"at [{tile * (2 if stage == 'decoder' else 1)}, " in result.message or "none before row" in result.message
 
 
 def test_an_index_in_float32_is_found_at_a_users_size(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("conformance.cases.large_inputs.USER_SIZE", (160, 300))
+    monkeypatch.setattr("conformance.cases.large_inputs.USER_SIZES", dict.fromkeys(("quick", "full"), (160, 300)))
 
     class Indexed(ReferencePort):
         """Reads the wrong one of two neighbours where a float has no odd number."""
@@ -97,6 +132,6 @@ def test_an_index_in_float32_is_found_at_a_users_size(monkeypatch: pytest.Monkey
 
     (result,) = run_suite(Judge(Indexed(), Tier("some", 1, 1, 4)), ["network"], only="users_size")
     assert result.outcome == "failed"
-    assert "counted from row 256, column 0" in result.message
-    (result,) = run_suite(Judge(ReferencePort(), Tier("some", 1, 1, 4)), ["network"], only="users_size")
+    assert "in the window at row 128, column 0 of the inputs" in result.message
+    (result,) = run_suite(Judge(ReferencePort(), Tier("some", 1, 1, 4)), ["frame"], only="users_size")
     assert (result.outcome, result.record.largest) == ("passed", (160, 300))
