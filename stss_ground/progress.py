@@ -48,9 +48,11 @@ def show_progress(
 
     def report() -> None:
         while not ended.wait(every):
-            rate = count / (time.monotonic() - start)
+            took = time.monotonic() - start
+            rate = count / took
             left = f", {rate:.2f} {unit}/s, {timedelta(seconds=round((total - count) / rate))} left" if count else ""
-            line = f"{count} of {total} {unit}{left}" + (f": {shown}" if shown else "")
+            # With the time so far no two lines are equal: who reads the log sees that it goes on.
+            line = f"{count} of {total} {unit} in {timedelta(seconds=round(took))}{left}" + (f": {shown}" if shown else "")
             console.print(line, soft_wrap=True, markup=False, highlight=False)
 
     with _bar(console, unit) as bar:

@@ -1,13 +1,16 @@
 """How far a long command is: a bar with the time left on a terminal, a line a minute in a log file."""
 
 import io
+import itertools
 import re
 import shutil
 import time
+from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
 
+from stss_ground import progress
 from stss_ground.progress import show_progress, show_steps
 from stss_lab.bench import gpu_report
 from tests.app.conftest import PLAIN
@@ -26,15 +29,19 @@ def wait_for(console, count):
         time.sleep(0.01)
 
 
-def test_a_log_file_gets_a_line_a_minute_even_while_nothing_is_done():
+def test_a_log_file_gets_a_line_a_minute_even_while_nothing_is_done(monkeypatch):
+    """The minutes are the test's own; no two lines are equal, also of a step that takes many."""
+    seconds = itertools.count(0, 60)
+    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: next(seconds)))
     console = Console(file=io.StringIO(), width=20)
     with show_progress(console, 10, text="building kernels", every=0.01) as advance:
-        wait_for(console, 2)
+        wait_for(console, 3)
         advance("skipped 3%", done=4)
         wait_for(console, len(lines_of(console)) + 2)
     lines = lines_of(console)
-    assert lines[0] == "0 of 10 frames: building kernels"
-    assert re.fullmatch(r"4 of 10 frames, \d+\.\d\d frames/s, \d:\d\d:\d\d left: skipped 3%", lines[-1])
+    assert lines[:2] == ["0 of 10 frames in 0:01:00: building kernels", "0 of 10 frames in 0:02:00: building kernels"]
+    assert re.fullmatch(r"4 of 10 frames in \d:\d\d:00, \d+\.\d\d frames/s, \d:\d\d:\d\d left: skipped 3%", lines[-1])
+    assert len(set(lines)) == len(lines)
     time.sleep(0.05)
     assert lines_of(console) == lines
 
