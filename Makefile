@@ -55,7 +55,7 @@ portability: $(VENV)/.test
 lowest: $(VENV)/.base
 	$(BIN)/python -m venv $(VENV)-lowest
 	$(BIN)/python tests/lowest.py > $(VENV)-lowest/requirements.txt
-	$(VENV)-lowest/bin/python -m pip install --quiet -r $(VENV)-lowest/requirements.txt pytest-xdist hatchling
+	$(VENV)-lowest/bin/python -m pip install --quiet -r $(VENV)-lowest/requirements.txt pytest-xdist hatchling scipy
 	$(VENV)-lowest/bin/python -m pip install --quiet --no-deps --editable .
 	$(VENV)-lowest/bin/python -m pytest -n 2 --dist worksteal --no-loadscope-reorder
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from stss_ground.optional import add_own_conformance
+
 if TYPE_CHECKING:
     from stss.frames import Buffers, Supersampler, open_backend, supersample
     from stss.frames import check_buffers as check
@@ -22,6 +24,8 @@ __all__ = [
     "open_sequence",
     "supersample",
 ]
+
+add_own_conformance()
 
 _HOMES = {
     "Buffers": ("stss.frames", "Buffers"),

@@ -14,10 +14,7 @@ from stss_ground.errors import InputError
 
 def installed(name: str) -> bool:
     """Whether the package ``name`` can be imported."""
-    try:
-        return importlib.util.find_spec(name) is not None
-    except ValueError:  # colour-science leaves an empty stand-in for a missing Matplotlib among the modules
-        return False
+    return importlib.util.find_spec(name) is not None
 
 
 def require(name: str, extra: str = "bench") -> Any:
@@ -30,14 +27,27 @@ def require(name: str, extra: str = "bench") -> Any:
     Raises:
         InputError: its package is not installed.
     """
-    package = name.partition(".")[0]
-    # colour-science leaves an empty stand-in for a missing Matplotlib among the modules: a module without a file is missing.
-    if package in sys.modules and getattr(sys.modules[package], "__file__", None) is None:
-        raise InputError(f"{package} is not installed: in a checkout of stss, pip install '.[{extra}]'")
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
+        package = name.partition(".")[0]
         raise InputError(f"{package} is not installed: in a checkout of stss, pip install '.[{extra}]'") from error
+
+
+def add_own_conformance() -> None:
+    """Search the folder of our ``conformance`` last.
+
+    The wheel's .pth file says the same, but Python reads such files in site folders alone, not in those of PYTHONPATH.
+    """
+    folder = str(_own_conformance())
+    if folder not in sys.path:
+        sys.path.append(folder)
+
+
+def _own_conformance() -> Path:
+    """The folder with our ``conformance``: in a wheel its own, in a checkout that of all packages."""
+    site = Path(__file__).resolve().parents[1]
+    return site / "stss_judge" if (site / "stss_judge").is_dir() else site
 
 
 def require_own_conformance() -> None:
@@ -46,8 +56,7 @@ def require_own_conformance() -> None:
     Raises:
         InputError: it finds another one, or none.
     """
-    site = Path(__file__).resolve().parents[1]
-    ours = site / "stss_judge" if (site / "stss_judge").is_dir() else site
+    ours = _own_conformance()
     spec = importlib.util.find_spec("conformance")
     places = [*(spec.submodule_search_locations or ()), spec.origin] if spec is not None else [None]
     found = places[0]

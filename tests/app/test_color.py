@@ -13,7 +13,7 @@ from stss.images.color import BLOCK, LARGEST, TRANSFERS, transfer
 from stss_ground.errors import InputError
 from stss_ref.arrays import ArrayError
 
-quick = settings(deadline=None, max_examples=50)  # the first call imports colour-science: a second
+quick = settings(deadline=None, max_examples=50)
 names = st.sampled_from(TRANSFERS)
 sizes = st.tuples(st.integers(1, 5), st.integers(1, 5), st.just(3))
 

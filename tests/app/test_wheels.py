@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+import sysconfig
 import zipfile
 from pathlib import Path
 
@@ -24,7 +25,7 @@ DATA = (
     *(f"stss_judge/conformance/suite/{path.name}" for path in (ROOT / "conformance/suite").glob("*.py")),
     "stss_judge/conformance/examples/cpp/port.cpp",
 )
-ABSENT = ("pyopencl", "cv2", "OpenImageIO", "colour", "scipy", "torch", "matplotlib", "onnx")
+ABSENT = ("pyopencl", "cv2", "OpenImageIO", "scipy", "torch", "matplotlib", "onnx")
 """What the judge alone does without."""
 START = """
 import site, sys
@@ -102,6 +103,21 @@ def test_another_package_of_the_judges_name_is_one_line(program, tmp_path):
     assert str(tmp_path / "conformance") in done.stderr
     done = python(site, tmp_path, command, "conform", path=[site / "stss_judge", tmp_path])
     assert "expected either --port" in done.stderr
+
+
+def test_a_folder_of_pythonpath_is_enough(program, tmp_path):
+    """No .pth file is read there; the self-test of a device is a process of its own, which imports the judge's table of bounds."""
+    path = os.pathsep.join([str(program[1]), sysconfig.get_paths()["purelib"]])
+    for words in (
+        ["-m", "stss", "conform", "--help"],
+        ["-c", "import stss.devices.selftest as s; print(s.ratio.__code__.co_filename)"],
+    ):
+        command = [sys.executable, "-S", *words]
+        done = subprocess.run(
+            command, cwd=tmp_path, env={**os.environ, "PYTHONPATH": path}, check=False, capture_output=True, text=True
+        )
+        assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == str(program[1] / "stss_judge/conformance/tolerance.py")
 
 
 def test_the_judge_has_the_files_of_the_program_and_needs_what_it_imports(judge):

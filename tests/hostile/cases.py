@@ -30,7 +30,6 @@ def call(*arguments, seconds=60):
     try:
         with warnings.catch_warnings(), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             warnings.simplefilter("error")
-            warnings.filterwarnings("ignore", module=r"colour\.")  # see stss.images.color
             sys.argv = ["stss", *map(os.fsdecode, map(_text, arguments))]
             main()
     except SystemExit as ended:
