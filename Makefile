@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test test-training check bench mutants alarms fuzz kills gpu offline portability lowest judge-wheel clean
+.PHONY: demo test test-training test-blender check bench mutants alarms fuzz kills gpu offline portability lowest judge-wheel clean
 
 demo: $(VENV)/.base
 	$(BIN)/stss demo demo --overwrite
@@ -14,6 +14,12 @@ test: $(VENV)/.test
 # The tests that need PyTorch, some gigabytes.
 test-training: $(VENV)/.test $(VENV)/.train
 	$(BIN)/python -m pytest -n 2 tests/training tests/app/test_onnx_export.py tests/app/test_bench.py
+
+# The extension's zip in Blender as a Python module (Python 3.11 or 3.13; 350 MB): built, installed, its button pressed.
+test-blender: $(VENV)/.test
+	$(PYTHON) -m venv $(VENV)-blender
+	$(VENV)-blender/bin/python -m pip install --quiet bpy
+	STSS_BPY_PYTHON=$(VENV)-blender/bin/python $(BIN)/python -m pytest tests/app/test_blender_extension.py
 
 check: $(VENV)/.check
 	$(BIN)/ruff check .
@@ -83,4 +89,4 @@ $(VENV)/.train $(VENV)/.bench: $(VENV)/.%: $(VENV)/.base
 	@touch $@
 
 clean:
-	rm -rf $(VENV) $(VENV)-lowest build dist demo
+	rm -rf $(VENV) $(VENV)-blender $(VENV)-lowest build dist demo

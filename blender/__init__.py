@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -56,28 +57,69 @@ class Render(bpy.types.Operator):
 
     bl_idname, bl_label = "stss.render", "Render and supersample"
 
+    def invoke(self, context: Any, event: Any) -> set[str]:
+        """The button: the status bar shows how far it is, Esc stops it; Blender draws between frames and takes no other input."""
+        del event
+        self.steps = self.work(context)
+        self.timer = context.window_manager.event_timer_add(0.01, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: Any, event: Any) -> set[str]:
+        """One step for each tick of the timer."""
+        if event.type == "ESC":
+            self.report({"WARNING"}, "stopped")
+            return self.end(context, {"CANCELLED"})
+        if event.type != "TIMER":
+            return {"RUNNING_MODAL"}
+        ended, line = self.step()
+        if ended is not None:
+            return self.end(context, ended)
+        context.workspace.status_text_set(f"{line}. Esc stops it.")
+        return {"RUNNING_MODAL"}
+
     def execute(self, context: Any) -> set[str]:
-        """Render, run stss and load the result; Blender waits until all is done."""
-        scene, chosen = context.scene, context.scene.stss
-        folder, window = Path(bpy.path.abspath(chosen.folder)), context.window_manager
-        window.progress_begin(scene.frame_start, scene.frame_end)
+        """Without a window, or called from Python: all at once."""
+        self.steps, ended, before = self.work(context), None, ""
+        while ended is None:
+            ended, line = self.step()
+            if ended is None and line != before:
+                self.report({"INFO"}, line)
+            before = line
+        return ended
+
+    def step(self) -> tuple[set[str] | None, str]:
+        """Go on; returns how the operator ended, or None and the line on how far it is."""
         try:
-            options = film.harmless(chosen.options)
-            told = film.render(scene, folder, window.progress_update)
-            out = film.supersample(folder, scene.frame_start, chosen_command(context), options)
-            image = film.load(out)
+            return None, next(self.steps)
+        except StopIteration as done:
+            self.report({"INFO"}, done.value)
+            return {"FINISHED"}, ""
         except (film.FilmError, OSError) as error:
             self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        finally:
-            window.progress_end()
+            return {"CANCELLED"}, ""
+
+    def end(self, context: Any, state: set[str]) -> set[str]:
+        """Stop what goes on, and give the status bar back."""
+        self.steps.close()
+        context.window_manager.event_timer_remove(self.timer)
+        context.workspace.status_text_set(None)
+        return state
+
+    def work(self, context: Any) -> Generator[str, None, str]:
+        """Render, run stss and load the result; yields lines on how far it is, and returns the last."""
+        scene, chosen = context.scene, context.scene.stss
+        folder, command = Path(bpy.path.abspath(chosen.folder)), chosen_command(context)
+        options = film.harmless(chosen.options)
+        told = yield from film.render(scene, folder)
+        out = yield from film.supersample(folder, scene.frame_start, command, options)
+        image = film.load(out)
         for line in told:
             self.report({"WARNING"}, line)
         for area in context.screen.areas if context.screen is not None else ():
             if area.type == "IMAGE_EDITOR":
                 area.spaces.active.image = image
-        self.report({"INFO"}, f"{out}: {scene.frame_end - scene.frame_start + 1} frames")
-        return {"FINISHED"}
+        return f"{out}: {scene.frame_end - scene.frame_start + 1} frames"
 
 
 class Panel(bpy.types.Panel):

@@ -1,94 +1,103 @@
 # SPDX-License-Identifier: MIT
-"""Build the extension, one zip with the wheels of stss and of all that it needs, for one platform.
+"""Build the extension: one zip with stss and all that ``stss run`` needs, for one platform and one Python. Needs uv (``pip install uv``).
 
 From the repository's folder::
 
-    python blender/build.py -o stss-blender.zip                                  # for this platform
-    python blender/build.py -o win.zip --platform windows-x64 --python 3.11      # for another one; needs uv
+    python blender/build.py -o stss-blender.zip                             # for this platform, Blender 4.2 to 5.0
+    python blender/build.py -o win.zip --platform windows-x64 --python 3.13
 """
 
 from __future__ import annotations
 
 import argparse
+import platform
+import shutil
 import subprocess
 import sys
 import tempfile
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 
 HERE = Path(__file__).parent
 FILES = ("__init__.py", "film.py", "passes.py")
-MANYLINUX = [f"manylinux_2_{minor}_x86_64" for minor in range(28, 4, -1)] + ["manylinux2014_x86_64", "manylinux1_x86_64"]
-MACOS = [f"macosx_{major}_0_{kind}" for major in range(14, 10, -1) for kind in ("arm64", "universal2")]
 PLATFORMS = {
-    "linux-x64": ("x86_64-manylinux_2_28", MANYLINUX),
-    "macos-arm64": ("aarch64-apple-darwin", MACOS),
-    "windows-x64": ("x86_64-pc-windows-msvc", ["win_amd64"]),
+    "linux-x64": "x86_64-manylinux_2_28",
+    "macos-arm64": "aarch64-apple-darwin",
+    "windows-x64": "x86_64-pc-windows-msvc",
 }
-"""Blender's name -> uv's, and the tags of wheels that fit, the best first."""
+"""Blender's name -> uv's."""
+PYTHONS = {"3.11": ("4.2.0", "5.1.0"), "3.13": ("5.1.0", None)}
+"""Blender's Python -> the first Blender that has it, and the first that no longer has."""
+LEFT_OUT = "opencv-python-headless"
+"""Metrics and pages need it, ``stss run`` does not."""
 
 
-def collect(folder: Path, platform: str | None, python: str) -> None:
-    """Have pip build our wheel and fetch those that it needs.
-
-    For another platform uv settles what is needed: pip would read the markers of requirements for this one.
-    """
-    pip = [sys.executable, "-m", "pip"]
-    subprocess.run([*pip, "wheel", "--quiet", "--no-deps", "-w", folder, HERE.parent], check=True)
-    ours = next(folder.glob("spacetime_supersampling-*.whl"))
-    if platform is None:
-        subprocess.run([*pip, "download", "--quiet", "--only-binary=:all:", "-d", folder, ours], check=True)
-        return
-    target, tags = PLATFORMS[platform]
-    settle = [
-        "uv",
-        "pip",
-        "compile",
-        "--quiet",
-        "--only-binary",
-        ":all:",
-        "--python-platform",
-        target,
-        "--python-version",
-        python,
-    ]
-    needed = folder / "needed.txt"
-    subprocess.run([*settle, "--no-header", "--no-annotate", "-o", needed, HERE.parent / "pyproject.toml"], check=True)
-    fitting = [word for tag in tags for word in ("--platform", tag)]
-    there = ["--only-binary=:all:", "--no-deps", "--python-version", python, *fitting]
-    subprocess.run([*pip, "download", "--quiet", *there, "-d", folder, "-r", needed], check=True)
+def this_platform() -> str:
+    """Blender's name of the platform that this runs on."""
+    system = {"darwin": "macos", "win32": "windows"}.get(sys.platform, sys.platform)
+    return f"{system}-{'arm64' if platform.machine().lower() in ('arm64', 'aarch64') else 'x64'}"
 
 
-def pack(out: Path, wheels: list[Path], platform: str | None) -> None:
-    """Write the zip: manifest, modules, wheels."""
-    manifest = (HERE / "blender_manifest.toml").read_text(encoding="utf-8")
-    named = "".join(f'  "./wheels/{wheel.name}",\n' for wheel in sorted(wheels))
-    head, table, rest = manifest.partition("[permissions]")
-    if platform is not None:
-        head += f'platforms = ["{platform}"]\n'
+def install(packages: Path, target: str, python: str) -> None:
+    """Build our wheel, and put it and what it needs into a folder: the wheels' files as they are."""
+    uv = shutil.which("uv", path=str(Path(sys.executable).parent)) or shutil.which("uv")
+    if uv is None:
+        sys.exit("build.py: uv is not installed: pip install uv")
+    with tempfile.TemporaryDirectory(prefix="stss-") as folder:
+        subprocess.run([uv, "build", "--quiet", "--wheel", "--out-dir", folder, HERE.parent], check=True)
+        left_out = Path(folder, "left_out.txt")
+        left_out.write_text(LEFT_OUT)
+        there = ["--target", packages, "--python-platform", PLATFORMS[target], "--python-version", python]
+        chosen = ["--only-binary", ":all:", "--excludes", left_out, *Path(folder).glob("*.whl")]
+        subprocess.run([uv, "pip", "install", "--quiet", "--no-config", "--link-mode", "copy", *there, *chosen], check=True)
+    for name in ("bin", "Scripts", ".lock"):  # of uv, and programs that name a Python that is not there
+        shutil.rmtree(packages / name) if (packages / name).is_dir() else (packages / name).unlink(missing_ok=True)
+
+
+def manifest(target: str, python: str) -> str:
+    """The text of the manifest with platform and versions of Blender."""
+    first, beyond = PYTHONS[python]
+    built = f'platforms = ["{target}"]\nblender_version_min = "{first}"\n'
+    if beyond is not None:
+        built += f'blender_version_max = "{beyond}"  # the first that does not fit\n'
+    head, table, rest = (HERE / "blender_manifest.toml").read_text(encoding="utf-8").partition("[permissions]")
+    return f"{head}{built}\n{table}{rest}"
+
+
+def pack(out: Path, packages: Path, text: str) -> Iterator[tuple[str, int]]:
+    """Write the zip: manifest, modules, packages. Yields each folder of ``packages`` and its bytes in the zip."""
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("blender_manifest.toml", f"{head}wheels = [\n{named}]\n\n{table}{rest}")
-        for name in FILES:
-            archive.write(HERE / name, name)
-        archive.write(HERE.parent / "LICENSE", "LICENSE")
-        for wheel in sorted(wheels):
-            archive.write(wheel, f"wheels/{wheel.name}", zipfile.ZIP_STORED)
+        archive.writestr("blender_manifest.toml", text)
+        for path in (*(HERE / name for name in FILES), HERE.parent / "LICENSE"):
+            archive.write(path, path.name)
+        for top in sorted(packages.iterdir()):
+            before = archive.fp.tell() if archive.fp else 0
+            for path in sorted(top.rglob("*")) if top.is_dir() else [top]:
+                if path.is_file():
+                    archive.write(path, f"packages/{path.relative_to(packages).as_posix()}")
+            yield top.name, (archive.fp.tell() if archive.fp else 0) - before
 
 
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description="Build the Blender extension.")
     parser.add_argument("-o", "--output", type=Path, required=True, help="the zip to write")
-    parser.add_argument("--platform", choices=PLATFORMS, help="default: this one")
-    parser.add_argument(
-        "--python", default=f"{sys.version_info[0]}.{sys.version_info[1]}", help="Blender's Python; default: this one's"
-    )
-    parser.add_argument("--wheels", type=Path, help="a folder of wheels to take, rather than ask pip")
+    parser.add_argument("--platform", choices=PLATFORMS, default=this_platform(), help="default: this one")
+    parser.add_argument("--python", choices=PYTHONS, default="3.11", help="3.11 is Blender 4.2 to 5.0, 3.13 later ones")
     given = parser.parse_args()
+    part = given.output.with_name(f".{given.output.name}.part")
     with tempfile.TemporaryDirectory(prefix="stss-") as folder:
-        if given.wheels is None:
-            collect(Path(folder), given.platform, given.python)
-        pack(given.output, list((given.wheels or Path(folder)).glob("*.whl")), given.platform)
+        print(f"packages of stss run for {given.platform}, Python {given.python}: from the package index, some 80 MB")
+        install(Path(folder), given.platform, given.python)
+        try:
+            for name, size in pack(part, Path(folder), manifest(given.platform, given.python)):
+                if size >= 1e6:
+                    print(f"{size / 1e6:6.1f} MB  {name}", flush=True)
+            part.replace(given.output)
+        finally:
+            part.unlink(missing_ok=True)
+    print(f"{given.output.stat().st_size / 1e6:6.1f} MB  {given.output}")
 
 
 if __name__ == "__main__":

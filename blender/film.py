@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: MIT
-"""Half the frames at half the size, and the G-buffer of all of them; then stss. Needs bpy; stss runs as a program of its own."""
+"""Half the frames at half the size, and the G-buffer of all of them; then stss. Needs bpy; stss runs as a program of its own.
+
+`render` and `supersample` are generators: each yields a line on how far it is, and between two of them Blender may draw and stop it.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,9 @@ import os
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+import tempfile
+from collections.abc import Generator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +27,11 @@ HARMLESS = {
     "--metallic", "--non-finite", "--precision", "--roughness", "--skip", "--transfer", "--weights",
 }  # fmt: skip
 """Options of ``stss run`` that a scene of somebody else may name, if they name no path: they read and write no further file."""
+PACKAGES = Path(__file__).parent / "packages"
+"""stss and what it needs. Not in the manifest's list of wheels: Blender itself would then take our NumPy, and other add-ons with it."""
+SUFFIXES = {".exr", ".png"}
+POLL = 0.1
+"""Seconds between two looks at the program, in which Blender does not draw."""
 MARK = "stss-film"
 """Name of the file that tells a folder of ours from others."""
 
@@ -30,11 +40,15 @@ class FilmError(RuntimeError):
     """The scene cannot be rendered or supersampled; the message is one line."""
 
 
-def render(scene: Any, folder: Path, on_frame: Callable[[int], None] = lambda number: None) -> list[str]:
+def render(scene: Any, folder: Path) -> Generator[str, None, list[str]]:
     """Write ``folder/lr/frame.NNNN.exr`` for every frame of the scene and ``folder/camera.csv``.
 
     The first frame and every second one after it have the scene's own samples; the others are rendered for their G-buffer only, and
-    their colour is not used. Afterwards the scene's settings are as before, except for passes, AOVs and object numbers.
+    their colour is not used. Between frames and afterwards the scene's settings are as before, except for passes, AOVs and object
+    numbers.
+
+    Yields:
+        A line before each frame.
 
     Returns:
         Lines for the user, see `stss.passes.set_up`.
@@ -48,14 +62,17 @@ def render(scene: Any, folder: Path, on_frame: Callable[[int], None] = lambda nu
         raise FilmError("the scene has no camera")
     take(folder)
     told = set_up(scene, scene.view_layers[0])
-    (folder / "lr").mkdir(exist_ok=True)
     numbers, here = range(scene.frame_start, scene.frame_end + 1), scene.frame_current
+    files = {number: folder / "lr" / f"frame.{number:04d}.exr" for number in numbers}
+    (folder / "lr").mkdir(exist_ok=True)
+    for old in {*(folder / "lr").glob("frame.*.exr")} - {*files.values()}:
+        old.unlink()  # of an earlier render, which was longer
     try:
         write_camera(scene, numbers, folder / "camera.csv")
-        with changed(*_small(scene)):
-            for number in numbers:
-                _frame(scene, number, folder / "lr" / f"frame.{number:04d}.exr", colour=number % 2 == numbers[0] % 2)
-                on_frame(number)
+        for number, path in files.items():
+            yield f"rendering frame {number}, {number - numbers[0] + 1} of {len(numbers)}"
+            with changed(*_small(scene)):
+                _frame(scene, number, path, colour=number % 2 == numbers[0] % 2)
     finally:
         scene.frame_set(here)
     return told
@@ -125,27 +142,56 @@ def _frame(scene: Any, number: int, path: Path, *, colour: bool) -> None:
     part.replace(path)
 
 
-def supersample(folder: Path, first: int, command: Sequence[str] = (), options: Sequence[str] = ()) -> Path:
-    """Run ``stss run`` on the frames of `render`; its output goes to ``folder/out``.
+def supersample(folder: Path, first: int, command: Sequence[str] = (), options: Sequence[str] = ()) -> Generator[str, None, Path]:
+    """Run ``stss run`` on the frames of `render`; its output goes to ``folder/out``. It ends with this generator.
 
     Args:
         folder: the folder of `render`.
         first: the first frame, which has colour.
-        command: command that starts stss; empty: the one in this extension's wheels.
+        command: command that starts stss; empty: the one in this extension.
         options: more of ``stss run``.
+
+    Yields:
+        How many frames there are, every 0.1 s.
+
+    Returns:
+        The folder of the frames.
 
     Raises:
         FilmError: with what stss said.
     """
-    rendered = "odd" if first % 2 else "even"
-    words = [*(command or (sys.executable, "-P", "-m", "stss")), "run", str(folder / "lr"), "-o", str(folder / "out")]
+    if not command and not (PACKAGES / "stss").is_dir():
+        raise FilmError(f"{PACKAGES}: no stss: install the zip that build.py writes, or name a command in the preferences")
+    out, total, rendered = folder / "out", len([*(folder / "lr").glob("frame.*.exr")]), "odd" if first % 2 else "even"
+    words = [*(command or (sys.executable, "-P", "-m", "stss")), "run", str(folder / "lr"), "-o", str(out)]
     words += ["--profile", "blender", "--camera", str(folder / "camera.csv"), "--rendered", rendered, "--overwrite", *options]
-    # The wheels of an extension lie where only this process looks for them. -P: no module beside the .blend is one of them.
-    environment = os.environ if command else {**os.environ, "PYTHONPATH": os.pathsep.join(filter(os.path.isabs, sys.path))}
-    done = subprocess.run(words, capture_output=True, text=True, env=environment, check=False)
-    if done.returncode:
-        raise FilmError((done.stderr.strip() or "stss ended without a word").splitlines()[-1])
-    return folder / "out"
+    # Its own packages before those of Blender's Python. -P: no module beside the .blend is one of them.
+    environment = os.environ if command else {**os.environ, "PYTHONPATH": str(PACKAGES)}
+    before = _times(out)
+    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as said:
+        process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=said, env=environment)
+        try:
+            while process.poll() is None:
+                done = len(_times(out).items() - before.items())
+                yield (
+                    f"stss: {done} of {total} frames"
+                    if done
+                    else "stss starts; on a new machine it builds kernels for some minutes"
+                )
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(POLL)
+        finally:
+            process.terminate()  # where the user stopped it; else it has ended
+            process.wait()
+        said.seek(0)
+        if process.returncode:
+            raise FilmError((said.read().strip() or f"stss ended with status {process.returncode}").splitlines()[-1])
+    return out
+
+
+def _times(out: Path) -> dict[Path, int]:
+    """The frames of a folder, and when they were written."""
+    return {path: path.stat().st_mtime_ns for path in out.glob("frame.*") if path.suffix in SUFFIXES}
 
 
 def load(out: Path) -> Any:
@@ -154,7 +200,7 @@ def load(out: Path) -> Any:
     Raises:
         FilmError: there are none.
     """
-    files = sorted(out.glob("frame.*.exr"))
+    files = sorted(_times(out))
     if not files:
         raise FilmError(f"{out}: no frames")
     image = bpy.data.images.load(str(files[0]), check_existing=True)

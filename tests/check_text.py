@@ -10,7 +10,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("stss_ground", "stss_ref", "stss_cl", "conformance", "stss", "stss_lab")
-FOLDERS = (*PACKAGES, "kernels", "training", "tests", "docs")
+FOLDERS = (*PACKAGES, "kernels", "training", "tests", "docs", "blender", "packaging")
 FILES = [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*")) if path.is_file()]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"] + [path for path in FILES if path.suffix == ".md"]
 SOURCES = [path for path in FILES if path.suffix in (".py", ".cl", ".clh", ".cpp", ".sh")]

@@ -1,17 +1,20 @@
-"""Run by a Python that has bpy: a small scene from nothing to supersampled frames, by the extension's own operators.
+"""Run by a Python that has bpy: the extension's zip, installed as Blender installs it; a small scene; the button.
 
-PYTHON blender_film.py EXTENSION_FOLDER OUT COMMAND
+``PYTHON blender_film.py ZIP OUT``, with ``BLENDER_USER_RESOURCES`` naming a folder of its own. Writes ``OUT/found.json``, the frames
+that Blender renders at full size, as ``OUT/truth/frame.NNNN.exr``, and what the button makes.
 """
 
-import importlib.util
 import json
 import os
-import shlex
 import sys
 import traceback
 from pathlib import Path
 
 import bpy
+import numpy
+from bl_pkg.bl_extension_cli import cli_extension_handler
+
+FRAMES = range(1, 9)
 
 
 def settings(scene):
@@ -19,24 +22,20 @@ def settings(scene):
     return render.filepath, render.resolution_percentage, render.image_settings.file_format, scene.cycles.samples
 
 
-def main():
-    place, out, command = Path(sys.argv[1]), sys.argv[2], sys.argv[3]
-    spec = importlib.util.spec_from_file_location("stss_blender", place / "__init__.py", submodule_search_locations=[str(place)])
-    extension = sys.modules["stss_blender"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(extension)
-
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+def make_scene():
+    """A monkey that crosses a plane."""
+    bpy.ops.wm.read_homefile(use_empty=True)  # of a new file: preferences, and so the extension, stay
     scene = bpy.context.scene
     bpy.ops.mesh.primitive_plane_add(size=20)
-    bpy.ops.mesh.primitive_monkey_add(size=2, location=(0, 0, 1))
+    bpy.ops.mesh.primitive_monkey_add(location=(0, 0, 1))
     monkey = bpy.context.object
     for thing, colour in ((scene.objects["Plane"], (0.2, 0.4, 0.1, 1)), (monkey, (0.8, 0.2, 0.1, 1))):
         material = bpy.data.materials.new(thing.name)
         material.use_nodes = True
         material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = colour
         thing.data.materials.append(material)
-    for number in (0, 6):
-        monkey.location.x = 0.1 * number
+    for number in (FRAMES[0], FRAMES[-1]):
+        monkey.location.x = 0.2 * number - 0.9
         monkey.keyframe_insert("location", frame=number)
     bpy.ops.object.light_add(type="SUN", rotation=(0.5, 0.3, 0))
     bpy.ops.object.camera_add(location=(0, -6, 3), rotation=(1.2, 0, 0))
@@ -44,24 +43,53 @@ def main():
     scene.render.engine = "CYCLES"
     scene.cycles.device, scene.cycles.samples, scene.cycles.use_denoising = "CPU", 4, False
     scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 96, 64, 100
-    scene.frame_start, scene.frame_end = 1, 4
-    scene.render.threads_mode, scene.render.threads = "FIXED", 1
-    before = settings(scene)
+    scene.frame_start, scene.frame_end = FRAMES[0], FRAMES[-1]
+    scene.render.threads_mode, scene.render.threads = "FIXED", 2
+    return scene, monkey
 
-    extension.register()
-    scene.stss.folder = out
-    extension.chosen_command = lambda context: shlex.split(command)
-    scene.stss.options = "--backend ref --weights bilinear"
+
+def render_truth(scene, folder):
+    kept = settings(scene)
+    image = scene.render.image_settings
+    image.file_format, scene.cycles.samples = "OPEN_EXR", 16
+    for number in FRAMES:
+        scene.frame_set(number)
+        scene.render.filepath = str(folder / f"frame.{number:04d}.exr")
+        bpy.ops.render.render(write_still=True)
+    scene.render.filepath, _, image.file_format, scene.cycles.samples = kept
+
+
+def main():
+    packed, out = Path(sys.argv[1]), Path(sys.argv[2])
+    assert not cli_extension_handler(["install-file", "--repo", "user_default", "--enable", str(packed)])
+    numpy_of_blender = numpy.__file__
+    scene, monkey = make_scene()
+    render_truth(scene, out / "truth")
+    before = settings(scene)
+    scene.stss.folder = str(out / "film")
+    scene.stss.options = "--backend ref --format png --weights bilinear"
+    (out / "film" / "lr").mkdir(parents=True)  # of an earlier film, which was longer
+    (out / "film" / "stss-film").touch()
+    (out / "film" / "lr" / "frame.0009.exr").touch()
     state = bpy.ops.stss.render()
-    image = bpy.data.images["stss"]
+    # A device's kernels take a minute to compile; the reference has the same network.
+    scene.stss.options = "--backend ref"
+    again = bpy.ops.stss.render()
+    scene.stss.options = "--cuts 99"
+    try:
+        refused = str(bpy.ops.stss.render())
+    except RuntimeError as error:
+        refused = str(error)
     found = {
-        "state": list(state),
+        "state": [*state, *again],
+        "refused": refused,
         "kept": before == settings(scene),
-        "image": image.source,
+        "image": bpy.data.images["stss"].source,
         "index": [scene.objects["Plane"].pass_index, monkey.pass_index],
+        "python": sys.path,
+        "numpy": numpy_of_blender,
     }
-    extension.unregister()
-    Path(out, "found.json").write_text(json.dumps(found))
+    (out / "found.json").write_text(json.dumps(found))
 
 
 try:

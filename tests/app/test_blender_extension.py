@@ -2,18 +2,22 @@
 
 import ast
 import importlib
+import importlib.util
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+import time
 import types
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from stss.images.read_write import read_channels, read_header
+from stss.images.read_write import read_channels, read_header, read_rgb
 from stss_ground.version import VERSION
 
 if sys.version_info >= (3, 11):
@@ -24,32 +28,33 @@ else:
 ROOT = Path(__file__).parents[2]
 
 
-def test_one_command_builds_the_extension(tmp_path):
-    (tmp_path / "wheels").mkdir()
-    for name in ("b-1-py3-none-any.whl", "a-1-py3-none-any.whl"):
-        (tmp_path / "wheels" / name).write_bytes(name.encode())
-    command = [
-        sys.executable,
-        ROOT / "blender/build.py",
-        "-o",
-        tmp_path / "x.zip",
-        "--wheels",
-        tmp_path / "wheels",
-        "--platform",
-        "windows-x64",
-    ]
-    subprocess.run(command, check=True)
+def load_build():
+    spec = importlib.util.spec_from_file_location("stss_blender_build", ROOT / "blender/build.py")
+    build = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(build)
+    return build
+
+
+@pytest.mark.parametrize(("python", "versions"), [("3.11", ("4.2.0", "5.1.0")), ("3.13", ("5.1.0", None))])
+def test_the_zip_has_its_packages_apart_from_those_of_blender(tmp_path, python, versions):
+    """A list of wheels in the manifest would put our NumPy before Blender's, for every add-on."""
+    build = load_build()
+    (tmp_path / "packages" / "a").mkdir(parents=True)
+    (tmp_path / "packages" / "a" / "b.py").write_text("")
+    (tmp_path / "packages" / "c.py").write_text("")
+    told = [*build.pack(tmp_path / "x.zip", tmp_path / "packages", build.manifest("windows-x64", python))]
+    assert [name for name, _ in told] == ["a", "c.py"]
     with zipfile.ZipFile(tmp_path / "x.zip") as archive:
         manifest = tomllib.loads(archive.read("blender_manifest.toml").decode())
         names = set(archive.namelist())
-    assert manifest["wheels"] == ["./wheels/a-1-py3-none-any.whl", "./wheels/b-1-py3-none-any.whl"]
-    assert {wheel.removeprefix("./") for wheel in manifest["wheels"]} < names
-    assert {"__init__.py", "film.py", "passes.py", "LICENSE"} < names
+    assert "wheels" not in manifest
+    assert {"__init__.py", "film.py", "passes.py", "LICENSE", "packages/a/b.py", "packages/c.py"} < names
     assert manifest["platforms"] == ["windows-x64"]
-    assert manifest["blender_version_min"] == "4.2.0"
+    assert (manifest["blender_version_min"], manifest.get("blender_version_max")) == versions
     assert manifest["version"] == VERSION
     assert manifest["permissions"].keys() == {"files"}
-    modules = {alias for name in names if name.endswith(".py") for alias in imported(ROOT / "blender" / name)}
+    assert max(map(len, [manifest["tagline"], *manifest["permissions"].values()])) <= 64  # Blender's limit
+    modules = {alias for name in names if name.endswith(".py") and "/" not in name for alias in imported(ROOT / "blender" / name)}
     assert modules <= {"bpy", *sys.stdlib_module_names}
 
 
@@ -104,9 +109,33 @@ def test_no_module_beside_the_scene_is_imported(film, tmp_path, monkeypatch):
     (tmp_path / "numpy.py").write_text("raise SystemExit('a stranger ran')")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", ["", *sys.path])
+    monkeypatch.setattr(film, "PACKAGES", ROOT)
     with pytest.raises(film.FilmError, match=r"camera\.csv|lr") as caught:
-        film.supersample(tmp_path / "film", 0)
+        for _ in film.supersample(tmp_path / "film", 0):
+            pass
     assert "stranger" not in str(caught.value)
+
+
+def test_the_program_ends_with_the_operator(film, tmp_path):
+    """Esc closes the generator."""
+    steps = film.supersample(tmp_path, 0, [sys.executable, "-c", f"""
+import pathlib, time
+pathlib.Path({str(tmp_path / "started")!r}).touch()
+time.sleep(5)
+pathlib.Path({str(tmp_path / "ended")!r}).touch()
+"""])  # fmt: skip
+    assert next(steps).startswith("stss starts")
+    while not (tmp_path / "started").exists():
+        next(steps)
+    start = time.monotonic()
+    steps.close()
+    assert time.monotonic() - start < 4
+    assert not (tmp_path / "ended").exists()
+
+
+def test_an_extension_without_packages_says_so(film, tmp_path):
+    with pytest.raises(film.FilmError, match="no stss: install the zip"):
+        next(film.supersample(tmp_path, 0))
 
 
 def test_a_folder_with_files_of_others_is_not_rendered_to(film, tmp_path):
@@ -117,32 +146,78 @@ def test_a_folder_with_files_of_others_is_not_rendered_to(film, tmp_path):
         film.take(tmp_path)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def bpy_python():
-    """A Python that has bpy: ``$STSS_BPY_PYTHON``, or this one."""
+    """A Python that has bpy: ``$STSS_BPY_PYTHON``, or this one; and its version, as 3.11."""
     named = os.environ.get("STSS_BPY_PYTHON", sys.executable)
-    asked = [named, "-c", "import importlib.util, sys; sys.exit(importlib.util.find_spec('bpy') is None)"]
-    if shutil.which(named) is None or subprocess.run(asked, check=False).returncode:
-        pytest.skip("no bpy: name a Python that has it in $STSS_BPY_PYTHON (pip install bpy==4.5.*)")
-    return named
+    asked = "import importlib.util, sys; print(*sys.version_info[:2], sep='.'); sys.exit(importlib.util.find_spec('bpy') is None)"
+    done = subprocess.run([named, "-c", asked], capture_output=True, text=True, check=False) if shutil.which(named) else None
+    if done is None or done.returncode:
+        pytest.skip("no bpy: make test-blender installs it")
+    return named, done.stdout.strip()
 
 
-def test_a_scene_becomes_supersampled_frames_without_a_hand_on_it(bpy_python, tmp_path):
-    command = f"{sys.executable} -m stss"
-    words = [bpy_python, ROOT / "tests/app/blender_film.py", ROOT / "blender", tmp_path / "film", command]
-    done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=300)
-    assert (tmp_path / "film" / "found.json").exists(), done.stdout[-2000:] + done.stderr[-2000:]
-    found = json.loads((tmp_path / "film" / "found.json").read_text())
-    assert found["state"] == ["FINISHED"]
+@pytest.fixture(scope="module")
+def packed(bpy_python, tmp_path_factory):
+    """The zip, built as the page says."""
+    out = tmp_path_factory.mktemp("built") / "stss-blender.zip"
+    command = [sys.executable, "blender/build.py", "-o", out, "--python", bpy_python[1]]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert re.search(r"^ *\d+\.\d MB  pyopencl$", done.stdout, re.M)
+    return out
+
+
+def test_blender_takes_the_manifest_and_the_licences_go_together(bpy_python, packed):
+    """By the program behind ``blender --command extension validate``; add-ons are under the GPL 3, with which these licences go."""
+    find = "import importlib.util, pathlib; print(pathlib.Path(importlib.util.find_spec('bpy').origin).parent)"
+    home = Path(subprocess.run([bpy_python[0], "-c", find], capture_output=True, text=True, check=True).stdout.strip())
+    program, tags = next(home.glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py")), next(home.rglob("extensions/tags.py"))
+    done = subprocess.run(
+        [bpy_python[0], program, "validate", "--valid-tags", tags, packed], capture_output=True, text=True, check=False
+    )
+    assert "Success" in done.stdout, done.stdout + done.stderr
+    with zipfile.ZipFile(packed) as archive:
+        every = [name for name in archive.namelist() if re.fullmatch(r"packages/[^/]+\.dist-info/METADATA", name)]
+        texts = [archive.read(name).decode().partition("\n\n")[0] for name in every]
+    assert len(texts) > 10
+    for text in texts:
+        if text.splitlines()[1] == "Name: pocl-binary-distribution":
+            continue  # names none; the texts of PoCL (MIT), LLVM (Apache) and hwloc (BSD) lie beside its libraries
+        named = [line for line in text.splitlines() if line.startswith(("License", "Classifier: License"))]
+        assert re.search(r"MIT|BSD|Apache|PSF", " ".join(named)), text
+    assert not re.search("opencv|scipy|torch", " ".join(every))
+
+
+def test_a_scene_becomes_supersampled_frames_without_a_hand_on_it(bpy_python, packed, tmp_path):
+    """The zip is installed as Blender installs it, and the operator of the button called."""
+    words = [bpy_python[0], ROOT / "tests/app/blender_film.py", packed, tmp_path]
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    environment["BLENDER_USER_RESOURCES"] = str(tmp_path / "blender")
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False, timeout=300)
+    assert (tmp_path / "found.json").exists(), done.stdout[-2000:] + done.stderr[-2000:]
+    assert "stss: 8 of 8 frames" in done.stdout
+    found = json.loads((tmp_path / "found.json").read_text())
+    assert found["state"] == ["FINISHED"] * 2
+    assert "--cuts 99: expected frames of" in found["refused"]
     assert found["kept"], "settings of the scene were changed for good"
     assert found["image"] == "SEQUENCE"
     assert found["index"][0] == 0 < found["index"][1]
-    for number in range(1, 5):
-        header = read_header(tmp_path / "film" / "lr" / f"frame.{number:04d}.exr")
+    assert not [place for place in [*found["python"], found["numpy"]] if str(tmp_path) in place and "packages" in place]
+    film = tmp_path / "film"
+    assert len((film / "camera.csv").read_text().splitlines()) == 9
+    names = [f"frame.{number:04d}.exr" for number in range(1, 9)]
+    assert sorted(path.name for path in film.glob("*/frame*")) == sorted(names * 2)
+    for number, name in enumerate(names, 1):
+        header = read_header(film / "lr" / name)
         assert header.size == (32, 48)
-        red = [name for name in header.channels if name.endswith(".basecolor.R")]
+        red = [channel for channel in header.channels if channel.endswith(".basecolor.R")]
         assert float(read_channels(header.path, red)[red[0]].max()) > 0.5  # the monkey's
-        out = read_header(tmp_path / "film" / "out" / f"frame.{number:04d}.exr")
+        out = read_header(film / "out" / name)
         assert out.size == (64, 96)
         assert out.attributes["stss:kind"] == ("SF" if number % 2 else "EF")
-    assert len((tmp_path / "film" / "camera.csv").read_text().splitlines()) == 5
+    made, truth = ([read_rgb(folder / name) for name in names] for folder in (film / "out", tmp_path / "truth"))
+    for at in range(2, 7):  # the monkey moves 3 pixels a frame: each frame is nearest to its own truth
+        errors = [float(np.square(made[at] - truth[other]).mean()) for other in (at - 1, at, at + 1)]
+        assert np.isfinite(made[at]).all()
+        assert errors[1] < 0.7 * min(errors[0], errors[2]), errors

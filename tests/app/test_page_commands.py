@@ -19,7 +19,7 @@ from stss.weights.file import SHIPPED
 from tests.hostile.cases import call
 
 ROOT = Path(__file__).parents[2]
-PAGES = [path for path in sorted(ROOT.rglob("*.md")) if not {".venv", ".venv-lowest", "node_modules"} & {*path.parts}]
+PAGES = [path for path in sorted(ROOT.rglob("*.md")) if not {".venv", ".venv-blender", ".venv-lowest", "node_modules"} & {*path.parts}]
 BLOCK = re.compile(r"^( *)```(?:sh|bash)\n(.*?)^ *```", re.M | re.S)
 CELL = re.compile(r"`(stss [a-z][^`]*)`")
 NOT_RUN = {
@@ -28,7 +28,8 @@ NOT_RUN = {
     r"\. \.venv/bin/activate": "for the shell of the reader",
     r"python (-m training|training/)|[TU]=|\$[TU] |for |done$|case |name=": "hours, and PyTorch; tests/training runs the programs",
     r"python (measure_saving|render)\.py": "Blender, and an older commit",
-    r"python blender/build.py": "fetches wheels; tests/app/test_blender_extension.py packs some",
+    r"blender --(command|background)": "Blender's program; tests/app/test_blender_extension.py does the same in bpy",
+    r"python blender/build.py": "fetches packages; tests/app/test_blender_extension.py runs it where bpy is",
     r"python examples/webgpu/page.py": "tests/app/test_webgpu_page.py runs it",
     r"stss conform ": "a port of the reader's; tests/app/test_port.py and test_examples.py run some",
     r"stss run .* --cluster tcp:": "a cluster; tests/app/test_cluster.py makes one",
