@@ -51,7 +51,7 @@ def render(scene: Any, folder: Path) -> Generator[str, None, list[str]]:
         A line before each frame.
 
     Returns:
-        Lines for the user, see `stss.passes.set_up`.
+        Lines for the user, see `passes.set_up`.
 
     Raises:
         FilmError: the engine is not Cycles, the scene has no camera, or the folder is somebody else's.
