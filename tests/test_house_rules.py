@@ -24,7 +24,7 @@ MAY_IMPORT = {
 
 FLOORS = {
     "stss": "__main__ > cli > demo > quality cluster > check_sequence run > port sequence > frames > pages > images weights devices",
-    "stss_lab": "command_bench command_methods command_stress command_tune > bench methods > stress tune baselines",
+    "stss_lab": "commands > command_bench command_methods command_stress command_tune > bench methods > stress tune baselines",
     "conformance": "command > report > suite > explain > judging reference_port > answers mistakes cases > protocol scenes tolerance",
     "stss_cl": "skip > frame > network image_space > device liveness",
     "stss_ground": "guard commands > optional option_kinds output pages progress toml_table > machine > "
@@ -89,3 +89,11 @@ def test_no_large_file_is_kept():
     if found.returncode:
         pytest.skip("not a checkout of git")
     assert not [name for name in filter(None, found.stdout.split("\0")) if (ROOT / name).stat().st_size > 3e6]
+
+
+def test_no_package_names_one_above_it():
+    """Not in a string either: commands of `stss_lab` arrive by an entry point, and a wheel without it works."""
+    for package, above in (("stss", "stss_lab"), ("stss_cl", "stss_lab"), ("conformance", "stss_cl"), ("stss_ref", "stss_cl")):
+        for path in (ROOT / package).rglob("*.py"):
+            words = [node.value for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Constant)]
+            assert not [word for word in words if isinstance(word, str) and word.startswith(f"{above}.")], path

@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
+from importlib.metadata import entry_points
+from importlib.util import find_spec
 
 import click
 
 from stss_cl.device.caches import private
-from stss_ground.commands import Commands
+from stss_ground.commands import Commands, Sections
 from stss_ground.errors import DeviceError
 from stss_ground.guard import run_guarded
 from stss_ground.optional import installed
@@ -17,7 +19,7 @@ from stss_ground.version import VERSION
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import WeightsError
 
-SECTIONS = {
+SECTIONS: Sections = {
     "Use": {
         "check": ("stss.cli.check:check", "Say what a sequence holds and whether it can be run."),
         "run": ("stss.cli.run:run", "Make a sequence twice as large and twice as fast."),
@@ -27,27 +29,35 @@ SECTIONS = {
     },
     "Compare": {
         "compare": ("stss.cli.evaluate:compare_command", "Compare frames with their truth."),
-        "methods": ("stss_lab.command_methods:methods_command", "Compare the network with other methods."),
     },
     "Devices": {
         "devices": ("stss.cli.devices:devices", "List the OpenCL devices, and whether they are right."),
-        "tune": ("stss_lab.command_tune:tune", "Find the fastest tile sizes for a device."),
     },
     "Ports": {
         "conform": ("conformance.command:conform", "Judge a port."),
         "port": ("stss.cli.port:port", "Answer a folder of cases with a backend of ours."),
-        "export": ("stss_lab.command_bench:export", "Write the network as ONNX."),
-    },
-    "Measure": {
-        "bench": ("stss_lab.command_bench:bench_command", "Time the network beside other engines."),
-        "stress": ("stss_lab.command_stress:stress_command", "Measure errors on hard inputs."),
-        "gpu-report": ("stss_lab.command_bench:gpu_report_command", "Test, judge and time this machine's GPU."),
     },
 }
-"""Section of ``stss --help`` -> command -> where it is, what it does."""
+"""Section of ``stss --help`` -> command -> its place, and what it does."""
+ENTRY_POINTS = "stss.commands"
+"""Group of entry points by which other packages add commands; each names a table like `SECTIONS`."""
 
 
-@click.group(cls=Commands, sections=SECTIONS, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120})
+def list_sections() -> Sections:
+    """List the commands of this package and, in the same sections, those that installed packages add."""
+    sections = {heading: dict(commands) for heading, commands in SECTIONS.items()}
+    for entry in entry_points(group=ENTRY_POINTS):
+        if find_spec(entry.module.partition(".")[0]) is None:
+            continue  # a wheel that was built without its laboratory
+        for heading, commands in entry.load().items():
+            own = sections.setdefault(heading, {})
+            own |= {name: place for name, place in commands.items() if name not in own}
+    return sections
+
+
+@click.group(
+    cls=Commands, sections=list_sections(), context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120}
+)
 @click.version_option(VERSION, prog_name="stss")
 def stss() -> None:
     """Space-time supersampling: frames in, twice the resolution and twice the frame rate out."""
