@@ -24,8 +24,8 @@ from conformance.protocol.job_folder import (
     write_outputs,
     write_unsupported,
 )
-from conformance.protocol.layers import reference_layers
 from conformance.protocol.port import Arrays, Outputs
+from conformance.protocol.reference_copy import reference_layers
 from conformance.protocol.served import DONE, READY
 from conformance.protocol.stages import STAGES, reference
 from stss_ground.errors import DeviceError, InputError

@@ -6,7 +6,6 @@ from __future__ import annotations
 import numpy as np
 
 from stss_ref.arrays import Array, ArrayError, Image
-from stss_ref.watch import activation, layer
 from stss_ref.weights import Tensors
 
 
@@ -63,19 +62,16 @@ def sigmoid(x: Array) -> Array:
     return np.where(x >= 0, 1, small) / (1 + small)
 
 
-@activation
 def relu(x: Array) -> Array:
     """``max(x, 0)``."""
     return np.maximum(x, 0)
 
 
-@layer
 def conv_named(x: Image, weights: Tensors, name: str, stride: int = 1) -> Image:
     """``conv`` with the tensors ``name.weight`` and ``name.bias``."""
     return conv(x, weights[f"{name}.weight"], weights[f"{name}.bias"], stride)
 
 
-@layer
 def gated(x: Image, weights: Tensors, name: str, stride: int = 1) -> Image:
     """Gated convolution ``G``: ``conv(x) sigmoid(gate(x))``, where the gate is a convolution to one channel.
 

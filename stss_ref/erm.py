@@ -10,7 +10,6 @@ import numpy as np
 from stss_ref.arrays import Image, Plane, require_shape
 from stss_ref.conv import conv_chain, surround_with_zeros
 from stss_ref.resample import downsample_8
-from stss_ref.watch import part
 from stss_ref.weights import Tensors
 
 WINDOW = 5
@@ -19,7 +18,6 @@ LEAST_LENGTH, LEAST_SUM = 1e-12, 1e-6
 """Least length of a key, and least sum of weights, that is divided by (spec 8)."""
 
 
-@part("reshaded")
 def erm(x4: Image, gbuffer: Image, mask: Plane, weights: Tensors) -> Image:
     """Reshade each place with the light of its neighbours, weighted by how alike their materials are.
 

@@ -16,7 +16,6 @@ from stss_ref.motion_chain import Gather, chain_steps
 from stss_ref.network import network
 from stss_ref.occlusion_warp import occlusion_warp
 from stss_ref.warp import warp
-from stss_ref.watch import part
 from stss_ref.weights import SecondColor, Weights
 
 
@@ -76,7 +75,6 @@ def frame(inputs: FrameInputs, weights: Weights, gather: Gather = "longest") -> 
     return image, prepared.mask.astype(bool)
 
 
-@part("color", "mask", "history")
 def prepare(
     inputs: FrameInputs, gather: Gather = "longest", second: SecondColor = "newest", test: HoleTest = "footprint"
 ) -> NetworkInputs:

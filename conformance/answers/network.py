@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from conformance.answers.expected import Expected
 from conformance.answers.port_arithmetic import Arithmetic
-from conformance.protocol.layers import reference_layers
 from conformance.protocol.port import Arrays, Outputs
+from conformance.protocol.reference_copy import reference_layers
 from conformance.protocol.stages import STAGES, check_inputs
 from conformance.tolerance import BOUNDS, UNIT
 from stss_ref.weights import Tensors, Weights, astype

@@ -9,10 +9,10 @@ import numpy as np
 
 from conformance.protocol.array_specs import ArraySpec, Label, array_spec, check_shapes
 from conformance.protocol.port import Arrays, Outputs
-from conformance.protocol.stages import check_inputs, reference
+from conformance.protocol.stages import check_inputs
+from conformance.protocol.watch import Seen
 from stss_ref.arrays import ArrayError
-from stss_ref.watch import Seen, watched
-from stss_ref.weights import LAYERS, SOURCES, Layer, Weights
+from stss_ref.weights import LAYERS, SOURCES, Layer
 
 _GIVEN = {"color": "H W 6", "mask": "H W", "history": "3 H W 4"}
 """What stage ``frame`` makes for the network; not yet padded."""
@@ -43,13 +43,6 @@ LAYERS_OF: Mapping[str, Mapping[str, ArraySpec]] = {
     "frame": {**{name: array_spec(text) for name, text in _GIVEN.items()}, **_WHOLE},
 }
 """Of each stage that has any, in the order of computation: names and shapes. Each as the next layer reads it: behind gate and ReLU."""
-
-
-def reference_layers(stage: str, inputs: Arrays, weights: Weights) -> Outputs:
-    """What the reference computes in the layers of ``stage``, in the dtype of the inputs; errors as `reference`."""
-    with watched() as seen:
-        reference(stage, inputs, weights)
-    return choose(stage, seen)
 
 
 def choose(stage: str, seen: Seen) -> Outputs:

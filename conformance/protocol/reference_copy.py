@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial, update_wrapper
+from functools import cache, partial, update_wrapper
 from importlib.util import find_spec, module_from_spec
 from inspect import signature
 from typing import Any
@@ -21,6 +21,7 @@ import numpy as np
 from conformance.protocol.layers import choose
 from conformance.protocol.port import AnyArray, Arrays, Outputs
 from conformance.protocol.stages import STAGES
+from conformance.protocol.watch import Watch
 from stss_ref.weights import Weights
 
 SHARED = ("stss_ref.arrays", "stss_ref.weights")
@@ -67,6 +68,12 @@ class Copy:
         for module in self._modules.values() if defined else (self._modules[word],):
             if vars(module).get(attribute) is old:
                 setattr(module, attribute, value)
+
+    def wrap_all(self, attribute: str, around: Callable[[Callable[..., Any]], Callable[..., Any]]) -> None:
+        """Put ``around(function)`` in the place of the function ``attribute`` of every module that has one."""
+        for module in self._modules.values():
+            if callable(function := vars(module).get(attribute)):
+                setattr(module, attribute, around(function))
 
 
 Plant = Callable[[Copy], None]
@@ -179,7 +186,7 @@ class Variant:
         self.winograd = winograd
         self._entry = entry
         self._reference = copy.get("stages.reference")
-        self._watched = copy.get("watch.watched")
+        self._watch = Watch(copy)
 
     def __repr__(self) -> str:
         return f"Variant({self.name!r})"
@@ -198,7 +205,7 @@ class Variant:
 
     def layers(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
         """Activations of the stage's layers, see `conformance.protocol.layers`."""
-        with self._watched() as seen:
+        with self._watch.open() as seen:
             self.run(stage, inputs, weights)
         return choose(stage, seen)
 
@@ -209,6 +216,16 @@ def load(name: str, *plants: Plant, **port: Any) -> Variant:
     for plant in plants:
         plant(copy)
     return Variant(name, copy, **port)
+
+
+@cache
+def _reference() -> Variant:
+    return load("ref")
+
+
+def reference_layers(stage: str, inputs: Arrays, weights: Weights) -> Outputs:
+    """The layers of ``stage`` as the reference computes them, in the dtype of the inputs; errors as `stages.reference`."""
+    return _reference().layers(stage, inputs, weights)
 
 
 def half(x: AnyArray) -> AnyArray:

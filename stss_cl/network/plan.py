@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""The network's steps in order and the buffers between them, from the table of layers; no device is needed."""
+"""The network's steps in order and the buffers between them, from its graph; no device is needed."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby, product
 
 from stss_cl.device.grid import ceil8
+from stss_cl.graph import UPSAMPLED, Attention, Convolution, Node, Upsampling, nodes
 from stss_ref.weights import ATTENTION, BY_NAME, LAYERS, SOURCES, Layer
 
 FEATURES = {"conv2": "x1", "down1.conv2": "x2", "down2.conv2": "x3", "down3.conv2": "x4", "reshaded": "reshaded"}
@@ -31,7 +33,8 @@ class Slot:
 class Conv:
     """A convolution of ``inputs`` side by side into the channels from ``first`` on of ``out``.
 
-    ``image``: which of the history's images is read; None: all of them in one launch.
+    ``inputs``: slots, and how many channels of each are real. ``image``: which of the history's images is read; None: all of them in one
+    launch.
     """
 
     layer: Layer
@@ -64,7 +67,7 @@ Step = Conv | Upsample | Attend
 
 @dataclass(frozen=True)
 class Plan:
-    """What runs.
+    """The steps of a network and their buffers.
 
     Attributes:
         slots: all buffers; the first three are the network's input, its history and its input at an eighth.
@@ -95,114 +98,139 @@ def plan(
         local: the attention is one kernel.
         together: the history's images are computed in one launch for each layer.
     """
-    return _Planner(layers, once, keep, fused, local, together).plan()
+    fused = fused and LAST in layers
+    left_out = {LAYERS[-1].name, LAST} if fused else {LAYERS[-1].name}
+    order = [(node, image) for node, image in _order(layers, together) if node.name not in left_out]
+    last = BY_NAME[LAST].reads[0] if fused else LAST
+    shown = last if last in layers else "input"
+    buffers = _Buffers(layers, {*FEATURES, "history", "gbuffer", shown}, once, keep)
+    steps: list[Step] = []
+    before: list[Step] = []
+    for (node, image), last_read in zip(order, _last_reads(order), strict=True):
+        computed = node.name.removesuffix(UPSAMPLED)
+        (before if computed in once else steps).append(_step(buffers, node, image, local))
+        buffers.free(last_read)
+    features = {FEATURES[name]: buffers[name] for name in FEATURES if name in buffers}
+    return Plan(tuple(buffers.slots), tuple(steps), tuple(before), features, buffers[shown], fused)
 
 
-class _Planner:
-    def __init__(self, layers: Mapping[str, Layer], once: Collection[str], keep: bool, fused: bool, local: bool, together: bool):
-        self._layers, self._once_of, self._keep, self._fused, self._local = layers, once, keep, fused, local
-        self._together = together
-        self._slots: list[Slot] = []
-        self._scratch: list[Slot] = []
-        self._steps: list[Step] = []
-        self._once: list[Step] = []
-        self._joined: dict[tuple[str, ...], Slot] = {}
-        # Where results lie: a buffer, and the first channel there.
-        self._results: dict[str, tuple[Slot, int]] = {
+def _order(layers: Mapping[str, Layer], together: bool) -> Iterator[tuple[Node, int | None]]:
+    """Nodes in the order of computation, with the history's image: its branch runs for one image after the other, or for all at once."""
+    for repeats, branch in groupby(nodes(layers), lambda node: node.layer.repeats if isinstance(node, Convolution) else 1):
+        images = (0,) if repeats == 1 else (None,) if together else range(repeats)
+        yield from product(tuple(branch), images) if repeats == 1 else ((n, i) for i, n in product(images, tuple(branch)))
+
+
+def _last_reads(order: Sequence[tuple[Node, int | None]]) -> list[set[str]]:
+    """For each node the names that nothing reads behind it, before they are computed anew."""
+    live: set[str] = set()
+    last: list[set[str]] = []
+    for node, _ in reversed(order):
+        live.discard(node.name)
+        last.append({*node.reads} - live)
+        live |= {*node.reads}
+    return last[::-1]
+
+
+def _step(buffers: _Buffers, node: Node, image: int | None, local: bool) -> Step:
+    if isinstance(node, Attention):
+        value, key = (buffers[name] for name in node.reads)
+        unit = None if local else buffers.take(key.divisor, key.channels)
+        out, _ = buffers.place(node.name, 8, buffers.channels(node.name))
+        if unit is not None:
+            buffers.give_back(unit)
+        return Attend(key, value, unit, out)
+    if isinstance(node, Upsampling):
+        source = buffers[node.reads[0]]
+        return Upsample(source, buffers.place(node.name, source.divisor // 2, source.channels)[0])
+    layer, images = node.layer, 3 if image is None else 1
+    inputs = buffers.inputs(node, images)
+    out, first = buffers.place(node.name, layer.divisor, layer.outputs, images)
+    if node.name in JOINED[1]:
+        first = layer.outputs * (image or 0)
+    return Conv(layer, inputs, out, first, image if "history" in layer.reads or image is None else 0)
+
+
+class _Buffers:
+    """The slots of results, taken anew when nobody reads them any more.
+
+    Args:
+        layers: those that run.
+        stay: names of results whose slot is not taken anew behind them.
+        once: names of results whose slot no other has.
+        keep: no slot is taken anew.
+
+    Attributes:
+        slots: all of them.
+    """
+
+    def __init__(self, layers: Mapping[str, Layer], stay: Collection[str], once: Collection[str], keep: bool):
+        self.slots: list[Slot] = []
+        self._layers, self._stay, self._once, self._keep = layers, stay, once, keep
+        self._free: list[Slot] = []
+        # Where results lie: a slot, and the first channel there.
+        self._results = {
             name: (self._new(*size), 0) for name, size in (("input", (1, 24)), ("history", (1, 4, 3)), ("gbuffer", (8, 16)))
         }
-        if not keep:
-            self._scratch.append(self._results["input"][0])  # done with after the first layer
 
-    def plan(self) -> Plan:
-        *before, _ = self._layers.values()
-        history = [layer for layer in before if layer.repeats > 1]
-        for layer in before:
-            if layer.repeats > 1:
-                if layer is history[0]:
-                    self._history(history)
-                continue
-            if self._fused and layer.name == LAST:
-                continue
-            if "reshaded" in layer.reads:
-                self._attend()
-            self._add(layer)
-        features = {FEATURES[name]: self._results[name][0] for name in FEATURES if name in self._results}
-        fused = self._fused and LAST in self._layers
-        shown = self._results.get(BY_NAME[LAST].reads[0] if fused else LAST, self._results["input"])[0]
-        return Plan(tuple(self._slots), tuple(self._steps), tuple(self._once), features, shown, fused)
+    def __contains__(self, name: str) -> bool:
+        return name in self._results
 
-    def _history(self, branch: Sequence[Layer]) -> None:
-        """The layers that run for each of the three images: an image after the other, or each for all of them."""
-        for image in (None,) if self._together else range(3):
-            for layer in branch:
-                self._results.pop(layer.name, None)
-                self._add(layer, image)
+    def __getitem__(self, name: str) -> Slot:
+        return self._results[name][0]
 
-    def _attend(self) -> None:
-        value, key = (self._results[name][0] for name in ATTENTION)
-        unit = None if self._local else self._take(key.divisor, key.channels, avoid=(key,))
-        self._steps.append(Attend(key, value, unit, self._output("reshaded", 8, self._channels("reshaded"))[0]))
-
-    def _add(self, layer: Layer, image: int | None = 0) -> None:
-        images = 3 if image is None else 1
-        inputs = self._inputs(layer, images)
-        out, first = self._output(layer.name, layer.divisor, layer.outputs, images, [slot for slot, _ in inputs])
-        if layer.name == "convHis3.4":
-            first = layer.outputs * (image or 0)
-        if "history" not in layer.reads and image is not None:
-            image = 0
-        self._steps_with(layer).append(Conv(layer, tuple(inputs), out, first, image))
-
-    def _steps_with(self, layer: Layer) -> list[Step]:
-        return self._once if layer.name in self._once_of else self._steps
-
-    def _inputs(self, layer: Layer, images: int) -> list[tuple[Slot, int]]:
-        """The buffers that a layer reads, and how many channels of each are real; what is too small is upsampled before."""
-        inputs: dict[Slot, int] = {}
-        for name in layer.reads:
-            slot = self._results[name][0]
-            inputs[slot] = inputs.get(slot, 0) + self._channels(name, layer.repeats)
-        for small in [slot for slot in inputs if slot.divisor > layer.divisor]:
-            larger = self._take(layer.divisor, small.channels, avoid=tuple(inputs))
-            self._steps_with(layer).append(Upsample(small, larger))
-            inputs = {larger if slot is small else slot: channels for slot, channels in inputs.items()}
-        # A layer that reads nothing still needs a buffer, for kernels of 0: its values are finite.
-        return list(inputs.items()) or [(self._take(layer.divisor // layer.stride, 8, images), 0)]
-
-    def _channels(self, name: str, repeats: int = 1) -> int:
-        """Channels of what is read by a layer that runs ``repeats`` times; 0: it never runs."""
+    def channels(self, name: str, repeats: int = 1) -> int:
+        """Channels of a result that is read by a layer that runs ``repeats`` times; 0: it is not computed."""
         if name in SOURCES and name != "reshaded":
             return SOURCES[name]
         source = self._layers.get(ATTENTION[0] if name == "reshaded" else name)
         return 0 if source is None else source.outputs * (source.repeats // repeats)
 
-    def _output(self, name: str, divisor: int, channels: int, images: int = 1, avoid: Sequence[Slot] = ()) -> tuple[Slot, int]:
-        """Where a result goes."""
-        if name in self._results:
-            return self._results[name]
+    def inputs(self, node: Convolution, images: int) -> tuple[tuple[Slot, int], ...]:
+        """The slots that a layer reads, and how many channels of each are real."""
+        inputs: dict[Slot, int] = {}
+        for name in node.layer.reads:
+            read = name if name in node.reads else node.name + UPSAMPLED
+            inputs[self[read]] = inputs.get(self[read], 0) + self.channels(name, node.layer.repeats)
+        if inputs:
+            return tuple(inputs.items())
+        # A layer that reads nothing still needs a buffer, for kernels of 0: its values are finite.
+        unread = self.take(node.layer.divisor // node.layer.stride, 8, images)
+        self.give_back(unread)
+        return ((unread, 0),)
+
+    def place(self, name: str, divisor: int, channels: int, images: int = 1) -> tuple[Slot, int]:
+        """The slot of a result, and its first channel there."""
         together = next((names for names in JOINED if name in names), ())
+        sizes = [self.channels(each, BY_NAME[each].repeats if each in BY_NAME else 1) for each in together]
+        held = next((self._results[each][0] for each in together if each in self._results), None)
         if together:
-            sizes = [self._channels(each, BY_NAME[each].repeats if each in BY_NAME else 1) for each in together]
-            if together not in self._joined:
-                self._joined[together] = self._new(8, sum(sizes))
-            self._results[name] = self._joined[together], sum(sizes[: together.index(name)])
-        elif name in FEATURES or name in ATTENTION or name in self._once_of:
-            self._results[name] = self._new(divisor, ceil8(channels), images), 0
+            slot = held or self._new(8, sum(sizes))
+            self._results[name] = slot, sum(sizes[: together.index(name)])
         else:
-            self._results[name] = self._take(divisor, ceil8(channels), images, avoid), 0
+            size = divisor, ceil8(channels), images
+            self._results[name] = (self._new(*size) if name in self._once else self.take(*size)), 0
         return self._results[name]
 
-    def _take(self, divisor: int, channels: int, images: int = 1, avoid: Sequence[Slot] = ()) -> Slot:
-        """A buffer for short use: the first of this size that is not to be avoided, or a new one each time if all are kept."""
-        for slot in self._scratch:
-            if (slot.divisor, slot.channels, slot.images) == (divisor, channels, images) and slot not in avoid:
+    def free(self, names: Collection[str]) -> None:
+        """Give back the slots of results that nothing reads any more."""
+        joined = {each for names in JOINED for each in names}
+        for name in sorted({*names} - {*self._stay, *self._once} - joined):
+            self.give_back(self._results.pop(name)[0])
+
+    def take(self, divisor: int, channels: int, images: int = 1) -> Slot:
+        """A slot that nobody reads, or a new one."""
+        for slot in self._free:
+            if (slot.divisor, slot.channels, slot.images) == (divisor, channels, images):
+                self._free.remove(slot)
                 return slot
-        made = self._new(divisor, channels, images)
+        return self._new(divisor, channels, images)
+
+    def give_back(self, slot: Slot) -> None:
+        """Let others take the slot."""
         if not self._keep:
-            self._scratch.append(made)
-        return made
+            self._free.append(slot)
 
     def _new(self, divisor: int, channels: int, images: int = 1) -> Slot:
-        self._slots.append(Slot(len(self._slots), divisor, channels, images))
-        return self._slots[-1]
+        self.slots.append(Slot(len(self.slots), divisor, channels, images))
+        return self.slots[-1]

@@ -13,7 +13,8 @@ from conformance.judging.judge import Judge, Tier, agreement
 from conformance.mistakes import find
 from conformance.protocol import FolderPort, PortError
 from conformance.protocol.job_folder import JobError, read_layers, write_job
-from conformance.protocol.layers import LAYERS_OF, reference_layers
+from conformance.protocol.layers import LAYERS_OF
+from conformance.protocol.reference_copy import reference_layers
 from conformance.suite.run_suite import run_suite
 from stss.port import ReferencePort, run_job
 from stss_ref.weights import LAYERS
