@@ -12,11 +12,6 @@ from typing import Any
 from stss_ground.errors import InputError
 
 
-def installed(name: str) -> bool:
-    """Whether the package ``name`` can be imported."""
-    return importlib.util.find_spec(name) is not None
-
-
 def require(name: str, extra: str = "bench") -> Any:
     """Import the module ``name``; untyped, since these packages have no types or need not be installed.
 

@@ -3,18 +3,13 @@
 
 from __future__ import annotations
 
-import os
-from contextlib import suppress
 from importlib.metadata import entry_points
 from importlib.util import find_spec
 
 import click
 
-from stss_cl.device.caches import private
 from stss_ground.commands import Commands, Sections
-from stss_ground.errors import DeviceError
 from stss_ground.guard import run_guarded
-from stss_ground.optional import installed
 from stss_ground.version import VERSION
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import WeightsError
@@ -65,9 +60,4 @@ def stss() -> None:
 
 def main() -> None:
     """Run the command; a mistake of the user is one line on standard error and status 2."""
-    if installed("matplotlib"):
-        # For Matplotlib, which colour-science imports and which else stores files beside other programs'. A failure here must not
-        # stop a command that needs no device.
-        with suppress(DeviceError):
-            os.environ.setdefault("MPLCONFIGDIR", str(private("matplotlib")))
     run_guarded(stss, ArrayError, WeightsError)

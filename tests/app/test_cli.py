@@ -4,17 +4,14 @@ import json
 import shutil
 import subprocess
 import sys
-import types
 
 import numpy as np
 import pytest
 
-from stss.cli.main import main
 from stss.demo import demo_path, write_demo_sequence
 from stss.images.color import transfer
 from stss.images.read_write import read_header, read_rgb
 from stss.run.skip_report import Cost, describe_costs
-from stss_ground.optional import installed
 from tests.app.conftest import PLAIN, files, frames_of
 from tests.hostile.cases import call, refused
 
@@ -200,13 +197,3 @@ def test_blender_with_the_authors_weights(device, reference_data, blender_camera
         means = json.loads(result.stdout)["means"]
         assert abs(means["SF"]["all"]["psnr_rgb"] - sf) <= 0.1
         assert abs(means["EF"]["all"]["psnr_rgb"] - ef) <= 0.1
-
-
-def test_an_empty_stand_in_for_a_package_is_no_package(monkeypatch):
-    """colour-science leaves one for Matplotlib where that is not installed."""
-    monkeypatch.setitem(sys.modules, "matplotlib", types.ModuleType("matplotlib"))
-    assert not installed("matplotlib")
-    monkeypatch.setattr(sys, "argv", ["stss", "--version"])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 0

@@ -6,6 +6,7 @@ from __future__ import annotations
 import io
 import json
 import sys
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -17,12 +18,11 @@ from stss.quality.flip_vmaf import flip_map, vmaf_scores
 from stss.quality.metrics import score, to_8bit
 from stss.run.options import RunOptions
 from stss_ground.errors import InputError
-from stss_ground.optional import installed
 from stss_lab.methods.methods_table import run_methods
 from tests.hostile.cases import call
 
-needs_flip = pytest.mark.skipif(not installed("flip_evaluator"), reason="flip-evaluator is not installed: the extra metrics")
-needs_vmaf = pytest.mark.skipif(not installed("imageio_ffmpeg"), reason="imageio-ffmpeg is not installed: the extra metrics")
+needs_flip = pytest.mark.skipif(find_spec("flip_evaluator") is None, reason="flip-evaluator is not installed: the extra metrics")
+needs_vmaf = pytest.mark.skipif(find_spec("imageio_ffmpeg") is None, reason="imageio-ffmpeg is not installed: the extra metrics")
 
 SIZE = (64, 96)
 

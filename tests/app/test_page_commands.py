@@ -19,7 +19,9 @@ from stss.weights.file import SHIPPED
 from tests.hostile.cases import call
 
 ROOT = Path(__file__).parents[2]
-PAGES = [path for path in sorted(ROOT.rglob("*.md")) if not {".venv", ".venv-blender", ".venv-lowest", "node_modules"} & {*path.parts}]
+PAGES = [
+    path for path in sorted(ROOT.rglob("*.md")) if not {".venv", ".venv-blender", ".venv-lowest", "node_modules"} & {*path.parts}
+]
 BLOCK = re.compile(r"^( *)```(?:sh|bash)\n(.*?)^ *```", re.M | re.S)
 CELL = re.compile(r"`(stss [a-z][^`]*)`")
 NOT_RUN = {

@@ -14,8 +14,6 @@ import tempfile
 import time
 from pathlib import Path
 
-import colour  # noqa: F401  (once, and not in each process)
-
 from stss.frames.backends import open_backend
 from stss.run.gather import gather
 from stss.run.job import run
