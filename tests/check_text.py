@@ -14,7 +14,17 @@ FOLDERS = (*PACKAGES, "kernels", "training", "tests", "docs", "blender", "packag
 FILES = [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*")) if path.is_file()]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"] + [path for path in FILES if path.suffix == ".md"]
 SOURCES = [path for path in FILES if path.suffix in (".py", ".cl", ".clh", ".cpp", ".sh")]
-ELSEWHERE = {"--nthreads", "--protocol", "--uninitialized", "--target", "eval.py", "stage.cl", "network.cl", "stss.sha256", "stss.commands"}
+ELSEWHERE = {
+    "--nthreads",
+    "--protocol",
+    "--uninitialized",
+    "--target",
+    "eval.py",
+    "stage.cl",
+    "network.cl",
+    "stss.sha256",
+    "stss.commands",
+}
 """Options of Oclgrind, pip and dask; files of other projects, named without a folder; what a run leaves; a group of entry points."""
 
 text = cache(Path.read_text)
