@@ -45,6 +45,7 @@ from stss_ground.terminal import Terminal, echo
     help="Other engines; ratios are to the first of them.",
 )
 @click.option("--weights", help="A .safetensors file  [default: random weights]")
+@click.option("--dark", is_flag=True, help="Colours of 1e-38, which are subnormal numbers: does the time depend on the data?")
 @click.option("--device", help="Part of the name of the OpenCL device.")
 @click.option("--json", "json_file", type=PATH, help="File for all times, the versions and the machine.")
 @click.option(
@@ -65,6 +66,7 @@ def bench_command(
     ours: tuple[str, ...],
     peers: tuple[str, ...],
     weights: str | None,
+    dark: bool,
     device: str | None,
     json_file: Path | None,
     pareto: bool,
@@ -84,7 +86,7 @@ def bench_command(
     tensors = random_weights(0) if weights is None else load(weights).weights
     threads = available_threads()
     console = Terminal(stderr=True)
-    setups = [Setup(tensors, *size, device=device, threads=threads) for size in sizes]
+    setups = [Setup(tensors, *size, device=device, threads=threads, dark=dark) for size in sizes]
     if pareto:
         from stss_lab.bench.pareto import bench_pareto, chosen_settings
 
@@ -96,7 +98,7 @@ def bench_command(
         results = run_bench(setups, ours, peers, repeat, on_step=begin)
     bench_report.print_results(results, Terminal())
     if json_file is not None:
-        write_named(json_file, bench_report.to_json(results, identity(tensors), threads))
+        write_named(json_file, bench_report.to_json(results, identity(tensors), threads, dark=dark))
     sys.exit(1 if any(row.fault for result in results for row in result.rows) else 0)
 
 

@@ -12,6 +12,7 @@ from typing import Any, cast
 import numpy as np
 
 from stss.weights.file import load, save
+from stss_cl.liveness import drop_tiny
 from stss_ground.errors import InputError
 from stss_ground.output.apart import require_places
 from training.command import command
@@ -34,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     }
     save(
         chosen.out,
-        loaded[0].weights | tensors,
+        drop_tiny(loaded[0].weights | tensors),
         {
             "average_of": json.dumps([_unfold(dict(each.metadata)) for each in loaded]),
         },

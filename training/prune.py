@@ -2,6 +2,7 @@
 """Put means in the place of all features below half size, and set the kernels that nothing reads then to exactly 0.
 
 Programs leave out what only kernels of 0 read (`stss_cl.liveness.find_live`), so frames are computed faster, and with the same bits.
+Numbers that are tiny become 0, too (`stss_cl.liveness.drop_tiny`).
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 import torch
 
 from stss.weights.file import load, save
-from stss_cl.liveness import find_live
+from stss_cl.liveness import drop_tiny, find_live
 from stss_ground.output.apart import require_places
 from stss_ref.weights import LAYERS, Weights
 from training.command import command
@@ -48,7 +49,7 @@ def prune(weights: Weights, mean: np.ndarray) -> Weights:
     kernel, bias = weights[f"{READER}.weight"].copy(), weights[f"{READER}.bias"].copy()
     bias += np.einsum("oiyx,i->o", kernel[:, -len(mean) :], mean)
     kernel[:, -len(mean) :] = 0
-    made = weights | {f"{READER}.weight": kernel, f"{READER}.bias": bias}
+    made = drop_tiny(weights | {f"{READER}.weight": kernel, f"{READER}.bias": bias})
     runs = find_live(made).layers
     dead = [layer for layer in LAYERS if layer.name not in runs]
     return made | {name: np.zeros(shape, np.float32) for layer in dead for name, shape in layer.tensors()}

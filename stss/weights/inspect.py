@@ -11,7 +11,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from stss_cl.liveness import find_live
+from stss_cl.liveness import TINY, drop_tiny, find_live, is_tiny
 from stss_ground.errors import InputError
 from stss_ref.constants import HoleTest
 from stss_ref.weights import LAYERS, Layer, SecondColor, Weights
@@ -39,7 +39,10 @@ class ComponentRow:
 
 @dataclass(frozen=True)
 class Inspection:
-    """The layers of weights, and the network's cost for frames of (height, width), padded to multiples of 8."""
+    """The layers of weights, and the network's cost for frames of (height, width), padded to multiples of 8.
+
+    ``tiny`` of the numbers are not 0, but dropped by the backend (``stss_cl.liveness.drop_tiny``); ``subnormal`` of these.
+    """
 
     height: int
     width: int
@@ -47,13 +50,16 @@ class Inspection:
     components: tuple[ComponentRow, ...]
     second_color: SecondColor
     hole_test: HoleTest
+    tiny: int
+    subnormal: int
 
 
 def inspect(weights: Weights, height: int, width: int) -> Inspection:
     """Inspect ``weights`` and count the network's cost for frames of (height, width); InputError below 1 x 1."""
     if height < 1 or width < 1:
         raise InputError(f"size {width}x{height}: expected at least 1x1")
-    needed = find_live(weights)
+    needed = find_live(drop_tiny(weights))
+    tiny = np.concatenate([np.abs(tensor[is_tiny(tensor)]) for tensor in weights.values()])
     runs = {name: layer.outputs for name, layer in needed.layers.items()}
     rows = tuple(
         LayerRow(
@@ -72,6 +78,8 @@ def inspect(weights: Weights, height: int, width: int) -> Inspection:
         component_costs(height, width),
         weights.second_color,
         weights.hole_test,
+        len(tiny),
+        int((tiny < np.finfo(np.float32).smallest_normal).sum()),
     )
 
 
@@ -138,6 +146,8 @@ def print_inspection(inspection: Inspection, console: Console) -> None:
     parts = [(row.units, row.layer) for row in inspection.layers if 0 < row.units < row.layer.outputs]
     if parts:
         console.print("units that run:", ", ".join(f"{units} of {layer.outputs} of {layer.name}" for units, layer in parts))
+    if inspection.tiny:
+        console.print(f"taken for 0: {inspection.tiny} numbers below {TINY:.0e}, of which {inspection.subnormal} are subnormal")
     what = "what warped frames show within a pixel" if inspection.second_color == "detail" else "the newest frame"
     console.print(f"second colour: {inspection.second_color}, {what}")
     console.print(f"hole test: {inspection.hole_test}")

@@ -14,7 +14,7 @@ from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, list_size
 from stss_cl.device.tuning import tuning_for
 from stss_cl.network import conv_gpu
-from stss_cl.network.layer import FAST_MULTIPLY_ADD, KernelSource, LayerLaunch, Shape, layer
+from stss_cl.network.layer import FAST, KernelSource, LayerLaunch, Shape, layer
 from stss_cl.network.pack_weights import Packed, amx_bias, amx_tiles, in_lanes, paired, winograd
 from stss_cl.network.tiles import Maps, Tiling, of_convolution
 
@@ -141,7 +141,7 @@ def _source(shape: Shape, packed: Packed, a: Padded, b: Padded | None, out: Padd
         shape.file,
         shape.file.removesuffix(".cl"),
         {**shape.options, **options},
-        FAST_MULTIPLY_ADD,
+        FAST,
     )
 
 

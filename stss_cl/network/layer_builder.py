@@ -15,7 +15,7 @@ from stss_cl.device.grid import GROUP, list_size
 from stss_cl.device.launch import Arguments
 from stss_cl.device.parts import Parts
 from stss_cl.network.conv import Final, conv
-from stss_cl.network.layer import FAST_MULTIPLY_ADD, KernelSource, LayerLaunch, layer
+from stss_cl.network.layer import FAST, FLUSH, KernelSource, LayerLaunch, layer
 from stss_cl.network.pack_weights import pack
 from stss_cl.network.plan import Conv, Slot
 from stss_cl.network.tiles import Maps, Tiling
@@ -110,7 +110,7 @@ class LayerBuilder:
             out: the activations that it writes and marks; None: it writes the image.
         """
         # Interpolation is not contracted, so that it has the reference's bits.
-        flags = FAST_MULTIPLY_ADD if stage == "erm" else ""
+        flags = FAST if stage == "erm" else FLUSH
         workers = 1 if self._device.is_cpu else workers
         source = KernelSource(file, name, {**options, "WORKERS": workers, "STORED": storage(self._dtype)}, flags)
         group = 1 if self._device.is_cpu else max(GROUP, workers)

@@ -14,7 +14,7 @@ from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil8, ceil_div
 from stss_cl.device.launch import enqueue
 from stss_cl.device.tuning import tuning_for
-from stss_cl.liveness import Live, colors_read, find_live, reads_history
+from stss_cl.liveness import Live, colors_read, drop_tiny, find_live, reads_history
 from stss_cl.network.conv import Final
 from stss_cl.network.layer import LayerLaunch
 from stss_cl.network.layer_builder import LayerBuilder, dtype_of
@@ -40,7 +40,7 @@ class Layers:
 
     Args:
         device: to run on.
-        weights: the 92 tensors.
+        weights: the 92 tensors; what is tiny is dropped (``stss_cl.liveness.drop_tiny``).
         height: of the frame; padded to a multiple of 8 inside.
         width: likewise.
         precision: see ``stss_cl.network.network.PRECISIONS``.
@@ -76,6 +76,7 @@ class Layers:
         keep: bool = False,
         every: bool = False,
     ):
+        weights = drop_tiny(weights)
         full, columns, dtype = ceil8(height), ceil8(width), dtype_of(precision)
         limit = int(device.handle.global_mem_size) // 2 if memory_limit is None else memory_limit
         winograd = precision in ("float32", "half") and tuning_for(device).winograd is not None

@@ -12,7 +12,7 @@ from stss_cl.device.buffers import FLAGS, Inputs, storage
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import grid
 from stss_cl.device.program import build
-from stss_cl.network.layer import FAST_MULTIPLY_ADD
+from stss_cl.network.layer import FAST, FLUSH
 
 
 class PackInputs:
@@ -21,8 +21,8 @@ class PackInputs:
     def __init__(self, device: Device, inputs: Inputs, height: int, width: int):
         self._device, self._inputs, self._size = device, inputs, (np.int32(height), np.int32(width))
         options: dict[str, object] = {"STORED": storage(inputs.input.dtype)}
-        program = build(device, "encoder.cl", {**options, "STREAM": device.streams})
-        eighth = build(device, "downsample_8.cl", {"MASK": "float", **options}, FAST_MULTIPLY_ADD)
+        program = build(device, "encoder.cl", {**options, "STREAM": device.streams}, FLUSH)
+        eighth = build(device, "downsample_8.cl", {"MASK": "float", **options}, FAST)
         self._input, self._history = cl.Kernel(program, "pack_input"), cl.Kernel(program, "pack_history")
         self._eighth = cl.Kernel(eighth, "downsample_8")
         self._bad = cl.Buffer(device.context, FLAGS.READ_WRITE | FLAGS.COPY_HOST_PTR, hostbuf=np.zeros(2, np.int32))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from stss_cl.device.buffers import to_bfloat16
 from stss_cl.device.grid import ceil8
 from stss_cl.device.matrix_units import HELD, PARTS, arrange
+from stss_cl.liveness import is_tiny
 from stss_ref.weights import Tensors
 
 POINTS = {4: (0.625, -0.625, 1.5, -1.5, 0.0), 2: (1.0, -1.0, 0.0)}
@@ -128,6 +129,7 @@ def winograd(kernels: NDArray[np.float32], side: int, block: int, stride: int = 
     """
     g = winograd_matrix(side) if stride == 1 else EVERY_SECOND
     transformed = np.einsum("ku,uvco,lv->klco", g, kernels.astype(np.float64), g, optimize=True)
+    transformed[is_tiny(transformed)] = 0  # where taps cancel
     blocks = transformed.reshape(len(g) ** 2, kernels.shape[2], -1, block).swapaxes(1, 2)
     return np.ascontiguousarray(blocks, np.float32)
 

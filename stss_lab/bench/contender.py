@@ -28,6 +28,7 @@ class Setup:
         height, width: H, W of the inputs; any size, pixels.
         device: part of the name of the OpenCL device, for contenders that use one; None: the default.
         threads: most threads of a contender on the CPU, where the engine lets us set them.
+        dark: whether colours are so small that they, or products of them, are subnormal.
     """
 
     weights: Weights
@@ -35,6 +36,7 @@ class Setup:
     width: int
     device: str | None
     threads: int
+    dark: bool = False
 
 
 class Contender(Protocol):

@@ -130,7 +130,7 @@ def _bench_size(setup: Setup, names: Sequence[str], repeat: int, on_step: Callab
     size = setup.height, setup.width
     label = f"{size[1]}x{size[0]}"
     on_step(f"{label}: float64 reference")
-    truths = {whole: truth(inputs_for(name, *size), setup.weights) for name in names for whole in [name in FRAMES]}
+    truths = {whole: truth(inputs_for(name, setup), setup.weights) for name in names for whole in [name in FRAMES]}
     workers = [_Worker(name, setup) for name in names]
     try:
         for worker in workers:
@@ -224,7 +224,7 @@ def _serve(pipe: Connection, name: str, setup: Setup) -> None:
     """Run in the contender's process: make the contender, then answer each order with ``(True, result)`` or ``(False, reason)``."""
     try:
         made = contender(name, setup)
-        made.prepare(inputs_for(name, setup.height, setup.width))
+        made.prepare(inputs_for(name, setup))
         for _ in range(WARM_UP):
             made.run()
         pipe.send((True, (made.details, made.image())))

@@ -160,20 +160,30 @@ def contender(name: str, setup: Setup) -> Contender:
     return (OURS | PEERS)[name](setup)
 
 
-def network_inputs(height: int, width: int) -> NetworkInputs:
-    """Inputs (height, width) of noise, so that shortcuts for flat or still parts do not help. Holes make up a fifth of the mask."""
+ONE, DARK = np.float32(1), np.float32(1e-38)
+"""Light of a frame, and of a dark one: below the smallest normal number of float32."""
+
+
+def network_inputs(height: int, width: int, light: np.float32 = ONE) -> NetworkInputs:
+    """Inputs (height, width) of noise, so that shortcuts for flat or still parts do not help. Holes make up a fifth of the mask.
+
+    Colours are up to ``light``.
+    """
     random = np.random.default_rng(0)
 
     def noise(*shape: int) -> Image:
         return random.random(shape, np.float32)
 
     mask = (noise(height, width) < 0.8).astype(np.float32)
-    return NetworkInputs(noise(height, width, 6), noise(height, width, 9), mask, noise(3, height, width, 4))
+    inputs = NetworkInputs(noise(height, width, 6), noise(height, width, 9), mask, noise(3, height, width, 4))
+    inputs.color[:] *= light
+    inputs.history[..., :3] *= light
+    return inputs
 
 
-def frame_inputs(height: int, width: int) -> FrameInputs:
+def frame_inputs(height: int, width: int, light: np.float32 = ONE) -> FrameInputs:
     """Inputs (height, width) of an extrapolated frame: a plane with noise on it slides past, with holes only where it enters."""
-    inputs = network_inputs(height, width)
+    inputs = network_inputs(height, width, light)
     size = height, width
     steps = (1, 3, 5)
     motions = np.full((5, *size, 2), MOTION, np.float32)
@@ -188,9 +198,10 @@ def frame_inputs(height: int, width: int) -> FrameInputs:
     )  # fmt: skip
 
 
-def inputs_for(name: str, height: int, width: int) -> NetworkInputs | FrameInputs:
+def inputs_for(name: str, setup: Setup) -> NetworkInputs | FrameInputs:
     """The inputs of the contender ``name``."""
-    return frame_inputs(height, width) if name in FRAMES else network_inputs(height, width)
+    made = frame_inputs if name in FRAMES else network_inputs
+    return made(setup.height, setup.width, DARK if setup.dark else ONE)
 
 
 def truth(inputs: NetworkInputs | FrameInputs, weights: Weights) -> Image:

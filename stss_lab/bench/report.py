@@ -65,19 +65,21 @@ def _number(value: float | None, factor: float, digits: int) -> str:
     return "-" if value is None else f"{value * factor:.{digits}f}"
 
 
-def to_json(results: Sequence[SizeResult], weights: str, threads: int) -> str:
+def to_json(results: Sequence[SizeResult], weights: str, threads: int, *, dark: bool = False) -> str:
     """All measurements, and the machine they were made on, as JSON; without names of hosts, users or folders.
 
     Args:
         results: of `bench`.
         weights: identity of the weights.
         threads: number of threads of each contender on the CPU.
+        dark: see ``Setup``.
     """
     data = {
         "format": FORMAT,
         **conditions(PACKAGES),
         "threads": threads,
         "weights": weights,
+        "dark": dark,
         "method": {
             "order": "in turns, one process each",
             "warm_up": WARM_UP,

@@ -15,6 +15,7 @@ from stss_lab.bench import measure
 from stss_lab.bench import report as bench_report
 from stss_lab.bench.contender import Setup
 from stss_lab.bench.measure import SUMMARY, SizeResult, Timing, bench
+from stss_lab.bench.ours import inputs_for
 from stss_ref.weights import random as random_weights
 
 WEIGHTS = random_weights(2)
@@ -113,6 +114,19 @@ def test_the_table_shows_stages_and_faults():
     assert ["cl", *times, *shares, "1.0e-06", "300"] in lines
     assert ["erm", "10.0"] in lines
     assert "Precision x threads: cl float32 x 2." in text
+
+
+@pytest.mark.parametrize("name", ["cl", "cl-frame"])
+def test_a_dark_frame_has_subnormal_colours_and_nothing_else(name):
+    light, dark = (inputs_for(name, setup(dark=dark)) for dark in (False, True))
+    for key, array in vars(dark).items():
+        if key == "history":
+            np.testing.assert_array_equal(array[..., 3], light.history[..., 3])
+        elif key not in ("color", "colors"):
+            np.testing.assert_array_equal(array, vars(light)[key])
+    colors = dark.colors if name == "cl-frame" else dark.color
+    assert 0 < colors.max() < np.finfo(np.float32).smallest_normal
+    assert json.loads(bench_report.to_json([RESULT], "abc", 2, dark=True))["dark"]
 
 
 def test_json_can_be_read_and_names_no_place():

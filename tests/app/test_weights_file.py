@@ -16,6 +16,7 @@ from safetensors import safe_open
 from stss.weights import file as files
 from stss.weights.file import identity, load, save
 from stss.weights.inspect import component_costs, inspect, print_inspection
+from stss_cl.liveness import is_tiny
 from stss_ground.errors import InputError
 from stss_ref.weights import TENSORS, Weights, WeightsError, random, zeros
 
@@ -136,6 +137,21 @@ def test_inspection_says_what_is_left_out(capsys):
     assert "units that run: 32 of 64 of up1.conv.double_conv.0" in " ".join(capsys.readouterr().out.split())
     print_inspection(inspect(Weights(unread, "detail"), 540, 960), Console())
     assert "second colour: detail, what warped frames show" in capsys.readouterr().out
+
+
+def test_inspection_counts_what_is_taken_for_0(capsys):
+    name = "conv1.conv_feature.weight"
+    made = random(1) | {name: np.where(np.arange(9).reshape(3, 3) < 2, np.float32(1e-36), random(1)[name])}
+    made[name][0, 0, 0, 0] = 1e-40
+    found = inspect(made, 540, 960)
+    assert (found.tiny, found.subnormal) == (24 * 21 * 2, 1)
+    print_inspection(found, Console())
+    assert "taken for 0: 1008 numbers below 8e-31, of which 1 are subnormal" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize("name", ["realtime", "antialiased"])
+def test_the_weights_that_come_with_the_program_have_nothing_tiny(name: str):
+    assert not any(is_tiny(tensor).any() for tensor in load(name).weights.values())
 
 
 @pytest.mark.parametrize("name", ["realtime", "antialiased"])

@@ -3,15 +3,21 @@
 from dataclasses import replace
 
 import numpy as np
+import pyopencl as cl
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from conformance.cases.planes import SEEDS, sizes
 from conformance.tolerance import ratio, sum_bound, worst
-from stss_cl.device.buffers import padded, read, write
+from stss_cl.device.buffers import constant, padded, read, write
+from stss_cl.device.program import source
 from stss_cl.device.tuning import BUILT_IN, Winograd, built_in_rows, trial
+from stss_cl.liveness import drop_tiny, is_tiny
+from stss_cl.network import conv as conv_module
+from stss_cl.network import layers as layers_module
 from stss_cl.network.conv import conv
+from stss_cl.network.layer import FLUSH
 from stss_cl.network.layers import Layers
 from stss_cl.network.network import PRECISIONS, Network
 from stss_cl.network.pack_weights import EVERY_SECOND, POINTS, pack, winograd_matrix
@@ -306,3 +312,61 @@ def test_the_memory_of_a_dropped_image_serves_the_next(net, device):
     for _ in range(4):
         net(*inputs)
     assert (device.pool.active_blocks, device.pool.managed_bytes) == (others, managed)
+
+
+def with_tiny(weights):
+    """The same with numbers below ``TINY`` at some places, subnormal ones too, and windows whose taps cancel in Winograd's transforms."""
+    random, made = np.random.default_rng(0), {}
+    for name, tensor in weights.items():
+        made[name] = np.where(random.random(tensor.shape) < 0.3, tensor * np.float32(1e-37), tensor)
+        if tensor.shape[-1:] == (3,):
+            made[name][::5, ::7] = 0
+            made[name][::5, ::7, 0] = np.float32(2.0**-90) * np.array(
+                [-np.nextafter(np.float32(POINTS[4][0] ** 2), 1), 0, 1], np.float32
+            )
+    return weights | made
+
+
+@pytest.mark.parametrize("precision", ["float32", "float32-direct"])
+def test_nothing_tiny_is_packed(processor, monkeypatch, precision):
+    """Of weights that have it: 0 takes its place, also behind transforms, and the image keeps the bits of those without."""
+    packed = []
+    for module in (conv_module, layers_module):
+        monkeypatch.setattr(module, "constant", lambda device, array: packed.append(array) or constant(device, array))
+    weights = with_tiny(random_weights(3))
+    assert sum(is_tiny(tensor).sum() for tensor in weights.values()) > 1000
+    inputs = network_inputs((16, 24), 3)
+    images = [Network(these, processor, precision)(*inputs) for these in (weights, drop_tiny(weights))]
+    assert len(packed) > 60
+    assert not any(is_tiny(array).any() for array in packed)
+    np.testing.assert_array_equal(*images)
+
+
+@pytest.mark.parametrize("side", [0, 2, 4])
+def test_what_is_subnormal_is_0(processor, side):
+    """Products too: the time of the network does not depend on the data. PoCL alone says by which option."""
+    packed = pack(
+        {"layer.weight": np.full((24, 24, 3, 3), 2.0**-60, np.float32), "layer.bias": np.zeros(24)}, "layer", ((24, 24),)
+    )
+    x, out = (padded(processor, 8, 8, 24, np.dtype(np.float32)) for _ in range(2))
+    for value, is_zero in ((2.0**-70, True), (2.0**-50, False)):
+        write(processor, x, np.where(np.arange(24) == 5, np.float32(value), np.zeros((8, 8, 24), np.float32)))
+        conv(processor, "test", "layer", packed, x, None, out, side=side).enqueue(processor.queue)
+        assert (read(processor, out) == 0).all() == is_zero
+
+
+def test_every_half_is_widened_and_comes_back(device):
+    """Subnormal ones too, though floats that are subnormal are flushed."""
+    text = source("common.clh") + "kernel void both(global const ushort *from, global float *to, global ushort *back)\n{\n"
+    text += "const int i = get_global_id(0);\nSTORE8(LOAD8(from, i), i, back);\nvstore8(LOAD8(from, i), i, to);\n}"
+    program = cl.Program(device.context, text).build(f"-cl-std=CL1.2 -D STORED=HALF {FLUSH}")
+    half = np.arange(65536, dtype=np.uint16)
+    half = half[np.isfinite(half.view(np.float16))]
+    given, wide, back = (cl.Buffer(device.context, cl.mem_flags.READ_WRITE, half.size * n) for n in (2, 4, 2))
+    cl.enqueue_copy(device.queue, given, half)
+    cl.Kernel(program, "both")(device.queue, (half.size // 8,), None, given, wide, back)
+    found, again = np.empty(half.size, np.float32), np.empty_like(half)
+    cl.enqueue_copy(device.queue, found, wide)
+    cl.enqueue_copy(device.queue, again, back)
+    np.testing.assert_array_equal(found.view(np.uint32), half.view(np.float16).astype(np.float32).view(np.uint32))
+    np.testing.assert_array_equal(again, half)

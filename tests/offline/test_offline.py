@@ -9,7 +9,7 @@ from tests.offline.__main__ import TARGETS, row_of
 from tests.offline.budgets import BUDGETS, faults
 from tests.offline.compilers import Compiled, CompileError, MissingError, compiled, intel_kernels, require
 
-LAYER = ["-cl-std=CL1.2", "-cl-mad-enable", "-DA=24", "-DB=24", "-DOUT=24", "-DSTRIDE=1", "-DRELU"]
+LAYER = ["-cl-std=CL1.2", "-cl-mad-enable", "-cl-denorms-are-zero", "-DA=24", "-DB=24", "-DOUT=24", "-DSTRIDE=1", "-DRELU"]
 CASES = [
     ("conv_local", LAYER),
     ("conv_local", [*LAYER, "-DGATED", "-DMARK"]),

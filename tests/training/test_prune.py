@@ -35,7 +35,8 @@ def test_the_mean_is_in_the_bias():
 
 
 def test_what_is_pruned_is_0_and_stays_so(data, tmp_path):
-    save(tmp_path / "whole.safetensors", random(0), {"steps": "1"})
+    tiny = random(0)["conv2.conv_feature.weight"] * np.float32(1e-36)
+    save(tmp_path / "whole.safetensors", random(0) | {"conv2.conv_feature.weight": tiny}, {"steps": "1"})
     main([str(data), "--weights", str(tmp_path / "whole.safetensors"), "-o", str(tmp_path / "pruned.safetensors")])
     words = ["--steps", "2", "--crop", "16", "--batch", "2", "--device", "cpu", "--threads", "1"]
     train([str(data), "-o", str(tmp_path / "run"), "--initial", str(tmp_path / "pruned.safetensors"), *words])
@@ -44,4 +45,5 @@ def test_what_is_pruned_is_0_and_stays_so(data, tmp_path):
     for weights in (before, after):
         assert BY_NAME.keys() - find_live(weights).layers.keys() == {layer.name for layer in below}
         assert not any(weights[name].any() for layer in below for name, _ in layer.tensors())
+    assert not before["conv2.conv_feature.weight"].any()
     assert (before["conv1.conv_feature.weight"] != after["conv1.conv_feature.weight"]).any()
