@@ -11,12 +11,13 @@ import click
 
 from stss.frames.backends import BACKENDS
 from stss.frames.compute_options import PRECISIONS, SKIPS, ComputeOptions, Precision, Skip
-from stss.images.color import TRANSFERS
+from stss.images.color import HDR_IS_GONE, TRANSFERS
 from stss.images.headers import MAX_SIDE
 from stss.sequence.choose_weights import AUTO
 from stss.sequence.find_files import MAX_DIGITS
 from stss_ground.commands import grouped
 from stss_ground.option_kinds import PATH, Names, Number
+from stss_ground.terminal import echo
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -57,6 +58,17 @@ class FrameNumbers(click.ParamType):  # pyright: ignore[reportMissingTypeArgumen
         if not all(_is_whole(word, MAX_DIGITS) for word in words):
             self.fail(f"expected frame numbers a,b,..., got {value!r}", param, ctx)
         return tuple(sorted({int(word) for word in words}))
+
+
+class TransferName(click.Choice[str]):
+    """A transfer; the default in place of ``hdr``, with a line that says so."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Parse; None: the default."""
+        if value == "hdr":
+            echo(f"warning: --transfer {HDR_IS_GONE}; the default is taken", err=True)
+            return None
+        return super().convert(value, param, ctx)
 
 
 def sequence_options(command: Command) -> Command:
@@ -104,7 +116,7 @@ def frame_options(command: Command) -> Command:
         click.option("--frames", type=FrameRange(), help="First and last frame to write; earlier ones still serve as history."),
         click.option(
             "--transfer",
-            type=click.Choice(TRANSFERS),
+            type=TransferName(TRANSFERS),
             help="From the files' colour to the network's"
             "  [default: srgb for scene-linear files, none for display-referred ones]",
         ),

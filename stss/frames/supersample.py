@@ -22,7 +22,7 @@ class Output:
     Attributes:
         number: the display frame's number.
         kind: SF (rendered) or EF (extrapolated).
-        image: (2H, 2W, 3) float32 in the domain the colours came in: scene-linear for ``srgb`` and ``hdr``; finite, >= 0.
+        image: (2H, 2W, 3) float32 in the domain the colours came in: scene-linear for ``srgb``; finite, >= 0.
         valid: (H, W) False in the warping holes of the newest colour frame; all True for an SF.
         carried: name -> (2H, 2W, C) float32: the planes of `Buffers.carried`.
     """

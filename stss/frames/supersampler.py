@@ -51,8 +51,7 @@ class Supersampler:
             precision: of ``stss.frames.compute_options.PRECISIONS``.
             memory_limit: bytes for the network's buffers; larger frames go in strips, with the same bits.
             skip: ``exact``: what did not change is not computed again, with the same bits; ``off``.
-            transfer: ``srgb``: scene-linear; what lies above 1 is carried past the network. ``hdr``: scene-linear through a tone curve.
-                ``none``: display-referred.
+            transfer: ``srgb``: scene-linear; what lies above 1 is carried past the network. ``none``: display-referred.
             depth: ``scale`` or ``clip`` (spec 0).
             copy: False: motion, NoV, stencil and position are not copied; the caller must not write to them for six frames.
             check: False: planes are not looked at before they are used.

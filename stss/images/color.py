@@ -17,11 +17,14 @@ from numpy.typing import NDArray
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array, require_finite, require_shape
 
-TRANSFERS = ("none", "srgb", "hdr")
+TRANSFERS = ("none", "srgb")
 """The names that ``transfer`` takes."""
 
 LARGEST = 65504.0
 """Largest number of half-precision EXR; larger scene-linear values are clipped to it."""
+
+HDR_IS_GONE = "hdr is gone: srgb carries highlights past the network, and is nearer to the truth"
+"""Its inverse made a lamp of 50 into pixels of 65504 (docs/decisions/0038)."""
 
 BLOCK = 1 << 15
 """Pixels converted at a time."""
@@ -50,8 +53,7 @@ class Transfer:
     def encode(self, color: Array) -> Float32:
         """From the renderer's domain to the network's.
 
-        ``none``: clip to [0, 1]. ``srgb``: clip to [0, 1], then the sRGB curve. ``hdr``: clip to [0, 65504], then
-        ``c / (1 + max(c))`` with the largest of R, G and B, then the sRGB curve.
+        ``none``: clip to [0, 1]. ``srgb``: clip to [0, 1], then the sRGB curve.
 
         Source: spec 9.
 
@@ -69,14 +71,13 @@ class Transfer:
     def decode(self, image: Array) -> Float32:
         """From the network's domain back to the renderer's; the inverse of ``encode``.
 
-        The network may leave [0, 1] a little: its image is clipped to it first. At the pole of ``hdr``, where an
-        encoded 1 would stand for infinity, the result ends at 65504.
+        The network may leave [0, 1] a little: its image is clipped to it first.
 
         Args:
             image: (H, W, 3) display-referred, as the network gave it.
 
         Returns:
-            (H, W, 3) float32, finite; in [0, 1] for ``none`` and ``srgb``, in [0, 65504] for ``hdr``.
+            (H, W, 3) float32, in [0, 1].
 
         Raises:
             ArrayError: ``image`` is not (H, W, 3), or holds NaN or Inf: a fault of the network, not to be painted over.
@@ -87,7 +88,7 @@ class Transfer:
     def display(self, color: Array) -> Float32:
         """Convert a frame in the renderer's domain to what a screen shows, for PNG and metrics.
 
-        ``none``: clip to [0, 1]. ``srgb`` and ``hdr``: clip to [0, 1], then the sRGB curve: HDR is not tone mapped.
+        ``none``: clip to [0, 1]. ``srgb``: clip to [0, 1], then the sRGB curve: HDR is not tone mapped.
 
         Args:
             color: (H, W, 3) as for ``encode``.
@@ -103,6 +104,8 @@ class Transfer:
 
 def transfer(name: str) -> Transfer:
     """Return the transfer of this name; raises InputError for a name that is not in ``TRANSFERS``."""
+    if name == "hdr":
+        raise InputError(f"transfer: {HDR_IS_GONE}; take srgb")
     if name not in _TRANSFERS:
         raise InputError(f"transfer: expected one of {', '.join(TRANSFERS)}, got {name!r}")
     return _TRANSFERS[name]
@@ -118,13 +121,8 @@ def _by_blocks(what: str, curve: Curve, image: Array) -> Float32:
     return result.reshape(image.shape)
 
 
-def _clip(c: Pixels, largest: float = 1.0) -> Pixels:
-    return np.clip(np.where(np.isnan(c), 0.0, c), 0.0, largest)
-
-
-def _largest(c: Pixels) -> Pixels:
-    # (N, 1). Ten times as fast as c.max(axis=1), which loops over the three values of each pixel.
-    return np.maximum(np.maximum(c[:, :1], c[:, 1:2]), c[:, 2:])
+def _clip(c: Pixels) -> Pixels:
+    return np.clip(np.where(np.isnan(c), 0.0, c), 0.0, 1.0)
 
 
 def _encode_srgb(c: Pixels) -> Pixels:
@@ -137,20 +135,7 @@ def _decode_srgb(e: Pixels) -> Pixels:
     return np.where(e <= 12.92 * 0.0031308, e / 12.92, ((e + 0.055) / 1.055) ** 2.4)
 
 
-def _encode_hdr(c: Pixels) -> Pixels:
-    c = _clip(c, LARGEST)
-    return _encode_srgb(c / (1 + _largest(c)))
-
-
-def _decode_hdr(e: Pixels) -> Pixels:
-    t = _decode_srgb(e)
-    # The tone curve of LARGEST is the last value with an inverse within range; above it the divisor stays.
-    divisor = np.maximum(1 - _largest(t), 1 / (1 + LARGEST))
-    return _clip(t / divisor, LARGEST)
-
-
 _TRANSFERS = {
     "none": Transfer("none", False, _clip, _clip, _clip),
     "srgb": Transfer("srgb", True, _encode_srgb, _decode_srgb, _encode_srgb),
-    "hdr": Transfer("hdr", False, _encode_hdr, _decode_hdr, _encode_srgb),
 }

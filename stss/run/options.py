@@ -15,7 +15,7 @@ class RunOptions:
     """The user's choices for a run.
 
     Attributes:
-        transfer: ``none``, ``srgb``, ``hdr``.
+        transfer: ``none``, ``srgb``.
         depth: ``clip``, ``scale``.
         rendered: ``even``, ``odd``, ``all``; None = see ``supersample.choose_rendered``.
         frames: first and last display frame to write, both included; None = all. Frames before the first still serve as history.

@@ -111,7 +111,7 @@ def test_a_range_has_the_bits_of_the_whole_and_says_what_was_skipped(frames, wei
 @pytest.mark.parametrize(
     "others",
     [
-        ("--precision", "half", "--skip", "off", "--memory-limit", "9", "--transfer", "hdr", "--depth", "clip"),
+        ("--precision", "half", "--skip", "off", "--memory-limit", "9", "--transfer", "none", "--depth", "clip"),
         (*PLAIN, "--keep-going", "--non-finite", "mask", "--format", "png", "--rendered", "even"),
     ],
     ids=" ".join,
@@ -122,9 +122,17 @@ def test_options_go_together(device, frames, weights, tmp_path, others):
 
 
 def test_resume_makes_anew_what_other_settings_made(frames, plain, tmp_path):
-    again = ["run", frames, "-o", shutil.copytree(plain, tmp_path / "out"), *PLAIN, "--resume", "--transfer", "hdr"]
+    again = ["run", frames, "-o", shutil.copytree(plain, tmp_path / "out"), *PLAIN, "--resume", "--transfer", "none"]
     assert "0 kept" in made(stss(*again)).stderr
     assert "10 kept" in made(stss(*again)).stderr
+
+
+def test_an_option_s_old_name_is_one_line(frames, plain, tmp_path):
+    """``hdr`` gives the files of the default."""
+    result = made(stss("run", frames, "-o", tmp_path / "out", *PLAIN, "--frames", "0:3", "--transfer", "hdr"))
+    (line,) = (line for line in result.stderr.splitlines() if "hdr" in line)
+    assert line.startswith("warning: --transfer hdr is gone: srgb carries highlights past the network")
+    assert frames_of(tmp_path / "out").items() <= frames_of(plain).items()
 
 
 def test_png_is_display_referred(frames, plain, tmp_path):

@@ -203,8 +203,8 @@ def with_a_cut():
 
 def highlights_change_nothing_else():
     bright = replace(buffers(0), color=8 * buffers(0).color)
-    assert loop(transfer="hdr").push(bright).image.max() > 1
-    return not np.array_equal(loop(transfer="hdr").push(bright).image, loop().push(bright).image)
+    assert loop().push(bright).image.max() > 1
+    return loop(transfer="none").push(bright).image.max() == 1
 
 
 def without_color():
@@ -232,7 +232,7 @@ CELLS = {
     "loop.warm_up((H, W))": warm,
     "warm_up((H, W))": warm,
     "memory_limit=": lambda: loop(memory_limit=1 << 30).push(buffers(0)) is not None,
-    'transfer="hdr"': highlights_change_nothing_else,
+    'transfer="none"': highlights_change_nothing_else,
     "copy=False": lambda: loop(copy=False).push(buffers(0)) is not None,
     ".load(number)": without_color,
     "frames.load(number, color=False)": without_color,
