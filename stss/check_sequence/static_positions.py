@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stss.check_sequence.jitter import ALIKE, Jitter, common_shift
-from stss.check_sequence.projection import Projection, solve_projection
+from stss.sequence.projection import Projection, solve_projection
 from stss.check_sequence.value_statistics import Line
 from stss.frames.buffers import Buffers
 from stss.frames.static_holes import static_holes

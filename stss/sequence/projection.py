@@ -41,7 +41,12 @@ class Projection:
     @property
     def mirrored(self) -> bool | None:
         """Whether the frame is seen as in a mirror: upside down, or in a left-handed world; None where the scene is flat."""
-        return None if len(self.axes) < 3 else bool(np.linalg.det(self.matrix[:, :3] @ self.axes) < 0)
+        return None if len(self.axes) < 3 else bool(np.linalg.det(self.far) < 0)
+
+    @property
+    def far(self) -> Array:
+        """(3, 3): takes directions of the world to homogeneous places in the frame; of a scene that is not flat."""
+        return self.matrix[:, :3] @ self.axes
 
     def project(self, position: Array) -> tuple[Array, Array]:
         """(N, 2) pixels x, y of places (N, 3), and (N,) their distance along the view, in some unit; below 0 behind the camera."""
