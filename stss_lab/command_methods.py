@@ -48,6 +48,7 @@ def methods_command(
     metallic: float | None,
     roughness: float | None,
     non_finite: Any,
+    background: Any,
     weights: str,
     methods: tuple[str, ...],
     frames: tuple[int, int] | None,
@@ -73,6 +74,7 @@ def methods_command(
 
     shown = partial(track, console=Terminal(stderr=True))
     constants: dict[str, Any] = {"camera": camera, "metallic": metallic, "roughness": roughness, "non_finite": non_finite}
+    constants["background"] = background
     files = open_sequence(sequence, profile, **constants, track=shown)
     reads = [Path(weights), *([*truth.iterdir()] if truth.is_dir() else [])]
     options = RunOptions.of(files.profile, frames=frames, overwrite=overwrite, **others)

@@ -24,6 +24,7 @@ from stss.check_sequence.static_positions import judge_static_geometry
 from stss.check_sequence.value_statistics import Level, Values, motion_lines
 from stss.images.headers import read_header
 from stss.sequence.antialiasing import judge_sampling
+from stss.sequence.background import Background
 from stss.sequence.choose_weights import suited
 from stss.sequence.find_files import find_frames
 from stss.sequence.profiles import BUFFERS, Profile
@@ -92,6 +93,7 @@ def check(
     metallic: float | None = None,
     roughness: float | None = None,
     non_finite: NonFinite = "refuse",
+    background: Background = "files",
     frames: tuple[int, int] | None = None,
     console: Console | None = None,
 ) -> CheckReport:
@@ -101,6 +103,7 @@ def check(
         sequence_path: folder or pattern, see `stss.sequence.reader.open_sequence`.
         profile: name, TOML file or profile.
         camera, metallic, roughness: as for `stss.sequence.reader.open_sequence`.
+        background: likewise.
         non_finite: likewise; "refuse" makes values that are not finite an error, "mask" a warning.
         frames: first and last display frame to look at; None: all there are.
         console: where progress is shown; None: nowhere.
@@ -119,7 +122,7 @@ def check(
         findings += missing_frames(numbers)
         constants: dict[str, Any] = {"camera": camera, "metallic": metallic, "roughness": roughness}
         reading = partial(track, console=console, text="reading headers")
-        sequence = open_sequence(sequence_path, table, **constants, non_finite="mask", track=reading)
+        sequence = open_sequence(sequence_path, table, **constants, non_finite="mask", background=background, track=reading)
         looked = [n for n in sequence.numbers if frames is None or frames[0] <= n <= frames[1]]
         if not looked:
             raise InputError(f"{sequence_path}: no frames from {frames}; it has {numbers[0]} to {numbers[-1]}")

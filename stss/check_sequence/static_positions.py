@@ -9,16 +9,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from stss.check_sequence.jitter import ALIKE, Jitter, common_shift
-from stss.sequence.projection import Projection, solve_projection
 from stss.check_sequence.value_statistics import Line
 from stss.frames.buffers import Buffers
 from stss.frames.static_holes import static_holes
-from stss_ref.arrays import Array, Mask
+from stss.sequence.background import LOOSE, background_motion, static_surfaces
+from stss.sequence.projection import Projection, solve_projection
+from stss_ref.arrays import Array, Image
 from stss_ref.holes import holes
 from stss_ref.sample import follow, leads_inside
 
-LOOSE = 0.25
-"""Pixels: positions that no projection fits better say nothing."""
+OFF = 0.25
+"""Pixels: the largest median error of the background's motion that is not told."""
+MIN_PIXELS = 200
+"""Fewest pixels of background that tell anything."""
 AGREES = 0.1
 """Pixels: the largest median error of motion that agrees with the positions, or three times what those are off by themselves."""
 BETTER = 0.25
@@ -112,6 +115,36 @@ class StaticVerdict:
 
 
 @dataclass(frozen=True)
+class BackgroundVerdict:
+    """What the camera's turn says of the background's motion.
+
+    Attributes:
+        share: of the frame.
+        turns: median motion that the camera gives it; pixels.
+        error: median distance of the stored motion from that; pixels. Infinite: most of it is not finite.
+        zero: whether the stored motion is 0 everywhere.
+    """
+
+    share: float
+    turns: float
+    error: float
+    zero: bool
+
+    def lines(self) -> list[Line]:
+        """Findings."""
+        if self.error <= OFF:
+            return [("note", f"background: its motion is right to {self.error:.2g} pixels, by the camera that positions show")]
+        found = "0" if self.zero else "not finite" if self.error == np.inf else f"off by {self.error:.2g} pixels"
+        return [
+            (
+                "warning",
+                f"background: its motion is {found}, though the camera turns by {self.turns:.2g} pixels a frame: EFs lose up to 5 dB. "
+                "Write the motion of what is infinitely far away, which depends on the turn alone, or give --background camera",
+            )
+        ]
+
+
+@dataclass(frozen=True)
 class StaticGeometry:
     """What static geometry says.
 
@@ -119,11 +152,13 @@ class StaticGeometry:
         positions: what its positions say; None where no pair shows enough of what stands still.
         jitter: of the camera.
         repeated: frames with the positions of the frame before, though something moves.
+        background: what it says of the background; None where none is seen, or the scene is flat.
     """
 
     positions: StaticVerdict | None
     jitter: Jitter
     repeated: tuple[int, ...]
+    background: BackgroundVerdict | None
 
     def lines(self) -> list[Line]:
         """Findings."""
@@ -131,6 +166,7 @@ class StaticGeometry:
         return [
             *([("warning", f"{repeated}; every display frame needs a G-buffer of its own")] if self.repeated else []),
             *([] if self.positions is None else self.positions.lines()),
+            *([] if self.background is None else self.background.lines()),
             *(("warning", text) for text in self.jitter.lines),
         ]
 
@@ -142,6 +178,7 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
     against: list[tuple[float, float]] = []
     within: list[tuple[float, float]] = []
     repeated: list[int] = []
+    sky: list[tuple[float, float, float, float]] = []
     size, mirrored = (0, 0), None
     for before, now in pairs:
         size = now.size
@@ -151,10 +188,12 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
         if _is_repeated(before, now):
             repeated.append(now.number)
             continue
-        earlier, current = (solve_projection(f.position, _static(f)) for f in (before, now))
+        earlier, current = (solve_projection(f.position, static_surfaces(f)) for f in (before, now))
         if earlier is None or current is None:
             continue
-        static = still & _static(now)
+        if len(earlier.axes) == len(current.axes) == 3 and max(earlier.residual, current.residual) <= LOOSE:
+            sky += _background(background_motion(earlier, current, size), now)
+        static = still & static_surfaces(now)
         there, away = earlier.project(now.position[static].astype(np.float64))
         kept = (away > 0) & (there >= 0).all(axis=-1) & (there <= (size[1] - 1, size[0] - 1)).all(axis=-1)
         if not kept.any():
@@ -169,7 +208,23 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
         share = static_holes(np.where(inside, now.stencil, 1), now.normal, valid) or 0.0
         single.append((max(earlier.residual, current.residual), _depth(now, current), *_normals(now), share))
     positions = _verdict(found, single, size, mirrored=mirrored) if found else None
-    return StaticGeometry(positions, Jitter(tuple(against), tuple(within)), tuple(repeated))
+    background = None
+    if sky:
+        share, turns, error, largest = np.median(sky, axis=0)
+        background = BackgroundVerdict(float(share), float(turns), float(error), bool(largest == 0))
+    return StaticGeometry(positions, Jitter(tuple(against), tuple(within)), tuple(repeated), background)
+
+
+def _background(expected: Image, now: Buffers) -> list[tuple[float, float, float, float]]:
+    """Of a frame: its share, the median motion that it should have, the median error and the largest of the one that it has."""
+    missed = ~np.isfinite(now.depth) & np.isfinite(expected).all(axis=-1)
+    if missed.sum() < MIN_PIXELS:
+        return []
+    stored = np.where(np.isfinite(now.motion), now.motion, np.inf)[missed].astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        errors = np.linalg.norm(stored - expected[missed], axis=-1)
+    turns = float(np.median(np.linalg.norm(expected[missed], axis=-1)))
+    return [(float(missed.mean()), turns, float(np.median(errors)), float(np.abs(stored).max()))]
 
 
 def _verdict(
@@ -199,15 +254,6 @@ def _is_repeated(before: Buffers, now: Buffers) -> bool:
         claims = np.nanmedian(np.linalg.norm(now.motion.astype(np.float64), axis=-1))
     same = (np.array_equal(getattr(before, of), getattr(now, of), equal_nan=True) for of in ("position", "normal", "base_color"))
     return bool(claims > MOVES) and all(same)
-
-
-def _static(frame: Buffers) -> Mask:
-    return (
-        (frame.stencil == 0)
-        & np.isfinite(frame.depth)
-        & np.isfinite(frame.position).all(axis=-1)
-        & (frame.normal != 0).any(axis=-1)
-    )
 
 
 def _guesses(stored: Array, reversed_rows: Array, size: tuple[int, int], *, mirrored: bool | None) -> dict[str, Array]:
@@ -261,7 +307,7 @@ def _line(true: Array, stored: Array) -> tuple[float, float]:
 
 def _depth(frame: Buffers, projection: Projection) -> float:
     """Median deviation of depth from what is proportional to the distance along the view; -1 where it falls with distance."""
-    seen = _static(frame)
+    seen = static_surfaces(frame)
     away = projection.project(frame.position[seen].astype(np.float64))[1]
     depth = frame.depth[seen].astype(np.float64)
     if np.cov(depth, away)[0, 1] < 0:
@@ -279,7 +325,7 @@ def _normals(frame: Buffers) -> tuple[float, float]:
         flat = bend.sum(axis=-1) < FLAT * np.minimum(np.linalg.norm(across, axis=-1), np.linalg.norm(down, axis=-1))
         made = np.cross(across, down)
         made /= np.linalg.norm(made, axis=-1, keepdims=True)
-    used = flat & np.isfinite(made).all(axis=-1) & _static(frame)[1:-1, 1:-1]
+    used = flat & np.isfinite(made).all(axis=-1) & static_surfaces(frame)[1:-1, 1:-1]
     if not used.any():
         return 1.0, 1.0
     a, b = frame.normal[1:-1, 1:-1][used].astype(np.float64), made[used]

@@ -13,6 +13,7 @@ from stss.frames.backends import BACKENDS
 from stss.frames.compute_options import PRECISIONS, SKIPS, ComputeOptions, Precision, Skip
 from stss.images.color import HDR_IS_GONE, TRANSFERS
 from stss.images.headers import MAX_SIDE
+from stss.sequence.background import BACKGROUNDS
 from stss.sequence.choose_weights import AUTO
 from stss.sequence.find_files import MAX_DIGITS
 from stss_ground.commands import grouped
@@ -84,6 +85,13 @@ def sequence_options(command: Command) -> Command:
         ),
         click.option("--metallic", type=Number(0, 1), help="Constant, for files that have none."),
         click.option("--roughness", type=Number(0, 1), help="Constant, for files that have none."),
+        click.option(
+            "--background",
+            type=click.Choice(BACKGROUNDS),
+            default="files",
+            show_default=True,
+            help="Where the background's motion is from: camera computes it where the files lack it.",
+        ),
         click.option(
             "--non-finite",
             type=click.Choice(["refuse", "mask"]),

@@ -55,6 +55,7 @@ def run(
     metallic: float | None,
     roughness: float | None,
     non_finite: Any,
+    background: Any,
     weights: str,
     backend: str,
     compute: ComputeOptions,
@@ -65,6 +66,7 @@ def run(
     """Make SEQUENCE, a folder or a pattern like a.####.exr, twice as large and twice as fast."""
     console = Terminal(stderr=True)
     constants: dict[str, Any] = {"camera": camera, "metallic": metallic, "roughness": roughness, "non_finite": non_finite}
+    constants["background"] = background
     frames = open_sequence(sequence, profile, **constants, track=partial(track, console=console, text="reading headers"))
     if profile is None:
         _tell(f"profile: {frames.profile.name}, by the channels' names; --profile takes another")
@@ -72,6 +74,8 @@ def run(
         _tell(frames.one_view)
     if frames.solves_camera:
         _tell("camera: from position and depth; --camera CSV takes one")
+    if background == "camera":
+        _tell("background: its motion is computed from the camera, which positions show; the files' is not used")
     options = RunOptions.of(frames.profile, format=suffix, **chosen)
     reads = [Path(weights)]
     loaded = choose_weights(weights, frames, _tell)

@@ -214,6 +214,7 @@ def describe(sequence: Sequence, options: RunOptions, method: str, backend: str,
         "stss:highlights": "carried past the network" if transfer(options.transfer).clips else "as the transfer has them",
         "stss:depth": options.depth,
         "stss:profile": sequence.profile.name,
+        **({"stss:background": "motion from the camera"} if sequence.background == "camera" else {}),
     }
 
 

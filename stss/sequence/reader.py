@@ -12,12 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from stss.frames.buffers import Buffers
+from stss.frames.display_frame import WINDOW
 from stss.images.headers import Header, read_header
+from stss.sequence.background import Background, background_motion, projection_of
 from stss.sequence.camera import CameraPose, camera_of, read_cameras
 from stss.sequence.channels import Source, find_buffers, missing_buffer
 from stss.sequence.conventions import linear_depth, to_specification
 from stss.sequence.find_files import find_frames
 from stss.sequence.profiles import BUFFERS, CONSTANTS, Profile, load_profile, profile_names
+from stss.sequence.projection import Projection
 from stss.sequence.raw_frame import CARRIED, UNIT_RANGE, NonFinite, RawFrame, read_stored, settle_all_finite, settle_non_finite
 from stss.sequence.solve_camera import solve_camera
 from stss_ground.errors import InputError
@@ -39,6 +42,7 @@ class Sequence:
         constants: buffer -> number that stands in where there is no channel.
         settings: everything besides the files that decides what `load` returns: text and numbers.
         tables: files that were read besides those of the frames: the profile's, the camera's.
+        background: where the motion of the background is from, see `open_sequence`.
     """
 
     def __init__(
@@ -50,12 +54,15 @@ class Sequence:
         frames: Mapping[int, RawFrame],
         constants: Mapping[str, float],
         non_finite: NonFinite,
+        background: Background = "files",
         settings: Mapping[str, object],
         tables: tuple[Path, ...] = (),
     ):
         self.path, self.profile, self.size, self.frames, self.settings = path, profile, size, frames, dict(settings)
         self.constants, self.tables = dict(constants), tables
         self._non_finite: NonFinite = non_finite
+        self.background: Background = background
+        self._projections: dict[int, Projection | None] = {}
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -108,6 +115,37 @@ class Sequence:
             InputError: the frame or a buffer of it is not there, a file cannot be read, or a value is not finite where
                 it must be.
         """
+        buffers = self._load(number, color=color, also=also)
+        if self.background == "camera" and number - 1 in self.frames and not np.isfinite(buffers.depth).all():
+            return self._with_background(buffers)
+        return buffers
+
+    def _with_background(self, buffers: Buffers) -> Buffers:
+        """The frame with the background's motion by the camera; one whose predecessor cannot be read is as it was: nothing is older."""
+        try:
+            before = self._projection(buffers.number - 1)
+        except InputError:
+            return buffers
+        now = self._projection(buffers.number, buffers)
+        missed = ~np.isfinite(buffers.depth)[..., None]
+        if before is None or now is None:
+            number = buffers.number - (now is not None)
+            raise InputError(
+                f"{self._where(buffers.number)}: --background camera: positions of what stands still in frame {number} do not give the "
+                "camera; write the background's motion into the files"
+            )
+        motion = np.where(missed, background_motion(before, now, self.size), buffers.motion)
+        return replace(buffers, motion=motion)
+
+    def _projection(self, number: int, buffers: Buffers | None = None) -> Projection | None:
+        """A frame's, of which the last few are kept."""
+        if number not in self._projections:
+            self._projections = {n: found for n, found in self._projections.items() if abs(n - number) <= WINDOW}
+            self._projections[number] = projection_of(buffers or self._load(number, color=False))
+        return self._projections[number]
+
+    def _load(self, number: int, *, color: bool = True, also: Collection[str] = ()) -> Buffers:
+        """The frame with the motion that its files have."""
         frame = self._frame(number)
         for buffer in BUFFERS:
             if not (buffer == "color" or self.has(number, buffer)):
@@ -219,6 +257,7 @@ def open_sequence(
     metallic: float | None = None,
     roughness: float | None = None,
     non_finite: NonFinite = "refuse",
+    background: Background = "files",
     track: Track = iter,
 ) -> Sequence:
     """Find the frames of a sequence; reads headers, no pixels.
@@ -231,6 +270,8 @@ def open_sequence(
         roughness: the same for roughness.
         non_finite: what to do with non-finite colours, normals, base colours, roughness, metallic, NoV and stencils.
             "refuse": InputError; "mask": 0, and no later frame trusts such a colour.
+        background: where the background's motion is from. "files": as they have it. "camera": from the turn of the camera, which the
+            positions of what stands still show (`stss.sequence.background`).
         track: may show how many headers are read.
 
     Raises:
@@ -263,6 +304,7 @@ def open_sequence(
         "camera": None if camera is None else hashlib.sha256(camera.read_bytes()).hexdigest(),
         "constants": dict(sorted(constants.items())),
         "non_finite": non_finite,
+        "background": background,
     }
     return Sequence(
         path,
@@ -271,6 +313,7 @@ def open_sequence(
         frames=frames,
         constants=constants,
         non_finite=non_finite,
+        background=background,
         settings=settings,
         tables=(table.path,) if camera is None else (table.path, camera),
     )

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: MIT
+"""The motion of the background: where a direction of view, infinitely far away, was seen in the frame before."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import numpy as np
+
+from stss.frames.buffers import Buffers
+from stss.sequence.projection import Projection, solve_projection
+from stss_ref.arrays import Image, Mask
+
+Background = Literal["files", "camera"]
+BACKGROUNDS: tuple[Background, ...] = get_args(Background)
+"""Where the motion of the background is from."""
+LOOSE = 0.25
+"""Pixels: positions that no projection fits better say nothing of the camera."""
+
+
+def static_surfaces(frame: Buffers) -> Mask:
+    """(H, W) True where something is seen that does not move by itself, and its position is known."""
+    return (
+        (frame.stencil == 0)
+        & np.isfinite(frame.depth)
+        & np.isfinite(frame.position).all(axis=-1)
+        & (frame.normal != 0).any(axis=-1)
+    )
+
+
+def projection_of(frame: Buffers) -> Projection | None:
+    """The camera's projection, by the positions of what stands still; None where they do not determine it in all directions."""
+    found = solve_projection(frame.position, static_surfaces(frame))
+    return None if found is None or found.residual > LOOSE or len(found.axes) < 3 else found
+
+
+def background_motion(before: Projection, now: Projection, size: tuple[int, int]) -> Image:
+    """Motion of points at infinity, from the turn of the camera; its path does not matter.
+
+    A point far along ``d`` is seen at ``P d``, with the projection's matrix without its last column. So the frame before shows at
+    ``P_before P_now^-1 (x, y, 1)`` what now is at ``(x, y)``.
+
+    Source: Hartley and Zisserman, Multiple View Geometry, section 13.4: the infinite homography.
+
+    Args:
+        before: of the frame before.
+        now: of this frame.
+        size: (H, W) of both.
+
+    Returns:
+        (H, W, 2) float32; pixels, current -> previous, x right, y down; NaN where it was behind the camera.
+    """
+    y, x = np.mgrid[: size[0], : size[1]].astype(np.float64)
+    here = np.stack([x, y], axis=-1)
+    seen = (here.reshape(-1, 2) - now.middle) / now.half
+    direction = np.linalg.solve(now.far, np.concatenate([seen, np.ones((len(seen), 1))], axis=1).T)
+    u, v, w = before.far @ direction
+    with np.errstate(divide="ignore", invalid="ignore"):
+        there = np.stack([u / w, v / w], axis=-1) * before.half + before.middle
+    there[~(w > 0)] = np.nan
+    return (there.reshape(here.shape) - here).astype(np.float32)
