@@ -10,10 +10,11 @@ from typing import Any
 
 import click
 
+from stss_ground.commands import Subcommand
 from stss_ground.errors import InputError
 from stss_ground.guard import run_guarded
 from stss_ground.one_thread import take_one_thread
-from stss_ground.option_kinds import MAX_SECONDS, MAX_SEED, PATH, Names, Number, Size
+from stss_ground.option_kinds import MAX_SECONDS, MAX_SEED, Names, Number, Program, ReadPath, Size, WrittenFile, WrittenFolder
 from stss_ground.optional import require as require_package
 from stss_ground.optional import require_own_conformance
 from stss_ground.output.apart import require_places
@@ -27,9 +28,11 @@ LEAST_SIDE = 2048
 MOST_SIDE = 2**17
 
 
-@click.command()
+@click.command(cls=Subcommand)
 @click.option("--port", "spec", metavar="MODULE:FACTORY", help="A Python object: package.module:factory.")
-@click.option("--exec", "program", metavar="PROGRAM", help='A program that is called with a job folder: "./port --gpu 1".')
+@click.option(
+    "--exec", "program", type=Program(), metavar="PROGRAM", help='A program that is called with a job folder: "./port --gpu 1".'
+)
 @click.option("--stages", type=Names(), help="Stages to judge  [default: all that the port has]")
 @click.option("--tier", type=click.Choice(["quick", "full"]), default="quick", show_default=True, help="How many cases.")
 @click.option("--size", type=Size(MOST_SIDE, MOST_PIXELS), help="Judge each stage once at this size, too.")
@@ -58,15 +61,21 @@ MOST_SIDE = 2**17
     "--repeat", type=click.IntRange(1, MAX_REPEAT), default=1, show_default=True, help="How often each case is computed."
 )
 @click.option("--fail-fast", is_flag=True, help="Stop at the first failure.")
-@click.option("--known-failures", type=PATH, help="JSON file: tests that may fail, each until a day and for a reason.")
+@click.option("--known-failures", type=ReadPath(), help="JSON file: tests that may fail, each until a day and for a reason.")
 @click.option(
-    "--failures", type=PATH, default=Path("conform-failures"), show_default=True, help="Folder for the cases that fail."
+    "--failures",
+    type=WrittenFolder(),
+    default=Path("conform-failures"),
+    show_default=True,
+    help="Folder for the cases that fail.",
 )
-@click.option("--replay", type=PATH, help="Run only the case of one such folder again.")
-@click.option("--write-cases", type=PATH, help="Write cases with right answers and bounds into a new folder, and judge nothing.")
-@click.option("--json", "json_file", type=PATH, help="File for every result, written as it comes.")
-@click.option("--junit", type=PATH, help="File for JUnit XML.")
-@click.option("--report", type=PATH, help="File for an HTML page with pictures.")
+@click.option("--replay", type=ReadPath(), help="Run only the case of one such folder again.")
+@click.option(
+    "--write-cases", type=WrittenFolder(), help="Write cases with right answers and bounds into a new folder, and judge nothing."
+)
+@click.option("--json", "json_file", type=WrittenFile(), help="File for every result, written as it comes.")
+@click.option("--junit", type=WrittenFile(), help="File for JUnit XML.")
+@click.option("--report", type=WrittenFile(), help="File for an HTML page with pictures.")
 def conform(
     spec: str | None,
     program: str | None,
@@ -98,12 +107,11 @@ def conform(
         require_package(package, "conform")
     from conformance.judging.judge import TIERS, Judge
     from conformance.judging.known_failures import KnownFailuresError, read_known
-    from conformance.protocol.load_port import load_port
+    from conformance.protocol.load_port import load_port, loaded_files
     from conformance.report import case_archive
     from conformance.report.running_report import RunningReport
     from conformance.suite.run_suite import SUITE, run_suite
 
-    require_places({"--json": json_file, "--junit": junit, "--report": report}, [known_failures])
     _require_folder(failures)
     _require_stages({"--stages": stages, "--require": require})
     if write_cases is not None:
@@ -114,6 +122,8 @@ def conform(
         echo(f"{write_cases}: {len(index['cases'])} cases, inputs {index['inputs_sha256'][:16]}")
         return
     port = load_port(spec, program, timeout, dtype, winograd, weights_version)
+    # Whatever module the port has imported is read, too.
+    require_places({"--json": json_file, "--junit": junit, "--report": report}, loaded_files())
     if replay is not None:
         sys.exit(_replay(port, replay))
     judge = Judge(port, TIERS[tier], seed, repeat=repeat, size=size, largest_side=largest_side)

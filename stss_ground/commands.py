@@ -5,15 +5,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from importlib import import_module
+from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
+from stss_ground.option_kinds import ReadName, ReadPath, WrittenFile, WrittenFolder
 from stss_ground.optional import require_own_conformance
+from stss_ground.output.apart import require_places
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 Sections = Mapping[str, Mapping[str, tuple[str, str]]]
 """Heading -> command -> ``module:attribute`` and what the command does, in one line."""
+
+
+def places_of(ctx: click.Context) -> tuple[dict[str, Path], list[Path], list[Path]]:
+    """What a command's parameters name: option -> the file that it writes; what it reads; the folders that it writes into."""
+    written, read, made = dict[str, Path](), list[Path](), list[Path]()
+    for parameter in ctx.command.params:
+        if (value := ctx.params.get(str(parameter.name))) is None:
+            continue
+        if isinstance(parameter.type, WrittenFile):
+            written[parameter.opts[-1]] = value
+        elif isinstance(parameter.type, WrittenFolder):
+            made.append(value)
+        elif isinstance(parameter.type, (ReadPath, ReadName)):
+            read += parameter.type.reads(value)
+    return written, read, made
 
 
 class Commands(click.Group):
@@ -47,7 +65,7 @@ class Commands(click.Group):
 
 
 def grouped(heading: str, *options: Callable[[Any], Any]) -> Callable[[Command], Command]:
-    """Add options to a command that stand together in the help of a `GroupedOptions`."""
+    """Add options to a command that stand together in the help of a `Subcommand`."""
 
     def add(command: Any) -> Any:
         before = len(getattr(command, "__click_params__", ()))
@@ -60,8 +78,22 @@ def grouped(heading: str, *options: Callable[[Any], Any]) -> Callable[[Command],
     return add
 
 
-class GroupedOptions(click.Command):
-    """A command whose options stand in the help under the headings that `grouped` gave them."""
+class Subcommand(click.Command):
+    """A command of ``stss``.
+
+    It refuses, before it begins, to write a file that it reads, by the kinds of its parameters (``stss_ground.option_kinds``). Its
+    options stand in the help under the headings that `grouped` gave them.
+    """
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command, unless a file that is written is one that is read.
+
+        Raises:
+            InputError: it is.
+        """
+        written, read, made = places_of(ctx)
+        require_places(written, read, made=made)
+        return super().invoke(ctx)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write a list for each heading; options without one come first."""

@@ -1,18 +1,74 @@
 # SPDX-License-Identifier: MIT
-"""Kinds of option that need nothing of the project: the judge is installed without the rest."""
+"""Kinds of option that need nothing of the project: the judge is installed without the rest.
+
+A kind that names files says what becomes of them, and so every command declares what it reads and what it writes. A `Subcommand`
+compares all of them before it begins.
+"""
 
 from __future__ import annotations
 
 import math
 import re
+import shlex
+import shutil
 from pathlib import Path
 from typing import Any
 
 import click
 
-PATH = click.Path(path_type=Path)
 MAX_SEED = 2**32 - 1
 MAX_SECONDS = 7 * 24 * 3600
+
+
+class ReadPath(click.Path):
+    """A file or a folder that is read."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+    def reads(self, value: Path) -> list[Path]:
+        """What is read."""
+        return [value]
+
+
+class ReadName(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
+    """A file that is read, or a name that stands for one that comes with stss."""
+
+    name = "text"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """The text as it is."""
+        return str(value)
+
+    def reads(self, value: str) -> list[Path]:
+        """What is read, if it is a file."""
+        return [Path(value)]
+
+
+class Program(ReadName):
+    """A command line, whose program and arguments may be files: all of them count as read."""
+
+    def reads(self, value: str) -> list[Path]:
+        """The files among its words, and among the words of a word, as in ``sh -c "./port --table=t.csv"``."""
+        found: list[Path] = []
+        for word in _words(value):
+            for part in (word, *re.split(r"[=:,;]", word), *(_words(word) if word != value else ())):
+                found += [Path(place) for place in (part, shutil.which(part) if part else None) if place]
+        return found
+
+
+class WrittenFile(click.Path):
+    """A file that is written, or replaced."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+
+class WrittenFolder(click.Path):
+    """A folder that files are written into. The command compares them with what it reads: only it knows their names."""
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
 
 
 class Number(click.FloatRange):
@@ -54,3 +110,10 @@ class Size(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
             most = f"{self._most_side} a side and {self._most_pixels} pixels"
             self.fail(f"expected width x height such as 1280x720, at most {most}, got {value!r}", param, ctx)
         return height, width
+
+
+def _words(text: str) -> list[str]:
+    try:
+        return shlex.split(text)
+    except ValueError:
+        return text.split()

@@ -11,15 +11,15 @@ import click
 from stss.cli.options import MAX_COUNT
 from stss.images.headers import MAX_SIDE
 from stss.weights.file import identity, load
+from stss_ground.commands import Subcommand
 from stss_ground.errors import InputError
-from stss_ground.option_kinds import PATH, Names, Size
-from stss_ground.output.apart import require_places
+from stss_ground.option_kinds import Names, ReadName, Size, WrittenFile, WrittenFolder
 from stss_ground.output.write_whole import write_named
 from stss_ground.progress import show_steps
 from stss_ground.terminal import Terminal, echo
 
 
-@click.command("bench")
+@click.command("bench", cls=Subcommand)
 @click.option(
     "--size",
     "sizes",
@@ -44,10 +44,10 @@ from stss_ground.terminal import Terminal, echo
     show_default=True,
     help="Other engines; ratios are to the first of them.",
 )
-@click.option("--weights", help="A .safetensors file  [default: random weights]")
+@click.option("--weights", type=ReadName(), help="A .safetensors file  [default: random weights]")
 @click.option("--dark", is_flag=True, help="Colours of 1e-38, which are subnormal numbers: does the time depend on the data?")
 @click.option("--device", help="Part of the name of the OpenCL device.")
-@click.option("--json", "json_file", type=PATH, help="File for all times, the versions and the machine.")
+@click.option("--json", "json_file", type=WrittenFile(), help="File for all times, the versions and the machine.")
 @click.option(
     "--pareto", is_flag=True, help="Measure time against error instead: every precision and skip mode, on the canonical scenes."
 )
@@ -82,7 +82,6 @@ def bench_command(
     from stss_lab.bench.measure import count_steps
     from stss_ref.weights import random as random_weights
 
-    require_places({"--json": json_file}, [None if weights is None else Path(weights)])
     tensors = random_weights(0) if weights is None else load(weights).weights
     threads = available_threads()
     console = Terminal(stderr=True)
@@ -102,8 +101,8 @@ def bench_command(
     sys.exit(1 if any(row.fault for result in results for row in result.rows) else 0)
 
 
-@click.command("gpu-report")
-@click.option("-o", "--out", type=PATH, required=True, help="A new or an empty folder.")
+@click.command("gpu-report", cls=Subcommand)
+@click.option("-o", "--out", type=WrittenFolder(), required=True, help="A new or an empty folder.")
 @click.option("--device", help="Part of the name of the OpenCL device  [default: the first GPU]")
 @click.option("--tiny", is_flag=True, help="Small sizes: show that every step runs, and nothing else.")
 def gpu_report_command(out: Path, device: str | None, tiny: bool) -> None:
@@ -119,9 +118,9 @@ def gpu_report_command(out: Path, device: str | None, tiny: bool) -> None:
     sys.exit(0 if good else 1)
 
 
-@click.command()
-@click.argument("weights")
-@click.option("-o", "--out", type=PATH, required=True, help="The .onnx file to write.")
+@click.command(cls=Subcommand)
+@click.argument("weights", type=ReadName())
+@click.option("-o", "--out", type=WrittenFile(), required=True, help="The .onnx file to write.")
 @click.option(
     "--size", type=Size(MAX_SIDE), default=(544, 960), show_default="960x544", help="Size of the inputs: multiples of 8."
 )
@@ -129,6 +128,5 @@ def export(weights: str, out: Path, size: tuple[int, int]) -> None:
     """Write the network with WEIGHTS, for inputs of one size, as an ONNX model for other engines."""
     from stss_lab.bench import onnx_export
 
-    require_places({"--out": out}, [Path(weights)])
     onnx_export.write(out, load(weights).weights, *size)
     echo(f"{out}: {size[1]}x{size[0]} to {2 * size[1]}x{2 * size[0]}, opset {onnx_export.OPSET}")

@@ -20,23 +20,24 @@ from stss.frames.backends import NETWORK
 from stss.frames.compute_options import ComputeOptions
 from stss.pages.viewer import page_folder
 from stss.sequence.reader import open_sequence
-from stss_ground.option_kinds import PATH, Names
+from stss_ground.commands import Subcommand
+from stss_ground.option_kinds import Names, ReadPath, WrittenFile, WrittenFolder
 from stss_ground.output.apart import require_places
 from stss_ground.progress import show_progress, track
 from stss_ground.terminal import Terminal, echo
 
 
-@click.command("methods")
-@click.argument("sequence", type=PATH)
-@click.argument("truth", type=PATH)
-@click.option("-o", "--out", type=PATH, required=True, help="Folder for one folder of each method.")
+@click.command("methods", cls=Subcommand)
+@click.argument("sequence", type=ReadPath())
+@click.argument("truth", type=ReadPath())
+@click.option("-o", "--out", type=WrittenFolder(), required=True, help="Folder for one folder of each method.")
 @sequence_options
 @weights_option
 @click.option("--methods", type=Names(), default=(), help="Which, such as bilinear,taau,network  [default: all]")
 @backend_options
 @frame_options
 @click.option("--overwrite", is_flag=True, help="Replace what an earlier run wrote.")
-@click.option("--html", type=PATH, help="File for a page to look at: every method, frame by frame; needs no network.")
+@click.option("--html", type=WrittenFile(), help="File for a page to look at: every method, frame by frame; needs no network.")
 @perceptual_options
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def methods_command(

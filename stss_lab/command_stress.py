@@ -10,16 +10,17 @@ import click
 
 from stss.frames.backends import BACKENDS
 from stss.weights.file import load
+from stss_ground.commands import Subcommand
 from stss_ground.errors import InputError
-from stss_ground.option_kinds import Names
+from stss_ground.option_kinds import Names, ReadName
 from stss_ground.progress import show_progress
 from stss_ground.terminal import Terminal, echo
 
 
-@click.command("stress")
+@click.command("stress", cls=Subcommand)
 @click.option("--backend", type=click.Choice(BACKENDS), default="cl", show_default=True, help="ref: the reference alone.")
 @click.option("--device", help="Part of an OpenCL device's name (stss devices)  [default: $STSS_DEVICE, or the fastest]")
-@click.option("--weights", help="A .safetensors file  [default: random weights, different for each seed]")
+@click.option("--weights", type=ReadName(), help="A .safetensors file  [default: random weights, different for each seed]")
 @click.option("--only", type=Names(), default="", help="Names of tables: magnitude,positions,...  [default: all]")
 def stress_command(backend: str, device: str | None, weights: str | None, only: tuple[str, ...]) -> None:
     """Measure where digits are lost: with magnitude, depth, size, and in the worst places."""

@@ -19,6 +19,7 @@ from torch import nn
 
 from stss.weights.file import load, save
 from stss_ground.errors import InputError
+from stss_ground.output.apart import require_places
 from stss_ref.weights import SECOND_COLORS, SecondColor
 from training import checkpoint
 from training.checkpoint import State
@@ -146,6 +147,9 @@ class Log:
             self.path.write_text("".join(line + "\n" for line in lines))
 
 
+WRITTEN = ("weights.safetensors", "best.safetensors", "state.safetensors")
+
+
 def keep(out: Path, state: State, means: Means) -> None:
     """Write ``weights.safetensors``, also as ``best.safetensors`` if its score is the best, and last the checkpoint."""
     weights, metadata = (
@@ -242,6 +246,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         torch.set_num_threads(chosen.threads)
     if chosen.compile and shutil.which(os.environ.get("CXX", "g++")) is None:
         raise InputError("--compile: expected a C++ compiler, g++ or what CXX names; found none")
+    if chosen.initial is not None and not chosen.resume:
+        for path in filter(Path.exists, (chosen.out / name for name in WRITTEN)):
+            require_places({"--out": path}, [Path(chosen.initial)])
     device = torch.device(chosen.device)
     before = "newest" if chosen.initial is None else load(chosen.initial).weights.second_color
     half = chosen.half == "on" or (chosen.half == "auto" and device.type == "cuda")

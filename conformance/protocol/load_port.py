@@ -7,6 +7,7 @@ import importlib
 import shlex
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from conformance.protocol.port import Port, PortError
@@ -56,6 +57,12 @@ def load_port(
     if unknown:
         raise InputError(f"{spec or program}: stages: not in the table: {', '.join(sorted(unknown))}")
     return port
+
+
+def loaded_files() -> list[Path]:
+    """The files of all modules that this process has imported: those of a port are read, whatever it imported itself."""
+    found = (getattr(module, "__file__", None) for module in [*sys.modules.values()])
+    return [Path(name) for name in found if isinstance(name, str)]
 
 
 def _imported(spec: str) -> Any:

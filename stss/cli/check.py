@@ -15,12 +15,13 @@ from stss.cli.options import (
     sequence_options,
     weights_option,
 )
-from stss_ground.option_kinds import PATH
+from stss_ground.commands import Subcommand
+from stss_ground.option_kinds import ReadPath, WrittenFolder
 from stss_ground.terminal import Terminal
 
 
-@click.command()
-@click.argument("sequence", type=PATH)
+@click.command(cls=Subcommand)
+@click.argument("sequence", type=ReadPath())
 @sequence_options
 @click.option("--frames", type=FrameRange(), help="First and last frame to look at.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
@@ -39,8 +40,8 @@ def check(sequence: Path, profile: str | None, as_json: bool, **options: Any) ->
     sys.exit(report.status)
 
 
-@click.command()
-@click.argument("out", type=PATH, default=Path("demo"))
+@click.command(cls=Subcommand)
+@click.argument("out", type=WrittenFolder(), default=Path("demo"))
 @weights_option
 @backend_options
 @click.option("--overwrite", is_flag=True, help="Replace an earlier demo.")

@@ -7,10 +7,11 @@ from functools import partial
 
 import click
 
+from stss_ground.commands import Subcommand
 from stss_ground.terminal import Terminal, echo
 
 
-@click.command()
+@click.command(cls=Subcommand)
 @click.option("--again", is_flag=True, help="Test again, even where a verdict is stored.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def devices(again: bool, as_json: bool) -> None:

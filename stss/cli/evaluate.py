@@ -16,18 +16,23 @@ from stss.cli.options import (
 )
 from stss.pages.viewer import page_folder
 from stss.sequence.reader import open_sequence
-from stss_ground.option_kinds import PATH
+from stss_ground.commands import Subcommand
+from stss_ground.option_kinds import ReadPath, WrittenFile
 from stss_ground.output.apart import require_places
 from stss_ground.progress import track
 from stss_ground.terminal import Terminal, echo
 
 
-@click.command("compare")
-@click.argument("out", type=PATH)
-@click.argument("truth", type=PATH)
+@click.command("compare", cls=Subcommand)
+@click.argument("out", type=ReadPath())
+@click.argument("truth", type=ReadPath())
 @click.option("--frames", type=FrameRange(), help="First and last frame to compare.")
-@click.option("--html", type=PATH, help="File for a page to look at: slider, flicker, difference, plots; needs no network.")
-@click.option("--sequence", type=PATH, help="The input of OUT: flicker is measured along its motion, and the page shows it.")
+@click.option(
+    "--html", type=WrittenFile(), help="File for a page to look at: slider, flicker, difference, plots; needs no network."
+)
+@click.option(
+    "--sequence", type=ReadPath(), help="The input of OUT: flicker is measured along its motion, and the page shows it."
+)
 @sequence_options
 @perceptual_options
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")

@@ -17,7 +17,7 @@ from stss.sequence.background import BACKGROUNDS
 from stss.sequence.choose_weights import AUTO
 from stss.sequence.find_files import MAX_DIGITS
 from stss_ground.commands import grouped
-from stss_ground.option_kinds import PATH, Names, Number
+from stss_ground.option_kinds import Names, Number, ReadName, ReadPath
 from stss_ground.terminal import echo
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -76,11 +76,13 @@ def sequence_options(command: Command) -> Command:
     """Add the options of commands that read a sequence."""
     options = (
         click.option(
-            "--profile", help="The renderer's conventions: a name or a TOML file  [default: what the channels' names fit]"
+            "--profile",
+            type=ReadName(),
+            help="The renderer's conventions: a name or a TOML file  [default: what the channels' names fit]",
         ),
         click.option(
             "--camera",
-            type=PATH,
+            type=ReadPath(),
             help="CSV of frame,x,y,z in the sequence's unit of length  [default: from the files, or from position and depth]",
         ),
         click.option("--metallic", type=Number(0, 1), help="Constant, for files that have none."),
@@ -171,6 +173,7 @@ def backend_options(command: Command) -> Command:
 
 weights_option = click.option(
     "--weights",
+    type=ReadName(),
     default=AUTO,
     show_default=True,
     help="realtime or antialiased, which come with stss; a .safetensors file; bilinear: no network; auto: what suits the frames.",

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import click
 
+from stss_ground.commands import Subcommand
 from stss_ground.errors import InputError
-from stss_ground.option_kinds import PATH
+from stss_ground.option_kinds import ReadPath
 
 
-@click.command()
-@click.argument("job", type=PATH, required=False)
+@click.command(cls=Subcommand)
+@click.argument("job", type=ReadPath(), required=False)
 @click.option("--backend", type=click.Choice(["ref", "cl"]), default="ref", show_default=True)
 @click.option("--dump", is_flag=True, help="Leave what each layer of the network gives, too: folder layers of a case.")
 @click.option("--serve", is_flag=True, help="Compute the jobs whose folders come on standard input, a line each.")

@@ -28,16 +28,16 @@ from stss.run.options import RunOptions
 from stss.run.skip_report import Tally, describe_costs
 from stss.sequence.choose_weights import choose_weights
 from stss.sequence.reader import open_sequence
-from stss_ground.commands import GroupedOptions
-from stss_ground.option_kinds import PATH
+from stss_ground.commands import Subcommand
+from stss_ground.option_kinds import ReadPath, WrittenFolder
 from stss_ground.progress import show_progress, track
 from stss_ground.terminal import Terminal, echo, printable
 from stss_ref.schedule import FrameKind
 
 
-@click.command(cls=GroupedOptions)
-@click.argument("sequence", type=PATH)
-@click.option("-o", "--out", type=PATH, required=True, help="Folder for the frames.")
+@click.command(cls=Subcommand)
+@click.argument("sequence", type=ReadPath())
+@click.option("-o", "--out", type=WrittenFolder(), required=True, help="Folder for the frames.")
 @sequence_options
 @weights_option
 @backend_options

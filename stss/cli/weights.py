@@ -15,8 +15,8 @@ from stss.cli.options import (
 from stss.weights import inspect as inspection
 from stss.weights.checkpoint import read_checkpoint
 from stss.weights.file import load, save
-from stss_ground.option_kinds import PATH
-from stss_ground.output.apart import require_places
+from stss_ground.commands import Subcommand
+from stss_ground.option_kinds import ReadName, ReadPath, WrittenFile
 from stss_ground.terminal import Terminal, echo, printable
 
 
@@ -25,18 +25,17 @@ def weights() -> None:
     """Import and inspect the network's weights."""
 
 
-@weights.command("import")
-@click.argument("checkpoint", type=PATH)
-@click.option("-o", "--out", type=PATH, required=True, help="The .safetensors file to write.")
+@weights.command("import", cls=Subcommand)
+@click.argument("checkpoint", type=ReadPath())
+@click.option("-o", "--out", type=WrittenFile(), required=True, help="The .safetensors file to write.")
 def import_weights(checkpoint: Path, out: Path) -> None:
     """Read the authors' PyTorch CHECKPOINT, without executing it, and write it as safetensors."""
-    require_places({"--out": out}, [checkpoint])
     save(out, read_checkpoint(checkpoint), {"imported_from": printable(checkpoint.name)})
     echo(f"{out}: {load(out).identity}")
 
 
-@weights.command()
-@click.argument("file")
+@weights.command(cls=Subcommand)
+@click.argument("file", type=ReadName())
 @click.option("--size", type=(SIDE, SIDE), default=(544, 960), show_default=True, help="H W for the multiply-adds.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def inspect(file: str, size: tuple[int, int], as_json: bool) -> None:

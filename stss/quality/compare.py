@@ -252,8 +252,11 @@ def _judge(number: int, pair: Pair, shown: Shown, *, flip: bool) -> FrameScores:
 
 
 def files_of(pairs: Mapping[int, Pair]) -> list[Path]:
-    """Every file of the frames that are compared."""
-    return [path for pair in pairs.values() for path in (pair.output, pair.truth, pair.holes) if path is not None]
+    """Every file of the frames that are compared, and of the other frames in their folders."""
+    files = [path for pair in pairs.values() for path in (pair.output, pair.truth, pair.holes) if path is not None]
+    return [
+        path for folder in {path.parent for path in files} for path in folder.iterdir() if path.suffix.lower() in (".exr", ".png")
+    ]
 
 
 def _with(row: FrameScores, **found: float | None) -> FrameScores:

@@ -18,6 +18,7 @@ def require_places(
     *,
     folders: Iterable[OutputFolder] = (),
     inputs: Iterable[Path] = (),
+    made: Iterable[Path] = (),
 ) -> None:
     """Check all that a command writes against all that it reads.
 
@@ -28,6 +29,7 @@ def require_places(
         files: option -> the file that the user named; None: not asked for.
         reads: files that are read; None and files that do not exist are ignored.
         folders: the folders of many files that are written.
+        made: folders that the command makes: a named file may lie in one.
         inputs: files that are read, beside which no folder's files may lie: the same command would take them for inputs next time.
 
     Raises:
@@ -35,6 +37,7 @@ def require_places(
             no folder, or is one that another option names or that is written into a folder; a folder is one of ``inputs``.
     """
     inputs, folders = list(inputs), list(folders)
+    places = [*made, *(folder.path for folder in folders)]
     read = [path for path in (*inputs, *reads) if path is not None]
     lists = [folder / name for folder in {path.parent for path in read} for name in (SUMS, LOCK)]
     taken = {key: f"{path}, which is read" for path in read for key in keys_of(path)}
@@ -51,7 +54,7 @@ def require_places(
         if path is None:
             continue
         with tell_errors(path):
-            if path.is_dir() or (not path.absolute().parent.is_dir() and not _will_be(path.parent, folders)):
+            if path.is_dir() or (not path.absolute().parent.is_dir() and not _will_be(path.parent, places)):
                 raise InputError(f"{option} {path}: expected a file in a folder that exists")
             if path.exists() and not path.is_file():
                 continue  # a pipe or a device holds nothing that could be lost
@@ -64,8 +67,8 @@ def require_places(
         taken |= dict.fromkeys(keys_of(path), f"{option} {path}")
 
 
-def _will_be(place: Path, folders: Iterable[OutputFolder]) -> bool:
-    return any(same_place(place, folder.path) for folder in folders)
+def _will_be(place: Path, made: Iterable[Path]) -> bool:
+    return any(same_place(each, folder) for folder in made for each in (place, *place.parents))
 
 
 def _require_free(what: str, path: Path, taken: Mapping[object, str]) -> None:

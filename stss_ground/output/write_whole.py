@@ -8,6 +8,7 @@ import os
 import re
 import secrets
 import stat
+import unicodedata
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -92,12 +93,21 @@ def same_place(one: Path, other: Path) -> bool:
 
 def keys_of(path: Path) -> list[object]:
     """Values of which two paths of one file or folder share at least one."""
-    real = os.path.normcase(os.path.realpath(path))
+    real = Path(os.path.normcase(os.path.realpath(path)))
+    if number := _number(path):
+        return [real, number]
+    # Not there yet: a file system that ignores case, or how an accent is written, would make one file of two such names.
+    name = unicodedata.normalize("NFC", unicodedata.normalize("NFC", real.name).casefold())
+    return [real, (_number(real.parent) or real.parent, name)]
+
+
+def _number(path: Path) -> tuple[int, int] | None:
+    """What a file or folder is to the system; None where it does not exist or has no number."""
     try:
         found = path.stat()
-    except OSError:
-        return [real]
-    return [real, (found.st_dev, found.st_ino)] if found.st_ino else [real]
+    except (OSError, ValueError):
+        return None
+    return (found.st_dev, found.st_ino) if found.st_ino else None
 
 
 def _write_beside(path: Path, data: bytes) -> None:

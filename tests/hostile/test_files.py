@@ -4,6 +4,7 @@ import contextlib
 import errno
 import os
 import resource
+import shlex
 import shutil
 import signal
 import subprocess
@@ -11,12 +12,16 @@ import sys
 import tempfile
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 
+from stss.cli.main import stss as stss_group
 from stss.images.read_write import write_rgb
 from stss.sequence.profiles import load_profile
+from stss_ground.commands import Subcommand
 from stss_ground.errors import InputError
+from stss_ground.option_kinds import ReadName, ReadPath, WrittenFile, WrittenFolder
 from stss_ground.output.folder import SUMS, OutputFolder
 from stss_ground.output.lock import LOCK, locked
 from stss_ground.output.write_whole import write_named, write_whole
@@ -130,19 +135,82 @@ def test_no_table_that_is_read_is_an_output(out, demo, weights, tmp_path, option
         "conform --exec true --junit {new} --json {folder}/../new.safetensors",
         "methods {frames} {truth} -o {folder} --methods bilinear --html {folder}/bilinear/frame.0001.exr",
         "compare {out} {truth} --html {out}/stss.sha256",
+        "compare {out} {truth} --frames 0:1 --html {truth}/demo.0003.exr",
+        "conform --exec {port} --json {port}",
+        "conform --exec {link} --json {w}",
+        "conform --exec true\\ --table={port} --json {port}",
+        "conform --exec sh\\ -c\\ 'exec\\ {port}' --junit {port}",
+        "conform --port mine:Port --report {folder}/../mine.py",
+        "conform --port mine:Port --json {folder}/../helper.py",
+        "conform --exec true --junit {folder}/../New.json --json {folder}/../new.json",
     ],
 )
-def test_no_file_that_is_named_twice_is_written(weights, out, demo, tmp_path, command):
+def test_no_file_that_is_named_twice_is_written(weights, out, demo, tmp_path, command, monkeypatch):
     """Nor one that the command writes, or knows by its name, anyway."""
     names = {name: tmp_path / f"{name}.safetensors" for name in ("w", "link", "hard", "new")}
     shutil.copy(weights, names["w"])
+    monkeypatch.chdir(tmp_path)
+    names["port"] = tmp_path / "port.sh"
+    names["port"].write_text("exit 1")
+    (tmp_path / "mine.py").write_text("from helper import Port")
+    (tmp_path / "helper.py").write_text("from stss.port import ReferencePort as Port")
     names["link"].symlink_to(names["w"])
     names["hard"].hardlink_to(names["w"])
     names |= {name: tmp_path / name for name in ("frames", "truth", "out", "folder")}
     for name in ("frames", "truth"):
         shutil.copytree(demo / name, names[name])
     names["folder"].mkdir()
-    refused_untouched(tmp_path, command.format(**names).split(), "the same file as")
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    for name in ("mine", "helper"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    refused_untouched(tmp_path, shlex.split(command.format(**names)), "the same file as")
+
+
+def commands(group=stss_group, *names):
+    """Name -> each command of ``stss``."""
+    for name in group.list_commands(None):
+        command = group.get_command(None, name)
+        if isinstance(command, click.Group):
+            yield from commands(command, *names, name)
+        else:
+            yield (*names, name), command
+
+
+PAIRS = [
+    (names, command, read, written)
+    for names, command in commands()
+    for read in command.params
+    for written in command.params
+    if isinstance(read.type, (ReadPath, ReadName)) and isinstance(written.type, WrittenFile)
+]
+
+
+def test_every_command_says_what_it_reads_and_writes():
+    """By the kinds of its parameters; what is text names no file."""
+    texts = {"device", "cluster", "spec"}
+    found = dict(commands())
+    assert len(found) == 16
+    for names, command in found.items():
+        assert isinstance(command, Subcommand), names
+        for parameter in command.params:
+            if isinstance(parameter.type, (click.types.StringParamType, click.File, click.Path)):
+                kinds = (ReadPath, WrittenFile, WrittenFolder)
+                assert isinstance(parameter.type, kinds) or parameter.name in texts, (names, parameter.name)
+
+
+@pytest.mark.parametrize(("names", "command", "read", "written"), PAIRS, ids=lambda v: getattr(v, "name", None) or " ".join(v))
+def test_no_command_writes_what_it_reads(tmp_path, names, command, read, written):
+    """Whatever it reads, and whatever link leads there."""
+    mine, link, hard, loop = (tmp_path / name for name in ("mine", "link", "hard", "loop"))
+    mine.write_bytes(b"mine")
+    link.symlink_to(mine)
+    hard.hardlink_to(mine)
+    loop.symlink_to(tmp_path)
+    for one, other in ((mine, mine), (mine, link), (link, mine), (mine, hard), (mine, loop / "mine")):
+        given = {p: tmp_path / "no" for p in command.params if p.required} | {read: one, written: other}
+        words = [word for p, v in given.items() for word in ([v] if isinstance(p, click.Argument) else [p.opts[-1], v])]
+        refused_untouched(tmp_path, (*names, *words), "the same file as", "which is read")
 
 
 def test_overwrite_removes_nothing_before_the_new_frames_are_there(out, demo, tmp_path):

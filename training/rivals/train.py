@@ -16,6 +16,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from stss_ground.errors import InputError
+from stss_ground.output.apart import require_places
 from training.augment import COLORS, DETAIL, MOTION, augment
 from training.checkpoint import State
 from training.command import command
@@ -95,6 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--half", action="store_true", help="bfloat16")
     chosen = parser.parse_args(arguments)
+    require_places({"--out": chosen.out} if chosen.out.exists() else {}, chosen.data.rglob("*"))
     torch.set_num_threads(1)
     settings = Settings(64, chosen.batch, 0.01, chosen.warm_up, chosen.seed, chosen.half)
     drawn = batches(chosen.data, chosen.network, 64, chosen.batch, chosen.seed)
