@@ -93,19 +93,20 @@ def read(path: Path, most: int) -> bytes | None:
 
 
 @contextmanager
-def pocl_cache(version: str) -> Generator[None]:
-    """Have PoCL store compiled kernels in a private folder, one for each ``version`` of PoCL, unless the user named a folder.
+def pocl_cache(version: str) -> Generator[Path]:
+    """Have PoCL store compiled kernels in a private folder, one for each ``version`` of PoCL, unless the user named a folder; yields it.
 
     PoCL reads ``$POCL_CACHE_DIR`` when it is first asked for its devices and never again; the environment is restored
     afterwards, since a child process may load another PoCL.
     """
     _pin_threads()
     if "POCL_CACHE_DIR" in os.environ:
-        yield
+        yield Path(os.environ["POCL_CACHE_DIR"])
         return
-    os.environ["POCL_CACHE_DIR"] = str(private("pocl", version))
+    folder = private("pocl", version)
+    os.environ["POCL_CACHE_DIR"] = str(folder)
     try:
-        yield
+        yield folder
     finally:
         del os.environ["POCL_CACHE_DIR"]
 

@@ -17,6 +17,7 @@ from pyopencl.tools import ImmediateAllocator, MemoryPool
 
 from stss_cl.device.caches import pocl_cache
 from stss_cl.device.generated_code import generate_once
+from stss_cl.device.kernel_files import mend
 from stss_cl.device.known_processor import given_name, name_processor, substitute
 from stss_cl.device.linker import provide
 from stss_ground.errors import DeviceError
@@ -235,7 +236,8 @@ def find_devices() -> list[cl.Device]:
             return []
     handles: list[cl.Device] = []
     for runtime in platforms:
-        with pocl_cache(hashlib.sha256((runtime.version + substitute()).encode()).hexdigest()[:16]):
+        with pocl_cache(hashlib.sha256((runtime.version + substitute()).encode()).hexdigest()[:16]) as folder:
+            mend(folder)
             try:
                 handles += runtime.get_devices()
             except cl.Error:

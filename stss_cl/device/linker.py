@@ -15,13 +15,14 @@ import shutil
 import sys
 from pathlib import Path
 
-from stss_cl.device.caches import private, store
+from stss_cl.device.caches import private, read, store
 from stss_ground.errors import DeviceError
 
 CHOICES = ("own", "system")
 COMPILERS = ("/usr/lib*/gcc*/*/*",)
 """Where a system keeps the libraries of its C compiler, and PoCL looks for them; patterns of folders."""
 LIBRARIES = ("/lib/*-linux-gnu", "/usr/lib/*-linux-gnu", "/lib64", "/usr/lib64", "/lib", "/usr/lib")
+MOST_BYTES = 1 << 16
 PROGRAM = Path(__file__).with_name("shared_object.py")
 
 
@@ -36,7 +37,7 @@ def provide() -> None:
     text = f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -I -S {shlex.quote(str(PROGRAM))} "$@"\n'.encode()
     folder = private("linker", hashlib.sha256(text).hexdigest()[:16])
     path = folder / "ld"
-    if not path.exists():
+    if read(path, MOST_BYTES) != text:
         store(path, text, executable=True)
     places = os.environ.get("PATH", os.defpath)
     if str(folder) not in places.split(os.pathsep):

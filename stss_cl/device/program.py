@@ -29,6 +29,9 @@ KERNELS = _PACKAGE / "kernels" if (_PACKAGE / "kernels").is_dir() else _PACKAGE.
 MOST_BINARY = 64 << 20
 """Most bytes of a compiled program that is stored; ours have some 100 KiB."""
 
+DIGEST = hashlib.sha256().digest_size
+"""A stored binary begins with its own digest, of so many bytes."""
+
 MAKERS_OPTIONS = {"intel": "-D static= -D inline="}
 """Options for a maker's GPUs. Where a function is static, Intel's compiler of 2022 unrolls no loop as it is told, and keeps arrays in
 memory."""
@@ -107,12 +110,14 @@ def _stored_or_built(device: Device, text: str, options: str) -> cl.Program:
         return cl.Program(device.context, text).build(options)
     what = json.dumps([device.name, device.driver, device.platform_version, options, text])
     path = private("binaries") / hashlib.sha256(what.encode()).hexdigest()
-    if binary := read(path, MOST_BINARY):
+    stored = read(path, MOST_BINARY) or b""
+    binary = stored[DIGEST:]
+    if binary and hashlib.sha256(binary).digest() == stored[:DIGEST]:  # a driver may end the process where its binary is damaged
         with suppress(cl.Error):  # a driver may refuse its own binary; then the program is built anew
             return cl.Program(device.context, [device.handle], [binary]).build(options)
     built = cl.Program(device.context, text).build(options)
     binaries: Any = built.get_info(cl.program_info.BINARIES)
-    store(path, binaries[0])
+    store(path, hashlib.sha256(binaries[0]).digest() + binaries[0])
     return built
 
 

@@ -8,11 +8,12 @@ import sys
 from collections import namedtuple
 from pathlib import Path
 
+import numpy as np
 import pyopencl as cl
 import pytest
 
 from stss.demo import write_demo_sequence
-from stss_cl.device import caches, program
+from stss_cl.device import caches, kernel_files, program
 from stss_cl.device.discovery import open_device
 from stss_ground.errors import DeviceError
 from tests.hostile.cases import stss
@@ -52,6 +53,62 @@ def compute(env, command=(), **more):
     assert done.stdout.startswith("computed"), done.stderr
     assert not done.stderr
     return done.stdout.split()[1]
+
+
+DAMAGE = {
+    "empty": lambda data: b"",
+    "cut": lambda data: data[: len(data) // 2],
+    "zeros": lambda data: bytes(len(data)),
+    "a bit": lambda data: data[:1000] + bytes([data[1000] ^ 8]) + data[1001:],
+    "one byte more": lambda data: data + b"\0",
+}
+
+
+def kernels(home):
+    return sorted(path for path in home.rglob("*") if path.suffix in (".bc", ".so"))
+
+
+def test_a_damaged_kernel_is_built_anew(processor, bare, tmp_path):
+    """All at once here; PoCL ends the process for most of them, each time until somebody removes it. The folder is named."""
+    home = tmp_path / "home"
+    compute(bare)
+    if not kernels(home):
+        pytest.skip("no files of PoCL")
+    before = {path: path.read_bytes() for path in kernels(home)}
+    assert not subprocess.run([sys.executable, "-c", COMPUTE], env=bare, capture_output=True, check=True).stderr
+    for how, damage in DAMAGE.items():
+        for path, data in before.items():
+            path.write_bytes(damage(data))
+        done = subprocess.run([sys.executable, "-c", COMPUTE], env=bare, capture_output=True, text=True, check=False)
+        assert done.stdout.startswith("computed"), (how, done.stderr)
+        (line,) = done.stderr.splitlines()
+        assert "files are damaged, and built anew" in line, how
+        assert str(home / ".cache" / "stss" / "pocl") in line
+        before = {path: path.read_bytes() for path in kernels(home)}
+        assert compute(bare) == "None"
+
+
+@pytest.mark.parametrize("how", ["empty", "cut", "zeros"])
+def test_a_kernel_of_a_killed_process_is_whole_or_built_anew(processor, cache_home, tmp_path, how):
+    """It is in no list, and without a digest its own tables say how long it is."""
+    program.build(open_device(processor.name), "selftest.cl")
+    for path in kernels(cache_home):
+        data = path.read_bytes()
+        assert kernel_files.is_whole(path.suffix, data)
+        assert not kernel_files.is_whole(path.suffix, DAMAGE[how](data))
+    folder = tmp_path / "pocl"
+    folder.mkdir()
+    shared = bytearray(shared_object())
+    for name, data in (("a/a/k/1/whole.so", shared), ("a/b/k/1/damaged.so", DAMAGE[how](bytes(shared)))):
+        (folder / name).parent.mkdir(parents=True)
+        (folder / name).write_bytes(data)
+    kernel_files.mend(folder)
+    assert [path.name for path in kernels(folder)] == ["whole.so"]
+
+
+def shared_object():
+    """One of this system."""
+    return next(path for path in Path(np.__file__).parent.rglob("*.so")).read_bytes()
 
 
 def mode(path):
