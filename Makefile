@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test test-training test-blender check bench mutants alarms fuzz kills gpu offline portability lowest judge-wheel clean
+.PHONY: demo test test-training test-blender check bench mutants alarms faults fuzz kills gpu offline portability lowest judge-wheel clean
 
 demo: $(VENV)/.base
 	$(BIN)/stss demo demo --overwrite
@@ -36,6 +36,9 @@ bench: $(VENV)/.bench
 # The judge judged: planted faults that it must find, and right ports that it must let pass (half an hour).
 mutants alarms: $(VENV)/.test
 	$(BIN)/python -m tests.meta.$(if $(filter mutants,$@),run_mutants,run_false_alarms)
+
+faults: $(VENV)/.test
+	$(BIN)/python -m tests.meta.run_reference_faults
 
 # Damaged files of every kind, a hundred times as many (some minutes).
 fuzz: $(VENV)/.test

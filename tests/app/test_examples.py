@@ -6,19 +6,18 @@ import shlex
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import stss as stss_package
 from conformance.judging.judge import TIERS, Tier
+from conformance.scenes import render
 from stss.cli.main import stss
+from stss.images.read_write import read_rgb
+from stss_ref.warp import warp
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-
-
-def run_example(monkeypatch, capsys, name, *words):
-    monkeypatch.setattr(sys, "argv", [name, *map(str, words)])
-    runpy.run_path(str(EXAMPLES / name), run_name="__main__")
-    return capsys.readouterr().out
 
 
 @pytest.fixture
@@ -40,10 +39,51 @@ def test_the_porters_port_passes(monkeypatch, few_cases):
     assert result.exit_code == 0, result.output
 
 
-def test_arrays_of_an_engine(device, monkeypatch, capsys):
-    lines = run_example(monkeypatch, capsys, "engine_engineer.py").splitlines()
-    assert [line.split(":")[0] for line in lines] == [f"frame {n} {'EF' if n % 2 else 'SF'}" for n in range(6)]
-    assert all("160 x 96" in line for line in lines)
+SMALL = 24, 40
+
+
+def shown(folder, **changes):
+    """What the engine's loop shows of twelve small frames, with `bilinear`; ``changes`` to the example, by name."""
+    example = runpy.run_path(str(EXAMPLES / "engine_loop.py"))
+    example["main"].__globals__.update(changes)
+    example["main"](folder, SMALL, 12, "bilinear")
+    return {int(path.stem): read_rgb(path) for path in sorted(folder.iterdir())}, example
+
+
+def error(image, number, example):
+    """Mean distance to the full render without jitter, but for the spark."""
+    truth = example["EXPOSURE"] * render(example["SCENE"], number, *(2 * n for n in SMALL), samples=4).color
+    y, x = (np.indices(image.shape[:2]) + 0.5) / image.shape[1]
+    spark = (x - number / example["FRAMES"]) ** 2 + (y - 0.15) ** 2 < 0.05**2
+    return np.abs(image - (truth / (1 + truth)) ** (1 / 2.2))[~spark].mean()
+
+
+def test_the_loop_of_an_engine(device, tmp_path, capsys):
+    """Cut and dropped frame; a picture that is not moved back by its jitter is farther from the full render."""
+    images, example = shown(tmp_path / "right", DROPPED=4)
+    lines = capsys.readouterr().out.splitlines()
+    kinds = ["SF", "EF", "SF", "EF", None, "the last one again", *3 * ["SF", "EF"]]
+    assert lines == [f"frame {n}: {kind}" for n, kind in enumerate(kinds) if kind]
+    assert sorted(images) == [n for n in range(12) if n != 4]
+    np.testing.assert_array_equal(images[5], images[3])
+    trembling, _ = shown(tmp_path / "trembling", DROPPED=4, settle=lambda image, shift: image)
+    here = [n for n in images if n != 5 and example["jitter"](n).any()]
+    assert np.mean([error(trembling[n], n, example) / error(images[n], n, example) for n in here]) > 1.2
+
+
+def test_motion_of_the_loop_has_the_jitter():
+    """It leads to where the same static surface was; without the jitter's step it would not."""
+    example = runpy.run_path(str(EXAMPLES / "engine_loop.py"))
+    camera = np.array(example["SCENE"].camera.position(0)) / 100
+    before, now = (stss_package.convert(n, example["draw"](n, SMALL), example["RULES"], camera=camera) for n in (1, 2))
+    step = np.float32(example["jitter"](1) - example["jitter"](2))
+    assert step.any()
+    apart = []
+    for motion in (now.motion, now.motion - step):
+        there, inside = warp(before.position, motion)
+        seen = inside & np.isfinite(now.depth) & (now.stencil == 0)
+        apart.append(np.median(np.linalg.norm(there - now.position, axis=-1)[seen]))
+    assert apart[0] < apart[1] / 5, apart
 
 
 def test_the_workflow_of_a_port(tmp_path, monkeypatch, few_cases):

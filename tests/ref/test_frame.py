@@ -12,8 +12,12 @@ from stss_ref.arrays import ArrayError
 from stss_ref.conv import sigmoid
 from stss_ref.detail import detail
 from stss_ref.frame import FrameInputs, frame, motion_by_step, prepare
+from stss_ref.holes import holes
+from stss_ref.motion_chain import motion_chain
 from stss_ref.network import network
+from stss_ref.occlusion_warp import occlusion_warp
 from stss_ref.resample import upsample_centres
+from stss_ref.warp import warp
 from stss_ref.weights import Weights, zeros
 from stss_ref.weights import random as random_weights
 
@@ -81,6 +85,54 @@ def test_holes_are_filled_in_the_first_three_channels_only():
     np.testing.assert_array_equal(prepared.color[0, 2, :3], color[0, 0])
 
 
+def lively_scene(size, steps):
+    """Every plane of every frame is another one: objects, slopes, normals and motions of noise."""
+    random = np.random.default_rng(5)
+    y, x = np.indices(size)
+    return FrameInputs(
+        colors=random.random((3, *size, 3)),
+        steps=steps,
+        motions=random.normal(0, 0.3, (5, *size, 2)),
+        gbuffer=random.random((*size, 9)),
+        nov=random.random(size),
+        stencils=np.where(random.random((4, *size)) < 0.25, random.integers(0, 2, (4, 1, 1)), 0.0),
+        normals=np.array((0, 0, 1.0)) + random.normal(0, 0.1, (4, *size, 3)),
+        positions=np.stack([12.0 * x, 12.0 * y, 0 * x], -1) + random.normal(0, 6, (4, *size, 3)),
+    )
+
+
+@pytest.mark.parametrize("test", ["footprint", "paper"])
+@pytest.mark.parametrize("steps", [(1, 3, 5), (0, 2, 4), (1, 1, 3), (0, 0, 2), (0, 0, 0)])
+def test_each_frame_is_compared_with_its_own_planes(steps, test):
+    """Stage by stage, with every index written out."""
+    inputs = lively_scene((9, 11), steps)
+    prepared, detailed = (prepare(inputs, second=second, test=test) for second in ("newest", "detail"))
+    depth, shown, moved = inputs.gbuffer[..., 3], [], []
+    for i in (0, 1, 2):
+        missing = (i == 1 and steps[1] == steps[0]) or (i == 2 and steps[2] == steps[1])
+        if steps[i] == 0:
+            shown.append((inputs.colors[i], np.full((9, 11), not missing)))
+            continue
+        motion = motion_chain(inputs.motions[: steps[i]])
+        valid = holes(motion, inputs.stencils[i + 1], inputs.stencils[0], inputs.normals[i + 1], inputs.normals[0],
+                      inputs.positions[i + 1], inputs.positions[0], inputs.nov, depth, test)  # fmt: skip
+        assert 0.1 < valid.mean() < 0.9
+        shown.append((warp(inputs.colors[i], motion)[0], valid & (not missing)))
+        if not missing:
+            moved.append((inputs.colors[i], motion, inputs.stencils[i + 1]))
+    (newest, valid), first = shown[0], shown[0][0]
+    if steps[0]:
+        first = occlusion_warp(inputs.colors[0], newest, motion_chain(inputs.motions[: steps[0]]), depth, valid)[1]
+        assert not np.array_equal(first, newest)
+    np.testing.assert_array_equal(prepared.color, np.concatenate([first, newest], -1))
+    np.testing.assert_array_equal(detailed.color, np.concatenate([first, detail(first, inputs.stencils[0], moved)], -1))
+    for made in (prepared, detailed):
+        np.testing.assert_array_equal(made.mask, valid)
+        for entry, (color, trusted) in zip(made.history, shown[::-1], strict=True):
+            np.testing.assert_array_equal(entry, np.concatenate([color, trusted[..., None]], -1))
+    assert motion_by_step(inputs.motions, steps, "longest").keys() == {*steps} - {0}
+
+
 @settings(max_examples=15)
 @given(data=st.data(), size=sizes(10), seed=SEEDS)
 def test_the_weights_say_what_the_second_colour_is(data, size, seed):
@@ -105,6 +157,7 @@ def test_the_weights_say_what_the_second_colour_is(data, size, seed):
     ("name", "value", "message"),
     [
         ("steps", (3, 1, 5), "steps: expected three numbers >= 0, newest"),
+        ("steps", (-1, 1, 5), "steps: expected three numbers >= 0, newest"),
         ("motions", np.zeros((4, 4, 4, 2)), r"motions: expected \(k, 4, 4, 2\) with k >= 5, got \(4, 4, 4, 2\)"),
         ("nov", np.full((4, 4), np.nan), "nov: 16 non-finite"),
         ("positions", np.zeros((4, 4, 4, 3), np.float32), "positions: expected dtype float64, got float32"),

@@ -12,7 +12,7 @@ from stss.port import ReferencePort
 from stss_ref.arrays import ArrayError
 from stss_ref.constants import HoleLimits
 from stss_ref.depth import normalise_depth
-from stss_ref.holes import holes, squared_footprint
+from stss_ref.holes import cosine, holes, squared_footprint
 from stss_ref.motion_chain import motion_chain
 from stss_ref.occlusion_warp import occlusion_warp, splat
 from stss_ref.rrm import draw_rectangle, rrm
@@ -202,6 +202,16 @@ class TestHoles:
         assert holes(**hole_inputs(**moving, normal=constant((4, 4), 0, 0, 0), normal_previous=constant((4, 4), 0, 0, 0))).all()
         assert not holes(**hole_inputs(**moving, normal=constant((4, 4), 0, 0, 0))).any()
 
+    def test_a_short_normal_counts_less(self):
+        """1e-5 is added to its length; a cosine of exactly the limit is no hole yet."""
+        up, short = constant((1, 1), 0, 0, 1), constant((1, 1), 0, 0, 1e-5)
+        assert np.abs(cosine(up, short) - 0.5) < 2**-50
+        one = np.ones((1, 1))
+        given = hole_inputs((1, 1), normal=up, normal_previous=short, stencil=one, stencil_previous=one)
+        limit = cosine(up, short).item()
+        assert holes(**given, limits=HoleLimits(cosine=limit)).all()
+        assert not holes(**given, limits=HoleLimits(cosine=np.nextafter(limit, 1))).any()
+
     def test_another_object_is_a_hole(self):
         inputs = hole_inputs(stencil=np.full((4, 4), 2.0), stencil_previous=np.full((4, 4), 1.0))
         assert not holes(**inputs).any()
@@ -248,6 +258,26 @@ class TestRRM:
         assert masked.sum() == 20 - 6
         assert not masked[1:3, 2:5].any()
         assert masked.dtype == np.uint8
+
+    def test_nothing_beside_it_is_cleared(self):
+        """It touches no edge; and one of no height or width is none."""
+        masked = rrm(np.ones((6, 7)), (1, 2, 3, 2))
+        rows = ["1111111", "1100111", "1100111", "1100111", "1111111", "1111111"]
+        assert ["".join(str(int(v)) for v in row) for row in masked] == rows
+        for rectangle in ((2, 3, 0, 2), (2, 3, 2, 0)):
+            assert rrm(np.ones((6, 7)), rectangle).all()
+
+    def test_every_place_may_be_drawn(self):
+        """What it asks of the generator: lowest and highest value, both included."""
+        asked = []
+
+        class Highest:
+            def integers(self, low, high, *, endpoint):
+                asked.append((low, high, endpoint))
+                return high
+
+        assert draw_rectangle(9, 22, Highest()) == (7, 17, 2, 5)
+        assert asked == [(1, 2, True), (1, 5, True), (0, 7, True), (0, 17, True)]
 
     @pytest.mark.parametrize("rectangle", [(-1, 0, 1, 1), (0, 0, 5, 1), (3, 0, 2, 1), (0, 5, 1, 1)])
     def test_a_rectangle_outside_is_an_error(self, rectangle):
