@@ -24,7 +24,7 @@ LARGEST = 65504.0
 """Largest number of half-precision EXR; larger scene-linear values are clipped to it."""
 
 HDR_IS_GONE = "hdr is gone: srgb carries highlights past the network, and is nearer to the truth"
-"""Its inverse made a lamp of 50 into pixels of 65504 (docs/decisions/0038)."""
+"""Its inverse made a lamp of 50 into pixels of 65504 (docs/decisions/0039)."""
 
 BLOCK = 1 << 15
 """Pixels converted at a time."""
