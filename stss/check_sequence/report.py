@@ -128,6 +128,7 @@ def check(
             raise InputError(f"{sequence_path}: no frames from {frames}; it has {numbers[0]} to {numbers[-1]}")
         findings += missing_buffers(sequence, looked)
         findings += [CheckFinding("warning", text) for text in (sequence.one_view,) if text]
+        findings += data_windows(sequence, looked)
         tables |= {"size": list(sequence.size), "frames": _frame_table(sequence, looked)}
         tables["summary"] = summary(looked, sequence.size)
         findings += _storage(sequence, looked, tables)
@@ -191,6 +192,23 @@ def missing_buffers(sequence: Sequence, numbers: list[int]) -> list[CheckFinding
     else:
         shown = _listed(rendered, len(rendered)) if rendered else "none"
         findings.append(CheckFinding("warning", f"colour: expected every frame or every second one; found frames {shown}"))
+    return findings
+
+
+def data_windows(sequence: Sequence, numbers: list[int]) -> list[CheckFinding]:
+    """Frames whose data window is not the display window."""
+    findings: list[CheckFinding] = []
+    canvas, display = sequence.canvas, sequence.display
+    cropped = [n for n in numbers if any(not window.mask(canvas).all() for window in set(sequence.frames[n].data.values()))]
+    if canvas != display:
+        around = (display.x - canvas.x, display.y - canvas.y)
+        around += canvas.width - display.width - around[0], canvas.height - display.height - around[1]
+        left, top, right, bottom = around
+        text = f"overscan: {left} pixels left, {right} right, {top} above, {bottom} below; it is read and made too"
+        findings.append(CheckFinding("note", text))
+    if cropped:
+        text = f"data windows: cropped in frames {_listed(cropped, len(cropped))}; outside nothing was hit"
+        findings.append(CheckFinding("note", text))
     return findings
 
 

@@ -54,7 +54,7 @@ class Values:
     def add(self, sequence: Sequence, number: int) -> None:
         """Look at one frame."""
         frame = sequence.frames[number]
-        stored = read_stored(frame, sequence.size, sequence.constants)[0]
+        stored = read_stored(frame, sequence.canvas, sequence.constants)[0]
         self._count_non_finite(stored, number)
         buffers = sequence.load(number)
         hit = np.isfinite(buffers.depth)

@@ -16,6 +16,7 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 
 from stss.images.headers import Value, last_error, whole_png
+from stss.images.windows import PixelWindow
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array
 
@@ -34,7 +35,14 @@ _CHUNK_LINES = 16
 Pixels = Array | np.ndarray[Any, Any]
 
 
-def encode_exr(path: Path, names: tuple[str, ...], pixels: Array, half: Collection[str], metadata: Mapping[str, Value]) -> bytes:
+def encode_exr(
+    path: Path,
+    names: tuple[str, ...],
+    pixels: Array,
+    half: Collection[str],
+    metadata: Mapping[str, Value],
+    windows: tuple[PixelWindow, PixelWindow] | None = None,
+) -> bytes:
     """Encode an EXR (zip).
 
     Args:
@@ -43,6 +51,7 @@ def encode_exr(path: Path, names: tuple[str, ...], pixels: Array, half: Collecti
         pixels: (H, W, C) float32.
         half: channels that are stored as half unless a value exceeds half's range; the others are float.
         metadata: name -> value.
+        windows: data window, of the pixels' size, and display window; None: both begin at 0.
 
     Raises:
         InputError: memory or the limit on the size of files does not suffice.
@@ -53,6 +62,10 @@ def encode_exr(path: Path, names: tuple[str, ...], pixels: Array, half: Collecti
     fits = [max(pixels[..., i].max(), -pixels[..., i].min()) <= HALF_MAX for i in range(len(names))]
     formats = ["half" if name in half and small else "float" for name, small in zip(names, fits, strict=True)]
     spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], len(names), formats[0])
+    if windows is not None:
+        data, display = windows
+        spec.x, spec.y = data.x, data.y
+        spec.full_x, spec.full_y, spec.full_width, spec.full_height = display
     spec.channelnames = names
     if len({*formats}) > 1:  # OpenImageIO ignores formats that are all the same
         spec.channelformats = tuple(oiio.TypeDesc(name) for name in formats)

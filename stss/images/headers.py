@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: MIT
 """Headers of EXR and PNG files, checked before memory is taken.
 
-A file is refused, with one line, when it is larger than `MAX_SIDE`, `MAX_CHANNELS` or `MAX_BYTES` allow, when its data
-window is not its display window (a cropped render has no pixels outside its crop), or when it is deep. OpenImageIO gets
-the same limits, so that its own header code keeps to them too.
+A file is refused, with one line, when it is larger than `MAX_SIDE`, `MAX_CHANNELS` or `MAX_BYTES` allow, or when it is
+deep. OpenImageIO gets the same limits, so that its own header code keeps to them too. A file is as large as its display
+window, whatever part of it its data windows cover.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 
+from stss.images.windows import PixelWindow
 from stss_ground.errors import InputError
 from stss_ground.regular_file import require_regular
 
@@ -45,8 +46,8 @@ class Header:
 
     Attributes:
         path: the file.
-        width: pixels.
-        height: pixels.
+        display: its display window: the picture.
+        windows: name -> data window of the channel's part: the pixels that are there.
         channels: full names. Where parts of a multipart file repeat a name, the later one is ``PART.NAME``.
         formats: name -> "half", "float", "uint32", "uint8", "uint16".
         compression: name -> "zip", "dwaa", ... of the channel's part; "" where the format has no choice of it.
@@ -55,8 +56,8 @@ class Header:
     """
 
     path: Path
-    width: int
-    height: int
+    display: PixelWindow
+    windows: Mapping[str, PixelWindow]
     channels: tuple[str, ...]
     formats: Mapping[str, str]
     compression: Mapping[str, str]
@@ -65,8 +66,8 @@ class Header:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(H, W)."""
-        return self.height, self.width
+        """(H, W) of the display window."""
+        return self.display.size
 
     def lossy(self, name: str) -> bool:
         """Whether the compression of a channel changes its values.
@@ -141,21 +142,25 @@ def locate(path: Path, image: oiio.ImageInput) -> tuple[Header, dict[str, tuple[
     """The header of all parts, and where each channel lies: name -> (part, index)."""
     places: dict[str, tuple[int, int]] = {}
     formats: dict[str, str] = {}
+    windows: dict[str, PixelWindow] = {}
     compression: dict[str, str] = {}
     attributes: dict[str, Value] = {}
     views: dict[str, None] = {}
-    first = image.spec()
+    display = _display(image.spec())
     part, size = 0, 0
     while image.seek_subimage(part, 0):
         spec = image.spec()
-        _check(path, spec, first)
-        size += int(spec.image_bytes(True))
+        _check(path, spec, display)
+        data = _data(spec)
+        # Of both windows: pixels are decoded in the one, and placed in the other.
+        size += int(spec.pixel_bytes(True)) * max(data.width * data.height, display.width * display.height)
         for index, name in enumerate(_names(path, spec)):
             full = f"{spec.get_string_attribute('oiio:subimagename')}.{name}" if name in places else name
             if full in places:
                 raise InputError(f"{path}: channel {full} appears twice")
             places[full] = part, index
             formats[full] = _FORMATS.get(kind := str(spec.channelformat(index)), kind)
+            windows[full] = data
             compression[full] = spec.get_string_attribute("compression")
         found = _attributes(spec)
         views |= dict.fromkeys(_words(found.get("multiView")) or _words(found.get("view")))
@@ -165,24 +170,31 @@ def locate(path: Path, image: oiio.ImageInput) -> tuple[Header, dict[str, tuple[
             limits = f"{MAX_PARTS}, {MAX_CHANNELS} and {MAX_BYTES}"
             raise InputError(f"{path}: {part} parts, {len(places)} channels, {size} bytes; at most {limits}")
     last_error(image)
-    header = Header(path, first.width, first.height, tuple(places), formats, compression, attributes, tuple(views))
+    header = Header(path, display, windows, tuple(places), formats, compression, attributes, tuple(views))
     return header, places
 
 
-def _check(path: Path, spec: oiio.ImageSpec, first: oiio.ImageSpec) -> None:
-    window = spec.x, spec.y, spec.width, spec.height
-    display = spec.full_x, spec.full_y, spec.full_width, spec.full_height
-    if not (1 <= spec.width <= MAX_SIDE and 1 <= spec.height <= MAX_SIDE and 1 <= spec.nchannels <= MAX_CHANNELS):
+def _data(spec: oiio.ImageSpec) -> PixelWindow:
+    return PixelWindow(spec.x, spec.y, spec.width, spec.height)
+
+
+def _display(spec: oiio.ImageSpec) -> PixelWindow:
+    return PixelWindow(spec.full_x, spec.full_y, spec.full_width, spec.full_height)
+
+
+def _check(path: Path, spec: oiio.ImageSpec, display: PixelWindow) -> None:
+    sides = spec.width, spec.height, spec.full_width, spec.full_height
+    if not (all(1 <= side <= MAX_SIDE for side in sides) and 1 <= spec.nchannels <= MAX_CHANNELS):
         found = f"{spec.width} x {spec.height}, {spec.nchannels} channels"
+        if sides[2:] != sides[:2]:
+            found += f", display window {_display(spec)}"
         raise InputError(f"{path}: {found}; expected 1 to {MAX_SIDE} pixels a side, 1 to {MAX_CHANNELS} channels")
     if spec.deep:
         raise InputError(f"{path}: deep image; expected flat channels")
     if spec.depth != 1 or spec.full_depth != 1:
         raise InputError(f"{path}: volume; expected a flat image")
-    if window != display:
-        raise InputError(f"{path}: data window {window} is not the display window {display}; render the whole frame")
-    if window != (first.x, first.y, first.width, first.height):
-        raise InputError(f"{path}: parts of different size: {first.width} x {first.height}, {spec.width} x {spec.height}")
+    if _display(spec) != display:
+        raise InputError(f"{path}: parts with different display windows: {display}, {_display(spec)}")
 
 
 def _names(path: Path, spec: oiio.ImageSpec) -> tuple[str, ...]:

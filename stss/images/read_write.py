@@ -10,6 +10,7 @@ import numpy as np
 
 from stss.images.encode import encode_exr, encode_png, require_finite
 from stss.images.headers import Header, Value, last_error, locate, open_image, read_header
+from stss.images.windows import PixelWindow, moved
 from stss_ground.errors import InputError
 from stss_ground.output.write_whole import write_whole
 from stss_ref.arrays import Array, Image, Mask, Plane
@@ -22,8 +23,13 @@ _GAP = 4
 """Most unwanted channels to read along between wanted ones: a second read would decompress the file once more."""
 
 
-def read_channels(path: Path, names: Sequence[str]) -> dict[str, Plane]:
+def read_channels(path: Path, names: Sequence[str], window: PixelWindow | None = None) -> dict[str, Plane]:
     """Read channels by their full names.
+
+    Args:
+        path: the file.
+        names: of the channels.
+        window: the pixels to return, 0 where a channel has none; None: the display window.
 
     Returns:
         Name -> (H, W) float32. Whole numbers of an EXR keep their value; those of a PNG come as 0..1.
@@ -38,13 +44,15 @@ def read_channels(path: Path, names: Sequence[str]) -> dict[str, Plane]:
                 raise InputError(f"{path}: no channel {name}; it has {', '.join(header.channels)}")
         planes: dict[str, Plane] = {}
         for part, first, stop, integer in _runs({places[n] + (header.formats[n] == "uint32",) for n in names}):
+            data = next(header.windows[name] for name, place in places.items() if place[0] == part)
             pixels = image.read_image(part, 0, first, stop, "uint" if integer else "float")
             error = last_error(image)
-            if pixels is None or error or pixels.shape[:2] != header.size:
+            if pixels is None or error or pixels.shape[:2] != data.size:
                 raise InputError(f"{path}: truncated or corrupt: {error or 'pixels cannot be decoded'}")
             for name in names:
                 if places[name][0] == part and first <= places[name][1] < stop:
                     values = pixels[..., places[name][1] - first]
+                    values = moved(values, data, window or header.display)
                     planes[name] = _quiet(np.ascontiguousarray(values, dtype=np.float32))
                     if (bad := merged(values, planes[name])) is not None:
                         raise InputError(f"{path}: channel {name}: {bad}")
@@ -141,7 +149,12 @@ def encode_channels(
 
 
 def encode_rgb(
-    path: Path, image: Image, *, metadata: Mapping[str, Value] | None = None, more: Mapping[str, Plane] | None = None
+    path: Path,
+    image: Image,
+    *,
+    metadata: Mapping[str, Value] | None = None,
+    more: Mapping[str, Plane] | None = None,
+    windows: tuple[PixelWindow, PixelWindow] | None = None,
 ) -> bytes:
     """Encode a colour image in the format of its file's suffix.
 
@@ -150,6 +163,7 @@ def encode_rgb(
         image: (H, W, 3); scene-linear for EXR, display-referred for PNG.
         metadata: name -> value; `read_header` finds it again.
         more: further channels (H, W) of an EXR.
+        windows: data window, of the image's size, and display window of an EXR; None: both begin at 0.
 
     Raises:
         InputError: the suffix is neither of these.
@@ -158,7 +172,7 @@ def encode_rgb(
     if path.suffix.lower() == ".exr":
         names = (*"RGB", *(more or {}))
         pixels = np.concatenate([image, *(plane[..., None] for plane in (more or {}).values())], axis=-1, dtype=np.float32)
-        return encode_exr(path, names, pixels, names, metadata or {})
+        return encode_exr(path, names, pixels, names, metadata or {}, windows)
     if path.suffix.lower() == ".png":
         require_finite(path, tuple("RGB"), image)
         pixels = np.rint(np.clip(image.astype(np.float64), 0, 1) * 255).astype(np.uint8)

@@ -231,7 +231,7 @@ def _rows(pairs: Mapping[int, Pair], numbers: Iterable[int], sequence: Input | N
         pair = pairs[number]
         shown = pair.load()
         if sequence is not None:
-            require_size(pair.output, shown[0], sequence.path, (2 * sequence.size[0], 2 * sequence.size[1]))
+            require_size(pair.output, shown[0], sequence.path, sequence.display.doubled.size)
         row = _judge(number, pair, shown, flip=flip)
         if before is not None and rows[-1].number == number - 1:
             flicker = None if follower is None else follower.flicker(number, shown, before)

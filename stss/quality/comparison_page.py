@@ -84,7 +84,7 @@ class RenderedInputs:
         if source is None:
             return None
         if self._last is None or self._last[0] != source:
-            color = self._sequence.load(source).color
+            color = self._sequence.displayed(self._sequence.load(source)).color
             assert color is not None
             self._last = source, transfer(self._pairs[number].transfer or FALLBACK).display(color)
         return self._last[1]

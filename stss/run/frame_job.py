@@ -16,6 +16,7 @@ from stss.frames.supersample import Output, compute, decode, shot_start
 from stss.images.color import Transfer, transfer
 from stss.images.headers import Value, read_header
 from stss.images.read_write import encode_mask, encode_rgb
+from stss.images.windows import PixelWindow
 from stss.run.options import RunOptions
 from stss.run.pipeline import overlap
 from stss.run.window import Keys, Window
@@ -106,6 +107,8 @@ class FrameJob:
     options: RunOptions
     metadata: dict[str, str]
     rendered: frozenset[int]
+    windows: tuple[PixelWindow, PixelWindow]
+    """The frames' canvas and display window, see `Sequence`."""
     already_written: Callable[[int, str], FrameKind | None]
     """Takes a frame's number and key; returns its kind where an earlier run finished it, else None."""
 
@@ -133,6 +136,7 @@ class FrameJob:
             options,
             metadata,
             rendered,
+            (sequence.canvas, sequence.display),
             already_written,
         )
 
@@ -188,16 +192,20 @@ class FrameJob:
         output = decode(made.output, self.curve)
         if output.kind is FrameKind.EF:
             name = frame_name(output.number, "png", HOLES)
-            self.sink.write(name, encode_mask(self.sink.path / name, ~output.valid))
+            canvas, display = self.windows
+            self.sink.write(name, encode_mask(self.sink.path / name, ~output.valid[display.within(canvas)]))
         # The image last: its presence means that the frame is done.
-        image = self.curve.display(output.image) if self.options.format == "png" else output.image
+        canvas, display = (window.doubled for window in self.windows)
+        image = output.image
+        if self.options.format == "png":  # which has no windows
+            image = self.curve.display(image[display.within(canvas)])
         metadata: dict[str, Value] = {"stss:key": made.key, "stss:frame": str(output.number), "stss:kind": output.kind.value}
         more = {name: plane[..., 0] for name, plane in output.carried.items()} if self.options.format == "exr" else {}
         metadata |= {**self.metadata, **made.copied}
         if made.static_holes is not None:
             metadata[STATIC_HOLES] = f"{made.static_holes:.4f}"
         name = frame_name(output.number, self.options.format)
-        self.sink.write(name, encode_rgb(self.sink.path / name, image, metadata=metadata, more=more))
+        self.sink.write(name, encode_rgb(self.sink.path / name, image, metadata=metadata, more=more, windows=(canvas, display)))
         peak = float(output.image.max())
         return FrameReport(output.number, output.kind, "done", cost=made.cost, peak=peak, static_holes=made.static_holes)
 

@@ -92,18 +92,30 @@ def _pose(camera: Array) -> CameraPose:
     return CameraPose(-np.linalg.solve(camera[:3, :3], camera[:3, 3]), camera)
 
 
-def to_specification(stored: dict[str, Array], profile: Profile, camera: CameraPose | None) -> Plane:
-    """Bring stored buffers (H, W, C) to spec section 0, in place; returns depth, infinite where nothing was hit."""
+def to_specification(
+    stored: dict[str, Array],
+    profile: Profile,
+    camera: CameraPose | None,
+    *,
+    display: tuple[int, int] | None = None,
+    outside: Mask | None = None,
+) -> Plane:
+    """Bring stored buffers (H, W, C) to spec section 0, in place; returns depth, infinite where nothing was hit.
+
+    ``display``: (H, W) of the frame without its overscan, the side of which a motion may be a share of; None: of the buffers.
+    ``outside``: (H, W) pixels that are in no data window: nothing was hit there, and nothing moves.
+    """
     depth = linear_depth(stored["depth"][..., 0], profile.depth)
     normal, missed = world_normal(stored["normal"], profile.normal)
-    missed |= ~np.isfinite(depth)
+    missed |= ~np.isfinite(depth) if outside is None else ~np.isfinite(depth) | outside
     position = np.where(np.isfinite(stored["position"]).all(axis=-1, keepdims=True), stored["position"], np.nan)
     if profile.depth.kind == "ray":
         depth = ray_to_planar(depth, position, camera)
     if "nov" not in stored:
         assert camera is not None
         stored["nov"] = normal_dot_view(normal, position, camera.position)[..., None]
-    stored["motion"] = motion_in_pixels(stored["motion"], profile.motion)
+    motion = motion_in_pixels(stored["motion"], profile.motion, display)
+    stored["motion"] = motion if outside is None else np.where(outside[..., None], np.float32(0), motion)
     stored["normal"] = normal
     stored["position"] = (position / profile.units_per_cm).astype(np.float32)
     for buffer in ("normal", "nov", "position", "stencil", "base_color", "roughness", "metallic"):
@@ -112,9 +124,9 @@ def to_specification(stored: dict[str, Array], profile: Profile, camera: CameraP
     return np.where(missed, np.float32(np.inf), depth)
 
 
-def motion_in_pixels(stored: Image, rule: MotionRule) -> Image:
+def motion_in_pixels(stored: Image, rule: MotionRule, display: tuple[int, int] | None = None) -> Image:
     """Stored motion as (H, W, 2) float32; pixels, current -> previous, x right, y down. Non-finite values stay so."""
-    height, width = stored.shape[:2]
+    height, width = display or stored.shape[:2]
     unit = {"pixels": (1.0, 1.0), "uv": (width, height), "ndc": (width / 2, height / 2)}[rule.unit]
     sign = 1.0 if rule.direction == "to_previous" else -1.0
     factor = np.array(rule.scale) * unit * (sign, sign if rule.y == "down" else -sign)

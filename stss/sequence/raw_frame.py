@@ -12,6 +12,7 @@ import numpy as np
 
 from stss.images.headers import Value
 from stss.images.read_write import read_channels
+from stss.images.windows import PixelWindow
 from stss.sequence.camera import CameraPose
 from stss.sequence.channels import Source
 from stss_ground.errors import InputError
@@ -49,17 +50,19 @@ class RawFrame:
         sources: buffer -> where it is; buffers that are not there are left out.
         camera: None where it is not known.
         attributes: metadata that compositors need, `CARRIED`.
+        data: buffer -> data window of its part.
     """
 
     files: tuple[Path, ...]
     sources: Mapping[str, Source]
     camera: CameraPose | None
     attributes: Mapping[str, Value] = field(default_factory=dict[str, Value])
+    data: Mapping[str, PixelWindow] = field(default_factory=dict[str, PixelWindow])
 
 
 def read_stored(
     frame: RawFrame,
-    size: tuple[int, int],
+    canvas: PixelWindow,
     constants: Mapping[str, float],
     also: Mapping[str, Source] = NOTHING,
     *,
@@ -68,12 +71,12 @@ def read_stored(
     """Read the buffers as they are stored or filled with a constant, and the planes of ``also``, whose names may be those of buffers.
 
     Returns:
-        Name -> (H, W, channels) float32 of both; without the colour where ``color`` is False.
+        Name -> (H, W, channels) float32 of both, 0 where a part has no pixels; without the colour where ``color`` is False.
     """
     buffers = {buffer: source for buffer, source in frame.sources.items() if color or buffer != "color"}
     wanted = [*buffers.values(), *also.values()]
     planes = {
-        path: read_channels(path, sorted({name for s in wanted if s.path == path for name in s.names}))
+        path: read_channels(path, sorted({name for s in wanted if s.path == path for name in s.names}), canvas)
         for path in {source.path for source in wanted}
     }
     stored, carried = (
@@ -82,7 +85,7 @@ def read_stored(
     )
     for buffer, value in constants.items():
         if buffer not in stored:
-            stored[buffer] = np.full((*size, 1), value, dtype=np.float32)
+            stored[buffer] = np.full((*canvas.size, 1), value, dtype=np.float32)
     return stored, carried
 
 

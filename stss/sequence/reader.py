@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +13,8 @@ import numpy as np
 
 from stss.frames.buffers import Buffers
 from stss.frames.display_frame import WINDOW
-from stss.images.headers import Header, read_header
+from stss.images.headers import MAX_BYTES, MAX_SIDE, Header, read_header
+from stss.images.windows import PixelWindow, union
 from stss.sequence.background import Background, background_motion, projection_of
 from stss.sequence.camera import CameraPose, camera_of, read_cameras
 from stss.sequence.channels import Source, find_buffers, missing_buffer
@@ -25,8 +26,10 @@ from stss.sequence.raw_frame import CARRIED, UNIT_RANGE, NonFinite, RawFrame, re
 from stss.sequence.solve_camera import solve_camera
 from stss_ground.errors import InputError
 from stss_ground.progress import Track
-from stss_ref.arrays import Array
+from stss_ref.arrays import Array, Mask
 
+SURFACE = ("depth", "normal", "position")
+"""Buffers without which a pixel shows no surface."""
 MAX_RESIDUAL = 1e-2
 """Largest residual of a camera that is found from position and depth: NoV then is wrong by no more."""
 
@@ -37,7 +40,8 @@ class Sequence:
     Attributes:
         path: folder or pattern, as given.
         profile: the renderer's names and conventions.
-        size: (H, W) of every frame.
+        canvas: the pixels of every frame: the display window and what data windows have beyond it.
+        display: the display window of every frame.
         frames: display frame -> its files, buffers and camera.
         constants: buffer -> number that stands in where there is no channel.
         settings: everything besides the files that decides what `load` returns: text and numbers.
@@ -50,7 +54,8 @@ class Sequence:
         path: Path,
         profile: Profile,
         *,
-        size: tuple[int, int],
+        canvas: PixelWindow,
+        display: PixelWindow,
         frames: Mapping[int, RawFrame],
         constants: Mapping[str, float],
         non_finite: NonFinite,
@@ -58,11 +63,25 @@ class Sequence:
         settings: Mapping[str, object],
         tables: tuple[Path, ...] = (),
     ):
-        self.path, self.profile, self.size, self.frames, self.settings = path, profile, size, frames, dict(settings)
+        self.path, self.profile, self.frames, self.settings = path, profile, frames, dict(settings)
+        self.canvas, self.display = canvas, display
         self.constants, self.tables = dict(constants), tables
         self._non_finite: NonFinite = non_finite
         self.background: Background = background
         self._projections: dict[int, Projection | None] = {}
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(H, W) of every frame."""
+        return self.canvas.size
+
+    def displayed(self, buffers: Buffers) -> Buffers:
+        """A frame without what lies beyond the display window."""
+        if self.canvas == self.display:
+            return buffers
+        part = self.display.within(self.canvas)
+        planes = {name: plane[part] for name, plane in vars(buffers).items() if isinstance(plane, np.ndarray)}
+        return replace(buffers, **planes, carried={name: plane[part] for name, plane in buffers.carried.items()})
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -152,9 +171,12 @@ class Sequence:
                 there = sorted({name for path in frame.files for name in read_header(path).channels})
                 raise missing_buffer(self.profile, buffer, self._where(number), there)
         others = self._carried(number, also) if color and "color" in frame.sources else {}
-        stored, carried = read_stored(frame, self.size, self.constants, others, color=color)
+        stored, carried = read_stored(frame, self.canvas, self.constants, others, color=color)
+        outside = self._outside(frame)
+        if outside is not None:
+            stored["depth"] = np.where(outside[..., None], np.float32(np.nan), stored["depth"])
         camera = frame.camera if "nov" in stored or frame.camera is not None else self._solve(number, stored)
-        depth = to_specification(stored, self.profile, camera)
+        depth = to_specification(stored, self.profile, camera, display=self.display.size, outside=outside)
         settle_non_finite(stored, frame.sources, self._non_finite)
         settle_all_finite(carried, others, self._non_finite, into=carried)
         for buffer in UNIT_RANGE:
@@ -196,6 +218,13 @@ class Sequence:
         """Whether the camera is found from position and depth: no file has it, nor NoV."""
         frame = self.frames[self.numbers[0]]
         return frame.camera is None and "nov" not in frame.sources
+
+    def _outside(self, frame: RawFrame) -> Mask | None:
+        """(H, W) True where depth, or what else says where a surface is, has no pixels; None: they are everywhere."""
+        windows = {frame.data[buffer] for buffer in SURFACE if buffer in frame.data}
+        if windows <= {self.canvas}:
+            return None
+        return ~np.logical_and.reduce([window.mask(self.canvas) for window in windows])
 
     def _solve(self, number: int, stored: dict[str, Array]) -> CameraPose:
         rule = self.profile.depth
@@ -293,11 +322,14 @@ def open_sequence(
         headers = {ending: read_header(file) for ending, file in found[number].items()}
         for header in headers.values():
             first = first or header
-            if header.size != first.size:
-                found_size, size = f"{header.width} x {header.height}", f"{first.width} x {first.height}"
+            if header.display != first.display:
+                found_size, size = (f"{h.display.width} x {h.display.height}" for h in (header, first))
+                if found_size == size:
+                    found_size, size = (f"display window {h.display}" for h in (header, first))
                 raise InputError(f"{header.path}: {found_size}; expected {size}, as {first.path.name} is")
         frames[number] = _frame_of(number, headers, table, cameras, camera)
     assert first is not None
+    canvas = _canvas(path, first.display, frames.values())
     _require_buffers(path, table, frames, constants)
     settings = {
         "profile": hashlib.sha256(repr(replace(table, path=Path())).encode()).hexdigest(),
@@ -305,11 +337,13 @@ def open_sequence(
         "constants": dict(sorted(constants.items())),
         "non_finite": non_finite,
         "background": background,
+        "windows": [canvas, first.display],
     }
     return Sequence(
         path,
         table,
-        size=first.size,
+        canvas=canvas,
+        display=first.display,
         frames=frames,
         constants=constants,
         non_finite=non_finite,
@@ -371,7 +405,17 @@ def _frame_of(
     attributes = {
         name: value for header in tuple(headers.values())[::-1] for name, value in header.attributes.items() if name in CARRIED
     }
-    return RawFrame(files, {buffer: sources[buffer] for buffer in BUFFERS if buffer in sources}, where, attributes)
+    windows = {header.path: header.windows for header in headers.values()}
+    data = {buffer: windows[source.path][source.names[0]] for buffer, source in sources.items()}
+    return RawFrame(files, {buffer: sources[buffer] for buffer in BUFFERS if buffer in sources}, where, attributes, data)
+
+
+def _canvas(path: Path, display: PixelWindow, frames: Iterable[RawFrame]) -> PixelWindow:
+    """The window that holds the display window and all pixels of all buffers."""
+    canvas = union({display, *(window for frame in frames for window in frame.data.values())})
+    if max(canvas.size) > MAX_SIDE or canvas.width * canvas.height * 4 * sum(BUFFERS.values()) > MAX_BYTES:
+        raise InputError(f"{path}: data windows and display window {display} lie too far apart: together {canvas}")
+    return canvas
 
 
 def _require_buffers(path: Path, profile: Profile, frames: Mapping[int, RawFrame], constants: Mapping[str, float]) -> None:

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: MIT
+"""Data and display windows: which pixels a file holds, and which of them are the picture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stss_ref.arrays import Mask
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+class PixelWindow(NamedTuple):
+    """A rectangle of pixels; y points down, and both may be negative.
+
+    Attributes:
+        x, y: the first column and row.
+        width, height: pixels.
+    """
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(H, W)."""
+        return self.height, self.width
+
+    @property
+    def doubled(self) -> PixelWindow:
+        """The same rectangle in pixels half as wide."""
+        return PixelWindow(2 * self.x, 2 * self.y, 2 * self.width, 2 * self.height)
+
+    def within(self, other: PixelWindow) -> tuple[slice, slice]:
+        """Rows and columns of what both share, in an array of ``other``; empty slices where they share nothing."""
+        rows = _shared(self.y, self.height, other.y, other.height)
+        return rows, _shared(self.x, self.width, other.x, other.width)
+
+    def mask(self, other: PixelWindow) -> Mask:
+        """(H, W) of ``other``: True within this window."""
+        inside = np.zeros(other.size, np.bool_)
+        inside[self.within(other)] = True
+        return inside
+
+    def __str__(self) -> str:
+        """As OpenEXR's tools print it, both corners included."""
+        return f"({self.x}, {self.y}) - ({self.x + self.width - 1}, {self.y + self.height - 1})"
+
+
+def union(windows: Iterable[PixelWindow]) -> PixelWindow:
+    """The smallest window that holds all of ``windows``, at least one."""
+    found = [*windows]
+    x, y = min(w.x for w in found), min(w.y for w in found)
+    return PixelWindow(x, y, max(w.x + w.width for w in found) - x, max(w.y + w.height for w in found) - y)
+
+
+def moved(plane: NDArray[Scalar], window: PixelWindow, to: PixelWindow) -> NDArray[Scalar]:
+    """An array (H, W, ...) of ``window`` as one of ``to``, 0 where ``window`` has nothing; the same array where the two are one."""
+    if window == to:
+        return plane
+    result = np.zeros((*to.size, *plane.shape[2:]), plane.dtype)
+    result[window.within(to)] = plane[to.within(window)]
+    return result
+
+
+def _shared(start: int, length: int, other: int, length_other: int) -> slice:
+    first = min(max(start - other, 0), length_other)
+    return slice(first, max(first, min(start + length - other, length_other)))
