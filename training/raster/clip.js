@@ -3,7 +3,7 @@
 import * as THREE from 'three';
 import {EXRLoader} from 'three/addons/loaders/EXRLoader.js';
 import {Passes, sky, uniforms} from './passes.js';
-import {loadKart, loadRoad, loadRoom, loadTrack, once} from './stk.js';
+import {loadBoxes, loadKart, loadRoad, loadRoom, loadTrack, once} from './stk.js';
 
 const RATE = 60, SHADOW = 40; // frames a second; half the side of the shadowed square, metres
 const post = (name, data) => fetch(`/${name}`, {method: 'POST', body: data});
@@ -55,13 +55,19 @@ function moveCamera(camera, road, clip, time) {
   camera.updateMatrixWorld(true);
 }
 
+// Put an object whose parent mirrors z so many metres along the road, aside of it and above it, turned along it.
+function place(object, road, {ahead, aside, up}) {
+  const forward = road.along(ahead), left = new THREE.Vector3(-forward.z, 0, forward.x);
+  object.position.copy(road.at(ahead)).addScaledVector(left, aside);
+  object.position.z *= -1;
+  object.position.y += up;
+  object.rotation.y = Math.atan2(forward.x, -forward.z);
+}
+
 function moveKart(kart, road, {ahead, speed, aside, spin, lift = 0, tumble = 0}, time) {
-  const metres = ahead + speed * time, forward = road.along(metres), left = new THREE.Vector3(-forward.z, 0, forward.x);
-  kart.group.position.copy(road.at(metres)).addScaledVector(left, aside);
-  kart.group.position.z *= -1; // its parent mirrors z
-  kart.group.position.y += lift;
+  place(kart.group, road, {ahead: ahead + speed * time, aside, up: lift});
   kart.group.rotation.x = tumble * (1 + time);
-  kart.group.rotation.y = Math.atan2(forward.x, -forward.z) + (speed < 0 ? Math.PI : 0) + spin * time;
+  kart.group.rotation.y += (speed < 0 ? Math.PI : 0) + spin * time;
   for (const wheel of kart.wheels) wheel.rotation.x = Math.abs(speed) * time / 0.25;
   kart.move();
 }
@@ -91,6 +97,7 @@ async function renderClip(renderer, clip) {
   track.position.copy(road.first).negate();
   mirrored.add(track);
   scene.add(mirrored);
+  mirrored.add(await loadBoxes(clip.boxes ?? [], (box, at) => place(box, road, at)));
   const karts = [];
   for (const [i, kart] of clip.karts.entries()) karts.push(await loadKart(kart.name, i + 1));
   mirrored.add(...karts.map(k => k.group));

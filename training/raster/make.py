@@ -177,6 +177,74 @@ def draw_grove(number: int) -> Clip:
     return clip | {"name": f"grove_{number:03}", "room": room, "camera": camera, "karts": karts, "fov": fov}
 
 
+def draw_chase(number: int) -> Clip:
+    """The chase with this number: a camera that follows a fast kart, others that overtake, posts and gantries near the road.
+
+    Half of them on a track, half on an open floor, of which half is nearly plain.
+    """
+    random = np.random.default_rng((3, number))
+    clip, speed = (draw_clip(4 * (number // 8)) if number % 2 else draw_grove(number)), random.uniform(15, 60)
+    followed = {
+        "ahead": random.uniform(3.2, 7),
+        "aside": random.uniform(-1, 1),
+        "speed": speed,
+        "spin": random.choice((0, 0, -0.8, 0.8)),
+    }
+    others = [
+        {"ahead": random.uniform(0, 10), "aside": random.choice((-1, 1)) * random.uniform(1.6, 4), "spin": 0,
+         "speed": random.choice((speed + random.uniform(-20, 20), random.uniform(-30, 0)))}
+        for _ in range(int(random.integers(1, 3)))
+    ]  # fmt: skip
+    if clip["track"] is None:
+        room = clip["room"]
+        floor, length = (
+            (str(random.choice((*GROUNDS, *SURFACES))), random.uniform(*((3, 10) if random.random() < 0.5 else (40, 90)))),
+            120,
+        )
+        clip |= {"room": room | {"surfaces": [floor, *room["surfaces"][1:]], "depth": length, "things": room["things"][:12]}}
+    return clip | {
+        "name": f"{clip['track'] or 'road'}_chase{number:03}",
+        "camera": "fly",
+        "speed": speed,
+        "aside": random.uniform(-0.8, 0.8),
+        "height": random.uniform(0.8, 2.5),
+        "yaw": random.uniform(-0.15, 0.15),
+        "pitch": random.uniform(-0.2, 0.0),
+        "fov": random.uniform(45, 75),
+        "karts": [{**kart, "name": str(random.choice(KARTS))} for kart in (followed, *others)],
+        "boxes": _draw_posts(random) + (_draw_gantry(random) if random.random() < 0.6 else []),
+    }
+
+
+def _draw_posts(random: np.random.Generator) -> list[dict[str, Any]]:
+    """Posts on both sides of the road: where, their middle, their width, height and length in metres."""
+    step, width, height = random.uniform(3, 15), random.uniform(0.06, 0.5), random.uniform(1, 6)
+    aside, surface = random.uniform(2.2, 6), str(random.choice(SURFACES))
+    return [
+        {
+            "ahead": step * i + random.uniform(0, 2),
+            "aside": side * aside,
+            "up": height / 2,
+            "size": (width, height, width),
+            "surface": surface,
+        }
+        for i in range(12)
+        for side in (-1, 1)
+    ]
+
+
+def _draw_gantry(random: np.random.Generator) -> list[dict[str, Any]]:
+    """A gantry over the road: two beams, thin bars between them, two feet."""
+    ahead, half, top, thin = random.uniform(5, 30), random.uniform(4, 8), random.uniform(3, 6), random.uniform(0.05, 0.25)
+    bars = np.arange(-half, half, random.uniform(0.4, 1.2))
+    parts = [(0, top + lift, (2 * half, thin, thin)) for lift in (0, 0.8)]
+    parts += [(x, top + 0.4, (thin / 2, 0.8, thin / 2)) for x in bars] + [
+        (x, top / 2, (2 * thin, top, 2 * thin)) for x in (-half, half)
+    ]
+    surface = str(random.choice(SURFACES))
+    return [{"ahead": ahead, "aside": float(x), "up": up, "size": size, "surface": surface} for x, up, size in parts]
+
+
 def write_clip(raw: Path, clip: Mapping[str, Any], out: Path) -> None:
     """Write ``out/lr``, ``out/hr`` and ``out/camera.csv`` of a rendered clip: centimetres, z up, colours exposed alike."""
     name, (width, height) = clip["name"], clip["size"]
@@ -224,7 +292,7 @@ def _upright(vectors: NDArray[Any]) -> NDArray[Any]:
     return np.stack([vectors[..., 0], -vectors[..., 2], vectors[..., 1]], -1)
 
 
-DRAW = {"track": draw_clip, "room": draw_room, "grove": draw_grove}
+DRAW = {"track": draw_clip, "room": draw_room, "grove": draw_grove, "chase": draw_chase}
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -202,6 +202,20 @@ export async function loadRoom({surfaces, width, depth, height, things}) {
   return group;
 }
 
+// Boxes of width, height and length, whose middle is at a place.
+export async function loadBoxes(boxes, place) {
+  const group = new THREE.Group(), table = await materialTable([SHARED]);
+  for (const {size, surface, ...at} of boxes) {
+    const geometry = new THREE.BoxGeometry(...size);
+    geometry.setAttribute('color', new THREE.Float32BufferAttribute(new Array(3 * geometry.attributes.position.count).fill(1), 3));
+    const mesh = new THREE.Mesh(geometry, await once(`${surface} ${SHARED}`, () => material(surface, [SHARED], table)));
+    place(mesh, at);
+    mesh.castShadow = mesh.receiveShadow = true;
+    group.add(mesh);
+  }
+  return group;
+}
+
 // The middle of the road, a curve.
 export async function loadRoad(name) {
   const quads = [];
