@@ -51,7 +51,7 @@ MOST_SIDE = 2**17
 @click.option(
     "--weights-version",
     type=int,
-    help="Latest version of weights that the port knows: 1, 3 or 4  [default: what it says; 4]",
+    help="Latest version of weights that the port knows: 1, 3, 4 or 5  [default: what it says; 5]",
 )
 @click.option(
     "--timeout", type=Number(0, MAX_SECONDS, min_open=True), default=120, show_default=True, help="Seconds for one start."

@@ -42,6 +42,12 @@ BOUNDS = {
     "length": Bound(8, 0, "sum of three squares and a root, once each way; scale: the length"),
     "bias": Bound(8, 0, "three products and their sum; scale: on absolute values"),
     "dot": Bound(4, 0, "three products and their sum; scale: on absolute values"),
+    "own": Bound(8, 0, "up to three sums, a quotient or a product with one; scale: the largest sample"),
+    "like": Bound(
+        80,
+        0,
+        "weights 36 each, in sum and divisor: base colours 3, normals 5, sum 2, power 4 times and 3, quotient 5; product, quotient 5",
+    ),
     "layer": Bound(2, 0, "gamma_n: n = products in one sum, and these for bias and activation; scale: weights (backward error)"),
     "layer.float16": Bound(3, 0, "activation, weight and result stored once each in float16; sums as in float32"),
     "layer.bfloat16": Bound(3, 0, "as layer.float16, in bfloat16"),

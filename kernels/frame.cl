@@ -11,9 +11,10 @@
 //  normal           in      (H, W, 3)         likewise; from pixel to pixel normal_stride floats: 3, or 9 within a G-buffer
 //  position         in      (H, W, 3)         likewise, cm
 //  keys, first      in/out  (H, W)            the splat's, occlusion_warp.cl; only places that a hole looks up are wanted
+//  samples          in/out  (H, W, 4)         reshade.cl's: -D RESHADE
 //  history          in/out  (3, R+2, C+2, 4)  oldest, middle, newest; warped rgb >= 0, mask; an `image` of it
-//  x0               out     (R+2, C+2, 24)    occlusion_warp (>= 0), second colour, the six * mask, gbuffer, 0 0 0
-//  color3           out     (R, C, 4)         rgb of occlusion_warp, 0
+//  x0               out     (R+2, C+2, 24)    the newest frame, its holes filled (>= 0), second colour, the six * mask, gbuffer, 0 0 0
+//  color3           out     (R, C, 4)         rgb of the same, 0
 //  mask             out     (H, W)            1 = newest frame to be trusted
 //  bad              out     (5)               set to 1 where an input is not finite, if `checks`: prepare.clh
 //  dirty, *_changes in, out                   maps of the tiles to compute, and of those that then differ: -D MARK
@@ -22,8 +23,9 @@
 // and x0 is at (y + 1, x + 1); their border of zeros is never written.
 // history, x0 and color3 may be a strip of the frame: R rows whose row 0 is the frame's row `top`; mask and keys are of the whole.
 // Build: -D of motion_chain.clh and holes.cl, optionally -D STORED (history and x0), -D STREAM, -D MARK, and -D EIGHTS: eight pixels in a row to a
-// work-item, for processors; -D LONGEST where GATHER is gather_longest; -D DETAIL: the second colour is what warped frames show within a pixel.
-// Order: chain_steps, prepare_older for each older frame where the history is read, prepare_newest, splat_nearest, splat_first, fill_holes; then downsample_8.cl.
+// work-item, for processors; -D LONGEST where GATHER is gather_longest; -D DETAIL: the second colour is what warped frames show within a pixel;
+// -D RESHADE: stage reshade fills the holes.
+// Order: chain_steps, prepare_older for each older frame where the history is read, prepare_newest, splat_nearest, splat_first (with -D RESHADE find_samples), fill_holes; then downsample_8.cl.
 // Launch (W, H); prepare_* and fill_holes (C, R); with EIGHTS an eighth of the columns.
 #ifdef EIGHTS
 #define AT_ONCE 8
@@ -153,17 +155,37 @@ kernel void splat_first(global const float2 *restrict motion, global const float
         splat_index(motion[y * width + x], x, y, depth_of(gbuffer, y * width + x), keys, first, height, width);
 }
 
+// The samples of their own that the frame's holes have: -D RESHADE.
+kernel void find_samples(global const float *restrict color, global const float2 *restrict motion, global const uchar *restrict mask,
+                         global const float *restrict stencil, global const float *restrict normal, global const float *restrict position,
+                         global const float *restrict stencil_previous, global const float *restrict normal_previous,
+                         global const float *restrict position_previous, const int normal_stride, global float4 *restrict samples,
+                         const int height, const int width)
+{
+    const int left = get_global_id(0) * AT_ONCE, y = get_global_id(1);
+    if (left >= width || y >= height) return;
+#ifdef EIGHTS
+    if (left + 8 <= width && all_valid8(mask + y * width + left)) return;
+#endif
+    const Surfaces s = {height, width, normal_stride, 9, stencil_previous, stencil, normal_previous, normal, position_previous, position, 0};
+    for (int x = left; x < least(left + AT_ONCE, width); ++x)
+        if (!mask[y * width + x]) samples[y * width + x] = own_samples(s, color, motion[y * width + x], x, y);
+}
+
 kernel void fill_holes(global const float *restrict color, global const float2 *restrict motion, global uint *restrict keys,
                        global uint *restrict first, global uchar *restrict mask, global stored *restrict x0,
                        global float4 *restrict color3, global uchar *restrict input_changes, const Strip strip,
-                       global const float *restrict stencil, global const float *restrict stencil_previous, OLDER)
+                       global const float *restrict stencil, global const float *restrict stencil_previous,
+                       global const float *restrict gbuffer, global const float *restrict normal, const int normal_stride,
+                       global const float4 *restrict samples, OLDER)
 {
     const int left = get_global_id(0) * AT_ONCE, y = get_global_id(1);
     if (left >= strip.columns || y >= strip.rows) return;
 #ifdef EIGHTS
     if (left + 8 <= strip.width && strip.top + y < strip.height && all_valid8(mask + (strip.top + y) * strip.width + left)) return;
 #endif
-    const Frame f = {OF_OLDER, .stencil = stencil, .stencil_previous = stencil_previous, .is_warped = true, .color = color, .motion = motion, .keys = keys, .first = first, .mask = mask, .x0 = x0, .color3 = color3,
+    const Frame f = {OF_OLDER, .stencil = stencil, .stencil_previous = stencil_previous, .is_warped = true, .color = color, .motion = motion, .gbuffer = gbuffer, .normal = normal,
+                     .normal_stride = normal_stride, .samples = samples, .keys = keys, .first = first, .mask = mask, .x0 = x0, .color3 = color3,
                      .input_changes = input_changes, .strip = strip};
     for (int x = left; x < left + AT_ONCE; ++x) fill_pixel(f, x, y);
 }

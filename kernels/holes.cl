@@ -18,7 +18,7 @@
 #if !defined(PAPER) || !defined(FOOTPRINTS) || !defined(FACING) || !defined(GRAZING) || !defined(DEPTH) || !defined(COSINE) || !defined(MESH)
 #error "holes.cl needs -D PAPER, FOOTPRINTS, FACING, GRAZING, DEPTH, COSINE and MESH"
 #endif
-#include "sample.clh"
+#include "surface.clh"
 
 #if PAPER
 // Whether a squared distance is beyond bias; NaN counts as beyond.
@@ -46,25 +46,6 @@ INLINE bool is_far(global const float *previous, const float3 position, const Ta
 #define BIAS(nov, depth) \
     (FACING * ((nov) < 0.0f ? -(nov) : (nov)) + GRAZING * (1.0f - ((nov) < 0.0f ? -(nov) : (nov))) + DEPTH * (depth))
 #else
-// The smaller of two squared distances, of one pixel or of several; one that is not finite does not count, and `zero` where neither does.
-#define NEARER(a, b, zero) ((a) < (b) ? (a) : (b) < INFINITY ? (b) : (a) < INFINITY ? (a) : (zero))
-
-INLINE float apart(global const float *position, const int pixel, const int other)
-{
-    const float3 between = read3(position, other) - read3(position, pixel);
-    return sum3(between * between);
-}
-
-// The square of the largest trusted distance on a static surface.
-INLINE float squared_reach(global const float *position, const int x, const int y, const int height, const int width)
-{
-    const int pixel = y * width + x;
-    const float left = x > 0 ? apart(position, pixel, pixel - 1) : INFINITY;
-    const float right = x < width - 1 ? apart(position, pixel, pixel + 1) : INFINITY;
-    const float above = y > 0 ? apart(position, pixel, pixel - width) : INFINITY;
-    const float below = y < height - 1 ? apart(position, pixel, pixel + width) : INFINITY;
-    return FOOTPRINTS * FOOTPRINTS * (NEARER(left, right, 0.0f) + NEARER(above, below, 0.0f));
-}
 
 // The square of the distance to what is read between four places; NaN if it is NaN.
 INLINE float squared_offset(global const float *previous, const float3 position, const Taps at)
@@ -84,13 +65,7 @@ static __attribute__((noinline)) bool is_turned(const float4 of, const float4 ea
     return surface && sum3(normal * n) / (length + 1e-5f) < COSINE;
 }
 
-// A normal, and one read between four pixels, whose normals are `stride` floats apart.
-INLINE float3 normal_at(global const float *normal, const int pixel, const int stride)
-{
-    global const float *n = normal + pixel * stride;
-    return (float3)(n[0], n[1], n[2]);
-}
-
+// A normal read between four pixels.
 INLINE float3 normal_between(global const float *normal, const Taps at, const int stride)
 {
     const int south = at.nw + at.below;
@@ -114,7 +89,7 @@ INLINE bool same_surface(const Taps at, const int x, const int y, const int heig
 #if PAPER
     return !is_far(position_previous, read3(position, pixel), at, BIAS(nov, depth));
 #else
-    return squared_offset(position_previous, read3(position, pixel), at) <= squared_reach(position, x, y, height, width);
+    return squared_offset(position_previous, read3(position, pixel), at) <= FOOTPRINTS * FOOTPRINTS * squared_footprint(position, x, y, height, width);
 #endif
 }
 

@@ -130,6 +130,7 @@ class Frame:
                 inputs=layers.inputs,
                 second=layers.second_color,
                 test=layers.hole_test,
+                hole_fill=layers.hole_fill,
                 frames=layers.colors_read,
                 history=layers.reads_history,
                 tops=[strip.top for strip in layers.strips],

@@ -10,6 +10,10 @@ HoleTest = Literal["footprint", "paper"]
 """How static surfaces are tested for holes: by the pixel's footprint, or by the paper's limits in cm, with which the authors' weights were
 trained (`stss_ref.holes.holes`)."""
 HOLE_TESTS: tuple[HoleTest, ...] = get_args(HoleTest)
+HoleFill = Literal["occlusion_warp", "reshade"]
+"""The stage that fills the holes of the newest colour frame: the paper's (`stss_ref.occlusion_warp`), or that which reads a hole's own
+surface and like materials around it (`stss_ref.reshade`)."""
+HOLE_FILLS: tuple[HoleFill, ...] = get_args(HoleFill)
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from stss_ref.arrays import Array, ArrayError, Image, Mask, Plane, require_dtype, require_finite, require_shape
-from stss_ref.constants import HoleTest
+from stss_ref.constants import HoleFill, HoleTest
 from stss_ref.detail import detail
 from stss_ref.holes import holes
 from stss_ref.motion_chain import Gather, chain_steps
 from stss_ref.network import network
 from stss_ref.occlusion_warp import occlusion_warp
+from stss_ref.reshade import reshade
 from stss_ref.warp import warp
 from stss_ref.weights import SecondColor, Weights
 
@@ -54,13 +55,13 @@ class NetworkInputs:
 
 
 def frame(inputs: FrameInputs, weights: Weights, gather: Gather = "longest") -> tuple[Image, Mask]:
-    """Compute one display frame: motion chain, warp, holes, occlusion warp, network.
+    """Compute one display frame: motion chain, warp, holes and their fill, network.
 
     Source: spec 1 to 8, 11; paper, Eq. 1.
 
     Args:
         inputs: the buffers.
-        weights: the network's 92 tensors, the second colour and the hole test that they were trained with.
+        weights: the network's 92 tensors, and what they were trained with: second colour, hole test and hole fill.
         gather: how the motion chain reads between pixels.
 
     Returns:
@@ -70,26 +71,30 @@ def frame(inputs: FrameInputs, weights: Weights, gather: Gather = "longest") -> 
     Raises:
         ArrayError: shapes or dtypes differ, or an array that must be finite is not.
     """
-    prepared = prepare(inputs, gather, weights.second_color, weights.hole_test)
+    prepared = prepare(inputs, gather, weights.second_color, weights.hole_test, weights.hole_fill)
     image = network(prepared.color, prepared.gbuffer, prepared.mask, prepared.history, weights)
     return image, prepared.mask.astype(bool)
 
 
 def prepare(
-    inputs: FrameInputs, gather: Gather = "longest", second: SecondColor = "newest", test: HoleTest = "footprint"
+    inputs: FrameInputs,
+    gather: Gather = "longest",
+    second: SecondColor = "newest",
+    test: HoleTest = "footprint",
+    hole_fill: HoleFill = "occlusion_warp",
 ) -> NetworkInputs:
     """Make the network's inputs: warp the three colour frames to the current one. Other arguments and errors as in ``frame``.
 
     ``color`` is two pictures: the newest colour frame with its holes filled, and a second one. With ``second`` "newest" that is the same
     frame, its holes left as they are warped (spec 7); in an SF both are then the frame itself. With "detail" it is what all warped frames
-    show within the pixel (`detail`). ``test``: of static surfaces, see `holes`.
+    show within the pixel (`detail`). ``test``: of static surfaces, see `holes`. ``hole_fill``: the stage that fills the holes.
     """
     _check(inputs)
     motions = motion_by_step(inputs.motions, inputs.steps, gather)
 
     pairs = [warp_one(inputs, i, motions.get(step), test) for i, step in enumerate(inputs.steps)]
     warped, valids = [w for w, _ in pairs], [valid for _, valid in pairs]
-    color = two_pictures(fill(inputs, warped[0], valids[0], motions.get(inputs.steps[0])), warped[0])
+    color = two_pictures(fill(inputs, warped[0], valids[0], motions.get(inputs.steps[0]), hole_fill), warped[0])
     if second == "detail":
         moved = [i for i, step in enumerate(inputs.steps) if step in motions and not is_missing(inputs.steps, i)]
         frames = [(inputs.colors[i], motions[inputs.steps[i]], inputs.stencils[i + 1]) for i in moved]
@@ -131,10 +136,24 @@ def warp_one(inputs: FrameInputs, i: int, motion: Image | None, test: HoleTest) 
     return warped, valid & (not is_missing(inputs.steps, i))
 
 
-def fill(inputs: FrameInputs, warped: Image, valid: Mask, motion: Image | None) -> Image:
+def fill(inputs: FrameInputs, warped: Image, valid: Mask, motion: Image | None, by: HoleFill) -> Image:
     """The newest colour frame with its holes filled; without motion it has none."""
     if motion is None:
         return warped
+    if by == "reshade":
+        return reshade(
+            inputs.colors[0],
+            warped,
+            motion,
+            valid,
+            stencil_previous=inputs.stencils[1],
+            stencil=inputs.stencils[0],
+            normal_previous=inputs.normals[1],
+            normal=inputs.normals[0],
+            position_previous=inputs.positions[1],
+            position=inputs.positions[0],
+            base_color=inputs.gbuffer[..., 6:9],
+        )
     _, instead = occlusion_warp(inputs.colors[0], warped, motion, inputs.gbuffer[..., 3], valid)
     return instead
 

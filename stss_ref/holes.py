@@ -77,7 +77,7 @@ def holes(
         if test == "paper":
             near = largest_distance(four) <= bias(nov, depth, limits)
         else:
-            near = _squared(between(four, at)) <= limits.footprints**2 * squared_footprint(position)
+            near = squared(between(four, at)) <= limits.footprints**2 * squared_footprint(position)
     static = (s == 0) & ~near
     moving = (s != 0) & (cosine(normal, n) < limits.cosine) & is_surface(normal, n)
     mesh = objects_apart(s, stencil) > limits.mesh
@@ -91,7 +91,7 @@ def offsets(position_previous: Image, position: Image, at: Taps) -> list[Image]:
 
 def largest_distance(four: Sequence[Image]) -> Plane:
     """(H, W) length of the longest of four offsets; NaN where any of them is."""
-    return np.sqrt(_squared(np.stack(four))).max(axis=0)
+    return np.sqrt(squared(np.stack(four))).max(axis=0)
 
 
 def bias(nov: Plane, depth: Plane, limits: HoleLimits) -> Plane:
@@ -118,7 +118,7 @@ def squared_footprint(position: Image) -> Plane:
 
 def neighbours(position: Image, axis: int) -> tuple[Plane, Plane]:
     """(H, W) squared distances to the neighbours before and after each pixel; infinite where there is none, or one is not finite."""
-    apart = _squared(np.diff(position, axis=axis))
+    apart = squared(np.diff(position, axis=axis))
     apart = np.where(apart < np.inf, apart, np.inf)  # NaN too
     before, after = (
         np.pad(apart, [side if i == axis else (0, 0) for i in (0, 1)], constant_values=np.inf) for side in ((1, 0), (0, 1))
@@ -134,13 +134,13 @@ def nearer(before: Plane, after: Plane) -> Plane:
 
 def cosine(normal: Image, n: Image) -> Plane:
     """(H, W) of the angle between a normal of length 1 and an earlier one of any length; 0 where that is 0."""
-    length = np.sqrt(_squared(n))
+    length = np.sqrt(squared(n))
     return (normal * n).sum(axis=-1) / (length + length.dtype.type(LEAST_LENGTH))
 
 
 def is_surface(normal: Image, n: Image) -> Mask:
     """(H, W) False where both normals are 0, as on a background."""
-    return (np.sqrt(_squared(n)) > 0) | (normal != 0).any(axis=-1)
+    return (np.sqrt(squared(n)) > 0) | (normal != 0).any(axis=-1)
 
 
 def objects_apart(s: Plane, stencil: Plane) -> Plane:
@@ -148,6 +148,7 @@ def objects_apart(s: Plane, stencil: Plane) -> Plane:
     return 3 * np.abs(s - stencil)
 
 
-def _squared(vectors: Array) -> Array:
+def squared(vectors: Array) -> Array:
+    """(...) the squared lengths of vectors (..., 3)."""
     squares = vectors * vectors
     return squares[..., 0] + squares[..., 1] + squares[..., 2]

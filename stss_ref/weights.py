@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from stss_ref.arrays import Array
-from stss_ref.constants import HoleTest
+from stss_ref.constants import HoleFill, HoleTest
 
 Tensors = Mapping[str, Array]
 """Arrays by name, of the network or of some layers: a convolution's weight is (out, in, kh, kw), its bias (out,)."""
@@ -36,11 +36,13 @@ class Weights(Mapping[str, Array]):
         tensors: the array of each name in `TENSORS`.
         second_color: the second colour that they were trained with.
         hole_test: the hole test that they were trained with.
+        hole_fill: what filled the holes in training.
     """
 
     tensors: Tensors = field(repr=False)
     second_color: SecondColor = "newest"
     hole_test: HoleTest = "footprint"
+    hole_fill: HoleFill = "occlusion_warp"
 
     def __getitem__(self, name: str) -> Array:
         return self.tensors[name]

@@ -26,9 +26,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     chosen = parser.parse_args(arguments)
     require_places({"--out": chosen.out}, map(Path, chosen.weights))
     loaded = [load(name) for name in chosen.weights]
-    seconds = {each.weights.second_color for each in loaded}
-    if len(seconds) > 1:
-        raise InputError(f"weights: expected one second colour, found {' and '.join(sorted(seconds))}")
+    for what, found in (
+        ("second colour", {each.weights.second_color for each in loaded}),
+        ("hole fill", {each.weights.hole_fill for each in loaded}),
+    ):
+        if len(found) > 1:
+            raise InputError(f"weights: expected one {what}, found {' and '.join(sorted(found))}")
     tensors = {
         name: np.asarray(np.mean([each.weights[name] for each in loaded], axis=0, dtype=np.float64), np.float32)
         for name in loaded[0].weights

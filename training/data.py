@@ -15,6 +15,7 @@ import numpy as np
 
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array
+from stss_ref.constants import HOLE_FILLS, HoleFill
 from training.augment import MASK, MOTION, Batch, augment, collate, crop, mask_at_random
 from training.samples import NOWHERE
 
@@ -34,6 +35,7 @@ class Shard:
     split: str
     frames: tuple[int, ...]
     kinds: tuple[str, ...]
+    hole_fill: HoleFill
     inputs: Array = field(repr=False)
     truth: Array = field(repr=False)
 
@@ -50,16 +52,21 @@ def load_shards(folder: Path) -> list[Shard]:
     """Every complete shard below ``folder``, sorted by name.
 
     Raises:
-        InputError: there is no shard, or one scene is in two splits.
+        InputError: there is no shard, one scene is in two splits, or holes were filled by more than one stage.
     """
     shards: list[Shard] = []
     for path in sorted(folder.rglob("index.json")):
         index = json.loads(path.read_text())
         inputs, truth = (np.load(path.parent / f"{name}.npy", mmap_mode="r") for name in ("inputs", "truth"))
         name = str(path.parent.relative_to(folder))
-        shards.append(Shard(name, index["scene"], index["split"], tuple(index["frames"]), tuple(index["kinds"]), inputs, truth))
+        by = index.get("hole_fill", HOLE_FILLS[0])
+        shards.append(
+            Shard(name, index["scene"], index["split"], tuple(index["frames"]), tuple(index["kinds"]), by, inputs, truth)
+        )
     if not shards:
         raise InputError(f"{folder}: no samples; python -m training.samples makes them")
+    if len(fills := {shard.hole_fill for shard in shards}) > 1:
+        raise InputError(f"{folder}: expected samples of one --hole-fill, found {' and '.join(sorted(fills))}")
     splits: dict[str, str] = {}
     for shard in shards:
         if splits.setdefault(shard.scene, shard.split) != shard.split:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from stss_cl.liveness import find_live
+from stss_ref.constants import HoleFill
 from stss_ref.weights import TENSORS, SecondColor, Weights, check
 
 Without = Literal["", "history", "deep"]
@@ -254,6 +255,7 @@ def load_weights(network: Network, weights: Weights) -> None:
         network.without = "deep"
 
 
-def to_weights(tensors: dict[str, Tensor], second: SecondColor = "newest") -> Weights:
-    """The tensors of a state dict as the specification's 92 arrays, checked; ``second``: the second colour that they were trained with."""
-    return check(Weights({name: tensors[name].detach().float().cpu().contiguous().numpy() for name in TENSORS}, second))
+def to_weights(tensors: dict[str, Tensor], second: SecondColor = "newest", hole_fill: HoleFill = "occlusion_warp") -> Weights:
+    """The tensors of a state dict as the specification's 92 arrays, checked; second colour and hole fill as in training."""
+    arrays = {name: tensors[name].detach().float().cpu().contiguous().numpy() for name in TENSORS}
+    return check(Weights(arrays, second, hole_fill=hole_fill))

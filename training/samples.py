@@ -2,7 +2,7 @@
 """Make training samples: the network's inputs for a display frame, from the project's own pipeline, and the truth.
 
 Each sequence has a folder with ``inputs.npy`` (N, H, W, 35) and ``truth.npy`` (N, 2H, 2W, 3), float16, display-referred, and
-``index.json``, which is written last: a folder without it does not count. Channels of the inputs: occlusion_warp 3, gbuffer 9,
+``index.json``, which is written last: a folder without it does not count. Channels of the inputs: first colour 3, gbuffer 9,
 history 3 x (warped 3, mask 1), motion 2, `details` 9. The network's color 6 and mask are among them (`unpack`). Motion leads to the
 display frame before, in pixels; it is NOWHERE where the surface is not seen there.
 """
@@ -36,6 +36,7 @@ from stss.sequence.find_files import numbered_files
 from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array, Image
+from stss_ref.constants import HOLE_FILLS, HoleFill
 from stss_ref.frame import FrameInputs, NetworkInputs
 from stss_ref.frame import prepare as warp_all
 from stss_ref.holes import holes
@@ -66,12 +67,13 @@ class Sample:
     truth: Image
 
 
-def samples(frames: Sequence[DisplayFrame], truths: Mapping[int, Image]) -> Iterator[Sample]:
+def samples(frames: Sequence[DisplayFrame], truths: Mapping[int, Image], hole_fill: HoleFill) -> Iterator[Sample]:
     """Yield every frame with a truth twice, as a rendered frame (SF) and as an extrapolated one (EF).
 
     Args:
         frames: consecutive display frames, each with its colour.
         truths: frame number -> (2H, 2W, 3) display-referred.
+        hole_fill: the stage that fills the holes.
     """
     for i, last in enumerate(frames):
         if last.number not in truths:
@@ -83,7 +85,7 @@ def samples(frames: Sequence[DisplayFrame], truths: Mapping[int, Image]) -> Iter
             planned = plan(window)
             if planned is not None and len(window) > 1:
                 given = frame_inputs(window, planned.steps)
-                inputs = pack(warp_all(given), _motion(window[-2], last), details(given))
+                inputs = pack(warp_all(given, hole_fill=hole_fill), _motion(window[-2], last), details(given, hole_fill))
                 yield Sample(last.number, kind, inputs, truths[last.number])
 
 
@@ -102,10 +104,10 @@ def _motion(before: DisplayFrame, now: DisplayFrame) -> Image:
     return np.where(followed[..., None], now.motion, np.float32(NOWHERE))
 
 
-def details(inputs: FrameInputs) -> Image:
+def details(inputs: FrameInputs, hole_fill: HoleFill) -> Image:
     """The second colour "detail" of R, G and B apart, (H, W, 9): across, down, level. Augmentation lets the colours change places."""
     channels = [np.repeat(inputs.colors[..., c : c + 1], 3, axis=-1) for c in range(3)]
-    made = [warp_all(replace(inputs, colors=channel), second="detail").color[..., 3:] for channel in channels]
+    made = [warp_all(replace(inputs, colors=c), second="detail", hole_fill=hole_fill).color[..., 3:] for c in channels]
     return np.stack(made, axis=-1).reshape(*inputs.nov.shape, 9)
 
 
@@ -151,16 +153,16 @@ def _planes(film: Film, size: tuple[int, int], number: int) -> dict[str, NDArray
     return planes
 
 
-def film_samples(film: Film, size: tuple[int, int]) -> Iterator[Sample]:
+def film_samples(film: Film, size: tuple[int, int], hole_fill: HoleFill) -> Iterator[Sample]:
     """The samples of an analytic film."""
     curve, numbers = transfer("srgb"), (START, *HISTORIES)
     frames = [prepare(buffers, curve, "scale") for buffers in film_frames(film, size, max(numbers) + 1)]
     doubled = 2 * size[0], 2 * size[1]
     truths = {n: curve.encode(render(film.at(n), n, *doubled, samples=SAMPLES).color) for n in numbers}
-    return samples(frames, truths)
+    return samples(frames, truths, hole_fill)
 
 
-def sequence_samples(low: Path, high: Path, profile: str, camera: Path | None) -> Iterator[Sample]:
+def sequence_samples(low: Path, high: Path, profile: str, camera: Path | None, hole_fill: HoleFill) -> Iterator[Sample]:
     """The samples of a renderer's sequence: frames that have a truth, within runs of consecutive frames."""
     sequence, curve = open_sequence(low, profile, camera=camera), transfer("srgb")
     truths = number_files(high)
@@ -176,7 +178,7 @@ def sequence_samples(low: Path, high: Path, profile: str, camera: Path | None) -
             expected = (2 * sequence.size[0], 2 * sequence.size[1], 3)
             if truth.shape != expected:
                 raise InputError(f"{truths[number]}: expected {expected}, got {truth.shape}")
-            yield from samples(window, {number: truth})
+            yield from samples(window, {number: truth}, hole_fill)
 
 
 def number_files(folder: Path) -> dict[int, Path]:
@@ -216,7 +218,7 @@ def require_shard(folder: Path, reads: Sequence[Path] = ()) -> None:
             raise InputError(f"{folder}: expected nothing there, or a shard of {', '.join(sorted(FILES))} alone")
 
 
-def write(folder: Path, scene: str, split: str, made: Iterable[Sample], reads: Sequence[Path] = ()) -> int:
+def write(folder: Path, scene: str, split: str, hole_fill: HoleFill, made: Iterable[Sample], reads: Sequence[Path] = ()) -> int:
     """Write samples as a shard, whole or not at all; see `require_shard`. Returns their number."""
     require_shard(folder, reads)
     kept = list(made)
@@ -232,7 +234,7 @@ def write(folder: Path, scene: str, split: str, made: Iterable[Sample], reads: S
                 raise InputError(f"{folder.name}: {name}: not finite as float16")
             np.save(temporary / f"{name}.npy", half)
         index = {"scene": scene, "split": split, "frames": [s.number for s in kept], "kinds": [s.kind.value for s in kept]}
-        (temporary / "index.json").write_text(json.dumps(index))
+        (temporary / "index.json").write_text(json.dumps({**index, "hole_fill": hole_fill}))
         require_shard(folder, reads)
         shutil.rmtree(folder, ignore_errors=True)
         temporary.rename(folder)
@@ -242,13 +244,13 @@ def write(folder: Path, scene: str, split: str, made: Iterable[Sample], reads: S
     return len(kept)
 
 
-def write_film(seed: int, inputs: str, size: tuple[int, int], out: Path) -> str:
+def write_film(seed: int, inputs: str, size: tuple[int, int], hole_fill: HoleFill, out: Path) -> str:
     """Write the shard of the analytic film number ``seed``, unless it exists. Returns a line to print."""
     film = random_film(seed, inputs)
     scene, name = film.scene.name, f"{film.scene.name}-{inputs}"
     if (out / name / "index.json").exists():
         return f"{name}: there"
-    return f"{name}: {write(out / name, scene, split_of(scene), film_samples(film, size))} samples"
+    return f"{name}: {write(out / name, scene, split_of(scene), hole_fill, film_samples(film, size, hole_fill))} samples"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -260,6 +262,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--inputs", choices=tuple(INPUTS), default="aliased", help="what of the films is a mean over the pixel")
     parser.add_argument("--size", default="160x96", help="WxH of the low resolution of the films")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--hole-fill", choices=HOLE_FILLS, default=HOLE_FILLS[0], help="the stage that fills the holes")
     parser.add_argument("--sequence", nargs=2, type=Path, metavar=("LR", "HR"), help="frames of a renderer and their truth")
     parser.add_argument("--profile", default="blender")
     parser.add_argument("--camera", type=Path)
@@ -274,12 +277,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if name in ("", ".", "..") or not {"/", "\\"}.isdisjoint(name):
             raise InputError(f"--name {name}: expected the name of a folder, without separators")
         scene = chosen.scene or name
-        made = sequence_samples(low, high, chosen.profile, chosen.camera)
-        count = write(chosen.out / name, scene, chosen.split or split_of(scene), made, [low, high])
+        made = sequence_samples(low, high, chosen.profile, chosen.camera, chosen.hole_fill)
+        count = write(chosen.out / name, scene, chosen.split or split_of(scene), chosen.hole_fill, made, [low, high])
         sys.stdout.write(f"{name}: {count} samples\n")
     if chosen.analytic:
         width, height = (int(v) for v in chosen.size.split("x"))
-        work = partial(write_film, inputs=chosen.inputs, size=(height, width), out=chosen.out)
+        work = partial(write_film, inputs=chosen.inputs, size=(height, width), hole_fill=chosen.hole_fill, out=chosen.out)
         seeds = range(chosen.first, chosen.first + chosen.analytic)
         with ProcessPoolExecutor(chosen.jobs) as pool:
             for line in pool.map(work, seeds):

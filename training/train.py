@@ -20,6 +20,7 @@ from torch import nn
 from stss.weights.file import load, save
 from stss_ground.errors import InputError
 from stss_ground.output.apart import require_places
+from stss_ref.constants import HoleFill
 from stss_ref.weights import SECOND_COLORS, SecondColor
 from training import checkpoint
 from training.checkpoint import State
@@ -43,7 +44,8 @@ class Settings:
     ``extrapolated``: the share of EFs in the squared error.
     ``masking``: Random Reshading Masking. ``holes``: how often errors in reshading regions count in the squared error.
     ``upright``: see `training.augment.augment`.
-    ``compiled``: whether a step is compiled, which changes its rounding. ``second_color``: see `stss_ref.frame.prepare`.
+    ``compiled``: whether a step is compiled, which changes its rounding.
+    ``second_color``, ``hole_fill``: see `stss_ref.frame.prepare`; the samples have the latter.
     ``steady``: see `training.step.Aims`.
     """
 
@@ -64,6 +66,7 @@ class Settings:
     upright: bool = False
     compiled: bool = False
     second_color: SecondColor = "newest"
+    hole_fill: HoleFill = "occlusion_warp"
     steady: float = 0.0
 
 
@@ -153,7 +156,7 @@ WRITTEN = ("weights.safetensors", "best.safetensors", "state.safetensors")
 def keep(out: Path, state: State, means: Means) -> None:
     """Write ``weights.safetensors``, also as ``best.safetensors`` if its score is the best, and last the checkpoint."""
     weights, metadata = (
-        to_weights(state.average, state.settings["second_color"]),
+        to_weights(state.average, state.settings["second_color"], state.settings["hole_fill"]),
         {"steps": str(state.step), "validation": json.dumps(means)},
     )
     metadata["settings"] = json.dumps(state.settings)
@@ -250,6 +253,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for path in filter(Path.exists, (chosen.out / name for name in WRITTEN)):
             require_places({"--out": path}, [Path(chosen.initial)])
     device = torch.device(chosen.device)
+    shards = load_shards(chosen.data)
     before = "newest" if chosen.initial is None else load(chosen.initial).weights.second_color
     half = chosen.half == "on" or (chosen.half == "auto" and device.type == "cuda")
     settings = Settings(
@@ -270,6 +274,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         upright=chosen.upright,
         compiled=chosen.compile,
         second_color=chosen.second_color or before,
+        hole_fill=shards[0].hole_fill,
         steady=chosen.steady,
     )
     state = start(settings, device, chosen.initial)
@@ -282,7 +287,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     plan = Plan(chosen.steps, chosen.validate, chosen.log, chosen.most)
     torch.set_flush_denormal(True)  # the momentum of a dead unit becomes denormal, and then a step takes twice the time
     try:
-        train(chosen.out, load_shards(chosen.data), state, settings, plan, device)
+        train(chosen.out, shards, state, settings, plan, device)
     finally:
         torch.set_flush_denormal(False)
 

@@ -15,6 +15,7 @@ from conformance.answers.motion_chain import expect_motion_chain
 from conformance.answers.network import expect_with_weights
 from conformance.answers.occlusion_warp import expect_occlusion_warp
 from conformance.answers.port_arithmetic import Arithmetic
+from conformance.answers.reshade import expect_reshade
 from conformance.answers.warp import expect_warp
 from conformance.protocol.port import Outputs
 from conformance.protocol.stages import STAGES, reference
@@ -24,6 +25,7 @@ IMAGE_SPACE: dict[str, Callable[[dict[str, NDArray[Any]], Arithmetic], dict[str,
     "motion_chain": expect_motion_chain,
     "warp": expect_warp,
     "holes": expect_holes,
+    "reshade": lambda inputs, arithmetic: expect_reshade(inputs, arithmetic)[0],
     "rrm": lambda inputs, _: {"valid": Expected(reference("rrm", inputs)["valid"], 0.0)},
 }
 

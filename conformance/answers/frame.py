@@ -15,6 +15,7 @@ from conformance.answers.motion_chain import expect_motion_chain
 from conformance.answers.network import Errors, expect_with_weights
 from conformance.answers.occlusion_warp import expect_occlusion_warp
 from conformance.answers.port_arithmetic import Arithmetic, Reach, reach
+from conformance.answers.reshade import expect_reshade
 from conformance.answers.warp import over_windows, within_frame
 from conformance.protocol.stages import network_inputs
 from conformance.tolerance import BOUNDS
@@ -39,6 +40,7 @@ def expect_frame(inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: 
     """
     steps = [int(step) for step in inputs["steps"]]
     seen: list[Seen] = []
+    filled: NDArray[Any] | float = 0.0
     for i, step in enumerate(steps):
         if step == 0:
             continue
@@ -53,10 +55,16 @@ def expect_frame(inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: 
             "nov": inputs["nov"], "depth": depth, "paper": np.array([weights.hole_test == "paper"], np.int32),
         }  # fmt: skip
         valid = expect_holes({"motion": motion, **planes}, arithmetic, off)["valid"]
-        given = {"color": color, "warped": color, "motion": motion, "depth": depth, "valid": valid.want}
+        given = {"color": color, "warped": color, "motion": motion, "valid": valid.want}
         if chain.undecided or valid.undecided:
             return {}
-        if i == 0 and expect_occlusion_warp(given, arithmetic, off=off)["occlusion_motion"].undecided:
+        if i == 0 and weights.hole_fill == "reshade":
+            surfaces = {name: plane for name, plane in planes.items() if name not in ("nov", "depth", "paper")}
+            expected, undecided = expect_reshade(given | surfaces | {"base_color": inputs["gbuffer"][..., 6:9]}, arithmetic, off)
+            if undecided.any():
+                return {}
+            filled = np.asarray(expected["reshade"].allowed)
+        elif i == 0 and expect_occlusion_warp(given | {"depth": depth}, arithmetic, off=off)["occlusion_motion"].undecided:
             return {}
         at = reach(motion, arithmetic, off)
         inside, unsure = within_frame(at)
@@ -66,7 +74,10 @@ def expect_frame(inputs: dict[str, NDArray[Any]], weights: Weights, arithmetic: 
     made = network_inputs(inputs, weights)
     first, is_detailed = made["color"][..., :3], weights.second_color == "detail"
     errors = detail_errors(first, inputs["stencils"][0], seen, arithmetic) if is_detailed else (0.0, 0.0)
-    return expect_with_weights("network", made, weights, arithmetic, errors)
+    # The second colour is less the first one's luma, and has a part of it.
+    rounded, moved = (np.broadcast_to(error, first.shape) for error in errors)
+    rounded = np.concatenate([0 * first + filled, rounded + (filled if is_detailed else 0)], axis=-1)
+    return expect_with_weights("network", made, weights, arithmetic, (rounded, np.concatenate([0 * moved, moved], axis=-1)))
 
 
 def detail_errors(first: NDArray[Any], stencil: NDArray[Any], seen: Sequence[Seen], arithmetic: Arithmetic) -> Errors:

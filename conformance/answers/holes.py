@@ -91,11 +91,20 @@ def _beyond_footprint(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Ar
     least = np.where(peak.max(axis=-1) > 0, SMALL, 0)
     off = _length(wrong) + BOUNDS["length"].roundings * unit * distance + least
     off = np.where(np.isnan(off), np.inf, off)  # by a pixel beside them that is not finite
-    limit = LIMITS.footprints * np.sqrt(squared_footprint(position))
-    limit_off = BOUNDS["length"].roundings * unit * limit + np.where(limit > 0, SMALL, 0)
-    # The square of a larger number may be infinite in float32, and then does not count as a footprint. What is infinite is a hole.
-    large = np.where(np.isfinite(distance), np.maximum(_length(peak), limit), limit) > 1 / SMALL
+    limit, limit_off, large = reach_of_footprints(position, LIMITS.footprints, unit)
+    # What is infinite is a hole.
+    large |= np.isfinite(distance) & (_length(peak) > 1 / SMALL)
     return Maybe(~(distance - off <= limit + limit_off) & ~large, ~(distance + off <= limit - limit_off) | large)
+
+
+def reach_of_footprints(position: Array, footprints: float, unit: float) -> tuple[Float64, Float64, Bool]:
+    """So many footprints of each pixel, (H, W), the error of that, and where its square may be infinite in float32.
+
+    A neighbour at an infinite distance does not count.
+    """
+    limit = footprints * np.sqrt(squared_footprint(position))
+    off = BOUNDS["length"].roundings * unit * limit + np.where(limit > 0, SMALL, 0)
+    return limit, off, limit > 1 / SMALL
 
 
 def _too_far(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic) -> Maybe:

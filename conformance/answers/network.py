@@ -26,7 +26,7 @@ from conformance.tolerance import BOUNDS, UNIT
 from stss_ref.weights import Tensors, Weights, astype
 
 Errors = tuple[NDArray[Any] | float, NDArray[Any] | float]
-"""(H, W, 3) the most by which a port's second colour is off: by its own rounding, and by that of the motion that it reads by."""
+"""(H, W, 6) the most by which a port's colours are off: by their own rounding, and by that of the motion that they are read by."""
 OPEN = 100.0
 """A gate's bias at which its sigmoid is 1."""
 TAIL = 4.0
@@ -53,7 +53,7 @@ def expect_with_weights(
         inputs: float64.
         weights: float32.
         arithmetic: of the port.
-        errors: of the second colour among the inputs.
+        errors: of the colours among the inputs.
     """
     return _spread(STAGES[stage].compute, inputs, weights, arithmetic, part_of(stage, inputs), errors)
 
@@ -90,7 +90,7 @@ def _spread(
     part: dict[str, NDArray[Any]] | None = None,
     errors: Errors = (0.0, 0.0),
 ) -> dict[str, Expected]:
-    """The outputs of ``compute``, and how far changes of the size of rounding move them: of the weights, and of the second colour.
+    """The outputs of ``compute``, and how far changes of the size of rounding move them: of the weights, and of the colours.
 
     ``part`` is the part of a large frame by which its bounds are found.
     """
@@ -119,12 +119,12 @@ def _typical(moved: Sequence[NDArray[Any]]) -> float:
 
 
 def _off(inputs: dict[str, NDArray[Any]], error: NDArray[Any] | float, random: np.random.Generator) -> dict[str, NDArray[Any]]:
-    """The inputs with each number of the second colour off by its largest error, up or down at random."""
+    """The inputs with each number of the colours off by its largest error, up or down at random."""
     if not np.any(error):
         return inputs
     height, width, _ = inputs["color"].shape
-    change = np.asarray(error)[:height, :width] * random.choice((-1, 1), (height, width, 3))
-    return {**inputs, "color": inputs["color"] + np.concatenate([change * 0, change], axis=-1)}
+    change = np.asarray(error)[:height, :width] * random.choice((-1, 1), (height, width, 6))
+    return {**inputs, "color": inputs["color"] + change}
 
 
 def layer_change(terms: int, arithmetic: Arithmetic) -> float:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from conformance.cases.large_inputs import frame_case
 from conformance.cases.stage_inputs import Inputs, made_weights
 from stss_ref.constants import HoleLimits
+from stss_ref.reshade import COSINE, FOOTPRINTS, RADIUS
 from stss_ref.weights import Weights
 
 LIMITS = HoleLimits()
@@ -114,6 +115,53 @@ def _farthest(rng: Generator) -> Inputs:
     return {"color": rng.random((1, 20, 3)), "warped": rng.random((1, 20, 3)), "motion": motion, "depth": depth, "valid": valid}
 
 
+def _hole(width: int) -> Inputs:
+    """Stage reshade: a row of holes of one material and at one place, that do not move, of which none has a sample of its own."""
+    up = np.broadcast_to([0.0, 0.0, 1.0], (1, width, 3))
+    flat, none = np.zeros((1, width)), np.zeros((1, width, 3))
+    return {
+        "color": none, "warped": none, "motion": np.zeros((1, width, 2)), "valid": np.zeros((1, width), np.uint8),
+        "stencil_previous": flat + 9, "stencil": flat, "normal_previous": up, "normal": up, "position_previous": none,
+        "position": none, "base_color": none,
+    }  # fmt: skip
+
+
+def _own_distance(rng: Generator) -> Inputs:
+    """Columns 8 cm apart, so that a footprint is 8 cm; what lies within two footprints is a hole's own sample."""
+    apart = 8 * FOOTPRINTS * _pairs(1 - CLOSE, 1 + CLOSE)
+    given = _hole(apart.size)
+    here = np.zeros((1, apart.size, 3))
+    here[..., 0] = 8 * np.arange(apart.size)
+    there = here.copy()
+    there[..., 2] = apart
+    return given | {
+        "color": rng.random(here.shape), "warped": rng.random(here.shape), "stencil_previous": given["stencil"],
+        "position": here, "position_previous": there, "motion": given["motion"] + (0, -0.5),
+    }  # fmt: skip
+
+
+def _own_cosine(rng: Generator) -> Inputs:
+    cosine = _pairs(*(COSINE * (1 + sign * CLOSE) for sign in (-1, 1)))
+    given = _hole(cosine.size)
+    return given | {
+        "color": rng.random((1, cosine.size, 3)), "warped": rng.random((1, cosine.size, 3)), "stencil": given["stencil"] + 1,
+        "stencil_previous": given["stencil"] + 1,
+        "normal_previous": np.stack([np.sqrt(1 - cosine**2), np.zeros_like(cosine), cosine], axis=-1),
+    }  # fmt: skip
+
+
+def _like(rng: Generator) -> Inputs:
+    """One hole among pixels of several base colours and normals; and beyond the window, of its own."""
+    width = 2 * RADIUS + 3
+    given = _hole(width)
+    base_color, normal = given["base_color"].copy(), given["normal"].copy()
+    base_color[0, 2:6, 1], normal[0, 6:9, 0] = (0.125, 0.25, 0.5, 1), (0.25, 0.5, 1)
+    base_color[0, RADIUS + 2 : -2] = 8
+    valid = given["valid"] + 1
+    valid[0, RADIUS + 1] = 0
+    return given | {"warped": rng.random((1, width, 3)), "valid": valid, "base_color": base_color, "normal": normal}
+
+
 def _materials(rng: Generator) -> tuple[Inputs, Weights]:
     """A few places with keys about 1e-12 long, among keys a million times shorter: sums of weights are about 1e-6, lengths 1e-12."""
     size = 9, 9
@@ -160,6 +208,12 @@ CONSTANTS = (
     Constant("difference of stencils", "1", "holes", _mesh),
     Constant("stencil's channels", "3", "holes", _mesh),
     Constant("beginning of the depth buffer", "10", "occlusion_warp", _farthest),
+    Constant("own samples' distance in footprints", "2", "reshade", _own_distance),
+    Constant("own samples' cosine", "0.9", "reshade", _own_cosine),
+    Constant("reach of like materials", "8", "reshade", _like),
+    Constant("weight of base colours", "8", "reshade", _like),
+    Constant("weight of normals", "2", "reshade", _like),
+    Constant("power of a weight", "4", "reshade", _like),
     Constant("least length of a key", "1e-12", "erm", _materials),
     Constant("least sum of weights", "1e-6", "erm", _materials),
     Constant("window", "5", "erm", _window),

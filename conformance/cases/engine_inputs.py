@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from conformance.cases.large_inputs import frame_case
 from conformance.cases.planes import Size
 from conformance.cases.stage_inputs import Inputs
+from stss_ref.constants import HOLE_FILLS, HoleFill
 from stss_ref.weights import SECOND_COLORS, SecondColor, Weights
 
 SIZE = 17, 23
@@ -52,9 +53,21 @@ def _occlusion_warp(rng: Generator) -> Inputs:
     return {"color": color, "warped": warped, "motion": _motion(rng, SIZE), "depth": rng.random(SIZE), "valid": valid}
 
 
-def _frame(second: SecondColor, rng: Generator) -> tuple[Inputs, Weights]:
+def _reshade(rng: Generator) -> Inputs:
+    """Motion of -0, and numbers of objects that 8 or 16 bits confuse; all lies at one place."""
+    previous, now = _stencils(rng, SIZE)
+    color, warped = rng.random((2, *SIZE, 3))
+    up, none = np.broadcast_to([0.0, 0.0, 1.0], (*SIZE, 3)), np.zeros((*SIZE, 3))
+    return {
+        "color": color, "warped": warped, "motion": _motion(rng, SIZE), "valid": (rng.random(SIZE) < 0.5).astype(np.uint8),
+        "stencil_previous": previous, "stencil": now, "normal_previous": up, "normal": up, "position_previous": none,
+        "position": none, "base_color": rng.random((*SIZE, 3)),
+    }  # fmt: skip
+
+
+def _frame(second: SecondColor, fill: HoleFill, rng: Generator) -> tuple[Inputs, Weights]:
     """Lost motion and lost positions lie in every frame, and stencils of every size."""
-    inputs, given = frame_case(SIZE, rng, second)
+    inputs, given = frame_case(SIZE, rng, second, fill=fill)
     lost = rng.choice([np.nan, np.inf, -np.inf], SIZE)
     motions = np.stack([_motion(rng, SIZE) for _ in range(len(inputs["motions"]) + MORE_MOTIONS)])
     positions = inputs["positions"].copy()
@@ -68,8 +81,8 @@ def _frame(second: SecondColor, rng: Generator) -> tuple[Inputs, Weights]:
 _MADE: dict[str, tuple[Callable[[Generator], Any], ...]] = {
     "motion_chain": (lambda rng: {"motions": np.stack([_motion(rng, SIZE) for _ in range(3)])},),
     "warp": (lambda rng: {"color": rng.random((*SIZE, 3)), "motion": _motion(rng, SIZE)},),
-    "holes": (_holes,), "occlusion_warp": (_occlusion_warp,),
-    "frame": tuple(partial(_frame, second) for second in SECOND_COLORS),
+    "holes": (_holes,), "occlusion_warp": (_occlusion_warp,), "reshade": (_reshade,),
+    "frame": tuple(partial(_frame, second, fill) for second, fill in zip(SECOND_COLORS, HOLE_FILLS, strict=True)),
 }  # fmt: skip
 
 ENGINE_STAGES = frozenset(_MADE)

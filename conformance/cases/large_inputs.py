@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from conformance.cases.planes import Size
 from conformance.cases.stage_inputs import Inputs, made_weights
+from stss_ref.constants import HOLE_FILLS, HoleFill
 from stss_ref.weights import SECOND_COLORS, SecondColor, Weights
 
 IMAGE_SIZES: tuple[Size, ...] = ((2, 4500), (301, 3), (540, 960), (129, 66), (65, 129), (65_601, 1), (1, 65_601), (1080, 1920))
@@ -85,6 +86,21 @@ def _occlusion_warp(moving: Moving, size: Size, rng: Generator) -> Inputs:
     return {"color": color, "warped": warped, "motion": moving(rng, size), "depth": depth, "valid": valid}
 
 
+def _reshade(moving: Moving, size: Size, rng: Generator) -> Inputs:
+    """Half of the holes have samples of their own; the rest looks around, at objects and materials of few kinds."""
+    color, warped = rng.random((2, *size, 3))
+    stencil = (rng.random(size) < 0.3) * 2.0
+    position = rng.normal(0, 15, (*size, 3))
+    normal, other = np.broadcast_to([0.0, 0.0, 1.0], (*size, 3)), np.broadcast_to([0.0, 0.6, 0.8], (*size, 3))
+    valid = rng.random(size) < 0.9
+    return {
+        "color": color, "warped": warped, "motion": moving(rng, size), "valid": valid.astype(np.uint8), "stencil": stencil,
+        "stencil_previous": np.where(rng.random(size) < 0.5, stencil, 7), "normal": normal, "position": position,
+        "normal_previous": np.where(rng.random((*size, 1)) < 0.5, normal, other), "position_previous": position + 1000,
+        "base_color": rng.integers(0, 3, (*size, 3)) / 2,
+    }  # fmt: skip
+
+
 def _rrm(_: Moving, size: Size, rng: Generator) -> Inputs:
     height, width = size
     rectangle = np.array([height // 4, width // 4, -(-height // 2), -(-width // 2)], np.int32)
@@ -110,7 +126,11 @@ def network_case(stage: str, size: Size, rng: Generator) -> tuple[Inputs, Weight
 
 
 def frame_case(
-    size: Size, rng: Generator, second: SecondColor = "newest", steps: tuple[int, int, int] = (1, 3, 5)
+    size: Size,
+    rng: Generator,
+    second: SecondColor = "newest",
+    steps: tuple[int, int, int] = (1, 3, 5),
+    fill: HoleFill = "occlusion_warp",
 ) -> tuple[Inputs, Weights]:
     """Stage frame: motion is short, in quarters, or far, in whole pixels; surfaces coincide or are far apart: rounding decides no hole."""
     count, single = steps[-1], np.float32
@@ -126,13 +146,13 @@ def frame_case(
         "steps": np.array(steps, np.int32), "motions": moved, "gbuffer": rng.random((*size, 9), single),
         "nov": rng.random(size, single) * 2 - 1,
     }  # fmt: skip
-    return inputs, made_weights("random", 0, second)
+    return inputs, made_weights("random", 0, second, fill=fill)
 
 
 _IMAGE: dict[str, Callable[[Moving, Size, Generator], Inputs]] = {
     "motion_chain": lambda moving, size, rng: {"motions": np.stack([moving(rng, size) for _ in range(3)])},
     "warp": lambda moving, size, rng: {"color": rng.random((*size, 3)), "motion": moving(rng, size)},
-    "holes": _holes, "occlusion_warp": _occlusion_warp, "rrm": _rrm,
+    "holes": _holes, "occlusion_warp": _occlusion_warp, "reshade": _reshade, "rrm": _rrm,
 }  # fmt: skip
 
 
@@ -156,7 +176,7 @@ def user_inputs(stage: str, most: int, side: int | None = None) -> tuple[Made, .
     """The cases of a stage that are judged in windows, at sizes of users: none that a port does not take."""
     sizes = [_taken(stage, size) for size in user_sizes(stage, most, side)]
     if stage == "frame":
-        return tuple(partial(frame_case, size, second="detail", steps=(1, 2, 3)) for size in sizes)
+        return tuple(partial(frame_case, size, second="detail", steps=(1, 2, 3), fill="reshade") for size in sizes)
     if stage in _IMAGE:
         return tuple(partial(_IMAGE[stage], short_motion, size) for size in sizes)
     return tuple(partial(network_case, stage, size) for size in sizes)
@@ -195,5 +215,5 @@ def _made(stage: str, number: int, size: Size) -> Made:
     if stage in _IMAGE:
         return partial(_IMAGE[stage], motion, size)
     if stage == "frame":
-        return partial(frame_case, size, second=SECOND_COLORS[number % 2])
+        return partial(frame_case, size, second=SECOND_COLORS[number % 2], fill=HOLE_FILLS[number % 2])
     return partial(network_case, stage, size)

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from conformance.cases.planes import SEEDS, Size, colors, dyadic_motions, masks, motions, sizes
 from conformance.scenes import SCENES, Rendered, render
-from stss_ref.constants import HOLE_TESTS, HoleLimits, HoleTest
+from stss_ref.constants import HOLE_FILLS, HOLE_TESTS, HoleFill, HoleLimits, HoleTest
 from stss_ref.holes import squared_footprint
+from stss_ref.reshade import COSINE, FOOTPRINTS
 from stss_ref.weights import SECOND_COLORS, TENSORS, SecondColor, Weights, random
 
 Inputs = dict[str, NDArray[Any]]
@@ -148,6 +149,40 @@ def occlusion_inputs(draw: st.DrawFn, largest: int = 16, motion: str = "any") ->
     }
 
 
+@st.composite
+def reshade_inputs(draw: st.DrawFn, largest: int = 20, color: str = "any") -> Inputs:
+    """Stage reshade: holes alone, in clumps and everywhere; samples near the limits of a surface; few materials or any."""
+    size = draw(sizes(largest))
+    rng = np.random.default_rng(draw(SEEDS))
+    stencil = _stencil(rng, size, draw(st.sampled_from(["ground", "one", "many"])))
+    normal = _normals(draw, rng, size)
+    y, x = np.indices(size)
+    position = np.stack([x, y, 0 * x], -1) * draw(st.sampled_from([0.0, 0.5, 8.0, 500.0])) + rng.integers(-1, 2, (*size, 3))
+    limit = FOOTPRINTS * np.sqrt(squared_footprint(position))
+    apart = limit * rng.uniform(0.5, 1.5, size) * (rng.random(size) < draw(st.sampled_from([0.0, 0.5, 1.0])))
+    position_previous = position + _unit(rng, size) * apart[..., None]
+    if draw(st.integers(0, 9)) == 0:
+        position_previous[rng.random(size) < 0.2] = draw(st.sampled_from([np.nan, np.inf, -np.inf]))
+    aside = np.cross(normal, _unit(rng, size))
+    turned = normal * COSINE + aside * (np.sqrt(1 - COSINE**2) * rng.uniform(0.5, 1.5, (*size, 1)))
+    base_color = rng.random((*size, 3))
+    if draw(st.booleans()):
+        base_color = rng.choice(np.array([0.0, 0.25, 1.0]), (*size, 3))
+    return {
+        "color": draw(colors(size, 3, color)),
+        "warped": draw(colors(size, 3, color)),
+        "motion": draw(st.one_of(dyadic_motions(size, "short"), motions(size, broken=True))),
+        "valid": draw(masks(size)).astype(np.uint8),
+        "stencil_previous": stencil if draw(st.booleans()) else _stencil(rng, size, "many"),
+        "stencil": stencil,
+        "normal_previous": draw(st.sampled_from([normal, turned, _normals(draw, rng, size)])),
+        "normal": normal,
+        "position_previous": position_previous,
+        "position": position,
+        "base_color": base_color,
+    }
+
+
 def depths(rng: np.random.Generator, size: Size, kind: str) -> NDArray[np.float64]:
     """(H, W) depths of ``kind``: any values, few values, hardly different ones, a single value, or some too far to splat."""
     if kind == "ties":
@@ -263,17 +298,24 @@ def weights(draw: st.DrawFn) -> Weights:
 
 @st.composite
 def frame_weights(draw: st.DrawFn) -> Weights:
-    """The same for stage frame, with each second colour and each hole test."""
-    kind, second, test = (
+    """The same for stage frame, with each second colour, hole test and hole fill."""
+    kind, second, test, fill = (
         draw(st.sampled_from(WEIGHT_KINDS)),
         draw(st.sampled_from(SECOND_COLORS)),
         draw(st.sampled_from(HOLE_TESTS)),
+        draw(st.sampled_from(HOLE_FILLS)),
     )
-    return made_weights(kind, 0, second, test)
+    return made_weights(kind, 0, second, test, fill)
 
 
 @lru_cache(32)
-def made_weights(kind: str, seed: int, second: SecondColor = "newest", test: HoleTest = "footprint") -> Weights:
+def made_weights(
+    kind: str,
+    seed: int,
+    second: SecondColor = "newest",
+    test: HoleTest = "footprint",
+    fill: HoleFill = "occlusion_warp",
+) -> Weights:
     """Weights of ``stss_ref.weights.random``, as they are, thinned out, enlarged, or with keys near the clamps of spec 8."""
     made = dict(random(seed))
     rng = np.random.default_rng(seed)
@@ -284,7 +326,7 @@ def made_weights(kind: str, seed: int, second: SecondColor = "newest", test: Hol
             made[name] = made[name] * np.float32(2)
         elif kind in ("small keys", "faint keys") and name.startswith("KEncoder.4"):
             made[name] = made[name] * np.float32(1e-6 if kind == "small keys" else 1e-11)
-    return Weights(made, second, test)
+    return Weights(made, second, test, fill)
 
 
 def _stencil(rng: np.random.Generator, size: Size, kind: str) -> NDArray[np.float64]:

@@ -27,7 +27,7 @@ MOST_NAMED = 2
 RARE = frozenset((*EVERYWHERE, *PRECISION))
 """Tried if nothing else explains the numbers."""
 INSIDE = ("history", "encoder", "erm", "decoder")
-CONTAINS = {"network": INSIDE, "frame": ("motion_chain", "warp", "holes", "occlusion_warp", "network", *INSIDE)}
+CONTAINS = {"network": INSIDE, "frame": ("motion_chain", "warp", "holes", "occlusion_warp", "reshade", "network", *INSIDE)}
 ALIKE = 0.99
 """Share of the wrong numbers that a mistake has to explain."""
 NEARER = 0.5

@@ -17,6 +17,7 @@ from stss_ref.constants import HoleLimits
 from stss_ref.holes import squared_footprint
 from stss_ref.motion_chain import chain_steps, gather_longest, truncated
 from stss_ref.occlusion_warp import FARTHEST, splat
+from stss_ref.reshade import four_samples, shows_surface
 from stss_ref.sample import Place, between, bilinear, follow, leads_inside, taps
 
 Float64 = NDArray[np.float64]
@@ -190,6 +191,21 @@ def _writers(at: Place, motion: Float64, depth: Float64, row: int, column: int) 
     return [*zip(names, words, strict=True), *([("", f"and {others} more")] if others else [])]
 
 
+def _reshade(inputs: Inputs, y: int, x: int) -> list[Term]:
+    found = [("valid", _shown(inputs["valid"][y, x])), ("warped", _shown(inputs["warped"][y, x]))]
+    if inputs["valid"][y, x]:
+        return found
+    before, now = ([inputs[f"{name}{when}"] for name in ("stencil", "normal", "position")] for when in ("_previous", ""))
+    pixel = np.array([y]), np.array([x])
+    for there, row, column in four_samples(inputs["motion"], *pixel):
+        if not there[0]:
+            continue
+        own = shows_surface((before[0], before[1], before[2]), (now[0], now[1], now[2]), (row, column), pixel)[0]
+        what = "its own surface" if own else "another surface"
+        found.append((f"row {row[0]}, column {column[0]}: {what}", _shown(inputs["color"][row[0], column[0]])))
+    return [*found, ("motion", _shown(inputs["motion"][y, x])), ("base colour", _shown(inputs["base_color"][y, x]))]
+
+
 def _rrm(inputs: Inputs, y: int, x: int) -> list[Term]:
     top, left, height, width = (int(n) for n in inputs["rectangle"])
     within = top <= y < top + height and left <= x < left + width
@@ -205,6 +221,7 @@ TERMS: dict[str, Callable[[Inputs, int, int], Sequence[Term]]] = {
     "warp": _warp,
     "holes": _holes,
     "occlusion_warp": _occlusion_warp,
+    "reshade": _reshade,
     "rrm": _rrm,
 }
 """By stage; the row and the column come last."""

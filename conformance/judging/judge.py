@@ -250,8 +250,12 @@ class Judge:
             if len(self._weights) == MOST_WEIGHTS:
                 self._weights.clear()
             given = weights.convert(self.arithmetic.normal)
-            if self.weights_version < 4:
-                given = replace(given, second_color="newest", **({"hole_test": "footprint"} if self.weights_version < 3 else {}))
+            for version, known in (
+                (5, {"hole_fill": "occlusion_warp"}),
+                (4, {"second_color": "newest"}),
+                (3, {"hole_test": "footprint"}),
+            ):
+                given = replace(given, **known) if self.weights_version < version else given
             self._weights[id(weights)] = weights, given
         return self._weights[id(weights)][1]
 

@@ -7,10 +7,11 @@ from conformance.mistakes.frame import FRAME
 from conformance.mistakes.holes import HOLES, OCCLUSION_WARP, RRM
 from conformance.mistakes.image import MOTION_CHAIN, WARP
 from conformance.mistakes.network import DECODER, ENCODER, ERM, HISTORY, NETWORK
+from conformance.mistakes.reshade import RESHADE
 from conformance.protocol.reference_copy import Mistake
 
 MISTAKES: tuple[Mistake, ...] = (
-    *MOTION_CHAIN, *WARP, *HOLES, *OCCLUSION_WARP, *RRM, *HISTORY, *ENCODER, *ERM, *DECODER, *NETWORK, *FRAME,
+    *MOTION_CHAIN, *WARP, *HOLES, *OCCLUSION_WARP, *RESHADE, *RRM, *HISTORY, *ENCODER, *ERM, *DECODER, *NETWORK, *FRAME,
 )  # fmt: skip
 
 

@@ -226,6 +226,9 @@ FRAME = (
     _picture("warped_first", "warped before occlusion_warp", first=lambda _, second: second, second=lambda _, first: first),
     _picture("warped_twice", "warped in the place of occlusion_warp", first=lambda _, second: second),
     _picture("filled_twice", "occlusion_warp in the place of warped", second=lambda _, first: first),
+    _frame(
+        "hole_fill_ignored", "always the occlusion warp", change_arguments("frame.prepare", hole_fill=lambda _: "occlusion_warp")
+    ),
     _frame("filled_everywhere", "fills what needs no filling", change_arguments("frame.fill", valid=np.zeros_like)),
     _frame("history_newest_first", "history newest first", returns("frame.stack_history", lambda history: history[::-1])),
     _frame(

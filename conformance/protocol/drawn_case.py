@@ -16,7 +16,7 @@ import numpy as np
 
 from conformance.protocol.job_folder import JobError, read_array, read_bytes
 from conformance.protocol.port import AnyArray
-from stss_ref.constants import HOLE_TESTS
+from stss_ref.constants import HOLE_FILLS, HOLE_TESTS
 from stss_ref.weights import SECOND_COLORS, Weights
 
 PROPERTY = "property.json"
@@ -66,7 +66,7 @@ def _written(value: Any, noted: Callable[[AnyArray], str]) -> Any:
     if isinstance(value, (list, tuple)):
         return {type(value).__name__: [_written(item, noted) for item in value]}
     if isinstance(value, Weights):
-        return {"weights": [value.second_color, value.hole_test, _written(dict(value), noted)]}
+        return {"weights": [value.second_color, value.hole_test, value.hole_fill, _written(dict(value), noted)]}
     if isinstance(value, dict) and all(isinstance(key, str) for key in value):
         return {"dict": {key: _written(item, noted) for key, item in value.items()}}
     raise TypeError(f"expected numbers, words, lists and arrays, got {type(value).__name__}")
@@ -104,8 +104,8 @@ def _read(value: Any, folder: Path, arrays: dict[str, AnyArray]) -> Any:
     if kind == "dict":
         return {str(key): _read(item, folder, arrays) for key, item in held.items()}
     if kind == "weights":
-        second, test, tensors = held
-        named = SECOND_COLORS[SECOND_COLORS.index(second)], HOLE_TESTS[HOLE_TESTS.index(test)]
+        second, test, fill, tensors = held
+        named = SECOND_COLORS[SECOND_COLORS.index(second)], HOLE_TESTS[HOLE_TESTS.index(test)], HOLE_FILLS[HOLE_FILLS.index(fill)]
         return Weights(_read(tensors, folder, arrays), *named)
     items = [_read(item, folder, arrays) for item in held]
     return {"list": list, "tuple": tuple}[kind](items)

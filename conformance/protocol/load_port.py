@@ -27,7 +27,7 @@ def load_port(
         program: a command line; the job folder is appended to it.
         timeout: most seconds that one run of a program may take.
         dtype: arithmetic of the port; None: as the port's own ``dtype`` says, float32 for a program.
-        weights_version: the latest version of weights that the port knows; None: as its own ``weights_version`` says, else 4.
+        weights_version: the latest version of weights that the port knows; None: as its own ``weights_version`` says, else 5.
         winograd: the port uses Winograd convolutions, even if its own ``winograd`` does not say so.
 
     Raises:
@@ -50,7 +50,7 @@ def load_port(
             port.weights_version = weights_version
         version = getattr(port, "weights_version", VERSIONS[-1])
         if str(version) not in VERSIONS:
-            raise InputError(f"{spec or program}: weights_version: expected 1, 3 or 4, got {version!r}")
+            raise InputError(f"{spec or program}: weights_version: expected 1, 3, 4 or 5, got {version!r}")
         unknown = set(port.stages()) - set(STAGES)
     except PortError as error:
         raise InputError(str(error)) from error

@@ -35,6 +35,7 @@ from stss_ref.holes import holes
 from stss_ref.motion_chain import motion_chain
 from stss_ref.network import network
 from stss_ref.occlusion_warp import occlusion_warp
+from stss_ref.reshade import reshade
 from stss_ref.rrm import rrm
 from stss_ref.warp import warp
 from stss_ref.weights import Weights, astype
@@ -104,7 +105,7 @@ def _frame_inputs(a: Arrays) -> FrameInputs:
 
 def network_inputs(a: Arrays, weights: Weights) -> Outputs:
     """The inputs of stage ``network`` that stage ``frame`` makes of its own."""
-    made = prepare(_frame_inputs(a), second=weights.second_color, test=weights.hole_test)
+    made = prepare(_frame_inputs(a), second=weights.second_color, test=weights.hole_test, hole_fill=weights.hole_fill)
     return {"color": made.color, "gbuffer": made.gbuffer, "mask": made.mask, "history": made.history}
 
 
@@ -133,6 +134,24 @@ _ROWS = (
         {"color": "H W 3", "warped": "H W 3", "motion": "H W 2", "depth": "H W", "valid": "H W uint8"},
         {"occlusion_motion": "H W 2", "occlusion_warp": "H W 3"},
         _occlusion_warp,
+    ),
+    _stage(
+        "reshade",
+        {
+            "color": "H W 3",
+            "warped": "H W 3",
+            "motion": "H W 2",
+            "valid": "H W uint8",
+            "stencil_previous": "H W",
+            "stencil": "H W",
+            "normal_previous": "H W 3",
+            "normal": "H W 3",
+            "position_previous": "H W 3",
+            "position": "H W 3",
+            "base_color": "H W 3",
+        },
+        {"reshade": "H W 3"},
+        lambda a, _: {"reshade": reshade(**a)},
     ),
     _stage("rrm", {"valid": "H W uint8", "rectangle": "4 int"}, {"valid": "H W uint8"}, _rrm),
     _stage(

@@ -5,23 +5,25 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from stss_ref.constants import HOLE_TESTS
+from stss_ref.constants import HOLE_FILLS, HOLE_TESTS, HoleTest
 from stss_ref.weights import SECOND_COLORS, SecondColor, Weights, WeightsError
 
-VERSION_KEY, SECOND_COLOR_KEY, HOLE_TEST_KEY = "stss_weights_version", "second_color", "hole_test"
-NEWEST_ALONE, WITH_HOLE_TEST, WITH_DETAIL = "1", "3", "4"
+VERSION_KEY, SECOND_COLOR_KEY, HOLE_TEST_KEY, HOLE_FILL_KEY = "stss_weights_version", "second_color", "hole_test", "hole_fill"
+NEWEST_ALONE, WITH_HOLE_TEST, WITH_DETAIL, WITH_RESHADE = "1", "3", "4", "5"
 """Versions of a weights file: with the newest frame as the second colour and the footprint's hole test; with the hole test that the
-metadata name; and with detail as the second colour. A program that knows only earlier versions refuses this file. Version 2
-had a second colour that is no more (decision 37)."""
-VERSIONS = (NEWEST_ALONE, WITH_HOLE_TEST, WITH_DETAIL)
+metadata name; with detail as the second colour; and with holes that are reshaded. A program that knows only earlier versions refuses
+this file. Version 2 had a second colour that is no more (decision 37)."""
+VERSIONS = (NEWEST_ALONE, WITH_HOLE_TEST, WITH_DETAIL, WITH_RESHADE)
 
 
 def format_metadata(weights: Weights) -> dict[str, str]:
     """The entries that the metadata of a weights file must have (spec 10)."""
+    settings = {SECOND_COLOR_KEY: weights.second_color, HOLE_TEST_KEY: weights.hole_test}
+    if weights.hole_fill == "reshade":
+        return {VERSION_KEY: WITH_RESHADE, **settings, HOLE_FILL_KEY: weights.hole_fill}
     if (weights.second_color, weights.hole_test) == ("newest", "footprint"):
         return {VERSION_KEY: NEWEST_ALONE}
-    version = WITH_HOLE_TEST if weights.second_color == "newest" else WITH_DETAIL
-    return {VERSION_KEY: version, SECOND_COLOR_KEY: weights.second_color, HOLE_TEST_KEY: weights.hole_test}
+    return {VERSION_KEY: WITH_HOLE_TEST if weights.second_color == "newest" else WITH_DETAIL, **settings}
 
 
 def take_format(metadata: dict[str, str]) -> Weights:
@@ -36,15 +38,17 @@ def take_format(metadata: dict[str, str]) -> Weights:
     version = metadata.pop(VERSION_KEY, None)
     if version not in VERSIONS:
         found = "no such entry" if version is None else repr(str(version)[:20])
-        raise WeightsError(f"expected {VERSION_KEY} 1, 3 or 4 in the metadata, found {found}")
+        raise WeightsError(f"expected {VERSION_KEY} 1, 3, 4 or 5 in the metadata, found {found}")
+    later = {NEWEST_ALONE: (SECOND_COLOR_KEY, HOLE_TEST_KEY, HOLE_FILL_KEY), WITH_RESHADE: ()}.get(version, (HOLE_FILL_KEY,))
+    for key in later:
+        if key in metadata:
+            raise WeightsError(f"{key}: expected no such entry in the metadata of {VERSION_KEY} {version}")
     if version == NEWEST_ALONE:
-        for key in (SECOND_COLOR_KEY, HOLE_TEST_KEY):
-            if key in metadata:
-                raise WeightsError(f"{key}: expected no such entry in the metadata of {VERSION_KEY} {version}")
         return Weights({})
-    seconds = SECOND_COLORS if version == WITH_DETAIL else SECOND_COLORS[:1]
+    seconds = SECOND_COLORS[:1] if version == WITH_HOLE_TEST else SECOND_COLORS
     second: SecondColor = _named(metadata, SECOND_COLOR_KEY, seconds)
-    return Weights({}, second, _named(metadata, HOLE_TEST_KEY, HOLE_TESTS))
+    test: HoleTest = _named(metadata, HOLE_TEST_KEY, HOLE_TESTS)
+    return Weights({}, second, test, _named(metadata, HOLE_FILL_KEY, HOLE_FILLS) if version == WITH_RESHADE else HOLE_FILLS[0])
 
 
 Name = TypeVar("Name", bound=str)

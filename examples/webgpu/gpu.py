@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 FOLDER = Path(__file__).parent
-FOLLOWING = ("motion_chain", "warp", "holes", "detail", "occlusion_warp")
+FOLLOWING = ("motion_chain", "warp", "holes", "detail", "occlusion_warp", "reshade")
+SURFACES = ("holes", "reshade")
 
 
 @dataclass(frozen=True)
@@ -83,8 +84,8 @@ class Calls:
 
 
 def code(file: str) -> str:
-    """The text of a shader, behind what it follows motions with; WGSL has no #include."""
-    files = ["follow", file] if file in FOLLOWING else [file]
+    """The text of a shader, behind what it follows motions and compares surfaces with; WGSL has no #include."""
+    files = ["follow"] * (file in FOLLOWING) + ["surface"] * (file in SURFACES) + [file]
     return "\n".join((FOLDER / f"{name}.wgsl").read_text(encoding="utf-8") for name in files)
 
 

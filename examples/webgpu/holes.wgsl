@@ -2,36 +2,10 @@
 // Stage holes (docs/stages.md): 0 where the warped colour shows another surface than the one seen now.
 // Nine inputs are more storage buffers than the eight that every device has: they come as a renderer's G-buffer would.
 
-struct Surface { normal: vec3<f32>, stencil: f32, position: vec3<f32>, unused: f32 }
-
-@group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> motion: array<vec2<f32>>;
 @group(0) @binding(2) var<storage, read> earlier: array<Surface>;
-@group(0) @binding(3) var<storage, read> now: array<Surface>;
 @group(0) @binding(4) var<storage, read> view: array<vec2<f32>>;  // NoV, depth
 @group(0) @binding(5) var<storage, read_write> valid: array<f32>;
-
-fn squared(v: vec3<f32>) -> f32 { return v.x * v.x + v.y * v.y + v.z * v.z; }
-
-// Whether an offset is no longer than a limit, by their squares. Not if it is not finite; a comparison need not say so in WGSL.
-fn is_near(offset: vec3<f32>, squared_limit: f32) -> bool {
-    return is_finite(offset.x) && is_finite(offset.y) && is_finite(offset.z) && squared(offset) <= squared_limit;
-}
-
-// The squared distance to another pixel's position; far beyond any other outside the frame, or where it is not finite.
-const NOWHERE = 3e38;
-fn apart(p: vec2<i32>, other: vec2<i32>) -> f32 {
-    if (any(other < vec2<i32>(0)) || other.x >= frame.width || other.y >= frame.height) { return NOWHERE; }
-    let between = now[other.y * frame.width + other.x].position - now[p.y * frame.width + p.x].position;
-    let found = squared(between);
-    return select(NOWHERE, found, is_finite(found));
-}
-
-// The nearer of the two neighbours along an axis; 0 where there is none.
-fn nearer(p: vec2<i32>, axis: vec2<i32>) -> f32 {
-    let found = min(apart(p, p - axis), apart(p, p + axis));
-    return select(0.0, found, found < NOWHERE);
-}
 
 @compute @workgroup_size(8, 8)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
@@ -56,7 +30,7 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     let oc = c.position - here.position; let od = d.position - here.position;
     let offset = vec3<f32>(
         between(oa.x, ob.x, oc.x, od.x, taps), between(oa.y, ob.y, oc.y, od.y, taps), between(oa.z, ob.z, oc.z, od.z, taps));
-    var near = is_near(offset, 2.25 * (nearer(p, vec2<i32>(1, 0)) + nearer(p, vec2<i32>(0, 1))));
+    var near = is_near(offset, 2.25 * squared_footprint(p));
     if (frame.paper != 0) {
         // The paper's test: the furthest of all four taps counts, those with weight 0 too.
         let facing = abs(view[index].x);

@@ -91,7 +91,9 @@ def main() -> None:
             "frames": [frame for frame in made if frame is not None],
             "sizes": [array.size for array in store.arrays],
             "packed": store.packed(),
-            "shaders": {path.stem: code(path.stem) for path in sorted(FOLDER.glob("*.wgsl")) if path.stem != "follow"},
+            "shaders": {
+                path.stem: code(path.stem) for path in sorted(FOLDER.glob("*.wgsl")) if path.stem not in ("follow", "surface")
+            },
         }
         script = (FOLDER / "page.js").read_text(encoding="utf-8")
         write_named(chosen.page, page(f"{chosen.sequence.name}, in the browser", BODY, scripts=[script], data=data))

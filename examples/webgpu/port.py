@@ -123,6 +123,26 @@ class Maker(Calls):
         self.add("occlusion_warp.lookup", depth, 1, size, {1: motion, 4: winner, 5: found})
         return found, self.copy(warped, self.warp(color, found)[0], where=valid)
 
+    def reshade(
+        self,
+        color: Picture,
+        warped: Picture,
+        motion: Picture,
+        valid: Picture,
+        surfaces: tuple[Picture, Picture],
+        base_color: Picture,
+    ) -> Picture:
+        """``reshade``; two pictures of `surface`, the earlier one first."""
+        samples, filled = (
+            self.empty(valid.height, valid.width, 4),
+            self.copy(warped, self.empty(valid.height, valid.width, 3), positive=True),
+        )
+        earlier, now = surfaces
+        size = valid.width, valid.height
+        self.add("reshade.find_samples", valid, 1, size, {1: motion, 2: earlier, 3: now, 4: color, 5: valid, 7: samples})
+        self.add("reshade.like_materials", valid, 1, size, {3: now, 5: valid, 6: base_color, 7: samples, 8: filled})
+        return filled
+
     def detail(self, first: Picture, frames: list[tuple[Picture, Picture, Picture]]) -> Picture:
         """The second colour of weights that want it; of each frame that is warped its colour, the motion to it, and object numbers."""
         quarters, second = self.empty(first.height, first.width, 8), self.empty(first.height, first.width, 3)
@@ -213,7 +233,10 @@ class Maker(Calls):
             if i and step == steps[i - 1]:
                 valid[i] = self.empty(height, width)  # a missing frame
         instead = warped[0]
-        if steps[0]:
+        if steps[0] and getattr(self.weights, "hole_fill", "occlusion_warp") == "reshade":
+            base_color = self.put(given["gbuffer"][..., 6:9])
+            instead = self.reshade(colors[0], warped[0], chain[steps[0] - 1], valid[0], (surfaces[1], surfaces[0]), base_color)
+        elif steps[0]:
             _, instead = self.occlusion_warp(colors[0], warped[0], chain[steps[0] - 1], self.put(depth), valid[0])
         color = self.copy(instead, self.empty(height, width, 6), positive=True)
         self.copy(warped[0], color, 3, positive=True)
@@ -237,6 +260,12 @@ def _holes(make: Maker, given: Arrays) -> dict[str, Picture]:
     return {"valid": make.holes(*map(make.put, (given["motion"], earlier, now, view)), paper=bool(given["paper"][0]))}
 
 
+def _reshade(make: Maker, given: Arrays) -> dict[str, Picture]:
+    earlier, now = (surface(given[f"normal{of}"], given[f"stencil{of}"], given[f"position{of}"]) for of in ("_previous", ""))
+    color, warped, motion, valid, base_color = (make.put(given[n]) for n in ("color", "warped", "motion", "valid", "base_color"))
+    return {"reshade": make.reshade(color, warped, motion, valid, (make.put(earlier), make.put(now)), base_color)}
+
+
 def _by_name(method: str, inputs: str, outputs: str) -> Any:
     """A stage whose method takes its inputs as they come; a stack of pictures is a list."""
 
@@ -258,6 +287,7 @@ STAGES: dict[str, Callable[[Maker, Arrays], dict[str, Picture]]] = {
     "motion_chain": lambda make, given: {"motion": make.motion_chain([*map(make.put, given["motions"])])[-1]},
     "warp": _by_name("warp", "color motion", "warped inside"),
     "holes": _holes,
+    "reshade": _reshade,
     "occlusion_warp": _by_name("occlusion_warp", "color warped motion depth valid", "occlusion_motion occlusion_warp"),
     "rrm": lambda make, given: {"valid": make.rrm(make.put(given["valid"]), given["rectangle"])},
     "history": _by_name("history", "history", "feature"),

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Read and write weights as files in the project's own format, and identify weights.
 
-The format is safetensors with the authors' 92 names (spec 10) and the metadata entry ``stss_weights_version``; in versions 3 and 4 also
-``second_color``, see `stss_ref.weights.SecondColor`, and ``hole_test``, see `stss_ref.constants.HoleTest`.
+The format is safetensors with the authors' 92 names (spec 10) and the metadata entry ``stss_weights_version``; in later versions also
+``second_color``, see `stss_ref.weights.SecondColor`, and ``hole_test``, in version 5 ``hole_fill``, see `stss_ref.constants`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any, cast
 import numpy as np
 from safetensors import SafetensorError, safe_open
 
-from conformance.protocol.weights_format import HOLE_TEST_KEY, SECOND_COLOR_KEY, format_metadata, take_format
+from conformance.protocol.weights_format import HOLE_FILL_KEY, HOLE_TEST_KEY, SECOND_COLOR_KEY, format_metadata, take_format
 from stss_ground.errors import InputError
 from stss_ground.output.write_whole import write_named
 from stss_ground.regular_file import require_regular
@@ -37,10 +37,10 @@ class LoadedWeights:
     """Weights and where they come from.
 
     Attributes:
-        weights: the 92 tensors, checked, and the second colour and the hole test that they were trained with.
+        weights: the 92 tensors, checked, and what else they were trained with: second colour, hole test, hole fill.
         source: file or name, as it was given.
         identity: `identity` of the weights.
-        metadata: the file's metadata, without the format's version and these two.
+        metadata: the file's metadata, without the format's version and these three.
     """
 
     weights: Weights = field(repr=False)
@@ -57,6 +57,8 @@ class LoadedWeights:
 def identity(weights: Weights) -> str:
     """SHA-256 of names, shapes and numbers, and of settings that are not the usual ones: equal for equal weights of any file."""
     digest = hashlib.sha256()
+    if weights.hole_fill != "occlusion_warp":
+        digest.update(f"{HOLE_FILL_KEY} {weights.hole_fill}\n".encode())
     if weights.hole_test != "footprint":
         digest.update(f"{HOLE_TEST_KEY} {weights.hole_test}\n".encode())
     if weights.second_color != "newest":

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from stss_cl.liveness import TINY, drop_tiny, find_live, is_tiny
 from stss_ground.errors import InputError
-from stss_ref.constants import HoleTest
+from stss_ref.constants import HoleFill, HoleTest
 from stss_ref.weights import LAYERS, Layer, SecondColor, Weights
 
 
@@ -50,6 +50,7 @@ class Inspection:
     components: tuple[ComponentRow, ...]
     second_color: SecondColor
     hole_test: HoleTest
+    hole_fill: HoleFill
     tiny: int
     subnormal: int
 
@@ -78,6 +79,7 @@ def inspect(weights: Weights, height: int, width: int) -> Inspection:
         component_costs(height, width),
         weights.second_color,
         weights.hole_test,
+        weights.hole_fill,
         len(tiny),
         int((tiny < np.finfo(np.float32).smallest_normal).sum()),
     )
@@ -150,7 +152,7 @@ def print_inspection(inspection: Inspection, console: Console) -> None:
         console.print(f"taken for 0: {inspection.tiny} numbers below {TINY:.0e}, of which {inspection.subnormal} are subnormal")
     what = "what warped frames show within a pixel" if inspection.second_color == "detail" else "the newest frame"
     console.print(f"second colour: {inspection.second_color}, {what}")
-    console.print(f"hole test: {inspection.hole_test}")
+    console.print(f"hole test: {inspection.hole_test}; holes are filled by: {inspection.hole_fill}")
 
 
 def _table(title: str, words: tuple[str, ...], numbers: tuple[str, ...]) -> Table:

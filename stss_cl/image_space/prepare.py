@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The stages of a frame before the network, fused: motion chain, warp, holes, occlusion warp, packing."""
+"""The stages of a frame before the network, fused: motion chain, warp, holes and their fill, packing."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from stss_cl.device.parts import Parts
 from stss_cl.device.program import build
 from stss_cl.image_space.frame_planes import MOST_STEPS, Source, Sources, check_steps, planes, upload
 from stss_cl.image_space.stages import Gather, hole_options, program
-from stss_ref.constants import HoleTest
+from stss_ref.constants import HoleFill, HoleTest
 from stss_ref.weights import SecondColor
 
 FINITE = ("colors", "gbuffer", "nov", "stencils", "normals")
@@ -44,8 +44,13 @@ ARGUMENTS = {
     ),
     "splat_nearest": ("motion", "gbuffer", "keys", "height", "width"),
     "splat_first": ("motion", "gbuffer", "keys", "first", "height", "width"),
+    "find_samples": (
+        "color", "motion", "mask", "stencil", "normal", "position", "stencil_previous", "normal_previous", "position_previous",
+        "normal_stride", "samples", "height", "width",
+    ),
     "fill_holes": (
-        "color", "motion", "keys", "first", "mask", "x0", "color3", "input_changes", "strip", "stencil", "stencil_previous", *OLDER,
+        "color", "motion", "keys", "first", "mask", "x0", "color3", "input_changes", "strip", "stencil", "stencil_previous",
+        "gbuffer", "normal", "normal_stride", "samples", *OLDER,
     ),
     "downsample_8": (
         "gbuffer", "mask", "eighth", "height", "width", "eighth_height", "eighth_width", "eighth_columns", "top", "eighth_changes", "dirty",
@@ -56,11 +61,11 @@ ARGUMENTS = {
 
 @dataclass(frozen=True)
 class _Launches:
-    """Those of one frame; ``colors``: of the colour frames, newest first."""
+    """Those of one frame; ``colors``: of the colour frames, newest first; ``search``: for what the holes are filled with."""
 
     chain: Launch
     colors: tuple[Launch, ...]
-    splat: tuple[Launch, Launch]
+    search: tuple[Launch, ...]
     fill: Launch
     eighth: Launch
 
@@ -73,7 +78,7 @@ class Prepare:
         height, width: of the frames.
         gather: how the motion chain reads between pixels.
         inputs: buffers to write to; None: buffers of its own. If they have change maps, only ``dirty`` tiles are computed.
-        second, test: the network's second colour and the hole test, see ``stss_ref.frame.prepare``.
+        second, test, hole_fill: the network's second colour, the hole test and what fills holes, see ``stss_ref.frame.prepare``.
         frames: how many of the three colour frames are read, from the newest on: 1 or 3. With 1 ``inputs.earlier`` is not written.
         history: whether anybody reads ``inputs.earlier``; if not, it is not written, and no older frame is searched for holes.
         tops: the rows of the frame at which the strips of ``inputs`` begin.
@@ -94,6 +99,7 @@ class Prepare:
         inputs: Inputs | None = None,
         second: SecondColor = "newest",
         test: HoleTest = "footprint",
+        hole_fill: HoleFill = "occlusion_warp",
         frames: int = 3,
         history: bool = True,
         tops: Sequence[int] = (0,),
@@ -106,6 +112,7 @@ class Prepare:
             history and frames == 3,
         )
         self._test: HoleTest = test
+        self._reshades = hole_fill == "reshade"
         rows, columns = ceil_div(height, 8) * 8, ceil_div(width, 8) * 8
         self.inputs = inputs_for(device, rows, columns, np.dtype(np.float32)) if inputs is None else inputs
         self.rows, self.columns = self.inputs.input.height, columns  # of a strip, where the frame goes in strips
@@ -114,7 +121,9 @@ class Prepare:
         self._chained = Parts(device, 3 * [height * width * 8])
         self._bad = self._filled(4 * len(FINITE))
         # Places that holes look up are wanted: ``prepare_newest`` makes them so, and ``fill_holes`` unmakes them.
-        self._keys, self._first = self._filled(height * width * 4), self._filled(height * width * 4)
+        splats = 1 if self._reshades else height * width
+        self._keys, self._first = self._filled(splats * 4), self._filled(splats * 4)
+        self._samples = self._filled((height * width if self._reshades else 1) * 16)
         self._launches = self._whole if self.inputs.changes is None else self._marking
         self._read: Sources | None = None
         self._done: cl.Event | None = None
@@ -139,6 +148,7 @@ class Prepare:
             **hole_options(self._test),
             "STREAM": self.device.streams,
             "DETAIL": self._is_detailed,
+            "RESHADE": self._reshades,
         }
         frame = program(self.device, "frame.cl", frame_options)
         eighth = build(self.device, "downsample_8.cl", {"MASK": "uchar", **options})
@@ -146,7 +156,7 @@ class Prepare:
         known: dict[str, Any] = {
             **dict(zip(CHAINED, self._chained.buffers, strict=True)),
             "history": inputs.earlier.data, "x0": inputs.input.data, "color3": inputs.base, "eighth": inputs.eighth.data,
-            "mask": self.mask, "keys": self._keys, "first": self._first, "bad": self._bad, "dirty": self.dirty,
+            "mask": self.mask, "keys": self._keys, "first": self._first, "samples": self._samples, "bad": self._bad, "dirty": self.dirty,
             "input_changes": input_changes, "history_changes": history_changes, "eighth_changes": eighth_changes,
             "height": height, "width": width, "eighth_height": inputs.eighth.height, "eighth_width": inputs.eighth.width,
             "eighth_columns": inputs.eighth.columns, "stores": self._stores,
@@ -165,7 +175,9 @@ class Prepare:
         return _Launches(
             chain=made("chain_steps", *whole),
             colors=(made("prepare_newest", *strip), *older),
-            splat=(made("splat_nearest", *whole), made("splat_first", *whole)),
+            search=tuple(
+                made(name, *whole) for name in (("find_samples",) if self._reshades else ("splat_nearest", "splat_first"))
+            ),
             fill=made("fill_holes", *strip),
             eighth=made("downsample_8", inputs.eighth.width, inputs.eighth.height, eighth),
         )
@@ -181,7 +193,7 @@ class Prepare:
         normals: Source,
         positions: Source,
     ) -> None:
-        """Enqueue the frame's image-space stages up to the splat; the arguments are those of ``stss_ref.frame.FrameInputs``.
+        """Enqueue the frame's image-space stages up to the search for what fills holes; arguments as of ``stss_ref.frame.FrameInputs``.
 
         ``strip`` then finishes each of the strips. On a CPU arrays are read in place: they must not change until the queue has
         finished this frame. All but motions and positions must be finite: ``not_finite`` checks those that are read afterwards.
@@ -241,11 +253,23 @@ class Prepare:
                     reads_middle=s.steps[1] > s.steps[0], reads_oldest=s.steps[2] > s.steps[1],
                 )  # fmt: skip
         for top in self._tops:
-            self._warp(top, checks=checks, marks_wanted=True)
-        for launch in launches.splat if s.steps[0] else ():
-            launch.set(motion=motions[0], gbuffer=s.gbuffer)
+            self._warp(top, checks=checks, marks_wanted=not self._reshades)
+        surfaces = {
+            "stencil": s.stencils[0],
+            "stencil_previous": s.stencils[1],
+            "normal": s.normals[0],
+            "normal_stride": s.normal_stride,
+        }
+        for launch in launches.search if s.steps[0] else ():
+            if self._reshades:
+                launch.set(
+                    color=s.colors[0], motion=motions[0], position=s.positions[0], normal_previous=s.normals[1],
+                    position_previous=s.positions[1], **surfaces,
+                )  # fmt: skip
+            else:
+                launch.set(motion=motions[0], gbuffer=s.gbuffer)
             launch.enqueue(self.device.queue)
-        launches.fill.set(color=s.colors[0], motion=motions[0], stencil=s.stencils[0], stencil_previous=s.stencils[1])
+        launches.fill.set(color=s.colors[0], motion=motions[0], gbuffer=s.gbuffer, **surfaces)
         launches.eighth.set(gbuffer=s.gbuffer)
 
     def not_finite(self) -> str | None:

@@ -105,6 +105,31 @@ class ImageStages:
         launch(self.device, steps["occlusion_warp"], width, height, *buffers, *size)
         return occlusion_motion, filled
 
+    def reshade(
+        self,
+        color: cl.Buffer,
+        warped: cl.Buffer,
+        motion: cl.Buffer,
+        valid: cl.Buffer,
+        stencil_previous: cl.Buffer,
+        stencil: cl.Buffer,
+        normal_previous: cl.Buffer,
+        normal: cl.Buffer,
+        position_previous: cl.Buffer,
+        position: cl.Buffer,
+        base_color: cl.Buffer,
+        height: int,
+        width: int,
+    ) -> cl.Buffer:
+        """``reshade`` (H, W, 3)."""
+        steps = kernels(self.device, "reshade.cl")
+        samples, filled = self._buffer(height * width * 4, np.float32), self._buffer(height * width * 3, np.float32)
+        surfaces = (stencil_previous, stencil, normal_previous, normal, position_previous, position)
+        launch(self.device, steps["find_samples"], width, height, color, motion, valid, *surfaces, samples, height, width)
+        buffers = (warped, valid, stencil, normal, base_color, samples, filled)
+        launch(self.device, steps["reshade"], width, height, *buffers, height, width)
+        return filled
+
     def rrm(self, valid: cl.Buffer, rectangle: tuple[int, int, int, int], height: int, width: int) -> cl.Buffer:
         """``valid`` (H, W) with a rectangle (y, x, h, w) of it set to 0."""
         kernel = kernels(self.device, "rrm.cl")["rrm"]
@@ -211,6 +236,21 @@ def _occlusion_warp(stages: ImageStages, inputs: Inputs) -> Outputs:
     }
 
 
+def _reshade(stages: ImageStages, inputs: Inputs) -> Outputs:
+    size = _size(inputs, "color", 3)
+    images = {"color": 3, "warped": 3, "motion": 2}
+    surfaces = {
+        "stencil_previous": 0, "stencil": 0, "normal_previous": 3, "normal": 3, "position_previous": 3, "position": 3, "base_color": 3,
+    }  # fmt: skip
+    color, warped, motion, *others = (stages.upload(array) for array in _take(inputs, size, **images, **surfaces))
+    for name in ("color", "warped", "normal_previous", "normal", "base_color"):
+        require_finite(name, inputs[name])
+    require_shape("valid", inputs["valid"], size)
+    valid = stages.upload((inputs["valid"] != 0).astype(np.uint8))
+    filled = stages.reshade(color, warped, motion, valid, *others, *size)
+    return {"reshade": stages.download(filled, (*size, 3), np.float32)}
+
+
 def _rrm(stages: ImageStages, inputs: Inputs) -> Outputs:
     height, width = _size(inputs, "valid")
     y, x, h, w = (int(v) for v in inputs["rectangle"])
@@ -226,6 +266,7 @@ STAGES: dict[str, Callable[[ImageStages, Inputs], Outputs]] = {
     "warp": _warp,
     "holes": _holes,
     "occlusion_warp": _occlusion_warp,
+    "reshade": _reshade,
     "rrm": _rrm,
 }
 """The stages that ``ImageStages.run_stage`` knows."""

@@ -24,7 +24,7 @@ from stss_cl.network.plan import LAST, Attend, Conv, Plan, Upsample, plan
 from stss_cl.network.strips import OVERLAP, Strip, bytes_for, rows_within, strips
 from stss_cl.network.tiles import Tiling, of_convolution, whole
 from stss_ref.arrays import Array
-from stss_ref.constants import HoleTest
+from stss_ref.constants import HoleFill, HoleTest
 from stss_ref.weights import BY_NAME, SecondColor, Weights
 
 See = Callable[[LayerLaunch, tuple[Padded, int, int] | None], None]
@@ -57,7 +57,7 @@ class Layers:
         strips: the strips in which the frame goes.
         keep: whether every layer's output is kept.
         reads_history: whether the launches read the history.
-        colors_read, second_color, hole_test: of the weights, see ``stss_ref.weights``.
+        colors_read, second_color, hole_test, hole_fill: of the weights, see ``stss_ref.weights``.
         marked: if all is kept, the output of each layer, with its change map.
         maps: those change maps; None: nothing is kept.
 
@@ -94,6 +94,7 @@ class Layers:
         self.reads_history, self.colors_read = every or reads_history(weights), colors_read(weights)
         self.second_color: SecondColor = weights.second_color
         self.hole_test: HoleTest = weights.hole_test
+        self.hole_fill: HoleFill = weights.hole_fill
         self._needed, self._height, self._width, self._full, self._top = needed, rows, columns, full, 0
         self.inputs = inputs_for(device, rows, columns, dtype, keep)
         self._build = build = LayerBuilder(device, needed.tensors, precision, rows, columns, what.slots, self.inputs, keep)

@@ -62,6 +62,7 @@ class FrameCache:
             inputs=layers.inputs,
             second=layers.second_color,
             test=layers.hole_test,
+            hole_fill=layers.hole_fill,
             frames=layers.colors_read,
             history=layers.reads_history,
         )

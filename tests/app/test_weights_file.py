@@ -45,6 +45,10 @@ def test_saved_weights_come_back_bit_for_bit(path: Path, tmp_path: Path):
     ("changed", "stored"),
     [
         ({"second_color": "detail"}, {"second_color": "detail", "hole_test": "footprint", "stss_weights_version": "4"}),
+        (
+            {"hole_fill": "reshade"},
+            {"hole_fill": "reshade", "second_color": "newest", "hole_test": "footprint", "stss_weights_version": "5"},
+        ),
         ({"hole_test": "paper"}, {"hole_test": "paper", "second_color": "newest", "stss_weights_version": "3"}),
     ],
 )
@@ -63,7 +67,9 @@ def test_settings_are_in_the_file_and_in_the_identity(path: Path, changed: dict[
     ({"stss_weights_version": "3", "second_color": "detail"}, "second_color: expected one of newest in the metadata, found 'detail'"),
     ({"stss_weights_version": "1", "second_color": "detail"}, "second_color: expected no such entry"),
     ({"stss_weights_version": "3", "second_color": "newest", "hole_test": "none"}, "hole_test: expected one of footprint, paper in"),
-    ({"stss_weights_version": "2"}, "expected stss_weights_version 1, 3 or 4 in the metadata, found '2'"),
+    ({"stss_weights_version": "4", "second_color": "newest", "hole_test": "paper", "hole_fill": "reshade"}, "hole_fill: expected no such"),
+    ({"stss_weights_version": "5", "second_color": "newest", "hole_test": "paper"}, "hole_fill: expected one of occlusion_warp, reshade"),
+    ({"stss_weights_version": "2"}, "expected stss_weights_version 1, 3, 4 or 5 in the metadata, found '2'"),
 ])  # fmt: skip
 def test_unknown_settings_are_refused(path: Path, metadata: dict[str, str], message: str):
     safetensors_numpy.save_file(dict(random(1)), path, metadata)
@@ -91,7 +97,7 @@ def test_what_is_no_weights_file_is_named(path: Path):
         path.write_bytes(whole[:keep])
         refused("damaged safetensors file")
     safetensors_numpy.save_file(dict(zeros()), path, {"format": "pt"})
-    refused("expected stss_weights_version 1, 3 or 4 in the metadata, found")
+    refused("expected stss_weights_version 1, 3, 4 or 5 in the metadata, found")
     safetensors_numpy.save_file({**zeros(), "outc.bias": np.zeros(12, np.float16)}, path, {"stss_weights_version": "1"})
     refused("outc.bias: expected dtype F32, got F16")
     with path.open("wb") as file:

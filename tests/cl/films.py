@@ -16,8 +16,8 @@ from stss_ref.weights import random as random_weights
 WEIGHTS = random_weights(3)
 UNREAD = WEIGHTS | {n: w * 0 for n, w in WEIGHTS.items() if n.startswith("lowlevelGated.") and n.endswith(".weight")}
 """The same, but that do not read the history."""
-DETAILED = Weights(UNREAD, "detail")
-"""The same again, whose second colour is what warped frames show within a pixel."""
+DETAILED = Weights(UNREAD, "detail", hole_fill="reshade")
+"""The same again, whose second colour is what warped frames show within a pixel, and whose holes are reshaded."""
 CHANGES = ("nothing", "nothing", "pixel", "color", "rectangle", "moving", "everything")
 SIZE = 24, 40
 MIXED = (*5 * ["nothing"], "nothing", "pixel", "moving", "nothing", "rectangle")

@@ -107,11 +107,11 @@ def prepared(preparation, inputs):
     return preparation
 
 
-def assert_prepared(device, preparation, inputs, size, second="newest", test="footprint"):
+def assert_prepared(device, preparation, inputs, size, second="newest", test="footprint", hole_fill="occlusion_warp"):
     """All that the network is given, padding and borders too."""
     rows, columns, got = preparation.rows, preparation.columns, preparation.inputs
     with np.errstate(invalid="ignore", over="ignore"):
-        want = prepare(inputs, second=second, test=test)
+        want = prepare(inputs, second=second, test=test, hole_fill=hole_fill)
     color, gbuffer, mask = pad_to_8(want.color), pad_to_8(want.gbuffer), pad_to_8(want.mask[..., None])
     packed = np.concatenate([color, color * mask, gbuffer, np.zeros((rows, columns, 3), np.float32)], axis=-1)
     border = ((1, 1), (1, 1), (0, 0))
@@ -124,18 +124,24 @@ def assert_prepared(device, preparation, inputs, size, second="newest", test="fo
     assert_same(downloaded(device, preparation.mask, size, np.uint8), want.mask.astype(np.uint8))
 
 
-@pytest.mark.parametrize(("test", "second"), [("footprint", "newest"), ("paper", "newest"), ("footprint", "detail")])
+@pytest.mark.parametrize(
+    ("test", "second", "hole_fill"),
+    [
+        ("footprint", "newest", "occlusion_warp"), ("paper", "newest", "occlusion_warp"), ("footprint", "detail", "occlusion_warp"),
+        ("footprint", "detail", "reshade"), ("paper", "newest", "reshade"),
+    ],
+)  # fmt: skip
 @settings(max_examples=20)
 @given(data=st.data(), size=sizes(26))
-def test_prepare(device, test, second, data, size):
+def test_prepare(device, test, second, hole_fill, data, size):
     """One frame after another in the same buffers, whole and in strips: nothing of the first is left in the second."""
-    whole = Prepare(device, *size, second=second, test=test)
+    whole = Prepare(device, *size, second=second, test=test, hole_fill=hole_fill)
     strip = inputs_for(device, 8, whole.columns, np.dtype(np.float32))
     tops = range(0, whole.rows, 8)
-    parts = Prepare(device, *size, inputs=strip, second=second, tops=tops, test=test)
+    parts = Prepare(device, *size, inputs=strip, second=second, tops=tops, test=test, hole_fill=hole_fill)
     for _ in range(2):
         inputs = data.draw(frame_inputs(size))
-        assert_prepared(device, prepared(whole, inputs), inputs, size, second, test)
+        assert_prepared(device, prepared(whole, inputs), inputs, size, second, test, hole_fill)
         parts.begin(**vars(inputs))
         shape = whole.rows + 2, whole.columns + 2, 24
         rows = downloaded(device, whole.inputs.input.data, shape)

@@ -129,6 +129,7 @@ def stages(device):
             "normal_previous": 3,
             "position": 3,
             "position_previous": 3,
+            "base_color": 3,
         }
         inputs = {name: random.normal(0, 2, (*size, count)).astype(np.float32) for name, count in channels.items()}
         flat = ("depth", "nov", "stencil", "stencil_previous", "valid")
@@ -139,7 +140,9 @@ def stages(device):
             "paper": np.zeros(1),
         }
         for gather in ("longest", "nearest", "bilinear"):
-            for stage in ("motion_chain", "warp", "holes", "occlusion_warp", "rrm")[: None if gather == "longest" else 1]:
+            for stage in ("motion_chain", "warp", "holes", "occlusion_warp", "reshade", "rrm")[
+                : None if gather == "longest" else 1
+            ]:
                 yield from ImageStages(device, gather).run_stage(stage, inputs).values()
 
 

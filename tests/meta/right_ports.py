@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 import stss_ref.conv as plain
 from conformance.protocol.reference_copy import Plant, Variant, load, put, returns, wrap
-from stss_ref import erm, occlusion_warp, resample, rrm, sample, warp
+from stss_ref import erm, occlusion_warp, resample, reshade, rrm, sample, warp
 
 Array = NDArray[Any]
 Sum = Callable[[Array, Array, Array], Array]
@@ -160,6 +160,12 @@ def half_occlusion_warp(*arguments: Array, **more: Array) -> tuple[Array, Array]
     return motion, to_half(image)
 
 
+def other_likeness(base_color: Array, own_base_color: Array, normal: Array, own_normal: Array) -> Array:
+    apart = np.abs(base_color - own_base_color)[..., ::-1].sum(axis=-1)
+    unlike = 2 * ((normal - own_normal)[..., ::-1] ** 2).sum(axis=-1) + (8 * apart + 1)
+    return np.reciprocal(unlike * unlike * unlike * unlike)
+
+
 def flush_to_0(x: Array, dtype: str = "float32") -> Array:
     """0 for what is no normal number of ``dtype``, as on a device that has none."""
     return np.where(np.abs(x) < np.finfo(dtype).tiny, x.dtype.type(0), x)
@@ -213,8 +219,9 @@ PLANTS: dict[str, tuple[Plant, ...]] = {
         put("sample.between", down_first),
         put("conv.sigmoid", lambda x: 1 / (1 + np.exp(-x))),
         put("holes.bias", lambda nov, depth, of: of.depth * depth + (of.grazing + (of.facing - of.grazing) * np.abs(nov))),
-        put("holes._squared", lambda v: v[..., 0] ** 2 + (v[..., 1] ** 2 + v[..., 2] ** 2)),
+        put("holes.squared", lambda v: v[..., 0] ** 2 + (v[..., 1] ** 2 + v[..., 2] ** 2)),
         put("holes.cosine", other_cosine),
+        put("reshade.likeness", other_likeness),
         wrap("erm.window", lambda right, x: reversed([*right(x)])),
         put("erm.likeness", lambda key, query: np.maximum((key * query)[..., ::-1].sum(axis=-1, keepdims=True), 0)),
         put("erm.divide", lambda total, weights: total * np.reciprocal(np.maximum(weights, weights.dtype.type(1e-6)))),
@@ -237,6 +244,7 @@ PLANTS: dict[str, tuple[Plant, ...]] = {
         put("erm.attend", half_attend),
         put("warp.warp", half_warp),
         put("occlusion_warp.occlusion_warp", half_occlusion_warp),
+        put("reshade.reshade", stored(reshade.reshade)),
     ),
 }
 HOW: dict[str, dict[str, Any]] = {

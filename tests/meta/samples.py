@@ -16,7 +16,7 @@ from conformance.cases.every_buffer import frame_cases
 from conformance.protocol.port import Case, Outputs
 from conformance.protocol.stages import STAGES
 from conformance.tolerance import ratio
-from stss_ref.constants import HoleTest
+from stss_ref.constants import HoleFill, HoleTest
 from stss_ref.weights import SecondColor, Weights, random
 
 Size = tuple[int, int]
@@ -111,6 +111,17 @@ def _occlusion_warp(generator: np.random.Generator) -> Any:
         )
 
 
+def _reshade(generator: np.random.Generator) -> Any:
+    for size, kind in CASES:
+        before, now = _surface(generator, size), _surface(generator, size)
+        pairs = zip(("stencil", "normal", "position"), before, now, strict=True)
+        inputs = {key: a for name, b, n in pairs for key, a in ((f"{name}_previous", b), (name, n))}
+        inputs["color"], inputs["warped"] = generator.uniform(-0.3, 1.3, (2, *size, 3))
+        inputs["motion"], inputs["base_color"] = motion(generator, size, kind) / 2, generator.random((*size, 3))
+        inputs["valid"] = (generator.random(size) < 0.5).astype(np.uint8)
+        yield inputs, None
+
+
 def _rrm(generator: np.random.Generator) -> Any:
     for rectangle in ((2, 1, 3, 2), (0, 0, 1, 4), (5, 3, 4, 9)):
         valid = (generator.random((9, 12)) < 0.7).astype(np.uint8)
@@ -161,9 +172,12 @@ def _frame(generator: np.random.Generator) -> Any:
         inputs["motions"] = np.stack([motion(generator, size, "short") / 4 for _ in range(5)])
         inputs["gbuffer"], inputs["nov"] = generator.random((*size, 9)), generator.uniform(-1, 1, size)
         inputs["steps"] = np.array(steps, np.int32)
-        settings: tuple[tuple[SecondColor, HoleTest], ...] = (("newest", "footprint"), ("detail", "paper"))
-        for second, test in settings:
-            yield inputs, Weights(weights_of("plain"), second, test)
+        settings: tuple[tuple[SecondColor, HoleTest, HoleFill], ...] = (
+            ("newest", "footprint", "occlusion_warp"),
+            ("detail", "paper", "reshade"),
+        )
+        for second, test, fill in settings:
+            yield inputs, Weights(weights_of("plain"), second, test, fill)
     yield from (make(generator) for make in frame_cases()[::2])
 
 
@@ -172,6 +186,7 @@ _SAMPLES: dict[str, Callable[[np.random.Generator], Any]] = {
     "warp": _warp,
     "holes": _holes,
     "occlusion_warp": _occlusion_warp,
+    "reshade": _reshade,
     "rrm": _rrm,
     "frame": _frame,
     **{stage: partial(_networks, stage) for stage in ("history", "encoder", "erm", "decoder", "network")},

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import cycle
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -28,6 +29,7 @@ from stss.cli.main import stss
 from stss.images.read_write import read_rgb
 from stss.port import ReferencePort
 from stss_lab.stress.inputs import exact
+from stss_ref.constants import HOLE_FILLS
 from stss_ref.weights import Weights
 from tests.hostile.cases import call
 from tests.meta.samples import samples
@@ -167,7 +169,7 @@ class Old(ReferencePort):
         return super().run(stage, inputs, weights)
 
 
-@pytest.mark.parametrize("version", [1, 3])
+@pytest.mark.parametrize("version", [1, 3, 4])
 def test_a_port_is_given_the_weights_that_it_knows(version):
     for declares in (True, False):
         port = Old(version)
@@ -234,8 +236,8 @@ def test_known_failures(here):
         (["--port", "wrong_port:Prot"], "module wrong_port has no Prot"),
         (["--port", "wrong_port:Nothing"], "without name, dtype, stages, run"),
         (["--port", "wrong_port:Unknown"], "stages: not in the table: wrap"),
-        (["--port", "wrong_port:Second"], "wrong_port:Second: weights_version: expected 1, 3 or 4, got 2"),
-        (["--port", "wrong_port:Port", "--weights-version", "2"], "weights_version: expected 1, 3 or 4, got 2"),
+        (["--port", "wrong_port:Second"], "wrong_port:Second: weights_version: expected 1, 3, 4 or 5, got 2"),
+        (["--port", "wrong_port:Port", "--weights-version", "2"], "weights_version: expected 1, 3, 4 or 5, got 2"),
         (["--exec", "./no_such_program"], "./no_such_program: cannot be started"),
         (["--exec", "'"], "--exec: No closing quotation"),
         (["--exec", ""], "--exec: expected a command"),
@@ -297,7 +299,10 @@ def test_the_example_in_cpp_passes(tmp_path):
         assert max(largest(right[name], layers[name]) for name in names) <= 1
     results = run_suite(Judge(port, Tier("some", 4, 1, 0)))
     assert not [f"{result.id}: {result.message}" for result in results if result.outcome != "passed"]
-    detailed = [replace(case, weights=Weights(case.weights, "detail")) for case in samples("frame")]
+    detailed = [
+        replace(case, weights=Weights(case.weights, "detail", hole_fill=fill))
+        for case, fill in zip(samples("frame"), cycle(HOLE_FILLS))
+    ]
     Judge(port).check(agreement, *detailed)
     write_job(tmp_path / "job", detailed[:1])
     (file,) = tmp_path.glob("job/0000/in/*.safetensors")

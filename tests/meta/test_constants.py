@@ -11,7 +11,7 @@ from conformance.judging.findings import DepartureError
 from conformance.judging.judge import Judge
 from conformance.mistakes import find
 from conformance.mistakes.holes import limits
-from conformance.protocol.reference_copy import load, put
+from conformance.protocol.reference_copy import load, put, returns
 from conformance.protocol.stages import STAGES
 from conformance.suite import test_occlusion_warp
 from conformance.suite.properties import find_property
@@ -56,6 +56,12 @@ PLANTS = {
         *(put("occlusion_warp.FARTHEST", x) for x in (1.0, 9.9, 10.1, np.finfo("f4").max)),
         put("occlusion_warp.FARTHEST", np.nextafter(10.0, 11)),
     ],
+    "own samples' distance in footprints": [put("reshade.FOOTPRINTS", x) for x in (1.99, 2.01, 0.0)],
+    "own samples' cosine": [put("reshade.COSINE", x) for x in (0.897, 0.903, 0.0)],
+    "reach of like materials": [put("reshade.RADIUS", x) for x in (7, 9)],
+    "weight of base colours": [put("reshade.BASE_COLOR", x) for x in (7.9, 8.1, 0.0)],
+    "weight of normals": [put("reshade.NORMAL", x) for x in (1.95, 2.05, 0.0)],
+    "power of a weight": [returns("reshade.likeness", lambda weight, p=p: weight**p) for p in (0.5, 0.99, 1.01)],
     "least length of a key": [
         normalise(lambda length: length + length.dtype.type(1e-12)),
         *(put("erm.LEAST_LENGTH", x) for x in (1e-11, 1e-13, 1e-30)),

@@ -15,6 +15,7 @@ from stss_ref.depth import normalise_depth
 from stss_ref.holes import cosine, holes, squared_footprint
 from stss_ref.motion_chain import motion_chain
 from stss_ref.occlusion_warp import occlusion_warp, splat
+from stss_ref.reshade import reshade
 from stss_ref.rrm import draw_rectangle, rrm
 from stss_ref.sample import follow, leads_inside, taps
 from stss_ref.warp import warp
@@ -252,6 +253,102 @@ class TestOcclusionWarp:
         assert splat(motion, depth).tolist() == [[[0, 0], [0.5, 0]]]
 
 
+def reshade_inputs(width=20, **changed):
+    """A row of static pixels 1 cm apart, of one material, of which none is a hole; its colours are its columns' numbers."""
+    size = (1, width)
+    columns = np.arange(width, dtype=np.float64)
+    position = np.stack([columns, 0 * columns, 0 * columns], axis=-1)[None]
+    color = np.repeat(columns, 3).reshape(*size, 3)
+    return {
+        "color": color,
+        "warped": color + 100,
+        "motion": np.zeros((*size, 2)),
+        "valid": np.ones(size, bool),
+        "stencil_previous": np.zeros(size),
+        "stencil": np.zeros(size),
+        "normal_previous": constant(size, 0, 0, 1),
+        "normal": constant(size, 0, 0, 1),
+        "position_previous": position,
+        "position": position.copy(),
+        "base_color": np.zeros((*size, 3)),
+    } | changed
+
+
+class TestReshade:
+    """Stage reshade: a hole's own samples first, then like materials around."""
+
+    def filled(self, inputs):
+        filled = reshade(**inputs)
+        assert (np.ptp(filled, axis=-1) == 0).all()
+        return filled[0, :, 0]
+
+    def test_a_hole_takes_the_mean_of_the_samples_that_show_its_surface(self):
+        """Pixel 10 was between 7 and 8. Both lie 2 cm or more from it if the world has moved on, and a footprint is 1 cm."""
+        inputs = reshade_inputs()
+        inputs["valid"][0, 10], inputs["motion"][0, 10] = False, (-2.5, 0)
+        inputs["position_previous"] = inputs["position_previous"] + (2.5, 0, 0)
+        assert self.filled(inputs).tolist() == [*range(100, 110), 7.5, *range(111, 120)]
+        inputs["position_previous"][0, 7, 1] = 2.0  # the root of 4.25
+        assert self.filled(inputs)[10] == 8
+        inputs["position_previous"][0, 7] = (10, 0, 2.0)  # exactly 2
+        assert self.filled(inputs)[10] == 7.5
+        inputs["stencil_previous"][0, 7] = 1
+        assert self.filled(inputs)[10] == 8
+        inputs["position_previous"][0, 8] = np.nan
+        assert 103 < self.filled(inputs)[10] < 117  # none: from around
+
+    def test_of_a_moving_object_the_normals_count(self):
+        inputs = reshade_inputs()
+        for name in ("stencil", "stencil_previous"):
+            inputs[name][:] = 3
+        inputs["valid"][0, 10], inputs["motion"][0, 10] = False, (-2.5, 0)
+        inputs["position_previous"] = inputs["position_previous"] + 1000
+        assert self.filled(inputs)[10] == 7.5
+        inputs["normal_previous"][0, 8] = (np.sqrt(0.2), 0, np.sqrt(0.8))
+        assert self.filled(inputs)[10] == 7
+        inputs["normal"][0, 10] = inputs["normal_previous"][0, 7:9] = 0  # a background
+        assert self.filled(inputs)[10] == 7.5
+
+    def test_a_hole_beyond_the_frame_takes_the_samples_that_are_there(self):
+        inputs = reshade_inputs(position=np.zeros((1, 20, 3)), position_previous=np.zeros((1, 20, 3)))
+        inputs["valid"][0, :3], inputs["motion"][0, :3] = False, ((-0.5, 0), (-2.5, 0), (np.nan, 0))
+        inputs["color"][0, 0] = -1  # counts as 0
+        filled = self.filled(inputs)
+        assert filled[0] == 0
+        assert filled[1] == np.mean([0, *range(103, 110)])
+        assert filled[2] == np.mean([0, *range(103, 111)])
+
+    def test_without_samples_like_materials_around_count(self):
+        """Pixel 10 leads nowhere. A base colour 1/8 off, or a normal 1/2 squared off, halve the fourth root of a weight."""
+        inputs = reshade_inputs(warped=np.zeros((1, 20, 3)))
+        inputs["valid"][0, 10], inputs["motion"][0, 10] = False, (np.inf, 0)
+        inputs["stencil"][:] = 1
+        inputs["stencil"][0, [2, 5, 10, 18, 19]] = 0  # 19 is too far
+        inputs["warped"][0, [2, 5, 18, 19]] = [[1], [10], [4], [1000]]
+        assert self.filled(inputs)[10] == 5
+        inputs["base_color"][0, 5, 1] = 0.125
+        assert self.filled(inputs)[10] == (1 + 10 / 16 + 4) / (2 + 1 / 16)
+        inputs["normal"][0, 18] = (0.5, 0.5, 1)
+        assert self.filled(inputs)[10] == (1 + 10 / 16 + 4 / 16) / (1 + 2 / 16)
+        inputs["valid"][0, [2, 18]] = False  # no sources, since their motion leads to other objects
+        inputs["stencil_previous"][:] = 7
+        assert self.filled(inputs)[[2, 10, 18]].tolist() == [10, 10, 1000]
+        inputs["stencil_previous"][0, 2] = 0  # now 2 has a sample, and is a source
+        assert self.filled(inputs)[2] == 2
+        assert self.filled(inputs)[10] == (2 + 10 / 16) / (1 + 1 / 16)
+
+    def test_what_has_nothing_alike_stays_as_it_is_warped(self):
+        inputs = reshade_inputs(valid=np.zeros((1, 20), bool), stencil_previous=np.ones((1, 20)))
+        inputs["warped"][0, 4] = -3
+        assert self.filled(inputs).tolist() == [*range(100, 104), 0, *range(105, 120)]
+
+    def test_errors_name_the_array(self):
+        with pytest.raises(ArrayError, match=r"base_color: expected shape \(1, 20, 3\), got \(1, 20\)"):
+            reshade(**reshade_inputs(base_color=np.zeros((1, 20))))
+        with pytest.raises(ArrayError, match=r"normal: 60 non-finite values"):
+            reshade(**reshade_inputs(normal=np.full((1, 20, 3), np.nan)))
+
+
 class TestRRM:
     def test_a_rectangle_is_cleared(self):
         masked = rrm(np.ones((4, 5), np.uint8), (1, 2, 2, 3))
@@ -311,7 +408,7 @@ class TestDepth:
 
 
 def test_the_reference_has_the_properties_that_the_judge_asks_for():
-    stages = ("motion_chain", "warp", "holes", "occlusion_warp", "rrm")
+    stages = ("motion_chain", "warp", "holes", "occlusion_warp", "reshade", "rrm")
     results = run_suite(Judge(ReferencePort(), Tier("some", 15, 1, 0)), stages)
     assert len(results) > 30
     assert not [f"{result.id}: {result.message}" for result in results if result.outcome != "passed"]

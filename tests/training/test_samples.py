@@ -9,6 +9,7 @@ from conformance.scenes import SCENES
 from stss.frames.display_frame import OnArrays, prepare
 from stss.frames.supersampler import Supersampler
 from stss_ground.errors import InputError
+from stss_ref.constants import HOLE_FILLS
 from stss_ref.detail import LUMA
 from stss_ref.resample import upsample_centres
 from stss_ref.schedule import FrameKind
@@ -33,31 +34,36 @@ def film():
 class Bilinear(OnArrays):
     name = "bilinear"
 
+    def __init__(self, fill):
+        super().__init__()
+        self.fill = fill
+
     def frame(self, inputs):
-        prepared = module.warp_all(inputs)
+        prepared = module.warp_all(inputs, hole_fill=self.fill)
         return upsample_centres(prepared.color[..., :3]), prepared.mask.astype(bool)
 
 
-def test_samples_are_what_the_tool_feeds_the_network(film):
+@pytest.mark.parametrize("fill", HOLE_FILLS)
+def test_samples_are_what_the_tool_feeds_the_network(film, fill):
     """Frame by frame the colours are those that `Supersampler` upsamples in a run at half rate."""
     curve = module.transfer("srgb")
     buffers = [module.replace(b, color=np.minimum(b.color, 1)) for b in film_frames(film, SIZE, 8)]
     frames = [prepare(b, curve, "scale") for b in buffers]
-    made = list(samples(frames, {n: np.zeros((48, 64, 3), np.float32) for n in (6, 7)}))
+    made = list(samples(frames, {n: np.zeros((48, 64, 3), np.float32) for n in (6, 7)}, fill))
     assert [(s.number, s.kind.value) for s in made] == [(6, "SF"), (6, "EF"), (7, "SF"), (7, "EF")]
     for odd in (0, 1):
         half = [b if b.number % 2 == odd else module.replace(b, color=None) for b in buffers]
-        outputs = {output.number: output for output in Supersampler(backend=Bilinear())(half)}
+        outputs = {output.number: output for output in Supersampler(backend=Bilinear(fill))(half)}
         for sample in (s for s in made if (s.number % 2 == odd) == (s.kind is FrameKind.SF)):
             inputs = unpack(sample.inputs)
             image = curve.decode(upsample_centres(inputs.color[..., :3]))
             np.testing.assert_array_equal(image, outputs[sample.number].image)
             np.testing.assert_array_equal(inputs.mask.astype(bool), outputs[sample.number].valid)
-    assert not list(samples(frames[:1], {0: np.zeros((48, 64, 3), np.float32)}))  # nothing lies before it
+    assert not list(samples(frames[:1], {0: np.zeros((48, 64, 3), np.float32)}, fill))  # nothing lies before it
     window = frames[2:8]
     given = module.frame_inputs([module.replace(f, color=None) if f.number % 2 else f for f in window], (1, 3, 5))
     details = np.stack([made[3].inputs[..., part] @ LUMA for part in (ACROSS, DOWN, LEVEL)], axis=-1)
-    np.testing.assert_allclose(details, module.warp_all(given, second="detail").color[..., 3:], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(details, module.warp_all(given, second="detail", hole_fill=fill).color[..., 3:], rtol=0, atol=1e-6)
     assert np.abs(details).max() > 0.01
 
 

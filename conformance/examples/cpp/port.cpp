@@ -318,6 +318,69 @@ static std::pair<Image, Image> occlusion_warp(const Image &color, const Image &w
     return {occlusion_motion, filled};
 }
 
+// ---- Stage reshade ----
+
+constexpr float OWN_FOOTPRINTS = 2.0f, OWN_COSINE = 0.9f, BASE_COLOR = 8.0f, NORMAL = 2.0f;
+constexpr int RADIUS = 8;
+
+static bool is_none(const float *normal) { return normal[0] == 0.0f && normal[1] == 0.0f && normal[2] == 0.0f; }
+
+// Whether the earlier pixel (v, u) shows the surface of the pixel (y, x).
+static bool shows_surface(const Surface &previous, int v, int u, const Surface &current, int y, int x) {
+    if (*previous.stencil.at(v, u) != *current.stencil.at(y, x)) return false;
+    const float *n = previous.normal.at(v, u), *normal = current.normal.at(y, x);
+    if (is_none(n) && is_none(normal)) return true;  // a background
+    if (*current.stencil.at(y, x) != 0.0f) return normal[0] * n[0] + normal[1] * n[1] + normal[2] * n[2] >= OWN_COSINE;
+    const float footprint = nearer(current.position, y, x, 0, 1) + nearer(current.position, y, x, 1, 0);
+    return squared_distance(previous.position.at(v, u), current.position.at(y, x)) <= OWN_FOOTPRINTS * OWN_FOOTPRINTS * footprint;
+}
+
+// How alike two materials are, 0 to 1.
+static float likeness(const float *base_color, const float *own_base_color, const float *normal, const float *own_normal) {
+    float apart = 0.0f;
+    for (int c = 0; c < 3; ++c) apart += std::fabs(base_color[c] - own_base_color[c]);
+    const float unlike = 1.0f + BASE_COLOR * apart + NORMAL * squared_distance(normal, own_normal), square = unlike * unlike;
+    return 1.0f / (square * square);
+}
+
+// `base_color` is that of the frame itself.
+static Image reshade(const Image &color, const Image &warped, const Image &motion, const Mask &valid, const Surface &previous,
+                     const Surface &current, const Image &base_color) {
+    Image filled = warped;
+    for (float &value : filled.data) value = std::max(value, 0.0f);
+    // First the holes that have samples of their own: they are sources for the others. Not the four taps of a bilinear reading: what lies
+    // outside the frame is no sample.
+    Mask source = valid;
+    each_pixel(filled, [&](int y, int x) {
+        const Place to = follow(motion, y, x);
+        if (*valid.at(y, x) || !to.finite) return;
+        float sum[3] = {}, count = 0.0f;
+        for (const int v : {to.y.whole, to.y.whole + 1})
+            for (const int u : {to.x.whole, to.x.whole + 1}) {
+                if (!color.holds(v, u) || !shows_surface(previous, v, u, current, y, x)) continue;
+                for (int c = 0; c < 3; ++c) sum[c] += std::max(color.at(v, u)[c], 0.0f);
+                count += 1.0f;
+            }
+        if (count == 0.0f) return;
+        for (int c = 0; c < 3; ++c) filled.at(y, x)[c] = sum[c] / count;
+        *source.at(y, x) = 1;
+    });
+    each_pixel(filled, [&](int y, int x) {
+        if (*source.at(y, x)) return;
+        float sum[3] = {}, total = 0.0f;
+        for (int v = y - RADIUS; v <= y + RADIUS; ++v)
+            for (int u = x - RADIUS; u <= x + RADIUS; ++u) {
+                if (!source.holds(v, u) || !*source.at(v, u) || *current.stencil.at(v, u) != *current.stencil.at(y, x)) continue;
+                const float weight = likeness(base_color.at(v, u), base_color.at(y, x), current.normal.at(v, u), current.normal.at(y, x));
+                for (int c = 0; c < 3; ++c) sum[c] += weight * filled.at(v, u)[c];
+                total += weight;
+            }
+        if (total > 0.0f)
+            for (int c = 0; c < 3; ++c) filled.at(y, x)[c] = sum[c] / total;
+    });
+    return filled;
+}
+
 // ---- Stage rrm ----
 
 // `rectangle` is y, x, height, width, and lies within the mask.
@@ -359,6 +422,7 @@ struct Weights {
     std::map<std::string, Layer> layers;  // by the tensors' names, less .weight and .bias
     bool detail = false;                  // the network's second colour is what warped frames show within a pixel
     HoleTest test = HoleTest::footprint;
+    bool reshades = false;  // stage reshade fills the holes, not occlusion_warp
 
     const Layer &layer(const std::string &name, int inputs) const {
         const auto found = layers.find(name);
@@ -666,7 +730,10 @@ static Image frame(const FrameInputs &in, const Weights &weights) {
         if (step > 0) {
             warped = warp(in.colors[i], motion).first;
             valid = holes(motion, in.surfaces[i + 1], in.surfaces[0], in.nov, depth, weights.test);
-            if (i == 0) instead = occlusion_warp(in.colors[0], warped, motion, depth, valid).second;
+            if (i == 0 && weights.reshades)
+                instead = reshade(in.colors[0], warped, motion, valid, in.surfaces[1], in.surfaces[0], some_channels(in.gbuffer, 6, 3));
+            else if (i == 0)
+                instead = occlusion_warp(in.colors[0], warped, motion, depth, valid).second;
         }
         // A step equal to the one before it stands for a frame that is missing: still warped, but nothing of it is trusted.
         const bool missing = i > 0 && step == in.steps[i - 1];
@@ -866,21 +933,26 @@ static const Weights &read_weights(const fs::path &path) {
     std::string bytes = read_file(path);
     if (bytes == last) return weights;
     last.clear();
-    weights = {path, {}, false, HoleTest::footprint};
+    weights = {path, {}, false, HoleTest::footprint, false};
     std::map<std::string, std::string> metadata;
     const std::map<std::string, Tensor> tensors = read_safetensors(path, bytes, metadata);
-    // Version 1 has neither entry, versions 3 and 4 have both.
+    // Version 1 has none of the three entries, versions 3 and 4 have two, version 5 has all.
     const std::string version = metadata["stss_weights_version"];
-    if (version != "1" && version != "3" && version != "4") refuse(path, "expected stss_weights_version 1, 3 or 4, got " + version);
-    for (const char *entry : {"second_color", "hole_test"})
-        if (version == "1" && metadata.count(entry)) refuse(path, std::string(entry) + ": expected no such entry in version 1");
+    if (version != "1" && version != "3" && version != "4" && version != "5")
+        refuse(path, "expected stss_weights_version 1, 3, 4 or 5, got " + version);
+    for (const char *entry : {"second_color", "hole_test", "hole_fill"})
+        if ((version == "1" || (entry == std::string("hole_fill") && version != "5")) && metadata.count(entry))
+            refuse(path, std::string(entry) + ": expected no such entry in version " + version);
+    const std::string fill = version == "5" ? metadata["hole_fill"] : "occlusion_warp";
+    if (fill != "occlusion_warp" && fill != "reshade") refuse(path, "hole_fill: expected occlusion_warp or reshade, got " + fill);
+    weights.reshades = fill == "reshade";
     const std::string second_color = version == "1" ? "newest" : metadata["second_color"];
     const std::string test = version == "1" ? "footprint" : metadata["hole_test"];
     if (test != "footprint" && test != "paper") refuse(path, "hole_test: expected footprint or paper, got " + test);
     weights.test = test == "paper" ? HoleTest::paper : HoleTest::footprint;
-    weights.detail = version == "4" && second_color == "detail";
+    weights.detail = version >= "4" && second_color == "detail";
     if (!weights.detail && second_color != "newest")
-        refuse(path, std::string("second_color: expected newest") + (version == "4" ? " or detail" : "") + ", got " + second_color);
+        refuse(path, std::string("second_color: expected newest") + (version >= "4" ? " or detail" : "") + ", got " + second_color);
     for (const auto &[name, weight] : tensors) {
         if (weight.shape.size() == 1) continue;  // a bias
         const std::string layer = name.substr(0, name.rfind('.'));
@@ -988,6 +1060,15 @@ static void run_occlusion_warp(Case &c) {
     c.write("occlusion_warp", filled);
 }
 
+static void run_reshade(Case &c) {
+    const Image color = c.image("color", "H W 3 finite"), warped = c.image("warped", "H W 3 finite"), motion = c.image("motion", "H W 2");
+    const Mask valid = c.mask("valid");
+    const auto surface = [&](const std::string &of) {
+        return Surface{c.image("stencil" + of, "H W finite"), c.image("normal" + of, "H W 3 finite"), c.image("position" + of, "H W 3")};
+    };
+    c.write("reshade", reshade(color, warped, motion, valid, surface("_previous"), surface(""), c.image("base_color", "H W 3 finite")));
+}
+
 static void run_rrm(Case &c) {
     const Mask valid = c.mask("valid");
     const std::vector<int32_t> r = c.array<int32_t>("rectangle", "4").second;
@@ -1039,7 +1120,7 @@ static void run_frame(Case &c) {
 
 static const std::map<std::string, void (*)(Case &)> STAGES = {
     {"motion_chain", run_motion_chain}, {"warp", run_warp}, {"holes", run_holes}, {"occlusion_warp", run_occlusion_warp},
-    {"rrm", run_rrm}, {"history", run_history}, {"encoder", run_encoder}, {"erm", run_erm},
+    {"reshade", run_reshade}, {"rrm", run_rrm}, {"history", run_history}, {"encoder", run_encoder}, {"erm", run_erm},
     {"decoder", run_decoder}, {"network", run_network}, {"frame", run_frame},
 };
 

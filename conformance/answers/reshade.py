@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: MIT
+"""Stage reshade: whether each sample shows a hole's own surface, and the errors of means of samples and of like materials."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from conformance.answers.expected import Expected
+from conformance.answers.holes import SMALL, Bool, Float64, Maybe, reach_of_footprints
+from conformance.answers.port_arithmetic import Arithmetic, Reach, reach
+from conformance.tolerance import BOUNDS
+from stss_ref.reshade import COSINE, FOOTPRINTS, RADIUS, four_samples, reshade
+from stss_ref.sample import Index
+
+Pixels = tuple[Index, Index]
+
+
+def expect_reshade(
+    inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic, off: Float64 | float = 0.0
+) -> tuple[dict[str, Expected], Bool]:
+    """The float64 reference's colours, and where a comparison that decides is within rounding of its threshold, (H, W).
+
+    There any mean of what the two pictures show is right.
+
+    Args:
+        inputs: of the stage, float64.
+        arithmetic: of the port.
+        off: (H, W, 2) largest error of the port's motion; pixels.
+    """
+    want = reshade(**inputs)
+    color, warped = np.maximum(inputs["color"], 0), np.maximum(inputs["warped"], 0)
+    undecided, has, is_source = (np.zeros(want.shape[:2], bool) for _ in range(3))
+    is_source |= inputs["valid"] != 0
+    holes = _pixels(~is_source)
+    sure, unsure, peak = _own(inputs, color, holes, reach(inputs["motion"], arithmetic, off), arithmetic)
+    has[holes], undecided[holes] = sure, unsure
+    of_source = np.where(is_source, warped.max(axis=-1), 0)
+    of_source[holes] = peak
+    is_source |= has
+    # A hole that has no sample depends on those around it, too.
+    alone = _pixels(~is_source)
+    terms, around, doubts = _around(inputs["stencil"], is_source, of_source, undecided, alone)
+    undecided[alone] |= doubts
+    roundings = np.where(has, BOUNDS["own"].roundings, 0.0)
+    scale = np.where(has, of_source, 0.0)
+    roundings[alone] = BOUNDS["like"].roundings + BOUNDS["own"].roundings + 2 * terms
+    scale[alone] = around
+    allowed = roundings * (arithmetic.unit * scale + arithmetic.tiny)
+    allowed = np.where(undecided, max(color.max(), warped.max()), allowed)[..., None] + arithmetic.flushed(warped)
+    return {"reshade": Expected(want, allowed)}, undecided
+
+
+def _pixels(where: Bool) -> Pixels:
+    y, x = np.nonzero(where)
+    return y, x
+
+
+def _own(
+    inputs: dict[str, NDArray[Any]], color: NDArray[Any], holes: Pixels, at: Reach, arithmetic: Arithmetic
+) -> tuple[Bool, Bool, Float64]:
+    """Of each hole, (N,): whether it has samples of its own, whether a comparison may turn, and the largest colour among those."""
+    has, unsure, peak = np.zeros(len(holes[0]), bool), at.unsure[holes], np.zeros(len(holes[0]))
+    for there, *sample in four_samples(inputs["motion"], *holes):
+        row, column = sample
+        shows = _shows(inputs, (row, column), holes, arithmetic)
+        has |= there & shows.sure
+        unsure |= there & shows.possible & ~shows.sure
+        peak = np.maximum(peak, np.where(there & shows.possible, color[row, column].max(axis=-1), 0))
+    return has, unsure, peak
+
+
+def _shows(inputs: dict[str, NDArray[Any]], sample: Pixels, pixel: Pixels, arithmetic: Arithmetic) -> Maybe:
+    """Whether samples show the surface of pixels."""
+    unit, stencil = arithmetic.unit, inputs["stencil"][pixel]
+    normal, n = inputs["normal"][pixel], inputs["normal_previous"][sample]
+    size = np.maximum(np.abs(normal), np.abs(n)).max(axis=-1)
+    none = Maybe(size == 0, size < arithmetic.tiny)
+    dot = (normal * n).sum(axis=-1)
+    wrong = BOUNDS["dot"].roundings * unit * np.abs(normal * n).sum(axis=-1) + unit * COSINE + arithmetic.tiny
+    alike = Maybe(dot - wrong >= COSINE, dot + wrong >= COSINE)
+    with np.errstate(invalid="ignore", over="ignore"):
+        apart = inputs["position_previous"][sample] - inputs["position"][pixel]
+        distance = np.sqrt((apart * apart).sum(axis=-1))
+    limit, limit_off, large = (plane[pixel] for plane in reach_of_footprints(inputs["position"], FOOTPRINTS, unit))
+    off = BOUNDS["length"].roundings * unit * distance + np.where(distance > 0, SMALL, 0)
+    large |= np.isfinite(distance) & (distance > 1 / SMALL)
+    near = Maybe((distance + off <= np.maximum(limit - limit_off, 0)) & ~large, (distance - off <= limit + limit_off) | large)
+    surface = none | (Maybe(stencil == 0, stencil == 0) & near) | (Maybe(stencil != 0, stencil != 0) & alike)
+    same = inputs["stencil_previous"][sample] == stencil
+    return surface & Maybe(same, same)
+
+
+def _around(stencil: Float64, is_source: Bool, peaks: Float64, undecided: Bool, pixels: Pixels) -> tuple[Float64, Float64, Bool]:
+    """Of each pixel, (N,): the number of sources around it, the largest of their colours, and whether one there is undecided."""
+    (y, x), (height, width) = pixels, stencil.shape
+    count, peak, doubts = np.zeros(len(y)), np.zeros(len(y)), np.zeros(len(y), bool)
+    for dy in range(-RADIUS, RADIUS + 1):
+        for dx in range(-RADIUS, RADIUS + 1):
+            row, column = y + dy, x + dx
+            there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+            at = np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)
+            counts = there & (stencil[at] == stencil[y, x])
+            count += counts & is_source[at]
+            peak = np.maximum(peak, np.where(counts & is_source[at], peaks[at], 0))
+            doubts |= counts & undecided[at]
+    return count, peak, doubts

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: MIT
+"""Mistakes in stage reshade."""
+
+# What is planted takes the reference's arrays.
+# pyright: reportUnknownLambdaType=false
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from inspect import signature
+from typing import Any
+
+import numpy as np
+
+from conformance.protocol.reference_copy import Copy, Mistake, change_arguments, fault, put, returns, wrap
+
+Change = Callable[..., Any]
+_reshade = partial(fault, "reshade")
+
+
+def _given(name: str, what: str, **changes: Change) -> Mistake:
+    """The stage is given others."""
+    return _reshade(name, what, change_arguments("reshade.reshade", **changes))
+
+
+def _samples(name: str, what: str, change: Callable[[list[Any]], list[Any]]) -> Mistake:
+    """Others of the four pixels are samples; each is whether it lies in the frame, its row and its column."""
+    return _reshade(name, what, returns("reshade.four_samples", lambda four: iter(change([*four]))))
+
+
+def _like(name: str, what: str, **changes: Change) -> Mistake:
+    return _reshade(name, what, change_arguments("reshade.like_sums", **changes))
+
+
+def _weights(name: str, what: str, weigh: Callable[[Any, Any], Any]) -> Mistake:
+    """Materials weigh ``weigh`` of the differences of their base colours and normals."""
+
+    def wrong(base_color: Any, own_base_color: Any, normal: Any, own_normal: Any) -> Any:
+        return weigh(base_color - own_base_color, normal - own_normal)
+
+    return _reshade(name, what, put("reshade.likeness", wrong))
+
+
+def _power(base: Any, normal: Any, power: float = 4.0) -> Any:
+    apart, turned = np.abs(base).sum(axis=-1), (normal * normal).sum(axis=-1)
+    return (1 + 8 * apart + 2 * turned) ** -power
+
+
+def _within_tile(right: Change, color: Any, is_source: Any, stencil: Any, normal: Any, base_color: Any, y: Any, x: Any) -> Any:
+    """Windows end at the tiles of 8 x 8 that their pixels lie in."""
+    sums, totals = np.zeros((len(y), 3), color.dtype), np.zeros(len(y), color.dtype)
+    rows, columns = np.indices(stencil.shape) // 8
+    for i in range(len(y)):
+        own = (rows == y[i] // 8) & (columns == x[i] // 8)
+        found = right(color, is_source & own, stencil, normal, base_color, y[i : i + 1], x[i : i + 1])
+        sums[i], totals[i] = found[0][0], found[1][0]
+    return sums, totals
+
+
+def _samples_no_sources(copy: Copy) -> None:
+    """What is no hole is a source."""
+    valids: list[Any] = []
+
+    def whole(right: Change, *arguments: Any, **named: Any) -> Any:
+        valids[:] = [_valid_of(right, arguments, named)]
+        return right(*arguments, **named)
+
+    def like_sums(right: Change, color: Any, is_source: Any, *others: Any) -> Any:
+        return right(color, is_source & (valids[0] != 0), *others)
+
+    wrap("reshade.reshade", whole)(copy)
+    wrap("reshade.like_sums", like_sums)(copy)
+
+
+def _valid_of(function: Change, arguments: Any, named: Any) -> Any:
+    return signature(function).bind(*arguments, **named).arguments["valid"]
+
+
+RESHADE = (
+    _given("unfilled", "holes are left as they are", valid=np.ones_like),
+    _given("filled_everywhere", "fills what needs no filling", valid=np.zeros_like),
+    _given("valid_inverted", "fills all but the holes", valid=lambda valid: (valid == 0).astype(valid.dtype)),
+    _given("stencil_of_now", "this frame's object numbers for the earlier ones", stencil_previous=lambda _, stencil: stencil),
+    _given("normal_of_now", "this frame's normals for the earlier ones", normal_previous=lambda _, normal: normal),
+    _given("position_of_now", "this frame's positions for the earlier ones", position_previous=lambda _, position: position),
+    _given("objects_ignored", "one object", stencil=np.zeros_like, stencil_previous=np.zeros_like),
+    _given("backwards", "follows the motion backwards", motion=np.negative),
+    _given("half_pixel", "pixel centres at halves", motion=lambda motion: motion - 0.5),
+    _samples("one_sample", "looks at one of four", lambda four: four[:1]),
+    _samples("three_samples", "looks at three of four", lambda four: four[:3]),
+    _samples("outside_clamped", "the nearest pixel for one outside", lambda four: [(there | True, *at) for there, *at in four]),
+    _samples(
+        "all_in_frame",
+        "samples only where all four lie in the frame",
+        lambda four: [(np.all([there for there, *_ in four], axis=0), *at) for _, *at in four],
+    ),
+    _reshade("no_samples", "no samples of their own", returns("reshade.own_samples", lambda got: (got[0], got[1] * 0))),
+    _reshade(
+        "sum_of_samples",
+        "the sum of the samples, not their mean",
+        returns("reshade.own_samples", lambda got: (got[0], np.minimum(got[1], 1))),
+    ),
+    _reshade(
+        "every_sample", "samples of any surface", put("reshade.shows_surface", lambda before, now, sample, pixel: np.bool_(True))
+    ),
+    _reshade("far_samples", "samples within four footprints", put("reshade.FOOTPRINTS", 4.0)),
+    _reshade("near_samples", "samples within one footprint", put("reshade.FOOTPRINTS", 1.0)),
+    _reshade("cosine_098", "the cosine of stage holes", put("reshade.COSINE", 0.98)),
+    _reshade("radius_7", "a window of 15 x 15", put("reshade.RADIUS", 7)),
+    _reshade("radius_9", "a window of 19 x 19", put("reshade.RADIUS", 9)),
+    _reshade("samples_no_sources", "holes with samples are no sources", _samples_no_sources),
+    _like("all_are_sources", "holes are sources, too", is_source=np.ones_like),
+    _like("all_objects", "materials of all objects", stencil=np.zeros_like),
+    _weights("uniform", "all weigh the same", lambda base, normal: np.ones(len(base), base.dtype)),
+    _weights("no_normals", "normals do not count", lambda base, normal: _power(base, normal * 0)),
+    _weights("no_base_colors", "base colours do not count", lambda base, normal: _power(base * 0, normal)),
+    _weights("squared", "the square, not the fourth power", lambda base, normal: _power(base, normal, 2.0)),
+    _weights(
+        "length",
+        "the length of the base colours' difference",
+        lambda base, normal: _power(np.sqrt((base * base).sum(axis=-1, keepdims=True)) * np.array([1, 0, 0], base.dtype), normal),
+    ),
+    _weights("signed", "base colours by their signed difference", lambda base, normal: _power(np.maximum(base, 0), normal)),
+    _reshade("tile_halo", "windows end at tiles of 8 x 8", wrap("reshade.like_sums", _within_tile)),
+    _reshade(
+        "negative_color",
+        "colours below 0 stay",
+        returns("reshade.reshade", lambda filled, warped, valid: np.where(valid[..., None] != 0, warped, filled)),
+    ),
+    _reshade(
+        "black",
+        "black where nothing is alike",
+        returns(
+            "reshade.reshade",
+            lambda filled, warped, valid: np.where((valid[..., None] == 0) & (filled == np.maximum(warped, 0)), 0, filled),
+        ),
+    ),
+)

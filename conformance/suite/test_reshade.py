@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: MIT
+"""Stage reshade."""
+
+import numpy as np
+
+from conformance.cases.stage_inputs import Inputs, reshade_inputs
+from conformance.judging.judge import Judge
+from conformance.judging.questions import Talk, ask
+from conformance.suite.properties import (
+    agrees_in_large_frames,
+    agrees_in_windows,
+    agrees_on_constants,
+    agrees_on_engines,
+    cases,
+    same_twice,
+)
+
+
+@cases(reshade_inputs())
+def test_agrees_with_the_reference(judge: Judge, inputs: Inputs) -> Talk:
+    """The colours are right within rounding; where rounding decides whether a sample is a hole's own, any mean is right."""
+    yield from judge.agrees("reshade", inputs)
+
+
+@cases(reshade_inputs(color="unit"))
+def test_what_is_no_hole_stays(judge: Judge, inputs: Inputs) -> Talk:
+    """Outside holes the warped colour is a copy, bit for bit."""
+    got = (yield ask("reshade", inputs))["reshade"]
+    valid = inputs["valid"][..., None] != 0
+    want = judge.round_inputs(inputs, "reshade")["warped"]
+    judge.same("reshade.reshade", np.where(valid, got, 0), np.where(valid, want, np.float32(0)))
+
+
+@cases(reshade_inputs())
+def test_what_was_read_in_holes_is_the_last_resort(judge: Judge, inputs: Inputs) -> Talk:
+    """With other warped colours in holes only those holes are others that have nothing else to take, and show theirs, bit for bit."""
+    given = judge.exactly(inputs, "reshade")
+    hole = given["valid"][..., None] == 0
+    first, second = yield [ask("reshade", given | {"warped": np.where(hole, x, given["warped"])}) for x in (0.25, 0.75)]
+    changed = (first["reshade"] != second["reshade"]).any(axis=-1, keepdims=True)
+    judge.same(
+        "reshade.reshade",
+        np.where(changed, first["reshade"], 0),
+        np.where(changed & hole, np.float32(0.25), np.float32(0)) + 0 * first["reshade"],
+    )
+
+
+test_the_same_twice = same_twice("reshade", cases(reshade_inputs()))
+
+
+test_constants_are_those_of_the_specification = agrees_on_constants("reshade")
+
+
+test_agrees_on_what_engines_send = agrees_on_engines("reshade")
+
+
+test_large_frames_agree_with_the_reference = agrees_in_large_frames("reshade")
+
+
+test_a_users_size_agrees_in_windows = agrees_in_windows("reshade")

@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: MIT
+// Stage reshade (docs/stages.md): the colour of holes. find_samples runs first, since like_materials reads what it found around a hole.
+
+@group(0) @binding(1) var<storage, read> motion: array<vec2<f32>>;
+@group(0) @binding(2) var<storage, read> earlier: array<Surface>;
+@group(0) @binding(4) var<storage, read> color: array<f32>;       // H W 3: of the earlier frame
+@group(0) @binding(5) var<storage, read> valid: array<f32>;
+@group(0) @binding(6) var<storage, read> base_color: array<f32>;  // H W 3
+@group(0) @binding(7) var<storage, read_write> samples: array<vec4<f32>>;  // of holes: the mean of their own samples, and their number
+@group(0) @binding(8) var<storage, read_write> filled: array<f32>;  // H W 3: as warped, at least 0, to begin with
+
+const RADIUS = 8;
+
+fn is_none(normal: vec3<f32>) -> bool { return all(normal == vec3<f32>(0.0)); }
+
+// Whether an earlier pixel shows the surface of pixel p.
+fn shows_surface(sample: Surface, p: vec2<i32>) -> bool {
+    let here = now[p.y * frame.width + p.x];
+    if (sample.stencil != here.stencil) { return false; }
+    if (is_none(sample.normal) && is_none(here.normal)) { return true; }  // a background
+    if (here.stencil == 0.0) { return is_near(sample.position - here.position, 4.0 * squared_footprint(p)); }
+    return here.normal.x * sample.normal.x + here.normal.y * sample.normal.y + here.normal.z * sample.normal.z >= 0.9;
+}
+
+// Not the taps of a bilinear reading: what lies outside the frame is no sample.
+@compute @workgroup_size(8, 8)
+fn find_samples(@builtin(global_invocation_id) id: vec3<u32>) {
+    let p = vec2<i32>(id.xy);
+    if (p.x >= frame.width || p.y >= frame.height) { return; }
+    let index = p.y * frame.width + p.x;
+    let place = lead(p, motion[index], frame);
+    if (valid[index] != 0.0 || !place.finite) { return; }
+    var sum = vec4<f32>(0.0);
+    for (var i = 0; i < 4; i++) {
+        let q = place.at + vec2<i32>(i & 1, i >> 1);
+        if (any(q < vec2<i32>(0)) || q.x >= frame.width || q.y >= frame.height) { continue; }
+        let other = q.y * frame.width + q.x;
+        if (shows_surface(earlier[other], p)) {
+            sum += vec4<f32>(max(vec3<f32>(0.0), vec3<f32>(color[3 * other], color[3 * other + 1], color[3 * other + 2])), 1.0);
+        }
+    }
+    if (sum.w > 0.0) { samples[index] = vec4<f32>(sum.xyz / sum.w, sum.w); }
+}
+
+fn base_color_at(index: i32) -> vec3<f32> {
+    return vec3<f32>(base_color[3 * index], base_color[3 * index + 1], base_color[3 * index + 2]);
+}
+
+// How alike two pixels' materials are, 0 to 1.
+fn likeness(index: i32, own: i32) -> f32 {
+    let apart = abs(base_color_at(index) - base_color_at(own));
+    let unlike = 1.0 + 8.0 * (apart.x + apart.y + apart.z) + 2.0 * squared(now[index].normal - now[own].normal);
+    let square = unlike * unlike;
+    return 1.0 / (square * square);
+}
+
+@compute @workgroup_size(8, 8)
+fn like_materials(@builtin(global_invocation_id) id: vec3<u32>) {
+    let p = vec2<i32>(id.xy);
+    if (p.x >= frame.width || p.y >= frame.height) { return; }
+    let index = p.y * frame.width + p.x;
+    if (valid[index] != 0.0) { return; }
+    var found = samples[index].xyz;
+    if (samples[index].w == 0.0) {
+        var sum = vec3<f32>(0.0);
+        var total = 0.0;
+        for (var y = max(p.y - RADIUS, 0); y <= min(p.y + RADIUS, frame.height - 1); y++) {
+            for (var x = max(p.x - RADIUS, 0); x <= min(p.x + RADIUS, frame.width - 1); x++) {
+                let other = y * frame.width + x;
+                let is_valid = valid[other] != 0.0;
+                if (now[other].stencil != now[index].stencil || !(is_valid || samples[other].w > 0.0)) { continue; }
+                let weight = likeness(other, index);
+                let warped = vec3<f32>(filled[3 * other], filled[3 * other + 1], filled[3 * other + 2]);
+                sum += weight * select(samples[other].xyz, warped, is_valid);
+                total += weight;
+            }
+        }
+        if (total == 0.0) { return; }
+        found = sum / total;
+    }
+    filled[3 * index] = found.x;
+    filled[3 * index + 1] = found.y;
+    filled[3 * index + 2] = found.z;
+}

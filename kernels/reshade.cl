@@ -1,0 +1,61 @@
+// SPDX-License-Identifier: MIT
+// Stage reshade, reference stss_ref/reshade.py::reshade: two kernels, in this order.
+//
+//  buffer             dir     shape      unit
+//  color              in      (H, W, 3)  the earlier frame, finite
+//  warped             in      (H, W, 3)  the same after stage warp
+//  motion             in      (H, W, 2)  px, current -> earlier; non-finite leads to no sample
+//  valid              in      (H, W)     1 = warped colour to be trusted
+//  stencil_previous   in      (H, W)     object number of the earlier frame, 0 = static
+//  stencil            in      (H, W)     object number
+//  normal_previous    in      (H, W, 3)  world space
+//  normal             in      (H, W, 3)  world space
+//  position_previous  in      (H, W, 3)  cm; may be non-finite
+//  position           in      (H, W, 3)  cm; may be non-finite
+//  base_color         in      (H, W, 3)
+//  samples            in/out  (H, W, 4)  of holes: the mean of their own samples and their number; of others not read
+//  filled             out     (H, W, 3)  as color, at least 0
+//
+// Build: no options.  Launch (W, H) rounded up.
+#include "reshade.clh"
+
+kernel void find_samples(global const float *restrict color, global const float2 *restrict motion, global const uchar *restrict valid,
+                         global const float *restrict stencil_previous, global const float *restrict stencil,
+                         global const float *restrict normal_previous, global const float *restrict normal,
+                         global const float *restrict position_previous, global const float *restrict position,
+                         global float4 *restrict samples, const int height, const int width)
+{
+    const int x = get_global_id(0), y = get_global_id(1), pixel = y * width + x;
+    if (x >= width || y >= height || valid[pixel]) return;
+    const Surfaces s = {height, width, 3, 3, stencil_previous, stencil, normal_previous, normal, position_previous, position, 0};
+    samples[pixel] = own_samples(s, color, motion[pixel], x, y);
+}
+
+kernel void reshade(global const float *restrict warped, global const uchar *restrict valid, global const float *restrict stencil,
+                    global const float *restrict normal, global const float *restrict base_color, global const float4 *restrict samples,
+                    global float *restrict filled, const int height, const int width)
+{
+    const int x = get_global_id(0), y = get_global_id(1), pixel = y * width + x;
+    if (x >= width || y >= height) return;
+    float3 c = not_negative(read3(warped, pixel));
+    if (!valid[pixel]) {
+        const Surfaces s = {height, width, 3, 3, 0, stencil, 0, normal, 0, 0, base_color};
+        if (samples[pixel].w > 0.0f)
+            c = samples[pixel].xyz;
+        else {
+            const float3 own_normal = read3(normal, pixel), own_base_color = read3(base_color, pixel);
+            float3 sum = (float3)(0.0f);
+            float total = 0.0f;
+            for (int v = most(y - RADIUS, 0); v <= least(y + RADIUS, height - 1); ++v)
+                for (int u = most(x - RADIUS, 0); u <= least(x + RADIUS, width - 1); ++u) {
+                    const int other = v * width + u;
+                    if (stencil[other] != stencil[pixel] || !(valid[other] || samples[other].w > 0.0f)) continue;
+                    const float weight = likeness(s, other, own_normal, own_base_color);
+                    sum += weight * (valid[other] ? not_negative(read3(warped, other)) : samples[other].xyz);
+                    total += weight;
+                }
+            if (total > 0.0f) c = sum / total;
+        }
+    }
+    vstore3(c, pixel, filled);
+}

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: MIT
+"""Stage reshade: the colour of warping holes, from samples of their own surface, else from like materials around."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from stss_ref.arrays import Array, Image, Mask, Plane, require_finite, require_shape
+from stss_ref.holes import squared, squared_footprint
+from stss_ref.sample import Index, follow
+
+FOOTPRINTS = 2.0
+"""Largest distance of a sample from the pixel's static surface; footprints of the pixel. Its square is exact."""
+COSINE = 0.9
+"""Smallest cosine between the normals of a sample and a pixel that show the same moving object."""
+RADIUS = 8
+"""How far, in rows and in columns, a hole looks for like materials; pixels."""
+BASE_COLOR, NORMAL = 8.0, 2.0
+"""How fast a weight falls with the difference of base colours, and with the squared difference of normals."""
+
+
+def reshade(
+    color: Image,
+    warped: Image,
+    motion: Image,
+    valid: Mask | Array,
+    stencil_previous: Plane,
+    stencil: Plane,
+    normal_previous: Image,
+    normal: Image,
+    position_previous: Image,
+    position: Image,
+    base_color: Image,
+) -> Image:
+    """Fill the warping holes of the earlier frame.
+
+    A hole ``p`` takes the mean of its own samples: those of the four earlier pixels around ``p + motion(p)`` that show its surface
+    (`shows_surface`). A hole that has none takes ``sum w(q) c(q) / sum w(q)`` over the pixels ``q`` of its object within ``RADIUS``
+    that are no holes, where ``c`` is the warped colour, or holes with samples of their own, where ``c`` is their mean;
+    ``w(q) = (1 + 8 |b(q) - b(p)|_1 + 2 |n(q) - n(p)|^2)^-4`` with base colour ``b`` and normal ``n``. Without any it stays as it is
+    warped. Colours below 0 count as 0.
+
+    Source: paper, Reshading (the light of valid neighbours, by how alike the materials are), here at full size; decision 38.
+
+    Args:
+        color: (H, W, 3) the earlier frame, finite.
+        warped: (H, W, 3) the same, warped by ``motion`` (stage warp).
+        motion: (H, W, 2) pixels, current -> earlier; a non-finite motion leads to no sample.
+        valid: (H, W) True (or 1) = warped colour to be trusted.
+        stencil_previous, stencil: (H, W) object number of the earlier frame and of this one; 0 = static.
+        normal_previous, normal: (H, W, 3) world space; finite.
+        position_previous, position: (H, W, 3) world position; cm. A non-finite one is near nothing.
+        base_color: (H, W, 3) of this frame, finite.
+
+    Returns:
+        (H, W, 3), at least 0.
+
+    Raises:
+        ArrayError: shapes differ, or an array that must be finite is not.
+    """
+    height, width, _ = color.shape
+    for name, image in (("color", color), ("warped", warped), ("normal_previous", normal_previous), ("normal", normal),
+                        ("base_color", base_color)):  # fmt: skip
+        require_shape(name, image, (height, width, 3))
+        require_finite(name, image)
+    for name, image in (("position_previous", position_previous), ("position", position)):
+        require_shape(name, image, (height, width, 3))
+    for name, plane in (("stencil_previous", stencil_previous), ("stencil", stencil), ("valid", valid)):
+        require_shape(name, plane, (height, width))
+    require_shape("motion", motion, (height, width, 2))
+
+    filled = np.maximum(warped, 0)
+    y, x = np.nonzero(np.asarray(valid) == 0)
+    before, now = (stencil_previous, normal_previous, position_previous), (stencil, normal, position)
+    sums, counts = own_samples(np.maximum(color, 0), motion, before, now, y, x)
+    has = counts > 0
+    filled[y[has], x[has]] = sums[has] / counts[has, None]
+
+    is_source = valid.astype(bool)
+    is_source[y[has], x[has]] = True
+    y, x = y[~has], x[~has]
+    sums, totals = like_sums(filled, is_source, stencil, normal, base_color, y, x)
+    found = totals > 0
+    filled[y[found], x[found]] = sums[found] / totals[found, None]
+    return filled
+
+
+def own_samples(
+    color: Image,
+    motion: Image,
+    before: tuple[Plane, Image, Image],
+    now: tuple[Plane, Image, Image],
+    y: Index,
+    x: Index,
+) -> tuple[Array, Array]:
+    """The sum of the colours of each pixel's own samples, (N, 3), and their number, (N,).
+
+    Args:
+        color: (H, W, 3).
+        motion: (H, W, 2).
+        before, now: stencil (H, W), normal and position (H, W, 3) of the earlier frame and of this one.
+        y, x: (N,) the pixels.
+    """
+    sums, counts = np.zeros((len(y), 3), color.dtype), np.zeros(len(y), color.dtype)
+    for there, row, column in four_samples(motion, y, x):
+        is_own = there & shows_surface(before, now, (row, column), (y, x))
+        sums += np.where(is_own[:, None], color[row, column], 0)
+        counts += is_own
+    return sums, counts
+
+
+def four_samples(motion: Image, y: Index, x: Index) -> Iterator[tuple[Mask, Index, Index]]:
+    """Row by row the four earlier pixels around the places of N pixels: whether each lies in the frame; its row and column, clamped."""
+    height, width, _ = motion.shape
+    place = follow(motion)
+    finite, left, top = (plane[y, x] for plane in (place.finite, place.x, place.y))
+    for j in (0, 1):
+        for i in (0, 1):
+            row, column = top + j, left + i
+            there: Mask = finite & (row >= 0) & (row < height) & (column >= 0) & (column < width)
+            yield there, np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)
+
+
+def shows_surface(
+    before: tuple[Plane, Image, Image], now: tuple[Plane, Image, Image], sample: tuple[Index, Index], pixel: tuple[Index, Index]
+) -> Mask:
+    """(N,) whether samples show the surface that pixels show.
+
+    They do if both show the same object, and: both normals are 0, as on a background; or, of static geometry, the sample's position
+    lies within ``FOOTPRINTS`` of the pixel's; or, of a moving object, the cosine of the normals is at least ``COSINE``.
+    """
+    (s, n, p), (stencil, normal, position) = [[plane[at] for plane in planes] for planes, at in ((before, sample), (now, pixel))]
+    with np.errstate(invalid="ignore", over="ignore"):
+        near = squared(p - position) <= FOOTPRINTS**2 * squared_footprint(now[2])[pixel]
+        alike = (normal * n).sum(axis=-1) >= normal.dtype.type(COSINE)
+    both_none = ~n.any(axis=-1) & ~normal.any(axis=-1)
+    return (s == stencil) & (both_none | np.where(stencil == 0, near, alike))
+
+
+def like_sums(
+    color: Image, is_source: Mask, stencil: Plane, normal: Image, base_color: Image, y: Index, x: Index
+) -> tuple[Array, Array]:
+    """The weighted sum of the sources around each pixel, (N, 3), and the sum of their weights, (N,), row by row.
+
+    Args:
+        color: (H, W, 3) of the sources.
+        is_source, stencil: (H, W).
+        normal, base_color: (H, W, 3).
+        y, x: (N,) the pixels.
+    """
+    height, width = stencil.shape
+    sums, totals = np.zeros((len(y), 3), color.dtype), np.zeros(len(y), color.dtype)
+    for dy in range(-RADIUS, RADIUS + 1):
+        for dx in range(-RADIUS, RADIUS + 1):
+            row, column = y + dy, x + dx
+            there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+            at = np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)
+            counts = there & is_source[at] & (stencil[at] == stencil[y, x])
+            weight = np.where(counts, likeness(base_color[at], base_color[y, x], normal[at], normal[y, x]), 0)
+            sums += weight[:, None] * color[at]
+            totals += weight
+    return sums, totals
+
+
+def likeness(base_color: Array, own_base_color: Array, normal: Array, own_normal: Array) -> Array:
+    """(N,) weight of materials (N, 3) by how alike a pixel's own they are; in [0, 1]."""
+    apart = np.abs(base_color - own_base_color)
+    with np.errstate(over="ignore"):
+        unlike = 1 + BASE_COLOR * (apart[..., 0] + apart[..., 1] + apart[..., 2]) + NORMAL * squared(normal - own_normal)
+        square = unlike * unlike
+        return 1 / (square * square)
