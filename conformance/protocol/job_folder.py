@@ -38,6 +38,8 @@ MOST_CASES = 100_000
 """Most cases of a job."""
 MOST_BYTES = 2 * 2**30
 """Most bytes of a case's inputs; stage frame for an image of 7680 x 4320 has 1.9 GiB."""
+MOST_HEADER = 10_000
+"""Bytes of the header of a ``.npy`` file, as NumPy's ``max_header_size``."""
 MOST_WEIGHTS_BYTES = 64 * 2**20
 """Most bytes of a weights file; this network's has 1.7 MiB."""
 
@@ -327,6 +329,7 @@ def _mapped(path: Path) -> AnyArray:
     if not path.is_file():
         raise JobError(f"{path}: {'not a file' if path.exists() else 'missing'}")
     try:
+        _require_short_header(path)
         array = np.lib.format.open_memmap(path, mode="r")
     except Exception as error:
         # A stranger's text, which NumPy evaluates as a literal: more than ValueError comes out.
@@ -334,6 +337,15 @@ def _mapped(path: Path) -> AnyArray:
     if array.dtype.kind not in "biuf" or array.dtype.subdtype is not None:
         raise JobError(f"{path}: expected an array of numbers, got {_first_line(array.dtype)}")
     return array
+
+
+def _require_short_header(path: Path) -> None:
+    """Raise ValueError for a header that NumPy would not take: it reads one of 4 GiB before it looks."""
+    with path.open("rb") as file:
+        start = file.read(12)
+    length = int.from_bytes(start[8:10] if start[6:7] == b"\x01" else start[8:12], "little")
+    if length > MOST_HEADER:
+        raise ValueError(f"its header claims {length} bytes, expected up to {MOST_HEADER}")
 
 
 def _loaded(array: AnyArray) -> AnyArray:

@@ -7,11 +7,12 @@ import shlex
 from contextlib import ExitStack
 from pathlib import Path
 
-from conformance.judging.findings import Finding, TestResult
+from conformance.judging.findings import Failure, Finding, TestResult
 from conformance.judging.judge import Judge
 from conformance.report.failures import keep_failure
 from conformance.report.junit import write_junit
 from conformance.report.report import judged_on, passed, print_results, to_json, write_json, write_page
+from stss_ground.errors import InputError
 from stss_ground.progress import Advance, show_progress
 from stss_ground.terminal import Terminal, echo
 
@@ -59,9 +60,17 @@ class RunningReport:
             for line in result.record.failure.finding.terms if result.record.failure is not None else ():
                 echo(f"  {line}")
             if result.record.failure is not None:
-                self.folders[result.id] = keep_failure(self._failures, result.id, result.record.failure, self._again)
-                echo(f"  {self._again} --replay {shlex.quote(str(self.folders[result.id]))}")
+                self._keep(result.id, result.record.failure)
         self.write()
+
+    def _keep(self, name: str, failure: Failure) -> None:
+        """Store a failure, and print how it is run again; where that cannot be, the run goes on all the same."""
+        try:
+            self.folders[name] = keep_failure(self._failures, name, failure, self._again)
+        except InputError as error:
+            echo(f"  not kept: {error}; --failures takes another folder")
+        else:
+            echo(f"  {self._again} --replay {shlex.quote(str(self.folders[name]))}")
 
     def _told_early(self, finding: Finding) -> None:
         """A failure that is still made smaller."""

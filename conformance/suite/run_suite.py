@@ -89,6 +89,8 @@ def run_suite(
         arguments.append("--exitfirst")
     with _undisturbed():
         status = pytest.main(arguments, plugins=[plugin])
+    if plugin.raised is not None:
+        raise plugin.raised
     if status not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED) or plugin.broken:
         raise RuntimeError(plugin.broken or f"pytest ended with {status}")
     return plugin.results
@@ -128,8 +130,11 @@ class _Plugin:
         self._known = {each.test: each for each in known}
         self._total = 0
         self._stdout = sys.stdout
+        self._session: pytest.Session | None = None
         self.results: list[TestResult] = []
         self.broken = ""
+        self.raised: Exception | None = None
+        """What `on_result` raised: through pytest it would be an internal error, with pytest's own traceback."""
 
     @pytest.fixture
     def judge(self, request: pytest.FixtureRequest) -> Judge:
@@ -138,6 +143,9 @@ class _Plugin:
             pytest.skip(f"the port has no stage {needs}")
         self._judge.begin()
         return self._judge
+
+    def pytest_sessionstart(self, session: pytest.Session) -> None:
+        self._session = session
 
     def pytest_configure(self, config: pytest.Config) -> None:
         config.option.tbstyle = "native"  # pytest's own form parses every file on the way, for a text that nobody reads
@@ -172,9 +180,14 @@ class _Plugin:
 
     def _tell(self, result: TestResult) -> None:
         self.results.append(result)
-        if self._on_result:
-            with contextlib.redirect_stdout(self._stdout):
-                self._on_result(result, self._total)
+        if self._on_result and self.raised is None:
+            try:
+                with contextlib.redirect_stdout(self._stdout):
+                    self._on_result(result, self._total)
+            except Exception as error:
+                self.raised = error
+                if self._session is not None:
+                    self._session.shouldstop = "the report cannot be written"
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(

@@ -18,6 +18,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 
+from stss.images.exr_header import MOST_HEADER, header_bytes
 from stss.images.windows import PixelWindow
 from stss_ground.errors import InputError
 from stss_ground.regular_file import require_regular
@@ -106,6 +107,8 @@ def open_image(path: Path) -> Generator[oiio.ImageInput, None, None]:
         with path.open("rb") as file:
             if file.read(len(magic)) != magic:
                 raise InputError(f"{path}: empty, or not the kind of file its name says")
+            if path.suffix.lower() == ".exr" and header_bytes(file) > MOST_HEADER:
+                raise InputError(f"{path}: a header of more than {MOST_HEADER >> 20} MiB")
             if path.suffix.lower() == ".png" and not whole_png(file):
                 raise InputError(f"{path}: truncated or corrupt")
     except UnicodeEncodeError:

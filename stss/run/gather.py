@@ -13,10 +13,11 @@ from pathlib import Path
 from stss.run.job import folder_of
 from stss_ground.errors import InputError
 from stss_ground.output.apart import require_places
-from stss_ground.output.folder import SUMS, OutputFolder
+from stss_ground.output.folder import MOST_BYTES, SUMS, OutputFolder, digest_of
 from stss_ground.output.lock import locked
 from stss_ground.output.write_whole import remove_unfinished, sync_folder, tell_errors, write_whole
 from stss_ground.progress import Track
+from stss_ground.regular_file import read_regular
 
 MARK = "stss-gathered.sha256"
 """Name of a list beside the parts, there while they are removed: the files that all parts held, which the folder has by then."""
@@ -98,7 +99,7 @@ def _parts_in(parts: Path) -> list[Path]:
 
 def _read_mark(path: Path) -> dict[str, str]:
     """Part and name -> SHA-256, as the mark of a call that was interrupted has them; a line that is damaged is left out."""
-    text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() and not path.is_symlink() else ""
+    text = read_regular(path, MOST_BYTES).decode(errors="replace") if path.is_file() and not path.is_symlink() else ""
     found = [match for line in text.split("\n") if (match := _LINE.fullmatch(line)) and match[2] not in (".", "..")]
     return {f"{match[2]}/{match[3]}": match[1] for match in found}
 
@@ -126,7 +127,7 @@ def _checked(
                     raise InputError(f"{folder / name}: not as its list says; make this part again with --resume")
                 lists[f"{folder.name}/{name}"] = digest
         # A part without a frame is one too.
-        lists[f"{folder.name}/{SUMS}"] = hashlib.sha256((folder / SUMS).read_bytes()).hexdigest()
+        lists[f"{folder.name}/{SUMS}"] = digest_of(folder / SUMS)
     for place, digest in before.items():
         name = place.partition("/")[2]
         if name != SUMS and name not in sums:

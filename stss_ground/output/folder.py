@@ -24,10 +24,13 @@ from stss_ground.output.write_whole import (
     tell_errors,
     write_whole,
 )
+from stss_ground.regular_file import read_regular
 from stss_ground.terminal import echo
 
 SUMS = "stss.sha256"
 """Name of the list in the folder: the SHA-256 of every file written into it, in the form of ``sha256sum``."""
+MOST_BYTES = 64 << 20
+"""Most bytes of the list; a line has about 90."""
 _LINE = re.compile(r"([0-9a-f]{64})  (.+)")
 
 
@@ -38,13 +41,22 @@ def move_aside(path: Path) -> None:
     echo(f"{path}: not as {SUMS} says, so somebody else's: moved to {aside.name}", err=True)
 
 
+def digest_of(path: Path) -> str:
+    """SHA-256 of a file of any size."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
+
+
 def sums_below(folder: Path) -> bytes:
     """The list of all files below a folder but the list itself; a link counts as what it says."""
     lines: list[str] = []
     for path in sorted(folder.rglob("*")):
         if path.is_symlink() or (path.is_file() and path != folder / SUMS):
-            data = os.fsencode(path.readlink()) if path.is_symlink() else path.read_bytes()
-            lines.append(f"{hashlib.sha256(data).hexdigest()}  {path.relative_to(folder).as_posix()}\n")
+            digest = hashlib.sha256(os.fsencode(path.readlink())).hexdigest() if path.is_symlink() else digest_of(path)
+            lines.append(f"{digest}  {path.relative_to(folder).as_posix()}\n")
     return "".join(lines).encode(errors="surrogateescape")
 
 
@@ -194,7 +206,7 @@ class OutputFolder:
         """SHA-256 of a file; "" where there is none, or a link."""
         path = self.path / name
         try:
-            return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() and not path.is_symlink() else ""
+            return digest_of(path) if path.is_file() and not path.is_symlink() else ""
         except OSError:
             return ""
 
@@ -222,7 +234,7 @@ class OutputFolder:
         path, sums = self.path / SUMS, dict[str, list[str]]()
         if path.is_dir():
             raise InputError(f"{path}: expected a file, found a folder")
-        text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+        text = read_regular(path, MOST_BYTES).decode(errors="replace") if os.path.lexists(path) else ""
         for line in text.split("\n"):
             if (match := _LINE.fullmatch(line)) and self._is_own(match[2]):
                 sums.setdefault(match[2], []).append(match[1])

@@ -39,12 +39,12 @@ def write_named(path: Path, data: bytes | str) -> None:
 
     Args:
         path: the file.
-        data: bytes; text is written as UTF-8.
+        data: bytes; text is written as UTF-8, and what is no character (half of a pair) as an escape.
 
     Raises:
         InputError: it can't be written.
     """
-    data = data.encode() if isinstance(data, str) else data
+    data = encoded(data) if isinstance(data, str) else data
     with tell_errors(path):
         if path.exists() and not path.is_file() and not path.is_dir():
             with path.open("wb") as file:
@@ -63,6 +63,11 @@ def remove_unfinished(folder: Path) -> None:
         for path in folder.iterdir():
             if UNFINISHED.fullmatch(path.name):
                 path.unlink(missing_ok=True)
+
+
+def encoded(text: str) -> bytes:
+    """Text as UTF-8, whatever a stranger's program put into it: half of a surrogate pair becomes its escape."""
+    return text.encode(errors="backslashreplace")
 
 
 def make_folder(path: Path) -> None:

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import tracemalloc
 from pathlib import Path
 
 import click
@@ -304,6 +305,20 @@ def test_a_run_that_is_killed_can_be_resumed(finished, demo, tmp_path):
     assert (out / LOCK).exists()
     assert kept(demo, out) == 2
     assert contents(out) == contents(finished)
+
+
+def test_a_list_and_a_frame_of_any_length_take_no_memory(finished, out, demo, tmp_path):
+    """Both of 1 GiB that takes no place on the disk: the list is refused, the frame is another one."""
+    os.truncate(out / "frame.0002.exr", 1 << 30)
+    tracemalloc.start()
+    try:
+        assert kept(demo, out) == FRAMES - 1
+        os.truncate(out / SUMS, 1 << 30)
+        with pytest.raises(InputError, match="expected at most 64 MiB"):
+            kept(demo, out)
+        assert tracemalloc.get_traced_memory()[1] < 1 << 28
+    finally:
+        tracemalloc.stop()
 
 
 LINES = {  # what comes to the end of the list -> how many frames are kept

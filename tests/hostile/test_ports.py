@@ -3,6 +3,7 @@
 import json
 import os
 import sys
+import tracemalloc
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -20,6 +21,7 @@ from conformance.protocol.port import Case, PortError
 from conformance.protocol.program_port import FolderPort, smallest_case
 from conformance.protocol.stages import STAGES
 from conformance.report.failures import replay
+from conformance.report.report import write_json
 from conformance.suite.run_suite import run_suite
 from stss.cli.main import stss as command
 from stss.port import ReferencePort
@@ -248,6 +250,71 @@ def test_nothing_judged_is_a_failure(tmp_path, monkeypatch, port, stages):
     assert suite.get("failures") == "1"
     assert said in suite.find(".//failure").text
     assert "was not judged" in Path("page.html").read_text()
+
+
+ODD = """
+from stss.port import ReferencePort
+class Port(ReferencePort):
+    name = "odd \\ud800"
+    def run(self, stage, inputs, weights=None):
+        raise ValueError("no \\ud800 good")
+"""
+
+
+def test_half_a_character_in_a_ports_error_is_an_escape(tmp_path, monkeypatch):
+    """In what is printed, and in every file."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "odd_port", raising=False)
+    (tmp_path / "odd_port.py").write_text(ODD)
+    files = ["--json", "found.json", "--junit", "junit.xml", "--report", "page.html"]
+    done = CliRunner().invoke(command, ["conform", "--port", "odd_port:Port", "--stages", "rrm", "--fail-fast", *files])
+    assert (done.exit_code, type(done.exception)) == (1, SystemExit), done.output
+    assert "no \\ud800 good" in done.output
+    assert "no \\ud800 good" in Path("junit.xml").read_text()
+    assert "no \\ud800 good" in Path("page.html").read_text()
+    assert any("no \\ud800 good" in path.read_text() for path in Path("conform-failures").glob("*/README.txt"))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="folders without the right to write")
+def test_a_failure_that_cannot_be_kept_is_told_all_the_same(tmp_path, monkeypatch):
+    """In a folder that cannot be written to: the port's failure, a line why it is not kept, status 1."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.MonkeyPatch.context() as context:
+        context.setattr(ReferencePort, "run", lambda *_: {})
+        words = ["conform", "--port", "stss.port:ReferencePort", "--stages", "rrm", "--failures", "file/x"]
+        done = CliRunner().invoke(command, words)
+    assert (done.exit_code, type(done.exception)) == (1, SystemExit), done.output
+    assert "not kept: file/x: the folder cannot be made" in done.output
+    assert "--failures takes another folder" in done.output
+
+
+def test_a_report_that_cannot_be_written_is_one_line(tmp_path, monkeypatch):
+    """In the middle of a run: pytest would call it an internal error."""
+
+    def full(path, data):
+        raise InputError(f"{path}: cannot be written: No space left on device")
+
+    monkeypatch.setattr("conformance.report.report.write_named", full)
+    with pytest.raises(InputError, match="No space left"):
+        run_suite(Judge(ReferencePort()), ["rrm"], on_result=lambda result, total: write_json(tmp_path / "x.json", {}))
+
+
+@pytest.mark.parametrize("version", [1, 2, 3])
+def test_an_array_whose_header_is_as_long_as_its_file_is_not_read(job, version):
+    """A file of 4 GiB that takes no place on the disk."""
+    length = 0xFFFF if version == 1 else 0xFFFFFF00
+    path = job / "0000" / "in" / "color.npy"
+    with path.open("wb") as file:
+        file.write(b"\x93NUMPY" + bytes([version, 0]) + length.to_bytes(2 if version == 1 else 4, "little"))
+        file.truncate(length + 12)
+    tracemalloc.start()
+    try:
+        refused(call("port", job), "color.npy: not a .npy file of numbers: its header claims")
+        assert tracemalloc.get_traced_memory()[1] < 1 << 28
+    finally:
+        tracemalloc.stop()
 
 
 def test_no_stages_are_no_run():

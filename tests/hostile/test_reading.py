@@ -7,10 +7,11 @@ import subprocess
 import numpy as np
 import pytest
 
+from stss.images.exr_header import header_bytes
 from stss.images.read_write import write_rgb
 from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
-from tests.app.conftest import PLAIN, frame_channels, write_raw
+from tests.app.conftest import PLAIN, frame_channels, write_parts, write_raw
 from tests.hostile.cases import call, refused, unprivileged
 
 SIZE = (8, 16)
@@ -144,6 +145,28 @@ def test_an_unreadable_folder_is_one_line(tmp_path):
     folder.chmod(0)
     with unprivileged(), pytest.raises(InputError, match="cannot be read: Permission denied"):
         open_sequence(folder, "stss")
+
+
+@pytest.mark.parametrize("kind", ["string", "floatvector", "unknown"])
+def test_an_attribute_as_long_as_its_file_is_not_read(sequence, kind):
+    """3 GiB of zeros that take no place on the disk; OpenEXR would take as much memory."""
+    path = sequence / "seq.0002.exr"
+    data = path.read_bytes()
+    with path.open("wb") as file:
+        file.write(data[:8] + b"long\0" + kind.encode() + b"\0" + struct.pack("<I", 3 << 30))
+        file.truncate(3 << 30)
+    said(call("check", sequence, seconds=20), "seq.0002.exr: a header of more than 32 MiB")
+
+
+def test_a_header_is_measured_in_files_of_every_kind(tmp_path):
+    """Of one part and of several, up to the last attribute."""
+    size = 4 * len("a comment")
+    for parts in (1, 3):
+        path, attributes = tmp_path / f"{parts}.exr", {"comment": ("a comment" * 4,)}
+        write_parts(path, *(((np.zeros((4, 4, 1), np.float32)), ["Y"], attributes) for _ in range(parts)))
+        with path.open("rb") as file:
+            file.seek(4)
+            assert size * parts < header_bytes(file) < 1000 * parts
 
 
 def test_a_header_that_claims_more_than_the_file_can_hold(sequence):
