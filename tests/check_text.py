@@ -122,12 +122,22 @@ def broken_promises(page):
                 yield f"{file}::{name} is not there"
 
 
+def bad_workflow(path):
+    """Actions at a tag, which can be moved, and rights that are not limited."""
+    if not re.search(r"^permissions:\n  contents: read$", text(path), re.MULTILINE):
+        yield "no permissions: contents: read"
+    for action in re.findall(r"uses: *(\S+)", text(path)):
+        if not re.fullmatch(r"[\w./-]+@[0-9a-f]{40}", action):
+            yield f"{action}: expected the digest of a commit"
+
+
 def faults():
     """Every fault with its file."""
     for checks, paths in (
         ((bad_links, missing_names, bad_lines), PAGES),
         ((missing_modules, missing_licence), SOURCES),
         ((broken_promises,), [ROOT / "docs" / "promises.md"]),
+        ((bad_workflow,), [*(ROOT / ".github" / "workflows").glob("*.yml"), ROOT / "examples" / "conform.yml"]),
     ):
         for path in paths:
             yield from (f"{path.relative_to(ROOT)}: {fault}" for check in checks for fault in check(path))

@@ -110,14 +110,19 @@ def verdict(
         if found.lasting:
             stored = {"device": name, **asdict(found)}
             del stored["lasting"]
-            store(path, json.dumps(stored).encode())
+            store(path, _with_checksum(path, json.dumps(stored).encode()))
     return found
 
 
 def find_verdict(name: str, handle: cl.Device) -> Verdict | None:
     """The verdict stored for this device, its driver, this version of stss and these kernels; None if there is none."""
     try:
-        stored: Any = json.loads(read(_path(name, handle), _MOST_BYTES) or b"")
+        path = _path(name, handle)
+        content = read(path, _MOST_BYTES) or b""
+        text = content.partition(b"\n")[2]
+        if content != _with_checksum(path, text):
+            return None
+        stored: Any = json.loads(text)
         if stored.pop("device") != name or stored["outcome"] not in _OUTCOMES or not isinstance(stored["why"], str):
             return None
         numbers = stored["gflops"], stored["seconds"]
@@ -126,6 +131,14 @@ def find_verdict(name: str, handle: cl.Device) -> Verdict | None:
         return Verdict(**stored) if len(stored) == 4 else None  # outcome, why, gflops, seconds
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return None
+
+
+def _with_checksum(path: Path, text: bytes) -> bytes:
+    """A verdict behind a line with its checksum, which counts for this file's name alone: for this device, driver and version.
+
+    No secret is in it: who may write to the folder may run code as its owner anyway, in a cached kernel.
+    """
+    return hashlib.sha256(path.name.encode() + b"\n" + text).hexdigest().encode() + b"\n" + text
 
 
 def run_selftest(name: str, command: Sequence[str] = COMMAND, limit: float | None = None) -> Verdict:

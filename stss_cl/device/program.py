@@ -8,8 +8,8 @@ import json
 import os
 import re
 import warnings
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -89,7 +89,7 @@ def source(file: str) -> str:
 def _build(device: Device, file: str, options: str) -> cl.Program:
     text = source(file)
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), _our_options_alone():
             if "PYOPENCL_COMPILER_OUTPUT" in os.environ:
                 return _stored_or_built(device, text, options)
             # Not only faults: Intel's compiler reports every kernel that it has made vectors of.
@@ -99,6 +99,17 @@ def _build(device: Device, file: str, options: str) -> cl.Program:
     except cl.Error as error:
         log = str(error)
         raise DeviceError(f"kernels/{file} ({options}) does not build on {device.name}: {_fault(log, text)}", log) from None
+
+
+@contextmanager
+def _our_options_alone() -> Generator[None]:
+    """Hide ``$PYOPENCL_BUILD_OPTIONS``, which PyOpenCL adds to every program: no self-test has seen what it makes of ours."""
+    theirs = os.environ.pop("PYOPENCL_BUILD_OPTIONS", None)
+    try:
+        yield
+    finally:
+        if theirs is not None:
+            os.environ["PYOPENCL_BUILD_OPTIONS"] = theirs
 
 
 def _stored_or_built(device: Device, text: str, options: str) -> cl.Program:

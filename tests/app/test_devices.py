@@ -19,7 +19,7 @@ from stss.devices import selection as devices
 from stss.devices import selftest, verdicts
 from stss.devices.selection import choose
 from stss.devices.verdicts import Verdict, find_verdict, run_selftest, verdict
-from stss_cl.device import amx, program
+from stss_cl.device import amx, caches, program
 from stss_cl.device import discovery as cl_device
 from stss_cl.device.discovery import DeviceError, open_device
 from tests.hostile.cases import runs
@@ -221,6 +221,23 @@ def test_a_verdict_lapses_when_anything_changes(monkeypatch):
             change(changed)
             assert find_verdict("A: cpu", handle) is None
     assert find_verdict("A: cpu", handle)
+
+
+@pytest.mark.parametrize("edit", [(b"failed", b"passed"), (b'"why": "x"', b'"why": ""'), (b"2.0", b"9.0"), (b"}", b" }")])
+def test_an_edited_verdict_is_ignored(edit):
+    """Whatever is changed in it; and so is that of another device under this one's name."""
+    handle = fake("A", "cpu")
+    verdict("A: cpu", handle, command=answer({"why": "x", "gflops": 2.0}))
+    (path,) = caches.private("verdicts").glob("*.json")
+    before = path.read_bytes()
+    path.write_bytes(before.replace(*edit))
+    assert path.read_bytes() != before
+    assert find_verdict("A: cpu", handle) is None
+    path.write_bytes(before)
+    assert find_verdict("A: cpu", handle).why == "x"
+    newer = fake("A", "cpu", driver="2")
+    path.rename(verdicts._path("A: cpu", newer))
+    assert find_verdict("A: cpu", newer) is None
 
 
 # A busy machine

@@ -61,6 +61,13 @@ def test_a_compilers_warnings_do_not_reach_the_terminal(kernels, device, capfd, 
     assert capfd.readouterr() == ("", "")
 
 
+def test_build_options_of_others_reach_no_kernel(kernels, device, monkeypatch):
+    """PyOpenCL adds those of the environment to every program: with -cl-fast-relaxed-math a third of the holes went."""
+    monkeypatch.setenv("PYOPENCL_BUILD_OPTIONS", "-D THREE_AND_A_HALF -Dthree=four")
+    run_three(device)
+    assert os.environ["PYOPENCL_BUILD_OPTIONS"] == "-D THREE_AND_A_HALF -Dthree=four"
+
+
 def test_programs_go_with_their_device(kernels, device):
     """A process that opens a device for each film grew by all that PyOpenCL and the driver know of its programs."""
     opened = open_device()
