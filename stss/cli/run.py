@@ -21,13 +21,14 @@ from stss.cli.options import (
 from stss.cluster.run import run_on_cluster
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
+from stss.images.color import chromaticities, same_primaries
 from stss.run.frame_job import FrameReport
 from stss.run.job import Summary
 from stss.run.job import run as run_sequence
 from stss.run.options import RunOptions
 from stss.run.skip_report import Tally, describe_costs
 from stss.sequence.choose_weights import choose_weights
-from stss.sequence.reader import open_sequence
+from stss.sequence.reader import Sequence, open_sequence
 from stss_ground.commands import Subcommand
 from stss_ground.option_kinds import ReadPath, WrittenFolder
 from stss_ground.progress import show_progress, track
@@ -77,6 +78,8 @@ def run(
     if background == "camera":
         _tell("background: its motion is computed from the camera, which positions show; the files' is not used")
     options = RunOptions.of(frames.profile, format=suffix, **chosen)
+    if suffix == "png":
+        _tell_of_png(frames, options)
     reads = [Path(weights)]
     loaded = choose_weights(weights, frames, _tell)
     first, last = options.frames or (frames.numbers[0], frames.numbers[-1])
@@ -101,6 +104,15 @@ def run(
     _report(summary, out, console)
     _tell(_speed(summary, frames.size, time.monotonic() - start))
     sys.exit(1 if any(frame.fault for frame in summary.frames) else 0)
+
+
+def _tell_of_png(sequence: Sequence, options: RunOptions) -> None:
+    if others := sequence.carries(options.also):
+        _tell(f"png: without {', '.join(others)}; --format exr has them")
+    found = chromaticities(sequence.frames[sequence.numbers[0]].attributes)
+    if not same_primaries(found):
+        shown = ", ".join(f"{x:.4g}" for x in found)
+        _tell(f"png: the colours' primaries are not sRGB's ({shown}), and are not converted: a viewer shows other colours")
 
 
 def _tell(line: str) -> None:

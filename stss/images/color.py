@@ -8,12 +8,13 @@ library and SciPy, which it needs, are 40 MB, and a second at each start of ``st
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stss.images.headers import Value
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array, require_finite, require_shape
 
@@ -25,6 +26,11 @@ LARGEST = 65504.0
 
 HDR_IS_GONE = "hdr is gone: srgb carries highlights past the network, and is nearer to the truth"
 """Its inverse made a lamp of 50 into pixels of 65504 (docs/decisions/0039)."""
+
+REC709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
+"""Chromaticities x, y of red, green, blue and white: of Rec. 709 and sRGB, and of a file that names none."""
+SAME_PRIMARIES = 1e-3
+"""Chromaticities that differ by less are rounded ones."""
 
 BLOCK = 1 << 15
 """Pixels converted at a time."""
@@ -100,6 +106,17 @@ class Transfer:
             ArrayError: ``color`` is not (H, W, 3).
         """
         return _by_blocks("color", self._display, color)
+
+
+def chromaticities(attributes: Mapping[str, Value]) -> tuple[float, ...]:
+    """Those that a file's metadata say, or `REC709`."""
+    found = attributes.get("chromaticities")
+    return tuple(map(float, found)) if isinstance(found, tuple) and len(found) == len(REC709) else REC709
+
+
+def same_primaries(a: Iterable[float], b: Iterable[float] = REC709) -> bool:
+    """Whether two sets of chromaticities are alike."""
+    return all(abs(x - y) < SAME_PRIMARIES for x, y in zip(a, b, strict=True))
 
 
 def transfer(name: str) -> Transfer:

@@ -29,6 +29,8 @@ _TYPES = {
     "worldToNDC": "matrix",
 }
 """Metadata of several numbers -> OpenImageIO's type; the others are floats."""
+_OF_A_SCENE = ("oiio:ColorSpace", "chromaticities", "whiteLuminance")
+"""Metadata of scene-linear colour. In a PNG a viewer would take a linear space to be that of its pixels, and show them washed out."""
 
 _CHUNK_LINES = 16
 """Lines that EXR's ``zip`` compresses together."""
@@ -78,19 +80,19 @@ def encode_exr(
 
 
 def encode_png(path: Path, pixels: np.ndarray[Any, np.dtype[np.uint8]], metadata: Mapping[str, Value]) -> bytes:
-    """Encode a PNG of 8 bits.
+    """Encode a PNG of 8 bits, tagged as sRGB, which it is.
 
     Args:
         path: where it will lie, for messages.
         pixels: (H, W, C).
-        metadata: name -> value.
+        metadata: name -> value; what describes the colours of a scene is left out.
 
     Raises:
         InputError: memory or the limit on the size of files does not suffice.
     """
     spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], "uint8")
     spec.attribute("oiio:ColorSpace", "srgb_rec709_scene")
-    data = _encoded(path, ".png", spec, pixels, metadata)
+    data = _encoded(path, ".png", spec, pixels, {name: value for name, value in metadata.items() if name not in _OF_A_SCENE})
     if not whole_png(io.BytesIO(data[8:])):
         raise _cut_short(path)
     return data

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stss.images.color import TRANSFERS, transfer
+from stss.images.color import TRANSFERS, chromaticities, same_primaries, transfer
 from stss.images.headers import Value
 from stss.images.read_write import read_header, read_rgb
 from stss.sequence.find_files import numbered_files
@@ -20,10 +20,6 @@ from stss_ref.arrays import Image
 KINDS = ("SF", "EF")
 SUFFIXES = (".png", ".exr")
 MADE_WITH = ("method", "weights", "backend", "transfer")
-REC709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
-"""Chromaticities x, y of red, green, blue and white."""
-SAME_PRIMARIES = 1e-3
-"""Chromaticities that differ by less are rounded ones."""
 FALLBACK = "srgb"
 """The transfer for files that name none."""
 
@@ -153,14 +149,11 @@ def _pair(output: Path, truth: Path, non_finite: NonFinite) -> Pair:
 
 
 def _differ(output: Mapping[str, Value], truth: Mapping[str, Value]) -> tuple[str, str] | None:
-    """The primaries and white points of both as text, where they differ; a file that names none has those of Rec. 709."""
-    found = [attributes.get("chromaticities", REC709) for attributes in (output, truth)]
-    numbers = [
-        np.array(value, np.float64) if isinstance(value, tuple) and len(value) == 8 else np.array(REC709) for value in found
-    ]
-    if np.abs(numbers[0] - numbers[1]).max() < SAME_PRIMARIES:
+    """The primaries and white points of both as text, where they differ."""
+    ours, theirs = chromaticities(output), chromaticities(truth)
+    if same_primaries(ours, theirs):
         return None
-    return tuple(", ".join(f"{x:.4g}" for x in value) for value in numbers)  # pyright: ignore[reportReturnType]
+    return ", ".join(f"{x:.4g}" for x in ours), ", ".join(f"{x:.4g}" for x in theirs)
 
 
 def _share(path: Path, text: Value | None) -> float | None:

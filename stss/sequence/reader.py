@@ -196,6 +196,10 @@ class Sequence:
             carried=carried,
         )
 
+    def carries(self, also: Collection[str] = ()) -> tuple[str, ...]:
+        """Names of the planes that come along with the colour of the first rendered frame, see `load`."""
+        return tuple(self._carried(min(self.rendered), also)) if self.rendered else ()
+
     @property
     def one_view(self) -> str:
         """What to say where the files have several views, of which the profile names one; empty where they have not."""

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from stss.images.color import transfer
+from stss.images.color import REC709, transfer
 from stss.images.encode import encode_exr
 from stss.images.read_write import write_mask, write_rgb
 from stss.quality.compare import compare, facts, print_comparison
-from stss.quality.output_and_truth import REC709
 from stss_ground.errors import InputError
 from tests.app.conftest import write_raw
 from tests.hostile.cases import call, refused

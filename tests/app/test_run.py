@@ -239,6 +239,47 @@ def test_two_channels_of_one_name_are_told_apart(write_frames, tmp_path):
         refused(result, "seq.0001.exr", f"--also {also}", f"channel {also} would take the place of ViewLayer.Combined.{also}")
 
 
+def linear_frames(write_frames, **metadata):
+    """Frames with alpha, as Blender 5 tags them: scene-linear Rec. 709."""
+    folder = write_frames(range(3), change=lambda _, c: c | {"A": 0.5 * np.ones((48, 64))}, rendered=(0, 2))
+    for path in folder.glob("*.exr"):
+        give_metadata(path, {"oiio:ColorSpace": "lin_rec709_scene", **metadata})
+    return folder
+
+
+def test_a_png_is_tagged_as_what_it_is(write_frames, tmp_path):
+    """sRGB, whatever the input's colours were; what has no place in it is told."""
+    wide = 0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.329
+    folder = linear_frames(write_frames, chromaticities=wide)
+    result = call("run", folder, "-o", tmp_path / "out", *PLAIN, "--format", "png", "--also", "basecolor")
+    assert result.returncode == 0, result.stderr
+    assert "png: without A, basecolor.R, basecolor.G, basecolor.B; --format exr has them" in result.stderr
+    assert "png: the colours' primaries are not sRGB's (0.708, 0.292, " in result.stderr
+    for path in (*(tmp_path / "out").glob("*.png"), *(tmp_path / "out" / "holes").glob("*.png")):
+        data = path.read_bytes()
+        assert b"sRGB" in data
+        assert b"gAMA" + (45455).to_bytes(4, "big") in data
+    plain = call("run", linear_frames(write_frames), "-o", tmp_path / "exr", *PLAIN)
+    assert "png:" not in plain.stderr
+
+
+def test_a_browser_shows_the_pixels_of_each_picture(write_frames, tmp_path, ask):
+    """Colour management leaves an image's levels as they are where its tags are right."""
+    folder = linear_frames(write_frames)
+    assert call("run", folder, "-o", tmp_path / "out", *PLAIN, "--format", "png").returncode == 0
+    for name in ("frame.0000.png", "frame.0001.png", "holes/frame.0001.png"):
+        page = tmp_path / "page.html"
+        page.write_text(f'<img src="out/{name}">')
+        script = """const image = page.querySelector("img"); await image.decode();
+            const canvas = page.createElement("canvas"); canvas.width = image.naturalWidth; canvas.height = image.naturalHeight;
+            const context = canvas.getContext("2d"); context.drawImage(image, 0, 0);
+            return [canvas.height, canvas.width, [...context.getImageData(0, 0, canvas.width, canvas.height).data]];"""
+        height, width, data = ask(page, script)
+        shown = np.array(data).reshape(height, width, 4)
+        assert (shown[..., 3] == 255).all()
+        np.testing.assert_array_equal(shown[..., :3], np.rint(255 * read_rgb(tmp_path / "out" / name)))
+
+
 def give_metadata(path, metadata):
     channels = read_channels(path, read_header(path).channels)
     pixels = np.stack(list(channels.values()), axis=-1)

@@ -50,7 +50,7 @@ def _hangs(*_):
     raise HangError("no end in time")
 
 
-NOTES = ("first start: ", "weights: ", "profile: ", "camera: ")
+NOTES = ("first start: ", "weights: ", "profile: ", "camera: ", "views: ", "background: ", "png: ")
 """What a command tells beside its error."""
 
 
