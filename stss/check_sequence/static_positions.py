@@ -18,6 +18,8 @@ from stss_ref.arrays import Array, Image
 from stss_ref.holes import holes
 from stss_ref.sample import follow, leads_inside
 
+NEAR = 1e-2
+"""Share of the distance to what is seen, below which the camera is at the origin."""
 OFF = 0.25
 """Pixels: the largest median error of the background's motion that is not told."""
 MIN_PIXELS = 200
@@ -49,6 +51,7 @@ class StaticVerdict:
         residual: median distance of a pixel to where its own position is projected; pixels.
         error: median error of the stored motion; pixels.
         motion: what the stored motion seems to be, where that fits clearly better; empty otherwise.
+        relative: positions begin at the camera, in every frame, and motion says that it moves.
         fit: true motion over stored motion by least squares, ``(scale, offset)`` for x and y.
         depth: median deviation from the distance along the view; -1 where depth falls with distance.
         normals: share of the surfaces along which normals point, as stored and after the one turn that fits best.
@@ -59,6 +62,7 @@ class StaticVerdict:
     residual: float
     error: float
     motion: str
+    relative: bool
     fit: tuple[tuple[float, float], ...]
     depth: float
     normals: tuple[float, float]
@@ -81,6 +85,14 @@ class StaticVerdict:
         return [*self._motion(), *self._holes(), *self._others()]
 
     def _motion(self) -> list[Line]:
+        if self.relative and not self.agrees:
+            return [
+                (
+                    "warning",
+                    "position: relative to the camera, or in view space: it is at (0, 0, 0) in every frame, and motion says that it "
+                    "moves; holes will be wrong: write world positions, which have the camera's added",
+                )
+            ]
         over = f"by the positions of {self.pixels} static pixels"
         if self.agrees:
             return [("note", f"motion: right to {self.error:.2g} pixels, {over}")]
@@ -179,7 +191,7 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
     within: list[tuple[float, float]] = []
     repeated: list[int] = []
     sky: list[tuple[float, float, float, float]] = []
-    size, mirrored = (0, 0), None
+    size, mirrored, relative = (0, 0), None, True
     for before, now in pairs:
         size = now.size
         still = (now.stencil == 0) & np.isfinite(now.depth) & np.isfinite(now.motion).all(axis=-1)
@@ -198,6 +210,7 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
         kept = (away > 0) & (there >= 0).all(axis=-1) & (there <= (size[1] - 1, size[0] - 1)).all(axis=-1)
         if not kept.any():
             continue
+        relative &= all(_at_origin(*of) for of in ((earlier, before), (current, now)))
         mirrored, here = current.mirrored, np.argwhere(static)[kept, ::-1]
         stored = [motion[static].astype(np.float64)[kept] for motion in (now.motion, np.nan_to_num(now.motion[::-1]))]
         found.append((there[kept] - here, *stored))
@@ -207,12 +220,21 @@ def judge_static_geometry(pairs: Iterable[tuple[Buffers, Buffers]]) -> StaticGeo
         valid, inside = holes(now.motion, *surfaces, now.nov, now.depth), leads_inside(follow(now.motion))
         share = static_holes(np.where(inside, now.stencil, 1), now.normal, valid) or 0.0
         single.append((max(earlier.residual, current.residual), _depth(now, current), *_normals(now), share))
-    positions = _verdict(found, single, size, mirrored=mirrored) if found else None
+    positions = _verdict(found, single, size, mirrored=mirrored, relative=relative) if found else None
     background = None
     if sky:
         share, turns, error, largest = np.median(sky, axis=0)
         background = BackgroundVerdict(float(share), float(turns), float(error), bool(largest == 0))
     return StaticGeometry(positions, Jitter(tuple(against), tuple(within)), tuple(repeated), background)
+
+
+def _at_origin(projection: Projection, frame: Buffers) -> bool:
+    """Whether positions put the camera at (0, 0, 0), to a share of what is seen."""
+    camera = projection.camera
+    if camera is None:
+        return False
+    away = np.linalg.norm(frame.position[static_surfaces(frame)].astype(np.float64) - camera, axis=-1)
+    return bool(np.linalg.norm(camera) < NEAR * np.median(away))
 
 
 def _background(expected: Image, now: Buffers) -> list[tuple[float, float, float, float]]:
@@ -233,6 +255,7 @@ def _verdict(
     size: tuple[int, int],
     *,
     mirrored: bool | None,
+    relative: bool,
 ) -> StaticVerdict:
     true, stored, reversed_rows = (np.concatenate(of) for of in zip(*found, strict=True))
     residual, depth, along, turned, share = (float(np.median(of)) for of in zip(*single, strict=True))
@@ -241,12 +264,13 @@ def _verdict(
     fit = tuple(_line(true[:, k], stored[:, k]) for k in (0, 1))
     half, tells = _half_a_pixel(fit), errors[best] <= min(BETTER * own, max(AGREES, 3 * residual))
     best, tells = half or best, tells or bool(half)
+    relative = relative and _not_linear(stored, true) > max(AGREES, 3 * residual)  # a turn alone moves all as positions do
     moves, claims = (float(np.median(np.linalg.norm(of, axis=-1))) for of in (true, stored))
     if not stored.any() and moves > MOVES:
         best, tells = "0, though the camera moves", True
     if moves <= 3 * residual and claims > MOVES:
-        best, tells = "right if positions are the camera's: are they in view space?", True
-    return StaticVerdict(len(true), residual, own, best if tells else "", fit, depth, (along, turned), share)
+        best, tells = "right if positions are the camera's: are they in view space, or relative to the camera?", True
+    return StaticVerdict(len(true), residual, own, best if tells else "", relative, fit, depth, (along, turned), share)
 
 
 def _is_repeated(before: Buffers, now: Buffers) -> bool:
@@ -290,6 +314,12 @@ def _half_a_pixel(fit: Iterable[tuple[float, float]]) -> str:
 
 def _error(true: Array, guess: Array) -> float:
     return float(np.median(np.linalg.norm(true - guess, axis=-1)))
+
+
+def _not_linear(of: Array, by: Array) -> float:
+    """The median distance of motions (N, 2) from the best linear function of others."""
+    terms = np.column_stack([by, np.ones(len(by))])
+    return _error(of, terms @ np.linalg.lstsq(terms, of, rcond=None)[0])
 
 
 def _line(true: Array, stored: Array) -> tuple[float, float]:

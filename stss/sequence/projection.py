@@ -48,6 +48,13 @@ class Projection:
         """(3, 3): takes directions of the world to homogeneous places in the frame; of a scene that is not flat."""
         return self.matrix[:, :3] @ self.axes
 
+    @property
+    def camera(self) -> Array | None:
+        """(3,) where the camera is, the place that is projected nowhere; None where the scene is flat."""
+        if len(self.axes) < 3:
+            return None
+        return self.origin - np.linalg.solve(self.far, self.matrix[:, 3])
+
     def project(self, position: Array) -> tuple[Array, Array]:
         """(N, 2) pixels x, y of places (N, 3), and (N,) their distance along the view, in some unit; below 0 behind the camera."""
         x, y, w = self.matrix @ _homogeneous(self.axes, position - self.origin)

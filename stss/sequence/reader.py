@@ -30,6 +30,8 @@ from stss_ref.arrays import Array, Mask
 
 SURFACE = ("depth", "normal", "position")
 """Buffers without which a pixel shows no surface."""
+LEAST = 3
+"""Fewest buffers by which a profile is found: colour alone has the same names everywhere."""
 MAX_RESIDUAL = 1e-2
 """Largest residual of a camera that is found from position and depth: NoV then is wrong by no more."""
 
@@ -368,24 +370,40 @@ def find_profile(path: Path) -> Profile:
     """The built-in profile whose channels the first frame has most of.
 
     Raises:
-        InputError: there is no sequence, no profile has three buffers or more, or two have as many.
+        InputError: there is no sequence, no profile has three buffers or more, two have as many, or several layers fit the only one.
     """
     scores: dict[str, int] = {}
     refusals: list[InputError] = []
+    layers: list[InputError] = []
+    views: tuple[str, ...] = ()
     for name in profile_names():
         table = load_profile(name)
         try:
             found = find_frames(path, {table.file_of(buffer) for buffer in BUFFERS})
             files = found[min(found)]
             headers = {ending: read_header(file) for ending, file in files.items()}
-            scores[name] = len(_frame_of(min(found), headers, table, None, None).sources)
         except InputError as error:
             refusals.append(error)
+            continue
+        views = views or next((header.views for header in headers.values()), ())
+        try:
+            scores[name] = len(_frame_of(min(found), headers, table, None, None).sources)
+        except InputError as error:
+            layers.append(error)
+    if layers and max(scores.values(), default=0) < LEAST:
+        raise layers[0]
     if not scores:
         raise refusals[0]
     best = [name for name, score in scores.items() if score == max(scores.values())]
-    if len(best) > 1 or scores[best[0]] < 3:  # colour alone has the same names everywhere
-        raise InputError(f"{path}: the channels fit no profile alone; say --profile {', '.join(profile_names())} or a TOML file")
+    if len(best) > 1 or scores[best[0]] < LEAST:
+        why = (
+            f"; the files have views {', '.join(views)}: names of channels with a view need a profile of their own"
+            if views
+            else ""
+        )
+        raise InputError(
+            f"{path}: the channels fit no profile alone; say --profile {', '.join(profile_names())} or a TOML file{why}"
+        )
     return load_profile(best[0])
 
 

@@ -7,6 +7,7 @@ from conformance.scenes import SCENES, render
 from stss.check_sequence.report import check
 from stss.demo import demo_path, frame_channels
 from stss.images.read_write import write_channels
+from stss.sequence.solve_camera import solve_camera
 
 SIZE = (54, 96)
 NUMBERS = range(4)
@@ -121,3 +122,34 @@ def test_each_mistake_is_named(found, changes, said):
     warnings, _ = found(change)
     for text in said:
         assert any(text in line for line in warnings), warnings
+
+
+@pytest.mark.parametrize("scene", ["flythrough", "demo"])
+def test_positions_relative_to_the_camera_are_named_and_motion_is_not(tmp_path, scene):
+    """Whether the camera turns or not; where it is at the origin anyway, a wrong motion is one all the same."""
+    for number in NUMBERS:
+        channels = frame_channels(render(SCENES[scene], number, *SIZE), rendered=True)
+        position = np.stack([channels[f"position.{axis}"] for axis in "XYZ"], axis=-1)
+        solved = solve_camera(np.where(channels["depth.Z"] < 1e9, channels["depth.Z"], np.inf), position)
+        channels |= {
+            f"position.{axis}": (position[..., i] - solved.pose.position[i]).astype(np.float32) for i, axis in enumerate("XYZ")
+        }
+        write_channels(demo_path(tmp_path, number), channels)
+    warnings = [f.text for f in check(tmp_path, "stss").findings if f.level == "warning"]
+    assert any("relative to the camera" in text for text in warnings), warnings
+    assert not any(text.startswith("motion") and "relative to the camera" not in text for text in warnings), warnings
+
+
+def test_a_camera_at_the_origin_blames_no_position(tmp_path):
+    for number in NUMBERS:
+        channels = frame_channels(render(SCENES["pan"], number, *SIZE), rendered=True)
+        position = np.stack([channels[f"position.{axis}"] for axis in "XYZ"], axis=-1)
+        solved = solve_camera(np.where(channels["depth.Z"] < 1e9, channels["depth.Z"], np.inf), position)
+        channels |= {
+            f"position.{axis}": (position[..., i] - solved.pose.position[i]).astype(np.float32) for i, axis in enumerate("XYZ")
+        }
+        channels["motion.X"] = -channels["motion.X"]
+        write_channels(demo_path(tmp_path, number), channels)
+    warnings = [f.text for f in check(tmp_path, "stss").findings if f.level == "warning"]
+    assert any(text.startswith("motion: seems to be ") for text in warnings)
+    assert not any("relative to the camera" in text for text in warnings)

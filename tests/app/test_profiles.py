@@ -3,11 +3,15 @@
 import re
 
 import numpy as np
+import OpenImageIO as oiio  # noqa: N813
 import pytest
 
+from stss.images.read_write import write_channels
 from stss.sequence.conventions import linear_depth, motion_in_pixels
 from stss.sequence.profiles import BUFFERS, DepthRule, load_profile, profile_names
+from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
+from tests.app.conftest import write_parts
 
 BUILT_IN = ("blender", "mitsuba", "stss", "unreal", "unreal-mrq")
 
@@ -91,3 +95,26 @@ def test_device_depth(reverse, far):
     depth = linear_depth((stored if reverse else 1 - stored).astype(np.float64), rule)
     np.testing.assert_array_equal(np.rint(depth[0, :5] * 1000), z[0] * 1000)
     assert np.isinf(depth[0, 5])
+
+
+def test_two_layers_without_a_profile_are_named(tmp_path):
+    """Blender's view layers BG and FG: the error is the one that --profile blender gives."""
+    names = [n for of in load_profile("blender").channels.values() for n in of[0]]
+    for number in (1, 2):
+        channels = {n.replace("{layer}", layer): np.ones((4, 4)) for layer in ("BG", "FG") for n in names}
+        write_channels(tmp_path / f"a.{number:04d}.exr", channels)
+    for profile in (None, "blender"):
+        with pytest.raises(InputError, match=r"a\.0001\.exr: layers BG, FG all fit profile blender; write the layer's name"):
+            open_sequence(tmp_path, profile)
+
+
+def test_views_in_the_names_of_channels_are_named(tmp_path):
+    """Blender's stereo files: LAYER.PASS.VIEW.CHANNEL."""
+    names = [n.replace("{layer}", "ViewLayer") for of in load_profile("blender").channels.values() for n in of[0]]
+    both = [f"{n.rpartition('.')[0]}.{view}.{n.rpartition('.')[2]}" for n in names for view in ("left", "right")]
+    pixels = np.ones((4, 4, len(both)), np.float32)
+    write_parts(tmp_path / "a.0001.exr", (pixels, tuple(both), {"multiView": (oiio.TypeDesc("string[2]"), ("left", "right"))}))
+    with pytest.raises(
+        InputError, match="the files have views left, right: names of channels with a view need a profile of their own"
+    ):
+        open_sequence(tmp_path)
