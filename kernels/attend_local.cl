@@ -9,7 +9,7 @@
 //  reshaded  out  padded, (out_channels)    channels 0 .. VALUES - 1 of it
 //
 // `height`, `width`: at 1/8 size.  `tiles`, `count`: the tiles of 4 x 4 pixels that are computed, see tile_list.clh.
-// Build -D KEYS=32 -D VALUES=64 (multiples of 8), optionally -D STORED -D MARK.  Work-group (2 VALUES); launch any number of groups.
+// Build -D KEYS=32 -D VALUES=64 (multiples of 8), optionally -D STORED -D MARK (change_map.clh).  Work-group (2 VALUES); launch any number of groups.
 #if !defined(KEYS) || !defined(VALUES)
 #error "attend_local.cl needs -D KEYS, VALUES"
 #endif

@@ -16,7 +16,7 @@
 // `tiles`, `count`: the tiles of 4 x 4 pixels of the output that are computed, see tile_list.clh. Launch (any multiple of WORKERS, OUT / 8 / EIGHTS_HELD
 // or a divisor of it).
 //
-// -D MARK: a value is compared with the one that is stored, and `changes`, the output's map, marked where bits came to differ (change_map.clh).
+// Where MARKS(changes), the output's map, a value is compared with the one that is stored, and marked where bits came to differ (change_map.clh).
 #if !defined(A) || !defined(B) || !defined(OUT) || !defined(KERNEL) || !defined(STRIDE) || !defined(PIXELS) || !defined(EIGHTS_HELD) || \
     !defined(GROUP)
 #error "conv.cl needs -D A, B, OUT, KERNEL, STRIDE, PIXELS, EIGHTS_HELD, GROUP"

@@ -3,7 +3,7 @@
 // and its weights into local memory; a work-item holds eight outputs of 4 x ROWS pixels in registers. Buffers and weights as in conv.cl.
 //
 // Build -D A -D B -D OUT (multiples of 8; A may be 4 where not GATED) -D STRIDE -D ROWS (1 or 2: pixels of a work-item, one above the other),
-// optionally -D GATED -D RELU -D STORED -D MARK.  Work-group (8, 4, OUT / 8): 32 x 4 ROWS pixels, a tile of the list (tile_list.clh); launch (8 tiles, 4, OUT / 8).
+// optionally -D GATED -D RELU -D STORED -D MARK (change_map.clh).  Work-group (8, 4, OUT / 8): 32 x 4 ROWS pixels, a tile of the list (tile_list.clh); launch (8 tiles, 4, OUT / 8).
 // -D IMAGES: several one behind the other, a list's rows likewise, `tile_rows` of each. From one to the next lie a_next and out_next values, map_next of `changes`.
 //
 // 32 neighbouring work-items form 8 x 4 and compute the same eight outputs: their weights are a broadcast, and their inputs are 128

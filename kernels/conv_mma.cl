@@ -7,7 +7,7 @@
 //  gate_weight       not read
 //
 // Build -D STORED=HALF -D A -D B -D OUT -D OUTPUTS (outputs of a work-group) -D EIGHTS (of channels at once, a divisor of (A + B) / 8) -D STRIDE -D ROWS (1 or 2),
-// all channels multiples of 8; optionally -D EMULATE (mma.clh) -D GATED -D RELU -D MARK.
+// all channels multiples of 8; optionally -D EMULATE (mma.clh) -D GATED -D RELU -D MARK (change_map.clh).
 // -D IMAGES: see conv_local.cl.
 // Work-group (LANES, WAVES): 32 x 4 ROWS pixels, a tile of the list; launch (LANES tiles, WAVES OUT / OUTPUTS).
 //
@@ -63,7 +63,7 @@ static inline float opening(const float4 sum, const int k)
 
 static inline void put(const uint after, global ushort *to, global uchar *changed)
 {
-#ifdef MARK
+#if MARK
     if (*(global const uint *)to != after) *changed = 1;
 #endif
     *(global uint *)to = after;

@@ -6,11 +6,11 @@
 //  mask      in   (H, W) of MASK    1 = to be trusted
 //  eighth    out  padded, (16)      both at 1/8 size: gbuffer 9, mask, zeros 6
 //
-// `dirty` (H / 4, W / 4, rounded up to whole eights of pixels): read with -D MARK: only what has a dirty tile is computed.
+// `dirty` (H / 4, W / 4, rounded up to whole eights of pixels): where MARKS(changes), only what has a dirty tile is computed.
 // `height`, `width`: of the frame; `down`, `across`: of `eighth`, whose row 0 is the frame's row `top`.
 // Build -D MASK=float or uchar, optionally -D STORED.  Launch (across, down), or more.
 //
-// -D MARK: a value is compared with the one that is stored, and `changes`, the output's map, marked where bits came to differ (change_map.clh).
+// Where MARKS(changes), the output's map, a value is compared with the one that is stored, and marked where bits came to differ (change_map.clh).
 #ifndef MASK
 #error "downsample_8.cl needs -D MASK"
 #endif
@@ -24,10 +24,8 @@ kernel void downsample_8(global const float *restrict gbuffer, global const MASK
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= across || y >= down) return;
-#ifdef MARK
     global const uchar *upper = dirty + 4 * y * across + 2 * x, *lower = upper + 2 * across;
-    if (!(upper[0] | upper[1] | lower[0] | lower[1])) return;
-#endif
+    if (MARKS(changes) && !(upper[0] | upper[1] | lower[0] | lower[1])) return;
     const int west = min(8 * x + 3, width - 1), east = min(8 * x + 4, width - 1);
     const int north = min(top + 8 * y + 3, height - 1) * width, south = min(top + 8 * y + 4, height - 1) * width;
     const int nw = north + west, ne = north + east, sw = south + west, se = south + east;

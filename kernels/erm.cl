@@ -12,7 +12,7 @@
 // `tiles`, `count`: the tiles of 4 x 4 pixels that are computed, see tile_list.clh.
 // Build -D KEYS=32 -D VALUES=64 (multiples of 8) -D WORKERS (16 or 1), optionally -D STORED.  Launch (any multiple of WORKERS).
 //
-// -D MARK: a value is compared with the one that is stored, and `changes`, the output's map, marked where bits came to differ (change_map.clh).
+// Where MARKS(changes), the output's map, a value is compared with the one that is stored, and marked where bits came to differ (change_map.clh).
 #if !defined(KEYS) || !defined(VALUES)
 #error "erm.cl needs -D KEYS, VALUES"
 #endif

@@ -17,12 +17,12 @@
 //  color3           out     (R, C, 4)         rgb of the same, 0
 //  mask             out     (H, W)            1 = newest frame to be trusted
 //  bad              out     (5)               set to 1 where an input is not finite, if `checks`: prepare.clh
-//  dirty, *_changes in, out                   maps of the tiles to compute, and of those that then differ: -D MARK
+//  dirty, *_changes in, out                   maps of the tiles to compute, and of those that then differ; null: all are computed, none marked
 //
 // R, C = rows, columns = H, W rounded up to multiples of 8, filled by repeating the last row and column. Pixel (y, x) of history
 // and x0 is at (y + 1, x + 1); their border of zeros is never written.
 // history, x0 and color3 may be a strip of the frame: R rows whose row 0 is the frame's row `top`; mask and keys are of the whole.
-// Build: -D of motion_chain.clh and holes.cl, optionally -D STORED (history and x0), -D STREAM, -D MARK, and -D EIGHTS: eight pixels in a row to a
+// Build: -D of motion_chain.clh and holes.cl, optionally -D STORED (history and x0), -D STREAM, and -D EIGHTS: eight pixels in a row to a
 // work-item, for processors; -D LONGEST where GATHER is gather_longest; -D DETAIL: the second colour is what warped frames show within a pixel;
 // -D RESHADE: stage reshade fills the holes.
 // Order: chain_steps, prepare_older for each older frame where the history is read, prepare_newest, splat_nearest, splat_first (with -D RESHADE find_samples), fill_holes; then downsample_8.cl.
@@ -46,9 +46,8 @@ kernel void chain_steps(global const float2 *restrict motion0, global const floa
 {
     const int left = get_global_id(0) * AT_ONCE, y = get_global_id(1);
     if (left >= width || y >= height) return;
-#ifdef MARK
-    if (!any_dirty(dirty, left, y, (width + 7) / 8 * 8, AT_ONCE)) return;  // nothing has moved there, and the motion is 0 already
-#endif
+    // Elsewhere nothing has moved, and the motion is 0 already.
+    if (MARKS(dirty) && !any_dirty(dirty, left, y, (width + 7) / 8 * 8, AT_ONCE)) return;
     const Chain c = {{motion0, motion1, motion2, motion3, motion4}, newest, middle, oldest, to_newest, to_middle, to_oldest, height, width};
 #if defined(EIGHTS) && defined(LONGEST)
     if (left + 8 <= width) {
@@ -65,9 +64,7 @@ INLINE void prepare_pixels(const Frame f, global int *bad, const int checks)
     const Strip s = f.strip;
     const int x = get_global_id(0) * AT_ONCE, y = get_global_id(1);
     if (x >= s.columns || y >= s.rows) return;
-#ifdef MARK
-    if (is_quiet(f, x, y, AT_ONCE)) return;
-#endif
+    if (f.marks && is_quiet(f, x, y, AT_ONCE)) return;
     const int pixel = (s.top + y) * s.width + x, shown = s.top + y < s.height ? least(s.width - x, AT_ONCE) : 0;
 #ifdef EIGHTS
     if (checks && shown == 8)
@@ -103,7 +100,7 @@ kernel void prepare_older(PLANES, global stored *restrict history, global uchar 
                           const int is_missing)
 {
     const Frame f = {OF_PLANES, .is_warped = is_warped, .is_missing = is_missing, .is_stored = true, .strip = strip,
-                     .history = history, .image = image, .dirty = dirty,
+                     .history = history, .image = image, .marks = MARKS(dirty), .dirty = dirty,
                      .history_changes = history_map(history_changes, strip, image)};
     prepare_pixels(f, bad, checks);
 }
@@ -127,7 +124,7 @@ kernel void prepare_newest(PLANES, global stored *restrict history, global uchar
     const Frame f = {OF_PLANES, .is_newest = true, .is_warped = is_warped, .is_stored = stores, .strip = strip,
                      .history = history, .image = 2, OF_OLDER,
                      .x0 = x0, .color3 = color3, .mask = mask, .keys = keys, .first = first, .marks_wanted = marks_wanted,
-                     .dirty = dirty, .input_changes = input_changes, .history_changes = history_map(history_changes, strip, 2)};
+                     .marks = MARKS(dirty), .dirty = dirty, .input_changes = input_changes, .history_changes = history_map(history_changes, strip, 2)};
     prepare_pixels(f, bad, checks);
 }
 
@@ -186,6 +183,6 @@ kernel void fill_holes(global const float *restrict color, global const float2 *
 #endif
     const Frame f = {OF_OLDER, .stencil = stencil, .stencil_previous = stencil_previous, .is_warped = true, .color = color, .motion = motion, .gbuffer = gbuffer, .normal = normal,
                      .normal_stride = normal_stride, .samples = samples, .keys = keys, .first = first, .mask = mask, .x0 = x0, .color3 = color3,
-                     .input_changes = input_changes, .strip = strip};
+                     .marks = MARKS(input_changes), .input_changes = input_changes, .strip = strip};
     for (int x = left; x < left + AT_ONCE; ++x) fill_pixel(f, x, y);
 }

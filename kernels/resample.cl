@@ -9,9 +9,9 @@
 // once however large the frame. The buffers may hold a strip of the frame: their row 0 is row `top` of `full_height` (2 `top` of the
 // output).
 // `tiles`, `count`: the tiles of 4 x 4 pixels of the output that are computed, see tile_list.clh.
-// Build -D WORKERS (16 or 1), optionally -D STORED, -D PREFETCH (of what MARK compares).  Launch (any multiple of WORKERS).
+// Build -D WORKERS (16 or 1), optionally -D STORED, -D PREFETCH (of what is compared).  Launch (any multiple of WORKERS).
 //
-// -D MARK: a value is compared with the one that is stored, and `changes`, the output's map, marked where bits came to differ (change_map.clh).
+// Where MARKS(changes), the output's map, a value is compared with the one that is stored, and marked where bits came to differ (change_map.clh).
 #pragma OPENCL FP_CONTRACT OFF
 #include "common.clh"
 #include "tile_list.clh"
@@ -41,12 +41,14 @@ kernel void upsample_corners(global const stored *restrict in, global stored *re
     const int2 part = part_of_list(count[0], 1);
     for (int t = part.x; t < part.y; ++t) {
         const int up = 4 * TILE_ROW(tiles[t]), left = 4 * TILE_COLUMN(tiles[t]);
-#if defined(MARK) && defined(PREFETCH)
-        // What is compared is read before it is written, and that would wait for memory: the tile after the next one, line by line.
-        const uint soon = tiles[least(t + 2, count[0] - 1)];
-        for (int y = 1; y <= 4; ++y) {
-            global const stored *line = out + ((4 * TILE_ROW(soon) + y) * out_columns + 4 * TILE_COLUMN(soon) + 1) * 8 * eights;
-            for (int i = 0; i < 32 * eights; i += 64 / sizeof(stored)) __builtin_prefetch((const void *)(size_t)(line + i), 1, 2);
+#ifdef PREFETCH
+        if (MARKS(changes)) {
+            // What is compared is read before it is written, and that would wait for memory: the tile after the next one, line by line.
+            const uint soon = tiles[least(t + 2, count[0] - 1)];
+            for (int y = 1; y <= 4; ++y) {
+                global const stored *line = out + ((4 * TILE_ROW(soon) + y) * out_columns + 4 * TILE_COLUMN(soon) + 1) * 8 * eights;
+                for (int i = 0; i < 32 * eights; i += 64 / sizeof(stored)) __builtin_prefetch((const void *)(size_t)(line + i), 1, 2);
+            }
         }
 #endif
         // One quotient for each row and column of the tile: it takes as long as a pixel.

@@ -17,7 +17,7 @@
 // `tiles`, `count`: the tiles of the output, SIDE x SIDE pixels each, that are computed, see tile_list.clh.
 // Launch (any number of work-items), work-groups of 1: a work-item takes a strip of TILES after the other, whose scratch stays in L2.
 //
-// -D MARK: a value is compared with the one that is stored, and `changes`, the output's map, marked where bits came to differ (change_map.clh).
+// Where MARKS(changes), the output's map, a value is compared with the one that is stored, and marked where bits came to differ (change_map.clh).
 #if !defined(STRIDE) || !defined(SIDE) || !defined(A) || !defined(B) || !defined(OUT) || !defined(OUT_CHANNELS) || !defined(USED) || \
     !defined(TILES) || !defined(TILES_HELD) || !defined(VECTORS_HELD) || !defined(VECTOR)
 #error "winograd.cl needs -D STRIDE, SIDE, A, B, OUT, OUT_CHANNELS, USED, TILES, TILES_HELD, VECTORS_HELD, VECTOR"

@@ -94,7 +94,8 @@ def demo(
     methods = {"output": loaded} if weights == BILINEAR else {"bilinear": load(BILINEAR), "output": loaded}
     found: dict[str, Comparison] = {}
     for name, method in methods.items():
-        engine = open_backend(backend, method.weights, compute)
+        # Without a network the reference is fast enough, and nothing is compiled for it.
+        engine = open_backend("ref", method.weights) if name == "bilinear" else open_backend(backend, method.weights, compute)
         with show_progress(console, frames, text=method.source) as advance:
             options = RunOptions(overwrite=overwrite)
             run(sequence, out / name, engine, method.label, options, lambda _, made=advance: made(), [Path(weights)])

@@ -100,8 +100,10 @@ class Frame:
         return made, valid
 
     def expect(self, size: tuple[int, int]) -> None:
-        """Build in advance what ``start`` needs for planes of (height, width)."""
-        self._preparation(self.network.layers(*size))
+        """Build in advance what ``start`` needs for planes of (height, width), and have the runtime load or compile it."""
+        layers = self.network.layers(*size)
+        self._preparation(layers).load()
+        layers.load()
 
     def start(self, sources: Sources, size: tuple[int, int], image: cl.Buffer) -> cl.Buffer:
         """Enqueue the same for planes of (height, width) that are on the device and known to be finite.

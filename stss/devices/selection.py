@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from stss.devices.verdicts import Tell, Verdict, verdict
+from stss.weights.file import REALTIME
 from stss_cl.device import amx
 from stss_cl.device.discovery import Device, DeviceError, Properties, is_gpu, matching, name_devices, no_device, open_handle
 from stss_ground.machine import cpu_flags
@@ -41,11 +42,12 @@ class Row:
     verdict: Verdict
 
 
-def choose(name: str | None = None, tell: Tell = lambda line: None) -> Device:
+def choose(name: str | None = None, tell: Tell = lambda line: None, *, trial: str = REALTIME) -> Device:
     """Open the fastest device that passed its self-test, GPUs before all others.
 
     Args:
         name: part of the device's name; None: ``$STSS_DEVICE``, or any device without it.
+        trial: the weights of the self-test, of `stss.devices.trial.TRIALS`.
         tell: called with a line for every self-test that must be run now, and for every GPU that did not pass.
 
     Raises:
@@ -60,7 +62,7 @@ def choose(name: str | None = None, tell: Tell = lambda line: None) -> Device:
     refused: list[str] = []
     verdicts: dict[str, Verdict] = {}
     for group in (gpus, others):
-        verdicts |= {n: verdict(n, h, tell=tell) for n, h in group.items()}
+        verdicts |= {n: verdict(n, h, trial=trial, tell=tell) for n, h in group.items()}
         passed = [n for n in group if verdicts[n].passed]
         refused += [f"{n} {verdicts[n]}" for n in group if n not in passed]
         if passed:

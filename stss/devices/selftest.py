@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: MIT
 """Compare one device with the reference; ``stss.devices.verdicts`` runs this in a separate process, since a driver may hang or crash.
 
-``python -m stss.devices.selftest NAME`` prints one line of JSON: ``why``, the reason of a failure or "", and the speed in ``gflops``.
+``python -m stss.devices.selftest NAME TRIAL`` prints one line of JSON: ``why``, the reason of a failure or "", and the speed in ``gflops``.
+It compiles what frames need with the weights of that trial (`stss.devices.trial`).
 """
 
 from __future__ import annotations
@@ -11,19 +12,22 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
 from conformance.tolerance import ratio
+from stss.devices.trial import trial_weights
+from stss.weights.file import REALTIME
 from stss_cl.device.discovery import Device, DeviceError, open_device
 from stss_cl.device.program import build
 from stss_cl.image_space.stages import ImageStages
-from stss_cl.network.network import Network
 from stss_cl.skip.arrival import Arrival
-from stss_ref import weights
+from stss_cl.skip.stream import Stream
+from stss_ref.frame import FrameInputs, prepare
 from stss_ref.network import network as reference_network
 from stss_ref.occlusion_warp import occlusion_warp
 from stss_ref.warp import warp
@@ -122,34 +126,67 @@ def image_stages(device: Device, generator: np.random.Generator) -> None:
     _exact("occlusion_warp", got["occlusion_warp"], filled)
 
 
-def network(device: Device, generator: np.random.Generator) -> None:
-    """The whole network, against the reference in float64."""
-    size = (24, 40)
-    color, gbuffer = generator.random((*size, 6)), generator.random((*size, 9))
-    gbuffer[..., :3] = gbuffer[..., :3] * 2 - 1
-    mask, history = generator.random(size) > 0.3, generator.random((3, *size, 4))
-    history[..., 3] = history[..., 3] > 0.3
-    given = [np.ascontiguousarray(array, np.float32) for array in (color, gbuffer, mask, history)]
-    drawn = weights.random(0)
-    got = Network(drawn, device)(*given)
-    color, gbuffer, mask, history = (array.astype(np.float64) for array in given)
-    want = reference_network(color, gbuffer, mask, history, drawn)
-    error = ratio("network.cl", np.asarray(got), want)
-    if not error <= 1:
-        raise MismatchError(f"network: {error:.3g} times the allowed error")
+class Shown(NamedTuple):
+    """A display frame (`stss_cl.skip.display_frame.DisplayFrame`)."""
+
+    color: NDArray[np.float32] | None
+    motion: NDArray[np.float32]
+    stencil: NDArray[np.float32]
+    gbuffer: NDArray[np.float32]
+    nov: NDArray[np.float32]
+    position: NDArray[np.float32]
 
 
-def skipping(device: Device, generator: np.random.Generator) -> None:
-    """The kernels that only `stss run` needs are accepted; one that looks for NaN finds it."""
+def frames(device: Device, generator: np.random.Generator, trial: str = REALTIME) -> None:
+    """Display frames in sequence against the reference: the programs are those that `stss run` builds."""
+    taken, size = trial_weights(trial), (24, 40)
+    stream, window = Stream(taken, device), list[Shown]()
+    color, gbuffer, nov, position = (generator.random((*size, *c)).astype(np.float32) for c in ((3,), (9,), (), (3,)))
+    for number in range(8):
+        kind = number % 2
+        shown, motion, stencil = color.copy(), np.zeros((*size, 2), np.float32), np.zeros(size, np.float32)
+        if number >= 6:  # a tile of the colour is another; then a surface moves, and leaves holes
+            shown[4:8, 8:12] *= 0.5
+        if number == 7:
+            motion[6:16, 10:30], stencil[8:14, 12:28] = generator.uniform(-9, 9, 2), 1
+        window = [*window[-5:], Shown(None if kind else shown, motion, stencil, gbuffer, nov, position)]
+        steps = kind, min(number, kind + 2), min(number, kind + 4)
+        image, valid = stream(window, steps)
+        if number >= 6:
+            inputs = prepare(_inputs(window, steps), second=taken.second_color, test=taken.hole_test)
+            _exact("mask", valid, inputs.mask.astype(bool))
+            arrays = inputs.color, inputs.gbuffer, inputs.mask, inputs.history
+            _within("frames", image, reference_network(*(array.astype(np.float64) for array in arrays), weights=taken))
+        if number == 6 and stream.report.network != "changed":
+            raise MismatchError(f"frames: expected a part of the network to run, found {stream.report.network}")
+
+
+def _inputs(window: list[Shown], steps: tuple[int, int, int]) -> FrameInputs:
+    """The inputs of the last frame as the reference takes them."""
+    back = window[::-1]
+    seen = [back[0], *(back[step] for step in steps)]
+    return FrameInputs(
+        colors=np.stack([frame.color for frame in seen[1:] if frame.color is not None]),
+        steps=steps,
+        motions=np.stack([frame.motion for frame in back[: steps[2]]]),
+        gbuffer=back[0].gbuffer,
+        nov=back[0].nov,
+        stencils=np.stack([frame.stencil for frame in seen]),
+        normals=np.stack([frame.gbuffer[..., :3] for frame in seen]),
+        positions=np.stack([frame.position for frame in seen]),
+    )
+
+
+def arrival(device: Device, generator: np.random.Generator) -> None:
+    """The kernel that looks for NaN finds it."""
     planes = {name: _upload(device, generator.random((8, 24, n)).astype(np.float32)) for name, n in ARRIVING.items()}
     broken = _upload(device, np.full((8, 24, 3), np.nan, np.float32))
-    build(device, "resample.cl", {"PREFETCH": device.takes_prefetch, "MARK": True})
     if Arrival(device, 8, 24).look(planes, broken, planes, broken)[0] != "color":
         raise MismatchError("arrive: NaN is not found")
 
 
 CHECKS: tuple[Callable[[Device, np.random.Generator], None], ...] = (
-    arithmetic, vectors, groups, turns, nearest, image_stages, network, skipping,
+    arithmetic, vectors, groups, turns, nearest, image_stages, arrival,
 )  # fmt: skip
 
 
@@ -171,15 +208,15 @@ def gflops(device: Device) -> float:
     return best
 
 
-def examine(device: Device) -> SelfTestResult:
+def examine(device: Device, trial: str = REALTIME) -> SelfTestResult:
     """Run every check; the first fault counts."""
-    for check in CHECKS:
+    for check in (*CHECKS, partial(frames, trial=trial)):
         try:
             check(device, np.random.default_rng(0))
         except (MismatchError, DeviceError) as fault:
             return SelfTestResult(str(fault))
         except cl.Error as error:
-            return SelfTestResult(f"{check.__name__}: {' '.join(str(error).split())}")
+            return SelfTestResult(f"{getattr(check, '__name__', 'frames')}: {' '.join(str(error).split())}")
     return SelfTestResult("", round(gflops(device), 3))
 
 
@@ -212,6 +249,12 @@ def _exact(what: str, got: NDArray[Any], want: NDArray[Any]) -> None:
         raise MismatchError(f"{what}: {len(wrong)} of {got.size} wrong, first {got[at]} for {want[at]}")
 
 
+def _within(what: str, got: NDArray[Any], want: NDArray[Any]) -> None:
+    error = ratio("network.cl", got, want)
+    if not error <= 1:
+        raise MismatchError(f"{what}: {error:.3g} times the allowed error")
+
+
 def _close(what: str, got: NDArray[Any], want: NDArray[Any]) -> None:
     error = np.abs(got - want) / np.spacing(np.abs(want).astype(np.float32))
     if not error.max() <= ULP[what]:
@@ -221,7 +264,7 @@ def _close(what: str, got: NDArray[Any], want: NDArray[Any]) -> None:
 def main() -> None:
     """Print the result for the device named on the command line."""
     try:
-        result = examine(open_device(sys.argv[1]))
+        result = examine(open_device(sys.argv[1]), sys.argv[2])
     except DeviceError as error:
         result = SelfTestResult(str(error))
     print(json.dumps(asdict(result)))  # noqa: T201

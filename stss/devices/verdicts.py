@@ -24,6 +24,8 @@ from filelock import FileLock, Timeout
 import stss_cl
 import stss_ref
 from conformance import tolerance
+from stss.devices.trial import TRIALS
+from stss.weights.file import REALTIME, SHIPPED
 from stss_cl.device import program
 from stss_cl.device.caches import home, is_temporary, private, read, store
 from stss_ground.errors import DeviceError
@@ -84,29 +86,36 @@ class Verdict:
 
 
 def verdict(
-    name: str, handle: cl.Device, *, again: bool = False, command: Sequence[str] = COMMAND, tell: Tell = lambda line: None
+    name: str,
+    handle: cl.Device,
+    *,
+    trial: str = REALTIME,
+    again: bool = False,
+    command: Sequence[str] = COMMAND,
+    tell: Tell = lambda line: None,
 ) -> Verdict:
     """The stored verdict on a device, or the verdict of a self-test now; one process tests, and others that ask meanwhile wait for it.
 
     Args:
         name: the device's name by ``stss_cl.device.discovery.name_devices``.
         handle: the device of this name.
+        trial: the weights to compute with, of `stss.devices.trial.TRIALS`.
         again: test even where a verdict is stored.
-        command: the command that tests the device whose name is appended.
+        command: the command that tests; the names of device and trial are appended.
         tell: called with a line if there is something to wait for.
     """
-    if not again and (stored := find_verdict(name, handle)):
+    if not again and (stored := find_verdict(name, handle, trial=trial)):
         return stored
-    limit, path = _limit(), _path(name, handle)
+    limit, path = _limit(), _path(name, handle, trial=trial)
     with _alone(path.with_suffix(".lock"), lambda: tell(f"waiting for another process, which tests {name}")):
-        if not again and (stored := find_verdict(name, handle)):
+        if not again and (stored := find_verdict(name, handle, trial=trial)):
             return stored
         tell(
             f"self-test of {name}" if again else f"first start: building kernels for {name} and testing it, half a minute or more"
         )
         if is_temporary():
             tell("no writable cache folder: kernels are built for this process only; XDG_CACHE_HOME names another folder")
-        found = run_selftest(name, command, limit)
+        found = run_selftest(name, command, limit, trial=trial)
         if found.lasting:
             stored = {"device": name, **asdict(found)}
             del stored["lasting"]
@@ -114,10 +123,19 @@ def verdict(
     return found
 
 
-def find_verdict(name: str, handle: cl.Device) -> Verdict | None:
-    """The verdict stored for this device, its driver, this version of stss and these kernels; None if there is none."""
+def find_verdict(name: str, handle: cl.Device, *, trial: str = REALTIME) -> Verdict | None:
+    """The verdict stored for this device, its driver, this version of stss and these kernels; None if there is none.
+
+    A device that passed a later trial has passed this one: it has these layers, and more.
+    """
+    found = _stored(name, handle, trial)
+    later = (_stored(name, handle, more) for more in TRIALS[TRIALS.index(trial) + 1 :])
+    return found or next((each for each in later if each is not None and each.passed), None)
+
+
+def _stored(name: str, handle: cl.Device, trial: str) -> Verdict | None:
     try:
-        path = _path(name, handle)
+        path = _path(name, handle, trial=trial)
         content = read(path, _MOST_BYTES) or b""
         text = content.partition(b"\n")[2]
         if content != _with_checksum(path, text):
@@ -141,12 +159,12 @@ def _with_checksum(path: Path, text: bytes) -> bytes:
     return hashlib.sha256(path.name.encode() + b"\n" + text).hexdigest().encode() + b"\n" + text
 
 
-def run_selftest(name: str, command: Sequence[str] = COMMAND, limit: float | None = None) -> Verdict:
+def run_selftest(name: str, command: Sequence[str] = COMMAND, limit: float | None = None, *, trial: str = REALTIME) -> Verdict:
     """Test a device in a child process, which is killed with all that it started after ``limit`` seconds; None: `TIME_LIMIT`."""
     limit, start = _limit() if limit is None else limit, time.monotonic()
     # In the folder of our packages: -m takes modules from the working directory first, and the user's may hold anything.
     child = subprocess.Popen(
-        [*command, name],
+        [*command, name, trial],
         cwd=_PACKAGE.parent,
         env={
             **os.environ,
@@ -271,13 +289,13 @@ def _signal(number: int) -> str:
         return f"signal {number}"
 
 
-def _path(name: str, handle: cl.Device) -> Path:
+def _path(name: str, handle: cl.Device, *, trial: str) -> Path:
     settings = {
         k: v
         for k, v in os.environ.items()
         if k.startswith(("POCL_", "CL_CONFIG_", "STSS_DEVICE_CLASS", "STSS_LINKER")) and k != "POCL_CACHE_DIR"
     }
-    what = [name, handle.driver_version, handle.platform.version, VERSION, _sources(), sorted(settings.items())]
+    what = [name, handle.driver_version, handle.platform.version, VERSION, _sources(), sorted(settings.items()), trial]
     return private("verdicts") / f"{hashlib.sha256(json.dumps(what).encode()).hexdigest()[:32]}.json"
 
 
@@ -292,7 +310,7 @@ def _sources() -> str:
 
 
 def _judged() -> list[Path]:
-    """All kernels and host sources, the reference, the bounds and the self-test."""
+    """All kernels and host sources, the reference, the bounds, the self-test and the weights that it takes."""
     host, reference = Path(stss_cl.__file__).parent, Path(stss_ref.__file__).parent
     files = [*program.KERNELS.rglob("*.cl*"), *host.rglob("*.py"), *host.rglob("*.toml"), *reference.rglob("*.py")]
-    return [*sorted(files), Path(tolerance.__file__), Path(__file__).with_name("selftest.py")]
+    return [*sorted(files), Path(tolerance.__file__), *sorted(Path(__file__).parent.glob("*.py")), *SHIPPED.values()]

@@ -98,10 +98,11 @@ class OpenCLBackend:
         self._alone = Lock()
         # Imported here, so that the OpenCL library is opened only by commands that use it.
         from stss.devices.selection import choose
+        from stss.devices.trial import trial_for
         from stss_cl.device.amx import emulated
         from stss_cl.skip.stream import Stream
 
-        device = choose(options.device, tell)
+        device = choose(options.device, tell, trial=trial_for(weights))
         if options.precision == "bfloat16" and (why := emulated(device)):
             tell(f"bfloat16: {why}; emulated, which is slow")
         self._stream = Stream(weights, device, options.precision, memory_limit=options.memory_limit, skip=options.skip)

@@ -13,7 +13,7 @@ import pyopencl as cl
 from stss_cl.device.discovery import Device
 
 Arguments = Mapping[str, Any]
-"""A kernel's arguments by their names in its source, in order; bool and int stand for int32, float for float32."""
+"""A kernel's arguments by their names in its source, in order; bool and int stand for int32, float for float32, None for no buffer."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,12 @@ class Launch:
         places = list(self.arguments)
         for name, value in values.items():
             self.kernel.set_arg(places.index(name), typed(value))
+
+    def load(self, queue: cl.CommandQueue, **nothing: Any) -> None:
+        """Launch it now with ``nothing`` to do, since runtimes load or compile a kernel at its first launch; its arguments stay."""
+        self.set(**nothing)
+        self.enqueue(queue)
+        self.set(**{name: self.arguments[name] for name in nothing})
 
     def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
         """Put it into the queue."""

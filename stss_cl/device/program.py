@@ -64,6 +64,11 @@ def build(device: Device, file: str, options: Mapping[str, object] | None = None
         return built[key]
 
 
+def marking(device: Device, marks: bool) -> Mapping[str, object]:
+    """The option that says whether a kernel marks what changes; on a CPU it is given a map, or none, instead (kernels/change_map.clh)."""
+    return {} if device.is_cpu else {"MARK": int(marks)}
+
+
 def built(device: Device) -> Mapping[tuple[str, str], cl.Program]:
     """The programs built for this device so far, by file and options, in order."""
     return dict(_programs.get(device, {}))

@@ -17,7 +17,7 @@ from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, grid
 from stss_cl.device.launch import Launch, kernel
 from stss_cl.device.parts import Parts
-from stss_cl.device.program import build
+from stss_cl.device.program import build, marking
 from stss_cl.image_space.frame_planes import MOST_STEPS, Source, Sources, check_steps, planes, upload
 from stss_cl.image_space.stages import Gather, hole_options, program
 from stss_ref.constants import HoleFill, HoleTest
@@ -57,6 +57,8 @@ ARGUMENTS = {
     ),
 }  # fmt: skip
 """The arguments of each kernel of frame.cl and downsample_8.cl, in order."""
+NOTHING = {"strip": np.zeros(5, np.int32), "height": 0, "width": 0, "eighth_height": 0}
+"""With these of its arguments a kernel has no pixel."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +142,7 @@ class Prepare:
 
     def _made(self, *, marks: bool) -> _Launches:
         inputs, (height, width) = self.inputs, (self.height, self.width)
-        options = {"STORED": storage(inputs.input.dtype), "MARK": marks}
+        options = {"STORED": storage(inputs.input.dtype), **marking(self.device, marks)}
         gather = {"GATHER": f"gather_{self._gather}", "LONGEST": self._gather == "longest", "EIGHTS": self.device.is_cpu}
         frame_options = {
             **gather,
@@ -152,11 +154,11 @@ class Prepare:
         }
         frame = program(self.device, "frame.cl", frame_options)
         eighth = build(self.device, "downsample_8.cl", {"MASK": "uchar", **options})
-        input_changes, history_changes, eighth_changes = self._maps if marks else 3 * (self.mask,)
+        dirty, input_changes, history_changes, eighth_changes = (self.dirty, *self._maps) if marks else 4 * (None,)
         known: dict[str, Any] = {
             **dict(zip(CHAINED, self._chained.buffers, strict=True)),
             "history": inputs.earlier.data, "x0": inputs.input.data, "color3": inputs.base, "eighth": inputs.eighth.data,
-            "mask": self.mask, "keys": self._keys, "first": self._first, "samples": self._samples, "bad": self._bad, "dirty": self.dirty,
+            "mask": self.mask, "keys": self._keys, "first": self._first, "samples": self._samples, "bad": self._bad, "dirty": dirty,
             "input_changes": input_changes, "history_changes": history_changes, "eighth_changes": eighth_changes,
             "height": height, "width": width, "eighth_height": inputs.eighth.height, "eighth_width": inputs.eighth.width,
             "eighth_columns": inputs.eighth.columns, "stores": self._stores,
@@ -181,6 +183,12 @@ class Prepare:
             fill=made("fill_holes", *strip),
             eighth=made("downsample_8", inputs.eighth.width, inputs.eighth.height, eighth),
         )
+
+    def load(self) -> None:
+        """Have the runtime load or compile all kernels."""
+        for made in (self._whole,) if self.inputs.changes is None else (self._whole, self._marking):
+            for launch in (made.chain, *made.colors, *made.search, made.fill, made.eighth):
+                launch.load(self.device.queue, **{name: none for name, none in NOTHING.items() if name in launch.arguments})
 
     def begin(
         self,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from stss_cl.device.buffers import Padded
 from stss_cl.device.discovery import Device
 from stss_cl.device.launch import Arguments, Launch, kernel
-from stss_cl.device.program import build
+from stss_cl.device.program import build, marking
 from stss_cl.network.tiles import Maps, TileList, Tiling, whole
 
 FLUSH = "-cl-denorms-are-zero"
@@ -81,13 +81,9 @@ class LayerLaunch(Launch):
             device: the device that it was made for.
             tiles: the tiles to compute.
         """
-        program = self.program(device)
-        arguments = {**self.arguments, "tiles": tiles.tiles, "count": tiles.count}
-        return replace(self, kernel=kernel(program, self.source.kernel, arguments), arguments=arguments)
-
-    def program(self, device: Device) -> cl.Program:
-        """The program of the kernel of ``over``; built once."""
-        return build(device, self.source.file, {**self.source.options, "MARK": self.changes is not None}, self.source.flags)
+        marks = {} if self.changes is None else {"changes": self.changes}
+        arguments = {**self.arguments, "tiles": tiles.tiles, "count": tiles.count, **marks}
+        return replace(self, kernel=_kernel(device, self.source, arguments), arguments=arguments)
 
 
 def layer(
@@ -112,7 +108,13 @@ def layer(
         out: the activations that it writes and marks; None: it writes the image.
     """
     tiles = whole(device, tiling.lines, tiling.columns)
-    marks = {} if out is None else {"changes": out.changes or out.data}  # without -D MARK it is not read
+    marks = {} if out is None else {"changes": None}
     together = {**arguments, "tiles": tiles.tiles, "count": tiles.count, **marks}
-    made = kernel(build(device, source.file, source.options, source.flags), source.kernel, together)
+    made = _kernel(device, source, together)
     return LayerLaunch(name, made, size, group, together, stage, source, tiling, reads, None if out is None else out.changes)
+
+
+def _kernel(device: Device, source: KernelSource, arguments: Arguments) -> cl.Kernel:
+    """The kernel with its arguments set; it marks what changes if it is given a change map."""
+    marks = marking(device, arguments["changes"] is not None) if "changes" in arguments else {}
+    return kernel(build(device, source.file, {**source.options, **marks}, source.flags), source.kernel, arguments)

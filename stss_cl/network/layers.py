@@ -13,6 +13,7 @@ from stss_cl.device.buffers import Outgoing, Padded, constant, incoming, inputs_
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil8, ceil_div
 from stss_cl.device.launch import enqueue
+from stss_cl.device.parts import zeroed
 from stss_cl.device.tuning import tuning_for
 from stss_cl.liveness import Live, colors_read, drop_tiny, find_live, reads_history
 from stss_cl.network.conv import Final
@@ -122,6 +123,12 @@ class Layers:
     def run(self, image: cl.Buffer) -> None:
         """Enqueue the network; ``image`` is complete when the queue has run dry."""
         enqueue(self.device, self.ready(image))
+
+    def load(self) -> None:
+        """Have the runtime load or compile all kernels: over empty lists."""
+        none = zeroed(self.device, 4)
+        for launch in self.launches:
+            launch.load(self.device.queue, count=none)
 
     @cached_property
     def _packing(self) -> PackInputs:

@@ -50,6 +50,11 @@ class Arrival:
             self._kernel = cl.Kernel(build(device, "arrive.cl"), "arrive")
         self._unread = False
 
+    def load(self) -> None:
+        """Have the runtime load or compile the kernel, at a frame of no rows."""
+        nothing = *11 * self._found.buffers[:1], *self._found.buffers, *5 * [np.int32(0)]
+        self._kernel(self._queue, *self._groups, *nothing).wait()
+
     def look(self, planes: Planes, color: cl.Buffer | None, before: Planes | None, color_before: cl.Buffer | None) -> Found:
         """Look at one.
 

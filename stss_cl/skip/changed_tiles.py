@@ -37,10 +37,11 @@ class ChangedTiles:
         ]
         self.layers = [layer.over(device, to) for layer, to in zip(layers, lists, strict=True)]
 
-        # Runtimes load or compile a kernel at its first run: do it now, over empty lists, rather than at the first change.
+    def load(self) -> None:
+        """Have the runtime load or compile all kernels: over empty lists, and no mark."""
+        self._maps.clear()
         self._counts.clear()
-        enqueue(device, self.layers)
-        enqueue(device, self._finders)
+        enqueue(self._device, (*self.layers, *self._finders))
 
     def run(self, image: cl.Buffer) -> None:
         """Enqueue all layers; see ``stss_cl.skip.partial_network.PartialNetwork.run_changed``."""

@@ -96,13 +96,17 @@ class FrameCache:
         share = 1.0 if dirty is None else float(dirty.mean())
         return share if share <= MOST_CHANGED else self._changed()  # for fewer, the host need not wait
 
+    def load(self) -> None:
+        """Have the runtime load or compile all kernels that any frame needs."""
+        self.prepare.load()
+        self.network.load()
+
     def execute(self, network: Part) -> None:
         """Run this part of the network."""
         if network == "changed":
             self.network.run_changed(self.image.target(whole=False))
         else:
             self.network.run(self.image.target(whole=True))
-            self.network.expect_changes()
 
     def _mark(self, dirty: Tiles | None) -> None:
         """Mark where the inputs are to be computed: where they are ``dirty``, or everywhere for None."""

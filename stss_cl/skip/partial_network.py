@@ -3,25 +3,26 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
-from threading import Thread
-
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
 from stss_cl.network.layers import Layers
-from stss_cl.network.tiles import finder
 from stss_cl.skip.changed_tiles import ChangedTiles
 
 
 class PartialNetwork:
-    """Runs the network of ``layers`` whole or in part; in part only if its layers keep their outputs."""
+    """Runs the network of ``layers``, which keep their outputs, whole or in part."""
 
     def __init__(self, layers: Layers):
+        assert layers.maps is not None
         self.layers = layers
-        self._changed: ChangedTiles | None = None
-        self._builder: Thread | None = None
+        self._changed = ChangedTiles(layers.device, layers.launches, layers.maps)
+
+    def load(self) -> None:
+        """Have the runtime load or compile all kernels."""
+        self.layers.load()
+        self._changed.load()
 
     def run(self, image: cl.Buffer) -> None:
         """Enqueue the whole network; ``image`` is complete when the queue is empty."""
@@ -33,34 +34,7 @@ class PartialNetwork:
         The code that fills the network's inputs must mark the tiles that differ since the last ``run`` or ``run_changed``, and clear
         the marks after this one. The image has the same bits as one of ``run``.
         """
-        self.changed_tiles().run(image)
-
-    def expect_changes(self) -> None:
-        """Begin to build the kernels of ``run_changed`` in another thread, while the caller uses its image."""
-        if self._changed is None and self._builder is None:
-            self._builder = Thread(target=self._build_behind)
-            self._builder.start()
-
-    def settle(self) -> None:
-        """Wait for these kernels and load them: at a stream's start, rather than at its first change."""
-        if self._builder is not None:
-            self._builder.join()
-            self._builder = None
-            self.changed_tiles()
-
-    def changed_tiles(self) -> ChangedTiles:
-        """The layers of ``run_changed``; made once."""
-        if self._changed is None:
-            assert self.layers.maps is not None
-            self._changed = ChangedTiles(self.layers.device, self.layers.launches, self.layers.maps)
-        return self._changed
-
-    def _build_behind(self) -> None:
-        # Only programs: PyOpenCL generates code for each kernel object, and warns if two threads do so at once.
-        with suppress(Exception):  # ``run_changed`` meets the same error and reports it
-            finder(self.layers.device)
-            for layer in self.layers.launches:
-                layer.program(self.layers.device)
+        self._changed.run(image)
 
     def activity(self) -> NDArray[np.float32]:
         """The share of the stored activations that the last ``run_changed`` changed, for each 4 x 4 pixels of the largest ones.

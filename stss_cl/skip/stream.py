@@ -158,8 +158,6 @@ class Stream:
             raise ArrayError(f"window: expected a colour {', '.join(map(str, chosen))} frames back")
         shape: Any = window[-1].nov.shape
         window, size = window[-MOST_STEPS - 1 :], shape
-        if self._latest is not None:
-            self._latest.network.settle()
         uploaded, cache = self._arriving(size), self._keep(size, extrapolates=chosen[0] > 0)
         looking = self._control.begin()
         frames = uploaded.take(window, compare=cache is not None and looking)
@@ -171,10 +169,14 @@ class Stream:
         return self._compute(cache, frames, chosen, dirty, looking, out)
 
     def expect(self, size: tuple[int, int]) -> None:
-        """Build the kernels of the first call for frames of (H, W) in advance, for example while that frame is read."""
-        self._arriving(size)
-        if self._keep(size, extrapolates=False) is None:
+        """Build all that frames of (H, W) need, for example while the first is read: no call builds anything then.
+
+        But for the kernel that widens planes of half, which the first call with one builds.
+        """
+        self._arriving(size).load()
+        if None in [self._keep(size, extrapolates=kind) for kind in (False, True)]:
             self._whole.expect(size)
+        self.device.queue.finish()  # runtimes compile behind it
 
     def activity(self) -> NDArray[np.float32]:
         """The share of the network that the last frame needed, for each 4 x 4 of its pixels: from 0, nothing, to 1, everything.
@@ -259,7 +261,8 @@ class Stream:
                 self._skip = "off"
                 return None
             layers = Layers(self.device, self._weights, *size, self.precision, self._memory, keep=True)
-            self._caches[extrapolates] = FrameCache(self.device, layers, self._gather)
+            self._caches[extrapolates] = made = FrameCache(self.device, layers, self._gather)
+            made.load()  # here rather than at the first change
         return self._caches[extrapolates]
 
     def _can_keep(self, size: tuple[int, int]) -> bool:

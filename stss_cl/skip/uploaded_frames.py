@@ -60,6 +60,10 @@ class UploadedFrames:
         self._chain: deque[UploadedFrame] = deque()
         self._count = 0
 
+    def load(self) -> None:
+        """Have the runtime load or compile the kernel that looks at frames."""
+        self._arrival.load()
+
     def take(self, window: Sequence[DisplayFrame], *, compare: bool) -> list[UploadedFrame]:
         """Upload the frames of ``window``, consecutive and oldest first; frames of the last window are not uploaded or compared again.
 

@@ -18,10 +18,14 @@ from rich.console import Console
 from stss.devices import selection as devices
 from stss.devices import selftest, verdicts
 from stss.devices.selection import choose
+from stss.devices.trial import EVERY
 from stss.devices.verdicts import Verdict, find_verdict, run_selftest, verdict
+from stss.frames import open_backend
+from stss.weights.file import REALTIME
 from stss_cl.device import amx, caches, program
 from stss_cl.device import discovery as cl_device
 from stss_cl.device.discovery import DeviceError, open_device
+from stss_ref.weights import random
 from tests.hostile.cases import runs
 
 PASSED = {"why": "", "gflops": 5.0}
@@ -61,8 +65,8 @@ def machine(monkeypatch):
         monkeypatch.setattr(devices, "open_handle", cl_device.full_name)
         tested = []
 
-        def answer(name, handle, *, again=False, tell=None):
-            tested.append(name)
+        def answer(name, handle, *, trial=REALTIME, again=False, tell=None):
+            tested.append(name if trial == REALTIME else f"{name} {trial}")
             return table[name][1]
 
         monkeypatch.setattr(devices, "verdict", answer)
@@ -100,6 +104,17 @@ def test_a_named_device_is_taken_however_slow(machine, monkeypatch):
     monkeypatch.setenv("STSS_DEVICE", "A:")
     assert choose() == "A: cpu"
     assert choose("gpu") == "B: gpu"
+
+
+@pytest.mark.parametrize(
+    ("weights", "trial"), [("realtime", ""), ("antialiased", " antialiased"), ("bilinear", ""), (random(0), " every")]
+)
+def test_what_is_tested_has_the_layers_that_weights_need(machine, weights, trial):
+    """And no others, which would take longest to compile."""
+    tested = machine({"A: cpu": (CPU, Verdict("failed", "x"))})
+    with pytest.raises(DeviceError, match="A: cpu failed: x"):
+        open_backend("cl", weights)
+    assert tested == [f"A: cpu{trial}"]
 
 
 def test_a_named_device_that_failed_is_refused_unless_trusted(machine, monkeypatch):
@@ -165,7 +180,7 @@ def answer(result):
 NO_PASS = [
     # what the child does, what is said
     ("""print('{"why": "exp: off by 90 ulp", "gflops": 0}')""", "failed: exp: off by 90 ulp"),
-    ("print(json.dumps({'why': sys.argv[1], 'gflops': 0}))", "failed: A: b #2"),
+    ("print(json.dumps({'why': str(sys.argv[1:]), 'gflops': 0}))", "failed: ['A: b #2', 'realtime']"),
     ("raise ImportError('no numpy')", "failed: ImportError: no numpy"),
     ("sys.exit(3)", "failed: ended with status 3 and no result"),
     ("print('[]')", "failed: ended with status 0 and no result"),
@@ -204,6 +219,18 @@ def test_a_verdict_is_kept_until_told_otherwise():
     assert verdict("A: cpu", handle, command=NEVER) == first == find_verdict("A: cpu", handle)
     assert verdict("A: cpu", handle, again=True, command=answer({"why": "x", "gflops": 0})).why == "x"
     assert verdict("A: cpu", handle, command=NEVER).why == "x"
+    on_all = verdict("A: cpu", handle, trial=EVERY, command=child("print(json.dumps({'why': sys.argv[2], 'gflops': 0}))"))
+    assert on_all.why == EVERY
+    assert verdict("A: cpu", handle, trial=EVERY, command=NEVER) == on_all != find_verdict("A: cpu", handle)
+
+
+def test_a_device_that_passed_with_more_layers_is_not_tested_with_fewer():
+    handle = fake("A", "cpu")
+    verdict("A: cpu", handle, trial="antialiased", command=answer({"why": "x", "gflops": 0}))
+    assert verdict("A: cpu", handle, command=answer(PASSED)).passed
+    more = verdict("B: cpu", handle, trial="antialiased", command=answer(PASSED))
+    assert verdict("B: cpu", handle, command=NEVER) == more
+    assert find_verdict("B: cpu", handle, trial=EVERY) is None
 
 
 def test_a_verdict_lapses_when_anything_changes(monkeypatch):
@@ -322,7 +349,7 @@ def test_one_process_tests_while_others_wait(tmp_path):
 # A real device
 
 
-@pytest.mark.parametrize("check", selftest.CHECKS[:-1], ids=lambda check: check.__name__)
+@pytest.mark.parametrize("check", [*selftest.CHECKS, selftest.frames], ids=lambda check: check.__name__)
 def test_the_device_here_passes(device, check):
     check(device, np.random.default_rng(0))
 

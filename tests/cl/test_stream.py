@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import threading
 import weakref
 from dataclasses import replace
 from weakref import WeakKeyDictionary
@@ -18,7 +17,7 @@ from stss.frames.supersample import plan
 from stss_cl.device import program
 from stss_cl.network.strips import OVERLAP
 from stss_cl.skip.last_image import LastImage
-from stss_cl.skip.stream import Stream
+from stss_cl.skip.stream import SKIPS, Stream
 from stss_ref.arrays import ArrayError
 from tests.cl.conftest import watch_launches
 from tests.cl.films import CHANGES, DETAILED, UNREAD, WEIGHTS, assert_same, calls_of, film
@@ -77,48 +76,47 @@ def test_a_frame_in_which_nothing_changed_costs_a_comparison(device):
 
 
 @pytest.fixture
-def builds(monkeypatch):
-    """The programs that frames wait for; none is built before the test. What is built behind them is not among them."""
-    asked, made = [], program._build
+def compiled(monkeypatch):
+    """What is compiled from now on: programs, and kernels for a size of group, which PoCL compiles at their first launch."""
+    seen, made = set(), program._build
 
     def build(device, file, options):
-        if threading.current_thread() is threading.main_thread():
-            asked.append((file, options))
+        # Not Program.build: a build that fails beside another process is tried twice.
+        seen.add((file, options))
         return made(device, file, options)
 
-    # Not Program.build: a build that fails beside another process is tried twice.
+    def launched(queue, kernel, group):
+        seen.add((kernel.get_info(cl.kernel_info.PROGRAM).int_ptr, kernel.function_name, group))
+
     monkeypatch.setattr(program, "_build", build)
     monkeypatch.setattr(program, "_programs", WeakKeyDictionary())
-    return asked
+    watch_launches(monkeypatch, launched)
+    return seen
 
 
-@pytest.mark.usefixtures("launched")
-def test_the_first_frame_waits_only_for_what_was_not_expected(processor, monkeypatch, builds):
-    """And what it has no use for is not built before it: the kernels that compute changes alone."""
-    first = still(1)
-    told, untold = (Stream(WEIGHTS, processor) for _ in range(2))
-    told.expect(first[0].nov.shape)
-    expected = list(builds)
-    told(first, (0, 0, 0))
-    assert len(expected) > 25
-    assert builds == expected
-    told._latest.network.settle()  # or its programs would be found
-    assert builds == expected
-    monkeypatch.setattr(program, "_programs", WeakKeyDictionary())
-    untold(first, (0, 0, 0))
-    assert sorted(builds) == sorted(2 * expected)
+def shots(size):
+    """Shots with all that a stream does: still, changed in places, all anew until nobody looks, the other parity, every frame rendered."""
+    yield film(["nothing"] * 7 + ["pixel", "moving", "rectangle"], size)
+    yield film(["everything"] * 12 + ["nothing"] * 2, size)
+    yield film(["moving"] * 6, size, rendered=(False, True))
+    yield film(["moving"] * 4, size, rendered=(True,))
 
 
-def test_the_first_change_waits_for_nothing(gpu, builds):
-    """It comes after a still start; without what is built behind the first frames it would wait."""
-    stream, frames = Stream(WEIGHTS, gpu), still(8)
-    frames[6].gbuffer[3, 4] += np.float32(0.5)
-    for i, call in enumerate(calls_of(frames)):
-        before = len(builds)
-        stream(*call)
-        if i >= 6:
-            assert stream.report.network == "changed"
-            assert len(builds) == before
+@pytest.mark.parametrize("skip", SKIPS)
+def test_what_is_expected_is_compiled_before_the_first_frame(device, compiled, skip):
+    size = 16, 24
+    stream, parts = Stream(WEIGHTS, device, skip=skip), set()
+    stream.expect(size)
+    expected = set(compiled)
+    assert len(expected) > 50
+    assert stream._caches.keys() == ({False, True} if skip == "exact" else set())  # an EF packs no weights anew
+    for frames in shots(size):
+        for window, steps in calls_of(frames):
+            stream(window, steps)
+            parts.add((stream.report.network, steps[0] > 0))
+            assert compiled == expected
+    whole = {("whole", False), ("whole", True)}
+    assert parts == whole if skip == "off" else parts > whole | {("changed", True), ("none", False)}
 
 
 def test_frames_older_than_the_window_are_let_go(gpu):

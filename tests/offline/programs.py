@@ -47,9 +47,6 @@ def programs(row):
                 stream = Stream(weights, device, precision, skip=skip)
                 for call in calls_of(frames):
                     stream(*call)
-                for cache in stream._caches.values():  # what only some frames build
-                    cache.network.changed_tiles()
-                    cache.prepare._whole  # noqa: B018
             Frame(WEIGHTS, device, precision)(**vars(frame_inputs(SIZE)))
     return [
         Program(

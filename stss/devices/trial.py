@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: MIT
+"""The weights with which a self-test computes: the fewest layers that the weights to be used need."""
+
+from __future__ import annotations
+
+from stss.weights.file import ANTIALIASED, REALTIME, load
+from stss_cl.liveness import find_live
+from stss_ref.weights import Weights, random
+
+EVERY = "every"
+"""Random weights, which need all layers."""
+TRIALS = (REALTIME, ANTIALIASED, EVERY)
+"""With the fewest layers first: each has those of the one before it."""
+
+
+def trial_weights(trial: str) -> Weights:
+    """The weights of this name."""
+    return random(0) if trial == EVERY else load(trial).weights
+
+
+def trial_for(weights: Weights) -> str:
+    """The first of ``TRIALS`` that needs all layers that ``weights`` need."""
+    needed = find_live(weights).layers.keys()
+    return next(trial for trial in TRIALS if needed <= find_live(trial_weights(trial)).layers.keys())
