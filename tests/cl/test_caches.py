@@ -41,7 +41,7 @@ def cache_home(tmp_path, monkeypatch):
 def bare(tmp_path):
     """The environment of a user with an empty home."""
     (tmp_path / "home").mkdir(mode=0o700)
-    here = {k: v for k, v in os.environ.items() if not k.startswith(("XDG_", "MPL"))}
+    here = {k: v for k, v in os.environ.items() if not k.startswith(("XDG_", "MPL", "POCL_CACHE"))}
     return here | {"HOME": str(tmp_path / "home")}
 
 
