@@ -153,7 +153,7 @@ def frames(device: Device, generator: np.random.Generator, trial: str = REALTIME
         steps = kind, min(number, kind + 2), min(number, kind + 4)
         image, valid = stream(window, steps)
         if number >= 6:
-            inputs = prepare(_inputs(window, steps), second=taken.second_color, test=taken.hole_test)
+            inputs = prepare(_inputs(window, steps), "longest", taken.second_color, taken.hole_test, taken.hole_fill)
             _exact("mask", valid, inputs.mask.astype(bool))
             arrays = inputs.color, inputs.gbuffer, inputs.mask, inputs.history
             _within("frames", image, reference_network(*(array.astype(np.float64) for array in arrays), weights=taken))
