@@ -173,7 +173,11 @@ def train(out: Path, shards: list[Shard], state: State, settings: Settings, plan
     log = Log(out)
     log.cut(state.step)
     if state.step == 0:
-        log(step=0, bilinear=validate(bilinear, shards, "validation", most=plan.most, device=device))
+        before = {"bilinear": bilinear, "initial": evaluating(state.average, state.network)}
+        log(
+            step=0,
+            **{name: validate(model, shards, "validation", most=plan.most, device=device) for name, model in before.items()},
+        )
     drawn = {"masking": settings.masking, "upright": settings.upright}
     batches = Batches(shards, side=settings.crop, batch=settings.batch, seed=settings.seed, **drawn)
     aims = Aims(
@@ -214,7 +218,9 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--rate", type=float, default=0.01, help="learning rate after the warm-up")
     parser.add_argument("--warm-up", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--initial", help="safetensors file to start from; default: bilinear and a random rest")
+    parser.add_argument(
+        "--initial", help="start from a safetensors file, realtime or antialiased; default: near bilinear, the rest random"
+    )
     parser.add_argument("--squares", type=float, default=0.0, help="share of the squared error in the loss, for PSNR's sake")
     parser.add_argument("--structure", type=float, default=STRUCTURE, help="the perceptual distance is so many times 1 - SSIM")
     parser.add_argument("--structure-ef", type=float, metavar="F", help="the same for EFs, where it is another")

@@ -49,7 +49,7 @@ def expect(
         return IMAGE_SPACE[stage](inputs, arithmetic)
     if stage == "occlusion_warp":
         return expect_occlusion_warp(inputs, arithmetic, got)
-    assert STAGES[stage].weights
+    assert STAGES[stage].weights, f"{stage}: no right answers; expected a function in conformance/answers/by_stage.py"
     assert weights is not None
     if stage == "frame":
         return expect_frame(inputs, weights, arithmetic)

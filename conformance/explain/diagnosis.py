@@ -142,6 +142,8 @@ def _distance(mistake: Mistake, answered: _Answered) -> float:
 
 
 def _named(found: list[tuple[float, Mistake]], tried: int) -> str:
+    if not tried:
+        return "no mistake of this stage is known that it could look like"
     if not found:
         return f"looks like none of the {tried} mistakes that were compared"
     found.sort(key=lambda each: each[0])

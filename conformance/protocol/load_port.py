@@ -42,8 +42,9 @@ def load_port(
             raise InputError(f"{spec}: expected a port, got a {type(port).__name__} without {', '.join(lacking)}")
         if dtype is not None:
             port.dtype = dtype
-        if port.dtype not in ("float32", "float16", "bfloat16"):
-            raise InputError(f"{spec or program}: dtype: expected float32, float16 or bfloat16, got {port.dtype!r}")
+        # NumPy's own dtype equals its name, and is no key of the tables of bounds.
+        if not isinstance(port.dtype, str) or port.dtype not in ("float32", "float16", "bfloat16"):
+            raise InputError(f"{spec or program}: dtype: expected the text float32, float16 or bfloat16, got {port.dtype!r}")
         if winograd:
             port.winograd = True
         if weights_version is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import timedelta
@@ -186,7 +187,7 @@ def missing_buffers(sequence: Sequence, numbers: list[int]) -> list[CheckFinding
             findings.append(CheckFinding("error", text))
     rendered = sorted(sequence.rendered.intersection(numbers))
     if rendered == numbers:
-        findings.append(CheckFinding("note", f"colour: all {len(numbers)} frames; a half-rate run uses every second one"))
+        findings.append(_every_color(sequence, numbers))
     elif rendered and rendered == [n for n in numbers if (n - rendered[0]) % 2 == 0 and n >= rendered[0]]:
         findings.append(CheckFinding("note", f"colour: every second frame from {rendered[0]} on"))
     else:
@@ -210,6 +211,31 @@ def data_windows(sequence: Sequence, numbers: list[int]) -> list[CheckFinding]:
         text = f"data windows: cropped in frames {_listed(cropped, len(cropped))}; outside nothing was hit"
         findings.append(CheckFinding("note", text))
     return findings
+
+
+def _every_color(sequence: Sequence, numbers: list[int]) -> CheckFinding:
+    """Whether every second frame has a colour of fewer samples: it was rendered for its G-buffer alone, and a run must not show it."""
+    used, others = ({_samples(sequence, n) for n in numbers[start::2]} for start in (0, 1))
+    if used == others or 0 in used | others or not others:
+        return CheckFinding("note", f"colour: all {len(numbers)} frames; a half-rate run uses every second one")
+    if max(others) < min(used):
+        few, many = max(others), min(used)
+        text = f"colour: every second frame from {numbers[0]} on; the others are G-buffer frames, of {few} samples for {many}"
+        return CheckFinding("note", text)
+    if max(used) < min(others):
+        text = (
+            f"colour: half of the frames are G-buffer frames, of {max(used)} samples for {min(others)}, {numbers[0]} among them"
+        )
+        return CheckFinding("warning", f"{text}; say --rendered {'odd' if numbers[0] % 2 == 0 else 'even'}")
+    found = ", ".join(map(str, sorted(used | others)))
+    return CheckFinding("warning", f"colour: frames of different numbers of samples ({found}), not every second one")
+
+
+def _samples(sequence: Sequence, number: int) -> int:
+    """Samples a pixel by the metadata of Cycles; 0 where there is none."""
+    attributes = read_header(sequence.frames[number].sources["color"].path).attributes
+    found = [str(value) for name, value in attributes.items() if re.fullmatch(r"cycles\..*\.samples", name)]
+    return int(found[0]) if found and found[0].isdecimal() and len(found[0]) < 10 else 0
 
 
 def _listed(numbers: Iterable[int], count: int) -> str:

@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813
@@ -9,10 +10,11 @@ import pytest
 from rich.console import Console
 
 from stss.check_sequence.motion_convention import CHOICES
-from stss.check_sequence.report import check, print_report
-from stss.images.read_write import read_channels, read_header
+from stss.check_sequence.report import check, missing_buffers, print_report
+from stss.images.read_write import read_channels, read_header, write_channels
+from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
-from tests.app.conftest import PLAIN, write_parts
+from tests.app.conftest import PLAIN, frame_channels, write_parts
 from tests.hostile.cases import call
 
 
@@ -62,6 +64,31 @@ def test_colour_at_odd_frames(write_frames):
     report = check(write_frames([1, 2, 3, 4], rendered={1, 2, 4}), "stss")
     found = [text for text in texts(report, "warning") if text.startswith("colour: expected every frame or every second")]
     assert len(found) == 1
+
+
+@pytest.mark.parametrize(
+    ("samples", "level", "said"),
+    [
+        ((64, 4), "note", "every second frame from 2 on; the others are G-buffer frames, of 4 samples for 64"),
+        (
+            (4, 64),
+            "warning",
+            "half of the frames are G-buffer frames, of 4 samples for 64, 2 among them; say --rendered odd",
+        ),
+        ((64, 64), "note", "all 4 frames; a half-rate run uses every second one"),
+        ((None, 4), "note", "all 4 frames; a half-rate run uses every second one"),
+        ((64, 4, 4, 4), "warning", r"frames of different numbers of samples \(4, 64\), not every second one"),
+    ],
+)
+def test_colours_of_few_samples_are_of_g_buffer_frames(tmp_path, samples, level, said):
+    """As the extension for Blender renders them, by the metadata that Cycles writes."""
+    for i in range(4):
+        count = samples[i % len(samples)]
+        metadata = {} if count is None else {"cycles.ViewLayer.samples": str(count)}
+        write_channels(tmp_path / f"a.{i + 2:04d}.exr", frame_channels(i), metadata=metadata)
+    findings = missing_buffers(open_sequence(tmp_path, "stss"), [2, 3, 4, 5])
+    assert [finding.level for finding in findings] == [level]
+    assert re.fullmatch(f"colour: {said}", findings[0].text)
 
 
 @pytest.mark.parametrize("choice", list(CHOICES)[1::3])

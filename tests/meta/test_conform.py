@@ -36,6 +36,7 @@ from tests.meta.samples import samples
 
 EXAMPLE = Path(__file__).parents[2] / "conformance" / "examples" / "cpp"
 WRONG = """
+import numpy as np
 from stss.port import ReferencePort
 
 class Port(ReferencePort):
@@ -62,6 +63,7 @@ class Shape(Port):
 
 class Nothing: pass
 class Second(Port): weights_version = 2
+class NumPyDtype(Port): dtype = np.dtype("float32")
 class Unknown(Port):
     def stages(self):
         return frozenset({"warp", "wrap"})
@@ -235,6 +237,7 @@ def test_known_failures(here):
         (["--port", "no_such_module:Port"], "No module named 'no_such_module'"),
         (["--port", "wrong_port:Prot"], "module wrong_port has no Prot"),
         (["--port", "wrong_port:Nothing"], "without name, dtype, stages, run"),
+        (["--port", "wrong_port:NumPyDtype"], "dtype: expected the text float32, float16 or bfloat16, got dtype('float32')"),
         (["--port", "wrong_port:Unknown"], "stages: not in the table: wrap"),
         (["--port", "wrong_port:Second"], "wrong_port:Second: weights_version: expected 1, 3, 4 or 5, got 2"),
         (["--port", "wrong_port:Port", "--weights-version", "2"], "weights_version: expected 1, 3, 4 or 5, got 2"),

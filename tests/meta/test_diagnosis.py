@@ -5,6 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from conformance.answers import by_stage
 from conformance.cases.every_buffer import frame_cases
 from conformance.cases.stage_inputs import made_weights
 from conformance.explain.diagnosis import diagnose
@@ -78,6 +79,18 @@ class Odd(ReferencePort):
 
 def test_nothing_is_named_that_does_not_fit():
     assert "looks like none of the" in said(Odd(), "warp")
+
+
+def test_no_mistakes_to_compare_with_are_said_in_words(monkeypatch):
+    monkeypatch.setattr("conformance.explain.diagnosis._shown_by", lambda stage: ())
+    assert said(Odd(), "warp") == "no mistake of this stage is known that it could look like"
+
+
+def test_a_stage_without_right_answers_is_named(monkeypatch):
+    """As somebody meets it who adds one."""
+    monkeypatch.setitem(by_stage.STAGES, "dim", by_stage.STAGES["warp"])
+    with pytest.raises(AssertionError, match=r"dim: no right answers; expected a function in conformance/answers/by_stage.py"):
+        by_stage.expect("dim", {}, None, None, {})
 
 
 def test_a_right_answer_looks_like_nothing():

@@ -31,10 +31,20 @@ def run(data, out, steps, *more):
 def test_a_run_beats_bilinear_and_writes_weights(data, tmp_path):
     records = run(data, tmp_path, 40)
     start, end = records[0]["bilinear"], records[-1]["validation"]
+    assert abs(records[0]["initial"]["SF"] - start["SF"]) < 1  # it starts near `bilinear`
     assert end["SF"] > start["SF"] + 3
     assert end["EF"] > start["EF"] + 3
     assert load(tmp_path / "weights.safetensors").metadata["steps"] == "40"
     assert json.loads(load(tmp_path / "best.safetensors").metadata["validation"])["SF"] >= end["SF"]
+
+
+def test_the_log_begins_with_the_weights_that_it_starts_from(data, tmp_path):
+    """So that a run which only got worse is not taken for one that gained."""
+    run(data, tmp_path / "first", 40)
+    first = run(data, tmp_path / "second", 1, "--initial", str(tmp_path / "first" / "weights.safetensors"))[0]
+    last = json.loads((tmp_path / "first" / "log.jsonl").read_text().splitlines()[-1])["validation"]
+    assert first["step"] == 0
+    assert {name: first["initial"][name] for name in ("SF", "EF")} == pytest.approx({n: last[n] for n in ("SF", "EF")}, abs=1e-3)
 
 
 def test_a_resumed_run_is_the_same_run(data, tmp_path, monkeypatch):
