@@ -1,7 +1,14 @@
 # SPDX-License-Identifier: MIT
-"""``python docs/pictures/panels.py PICTURE FRAME Y,X FOLDER...``: the same part of a frame of each folder, side by side.
+"""``python docs/pictures/panels.py PICTURE FRAME Y,X,H,W FOLDER...``: the same part of a frame of each folder, side by side.
 
-``first.png``: 13 24,64 and `bilinear`, `output`, `truth` of ``stss demo``; ``methods*.png``: of ``stss methods``, and the truth.
+A part of less than 200 pixels is shown twice as large. ``methods*.png``: Y,X,96,96 of ``stss methods``, and the truth. ``first.png``, of
+the scene in ``street.py`` beside this file, which is ours (MIT), by a Python with bpy (``make test-blender`` makes one)::
+
+    .venv-blender/bin/python docs/pictures/street.py street
+    for weights in bilinear auto; do
+        stss run street/lr -o street/$weights --profile blender --camera street/camera.csv --rendered even --weights $weights --overwrite
+    done
+    python docs/pictures/panels.py docs/pictures/first.png 5 300,1090,530,272 street/bilinear street/auto street/truth
 """
 
 import sys
@@ -12,12 +19,14 @@ import numpy as np
 from stss.images.color import transfer
 from stss.images.read_write import read_rgb, write_rgb
 
-SIDE, ZOOM, GAP = 96, 2, 6
+GAP, SMALL = 6, 200
 
 picture, number, place, *folders = sys.argv[1:]
-y, x = map(int, place.split(","))
+y, x, height, width = map(int, place.split(","))
+zoom = 2 if height < SMALL else 1
 panels = []
 for folder in folders:
-    shown = transfer("srgb").display(read_rgb(next(Path(folder).glob(f"*{int(number):04d}.exr"))))[y : y + SIDE, x : x + SIDE]
-    panels.append(np.pad(shown.repeat(ZOOM, axis=0).repeat(ZOOM, axis=1), ((0, 0), (0, GAP), (0, 0)), constant_values=1))
+    found = read_rgb(next(Path(folder).glob(f"*{int(number):04d}.exr")))[y : y + height, x : x + width]
+    shown = transfer("srgb").display(found).repeat(zoom, axis=0).repeat(zoom, axis=1)
+    panels.append(np.pad(shown, ((0, 0), (0, GAP), (0, 0)), constant_values=1))
 write_rgb(Path(picture), np.concatenate(panels, axis=1)[:, :-GAP])

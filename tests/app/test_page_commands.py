@@ -26,7 +26,7 @@ BLOCK = re.compile(r"^( *)```(?:sh|bash)\n(.*?)^ *```", re.M | re.S)
 CELL = re.compile(r"`(stss [a-z][^`]*)`")
 NOT_RUN = {
     r"make( [a-z-]+)?$": "installs; each target is in the Makefile, which another test here looks up; CI runs demo, check and test",
-    r"(.*/)?(pip|npm|apt|apt-get|git|ln) ": "installs or fetches",
+    r"(.*/)?(pip|uvx|npm|apt|apt-get|git|ln|podman|docker) ": "installs or fetches",
     r"\. \.venv/bin/activate": "for the shell of the reader",
     r"python (-m training|training/)|[TU]=|\$[TU] |for |done$|case |name=": "hours, and PyTorch; tests/training runs the programs",
     r"python (measure_saving|render)\.py": "Blender, and an older commit",

@@ -92,6 +92,18 @@ def test_the_program_has_all_that_it_reads_and_overwrites_nothing_of_others(prog
     assert {name.split("/")[0] for name in names} == tops
 
 
+def test_a_container_is_given_all_that_the_wheel_is_built_from(program, tmp_path):
+    """The folder as a container's engine copies it, by ``.dockerignore``; no engine is needed."""
+    first, *kept = [line for line in (ROOT / ".dockerignore").read_text().splitlines() if not line.startswith("#")]
+    assert first == "*"
+    for name in (line.removeprefix("!") for line in kept if line.startswith("!")):
+        (shutil.copytree if (ROOT / name).is_dir() else shutil.copy)(ROOT / name, tmp_path / name)
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path / "dist")]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    names = zipfile.ZipFile(next((tmp_path / "dist").glob("*.whl"))).namelist()
+    assert sorted(names) == sorted(zipfile.ZipFile(program[0]).namelist())
+
+
 def test_another_package_of_the_judges_name_is_one_line(program, tmp_path):
     """Theirs is imported, ours is untouched, and the line says where both are and what to do."""
     site, command = program[1], "from stss.cli.main import main; main()"
