@@ -20,6 +20,7 @@ from conformance.judging.findings import DepartureError, Failure, Finding, Recor
 from conformance.judging.questions import BATCH, Answer, Dialogue, Talk, answers_of, ask, repeated
 from conformance.protocol.port import Arrays, Case, Outputs, Port, PortError
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs, network_inputs, reference
+from conformance.protocol.weights_file import shuffled
 from conformance.protocol.weights_format import VERSIONS
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
@@ -256,7 +257,7 @@ class Judge:
                 (3, {"hole_test": "footprint"}),
             ):
                 given = replace(given, **known) if self.weights_version < version else given
-            self._weights[id(weights)] = weights, given
+            self._weights[id(weights)] = weights, shuffled(given)
         return self._weights[id(weights)][1]
 
     def round_inputs(self, arrays: Arrays, stage: str = "") -> dict[str, NDArray[Any]]:

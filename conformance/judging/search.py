@@ -99,7 +99,7 @@ class Made:
         """Run ``body`` on the cases; DepartureError if the property does not hold, with the failure in the judge's ``record``."""
         wrong = judge.first_wrong(body, self.cases(judge))
         if wrong is not None:
-            judge.record.about = self._about(self._chosen(judge)[wrong])
+            judge.record.about = self._about(self._chosen(judge)[wrong]) or judge.record.about
             raise DepartureError(judge.failure().finding)
 
     def _chosen(self, judge: Judge) -> Makers:

@@ -18,13 +18,13 @@ from pathlib import Path
 
 import numpy as np
 import safetensors
-from safetensors.numpy import save
 
 from conformance.protocol.array_specs import ArraySpec, Sizes, check_numbers
 from conformance.protocol.layers import LAYERS_OF, check_layers
 from conformance.protocol.port import AnyArray, Arrays, Case, Outputs, Unsupported
 from conformance.protocol.stages import check_input_shapes, check_inputs, check_output_shapes, find, require_inputs
-from conformance.protocol.weights_format import format_metadata, take_format
+from conformance.protocol.weights_file import serialise
+from conformance.protocol.weights_format import take_format
 from stss_ground.terminal import printable
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights, WeightsError, check
@@ -82,12 +82,8 @@ def write_job(job: Path, cases: Sequence[Case], first: int = 0, *, layers: bool 
         if id(case.weights) in written:
             link(written[id(case.weights)], path)
         else:
-            path.write_bytes(_serialised(case.weights))
+            path.write_bytes(serialise(case.weights))
             written[id(case.weights)] = path
-
-
-def _serialised(weights: Weights) -> bytes:
-    return save({name: np.ascontiguousarray(tensor) for name, tensor in check(weights).items()}, format_metadata(weights))
 
 
 def link(source: Path, path: Path) -> None:

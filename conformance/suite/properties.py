@@ -13,6 +13,7 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.errors import Flaky
 
+from conformance.cases.alike import Call, alike_calls
 from conformance.cases.constants import constant_cases, pinned_by
 from conformance.cases.engine_inputs import engine_inputs
 from conformance.cases.exact_weights import LAST, exact_inputs, rounded_sums
@@ -107,6 +108,23 @@ def same_twice(stage: str, drawn: Callable[[Body], Test]) -> Test:
             judge.same(f"{stage}.{name}", np.nan_to_num(second[name]), np.nan_to_num(first[name]))
 
     return drawn(body)
+
+
+def keeps_nothing_by_a_part(stage: str) -> Test:
+    """Make a stage's test that what a port keeps from call to call, it keeps by all of its inputs."""
+
+    def body(judge: Judge, calls: list[Call]) -> Talk:
+        """Calls agree whose inputs share all but one pixel, one array, one weight or their sums with those of the call before."""
+        first, *others = calls
+        asked = [ask(stage, inputs, weights) for other in others for _, inputs, weights in (first, other)]
+        answers = yield asked
+        judge.compare(stage, *first[1:], answers[0])
+        for (what, inputs, weights), outputs in zip(others, answers[1::2], strict=True):
+            judge.record.about = f"the call before differs in this alone: {what}"
+            judge.compare(stage, inputs, weights, outputs)
+        judge.record.about = ""
+
+    return made_cases([alike_calls(stage)])(body)
 
 
 def agrees_exactly(stage: str, size: st.SearchStrategy[Size]) -> Test:

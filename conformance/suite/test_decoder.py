@@ -12,6 +12,7 @@ from conformance.suite.properties import (
     agrees_in_large_frames,
     agrees_in_windows,
     cases,
+    keeps_nothing_by_a_part,
     rounds_either_way,
     same_twice,
 )
@@ -50,6 +51,9 @@ test_what_needs_no_rounding_is_exact = agrees_exactly("decoder", multiples())
 
 
 test_sums_round_either_way = rounds_either_way("decoder", "image")
+
+
+test_nothing_is_kept_by_a_part_of_the_inputs = keeps_nothing_by_a_part("decoder")
 
 
 test_large_frames_agree_with_the_reference = agrees_in_large_frames("decoder")

@@ -9,7 +9,14 @@ from conformance.cases.planes import SEEDS
 from conformance.cases.stage_inputs import Inputs, multiples, network_inputs, weights
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import agrees_in_large_frames, agrees_in_windows, agrees_on_constants, cases, same_twice
+from conformance.suite.properties import (
+    agrees_in_large_frames,
+    agrees_in_windows,
+    agrees_on_constants,
+    cases,
+    keeps_nothing_by_a_part,
+    same_twice,
+)
 from stss_ref.weights import Weights
 
 CASES = st.tuples(network_inputs("erm", multiples(48)), weights())
@@ -78,6 +85,9 @@ test_the_same_twice = same_twice("erm", cases(CASES, slow=True))
 
 
 test_constants_are_those_of_the_specification = agrees_on_constants("erm")
+
+
+test_nothing_is_kept_by_a_part_of_the_inputs = keeps_nothing_by_a_part("erm")
 
 
 test_large_frames_agree_with_the_reference = agrees_in_large_frames("erm")

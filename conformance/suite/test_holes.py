@@ -16,6 +16,7 @@ from conformance.suite.properties import (
     agrees_on_constants,
     agrees_on_engines,
     cases,
+    keeps_nothing_by_a_part,
     same_twice,
 )
 
@@ -87,6 +88,9 @@ test_constants_are_those_of_the_specification = agrees_on_constants("holes")
 
 
 test_agrees_on_what_engines_send = agrees_on_engines("holes")
+
+
+test_nothing_is_kept_by_a_part_of_the_inputs = keeps_nothing_by_a_part("holes")
 
 
 test_large_frames_agree_with_the_reference = agrees_in_large_frames("holes")

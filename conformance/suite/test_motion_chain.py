@@ -8,7 +8,14 @@ from conformance.cases.planes import sizes
 from conformance.cases.stage_inputs import Inputs, chain_inputs
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import agrees_in_large_frames, agrees_in_windows, agrees_on_engines, cases, made_cases
+from conformance.suite.properties import (
+    agrees_in_large_frames,
+    agrees_in_windows,
+    agrees_on_engines,
+    cases,
+    keeps_nothing_by_a_part,
+    made_cases,
+)
 
 
 @cases(chain_inputs())
@@ -46,6 +53,9 @@ def test_a_motion_is_never_lost_in_a_sum(judge: Judge, inputs: Inputs) -> Talk:
 
 
 test_agrees_on_what_engines_send = agrees_on_engines("motion_chain")
+
+
+test_nothing_is_kept_by_a_part_of_the_inputs = keeps_nothing_by_a_part("motion_chain")
 
 
 test_large_frames_agree_with_the_reference = agrees_in_large_frames("motion_chain")

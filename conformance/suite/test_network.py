@@ -9,7 +9,7 @@ from conformance.cases.planes import sizes
 from conformance.cases.stage_inputs import Inputs, network_inputs, weights
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import agrees_in_large_frames, agrees_in_windows, cases, same_twice
+from conformance.suite.properties import agrees_in_large_frames, agrees_in_windows, cases, keeps_nothing_by_a_part, same_twice
 from stss_ref.weights import Weights, zeros
 
 CASES = st.tuples(network_inputs("network", sizes(20)), weights())
@@ -44,6 +44,9 @@ def test_without_a_residual_it_is_bilinear(judge: Judge, inputs: Inputs) -> Talk
 
 
 test_the_same_twice = same_twice("network", cases(CASES, slow=True))
+
+
+test_nothing_is_kept_by_a_part_of_the_inputs = keeps_nothing_by_a_part("network")
 
 
 test_large_frames_agree_with_the_reference = agrees_in_large_frames("network")

@@ -9,7 +9,14 @@ from conformance.cases.planes import Float64, colors, dyadic_motions, sizes
 from conformance.cases.stage_inputs import Inputs, warp_inputs, wide_warp_inputs
 from conformance.judging.judge import Judge
 from conformance.judging.questions import Talk, ask
-from conformance.suite.properties import agrees_in_large_frames, agrees_in_windows, agrees_on_engines, cases, same_twice
+from conformance.suite.properties import (
+    agrees_in_large_frames,
+    agrees_in_windows,
+    agrees_on_engines,
+    cases,
+    keeps_nothing_by_a_part,
+    same_twice,
+)
 
 
 @cases(warp_inputs())
@@ -94,6 +101,9 @@ test_the_same_twice = same_twice("warp", cases(warp_inputs()))
 
 
 test_agrees_on_what_engines_send = agrees_on_engines("warp")
+
+
+test_nothing_is_kept_by_a_part_of_the_inputs = keeps_nothing_by_a_part("warp")
 
 
 test_large_frames_agree_with_the_reference = agrees_in_large_frames("warp")

@@ -5,10 +5,12 @@ import re
 import numpy as np
 import pytest
 
+from conformance.answers.expected import largest
+from conformance.cases.alike import alike_calls
 from conformance.cases.large_inputs import large_inputs
 from conformance.judging.findings import DepartureError
 from conformance.judging.judge import TIERS, Judge, Tier
-from conformance.protocol.stages import STAGES
+from conformance.protocol.stages import STAGES, reference
 from conformance.report.failures import keep_failure, replay
 from conformance.report.report import judged_on
 from conformance.suite.properties import find_property
@@ -116,6 +118,68 @@ def test_what_quick_leaves_to_full_is_the_last_line():
     results = [result for stage in ("history", "rrm") for result in run_suite(judge, [stage], only="agrees_with")]
     assert judged_on(judge, results)[-1] == "not judged at 1080 x 1920, as --tier full does: history"
     assert "not judged" not in judged_on(Judge(ReferencePort(), TIERS["full"]), results)[-1]
+
+
+KEYS = {
+    "first rows": lambda inputs, _: [array[..., :1, :, :] if array.ndim > 2 else array[:1] for array in inputs.values()],
+    "last rows": lambda inputs, _: [array[..., -1:, :, :] if array.ndim > 2 else array[-1:] for array in inputs.values()],
+    "borders": lambda inputs, _: [e for a in inputs.values() if a.ndim > 1 for e in (a[:1], a[-1:], a[:, :1], a[:, -1:])],
+    "sums": lambda inputs, _: [np.sort(array, axis=None) for array in inputs.values()],
+    "every second pixel": lambda inputs, _: [array.reshape(-1)[::2] for array in inputs.values()],
+    "the first array": lambda inputs, _: [next(iter(inputs.values()))],
+    "the last array": lambda inputs, _: [[*inputs.values()][-1]],
+    "the newest frame": lambda inputs, _: [array[0] if array.ndim == 4 else array for array in inputs.values()],
+    "no weights": lambda inputs, weights: [*inputs.values()],
+    "the first weights": lambda inputs, weights: [*inputs.values(), next(iter(weights.values()))],
+    "weights without their metadata": lambda inputs, weights: [*inputs.values(), *weights.values()],
+    "sums of weights": lambda inputs, weights: [*inputs.values(), *(np.sort(tensor, axis=None) for tensor in weights.values())],
+}
+
+
+class Keeps(ReferencePort):
+    """Gives the last answer again where a part of the inputs is that of the last call."""
+
+    def __init__(self, key):
+        self.key, self.kept, self.answer = key, None, None
+
+    def run(self, stage, inputs, weights=None):
+        key = [(array.shape, array.tobytes()) for array in map(np.ascontiguousarray, KEYS[self.key](inputs, weights))]
+        if key != self.kept:
+            self.kept, self.answer = key, super().run(stage, inputs, weights)
+        return self.answer
+
+
+KEPT = [
+    *(("history", key) for key in ("first rows", "last rows", "sums", "every second pixel", "no weights", "sums of weights")),
+    *(("erm", key) for key in ("the first array", "the last array", "the first weights")),
+    *(("frame", key) for key in ("first rows", "the newest frame", "weights without their metadata")),
+    *(("warp", key) for key in ("sums", "the last array")),
+    *(("holes", key) for key in ("first rows", "the last array")),
+    ("rrm", "borders"),
+]
+"""Stage and what it is kept by."""
+
+
+@pytest.mark.parametrize(("stage", "key"), KEPT, ids=str)
+def test_what_is_kept_by_a_part_of_the_inputs_is_found(stage, key):
+    (result,) = run_suite(Judge(Keeps(key), shrink=False), [stage], only="kept_by_a_part")
+    assert result.outcome == "failed"
+    assert result.record.about.startswith("the call before differs in this alone: ")
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_calls_that_are_alike_have_other_answers(stage):
+    """By more than any bound: else no state would show."""
+    judge = Judge(ReferencePort())
+    (_, inputs, weights), *others = alike_calls(stage)(np.random.default_rng(0))
+    first = reference(stage, judge.exactly(inputs, stage), weights)
+    for what, other, given in others:
+        truth = reference(stage, judge.exactly(other, stage), given)
+        right = judge.right(stage, other, given, truth) if what.startswith(("weights", "normal")) else None
+        if right is None:
+            assert max(np.nanmax(np.abs(truth[name].astype(float) - first[name])) for name in truth) > 0.001, what
+        else:
+            assert max(largest(right[name], first[name]) for name in right) > 2, what
 
 
 class Remembering(ReferencePort):

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: MIT
+"""The weights file of a job: safetensors, whose tensors, entries and metadata may stand in any order; each set of weights has its own.
+
+The library writes one order alone, by which a port might take the tensors; ports are to go by the names.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+
+from conformance.protocol.weights_format import format_metadata
+from stss_ref.weights import Weights, check
+
+FURTHER = {"trained": '[{"crop": "{\\"side\\": 64}"}, "weights"]'}
+"""An entry of the metadata that no port needs: files of trained weights have such ones."""
+ALIGNED = 8
+"""The header's length is a multiple of this, as the library's is, so that the numbers are aligned."""
+MORE = 0, 0, 1, 700
+"""How many times as many spaces may stand behind the header's end."""
+
+
+def serialise(weights: Weights) -> bytes:
+    """The bytes of a file; the same numbers and metadata give the same ones.
+
+    Raises:
+        WeightsError: weights are not of this network, or not float32.
+    """
+    tensors = {name: tensor.astype("<f4", copy=False).tobytes() for name, tensor in check(weights).items()}
+    rng = _generator(weights)
+    held, begin = {}, 0
+    stored = [str(name) for name in rng.permutation([*tensors])]
+    for name in stored:
+        held[name] = begin, begin + len(tensors[name])
+        begin += len(tensors[name])
+    metadata = _in_any_order(rng, {**format_metadata(weights), **(FURTHER if rng.random() < 0.5 else {})})
+    entries: list[tuple[str, Any]] = []
+    for name in rng.permutation([*tensors]):
+        entry = {"dtype": "F32", "shape": [*weights[str(name)].shape], "data_offsets": [*held[str(name)]]}
+        entries.append((str(name), _in_any_order(rng, entry)))
+    entries.insert(int(rng.choice([0, len(entries), len(entries) // 2])), ("__metadata__", metadata))
+    compact = bool(rng.random() < 0.5)
+    header = json.dumps(dict(entries), separators=(",", ":") if compact else (", ", ": ")).encode()
+    header += b" " * (-len(header) % ALIGNED + ALIGNED * int(rng.choice(MORE)))
+    return len(header).to_bytes(8, "little") + header + b"".join(tensors[name] for name in stored)
+
+
+def shuffled(weights: Weights) -> Weights:
+    """The same weights, the names in another order: for a port that is given them by name."""
+    return replace(weights, tensors=_in_any_order(_generator(weights), dict(weights)))
+
+
+def _generator(weights: Weights) -> np.random.Generator:
+    digest = crc32(repr(sorted(format_metadata(weights).items())).encode())
+    for name in sorted(weights):
+        digest = crc32(np.ascontiguousarray(weights[name]).data, digest)
+    return np.random.default_rng(digest)
+
+
+def _in_any_order(rng: np.random.Generator, entries: dict[str, Any]) -> dict[str, Any]:
+    return {str(name): entries[str(name)] for name in rng.permutation([*entries])}

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: MIT
+"""The weights file of a job: no port passes that goes by anything but the names, and the library reads every one."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from conformance.cases.stage_inputs import made_weights
+from conformance.judging.judge import Judge, Tier
+from conformance.protocol.job_folder import read_weights
+from conformance.protocol.port import Case
+from conformance.protocol.weights_file import serialise, shuffled
+from conformance.reference_port import ReferencePort
+from conformance.suite.run_suite import run_suite
+from stss_ref.weights import TENSORS, Weights
+
+SETS = [made_weights("random", seed) for seed in range(16)]
+
+
+def header(data):
+    """Its bytes, and what they say."""
+    length = int.from_bytes(data[:8], "little")
+    return data[8 : 8 + length], json.loads(data[8 : 8 + length])
+
+
+def test_the_library_reads_them(tmp_path):
+    for given in SETS:
+        weights = replace(given, second_color="detail", hole_test="paper")
+        read = read_weights(serialise(weights), tmp_path)
+        assert (read.second_color, read.hole_test) == ("detail", "paper")
+        assert all(np.array_equal(read[name], weights[name]) for name in TENSORS)
+        assert serialise(weights) == serialise(shuffled(weights))
+
+
+def test_no_two_are_laid_out_alike():
+    """Metadata first, last and between; tensors, entries and what is in one in any order; more spaces behind, or none."""
+    texts, said = zip(*(header(serialise(weights)) for weights in SETS), strict=True)
+    places = {[*names].index("__metadata__") for names in said}
+    assert {0, len(TENSORS)} < places
+    assert len({tuple(names) for names in said}) == len(SETS)
+    stored = [sorted(TENSORS, key=lambda name, names=names: names[name]["data_offsets"]) for names in said]
+    assert len({tuple(names) for names in stored}) == len(SETS)
+    assert len({tuple(names["outc.bias"]) for names in said}) > 2
+    assert {len(text) % 8 for text in texts} == {0}
+    assert len({len(text) - len(text.rstrip()) for text in texts}) > 3
+    assert {len(names["__metadata__"]) for names in said} == {1, 2}
+
+
+class InOrder(ReferencePort):
+    """Takes the tensors by their order: that of the names, of the network, or of the first file."""
+
+    def __init__(self, order):
+        self.order = order
+
+    def run(self, stage, inputs, weights=None):
+        names = self.order or [*weights]
+        self.order = names
+        return super().run(stage, inputs, Weights(dict(zip(names, weights.values(), strict=True))))
+
+
+@pytest.mark.parametrize("order", [sorted(TENSORS), [*TENSORS], []], ids=["names", "network", "first"])
+def test_a_port_that_goes_by_the_order_is_found(order):
+    judge = Judge(InOrder(order), Tier("some", 1, 6, 0), shrink=False)
+    (result,) = run_suite(judge, ["history"], only="agrees_with")
+    assert result.outcome == "failed"
+
+
+def test_a_case_keeps_its_file():
+    """Weights that were read are written in the same form again."""
+    case = Case("history", {}, shuffled(SETS[0]))
+    assert serialise(case.weights) == serialise(SETS[0])
