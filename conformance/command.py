@@ -110,7 +110,7 @@ def conform(
     from conformance.protocol.load_port import load_port, loaded_files
     from conformance.report import case_archive
     from conformance.report.running_report import RunningReport
-    from conformance.suite.run_suite import SUITE, run_suite
+    from conformance.suite.run_suite import SUITE, run_suite, stage_needed
 
     _require_folder(failures)
     _require_stages({"--stages": stages, "--require": require})
@@ -121,12 +121,13 @@ def conform(
         index = case_archive.write_cases(write_cases, asked, TIERS[tier], seed, dtype or "float32", winograd=winograd, tell=echo)
         echo(f"{write_cases}: {len(index['cases'])} cases, inputs {index['inputs_sha256'][:16]}")
         return
-    port = load_port(spec, program, timeout, dtype, winograd, weights_version)
+    needed = {stage_needed(stage) for stage in (*(stages or SUITE), *(require or ()))}
+    port, abilities = load_port(spec, program, timeout, dtype, winograd, weights_version, needed if replay is None else SUITE)
     # Whatever module the port has imported is read, too.
     require_places({"--json": json_file, "--junit": junit, "--report": report}, loaded_files())
     if replay is not None:
-        sys.exit(_replay(port, replay))
-    judge = Judge(port, TIERS[tier], seed, repeat=repeat, size=size, largest_side=largest_side)
+        sys.exit(_replay(port, abilities, replay))
+    judge = Judge(port, TIERS[tier], seed, repeat=repeat, size=size, largest_side=largest_side, abilities=abilities)
     try:
         known = read_known(known_failures) if known_failures is not None else ()
         running = RunningReport(judge, failures, _command(spec, program, dtype, weights_version, winograd=winograd), json_file)
@@ -160,10 +161,10 @@ def _command(spec: str | None, program: str | None, dtype: str | None, weights_v
     return shlex.join([*words, *(["--winograd"] if winograd else [])])
 
 
-def _replay(port: Any, folder: Path) -> int:
+def _replay(port: Any, abilities: Any, folder: Path) -> int:
     from conformance.report.failures import replay
 
-    record = replay(port, folder)
+    record = replay(port, folder, abilities)
     for output, ratio in record.worst.items():
         echo(f"{output}: {'wrong' if ratio == float('inf') else f'error / bound {ratio:.3g}'}")
     if record.failure is not None:

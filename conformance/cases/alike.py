@@ -77,7 +77,7 @@ def _others(stage: str, name: str, array: NDArray[Any]) -> Iterator[tuple[str, N
         return
     rows, over = _rows(stage, name)
     own, other = (tuple(at // over for at in place) for place in _by_name(AT, name, (STATIC, OTHER)))
-    change = _by_name(CHANGES, name, lambda v: 1.5 - v)
+    change = _by_name(CHANGES, name, _less)
     for frame in np.ndindex(array.shape[:rows]):
         one = array.copy()
         one[(*frame, *own)] = change(array[(*frame, *own)])
@@ -86,6 +86,10 @@ def _others(stage: str, name: str, array: NDArray[Any]) -> Iterator[tuple[str, N
     swapped = array.copy()
     swapped[first], swapped[second] = array[second], array[first]
     yield "two pixels exchanged", swapped
+
+
+def _less(value: NDArray[Any]) -> NDArray[Any]:
+    return 1.5 - value
 
 
 def _halves(stage: str, inputs: Inputs) -> Inputs:

@@ -47,6 +47,16 @@ def _holes(rng: Generator) -> Inputs:
     }  # fmt: skip
 
 
+def _far_from_home(rng: Generator) -> Inputs:
+    """Positions about 2^23, where float32 holds whole numbers alone: differences of them are exact, and interpolated ones are not."""
+    position = 2.0**23 + rng.integers(0, 4, (*SIZE, 3))
+    still = {name: array for name, array in _holes(rng).items() if not name.startswith("stencil")}
+    moved = {"motion": rng.integers(-6, 7, (*SIZE, 2)) / 4, "position": position}
+    flat = dict.fromkeys(("stencil", "stencil_previous"), np.zeros(SIZE))
+    there = position + rng.integers(-1, 2, position.shape)
+    return {**still, **flat, **moved, "position_previous": there, "paper": np.zeros(1, np.int32)}
+
+
 def _occlusion_warp(rng: Generator) -> Inputs:
     color, warped = rng.random((2, *SIZE, 3))
     valid = (rng.random(SIZE) < 0.5).astype(np.uint8)
@@ -81,7 +91,7 @@ def _frame(second: SecondColor, fill: HoleFill, rng: Generator) -> tuple[Inputs,
 _MADE: dict[str, tuple[Callable[[Generator], Any], ...]] = {
     "motion_chain": (lambda rng: {"motions": np.stack([_motion(rng, SIZE) for _ in range(3)])},),
     "warp": (lambda rng: {"color": rng.random((*SIZE, 3)), "motion": _motion(rng, SIZE)},),
-    "holes": (_holes,), "occlusion_warp": (_occlusion_warp,), "reshade": (_reshade,),
+    "holes": (_holes, _far_from_home), "occlusion_warp": (_occlusion_warp,), "reshade": (_reshade,),
     "frame": tuple(partial(_frame, second, fill) for second, fill in zip(SECOND_COLORS, HOLE_FILLS, strict=True)),
 }  # fmt: skip
 

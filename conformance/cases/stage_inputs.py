@@ -18,8 +18,8 @@ from stss_ref.reshade import COSINE, FOOTPRINTS
 from stss_ref.weights import SECOND_COLORS, TENSORS, SecondColor, Weights, random
 
 Inputs = dict[str, NDArray[Any]]
-PAPER = st.sampled_from([0, 1]).map(lambda paper: np.array([paper], np.int32))
-"""Stage holes' input that asks for the paper's test."""
+PAPER = st.sampled_from([0, 0, 0, 1, -1, 2, 255]).map(lambda paper: np.array([paper], np.int32))
+"""Stage holes' input that asks for the paper's test: any number but 0 does."""
 WEIGHT_KINDS = ("random", "sparse", "large", "small keys", "faint keys")
 
 

@@ -61,7 +61,8 @@ def _counted(judge: Judge, body: Body, failure: Failure) -> Failure:
 
 def fails(judge: Judge, body: Body, failure: Failure) -> Failure | None:
     """The failure as it is now, after the cases before it, at one start of a program; None: it passes."""
-    getattr(judge.port, "restart", lambda: None)()
+    if judge.abilities.restart is not None:
+        judge.abilities.restart()
     cases = [*failure.before, failure.drawn]
     error = dict(judge.departures(body, cases)).get(len(cases) - 1)
     return None if error is None else replace(failure, finding=error.finding)

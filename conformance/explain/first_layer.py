@@ -40,8 +40,7 @@ def first_departure(judge: Judge, finding: Finding) -> str:
 
 def _handed_over(judge: Judge, finding: Finding) -> Outputs:
     """By name; nothing of a port that cannot."""
-    case, port = finding.case, judge.port
-    ask = getattr(port, "layers", None)
+    case, ask = finding.case, judge.abilities.layers
     if ask is None or case.weights is None:
         return {}
     inputs = {name: array.copy() for name, array in case.inputs.items()}

@@ -28,6 +28,18 @@ class DepartureError(AssertionError):
         self.finding = finding
 
 
+class WrongError(AssertionError):
+    """Numbers are wrong; whoever asked for them knows of which case, and makes a `DepartureError` of it."""
+
+    def __init__(self, message: str, output: str, got: NDArray[Any] | None, expected: Expected | None):
+        super().__init__(message)
+        self.message, self.output, self.got, self.expected = message, output, got, expected
+
+    def of(self, case: Case) -> DepartureError:
+        """The departure on this case."""
+        return DepartureError(Finding(self.message, case, self.output, self.got, self.expected))
+
+
 @dataclass(frozen=True)
 class Finding:
     """One wrong output: enough to show it and to run it again.

@@ -16,12 +16,11 @@ from conformance.answers.expected import Expected, largest
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.answers.sums import expected_rounding, rounding
 from conformance.answers.windows import expect_windows
-from conformance.judging.findings import DepartureError, Failure, Finding, Record, said
-from conformance.judging.questions import BATCH, Answer, Dialogue, Talk, answers_of, ask, repeated
-from conformance.protocol.port import Arrays, Case, Outputs, Port, PortError
+from conformance.judging.findings import DepartureError, Failure, Finding, Record, WrongError, said
+from conformance.judging.questions import BATCH, Answer, Dialogue, Question, Talk, answers_of, ask, repeated
+from conformance.protocol.port import Abilities, Arrays, Case, Outputs, Port, PortError, abilities_of
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs, network_inputs, reference
 from conformance.protocol.weights_file import shuffled
-from conformance.protocol.weights_format import VERSIONS
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
 
@@ -64,6 +63,7 @@ class Judge:
         repeat: number of times that each case is computed; different bits in any of them are a departure.
         size: (H, W) at which each stage is judged once, too; None: at the tier's sizes only.
         largest_side: the most rows or columns of an array that the port takes; larger cases are cut to that; None: any.
+        abilities: the port's; None: as it says itself.
 
     Attributes:
         record: of the test that runs now; the runner sets a new one before each test.
@@ -82,15 +82,16 @@ class Judge:
         repeat: int = 1,
         size: tuple[int, int] | None = None,
         largest_side: int | None = None,
+        abilities: Abilities | None = None,
     ):
         self.port, self.tier, self.seed, self.shrink, self.repeat = port, tier, seed, shrink, repeat
         self.size, self.largest_side = size, largest_side
-        self.arithmetic = Arithmetic(port.dtype, bool(getattr(port, "winograd", False)))
-        self.weights_version = int(getattr(port, "weights_version", VERSIONS[-1]))
+        self.abilities = abilities_of(port) if abilities is None else abilities
+        self.arithmetic = Arithmetic(self.abilities.dtype, bool(self.abilities.winograd))
+        self.weights_version = self.abilities.weights_version
         self.stages = port.stages()
         self.record = Record()
         self.tell: Callable[[Finding], None] = lambda _: None
-        self._last: Case | None = None
         self.near: dict[str, float] = {}
         self.answered: deque[tuple[Case, Outputs]] = deque(maxlen=OTHERS)
         self._before: deque[Any] = deque(maxlen=MOST_BEFORE)
@@ -107,7 +108,7 @@ class Judge:
     @property
     def is_program(self) -> bool:
         """Whether the port computes many cases at one start."""
-        return hasattr(self.port, "run_many")
+        return self.abilities.run_many is not None
 
     def check(self, body: Body, *drawn: Any) -> None:
         """Run a property on some of its cases; DepartureError if it does not hold, with the failure in ``record``."""
@@ -159,28 +160,32 @@ class Judge:
                 waiting = going
 
     def _advance(self, dialogue: Dialogue, answers: Sequence[Outputs] | None) -> DepartureError | None:
-        """Let a property go on to its next questions."""
-        if answers is not None:
-            last = dialogue.asked[-1]
-            self._last = self.make_case(last.stage, last.inputs, last.weights)
+        """Let a property go on to its next questions; what it finds wrong is of the case that it asked for last, if it names no other."""
+        last = self._case_of(dialogue.asked[-1]) if dialogue.asked else None
         try:
             dialogue.go_on(answers)
         except DepartureError as error:
             return error
+        except WrongError as error:
+            assert last is not None
+            return error.of(last)
         except Exception as error:
             # The judge's own fault: what led to it is kept as any other failure is.
-            if self._last is not None:
-                finding = Finding(f"judging failed: {type(error).__name__}: {error}", self._last, "", None, None)
-                self.record.failure = Failure(finding, dialogue.drawn)
+            if last is not None:
+                message = f"judging failed: {type(error).__name__}: {error}"
+                self.record.failure = Failure(Finding(message, last, "", None, None), dialogue.drawn)
             raise
         return None
+
+    def _case_of(self, question: Question) -> Case:
+        return self.make_case(question.stage, question.inputs, question.weights)
 
     def _ask(self, dialogues: Sequence[Dialogue]) -> list[list[Outputs] | DepartureError | None]:
         """The port's answers to all that these wait for; a departure where one is none; None where nobody was asked."""
         asked = [question for dialogue in dialogues for question in repeated(dialogue.asked, self.repeat)]
         order = sorted(range(len(asked)), key=lambda i: asked[i].again)
-        cases = [self.make_case(question.stage, question.inputs, question.weights) for question in asked]
-        found = dict(zip(order, answers_of(self.port, [cases[i] for i in order]), strict=True))
+        cases = [self._case_of(question) for question in asked]
+        found = dict(zip(order, answers_of(self.port, self.abilities, [cases[i] for i in order]), strict=True))
         answers = [self._checked(case, found[i]) for i, case in enumerate(cases)]
         result: list[list[Outputs] | DepartureError | None] = []
         for dialogue in dialogues:
@@ -194,20 +199,16 @@ class Judge:
         wrong = next((each for each in answers if isinstance(each, DepartureError)), None)
         if wrong is not None or any(each is None for each in answers):
             return wrong
-        first = [*answers[:: self.repeat]]
-        try:
-            for i, outputs in enumerate(answers):
-                question = dialogue.asked[i // self.repeat]
-                if i % self.repeat:
-                    self._last = self.make_case(question.stage, question.inputs, question.weights)
-                    self._same_bits(question.stage, outputs, first[i // self.repeat])
-        except DepartureError as error:
-            return error
+        given = [each for each in answers if isinstance(each, dict)]
+        first = given[:: self.repeat]
+        for i, outputs in enumerate(given):
+            question, right = dialogue.asked[i // self.repeat], first[i // self.repeat]
+            for name, array in outputs.items() if i % self.repeat else ():
+                try:
+                    self.same(f"{question.stage}.{name}", np.nan_to_num(array), np.nan_to_num(right[name]))
+                except WrongError as error:
+                    return error.of(self._case_of(question))
         return first
-
-    def _same_bits(self, stage: str, outputs: Any, first: Any) -> None:
-        for name, array in outputs.items():
-            self.same(f"{stage}.{name}", np.nan_to_num(array), np.nan_to_num(first[name]))
 
     def _checked(self, case: Case, answer: Answer) -> Outputs | DepartureError | None:
         """The outputs, if they have the shapes and dtypes that they must have."""
@@ -233,11 +234,10 @@ class Judge:
             DepartureError: the port fails, or an output is missing or has the wrong shape or dtype.
         """
         case = self.make_case(stage, inputs, weights)
-        (found,) = answers_of(self.port, [case])
+        (found,) = answers_of(self.port, self.abilities, [case])
         got = self._checked(case, found)
         if isinstance(got, DepartureError):
             raise got
-        self._last = case
         assert got is not None
         return got
 
@@ -294,14 +294,18 @@ class Judge:
 
     def compare(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None, outputs: Outputs) -> None:
         """Raise DepartureError unless every output is within its bound of the float64 reference."""
-        self._last = self.make_case(stage, inputs, weights)
+        case = self.make_case(stage, inputs, weights)
         expected = self.right(stage, inputs, weights, outputs)
         if not expected:
-            self._finite(stage, outputs)
+            self.record.unjudged += 1
+            expected = {name: _finite(got) for name, got in outputs.items() if not np.isfinite(got).all()}
         else:
-            self.answered.append((self._last, outputs))
+            self.answered.append((case, outputs))
         for name, right in expected.items():
-            self.holds(f"{stage}.{name}", outputs[name], right)
+            try:
+                self.holds(f"{stage}.{name}", outputs[name], right)
+            except WrongError as error:
+                raise error.of(case) from None
 
     def agrees_exactly(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights) -> Talk:
         """Run a case that needs no rounding, and expect the right bits; a Winograd port has its bounds, since its matrices have thirds."""
@@ -326,7 +330,6 @@ class Judge:
     def agrees_in_windows(self, stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None = None) -> Talk:
         """Ask for a large frame, and compare a few windows of it; a wrong one is not compared with mistakes, which takes long."""
         outputs = yield ask(stage, inputs, weights)
-        self._last = self.make_case(stage, inputs, weights)
         exact, given = self.exactly(inputs, stage), None if weights is None else self._given_weights(weights)
         computed = "network" if stage == "frame" else stage
         if stage == "frame" and given is not None:
@@ -335,25 +338,17 @@ class Judge:
             for name, (place, right) in window.outputs.items():
                 try:
                     self.holds(f"{stage}.{name}", outputs[name][place], right)
-                except DepartureError as error:
+                except WrongError as error:
                     at = f"in the window at row {window.rows.start}, column {window.columns.start} of the inputs"
-                    finding = replace(error.finding, message=f"{error.finding.message}, {at}", got=None, expected=None)
-                    raise DepartureError(finding) from error
-
-    def _finite(self, stage: str, outputs: Outputs) -> None:
-        """Expect finite numbers only, of an answer that cannot be judged since rounding decides on the whole of it."""
-        self.record.unjudged += 1
-        for name, got in outputs.items():
-            if not np.isfinite(got).all():
-                self.holds(f"{stage}.{name}", got, Expected(np.where(np.isfinite(got), got, 0), 0.0))
+                    raise WrongError(f"{error.message}, {at}", error.output, None, None) from None
 
     def same(self, output: str, got: NDArray[Any], want: NDArray[Any]) -> None:
-        """Raise DepartureError unless the numbers are equal; 0 equals -0, and a denormal number may be 0."""
+        """Raise WrongError unless the numbers are equal; 0 equals -0, and a denormal number may be 0."""
         want = np.asarray(want)
         self.holds(output, got, Expected(want, self.arithmetic.flushed(want)))
 
     def holds(self, output: str, got: NDArray[Any], expected: Expected) -> None:
-        """Raise DepartureError unless ``got`` is right; ``output`` is ``stage.name``, as in the table of bounds."""
+        """Raise WrongError unless ``got`` is right; ``output`` is ``stage.name``, as in the table of bounds."""
         self.record.undecided += expected.undecided
         closer = expected.closer(got)
         worst = largest(closer, got)
@@ -361,15 +356,19 @@ class Judge:
         for name, ratio in found.items():
             self.record.worst[name] = max(ratio, self.record.worst.get(name, 0.0))
         if worst > 1:
-            assert self._last is not None
             message = said(output, got, closer, worst)
             if closer is not expected:
                 message = (
                     f"{output}: rms of the errors {expected.together(got):.3g} of its limit, each within its own bound; {message}"
                 )
-            raise DepartureError(Finding(message, self._last, output.rsplit(".", maxsplit=1)[-1], got, closer))
+            raise WrongError(message, output.rsplit(".", maxsplit=1)[-1], got, closer)
         for name, ratio in found.items():
             self.near[name] = max(ratio, self.near.get(name, 0.0))
+
+
+def _finite(got: NDArray[Any]) -> Expected:
+    """Of an answer that cannot be judged, since rounding decides on the whole of it: finite numbers."""
+    return Expected(np.where(np.isfinite(got), got, 0), 0.0)
 
 
 def agreement(judge: Judge, case: Case) -> Talk:

@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from conformance.protocol.port import Case, Outputs, PortError, Unsupported
+from conformance.protocol.port import Abilities, Case, Outputs, Port, PortError, Unsupported
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights
 
@@ -45,19 +45,17 @@ Answer = Outputs | PortError | None
 """None: nobody was asked, since the start that would have answered failed at another case."""
 
 
-def answers_of(port: Any, cases: Sequence[Case]) -> list[Answer]:
-    """A port's answers: outputs, or an error.
+RunMany = Callable[[Sequence[Case]], Sequence[Outputs | Unsupported]]
 
-    Args:
-        port: an object, or a program that has ``run_many``.
-        cases: in this order.
-    """
-    if not hasattr(port, "run_many"):
+
+def answers_of(port: Port, abilities: Abilities, cases: Sequence[Case]) -> list[Answer]:
+    """A port's answers to cases in this order: outputs, or an error. A program computes many of them at one start."""
+    if (run_many := abilities.run_many) is None:
         return [_answer(port, case) for case in cases]
-    return [answer for some in _batches(cases) for answer in _computed(port, some)]
+    return [answer for some in _batches(cases) for answer in _computed(port.name, run_many, some)]
 
 
-def _answer(port: Any, case: Case) -> Answer:
+def _answer(port: Port, case: Case) -> Answer:
     """The answer of an object. Arrays are copied, since it may write to its inputs, or later to its outputs."""
     inputs = {name: array.copy() for name, array in case.inputs.items()}
     try:
@@ -72,24 +70,24 @@ def _answer(port: Any, case: Case) -> Answer:
         return PortError(f"{type(error).__name__}: {error}")
 
 
-def _computed(port: Any, cases: Sequence[Case]) -> list[Answer]:
+def _computed(name: str, run_many: RunMany, cases: Sequence[Case]) -> list[Answer]:
     """The answers of one start. If it fails, the case at which it did is asked alone."""
     try:
-        given = port.run_many(cases)
+        given = run_many(cases)
     except PortError as error:
         if len(cases) == 1:
             return [error]
         at = len(cases) - 1 if error.at is None else error.at
-        (alone,) = _computed(port, [cases[at]])
+        (alone,) = _computed(name, run_many, [cases[at]])
         if not isinstance(alone, PortError):
-            alone = PortError(f"depends on the cases before: passes alone, but not as one of {len(cases)} in a job: {error}")
+            alone = PortError(f"passes alone, but failed as one of {len(cases)} in a job: {error}")
         return [alone if number == at else None for number in range(len(cases))]
-    return [_lacking(port, case) if isinstance(each, Unsupported) else each for case, each in zip(cases, given, strict=True)]
+    return [_lacking(name, case) if isinstance(each, Unsupported) else each for case, each in zip(cases, given, strict=True)]
 
 
-def _lacking(port: Any, case: Case) -> PortError:
+def _lacking(port: str, case: Case) -> PortError:
     sizes = ", ".join(f"{name} {array.shape}" for name, array in case.inputs.items())
-    return PortError(f"{port.name}: stage {case.stage} is unsupported with {sizes}, though not with others")
+    return PortError(f"{port}: stage {case.stage} is unsupported with {sizes}, though not with others")
 
 
 def _batches(cases: Sequence[Case]) -> list[list[Case]]:

@@ -151,6 +151,16 @@ HOLES = (
         "interpolates the positions, then one distance",
         returns("holes.offsets", lambda four, at: [between(four, at)] * 4),
     ),
+    _holes(
+        "interpolated_first",
+        "subtracts interpolated positions, for differences interpolated",
+        put("holes.offsets", lambda previous, position, at: [bilinear(previous, at) - position] * 4),
+    ),
+    _holes(
+        "paper_is_1",
+        "the paper's test where paper is 1 alone",
+        put("stages.hole_test", lambda paper: "paper" if paper[0] == 1 else "footprint"),
+    ),
     _holes("weightless_taps_left_out", "taps of weight 0 do not count", change_arguments("holes.offsets", at=_weightless)),
     _holes(
         "last_tap_wraps",

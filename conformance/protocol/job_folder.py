@@ -117,6 +117,29 @@ def _require_real(entry: os.DirEntry[str]) -> None:
         raise JobError(f"{entry.path}: not a file")
 
 
+Stamps = dict[Path, tuple[int, int, int]]
+
+
+def stamps_of_inputs(job: Path, count: int) -> Stamps:
+    """Of each input file of a job's first ``count`` cases what shows that it was written to: inode, size and time."""
+    stamps: Stamps = {}
+    for number in range(count):
+        try:
+            with os.scandir(job / f"{number:04d}" / "in") as entries:
+                found = [(Path(entry.path), entry.stat(follow_symlinks=False)) for entry in entries]
+        except OSError:
+            continue
+        stamps |= {path: (stat.st_ino, stat.st_size, stat.st_mtime_ns) for path, stat in found}
+    return stamps
+
+
+def require_unchanged(before: Stamps, after: Stamps) -> None:
+    """Raise JobError if an input file is no longer what it was."""
+    for path, stamp in before.items():
+        if after.get(path) != stamp:
+            raise JobError(f"{path}: {'changed' if path in after else 'removed'}; a program leaves its inputs as they are")
+
+
 def case_folders(job: Path) -> list[Path]:
     """The folders of a job's cases, in order; other files beside them are ignored.
 

@@ -6,20 +6,29 @@ from __future__ import annotations
 import importlib
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from conformance.protocol.port import Port, PortError
+from conformance.protocol.port import Abilities, Port, PortError, abilities_of
 from conformance.protocol.program_port import FolderPort
 from conformance.protocol.stages import STAGES
 from conformance.protocol.weights_format import VERSIONS
 from stss_ground.errors import InputError
 
+ARITHMETICS = ("float32", "float16", "bfloat16")
+
 
 def load_port(
-    spec: str | None, program: str | None, timeout: float, dtype: str | None, winograd: bool, weights_version: int | None = None
-) -> Port:
+    spec: str | None,
+    program: str | None,
+    timeout: float,
+    dtype: str | None = None,
+    winograd: bool = False,
+    weights_version: int | None = None,
+    stages: Iterable[str] = STAGES,
+) -> tuple[Port, Abilities]:
     """Load the port to be judged.
 
     Args:
@@ -27,37 +36,38 @@ def load_port(
         program: a command line; the job folder is appended to it.
         timeout: most seconds that one run of a program may take.
         dtype: arithmetic of the port; None: as the port's own ``dtype`` says, float32 for a program.
-        weights_version: the latest version of weights that the port knows; None: as its own ``weights_version`` says, else 5.
         winograd: the port uses Winograd convolutions, even if its own ``winograd`` does not say so.
+        weights_version: the latest version of weights that the port knows; None: as its own ``weights_version`` says, else the latest.
+        stages: a program is asked for these alone.
+
+    Returns:
+        The port, and its abilities as it says them or as they are given here.
 
     Raises:
         InputError: not exactly one of ``spec`` and ``program`` is given, or there is no such port.
     """
     if (spec is None) == (program is None):
         raise InputError("expected either --port package.module:factory or --exec PROGRAM")
+    named = spec or program
     try:
-        port: Any = _imported(spec) if spec is not None else FolderPort(_command(program or ""), timeout)
+        port: Any = _imported(spec) if spec is not None else FolderPort(_command(program or ""), timeout, stages=stages)
         lacking = [name for name in ("name", "dtype", "stages", "run") if not hasattr(port, name)]
         if lacking:
             raise InputError(f"{spec}: expected a port, got a {type(port).__name__} without {', '.join(lacking)}")
-        if dtype is not None:
-            port.dtype = dtype
+        given = {"dtype": dtype, "winograd": winograd or None, "weights_version": weights_version}
+        abilities = replace(abilities_of(port), **{name: value for name, value in given.items() if value is not None})
+        said: Any = abilities.dtype
         # NumPy's own dtype equals its name, and is no key of the tables of bounds.
-        if not isinstance(port.dtype, str) or port.dtype not in ("float32", "float16", "bfloat16"):
-            raise InputError(f"{spec or program}: dtype: expected the text float32, float16 or bfloat16, got {port.dtype!r}")
-        if winograd:
-            port.winograd = True
-        if weights_version is not None:
-            port.weights_version = weights_version
-        version = getattr(port, "weights_version", VERSIONS[-1])
-        if str(version) not in VERSIONS:
-            raise InputError(f"{spec or program}: weights_version: expected 1, 3, 4 or 5, got {version!r}")
+        if not isinstance(said, str) or said not in ARITHMETICS:
+            raise InputError(f"{named}: dtype: expected the text float32, float16 or bfloat16, got {said!r}")
+        if str(abilities.weights_version) not in VERSIONS:
+            raise InputError(f"{named}: weights_version: expected 1, 3, 4 or 5, got {abilities.weights_version!r}")
         unknown = set(port.stages()) - set(STAGES)
     except PortError as error:
         raise InputError(str(error)) from error
     if unknown:
-        raise InputError(f"{spec or program}: stages: not in the table: {', '.join(sorted(unknown))}")
-    return port
+        raise InputError(f"{named}: stages: not in the table: {', '.join(sorted(unknown))}")
+    return port, abilities
 
 
 def loaded_files() -> list[Path]:

@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
+from conformance.protocol.weights_format import VERSIONS
 from stss_ref.weights import Weights
 
 AnyArray = NDArray[Any]
@@ -73,3 +74,29 @@ class Port(Protocol):
     def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
         """Compute one of its ``stages()``; returns outputs by the names of the stage table."""
         ...
+
+
+@dataclass(frozen=True)
+class Abilities:
+    """What a port says of itself, and what it can do besides `Port`'s members: it has any of these as its own.
+
+    Attributes:
+        dtype: ``float32``, ``float16`` or ``bfloat16``: its arithmetic.
+        winograd: whether its convolutions are Winograd's.
+        weights_version: the latest version of weights that it knows.
+        run_many: computes many cases at one start.
+        restart: forgets what it may remember.
+        layers: hands over layers of a stage, given as ``run`` is: see `conformance.protocol.layers`.
+    """
+
+    dtype: str = "float32"
+    winograd: bool = False
+    weights_version: int = int(VERSIONS[-1])
+    run_many: Callable[[Sequence[Case]], Sequence[Outputs | Unsupported]] | None = None
+    restart: Callable[[], None] | None = None
+    layers: Callable[[str, Arrays, Weights | None], Outputs] | None = None
+
+
+def abilities_of(port: Port) -> Abilities:
+    """A port's abilities; those that it does not mention are as in `Abilities`."""
+    return Abilities(**{each.name: getattr(port, each.name) for each in fields(Abilities) if hasattr(port, each.name)})

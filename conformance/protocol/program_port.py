@@ -7,13 +7,22 @@ import atexit
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
-from conformance.protocol.job_folder import DTYPE, JobError, read_layers, read_outputs, require_real, write_job
+from conformance.protocol.job_folder import (
+    DTYPE,
+    JobError,
+    read_layers,
+    read_outputs,
+    require_real,
+    require_unchanged,
+    stamps_of_inputs,
+    write_job,
+)
 from conformance.protocol.own_session import MOST_SAID, Ending, describe, run_alone
 from conformance.protocol.port import Arrays, Case, Outputs, PortError, Unsupported
 from conformance.protocol.served import Server
@@ -41,14 +50,16 @@ class FolderPort:
         kept: the job folder of its last run that failed, if any.
     """
 
-    def __init__(self, command: Sequence[str], timeout: float, dtype: str = DTYPE):
+    def __init__(self, command: Sequence[str], timeout: float, dtype: str = DTYPE, stages: Iterable[str] = STAGES):
         """Make a port of a command.
 
         Args:
             command: program and arguments; the job folder is added as the last one.
             timeout: seconds for one start, whatever the number of cases.
             dtype: ``float32`` or ``float16``.
+            stages: those that it is asked for: all others count as lacking.
         """
+        self._asked_for = [stage for stage in STAGES if stage in set(stages)]
         self.name = Path(command[0]).name
         self.dtype = dtype
         self.stderr = ""
@@ -67,11 +78,14 @@ class FolderPort:
         self._server = None
 
     def stages(self) -> frozenset[str]:
-        """The stages that the program supports at some size: asked once, with a small and a larger case of each stage."""
+        """The stages that the program supports at some size: asked once, with a small case, and with a larger one if it has no such."""
         if self._stages is None:
-            cases = [smallest_case(stage, size) for size in PROBED for stage in STAGES]
-            results = zip(cases, self.run_many(cases), strict=True)
-            self._stages = frozenset(case.stage for case, result in results if not isinstance(result, Unsupported))
+            found: set[str] = set()
+            for size in PROBED:
+                cases = [smallest_case(stage, size) for stage in self._asked_for if stage not in found]
+                results = zip(cases, self.run_many(cases), strict=True)
+                found |= {case.stage for case, result in results if not isinstance(result, Unsupported)}
+            self._stages = frozenset(found)
         return self._stages
 
     def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
@@ -113,9 +127,11 @@ class FolderPort:
         ran = False
         try:
             write_job(job, cases, layers=layers)
+            given = stamps_of_inputs(job, len(cases))
             self._start(job)
             ran = True
             require_real(job)
+            require_unchanged(given, stamps_of_inputs(job, len(cases)))
             for number in range(len(cases)):
                 results.append(read(job / f"{number:04d}", number))
         except JobError as error:

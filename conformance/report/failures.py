@@ -28,7 +28,7 @@ from conformance.protocol.job_folder import (
     read_weights,
     write_job,
 )
-from conformance.protocol.port import Case, Port, PortError
+from conformance.protocol.port import Abilities, Case, Port, PortError
 from conformance.protocol.stages import STAGES
 from conformance.report.picture import draw, png
 from conformance.suite.properties import find_property
@@ -111,7 +111,7 @@ def _write_right(case: Path, output: str, got: NDArray[Any], expected: Expected)
     np.save(case / "allowed" / f"{output}.npy", np.broadcast_to(np.asarray(expected.allowed, np.float64), expected.want.shape))
 
 
-def replay(port: Port, folder: Path) -> Record:
+def replay(port: Port, folder: Path, abilities: Abilities | None = None) -> Record:
     """Run a failure again from its folder: its property on its case, or the case alone if the folder, a job of one case, has no property.
 
     Returns:
@@ -120,7 +120,7 @@ def replay(port: Port, folder: Path) -> Record:
     Raises:
         InputError: the folder is not that of one failure, or the port lacks the stage.
     """
-    judge = Judge(port)
+    judge = Judge(port, abilities=abilities)
     try:
         case = _only_case(folder)
         if case.stage not in judge.stages:

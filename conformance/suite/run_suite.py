@@ -28,6 +28,8 @@ _COLLECTING = "unraisableexception", "threadexception"
 """Plugins that collect garbage five times at the end of a run, a third of what one short run takes; no port's exception is theirs."""
 JUDGED = "suite.something_is_judged"
 """Id of the result that is added where nothing was: a run that says nothing of a port does not pass it."""
+LARGE = "large_frames", "users_size"
+"""What the names of tests of large frames have."""
 REQUIRED = "suite.required_stages_are_there"
 """Id of the result that is added where the port lacks one."""
 
@@ -64,24 +66,11 @@ def run_suite(
     stages = set(stages)
     if not stages or stages - set(SUITE):
         raise ValueError(f"stages: expected some of {', '.join(SUITE)}, got {', '.join(sorted(stages)) or 'none'}")
-    for each in known:
-        try:
-            find_property(each.test)
-        except LookupError as error:
-            raise KnownFailuresError(f"known failures: {error}") from error
-    plugin = _Plugin(judge, known, stages, required, on_result)
+    require_known(known)
+    plugin = SuitePlugin(judge, known, stages, required, on_result, large_last=first_only)
     files = [str(SUITE_FOLDER / f"test_{stage}.py") for stage in SUITE if stage in stages]
-    arguments = [
-        *files,
-        "-c",
-        os.devnull,
-        "--rootdir",
-        str(SUITE_FOLDER),
-        "--import-mode=importlib",
-        "--capture=sys",
-        "-W",
-        "ignore",
-    ]
+    own = ("-c", os.devnull, "--rootdir", str(SUITE_FOLDER), "--noconftest")
+    arguments = [*files, *own, "--import-mode=importlib", "--capture=sys", "-W", "ignore"]
     arguments += [f"-pno:{name}" for name in ("cacheprovider", "terminal", "logging", "faulthandler", *_COLLECTING)]
     if only:
         arguments += ["-k", only]
@@ -94,6 +83,15 @@ def run_suite(
     if status not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED) or plugin.broken:
         raise RuntimeError(plugin.broken or f"pytest ended with {status}")
     return plugin.results
+
+
+def require_known(known: Iterable[KnownFailure]) -> None:
+    """Raise KnownFailuresError if one names no test."""
+    for each in known:
+        try:
+            find_property(each.test)
+        except LookupError as error:
+            raise KnownFailuresError(f"known failures: {error}") from error
 
 
 @contextlib.contextmanager
@@ -115,17 +113,24 @@ def _undisturbed() -> Generator[None]:
                 os.environ[name] = value
 
 
-class _Plugin:
-    """What pytest is told, and what it tells."""
+class SuitePlugin:
+    """What pytest is told, and what it tells; arguments as of `run_suite`.
+
+    Args:
+        large_last: the large frames of all stages come last, since they take longest: for runs that end at the first failure.
+    """
 
     def __init__(
         self,
         judge: Judge,
         known: Sequence[KnownFailure],
         stages: set[str],
-        required: Iterable[str],
-        on_result: Callable[[TestResult, int], None] | None,
+        required: Iterable[str] = (),
+        on_result: Callable[[TestResult, int], None] | None = None,
+        *,
+        large_last: bool = False,
     ):
+        self._large_last = large_last
         self._judge, self._stages, self._required, self._on_result = judge, stages, set(required), on_result
         self._known = {each.test: each for each in known}
         self._total = 0
@@ -138,7 +143,8 @@ class _Plugin:
 
     @pytest.fixture
     def judge(self, request: pytest.FixtureRequest) -> Judge:
-        needs = _stage_needed(_stage(request.node))
+        """The judge, at the beginning of a test; skips what the port lacks."""
+        needs = stage_needed(_stage(request.node))
         if needs not in self._judge.stages:
             pytest.skip(f"the port has no stage {needs}")
         self._judge.begin()
@@ -148,19 +154,25 @@ class _Plugin:
         self._session = session
 
     def pytest_configure(self, config: pytest.Config) -> None:
+        """Tracebacks are plain text."""
         config.option.tbstyle = "native"  # pytest's own form parses every file on the way, for a text that nobody reads
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
+        """Take down what cannot be collected."""
         if report.failed:
             self.broken = str(report.longrepr)
 
+    @pytest.hookimpl(trylast=True)  # behind -k, which leaves some out
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        """Count the tests, and order them."""
         self._total = len(items)
+        if self._large_last:
+            items.sort(key=lambda item: any(word in item.name for word in LARGE))
 
     def pytest_sessionfinish(self) -> None:
         """Add what says something of the run as a whole."""
         wanted = {
-            "the port has no stage": {each for each in self._required if _stage_needed(each) not in self._judge.stages},
+            "the port has no stage": {each for each in self._required if stage_needed(each) not in self._judge.stages},
             "not among the stages that are judged:": self._required - self._stages,
         }
         if reasons := [f"{words} {', '.join(sorted(lacking))}" for words, lacking in wanted.items() if lacking]:
@@ -193,12 +205,13 @@ class _Plugin:
     def pytest_runtest_makereport(
         self, item: pytest.Item, call: pytest.CallInfo[None]
     ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+        """Take down a test's result; pytest is told of known failures, and shown the judge's message alone."""
         report = yield
         if call.when == "call" or report.skipped or report.failed:
             result = self._take(item, call, report)
             if result.outcome == "known":  # to pytest, which stops at a failure
                 report.outcome, report.wasxfail = "skipped", result.message
-            elif result.outcome == "failed" and report.passed:
+            elif result.outcome == "failed":
                 report.outcome, report.longrepr = "failed", result.message
         return report
 
@@ -231,6 +244,6 @@ def _stage(item: Any) -> str:
     return item.path.stem.removeprefix("test_")
 
 
-def _stage_needed(name: str) -> str:
+def stage_needed(name: str) -> str:
     """The stage that the tests of this name ask the port for."""
     return "frame" if name == SEQUENCE else name

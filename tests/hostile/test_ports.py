@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conformance.cases import stage_inputs as drawn
-from conformance.judging.findings import DepartureError
+from conformance.judging.findings import DepartureError, WrongError
 from conformance.judging.judge import Judge, agreement
 from conformance.protocol.job_folder import write_job
 from conformance.protocol.port import Case, PortError
@@ -112,7 +112,11 @@ CHILD = "subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)',
 LINKED = "(out / 'warped.npy').unlink(); (out / 'warped.npy').symlink_to('/dev/zero')"
 FAULTS = {
     "removes its job": ("right(); shutil.rmtree(job)", "no such folder"),
-    "removes a case": ("shutil.rmtree(case)", "warped.npy: missing"),
+    "removes a case": ("shutil.rmtree(case)", "color.npy: removed; a program leaves its inputs as they are"),
+    "writes to its inputs": (
+        "right(); np.load(case / 'in' / 'color.npy', mmap_mode='r+')[0] = 0",
+        "color.npy: changed; a program leaves its inputs as they are",
+    ),
     "answers with a link": (f"right(); {LINKED}", "npy: a link"),
     "talks without end": ("while True: os.write(2, b'x' * 2**20)", "stopped: more than 64 MiB"),
     "fails": ("sys.exit(3)", "ended with status 3"),
@@ -435,7 +439,7 @@ def test_a_port_that_answers_in_one_buffer_is_found_out():
 
     judge = Judge(Reusing())
     first, second = (judge.run("rrm", smallest_case("rrm").inputs)["valid"] for _ in range(2))
-    with pytest.raises(DepartureError):
+    with pytest.raises(WrongError):
         judge.same("rrm.valid", second, first)
 
 

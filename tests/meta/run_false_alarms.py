@@ -11,9 +11,9 @@ from conformance.judging.judge import TIERS, Judge
 from conformance.protocol.stages import STAGES
 from conformance.suite.run_suite import SUITE, run_suite
 from tests.meta.right_ports import PORTS, port
+from tests.meta.tables import write_between
 
 PAGE = Path(__file__).parents[2] / "docs" / "conformance.md"
-FIRST, LAST = "<!-- written by make alarms -->", "<!-- end -->"
 
 
 def judged(name, tier=TIERS["full"], stages=SUITE):
@@ -53,9 +53,8 @@ def main():
                 print("    FALSE ALARM", alarm)
             sys.stdout.flush()  # minutes pass before the next port
     print(f"{perf_counter() - start:.0f} s")
-    if PAGE.exists() and not sys.argv[1:]:
-        head, rest = PAGE.read_text(encoding="utf-8").split(FIRST)
-        PAGE.write_text(f"{head}{FIRST}\n\n{table(found)}\n\n{LAST}{rest.split(LAST)[1]}", encoding="utf-8")
+    if not sys.argv[1:]:
+        write_between(PAGE, "make alarms", table(found))
     sys.exit(1 if any(alarms for alarms, _, _ in found.values()) else 0)
 
 

@@ -1,45 +1,113 @@
 # SPDX-License-Identifier: MIT
-"""``make mutants``: which test of the quick tier finds out each planted fault.
+"""``make mutants``: which tests of the quick tier find out each planted fault; the table of docs/conformance.md, by generator.
 
-``python -m tests.meta.run_mutants SEED`` tries other cases than a user's default ones.
+``python -m tests.meta.run_mutants SEED`` tries other cases than a user's default ones, and writes no table.
 """
 
 import os
 import sys
+from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from itertools import repeat
-from time import perf_counter
+from pathlib import Path
+from time import perf_counter, process_time
 
 from conformance.judging.judge import TIERS, Judge
 from conformance.mistakes import MISTAKES, find
-from conformance.suite.run_suite import run_suite
+from conformance.reference_port import ReferencePort
+from conformance.suite.run_suite import SUITE, run_suite
+from tests.meta.tables import write_between
+
+GENERATORS = {
+    "large frames": ("large_frames_agree_with_the_reference", "wide_frames_lose_nothing"),
+    "a user's size": ("a_users_size_agrees_in_windows",),
+    "constants": ("constants_are_those_of_the_specification",),
+    "engines' values": (
+        "agrees_on_what_engines_send",
+        "a_motion_is_never_lost_in_a_sum",
+        "lost_motion_is_off_screen",
+        "a_lost_position_is_a_hole",
+    ),
+    "thresholds": ("agrees_near_the_thresholds",),
+    "state": (
+        "the_same_twice",
+        "nothing_is_kept_by_a_part_of_the_inputs",
+        "every_frame_is_as_if_it_were_the_only_one",
+        "the_order_does_not_matter",
+    ),
+    "sums": ("what_needs_no_rounding_is_exact", "sums_round_either_way"),
+    "scenes": ("agrees_on_rendered_scenes",),
+    "steps and buffers": ("agrees_at_the_start_of_a_sequence", "every_buffer_of_every_frame_counts"),
+    "drawn": ("agrees_with_the_reference",),
+}
+"""Names of tests by what makes their cases."""
+PROPERTIES = "properties"
+"""Of all other tests, which need no reference."""
+ORDER = ("drawn", PROPERTIES, *[name for name in GENERATORS if name != "drawn"])
+PAGE = Path(__file__).parents[2] / "docs" / "conformance.md"
+MARK = "make mutants"
 
 
-def failed(name, seed=0):
-    """The results of its stage's quick tier that a mutant fails; the first one only, unshrunken."""
+def generator(test):
+    """What makes the cases of a test, by its id."""
+    name = test.partition(".")[2]
+    return next((word for word, names in GENERATORS.items() if name in names), PROPERTIES)
+
+
+def failed(name, seed=0, *, every=False):
+    """The results of its stage's quick tier that a mutant fails, unshrunken: the first one only, or every one."""
     mutant = find(name)
     judge = Judge(mutant.port(), TIERS["quick"], seed, shrink=False)
-    # Nothing before the large frames can find what no small frame shows.
-    results = run_suite(judge, [mutant.stage], first_only=True, only="large_frames" if mutant.large else "")
+    # Nothing before the large frames can find what no small frame shows. In Python, 720 x 1280 takes half a minute.
+    only = "large_frames" if mutant.large else "" if not every else "not users_size"
+    results = run_suite(judge, [mutant.stage], first_only=not every, only=only)
     return [result for result in results if result.outcome == "failed"]  # an error is the judge's own, and finds nothing
 
 
-def killers(name, seed=0):
+def killers(name, seed=0, every=True):
     """The tests that find a mutant out, and the seconds that took."""
     start = perf_counter()
-    return [result.id for result in failed(name, seed)], perf_counter() - start
+    return [result.id for result in failed(name, seed, every=every)], perf_counter() - start
+
+
+def seconds_by_generator():
+    """Processor time of the quick tier on the reference."""
+    spent, last = Counter(), [process_time()]
+
+    def take(result, _):
+        now = process_time()
+        spent[generator(result.id)] += now - last[0]
+        last[0] = now
+
+    run_suite(Judge(ReferencePort(), TIERS["quick"]), SUITE, only="not users_size", on_result=take)
+    return spent
+
+
+def table(found, spent):
+    """Markdown: a row for each generator. ``found``: the tests by mutant."""
+    by = {name: {generator(test) for test in tests} for name, tests in found.items()}
+    rows = ["| cases | find | find alone | alone, for example | seconds |", "|---|---|---|---|---|"]
+    for word in ORDER:
+        finds = [name for name, words in by.items() if word in words]
+        alone = [name for name in finds if by[name] == {word}]
+        seconds = f"{spent[word]:.1f}" if spent[word] else ""
+        rows.append(f"| {word} | {len(finds)} | {len(alone)} | {f'`{alone[0]}`' if alone else ''} | {seconds} |")
+    return "\n".join(rows)
 
 
 def main():
     os.environ["OMP_NUM_THREADS"] = "1"
     names, seed = [mutant.id for mutant in MISTAKES], int(sys.argv[1]) if sys.argv[1:] else 0
     start = perf_counter()
+    found = {}
     with ProcessPoolExecutor() as pool:
-        found = dict(zip(names, pool.map(killers, names, repeat(seed), chunksize=2), strict=True))
-    survivors = [name for name, (by, _) in found.items() if not by]
-    for name, (by, seconds) in found.items():
-        print(f"{name:42s} {seconds:5.1f} s  {', '.join(by) or 'SURVIVES'}")
+        for name, (by, seconds) in zip(names, pool.map(killers, names, repeat(seed), chunksize=2), strict=True):
+            found[name] = by
+            print(f"{name:42s} {seconds:5.1f} s  {', '.join(by) or 'SURVIVES'}", flush=True)
+    survivors = [name for name, by in found.items() if not by]
     print(f"{len(names) - len(survivors)} of {len(names)} found out, {perf_counter() - start:.0f} s")
+    if not sys.argv[1:] and not survivors:
+        write_between(PAGE, MARK, table(found, seconds_by_generator()))
     sys.exit(1 if survivors else 0)
 
 

@@ -154,7 +154,7 @@ def test_what_an_interrupted_run_found_is_left(here):
     )
     done = run("--port", "stopping:Port", "--stages", "rrm", "--json", "found.json")
     assert done.exit_code == 1
-    assert "stopped after 1 of 2 tests" in done.output
+    assert "stopped after 1 of 3 tests" in done.output
     found = json.loads((here / "found.json").read_text())
     assert [test["outcome"] for test in found["tests"]] == ["passed"]
     assert not found["complete"]
@@ -293,7 +293,7 @@ def test_the_example_in_cpp_passes(tmp_path):
     """As a porter builds it: some cases of all its stages, each batch of cases at one start."""
     shutil.copytree(EXAMPLE, tmp_path / "cpp", ignore=shutil.ignore_patterns("port"))
     subprocess.run(["make", "-s"], cwd=tmp_path / "cpp", check=True)
-    port = load_port(None, str(tmp_path / "cpp" / "port"), 60, None, False)
+    port, _ = load_port(None, str(tmp_path / "cpp" / "port"), 60)
     for stage, names in LAYERS_OF.items():
         case = samples(stage)[0]
         right = expect_layers(stage, exact(case.inputs), case.weights, Arithmetic())

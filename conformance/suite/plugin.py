@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: MIT
+"""The suite in a pytest run of the user's own, with pytest's options, reports and JUnit: docs/conformance.md.
+
+Pytest finds it by the suite's ``conftest.py`` where the suite is given as a folder; an installed one is named:
+``pytest -p conformance.suite.plugin --pyargs conformance.suite --port package.module:factory``.
+"""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from conformance.judging.findings import TestResult
+from conformance.judging.judge import TIERS, Judge
+from conformance.judging.known_failures import KnownFailuresError, read_known
+from conformance.protocol.load_port import ARITHMETICS, load_port
+from conformance.report.failures import keep_failure
+from conformance.suite.run_suite import JUDGED, SUITE, SuitePlugin, require_known
+from stss_ground.errors import InputError
+
+FAILURES = Path("conform-failures")
+NAME = "stss-suite"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """The options of ``stss conform`` that choose a port and its cases."""
+    group = parser.getgroup("stss", "a port of space-time supersampling")
+    group.addoption("--port", metavar="MODULE:FACTORY", help="a Python object: package.module:factory")
+    group.addoption("--exec", metavar="PROGRAM", help="a program that is called with a job folder")
+    group.addoption("--tier", choices=[*TIERS], default="quick", help="how many cases")
+    group.addoption("--seed", type=int, default=0, help="another seed draws other cases")
+    group.addoption("--dtype", choices=ARITHMETICS, help="the port's arithmetic")
+    group.addoption("--winograd", action="store_true", help="the port computes convolutions by Winograd's method")
+    group.addoption("--weights-version", type=int, help="the latest version of weights that the port knows")
+    group.addoption("--start-timeout", type=float, default=120, metavar="SECONDS", help="for one start of a program")
+    group.addoption(
+        "--known-failures", type=Path, metavar="FILE", help="JSON file: tests that may fail, until a day, for a reason"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Load the port, and let its judge take the results."""
+    if config.option.help or config.option.version:
+        return
+    given = config.option
+    try:
+        port, abilities = load_port(
+            given.port, given.exec, given.start_timeout, given.dtype, given.winograd, given.weights_version
+        )
+        known = read_known(given.known_failures) if given.known_failures is not None else []
+        require_known(known)
+    except (InputError, KnownFailuresError) as error:
+        raise pytest.UsageError(str(error)) from error
+    judge = Judge(port, TIERS[given.tier], given.seed, abilities=abilities)
+    words = ("--port", given.port) if given.port is not None else ("--exec", given.exec)
+    again = shlex.join(["stss", "conform", *words])
+
+    def keep(result: TestResult, _: int) -> None:
+        if result.outcome in ("failed", "error") and result.record.failure is not None:
+            folder = keep_failure(FAILURES, result.id, result.record.failure, again)
+            result.message += f"\n{again} --replay {shlex.quote(str(folder))}"
+
+    # What the user's own settings make of warnings has no say: wrong numbers give some. And of whole weights nobody reads the text.
+    config.addinivalue_line("filterwarnings", "ignore")
+    np.set_printoptions(threshold=0, edgeitems=1)
+    config.pluginmanager.register(SuitePlugin(judge, known, set(SUITE), on_result=keep), NAME)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """A run in which nothing was held against a bound does not pass."""
+    plugin: Any = session.config.pluginmanager.get_plugin(NAME)
+    if plugin is not None and session.exitstatus == pytest.ExitCode.OK and any(r.id == JUDGED for r in plugin.results):
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """Say so."""
+    plugin: Any = config.pluginmanager.get_plugin(NAME)
+    for result in plugin.results if plugin is not None else ():
+        if result.id == JUDGED:
+            terminalreporter.write_line(result.message)
