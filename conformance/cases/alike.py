@@ -35,13 +35,15 @@ HEAD_ON: Place = (3, 11)
 """Of a static surface seen head-on, where the paper's hole test allows less."""
 DEEP: Place = (9, 11)
 """Of a static surface far away, where that test allows more."""
+BELOW: Place = (13, 12)
+"""Another one of the moving surface."""
 AT: dict[str, tuple[Place, Place]] = {
-    "normal": (MOVING, (13, 12)), "warped": (MOVING, (13, 12)), "stencil": (STATIC, MOVING), "valid": (STATIC, MOVING),
+    "normal": (MOVING, BELOW), "warped": (BELOW, (14, 12)), "stencil": (STATIC, MOVING), "valid": (STATIC, BELOW),
     "nov": (STATIC, HEAD_ON), "depth": (HEAD_ON, DEEP),
 }  # fmt: skip
 """By the beginning of an array's name: the pixel that differs, and the one that it is exchanged with."""
 CHANGES: dict[str, Callable[[NDArray[Any]], Any]] = {
-    "motion": lambda v: v * 0 + (3, -8), "stencil": lambda v: 2 - v, "normal": np.negative, "position": lambda v: v + 256,
+    "motion": lambda v: v * 0 + (3, -8), "stencil": lambda v: 2 - v, "normal": np.negative, "position": lambda v: v * np.nan,
     "nov": lambda v: 1 - v, "mask": lambda v: 1 - v, "valid": lambda v: 1 - v, "depth": lambda v: v * 0 + 1,
 }  # fmt: skip
 """By the beginning of an array's name: what the pixel becomes; else 3/2 less what it was."""
@@ -123,6 +125,7 @@ def _other_weights(stage: str, weights: Weights) -> Iterator[tuple[str, Weights]
     if stage == "frame":
         yield "the second colour", replace(weights, second_color="detail")
         yield "the hole test", replace(weights, hole_test="footprint")
+        yield "what fills holes", replace(weights, hole_fill="reshade")
 
 
 def _moved(count: int) -> NDArray[np.float64]:
@@ -134,12 +137,13 @@ def _moved(count: int) -> NDArray[np.float64]:
 
 
 def _surfaces(rng: Generator) -> Inputs:
-    """(H, W) stencil, nov; (H, W, 3) normal, position: static above and moving below, the same all along a row, and head-on at the top."""
+    """(H, W) stencil, nov; (H, W, 3) normal, position: static above, there head-on, and moving below; all along a row alike."""
     rows = np.ones((SIDE, SIDE))
     turned = rng.normal(0, 1, (SIDE, 1, 3))
     turned /= np.linalg.norm(turned, axis=-1, keepdims=True)
     position = np.zeros((SIDE, SIDE, 3))
     position[..., 1] = 20 * np.arange(SIDE)[:, None]
+    position[OTHER] = np.nan
     return {
         "stencil": rows * (2.0 * (np.arange(SIDE) >= MOVING[0]))[:, None], "nov": rows * (np.arange(SIDE) < 4)[:, None],
         "normal": np.broadcast_to(turned, (SIDE, SIDE, 3)), "position": position,
@@ -173,9 +177,21 @@ def _occlusion_warp(rng: Generator) -> tuple[Inputs, None]:
     return {"color": color, "warped": warped, "motion": motion, "depth": depth, "valid": valid}, None
 
 
+def _reshade(rng: Generator) -> tuple[Inputs, None]:
+    """Holes in the middle rows, of both surfaces; one of them has no sample of its own."""
+    color, warped, base = rng.random((3, SIDE, SIDE, 3))
+    now = {name: array for name, array in _surfaces(rng).items() if name != "nov"}
+    before = {f"{name}_previous": array for name, array in now.items()}
+    motion = _moved(1)[0]
+    motion[DEEP] = -100, 0
+    valid = np.ones((SIDE, SIDE), np.uint8)
+    valid[7 : BELOW[0]] = 0
+    return {"color": color, "warped": warped, "motion": motion, "valid": valid, **before, **now, "base_color": base}, None
+
+
 def _rrm(rng: Generator) -> tuple[Inputs, None]:
     valid = (rng.random((SIDE, SIDE)) < 0.5).astype(np.uint8)
-    valid[STATIC], valid[MOVING] = 0, 1
+    valid[STATIC], valid[BELOW] = 0, 1
     return {"valid": valid, "rectangle": np.array([5, 5, 3, 3], np.int32)}, None
 
 
@@ -192,5 +208,6 @@ def _frame(rng: Generator) -> tuple[Inputs, Weights]:
 
 
 _BASES: dict[str, Callable[[Generator], tuple[Inputs, Any]]] = {
-    "motion_chain": _motion_chain, "warp": _warp, "holes": _holes, "occlusion_warp": _occlusion_warp, "rrm": _rrm, "frame": _frame,
+    "motion_chain": _motion_chain, "warp": _warp, "holes": _holes, "occlusion_warp": _occlusion_warp, "reshade": _reshade,
+    "rrm": _rrm, "frame": _frame,
 }  # fmt: skip

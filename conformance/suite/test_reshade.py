@@ -12,6 +12,7 @@ from conformance.suite.properties import (
     agrees_on_constants,
     agrees_on_engines,
     cases,
+    keeps_nothing_by_a_part,
     same_twice,
 )
 
@@ -52,6 +53,9 @@ test_constants_are_those_of_the_specification = agrees_on_constants("reshade")
 
 
 test_agrees_on_what_engines_send = agrees_on_engines("reshade")
+
+
+test_nothing_is_kept_by_a_part_of_the_inputs = keeps_nothing_by_a_part("reshade")
 
 
 test_large_frames_agree_with_the_reference = agrees_in_large_frames("reshade")
