@@ -151,6 +151,7 @@ class SuitePlugin:
         return self._judge
 
     def pytest_sessionstart(self, session: pytest.Session) -> None:
+        """Remember the run, to end it."""
         self._session = session
 
     def pytest_configure(self, config: pytest.Config) -> None:
