@@ -12,7 +12,7 @@ import pytest
 
 SUITE = Path(__file__).parents[2] / "conformance" / "suite"
 FOLDER = [str(SUITE)]
-INSTALLED = ["-p", "conformance.suite.plugin", "--pyargs", "conformance.suite"]
+INSTALLED = ["-p", "conformance.pytest_plugin", "--pyargs", "conformance.suite"]
 PORT = """
 from conformance.reference_port import ReferencePort
 

@@ -2,7 +2,7 @@
 """The suite in a pytest run of the user's own, with pytest's options, reports and JUnit: docs/conformance.md.
 
 Pytest finds it by the suite's ``conftest.py`` where the suite is given as a folder; an installed one is named:
-``pytest -p conformance.suite.plugin --pyargs conformance.suite --port package.module:factory``.
+``pytest -p conformance.pytest_plugin --pyargs conformance.suite --port package.module:factory``.
 """
 
 from __future__ import annotations
@@ -72,15 +72,19 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """A run in which nothing was held against a bound does not pass."""
+    """A run in which nothing was held against a bound, or whose failures could not be kept, does not pass."""
     plugin: Any = session.config.pluginmanager.get_plugin(NAME)
-    if plugin is not None and session.exitstatus == pytest.ExitCode.OK and any(r.id == JUDGED for r in plugin.results):
+    if plugin is not None and session.exitstatus == pytest.ExitCode.OK and _amiss(plugin):
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
     """Say so."""
     plugin: Any = config.pluginmanager.get_plugin(NAME)
-    for result in plugin.results if plugin is not None else ():
-        if result.id == JUDGED:
-            terminalreporter.write_line(result.message)
+    for line in _amiss(plugin) if plugin is not None else ():
+        terminalreporter.write_line(line)
+
+
+def _amiss(plugin: SuitePlugin) -> list[str]:
+    lost = [f"a failure could not be kept: {plugin.raised}"] if plugin.raised is not None else []
+    return [result.message for result in plugin.results if result.id == JUDGED] + lost
