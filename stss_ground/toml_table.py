@@ -150,4 +150,4 @@ class _Shown(reprlib.Repr):
 def _shown(value: object) -> str:
     short = _Shown()
     short.maxstring = short.maxother = 80
-    return short.repr(value)
+    return " ".join(short.repr(value).split())  # an array's has several lines

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from threading import Lock
 from typing import Literal, Protocol
@@ -12,12 +13,13 @@ from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import DisplayFrame, OnArrays
 from stss.weights.file import LoadedWeights, load
 from stss_cl.liveness import has_residual
+from stss_ground.arguments import require_choice, require_kind
 from stss_ground.errors import InputError
 from stss_ref.arrays import Image, Mask
 from stss_ref.frame import FrameInputs, frame, prepare
 from stss_ref.motion_chain import Gather
 from stss_ref.resample import upsample_centres
-from stss_ref.weights import Weights
+from stss_ref.weights import Weights, check
 
 NETWORK = "network"
 """The method that uses the network; `stss_lab.baselines` has the others."""
@@ -145,10 +147,14 @@ def open_backend(
         InputError: there is no such backend, or it does not take these options.
         stss_ground.errors.DeviceError: there is no such device.
     """
-    if name not in BACKENDS:
-        raise InputError(f"backend: expected one of {', '.join(BACKENDS)}, got {name!r}")
-    weights = load(weights) if isinstance(weights, str) else weights
+    require_kind("options", options, ComputeOptions, "ComputeOptions")
+    if not callable(tell):
+        raise InputError(f"tell: expected a function of a line, got {type(tell).__name__}")
+    require_choice("backend", name, BACKENDS)
+    weights = load(weights) if isinstance(weights, (str, os.PathLike)) else weights
     weights = weights.weights if isinstance(weights, LoadedWeights) else weights
+    require_kind("weights", weights, (Weights, Mapping), "a name, a file, or weights that are loaded")
+    weights = check(weights)
     if name == "cl":
         return OpenCLBackend(weights, options, tell)
     if options.device is not None or options.precision != "float32":

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from stss.frames.buffers import Buffers
 from stss.images.read_write import WHOLE
+from stss_ground.arguments import require_kind
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array, Mask
 
@@ -52,6 +54,9 @@ def check_buffers(buffers: Buffers) -> None:
 
     The message names the plane, the frame, what was expected, what was found and where.
     """
+    require_kind("frame", buffers, Buffers, "Buffers")
+    require_kind("number", buffers.number, (int, np.integer), "a frame's number")
+    require_kind(f"frame {buffers.number}: carried", buffers.carried, Mapping, "names and planes")
     height, width = _size(buffers)
     for name, plane in _PLANES.items():
         array = getattr(buffers, name)
@@ -92,8 +97,9 @@ def _size(buffers: Buffers) -> tuple[int, int]:
 def _check(where: str, array: Array, shape: tuple[int, ...], plane: _Plane) -> None:
     if not isinstance(array, np.ndarray):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise InputError(f"{where}: expected an array {shape}, found {type(array).__name__}")
-    if array.dtype.kind != "f" and not where.endswith(": stencil"):
-        raise InputError(f"{where}: expected floating-point numbers, found {array.dtype}; {_UNIT}")
+    if array.dtype.kind not in ("fiub" if where.endswith(": stencil") else "f"):
+        kind = "numbers" if where.endswith(": stencil") else "floating-point numbers"
+        raise InputError(f"{where}: expected {kind}, found {array.dtype}; {plane.hint or _UNIT}")
     if array.shape != shape:
         raise InputError(f"{where}: expected shape {shape}, found {array.shape}")
     require_unmasked(where, array)

@@ -6,6 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+import numpy as np
+
+from stss_ground.arguments import require_choice, require_kind
 from stss_ground.errors import InputError
 
 Precision = Literal["float32", "float32-direct", "half", "bfloat16"]
@@ -38,8 +41,11 @@ class ComputeOptions:
     def __post_init__(self) -> None:
         """Refuse a precision or a way to skip that no backend has."""
         for name, value, known in (("precision", self.precision, PRECISIONS), ("skip", self.skip, SKIPS)):
-            if value not in known:
-                raise InputError(f"{name}: expected one of {', '.join(known)}, got {value!r}")
+            require_choice(name, value, known)
+        if self.device is not None:
+            require_kind("device", self.device, str, "part of a device's name, or None")
+        if self.memory_limit is not None:
+            require_kind("memory_limit", self.memory_limit, (int, np.integer), "a number of bytes, or None")
         if self.memory_limit is not None and self.memory_limit < 1:
             raise InputError(f"memory_limit: expected bytes > 0, got {self.memory_limit}")
 

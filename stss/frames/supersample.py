@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from stss.frames.backends import Backend
 from stss.frames.carry import HIGHLIGHTS, add_highlights, carry
 from stss.frames.display_frame import DisplayFrame
@@ -63,7 +65,7 @@ def decode(output: Output, curve: Transfer) -> Output:
     carried = dict(output.carried)
     if (above := carried.pop(HIGHLIGHTS, None)) is not None:
         add_highlights(image, output.image, above)
-    return replace(output, image=image, carried=carried)
+    return replace(output, image=image, valid=np.array(output.valid), carried=carried)  # a backend may keep its own for later
 
 
 def choose_rendered(

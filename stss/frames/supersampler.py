@@ -5,7 +5,10 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from typing import get_args
+from threading import Lock
+from typing import NoReturn, get_args
+
+import numpy as np
 
 from stss.frames.backends import Backend, open_backend
 from stss.frames.buffers import Buffers
@@ -14,7 +17,9 @@ from stss.frames.compute_options import ComputeOptions, Precision, Skip
 from stss.frames.display_frame import WINDOW, DisplayFrame, prepare
 from stss.frames.supersample import Output, compute, decode
 from stss.images.color import transfer as transfer_named
+from stss.images.headers import MAX_SIDE
 from stss.weights.file import REALTIME, LoadedWeights
+from stss_ground.arguments import require_choice, require_kind
 from stss_ground.errors import InputError
 from stss_ref.depth import DepthMode
 from stss_ref.weights import Weights
@@ -61,14 +66,17 @@ class Supersampler:
             InputError: an option is none of these, or weights cannot be read.
             DeviceError: there is no such device.
         """
-        if depth not in get_args(DepthMode):
-            raise InputError(f"depth: expected one of {', '.join(get_args(DepthMode))}, got {depth!r}")
+        require_choice("depth", depth, get_args(DepthMode))
         self._curve, self._copy, self._check = transfer_named(transfer), copy, check
         self._depth: DepthMode = depth
         if isinstance(backend, str):
             options = ComputeOptions(device, precision, memory_limit, skip)
-            backend = open_backend(backend, REALTIME if weights == "auto" else weights, options, tell=tell)
+            named = isinstance(weights, str) and weights == "auto"
+            backend = open_backend(backend, REALTIME if named else weights, options, tell=tell)
+        if not all(callable(getattr(backend, name, None)) for name in ("compute", "expect")):
+            raise InputError(f"backend: expected a name or one from open_backend, got {type(backend).__name__}")
         self.backend = backend
+        self._busy = Lock()
         self._window: deque[DisplayFrame] = deque(maxlen=WINDOW)
 
     def push(self, buffers: Buffers) -> Output | None:
@@ -83,8 +91,21 @@ class Supersampler:
             The output; None for a frame that was not rendered with no rendered frame just before it: nothing can be made.
 
         Raises:
-            InputError: a plane is not what `Buffers` says; nothing was taken.
+            InputError: a plane is not what `Buffers` says, or another thread is within ``push``; nothing was taken.
         """
+        if not self._busy.acquire(blocking=False):
+            raise InputError(
+                "Supersampler: another thread is within push, and frames have an order; expected one for each thread: they may share a "
+                "backend from open_backend"
+            )
+        try:
+            # The program around it may have NumPy raise what the arithmetic here does on purpose.
+            with np.errstate(all="ignore"):
+                return self._push(buffers)
+        finally:
+            self._busy.release()
+
+    def _push(self, buffers: Buffers) -> Output | None:
         if self._check:
             check_buffers(buffers)
         prepared = prepare(buffers, self._curve, self._depth, copy=self._copy)
@@ -97,6 +118,7 @@ class Supersampler:
 
     def __call__(self, frames: Iterable[Buffers]) -> Iterator[Output]:
         """Push frame after frame; yields every output before the next frame is asked for."""
+        require_kind("frames", frames, Iterable, "an iterable of Buffers")
         for buffers in frames:
             output = self.push(buffers)
             if output is not None:
@@ -108,7 +130,16 @@ class Supersampler:
 
     def warm_up(self, size: tuple[int, int]) -> None:
         """Build kernels and buffers for frames of (H, W), so that the first one does not wait for them."""
-        self.backend.expect(size)
+        require_kind("size", size, (tuple, list), "(H, W)")
+        for n in size:
+            require_kind("size", n, (int, np.integer), "(H, W) of whole numbers")
+        if len(size) != 2 or not all(1 <= n <= MAX_SIDE for n in size):
+            raise InputError(f"size: expected (H, W), each from 1 to {MAX_SIDE}, got {size!r}")
+        self.backend.expect((int(size[0]), int(size[1])))
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be pickled or copied: a device and its buffers belong to one process."""
+        raise InputError("Supersampler: cannot be pickled or copied; expected one for each process, opened there")
 
 
 def supersample(

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stss.images.headers import Value
+from stss_ground.arguments import require_choice
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array, require_finite, require_shape
 
@@ -121,10 +122,9 @@ def same_primaries(a: Iterable[float], b: Iterable[float] = REC709) -> bool:
 
 def transfer(name: str) -> Transfer:
     """Return the transfer of this name; raises InputError for a name that is not in ``TRANSFERS``."""
-    if name == "hdr":
+    if isinstance(name, str) and name == "hdr":  # pyright: ignore[reportUnnecessaryIsInstance]
         raise InputError(f"transfer: {HDR_IS_GONE}; take srgb")
-    if name not in _TRANSFERS:
-        raise InputError(f"transfer: expected one of {', '.join(TRANSFERS)}, got {name!r}")
+    require_choice("transfer", name, TRANSFERS)
     return _TRANSFERS[name]
 
 

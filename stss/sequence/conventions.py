@@ -12,6 +12,7 @@ from stss.frames.buffers import Buffers
 from stss.frames.check_buffers import require_distinct, require_unmasked
 from stss.sequence.camera import CameraPose
 from stss.sequence.profiles import BUFFERS, CONSTANTS, DepthRule, MotionRule, NormalRule, Profile, load_profile
+from stss_ground.arguments import require_kind
 from stss_ground.errors import InputError
 from stss_ref.arrays import Array, Image, Mask, Plane
 
@@ -43,8 +44,10 @@ def convert(
     Raises:
         InputError: a plane is missing, has another shape, or is of whole numbers; the camera is none.
     """
+    require_kind("number", number, (int, np.integer), "a frame's number")
+    require_kind(f"frame {number}: planes", planes, Mapping, "names and planes")
     table = profile if isinstance(profile, Profile) else load_profile(profile)
-    where = None if camera is None else _pose(np.asarray(camera, np.float64))
+    where = None if camera is None else _pose(camera)
     if "depth" not in planes:
         raise InputError(f"frame {number}: no depth; expected an array (H, W)")
     shape = np.shape(planes["depth"])[:2]
@@ -56,6 +59,8 @@ def convert(
             raise InputError(f"frame {number}: no {name}; expected an array" + (", or a camera" if name == "nov" else ""))
         require_unmasked(f"frame {number}: {name}", planes[name])
         given = np.asarray(planes[name])
+        if given.dtype.kind not in "fiub":
+            raise InputError(f"frame {number}: {name}: expected numbers, found {given.dtype}")
         if given.ndim and given.dtype.kind != "f" and name != "stencil":
             raise InputError(
                 f"frame {number}: {name}: expected floating-point numbers, found {given.dtype}; divide 8-bit values by 255"
@@ -75,12 +80,18 @@ def convert(
     for name, plane in planes.items():
         if name not in BUFFERS:
             require_unmasked(f"frame {number}: {name}", plane)
-            others[name] = np.asarray(plane, np.float32)
+            if (given := np.asarray(plane)).dtype.kind not in "fiub":
+                raise InputError(f"frame {number}: {name}: expected numbers, found {given.dtype}")
+            others[name] = given.astype(np.float32)
     several = {name: stored[name] for name in ("motion", "normal", "position", "base_color")}
     return Buffers(number, stored.get("color"), depth=depth, **single, **several, cut=cut, carried=others)
 
 
-def _pose(camera: Array) -> CameraPose:
+def _pose(given: Array) -> CameraPose:
+    try:
+        camera = np.asarray(given, np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"camera: expected a position (3,) or a matrix (4, 4), found {type(given).__name__}") from None
     if camera.shape not in ((3,), (4, 4)):
         raise InputError(f"camera: expected a position (3,) or a matrix (4, 4), found shape {camera.shape}")
     if not np.isfinite(camera).all():

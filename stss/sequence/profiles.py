@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, cast
 
+from stss_ground.arguments import path_of
 from stss_ground.errors import InputError
 from stss_ground.toml_table import Table, read_toml
 
@@ -150,11 +151,11 @@ def load_profile(name_or_path: str | Path, **changes: Any) -> Profile:
     Raises:
         InputError: there is no such profile; or a key of it is unknown, missing or wrong.
     """
-    text = str(name_or_path)
+    named, text = path_of("profile", name_or_path), str(name_or_path)
     if text in profile_names():
         path = _TABLES / f"{text}.toml"
     else:
-        path = Path(name_or_path)
+        path = named
         if not path.exists():
             raise InputError(f"profile {text}: expected one of {', '.join(profile_names())} or a TOML file")
     table = read_toml(path, InputError)

@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable, Mapping
 from copy import copy
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from stss.sequence.profiles import BUFFERS, CONSTANTS, Profile, load_profile, pr
 from stss.sequence.projection import Projection
 from stss.sequence.raw_frame import CARRIED, UNIT_RANGE, NonFinite, RawFrame, read_stored, settle_all_finite, settle_non_finite
 from stss.sequence.solve_camera import solve_camera
+from stss_ground.arguments import path_of, require_choice, require_kind
 from stss_ground.errors import InputError
 from stss_ground.progress import Track
 from stss_ref.arrays import Array, Mask
@@ -312,12 +314,16 @@ def open_sequence(
     Raises:
         InputError: there is no sequence, frames differ in size, a constant is out of range, or no frame has some buffer.
     """
-    path = Path(path)
+    path = path_of("sequence", path)
+    camera = None if camera is None else path_of("camera", camera)
+    for name, value, known in (("non_finite", non_finite, get_args(NonFinite)), ("background", background, get_args(Background))):
+        require_choice(name, value, known)
     table = settle_profile(path, profile)
     cameras = None if camera is None else read_cameras(camera)
     constants = dict(table.constants)
     for buffer, value in (("metallic", metallic), ("roughness", roughness)):
         if value is not None:
+            require_kind(buffer, value, (int, float, np.floating), "a number from 0 to 1")
             constants[buffer] = value
             if not 0 <= value <= 1:
                 raise InputError(f"{buffer}: expected a number from 0 to 1, found {value}")

@@ -18,6 +18,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 
 from conformance.protocol.weights_format import HOLE_FILL_KEY, HOLE_TEST_KEY, SECOND_COLOR_KEY, format_metadata, take_format
+from stss_ground.arguments import path_of
 from stss_ground.errors import InputError
 from stss_ground.output.write_whole import write_named
 from stss_ground.regular_file import require_regular
@@ -76,10 +77,11 @@ def load(source: str | Path) -> LoadedWeights:
         InputError: the file can't be read or is of another format.
         WeightsError: a tensor is not what the network takes.
     """
+    path = path_of("weights", source)
     if str(source) == BILINEAR:
         weights, metadata = zeros(), dict[str, str]()
     else:
-        path = SHIPPED.get(str(source)) or Path(source)
+        path = SHIPPED.get(str(source)) or path
         _require_file(path)
         weights, metadata = _read(path)
     return LoadedWeights(weights, str(source), identity(weights), metadata)

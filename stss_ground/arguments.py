@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: MIT
+"""What a program hands to the API, looked at before it is used: a wrong kind is the caller's mistake, and said in one line."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+from stss_ground.errors import InputError
+
+
+def require_kind(name: str, value: Any, kinds: type | tuple[type, ...], expected: str) -> None:
+    """Raise InputError unless ``value`` is of one of the kinds; a truth value is no number."""
+    if not isinstance(value, kinds) or (
+        isinstance(value, bool) and bool not in (kinds if isinstance(kinds, tuple) else (kinds,))
+    ):
+        raise InputError(f"{name}: expected {expected}, got {type(value).__name__}")
+
+
+def require_choice(name: str, value: Any, known: Collection[str]) -> None:
+    """Raise InputError unless ``value`` is one of these words."""
+    if not isinstance(value, str) or value not in known:
+        found = repr(value) if isinstance(value, str) else type(value).__name__
+        raise InputError(f"{name}: expected one of {', '.join(known)}, got {found}")
+
+
+def path_of(name: str, value: Any) -> Path:
+    """A path that the caller gave as text or as a path.
+
+    Raises:
+        InputError: it is neither, or has a character that no file's name has.
+    """
+    require_kind(name, value, (str, os.PathLike), "a path")
+    path = Path(value)
+    if "\0" in str(path):
+        raise InputError(f"{name}: {str(path)!r}: expected a path without the character NUL")
+    return path

@@ -1,0 +1,167 @@
+"""What a program hands to `stss` and is of a wrong kind ends in one line of one of the four errors; the host's settings do no harm."""
+
+import copy
+import datetime
+import pickle
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import stss
+from stss.frames.compute_options import ComputeOptions
+from stss_ground.errors import DeviceError, InputError
+from stss_ref.arrays import ArrayError
+from stss_ref.weights import WeightsError
+from stss_ref.weights import check as check_weights
+from tests.app.test_engine_loop import SIZE, engine, frames
+
+ERRORS = (InputError, DeviceError, ArrayError, WeightsError)
+WRONG = [5, 0.5, None, True, "x\0y", b"x", [], {}, object(), datetime.date(2026, 1, 1), np.zeros((2, 2)), np.array(["x"])]
+"""Of many kinds; an argument's test leaves out those that it takes."""
+
+
+def buffers(**changes):
+    return replace(next(frames(1)), **changes)
+
+
+def planes(**changes):
+    found = {
+        name: getattr(buffers(), name) for name in buffers().__dataclass_fields__ if name not in ("number", "cut", "carried")
+    }
+    return found | changes
+
+
+CALLS = {  # what is called with a value -> the kinds of `WRONG` that it takes
+    "Supersampler(weights)": (lambda v: stss.Supersampler(v, backend="ref"), ()),
+    "Supersampler(backend)": (lambda v: stss.Supersampler("bilinear", backend=v), ()),
+    "Supersampler(device)": (lambda v: engine(device=v), (type(None),)),
+    "Supersampler(precision)": (lambda v: engine(precision=v), ()),
+    "Supersampler(memory_limit)": (lambda v: engine(memory_limit=v), (int, type(None))),
+    "Supersampler(skip)": (lambda v: engine(skip=v), ()),
+    "Supersampler(transfer)": (lambda v: engine(transfer=v), ()),
+    "Supersampler(depth)": (lambda v: engine(depth=v), ()),
+    "Supersampler(tell)": (lambda v: engine(tell=v), ()),
+    "push": (lambda v: engine().push(v), ()),
+    "loop": (lambda v: list(engine()(v)), (list, dict)),
+    "warm_up": (lambda v: engine().warm_up(v), ()),
+    "warm_up side": (lambda v: engine().warm_up((v, 4)), (int,)),
+    "check": (stss.check, ()),
+    "check number": (lambda v: stss.check(buffers(number=v)), (int,)),
+    "check carried": (lambda v: stss.check(buffers(carried=v)), (dict,)),
+    "check carried plane": (lambda v: stss.check(buffers(carried={"x": v})), ()),
+    "convert number": (lambda v: stss.convert(v, planes()), (int,)),
+    "convert planes": (lambda v: stss.convert(0, v), ()),
+    "convert profile": (lambda v: stss.convert(0, planes(), v), ()),
+    "convert camera": (lambda v: stss.convert(0, planes(), camera=v), (type(None),)),
+    "convert carried": (lambda v: stss.convert(0, planes(mine=v)), (int, float, bool, list, np.ndarray)),
+    "load_profile": (stss.load_profile, ()),
+    "load_profile change": (lambda v: stss.load_profile("stss", units_per_cm=v), (int, float)),
+    "load_profile table": (lambda v: stss.load_profile("stss", motion=v), (dict,)),
+    "load_weights": (stss.load_weights, ()),
+    "open_backend name": (lambda v: stss.open_backend(v, "bilinear"), ()),
+    "open_backend weights": (lambda v: stss.open_backend("ref", v), ()),
+    "open_backend options": (lambda v: stss.open_backend("ref", "bilinear", v), ()),
+    "open_sequence": (stss.open_sequence, ()),
+    "open_sequence profile": (lambda v: stss.open_sequence("no", v), ()),
+    "open_sequence camera": (lambda v: stss.open_sequence("no", "stss", camera=v), ()),
+    "open_sequence non_finite": (lambda v: stss.open_sequence("no", "stss", non_finite=v), ()),
+    "supersample": (lambda v: list(stss.supersample(v, stss.open_backend("ref", "bilinear"))), (list, dict)),
+    "supersample backend": (lambda v: list(stss.supersample([], v)), ()),
+    "weights.check": (check_weights, ()),
+}
+CALLS |= {
+    f"{call} {name}": ((lambda v, name=name, made=made: made(name, v)), ())
+    for call, made in (
+        ("check", lambda name, v: stss.check(buffers(**{name: v}))),
+        ("convert", lambda name, v: stss.convert(0, planes(**{name: v}))),
+    )
+    for name in ("motion", "stencil", "base_color", "depth")
+}
+TAKEN = {"convert stencil": (int, float, bool)}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_value_of_a_wrong_kind_is_one_line(name):
+    call, takes = CALLS[name]
+    for value in WRONG:
+        if isinstance(value, TAKEN.get(name, takes)):
+            continue
+        with pytest.raises(ERRORS) as caught:
+            call(value)
+        assert len(str(caught.value).splitlines()) == 1, (name, value)
+
+
+@pytest.mark.parametrize("kind", ["O", "U4", "M8[s]", "c16"])
+def test_object_numbers_that_are_no_numbers_are_refused(kind):
+    stencil = np.zeros(SIZE, np.int64).astype(kind)
+    with pytest.raises(InputError, match="stencil: expected numbers, found"):
+        engine().push(buffers(stencil=stencil))
+    with pytest.raises(InputError, match="stencil: expected numbers, found"):
+        stss.convert(0, planes(stencil=stencil))
+
+
+@pytest.mark.parametrize("backend", ["ref", "cl"])
+def test_an_outputs_arrays_are_the_callers(backend, device):
+    """Written to, they change no later output; that of another push has others."""
+    loop = stss.Supersampler("bilinear", backend=backend, transfer="none", device=device.name if backend == "cl" else None)
+    want = [(o.image.copy(), o.valid.copy()) for o in loop(frames(4))]
+    loop.reset()
+    for output, (image, valid) in zip(loop(frames(4)), want, strict=True):
+        np.testing.assert_array_equal(output.image, image)
+        np.testing.assert_array_equal(output.valid, valid)
+        assert output.valid.dtype == bool
+        output.image[:] = 7
+        output.valid[:] = ~output.valid
+
+
+def test_a_supersampler_is_neither_pickled_nor_copied():
+    for made in (pickle.dumps, copy.copy, copy.deepcopy):
+        with pytest.raises(InputError, match="Supersampler: cannot be pickled or copied; expected one for each process"):
+            made(engine())
+
+
+def test_threads_within_one_supersampler_are_told_and_threads_in_turn_are_not():
+    want = [output.image for output in engine()(frames(2))]
+    loop, entered, leave = engine(), threading.Event(), threading.Event()
+    compute = loop.backend.compute
+
+    def wait(*given):
+        entered.set()
+        assert leave.wait(60)
+        return compute(*given)
+
+    loop.backend.compute = wait
+    given = list(frames(2))
+    with ThreadPoolExecutor(1) as pool:
+        first = pool.submit(loop.push, given[0])
+        assert entered.wait(60)
+        with pytest.raises(InputError, match="another thread is within push"):
+            loop.push(given[1])
+        leave.set()
+        np.testing.assert_array_equal(first.result().image, want[0])
+        np.testing.assert_array_equal(pool.submit(loop.push, given[1]).result().image, want[1])
+
+
+def test_numpy_that_raises_in_the_program_around_does_not_break_the_reference():
+    """Its arithmetic rounds small numbers to 0 on purpose."""
+    from stss_ref.weights import random
+
+    weights = random(0)
+    dark = list(frames(2, scale=1e-30))
+    want = [output.image for output in stss.Supersampler(weights, backend="ref")(dark)]
+    before = np.seterr(all="raise")
+    try:
+        got = [output.image for output in stss.Supersampler(weights, backend="ref")(dark)]
+        assert np.geterr()["under"] == "raise"
+    finally:
+        np.seterr(**before)
+    np.testing.assert_array_equal(got, want)
+
+
+def test_options_of_a_wrong_kind_are_refused_without_a_backend():
+    for options in ({"memory_limit": "x"}, {"memory_limit": True}, {"device": 5}, {"precision": []}, {"skip": None}):
+        with pytest.raises(InputError):
+            ComputeOptions(**options)
