@@ -98,8 +98,8 @@ def _check(where: str, array: Array, shape: tuple[int, ...], plane: _Plane) -> N
     if not isinstance(array, np.ndarray):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise InputError(f"{where}: expected an array {shape}, found {type(array).__name__}")
     if array.dtype.kind not in ("fiub" if where.endswith(": stencil") else "f"):
-        kind = "numbers" if where.endswith(": stencil") else "floating-point numbers"
-        raise InputError(f"{where}: expected {kind}, found {array.dtype}; {plane.hint or _UNIT}")
+        kind, hint = ("numbers", plane.hint) if where.endswith(": stencil") else ("floating-point numbers", _UNIT)
+        raise InputError(f"{where}: expected {kind}, found {array.dtype}; {hint}")
     if array.shape != shape:
         raise InputError(f"{where}: expected shape {shape}, found {array.shape}")
     require_unmasked(where, array)
