@@ -27,9 +27,16 @@ MODULES = (
 )
 """Those that compute; ``weights`` is a table that the network's shapes check, ``watch`` takes notes."""
 SAME = {
+    "depth: depth.dtype.type(1) -> depth.dtype.type(2)": "clipped it is 1, and scaled 0",
     "frame: :3 -> :4": "a luma is of three channels",
     "frame: strict=True -> strict=False": "the lists have one length",
     "holes: apart < np.inf -> apart <= np.inf": "an infinite distance becomes an infinite one",
+    "loss: max(masked.sum(), 1e-06) -> max(masked.sum(), 1.2499999999999999e-06)": "a mask is of 0 and 1",
+    "occlusion_warp: -1 -> -2": "any negative length is the one that follows",
+    "sample: -width - 1 -> -width - 2": "farther outside is as good",
+    "sample: -height - 1 -> -height - 2": "likewise",
+    "sample: width + 1 -> width + 2": "likewise",
+    "sample: height + 1 -> height + 2": "likewise",
     "rrm: height * width // (16 * h) -> height * width * (16 * h)": "the area does not limit w: h <= H / 4, so H W / (16 h) >= W / 4",
     "rrm: 16 * h -> 16 / h": "likewise",
     "schedule: 5 -> 6": "no step is longer than 5",

@@ -69,6 +69,8 @@ class TestFollow:
         np.testing.assert_array_equal(leads_inside(follow(motion)), [[False, False, True, False]])
         at = taps(follow(motion))
         np.testing.assert_array_equal((at.x0[0], at.fx[0]), [[0, 0, 3, 3], [0, 0, 0, 0]])
+        at = taps(follow(motion[..., ::-1].transpose(1, 0, 2)))  # the same along y
+        np.testing.assert_array_equal((at.y0[:, 0], at.fy[:, 0]), [[0, 0, 3, 3], [0, 0, 0, 0]])
 
     @pytest.mark.parametrize("far", [3e9, 1e300])
     def test_however_far_it_is_beyond_the_frame(self, far):
@@ -123,6 +125,23 @@ class TestMotionChain:
         finite = np.isfinite(chained).all(axis=-1)
         # Whoever has the bad pixel among its four; and the one that was bad to begin with.
         assert finite.tolist() == [[False, False, True], [False, False, True], [True, True, False]]
+
+    def test_of_motions_that_are_not_finite_the_first_wins(self):
+        """Each counts as infinitely long, whichever component it is; and the finite component of a chain stays as it is."""
+        earlier = constant((2, 2), 1, 1)
+        earlier[0] = (np.inf, 0), (np.nan, 1)
+        assert motion_chain(np.stack([np.zeros((2, 2, 2)), earlier]))[0, 0].tolist() == [np.inf, 0]
+        assert motion_chain(np.stack([constant((2, 2), np.inf, 3), constant((2, 2), 1, 1)]))[0, 0].tolist() == [np.inf, 3]
+
+    @pytest.mark.parametrize(("fraction", "read"), [((0.49, 0.5), 3), ((0.5, 0.49), 2), ((0.55, 0.55), 4), ((0.25, 0.25), 1)])
+    def test_the_nearest_of_four(self, fraction, read):
+        """Half a pixel is the next one."""
+        earlier = np.array([[[1.0, 0], [2, 0]], [[3, 0], [4, 0]]])
+        assert motion_chain(np.stack([constant((2, 2), *fraction), earlier]), "nearest")[0, 0, 0] == read + fraction[0]
+
+    def test_between_four(self):
+        earlier = np.array([[[1.0, 0], [2, 0]], [[4, 0], [8, 0]]])
+        assert motion_chain(np.stack([constant((2, 2), 0.5, 0.25), earlier]), "bilinear")[0, 0, 0] == 0.5 + 1.5 + (6 - 1.5) / 4
 
     @pytest.mark.parametrize(("gather", "expected"), [("nearest", 2.0 + 0.75), ("bilinear", 1.75 + 0.75)])
     def test_other_gathers(self, gather, expected):
@@ -401,6 +420,12 @@ class TestDepth:
         scaled = normalise_depth(depth, "scale")
         np.testing.assert_array_equal(scaled, (np.array([[4.0, 2], [4, 4], [4, 4], [4, 3]]) - 2) / (2 + 1e-6))
         np.testing.assert_array_equal(normalise_depth(depth / 8, "clip")[0], [0.5, 0.25])
+
+    def test_where_the_background_begins(self):
+        """At 1e9; and what is farther than 1 is 1."""
+        depth = np.array([[1e9, 1.1e9, 1.5, 0.5]])
+        np.testing.assert_array_equal(normalise_depth(depth, "clip"), [[1, 1, 1, 0.5]])
+        np.testing.assert_array_equal(normalise_depth(depth, "scale"), (np.array([[1.5, 1.5, 1.5, 0.5]]) - 0.5) / (1 + 1e-6))
 
     def test_constant_and_empty_frames(self):
         np.testing.assert_array_equal(normalise_depth(np.full((2, 2), 5.0), "scale"), np.zeros((2, 2)))

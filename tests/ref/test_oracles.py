@@ -155,6 +155,7 @@ def test_the_loss_is_a_mean_and_one_of_the_holes(size, seed, share):
     mask = (random.random(size) < share).astype(np.float64)
     hole = np.broadcast_to(zoomed(mask[..., None], centres=True) == 0, truth.shape)
     error = np.abs(output - truth)
+    assert loss(truth, truth, mask) == 0
     want = error.mean() + (error[hole].mean() if hole.any() else 0) + 0.01 * 0.25
     got = np.array(loss(output, truth, mask, perceptual=0.25))
     assert ratio("metric.sum", got, np.array(want), 3.0) <= 1
