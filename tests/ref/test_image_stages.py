@@ -377,11 +377,12 @@ class TestRRM:
 
     def test_nothing_beside_it_is_cleared(self):
         """It touches no edge; and one of no height or width is none."""
-        masked = rrm(np.ones((6, 7)), (1, 2, 3, 2))
-        rows = ["1111111", "1100111", "1100111", "1100111", "1111111", "1111111"]
+        masked = rrm(np.ones((7, 7)), (1, 2, 3, 2))
+        rows = ["1111111", "1100111", "1100111", "1100111", "1111111", "1111111", "1111111"]
         assert ["".join(str(int(v)) for v in row) for row in masked] == rows
         for rectangle in ((2, 3, 0, 2), (2, 3, 2, 0)):
             assert rrm(np.ones((6, 7)), rectangle).all()
+        assert not rrm(np.ones((6, 7)), (0, 0, 6, 7)).any()
 
     def test_every_place_may_be_drawn(self):
         """What it asks of the generator: lowest and highest value, both included."""

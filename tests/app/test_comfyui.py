@@ -1,0 +1,104 @@
+"""The nodes for ComfyUI, called as it calls them: by class, with keywords, tensors in and tensors out."""
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import stss
+from stss.images.color import transfer
+from stss_ground.errors import InputError
+
+PACK = Path(__file__).parents[2] / "examples" / "comfyui" / "__init__.py"
+
+
+class Tensor:
+    """What nodes use of PyTorch's, where that is not installed."""
+
+    def __init__(self, array):
+        self.array, self.shape = array, array.shape
+
+    def cpu(self):
+        """As it is."""
+        return self
+
+    def numpy(self):
+        """Its numbers."""
+        return self.array
+
+    def __getitem__(self, index):
+        return Tensor(self.array[index])
+
+
+@pytest.fixture
+def nodes(monkeypatch):
+    """As ComfyUI imports a folder of `custom_nodes`."""
+    if importlib.util.find_spec("torch") is None:
+        monkeypatch.setitem(sys.modules, "torch", SimpleNamespace(from_numpy=Tensor))
+    spec = importlib.util.spec_from_file_location("custom_nodes_stss", PACK, submodule_search_locations=[str(PACK.parent)])
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, spec.name, module)
+    spec.loader.exec_module(module)
+    return module
+
+
+def call(nodes, name, **inputs):
+    """The outputs of a node; its inputs must be those that it declares, its outputs as many as it names."""
+    node = nodes.NODE_CLASS_MAPPINGS[name]
+    declared = node.INPUT_TYPES()["required"]
+    assert declared.keys() == inputs.keys()
+    for key, (kind, *_) in declared.items():
+        assert not isinstance(kind, list) or inputs[key] in kind
+    outputs = getattr(node(), node.FUNCTION)(**inputs)
+    assert len(outputs) == len(node.RETURN_TYPES) == len(node.RETURN_NAMES)
+    return outputs
+
+
+def test_a_graph_of_both_nodes_makes_what_stss_makes(nodes, demo):
+    assert nodes.NODE_CLASS_MAPPINGS.keys() == nodes.NODE_DISPLAY_NAME_MAPPINGS.keys()
+    images, gbuffer = call(nodes, "StssLoadFrames", folder=str(demo / "frames"), profile="auto", first=0, count=4)
+    assert tuple(images.shape) == (2, 18, 32, 3)
+    assert images.numpy().min() >= 0
+    assert images.numpy().max() <= 1
+    assert gbuffer.rendered == (True, False, True, False)
+    frames, holes = call(nodes, "StssSupersample", images=images, gbuffer=gbuffer, weights="bilinear", backend="ref")
+    assert tuple(frames.shape) == (4, 36, 64, 3)
+    assert tuple(holes.shape) == (4, 18, 32)
+    sequence = stss.open_sequence(demo / "frames")
+    loop = stss.Supersampler("bilinear", backend="ref")
+    for index, number in enumerate(sequence.numbers):
+        want = loop.push(sequence.load(number, color=number % 2 == 0))
+        # Highlights above 1 end at 1 as images do; the transfer and back rounds twice.
+        assert np.abs(frames.numpy()[index] - transfer("srgb").encode(np.minimum(want.image, 1))).max() < 2**-18
+        np.testing.assert_array_equal(holes.numpy()[index] == 1, ~want.valid)
+    assert holes.numpy()[1].any()
+    assert frames.numpy().dtype == holes.numpy().dtype == np.float32
+
+
+def test_images_that_other_nodes_made_are_shown(nodes, demo):
+    images, gbuffer = call(nodes, "StssLoadFrames", folder=str(demo / "frames"), profile="stss", first=1, count=2)
+    assert gbuffer.rendered == (True, False)
+    assert gbuffer.frames[0].number == 2
+    grey = type(images)(np.full(images.shape, 0.25, np.float32)) if isinstance(images, Tensor) else images * 0 + 0.25
+    frames, _ = call(nodes, "StssSupersample", images=grey, gbuffer=gbuffer, weights="bilinear", backend="ref")
+    assert (frames.numpy() == 0.25).all()
+    with pytest.raises(InputError, match=r"images: expected the 1 rendered frames, \(1, 18, 32, 3\); found \(0, 18, 32, 3\)"):
+        call(nodes, "StssSupersample", images=images[:0], gbuffer=gbuffer, weights="bilinear", backend="ref")
+    with pytest.raises(InputError, match="no rendered frame from 9 on"):
+        call(nodes, "StssLoadFrames", folder=str(demo / "frames"), profile="stss", first=9, count=2)
+
+
+def test_progress_and_files_that_changed(nodes, demo, monkeypatch):
+    steps = []
+    bar = SimpleNamespace(ProgressBar=lambda count: SimpleNamespace(update=steps.append))
+    monkeypatch.setitem(sys.modules, "comfy", SimpleNamespace(utils=bar))
+    monkeypatch.setitem(sys.modules, "comfy.utils", bar)
+    asked = {"folder": str(demo / "frames"), "profile": "auto", "first": 0, "count": 2}
+    images, gbuffer = call(nodes, "StssLoadFrames", **asked)
+    call(nodes, "StssSupersample", images=images, gbuffer=gbuffer, weights="bilinear", backend="ref")
+    assert steps == [1, 1]
+    changed = nodes.NODE_CLASS_MAPPINGS["StssLoadFrames"].IS_CHANGED
+    assert changed(**asked) == changed(**asked) != ""
