@@ -290,7 +290,6 @@ def camera_and_light(scene):
 def make():
     """The scene."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.context.preferences.edit.keyframe_new_interpolation_type = "LINEAR"
     scene = bpy.context.scene
     of = {name: material(name, *look) for name, look in LOOKS.items()}
     ground(of)
@@ -304,6 +303,11 @@ def make():
     signs(of)
     tram(of)
     camera_and_light(scene)
+    for thing in scene.objects:
+        if thing.animation_data is not None:
+            for curve in thing.animation_data.action.layers[0].strips[0].channelbags[0].fcurves:  # Blender 4.4 and newer
+                for key in curve.keyframe_points:
+                    key.interpolation = "LINEAR"  # evenly
     return scene
 
 
