@@ -194,7 +194,7 @@ def test_a_scene_becomes_supersampled_frames_without_a_hand_on_it(bpy_python, pa
     words = [bpy_python[0], ROOT / "tests/app/blender_film.py", packed, tmp_path]
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     environment["BLENDER_USER_RESOURCES"] = str(tmp_path / "blender")
-    done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False, timeout=300)
+    done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False, timeout=900)
     assert (tmp_path / "found.json").exists(), done.stdout[-2000:] + done.stderr[-2000:]
     assert "stss: 8 of 8 frames" in done.stdout
     found = json.loads((tmp_path / "found.json").read_text())
