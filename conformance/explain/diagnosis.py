@@ -54,13 +54,14 @@ def diagnose(judge: Judge, findings: Iterable[Finding]) -> str:
 
     Args:
         judge: has the port, and the last cases that it answered.
-        findings: failures of one property, the first and the smallest.
+        findings: failures of one property: the first, the smallest, and others.
 
     Returns:
         ``looks like: ...``, the nearest first; or that no known mistake gives these numbers. "" where there is nothing to compare: the
         port gave no answer, or its answer is right by itself and only two of its answers together are wrong.
     """
-    failed = [each for each in (_again(judge, finding) for finding in findings) if each is not None]
+    different = {id(finding.case.inputs): finding for finding in findings}.values()
+    failed = [each for each in (_again(judge, finding) for finding in different) if each is not None]
     if not failed:
         return ""
     others = [_answered(judge, case, got) for case, got in judge.answered if case.stage == failed[0].case.stage]

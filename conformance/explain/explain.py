@@ -45,7 +45,7 @@ def explain(judge: Judge, body: Body) -> Failure:
     if not failure.before and UNSTABLE not in failure.finding.message:
         words += [
             tried(lambda: first_departure(judge, failure.finding), ""),
-            tried(lambda: diagnose(judge, [first.finding, failure.finding]), ""),
+            tried(lambda: diagnose(judge, [first.finding, failure.finding, *met.wrong]), ""),
         ]
     judge.record = met
     terms = tried(lambda: terms_at_worst(failure.finding), ())

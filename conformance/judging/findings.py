@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,6 +16,8 @@ from conformance.protocol.port import Case
 
 DENORMAL = 2.0**-126
 """A bound up to here lets a denormal number be 0, and nothing else."""
+MOST_WRONG = 6
+"""Failing cases of one test that are remembered: a mistake is named if it explains all of them."""
 LARGE = 48
 """Rows or columns of a frame that no drawn case has."""
 
@@ -89,6 +91,7 @@ class Record:
         first: the first failure of the test.
         largest: the largest height and width among the cases.
         about: words on the case that is checked now, for the message of its failure.
+        wrong: what was found wrong in the last cases that failed.
     """
 
     cases: int = 0
@@ -99,6 +102,7 @@ class Record:
     first: Failure | None = None
     largest: tuple[int, int] = (0, 0)
     about: str = ""
+    wrong: deque[Finding] = field(default_factory=lambda: deque[Finding](maxlen=MOST_WRONG))
 
     def met(self, sizes: Mapping[str, int]) -> None:
         """Count one more case, of these sizes."""

@@ -16,7 +16,7 @@ from conformance.answers.expected import Expected, largest
 from conformance.answers.port_arithmetic import Arithmetic
 from conformance.answers.sums import expected_rounding, rounding
 from conformance.answers.windows import expect_windows
-from conformance.judging.findings import DepartureError, Failure, Finding, Record, WrongError, said
+from conformance.judging.findings import MOST_WRONG, DepartureError, Failure, Finding, Record, WrongError, said
 from conformance.judging.questions import BATCH, Answer, Dialogue, Question, Talk, answers_of, ask, repeated
 from conformance.protocol.port import Abilities, Arrays, Case, Outputs, Port, PortError, abilities_of
 from conformance.protocol.stages import STAGES, check_inputs, check_outputs, network_inputs, reference
@@ -123,15 +123,21 @@ class Judge:
 
     def first_wrong(self, body: Body, drawn: Sequence[Any]) -> int | None:
         """Number of the first case that is found wrong, whose failure is then in ``record``; None: all are right."""
+        wrong: int | None = None
         for number, error in self.departures(body, drawn):
-            if error is not None:
+            if error is None:
+                continue
+            self.record.wrong.append(error.finding)
+            if wrong is None:
+                wrong = number
                 before = [*self._before, *drawn[:number]][-MOST_BEFORE:]
                 self.record.failure = Failure(error.finding, drawn[number], tuple(before))
                 self.record.first = self.record.first or self.record.failure
-                self._before.extend(drawn[: number + 1])
-                return number
-        self._before.extend(drawn)
-        return None
+            # A program has answered the others, too.
+            if not (self.is_program and self.shrink) or len(self.record.wrong) == MOST_WRONG:
+                break
+        self._before.extend(drawn if wrong is None else drawn[: wrong + 1])
+        return wrong
 
     def departures(self, body: Body, drawn: Sequence[Any]) -> Iterator[tuple[int, DepartureError | None]]:
         """The number of each case as it ends, with its departure if it is wrong.

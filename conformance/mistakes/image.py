@@ -52,6 +52,12 @@ def _first_again(image: Any) -> Any:
     return pixels[np.arange(len(pixels)) % 65536].reshape(image.shape)
 
 
+def _rows_of_height(image: Any) -> Any:
+    height, width, _ = image.shape
+    y, x = np.indices((height, width))
+    return image.reshape(-1, image.shape[-1])[(y * height + x) % (height * width)]
+
+
 READS: tuple[tuple[str, str, Change], ...] = (
     ("column_255", "reads nothing behind column 255", lambda image: image[:, np.minimum(np.arange(image.shape[1]), 255)]),
     ("row_511", "reads nothing below row 511", lambda image: image[np.minimum(np.arange(len(image)), 511)]),
@@ -119,6 +125,7 @@ MOTION_CHAIN = (
     ),
     _steps("oldest_first", "takes the motions as oldest first", lambda motions: motions[::-1]),
     _chain("border_clamped", "the nearest pixel outside the frame, not 0", put("motion_chain.read_motion", _clamped)),
+    _chain("rows_of_height", "H for W: a row of H pixels", change_arguments("motion_chain.read_motion", motion=_rows_of_height)),
     _chain("last_column_outside", "column W - 1 is outside", put("motion_chain.read_motion", _without_last_column)),
     _chain("nearest", "the nearest pixel's motion", put("motion_chain.GATHERS", {"longest": gather_nearest})),
     _chain("bilinear", "interpolates motion", put("motion_chain.GATHERS", {"longest": gather_bilinear})),
@@ -208,6 +215,18 @@ WARP = (
     _inside("inside_without_zero", "x = 0 is outside", lambda at, _, __: leads_inside(at) & (at.x + at.fx > 0)),
     _inside("inside_without_last", "row H - 1 is outside", lambda at, height, _: leads_inside(at) & (at.y < height - 1)),
     _inside("inside_x_only", "only x can be off screen", lambda at, _, __: leads_inside(at._replace(y=at.y * 0, fy=at.fy * 0))),
+    _taps(
+        "sides_swapped",
+        "H for W: x is clamped to H - 1",
+        lambda four, at: four._replace(x0=np.minimum(four.x0, len(at.x) - 1), x1=np.minimum(four.x1, len(at.x) - 1)),
+        BOTH,
+    ),
+    _inside(
+        "inside_sides_swapped",
+        "H for W: on screen up to H - 1 across",
+        lambda at, h, _: leads_inside(at) & (at.x + at.fx <= h - 1),
+    ),
+    _warp("rows_of_height", "H for W: a row of H pixels", change_arguments("sample.corners", image=_rows_of_height), also=BOTH),
     _inside("inside_clamped", "tests the position after clamping it", lambda at, _, __: at.finite),
     _inside("nan_inside", "non-finite motion is on screen", lambda at, _, __: leads_inside(at) | ~at.finite),
     _warp(
