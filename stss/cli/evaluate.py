@@ -33,6 +33,9 @@ from stss_ground.terminal import Terminal, echo
 @click.option(
     "--sequence", type=ReadPath(), help="The input of OUT: flicker is measured along its motion, and the page shows it."
 )
+@click.option(
+    "--holes", type=ReadPath(), help="The folder of another run, over whose holes to score: two runs may differ in theirs."
+)
 @sequence_options
 @perceptual_options
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
@@ -42,6 +45,7 @@ def compare_command(
     frames: tuple[int, int] | None,
     html: Path | None,
     sequence: Path | None,
+    holes: Path | None,
     flip: bool,
     vmaf: bool,
     as_json: bool,
@@ -55,7 +59,7 @@ def compare_command(
 
     shown = partial(track, console=Terminal(stderr=True))
     files = None if sequence is None else open_sequence(sequence, **options, non_finite=non_finite, track=shown)
-    pairs = find_pairs(out, truth, frames, non_finite)[0]
+    pairs = find_pairs(out, truth, frames, non_finite, holes)[0]
     require_places(
         {"--html": html},
         () if files is None else files.reads,
@@ -63,7 +67,7 @@ def compare_command(
         inputs=comparing.files_of(pairs),
     )
     comparison = comparing.compare(
-        out, truth, frames=frames, sequence=files, flip=flip, vmaf=vmaf, non_finite=non_finite, track=shown
+        out, truth, frames=frames, sequence=files, flip=flip, vmaf=vmaf, non_finite=non_finite, holes=holes, track=shown
     )
     if as_json:
         click.echo(comparison.to_json())

@@ -46,6 +46,7 @@ class FrameScores:
     Attributes:
         number: the frame's number.
         kind: "SF" or "EF"; None where the output does not say.
+        hole: the share of the pixels that is scored as holes; None without a mask.
         output: the file that was scored.
         truth: the file that it was compared with.
         scores: region -> scores.
@@ -53,6 +54,7 @@ class FrameScores:
 
     number: int
     kind: str | None
+    hole: float | None
     output: Path
     truth: Path
     scores: Mapping[str, Scores]
@@ -85,6 +87,7 @@ class Comparison:
         notes: caveats about the numbers; one line each.
         made_with: method, weights, backend and transfer, as far as the output's files name them; several values if they differ.
         metrics: the metrics taken, of ``METRICS``.
+        holes: the mean share of the pixels that are scored as holes, over the frames that have a mask; None: none has.
         static_holes: the mean share of the static surfaces that are holes, over the EFs that say it; None: none does.
     """
 
@@ -95,6 +98,7 @@ class Comparison:
     notes: Sequence[str]
     made_with: Mapping[str, Sequence[str]]
     metrics: Sequence[str]
+    holes: float | None
     static_holes: float | None
 
     def to_json(self) -> str:
@@ -107,6 +111,7 @@ class Comparison:
             "means": {m.name: {"frames": m.frames, **self._plain(m.scores)} for m in self.means},
             "without_truth": self.without_truth,
             "without_output": self.without_output,
+            "holes": self.holes,
             "static_holes": self.static_holes,
             "notes": self.notes,
             "made_with": self.made_with,
@@ -133,6 +138,7 @@ def compare(
     flip: bool = False,
     vmaf: bool = False,
     non_finite: NonFinite = "refuse",
+    holes: Path | None = None,
     track: Track = iter,
 ) -> Comparison:
     """Compare the frames of a folder with those of the same numbers in another.
@@ -149,6 +155,7 @@ def compare(
         sequence: the input of the output, by whose motion flicker is measured; None: it is not.
         flip, vmaf: take these too.
         non_finite: what to do with values that are not finite: "refuse", or "mask": 0.
+        holes: a run's folder, over whose warping holes outputs are scored; None: over their own.
         track: yields the numbers that it is given, and may show how far the comparison is.
 
     Raises:
@@ -156,8 +163,8 @@ def compare(
             sizes differ or do not fit the sequence, only some of the output's files name their kind, or a package is missing.
     """
     require_packages(flip=flip, vmaf=vmaf)
-    pairs, without_truth, without_output = find_pairs(out, truth, frames, non_finite)
-    notes = _notes(out, pairs)
+    pairs, without_truth, without_output = find_pairs(out, truth, frames, non_finite, holes)
+    notes = _notes(out, pairs, holes)
     rows = _rows(pairs, track(list(pairs)), sequence, flip=flip)
     if vmaf:
         found = vmaf_scores(map(to_8bit, pair.load()) for pair in pairs.values())
@@ -171,6 +178,7 @@ def compare(
         notes,
         {name: values for name, values in made_with.items() if values},
         [name for name in METRICS if {"flip": flip, "vmaf": vmaf, "flicker": sequence is not None}.get(name, True)],
+        float(np.mean(holed)) if (holed := [row.hole for row in rows if row.hole is not None]) else None,
         float(np.mean(shares)) if (shares := [p.static_holes for p in pairs.values() if p.static_holes is not None]) else None,
     )
 
@@ -212,6 +220,7 @@ def facts(comparison: Comparison) -> list[str]:
             for name in BELOW
             if name in comparison.metrics
         ),
+        *([] if comparison.holes is None else [f"holes are scored over {comparison.holes:.1%} of the pixels"]),
         *([] if comparison.static_holes is None else [f"holes: {comparison.static_holes:.1%} of the static surfaces of EFs"]),
         *(f"{name}: {', '.join(found)}" for name, found in comparison.made_with.items() if found),
     ]
@@ -248,7 +257,8 @@ def _judge(number: int, pair: Pair, shown: Shown, *, flip: bool) -> FrameScores:
         small = read_rgb(pair.holes)
         require_size(pair.holes, small, pair.output, (image.shape[0] // 2, image.shape[1] // 2))
         hole = upsample_holes(small[..., 0] > 0.5)
-    return FrameScores(number, pair.kind, pair.output, pair.truth, score(image, truth, hole, flip=flip))
+    share = None if hole is None else float(hole.mean())
+    return FrameScores(number, pair.kind, share, pair.output, pair.truth, score(image, truth, hole, flip=flip))
 
 
 def files_of(pairs: Mapping[int, Pair]) -> list[Path]:
@@ -264,7 +274,7 @@ def _with(row: FrameScores, **found: float | None) -> FrameScores:
     return replace(row, scores={**row.scores, "all": replace(row.scores["all"], **found)})
 
 
-def _notes(out: Path, pairs: Mapping[int, Pair]) -> list[str]:
+def _notes(out: Path, pairs: Mapping[int, Pair], holes: Path | None) -> list[str]:
     notes: list[str] = []
     unknown = [n for n, pair in pairs.items() if pair.kind is None]
     if unknown and len(unknown) < len(pairs):
@@ -279,7 +289,7 @@ def _notes(out: Path, pairs: Mapping[int, Pair]) -> list[str]:
         notes.append(f"chromaticities of {list_numbers(apart)}: {ours} in the output, {theirs} in the truth; not converted")
     lacking = [n for n, pair in pairs.items() if pair.holes is None and pair.kind != "SF"]
     if lacking:
-        notes.append(f"{out / 'holes'}: no holes of {list_numbers(lacking)}; not scored there")
+        notes.append(f"{(holes or out) / 'holes'}: no holes of {list_numbers(lacking)}; not scored there")
     return notes
 
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +76,11 @@ class Pair:
 
 
 def find_pairs(
-    out: Path, truth: Path, frames: tuple[int, int] | None = None, non_finite: NonFinite = "refuse"
+    out: Path,
+    truth: Path,
+    frames: tuple[int, int] | None = None,
+    non_finite: NonFinite = "refuse",
+    holes: Path | None = None,
 ) -> tuple[dict[int, Pair], list[int], list[int]]:
     """Find the frames that two folders have in common, by number, and those that only the first or only the second has.
 
@@ -85,12 +89,16 @@ def find_pairs(
         truth: likewise.
         frames: first and last to include; None: all.
         non_finite: see `Pair`.
+        holes: a run's folder, whose masks of warping holes stand for those of ``out``; None: its own.
 
     Raises:
         InputError: a folder is not there, the two have no frame in common, or a file cannot be read.
     """
     outputs, truths = _numbered(out, frames), _numbered(truth, frames)
+    masks = None if holes is None else _numbered(holes / "holes", frames)
     pairs = {n: _pair(outputs[n], truths[n], non_finite) for n in sorted(outputs.keys() & truths.keys())}
+    if masks is not None:
+        pairs = {n: replace(pair, holes=masks.get(n)) for n, pair in pairs.items()}
     if not pairs:
         found = f"found {list_numbers(truths)}" + (f" within {frames[0]} to {frames[1]}" if frames else "")
         raise InputError(f"{truth}: expected a frame that {out} has, one of {list_numbers(outputs)}; {found}")

@@ -90,14 +90,22 @@ def run_methods(
     """
     require_packages(flip=flip, vmaf=vmaf)
     require_near(sequence, *(options.frames or (sequence.numbers[0], sequence.numbers[-1])))
-    results: list[MethodResult] = []
     for method in methods:
         backend, label = engine(method)
         run(sequence, out / method, backend, label, options, lambda _, method=method: on_frame(method), reads)
-        shown = partial(_counted, method, on_frame)
-        scores = compare(out / method, truth, frames=options.frames, sequence=sequence, flip=flip, vmaf=vmaf, track=shown)
+    results: list[MethodResult] = []
+    for method in methods:
+        shown, masks = partial(_counted, method, on_frame), out / holes_of(methods)
+        scores = compare(
+            out / method, truth, frames=options.frames, sequence=sequence, flip=flip, vmaf=vmaf, holes=masks, track=shown
+        )
         results.append(MethodResult(method, out / method, scores))
     return results
+
+
+def holes_of(methods: Sequence[str]) -> str:
+    """The method over whose warping holes all are scored: weights choose how holes are found, so masks may differ."""
+    return NETWORK if NETWORK in methods else methods[0]
 
 
 def _counted(method: str, on_frame: Callable[[str], None], numbers: Sequence[int]) -> Iterator[int]:
@@ -141,7 +149,9 @@ def cells(results: Sequence[MethodResult]) -> tuple[list[tuple[str, str]], list[
 def meant(results: Sequence[MethodResult]) -> str:
     """A line that says over which frames the table's numbers are means."""
     counts = {mean.name: mean.frames for mean in results[0].comparison.means}
-    return f"means of {counts.get('SF', 0)} SF and {counts.get('EF', 0)} EF; PSNR over RGB, flicker in 8-bit levels"
+    share = results[0].comparison.holes
+    holes = "" if share is None else f"; holes are those of {holes_of([r.method for r in results])}, {share:.1%} of the pixels"
+    return f"means of {counts.get('SF', 0)} SF and {counts.get('EF', 0)} EF; PSNR over RGB, flicker in 8-bit levels{holes}"
 
 
 def _score(means: Mapping[str, Mapping[str, object]], kind: str, region: str, name: str) -> str:

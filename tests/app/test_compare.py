@@ -107,6 +107,29 @@ def test_the_holes_of_static_surfaces_are_a_mean(out, truth):
     assert "holes: 30.0% of the static surfaces of EFs" in facts(found)
 
 
+def test_holes_are_those_of_another_run_where_it_is_named(out, truth, tmp_path):
+    """Whose errors are scored depends on the mask, so its share is said; a frame without a mask there is not scored."""
+    for number, off in ((1, 4), (3, 4)):
+        write_pair(out, truth, number, "EF", off)
+    image = np.array(flat(100))
+    image[: SIZE[0] // 2] = 104 * LEVEL
+    write_rgb(out / "frame.0001.png", image, metadata=labels("EF"))
+    (tmp_path / "other" / "holes").mkdir(parents=True)
+    low = np.zeros((SIZE[0] // 2, SIZE[1] // 2), np.bool_)
+    low[SIZE[0] // 4 :] = True
+    write_mask(tmp_path / "other" / "holes" / "frame.0001.png", low)
+    own, other = compare(out, truth), compare(out, truth, holes=tmp_path / "other")
+    assert near(own.rows[0].scores["holes"].psnr_rgb, decibels(4))
+    assert other.rows[0].scores["holes"].psnr_rgb == math.inf
+    assert other.rows[1].scores["holes"].psnr_rgb is None
+    share = other.rows[0].hole
+    assert 0.4 < share <= 0.5
+    assert f"holes are scored over {share:.1%} of the pixels" in facts(other)
+    assert json.loads(other.to_json())["holes"] == share
+    assert any("other/holes: no holes of frame 3; not scored there" in line for line in facts(other))
+    assert call("compare", out, truth, "--holes", tmp_path / "other").stdout.count(f"over {share:.1%}") == 1
+
+
 @pytest.mark.parametrize("name", ["none", "srgb"])
 def test_exr_and_png_are_judged_alike(out, truth, name):
     """EXR in the renderer's domain against PNG of the same frame, either way round: nothing is wrong but rounding."""
