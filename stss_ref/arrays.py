@@ -38,6 +38,8 @@ class ArrayError(ValueError):
 
 def require_shape(name: str, array: Shaped, shape: tuple[int | None, ...]) -> None:
     """Raise ArrayError unless ``array`` has ``shape``; None stands for any length of at least 1."""
+    if not isinstance(getattr(array, "shape", None), tuple):
+        raise ArrayError(f"{name}: expected an array, got {type(array).__name__}")
     fits = len(array.shape) == len(shape) and all(
         got == want if want is not None else got >= 1 for got, want in zip(array.shape, shape, strict=True)
     )

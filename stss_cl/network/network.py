@@ -13,6 +13,7 @@ import pyopencl.array as cla
 from stss_cl.device.buffers import Outgoing, incoming, on_device
 from stss_cl.device.discovery import Device, open_device
 from stss_cl.network.layers import Layers
+from stss_ground.arguments import require_choice, require_kind
 from stss_ref.arrays import Array, require_dtype, require_finite, require_shape
 from stss_ref.weights import Weights
 
@@ -34,13 +35,20 @@ class Network:
         precision: see ``PRECISIONS``.
         memory_limit: bytes that the buffers may take, as ``stss_cl.network.strips.bytes_for`` counts them; larger frames go in strips,
             with the same bits. None = half of the device's memory.
+
+    Raises:
+        InputError: an argument is of another kind.
     """
 
     def __init__(
         self, weights: Weights, device: Device | None = None, precision: Precision = "float32", memory_limit: int | None = None
     ):
-        if precision not in PRECISIONS:
-            raise ValueError(f"precision: expected one of {', '.join(PRECISIONS)}, got {precision!r}")
+        require_kind("weights", weights, (Weights, Mapping), "the 92 tensors")
+        require_choice("precision", precision, PRECISIONS)
+        if device is not None:
+            require_kind("device", device, Device, "one from open_device, or None")
+        if memory_limit is not None:
+            require_kind("memory_limit", memory_limit, (int, np.integer), "a number of bytes, or None")
         self.device = open_device() if device is None else device
         self.precision: Precision = precision
         self._weights, self._memory_limit = weights, memory_limit

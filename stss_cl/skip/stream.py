@@ -13,7 +13,7 @@ import pyopencl.array as cla
 from numpy.typing import NDArray
 
 from stss_cl.device.buffers import Outgoing, mask_of, on_device
-from stss_cl.device.discovery import Device, open_device
+from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil8
 from stss_cl.frame import Frame
 from stss_cl.image_space.frame_planes import MOST_STEPS, Sources, check_steps
@@ -28,6 +28,7 @@ from stss_cl.skip.change_control import ChangeControl
 from stss_cl.skip.display_frame import DisplayFrame
 from stss_cl.skip.frame_cache import FrameCache, Last, Report
 from stss_cl.skip.uploaded_frames import UploadedFrame, UploadedFrames, sources
+from stss_ground.arguments import require_choice
 from stss_ref.arrays import ArrayError, require_dtype, require_shape
 from stss_ref.weights import Weights
 
@@ -60,10 +61,11 @@ class Stream:
         memory_limit: int | None = None,
         skip: Skip = "exact",
     ):
-        self.device = open_device() if device is None else device
+        require_choice("skip", skip, SKIPS)
+        self._whole = Frame(weights, device, precision, gather, memory_limit)
+        self.device = self._whole.device
         self.precision: Precision = precision
         self.report = Report(1.0, "whole")
-        self._whole = Frame(weights, self.device, precision, gather, memory_limit)
         self._gather: Gather = gather
         self._weights, self._memory = weights, self.device.memory // 2 if memory_limit is None else memory_limit
         self._skip: Skip = skip

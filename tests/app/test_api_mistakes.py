@@ -12,6 +12,7 @@ import pytest
 
 import stss
 from stss.frames.compute_options import ComputeOptions
+from stss_cl import Frame, Network, Stream
 from stss_ground.errors import DeviceError, InputError
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights, WeightsError, random
@@ -80,6 +81,12 @@ CALLS |= {
     )
     for name in ("motion", "stencil", "base_color", "depth")
 }
+CALLS |= {
+    f"{opened.__name__}({name})": (lambda v, opened=opened, name=name: opened(**{"weights": random(0), name: v}), taken)
+    for opened in (Network, Frame, Stream)
+    for name, taken in {"weights": (dict,), "precision": (), "device": (type(None),), "memory_limit": (int, type(None))}.items()
+}
+CALLS["Stream(skip)"] = (lambda v: Stream(random(0), skip=v), ())
 TAKEN = {"convert stencil": (int, float, bool)}
 
 
