@@ -27,6 +27,8 @@ MODULES = (
 )
 """Those that compute; ``weights`` is a table that the network's shapes check, ``watch`` takes notes."""
 SAME = {
+    "conv: 2 * r -> 3 * r": "more zeros, which nothing reads",
+    "conv: x >= 0 -> x > 0": "at 0 both are 1 / 2",
     "depth: depth.dtype.type(1) -> depth.dtype.type(2)": "clipped it is 1, and scaled 0",
     "frame: :3 -> :4": "a luma is of three channels",
     "frame: strict=True -> strict=False": "the lists have one length",

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from conformance.cases.planes import SEEDS, motions, sizes
 from stss_ref.arrays import ArrayError
-from stss_ref.conv import sigmoid
+from stss_ref.conv import conv, sigmoid
 from stss_ref.detail import detail
 from stss_ref.frame import FrameInputs, frame, motion_by_step, prepare
 from stss_ref.holes import holes
@@ -172,6 +172,17 @@ def test_the_weights_say_what_the_second_colour_is(data, size, seed):
 def test_frame_errors_name_the_array(name, value, message):
     with pytest.raises(ArrayError, match=message):
         frame(replace(still_scene((4, 4), 0), **{name: value}), zeros())
+
+
+def test_a_convolution_of_any_odd_size():
+    """By hand: a window of 5 whose corner alone counts, at stride 1 where none is said."""
+    x, weight = np.arange(20.0).reshape(4, 5, 1), np.zeros((1, 1, 5, 5))
+    weight[0, 0, 0, 4] = 2
+    want = np.full((4, 5, 1), 3.0)
+    want[2:, :3] += 2 * x[:2, 2:]  # two rows above, two columns to the right; 0 outside
+    np.testing.assert_array_equal(conv(x, weight, np.array([3.0])), want)
+    with pytest.raises(ArrayError, match=r"conv: expected 1 channels .*, got 2"):
+        conv(np.zeros((4, 5, 2)), weight, np.array([3.0]))
 
 
 def test_sigmoid_has_no_overflow_and_two_accurate_tails():
