@@ -81,7 +81,7 @@ def test_a_plane_that_slides_past_has_no_holes(judge: Judge, case: tuple[Size, i
     judge.same("holes.valid", valid, within_frame(reach(moved, judge.arithmetic))[0].astype(np.uint8))
 
 
-test_the_same_twice = same_twice("holes", cases(holes_inputs()))
+test_the_same_twice = same_twice("holes", cases(holes_inputs(), slow=True))
 
 
 test_constants_are_those_of_the_specification = agrees_on_constants("holes")

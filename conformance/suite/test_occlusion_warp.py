@@ -52,7 +52,7 @@ def test_one_colour_fills_with_itself(judge: Judge, inputs: Inputs) -> Talk:
     judge.same("occlusion_warp.occlusion_warp", got, flat)
 
 
-test_the_same_twice = same_twice("occlusion_warp", cases(occlusion_inputs()))
+test_the_same_twice = same_twice("occlusion_warp", cases(occlusion_inputs(), slow=True))
 
 
 test_constants_are_those_of_the_specification = agrees_on_constants("occlusion_warp")

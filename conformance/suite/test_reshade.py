@@ -46,7 +46,7 @@ def test_what_was_read_in_holes_is_the_last_resort(judge: Judge, inputs: Inputs)
     )
 
 
-test_the_same_twice = same_twice("reshade", cases(reshade_inputs()))
+test_the_same_twice = same_twice("reshade", cases(reshade_inputs(), slow=True))
 
 
 test_constants_are_those_of_the_specification = agrees_on_constants("reshade")

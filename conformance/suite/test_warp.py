@@ -97,7 +97,7 @@ def test_lost_motion_is_off_screen(judge: Judge, case: tuple[Float64, Float64, f
     judge.same("warp.warped", got["warped"], np.where(finite[..., None], clean["warped"], own))
 
 
-test_the_same_twice = same_twice("warp", cases(warp_inputs()))
+test_the_same_twice = same_twice("warp", cases(warp_inputs(), slow=True))
 
 
 test_agrees_on_what_engines_send = agrees_on_engines("warp")
