@@ -18,5 +18,5 @@ def data(tmp_path_factory):
             inputs[..., [15, 19, 23]] = 1
             inputs[..., :3] = 0.4
             made.append(Sample(0, kind, inputs, np.full((34, 40, 3), 0.5)))
-        write(folder / split, split, split, made)
+        write(folder / split, split, split, "occlusion_warp", made)
     return folder

@@ -139,7 +139,7 @@ def test_a_batch_has_the_frame_beside_and_the_motion_of_the_later_one(tmp_path):
         for n in (3, 4, 9)
         for kind in (FrameKind.SF, FrameKind.EF)
     ]
-    write(tmp_path / "one", "one", "training", made)
+    write(tmp_path / "one", "one", "training", "occlusion_warp", made)
     assert [(a.shard.frames[a.index], b.shard.frames[b.index]) for a, b in pairs(load_shards(tmp_path), "training")] == [
         (3, 4),
         (4, 3),
@@ -158,7 +158,7 @@ def test_every_folder_of_shards_is_drawn_from_equally_often(tmp_path):
         for i in range(count):
             value = float(folder == "few")
             made = [Sample(0, kind, np.zeros((16, 16, 35)), np.full((32, 32, 3), value)) for kind in (FrameKind.SF, FrameKind.EF)]
-            write(tmp_path / folder / str(i), f"{folder} {i}", "training", made)
+            write(tmp_path / folder / str(i), f"{folder} {i}", "training", "occlusion_warp", made)
     batches = Batches(load_shards(tmp_path), side=16, batch=20, seed=0)
     few = np.mean([(batches[step].truth.max(axis=(1, 2, 3)) > 0.5).mean() for step in range(5)])
     assert 0.35 < few < 0.65
@@ -167,7 +167,7 @@ def test_every_folder_of_shards_is_drawn_from_equally_often(tmp_path):
 def test_a_scene_in_two_splits_is_refused(data, tmp_path):
     sample = Sample(0, FrameKind.SF, np.zeros((16, 16, 35)), np.zeros((32, 32, 3)))
     for split in ("training", "test"):
-        write(tmp_path / split, "the same", split, [sample])
+        write(tmp_path / split, "the same", split, "occlusion_warp", [sample])
     with pytest.raises(InputError, match="scene the same is in the splits"):
         load_shards(tmp_path)
 
