@@ -17,6 +17,7 @@
 //  filled             out     (H, W, 3)  as color, at least 0
 //
 // Build: no options.  Launch (W, H) rounded up.
+#include "common.clh"
 #include "reshade.clh"
 
 kernel void find_samples(global const float *restrict color, global const float2 *restrict motion, global const uchar *restrict valid,

@@ -15,6 +15,7 @@ from stss_ref.frame import FrameInputs, prepare
 from stss_ref.motion_chain import motion_chain
 from stss_ref.occlusion_warp import occlusion_warp, splat
 from stss_ref.resample import downsample_8, pad_to_8
+from stss_ref.reshade import reshade
 from tests.cl.films import frame_inputs as noise
 
 BROKEN = (np.nan, np.inf, -np.inf, 3e38, -3e38, -0.0, 1e-42)
@@ -77,6 +78,16 @@ def test_a_splat_of_many_ties_is_the_same_every_time(stages):
         got = stages.run_stage("occlusion_warp", inputs)
         assert_same(got["occlusion_motion"], want)
         assert_same(got["occlusion_warp"], filled)
+
+
+@settings(max_examples=20)
+@given(inputs=drawn.reshade_inputs())
+def test_reshade(stages, inputs):
+    """The stage alone; a frame runs it with the others (test_prepare)."""
+    given = {name: a.astype(np.float32) if a.dtype == np.float64 else a for name, a in inputs.items()}
+    with np.errstate(invalid="ignore", over="ignore"):
+        want = reshade(**given)
+    assert_same(stages.run_stage("reshade", given)["reshade"], want)
 
 
 STEPS = ((1, 3, 5), (0, 2, 4), (1, 3, 3), (1, 1, 1), (0, 2, 2), (0, 0, 0), (2, 3, 5))
