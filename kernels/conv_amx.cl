@@ -8,7 +8,8 @@
 // Three taps of a row are 3 C values side by side, so 16 pixels x 32 of these values are one tile, whose rows are STRIDE pixels apart. What a row's
 // last step reads beyond them meets weights of 0. An output's sum depends on its own inputs alone, so tiles may be left out.
 // Build -D STORED=BFLOAT16 -D A -D B -D OUT (multiples of 8; A may be 4) -D STRIDE, optionally -D EMULATE (amx.clh) -D GATED -D RELU -D MARK (change_map.clh).
-// -D IMAGE, where OUT is 24: what would be stored goes through outc and becomes the image; color and what follows as in winograd_image.cl.
+// -D IMAGE, where OUT is 24: what would be stored goes through outc and becomes the image; color and what follows as in winograd_image.cl, but
+// outc_weight (2, 16, 16, 2) are tiles like `weight`: bfloat16, and what that rounds off.
 // Launch (any number of work-items), work-groups of 1, over tiles of 32 x 4 pixels (tile_list.clh).
 #if !defined(A) || !defined(B) || !defined(OUT) || !defined(STRIDE)
 #error "conv_amx.cl needs -D A, B, OUT, STRIDE"
@@ -18,9 +19,6 @@
 #include "amx.clh"
 #ifdef IMAGE
 #include "decoder.clh"
-#define TO_PARAMS global const float4 *restrict color, global const float8 *restrict outc_weight, global const float8 *restrict outc_bias, \
-    global float *restrict image, const int rows, const int columns, const int first_row, const int top
-#define TO color, outc_weight, outc_bias, image, rows, columns, first_row, top
 #endif
 
 #ifdef GATED
@@ -30,27 +28,34 @@
 #endif
 #define STEPS(channels) ((3 * (channels) + 31) / 32)
 #define ACROSS 32
-#define TILE_VALUES 512  // bfloat16 of a tile
+#define TILE_VALUES 512  // bfloat16 of a tile of weights
+
+// Values of a step. The row of a tile that lies in two cache lines takes as long to load as four others: with 24 channels rows of 24 values, a tap
+// each, do so less often than rows of 32, and take no more steps.
+#define IN_STEP(channels) ((channels) == 24 ? 24 : 32)
+#define LEAST_STEP ((A == 24 && (B == 24 || B == 0)) ? 24 : 32)
 
 #if STORED != BFLOAT16
 #error "conv_amx.cl needs -D STORED=BFLOAT16"
 #endif
 
-// Brings the part-th of 12 parts of a tile's input into the cache: 32 pixels of a row of taps, for four rows of pixels.
+// Brings the part-th of 12 parts of a tile's input into the cache: half a row of pixels, or at stride 2 one of its nine rows.
 static inline void fetch(global const stored *from, const int channels, const int line, const int part)
 {
 #ifndef EMULATE
-    global const stored *row = from + part % 3 * line + part / 3 * STRIDE * line;
-    for (int i = 0; i < STRIDE * ACROSS * channels; i += 32) __builtin_prefetch((const void *)(size_t)(row + i), 0, 3);
+    from += STRIDE == 1 ? part / 2 * line + part % 2 * (ACROSS / 2) * channels : least(part, 8) * line;
+#pragma unroll
+    for (int i = 0; i < (STRIDE == 1 ? ACROSS / 2 : 2 * ACROSS) * channels; i += 32) __builtin_prefetch((const void *)(size_t)(from + i), 0, 2);
 #endif
 }
 
-// Of 2 x 16 pixels, the products of one input with one or two parts of the outputs are added to tiles 0 .. 3; defined as a macro since tiles have
-// numbers, no addresses.
-#define PRODUCTS(from, channels, line, weights, two)                                                         \
-    for (int tap = 0; tap < 3; ++tap)                                                                        \
+// Of 2 x 16 pixels, the products of one input with one or two parts of the outputs are added to tiles 0 .. 3; meanwhile parts of the next tile's
+// input are fetched, and some pixels of the row before are finished. Defined as a macro since tiles have numbers, no addresses.
+#define PRODUCTS(from, channels, line, weights, two, next, slot)                                             \
+    for (int tap = 0; tap < 3; ++tap) {                                                                      \
+        if (n == 0) fetch(next, channels, line, 3 * row + tap);                                              \
         for (int step = 0; step < STEPS(channels); ++step) {                                                 \
-            global const stored *pixels = (from) + tap * (line) + 32 * step;                                 \
+            global const stored *pixels = (from) + tap * (line) + IN_STEP(channels) * step;                  \
             global const stored *w = (weights) + (tap * STEPS(channels) + step) * PARTS * TILE_VALUES;       \
             TILE_LOAD(4, pixels, 2 * STRIDE * (channels));                                                   \
             TILE_LOAD(5, pixels + 16 * STRIDE * (channels), 2 * STRIDE * (channels));                        \
@@ -62,61 +67,109 @@ static inline void fetch(global const stored *from, const int channels, const in
                 TILE_MULTIPLY(2, 4, 7);                                                                      \
                 TILE_MULTIPLY(3, 5, 7);                                                                      \
             }                                                                                                \
-        }
+        }                                                                                                    \
+        FINISH((slot) + tap);                                                                                \
+    }
+
+// ReLU, rounding.
+static inline ushort16 rounded(const float16 value)
+{
+    const ushort16 bits = narrow16(value);
+#ifdef RELU
+    return bits & as_ushort16(as_short16(bits) > (short16)(0));
+#else
+    return bits;
+#endif
+}
 
 #ifdef IMAGE
-// ReLU, rounding, outc: writes the image of a row's pixels from x on, whose sums lie by part, pixel and output.
-static inline void finish_image(const float *sums, const int y, const int x, const int width, TO_PARAMS)
+// ReLU, rounding: a row's pixels, whose sums lie by part, pixel and output, as rows of tiles.
+static inline void features_of(const float *sums, uint16 *features)
 {
-    for (int first = 0; first < least(width - x, ACROSS) && y >= first_row; first += 4) {
-        float8 features[12], residuals[8];
-        for (int i = 0; i < 12; ++i)
-            features[i] = widen8(narrow8(relu8(*(const float8 *)(sums + (i % 3 / 2 * ACROSS + first + i / 3) * 16 + i % 3 % 2 * 8))));
-        residual((const float *)features, outc_weight, outc_bias, residuals);
-        write_pixels(residuals, color, image, y, x + first, width, rows, columns, top);
+    for (int p = 0; p < ACROSS; ++p) {
+        const ushort16 first = rounded(*(const float16 *)(sums + p * 16)), second = rounded(*(const float16 *)(sums + (ACROSS + p) * 16));
+        features[p] = (uint16)(as_uint8(first), as_uint8(second));
     }
 }
-#endif
 
-// Gate, ReLU, rounding: stores `pixels` pixels from (y, x) on, whose sums lie by part, pixel and output.
-static inline void finish(const float *sums, const int y, const int x, const int pixels, global stored *out, const int out_columns,
-                          const int out_channels, global uchar *changes)
+// Writes two rows of the image for `pixels` pixels from (y, x) on: the upsampled frame and what outc adds to it.
+static inline void finish_image(const float *residuals, const int y, const int x, const int pixels, const int width, global const float4 *color,
+                                global float *image, const int rows, const int columns, const int top)
+{
+    float between[8 * (ACROSS + 2)] __attribute__((aligned(64))), lines[2][6 * ACROSS + 2] __attribute__((aligned(64)));
+    columns_between_rows(color, y, x, rows, columns, ACROSS, between);
+    for (int p = 0; p < ACROSS; ++p) {
+        const float16 both = between_three(between + 8 * p) + *(const float16 *)(residuals + 16 * p);
+        *(float8_unaligned *)(lines[0] + 6 * p) = both.lo;
+        *(float8_unaligned *)(lines[1] + 6 * p) = both.hi;
+    }
+    global float *to = image + (2 * (top + y) * (2 * width) + 2 * x) * 3;
+    copy_floats(lines[0], 6 * pixels, to);
+    copy_floats(lines[1], 6 * pixels, to + 6 * width);
+}
+#define FINISH(slot)
+#else
+#define SLOTS ((PARTS + 1) / 2 * (B ? 6 : 3))   // rows of taps of all products for a row of outputs
+#define IN_SLOT ((ACROSS + SLOTS - 1) / SLOTS)  // pixels that are finished meanwhile
+
+// A row of outputs whose sums are complete: by part, pixel and output.
+typedef struct {
+    const float *sums;
+    int y, x, pixels;
+} Row;
+
+// Gate, ReLU, rounding: stores some pixels of a row, those of the slot; `open` is filled by slot 0.
+static inline void finish(const Row row, const int slot, float *open, global stored *out, const int out_columns, const int out_channels,
+                          global uchar *changes)
 {
 #ifdef GATED
-    float open[ACROSS] __attribute__((aligned(32)));
-    for (int p = 0; p < ACROSS; ++p) open[p] = sums[(OUT / 16 * ACROSS + p) * 16 + OUT % 16];
-    for (int i = 0; i < ACROSS / 8; ++i) ((float8 *)open)[i] = sigmoid8(((const float8 *)open)[i]);
+    if (slot == 0 && row.pixels) {
+#pragma unroll
+        for (int p = 0; p < ACROSS; ++p) open[p] = row.sums[(OUT / 16 * ACROSS + p) * 16 + OUT % 16];
+        for (int i = 0; i < ACROSS / 8; ++i) ((float8 *)open)[i] = sigmoid8(((const float8 *)open)[i]);
+    }
 #endif
-    for (int p = 0; p < pixels; ++p) {
+    for (int p = slot * IN_SLOT; p < least((slot + 1) * IN_SLOT, row.pixels); ++p) {
+        const int to = ((row.y + 1) * out_columns + row.x + p + 1) * (out_channels / 8);
         BEGIN_PIXEL;
-        for (int c = 0; c < OUT / 8; ++c) {
-            float8 value = *(const float8 *)(sums + (c / 2 * ACROSS + p) * 16 + c % 2 * 8);
+#pragma unroll
+        for (int c = 0; c < OUT / 8; c += 2) {
+            float16 value = *(const float16 *)(row.sums + (c / 2 * ACROSS + p) * 16);
 #ifdef GATED
             value *= open[p];
 #endif
-#ifdef RELU
-            value = relu8(value);
-#endif
-            PUT(value, ((y + 1) * out_columns + x + p + 1) * (out_channels / 8) + c, out);
+            const ushort16 bits = rounded(value);
+            if (c + 1 < OUT / 8)
+                PUT_STORED16(bits, to + c, out);
+            else
+                PUT_STORED8(bits.lo, to + c, out);
         }
-        END_PIXEL(y * (out_columns - 2) + x + p);
+        END_PIXEL(row.y * (out_columns - 2) + row.x + p);
     }
 }
+#define FINISH(slot) finish(wait, slot, open, out + out_first, out_columns, out_channels, changes)
+#endif
 
 kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void conv_amx(global const stored *restrict a, global const stored *restrict b, global const stored *restrict weight,
               global const stored *restrict gate_weight, global const float *restrict bias, const float gate_bias,
 #ifdef IMAGE
-              const int a_first, const int height, const int width, const int in_columns, TO_PARAMS, global const uint *restrict tiles,
-              global const int *restrict count)
+              const int a_first, const int height, const int width, const int in_columns, global const float4 *restrict color,
+              global const stored *restrict outc_weight, global const float *restrict outc_bias, global float *restrict image, const int rows,
+              const int columns, const int first_row, const int top, global const uint *restrict tiles, global const int *restrict count)
 #else
               global stored *restrict out, const int a_first, const int height, const int width, const int in_columns, const int out_columns,
               const int out_channels, const int out_first, global const uint *restrict tiles, global const int *restrict count,
               global uchar *restrict changes)
 #endif
 {
-    TILES_BEGIN;
-    float sums[PARTS * ACROSS * 16] __attribute__((aligned(64)));
+    TILES_BEGIN(LEAST_STEP);
+#ifdef IMAGE
+    float made[PARTS * ACROSS * 16] __attribute__((aligned(64)));
+#else
+    float sums[2][PARTS * ACROSS * 16] __attribute__((aligned(64))), open[ACROSS] __attribute__((aligned(32)));
+    Row wait = {sums[0], 0, 0, 0};
+#endif
     a += a_first;
     const int2 part = part_of_list(count[0], 1);
     for (int t = part.x; t < part.y; ++t) {
@@ -126,12 +179,9 @@ void conv_amx(global const stored *restrict a, global const stored *restrict b, 
         for (int row = 0; row < 4; ++row) {
             const int y = 4 * TILE_ROW(tiles[t]) + row, corner = STRIDE * (y * in_columns + x);
             if (y >= height) break;
-            for (int tap = 0; tap < 3; ++tap) {
-                fetch(a + next * A, A, in_columns * A, 3 * row + tap);
-#if B
-                fetch(b + next * B, B, in_columns * B, 3 * row + tap);
+#ifndef IMAGE
+            float *made = wait.sums == sums[0] ? sums[1] : sums[0];
 #endif
-            }
             for (int n = 0; n < PARTS; n += 2) {
                 const bool two = n + 1 < PARTS;
                 TILE_LOAD(0, bias + 16 * n, 0);
@@ -140,11 +190,11 @@ void conv_amx(global const stored *restrict a, global const stored *restrict b, 
                     TILE_LOAD(2, bias + 16 * n + 16, 0);
                     TILE_LOAD(3, bias + 16 * n + 16, 0);
                 }
-                PRODUCTS(a + corner * A, A, in_columns * A, weight + n * TILE_VALUES, two)
+                PRODUCTS(a + corner * A, A, in_columns * A, weight + n * TILE_VALUES, two, a + next * A, n / 2 * (B ? 6 : 3))
 #if B
-                PRODUCTS(b + corner * B, B, in_columns * B, weight + (3 * STEPS(A) * PARTS + n) * TILE_VALUES, two)
+                PRODUCTS(b + corner * B, B, in_columns * B, weight + (3 * STEPS(A) * PARTS + n) * TILE_VALUES, two, b + next * B, n / 2 * 6 + 3)
 #endif
-                float *to = sums + n * ACROSS * 16;
+                float *to = made + n * ACROSS * 16;
                 TILE_STORE(0, to);
                 TILE_STORE(1, to + 256);
                 if (two) {
@@ -153,11 +203,29 @@ void conv_amx(global const stored *restrict a, global const stored *restrict b, 
                 }
             }
 #ifdef IMAGE
-            finish_image(sums, y, x, width, TO);
+            if (y < first_row) continue;
+            uint16 features[ACROSS] __attribute__((aligned(64)));
+            features_of(made, features);
+            TILE_LOAD(0, outc_bias, 0);
+            TILE_LOAD(1, outc_bias, 0);
+            TILE_LOAD_OWN(4, features);
+            TILE_LOAD_OWN(5, features + 16);
+            TILE_LOAD(6, outc_weight, 64);
+            TILE_LOAD(7, outc_weight + TILE_VALUES, 64);
+            TILE_MULTIPLY(0, 4, 6);
+            TILE_MULTIPLY(1, 5, 6);
+            TILE_MULTIPLY(0, 4, 7);
+            TILE_MULTIPLY(1, 5, 7);
+            TILE_STORE(0, made);
+            TILE_STORE(1, made + 256);
+            finish_image(made, y, x, least(width - x, ACROSS), width, color, image, rows, columns, top);
 #else
-            finish(sums, y, x, least(width - x, ACROSS), out + out_first, out_columns, out_channels, changes);
+            wait = (Row){made, y, x, least(width - x, ACROSS)};
 #endif
         }
     }
+#ifndef IMAGE
+    for (int slot = 0; slot < SLOTS; ++slot) FINISH(slot);
+#endif
     TILES_END;
 }

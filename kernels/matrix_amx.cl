@@ -14,7 +14,7 @@
 kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void matrix_amx(global const ushort *restrict a, global const ushort *restrict b, global const float *restrict bias, global float *restrict sums)
 {
-    TILES_BEGIN;
+    TILES_BEGIN(32);
     float made[16 * 16] __attribute__((aligned(64)));
     TILE_LOAD(0, bias, 0);
     TILE_LOAD(4, a, 64);

@@ -8,19 +8,20 @@ import os
 import platform
 from contextlib import suppress
 from functools import cache
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 import pyopencl as cl
 
-from stss_cl.device.buffers import FLAGS, constant, to_bfloat16
+from stss_cl.device.buffers import BFLOAT16, FLAGS, constant, storage, to_bfloat16
 from stss_cl.device.discovery import Device, Properties
 from stss_cl.device.program import build
 from stss_ground.errors import DeviceError
 from stss_ground.machine import cpu_flags
 
-NEEDED = frozenset({"amx_tile", "amx_bf16"})
-"""Flags of a processor whose tiles multiply bfloat16; Linux lists one only if the kernel, too, can use it."""
+NEEDED = frozenset({"amx_tile", "amx_bf16", "avx512_bf16", "avx512vl"})
+"""Flags of a processor whose tiles multiply bfloat16, and that converts to it; Linux lists one only if the kernel, too, can use it."""
 ARCH_PRCTL, REQUEST_PERMISSION, TILE_DATA = 158, 0x1023, 18
 """Linux's system call on x86-64 by which a process asks for the tiles' 8 KiB of state, once for all its threads."""
 
@@ -44,6 +45,11 @@ def are_used(device: Device) -> bool:
             with suppress(DeviceError, cl.Error):  # the compiler may not know the instructions
                 _proved[device.context] = product_is_right(device, emulate=False)
     return _proved[device.context]
+
+
+def stored_as(device: Device, dtype: np.dtype[Any]) -> dict[str, object]:
+    """The options of kernels (kernels/common.clh) for activations of this dtype."""
+    return {"STORED": storage(dtype), "CONVERTS": dtype == BFLOAT16 and are_used(device)}
 
 
 def emulated(device: Device) -> str:

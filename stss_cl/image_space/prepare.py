@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from stss_cl.device.buffers import Inputs, inputs_for, storage
+from stss_cl.device import amx
+from stss_cl.device.buffers import Inputs, inputs_for
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, grid
 from stss_cl.device.launch import Launch, kernel
@@ -142,7 +143,7 @@ class Prepare:
 
     def _made(self, *, marks: bool) -> _Launches:
         inputs, (height, width) = self.inputs, (self.height, self.width)
-        options = {"STORED": storage(inputs.input.dtype), **marking(self.device, marks)}
+        options = {**amx.stored_as(self.device, inputs.input.dtype), **marking(self.device, marks)}
         gather = {"GATHER": f"gather_{self._gather}", "LONGEST": self._gather == "longest", "EIGHTS": self.device.is_cpu}
         frame_options = {
             **gather,

@@ -86,7 +86,7 @@ def conv(
         final: write ``image`` instead of ``out``; the caller sets it before every run.
     """
     shape = _shape(device, packed, a, out, side, stride, final, a.images if image is None else 1)
-    source = _source(shape, packed, a, b, out, relu=relu)
+    source = _source(device, shape, packed, a, b, out, relu=relu)
     arguments = {
         "a": a.data,
         "b": b.data if b else a.data,
@@ -126,7 +126,9 @@ def _tensors(device: Device, packed: Packed, shape: Shape) -> dict[str, Any]:
     }
 
 
-def _source(shape: Shape, packed: Packed, a: Padded, b: Padded | None, out: Padded, *, relu: bool) -> KernelSource:
+def _source(
+    device: Device, shape: Shape, packed: Packed, a: Padded, b: Padded | None, out: Padded, *, relu: bool
+) -> KernelSource:
     """The source and options from which the layer's kernel is built."""
     options = {
         "A": a.channels,
@@ -135,7 +137,7 @@ def _source(shape: Shape, packed: Packed, a: Padded, b: Padded | None, out: Padd
         **({"OUT_CHANNELS": out.channels} if "SIDE" in shape.options else {}),
         "GATED": packed.gate_direct is not None,
         "RELU": relu,
-        "STORED": storage(out.dtype),
+        **amx.stored_as(device, out.dtype),
     }
     return KernelSource(
         shape.file,

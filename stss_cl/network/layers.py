@@ -9,7 +9,7 @@ from functools import cached_property, partial
 import numpy as np
 import pyopencl as cl
 
-from stss_cl.device.buffers import Outgoing, Padded, constant, incoming, inputs_for, read, write
+from stss_cl.device.buffers import BFLOAT16, Outgoing, Padded, constant, incoming, inputs_for, read, write
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil8, ceil_div
 from stss_cl.device.launch import enqueue
@@ -20,7 +20,7 @@ from stss_cl.network.conv import Final
 from stss_cl.network.layer import LayerLaunch
 from stss_cl.network.layer_builder import LayerBuilder, dtype_of
 from stss_cl.network.pack_inputs import PackInputs
-from stss_cl.network.pack_weights import pack_outc
+from stss_cl.network.pack_weights import amx_outc, pack_outc
 from stss_cl.network.plan import LAST, Attend, Conv, Plan, Upsample, plan
 from stss_cl.network.strips import OVERLAP, Strip, bytes_for, rows_within, strips
 from stss_cl.network.tiles import Tiling, of_convolution, whole
@@ -225,12 +225,13 @@ class Layers:
     def _upsample(self, step: Upsample) -> None:
         x, up = self._build[step.source], self._build[step.out]
         # Rows 4 t .. 4 t + 3 of the output read the input's rows 2 t - 1 .. 2 t + 2.
-        tiling = Tiling(ceil_div(up.height, 4), ceil_div(up.width, 4), (2, 2), 1, 0)
+        across = 32 if self.device.is_cpu else 4
+        tiling = Tiling(ceil_div(up.height, 4), ceil_div(up.width, across), (2, across // 2), 1, 0)
         launch = self._build.kernel(
-            "decoder", "upsample_corners", "resample.cl", {"PREFETCH": self.device.takes_prefetch},
+            "decoder", "upsample_corners", "resample.cl", {"EIGHTS": x.channels // 8, "PREFETCH": self.device.takes_prefetch},
             {
                 "in": x.data, "out": up.data, "height": x.height, "width": x.width, "in_columns": x.columns,
-                "out_columns": up.columns, "full_height": self._full // step.source.divisor, "top": 0, "eights": x.channels // 8,
+                "out_columns": up.columns, "full_height": self._full // step.source.divisor, "top": 0,
             },
             tiling, reads=(x,), out=up,
         )  # fmt: skip
@@ -238,7 +239,9 @@ class Layers:
 
     def _image(self, what: Plan) -> None:
         """The image: by the last convolution itself, or of its result; if outc is 0, of any finite activations."""
-        weight, bias = (constant(self.device, array) for array in pack_outc(self._needed.tensors))
+        outc, bias = pack_outc(self._needed.tensors)
+        outc = amx_outc(outc) if what.fused and self.inputs.input.dtype == BFLOAT16 else outc
+        weight, bias = constant(self.device, outc), constant(self.device, bias)
         final = Final(self.inputs.base, weight, bias, self._height, self._width, *self.size, self.inputs.input.changes)
         if what.fused:
             layer = self._needed.layers[LAST]

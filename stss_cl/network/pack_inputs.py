@@ -8,7 +8,8 @@ from math import gcd
 import numpy as np
 import pyopencl as cl
 
-from stss_cl.device.buffers import FLAGS, Inputs, storage
+from stss_cl.device import amx
+from stss_cl.device.buffers import FLAGS, Inputs
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import grid
 from stss_cl.device.program import build
@@ -20,8 +21,8 @@ class PackInputs:
 
     def __init__(self, device: Device, inputs: Inputs, height: int, width: int):
         self._device, self._inputs, self._size = device, inputs, (np.int32(height), np.int32(width))
-        options: dict[str, object] = {"STORED": storage(inputs.input.dtype)}
-        program = build(device, "encoder.cl", {**options, "STREAM": device.streams}, FLUSH)
+        options = amx.stored_as(device, inputs.input.dtype)
+        program = build(device, "encoder.cl", {**options, "STREAM": device.streams, "ROWS": device.is_cpu}, FLUSH)
         eighth = build(device, "downsample_8.cl", {"MASK": "float", **options}, FAST)
         self._input, self._history = cl.Kernel(program, "pack_input"), cl.Kernel(program, "pack_history")
         self._eighth = cl.Kernel(eighth, "downsample_8")
@@ -39,7 +40,8 @@ class PackInputs:
         self._eighth(queue, *grid(self._device, *eighth), gbuffer, mask, to.eighth.data, *size, *place, to.eighth.data, mask)
         if history is not None:
             place = np.int32(to.earlier.rows), np.int32(to.earlier.columns), first
-            self._history(queue, (*full, 3), (*group, 1), history, to.earlier.data, self._bad, *size, *place)
+            size, group = ((1, full[1], 3), (1, 1)) if self._device.is_cpu else ((*full, 3), group)
+            self._history(queue, size, (*group, 1), history, to.earlier.data, self._bad, *self._size, *place)
 
     def all_finite(self) -> bool:
         """Whether all inputs packed since the last call are finite; waits for the queue."""

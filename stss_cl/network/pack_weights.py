@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stss_cl.device.buffers import to_bfloat16
+from stss_cl.device.buffers import from_bfloat16, to_bfloat16
 from stss_cl.device.grid import ceil8
 from stss_cl.device.matrix_units import HELD, PARTS, arrange
 from stss_cl.liveness import is_tiny
@@ -82,6 +82,14 @@ def pack_outc(weights: Tensors) -> tuple[NDArray[np.float32], NDArray[np.float32
     return weight, bias
 
 
+def amx_outc(weight: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """`pack_outc`'s weights as conv_amx.cl reads them: (2, 16, 16, 2), rounded to bfloat16, and what that rounds off."""
+    rows = np.pad(weight, ((0, 32 - len(weight)), (0, 0)))
+    upper = to_bfloat16(rows)
+    both = np.stack([upper, to_bfloat16(rows - from_bfloat16(upper))])
+    return np.ascontiguousarray(both.reshape(2, 16, 2, 16).swapaxes(2, 3))
+
+
 def _spread(weight: NDArray[Any], inputs: tuple[tuple[int, int], ...]) -> NDArray[Any]:
     """Spread the inputs' channels: each input at the start of its buffer's channels, zeros behind it."""
     spread = np.zeros((weight.shape[0], sum(size for _, size in inputs), *weight.shape[2:]), weight.dtype)
@@ -142,14 +150,16 @@ def amx_tiles(packed: Packed, first: int) -> NDArray[np.uint16]:
         first: channels of its first input.
 
     Returns:
-        (steps, PARTS, 16, 16, 2): of one input after the other the rows of taps, each filled up to whole steps of 32 values.
+        (steps, PARTS, 16, 16, 2): of one input after the other the rows of taps, each filled up to whole steps of 32 values; of 24 channels
+        each tap is a step.
     """
     gate = [] if packed.gate_direct is None else [packed.gate_direct]
     weight = np.concatenate([packed.direct, *gate], axis=-1)
     weight = np.pad(weight, (*3 * [(0, 0)], (0, -weight.shape[-1] % 16)))
     tiles: list[NDArray[np.float32]] = []
     for part in (weight[:, :, :first], weight[:, :, first:]):
-        rows = part.reshape(3, -1, part.shape[-1])
+        taps = np.pad(part, (*2 * [(0, 0)], (0, 8 if part.shape[2] == 24 else 0), (0, 0)))
+        rows = taps.reshape(3, -1, part.shape[-1])
         steps = np.pad(rows, ((0, 0), (0, -rows.shape[1] % 32), (0, 0))).reshape(-1, 16, 2, part.shape[-1] // 16, 16)
         tiles.append(steps.transpose(0, 3, 1, 4, 2))
     return to_bfloat16(np.concatenate(tiles))
