@@ -12,7 +12,6 @@ from stss.cli.options import MAX_COUNT
 from stss.images.headers import MAX_SIDE
 from stss.weights.file import identity, load
 from stss_ground.commands import Subcommand
-from stss_ground.errors import InputError
 from stss_ground.option_kinds import Names, ReadName, Size, WrittenFile, WrittenFolder
 from stss_ground.output.write_whole import write_named
 from stss_ground.progress import show_steps
@@ -87,11 +86,11 @@ def bench_command(
     console = Terminal(stderr=True)
     setups = [Setup(tensors, *size, device=device, threads=threads, dark=dark) for size in sizes]
     if pareto:
-        from stss_lab.bench.pareto import bench_pareto, chosen_settings
+        from stss_lab.bench import pareto as bench_pareto
 
+        found = bench_pareto.bench_pareto(setups, scenes, bench_pareto.chosen_settings(settings), frames, console)
         if json_file is not None:
-            raise InputError("--json: expected without --pareto, which prints its tables alone")
-        bench_pareto(setups, scenes, chosen_settings(settings), frames, console)
+            write_named(json_file, bench_pareto.to_json(found, setups[0], identity(tensors)))
         return
     with show_steps(console, count_steps(setups, ours, peers, repeat)) as begin:
         results = run_bench(setups, ours, peers, repeat, on_step=begin)

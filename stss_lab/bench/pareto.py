@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+import json
 import statistics
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import get_context
+from typing import Any
 
 import numpy as np
 from rich import box
@@ -23,12 +25,14 @@ from stss.frames.supersample import plan
 from stss.quality.metrics import psnr
 from stss.sequence.scenes import check_request, display_frames, truth
 from stss_cl.device.discovery import Device, open_device
-from stss_cl.network.network import PRECISIONS
+from stss_cl.network.network import PRECISIONS, Precision
 from stss_cl.skip.stream import Stream
 from stss_ground.errors import InputError
+from stss_ground.machine import conditions
 from stss_ground.progress import show_steps
 from stss_ground.terminal import Terminal
 from stss_lab.bench.contender import Setup
+from stss_lab.bench.report import FORMAT, PACKAGES
 from stss_ref.arrays import Array, Image
 from stss_ref.frame import FrameInputs, frame
 from stss_ref.weights import Weights, astype
@@ -41,7 +45,8 @@ JUDGED = 2
 """Number of last frames, an SF and an EF, that are compared with the float64 reference and with the truth."""
 
 SETTINGS = tuple(ComputeOptions(precision=precision, skip=skip) for precision in PRECISIONS for skip in ("off", "exact"))
-FULL = SETTINGS[0]
+FULL: Precision = "float32"
+"""The precision without skipping from whose images those of all settings depart."""
 
 
 def chosen_settings(words: Sequence[str] | None) -> tuple[ComputeOptions, ...]:
@@ -63,11 +68,11 @@ class Point:
     Attributes:
         setting: the setting.
         times: seconds of each timed frame.
-        full: seconds of the same frames with the setting `FULL`, timed in turns with ``times``.
+        full: seconds of the same frames without skipping, in the same precision, timed in turns with ``times``.
         error: largest difference of the judged frames from the float64 reference, output units.
-        departure: largest difference of all timed frames from those of `FULL`, output units.
+        departure: largest difference of all timed frames from those of `FULL` without skipping, output units.
         psnr: mean PSNR of the judged frames to the truth, dB.
-        exact: whether every timed image has the same bits as with `FULL`.
+        exact: whether every timed image has the same bits as these.
     """
 
     setting: ComputeOptions
@@ -78,18 +83,26 @@ class Point:
     psnr: float
     exact: bool
 
+    @property
+    def share(self) -> float:
+        """Of the time without skipping: of sums over the sequence, since its frames differ in cost."""
+        return sum(self.times) / sum(self.full)
+
 
 def bench_pareto(
     setups: Sequence[Setup], scenes: Sequence[str] | None, settings: Sequence[ComputeOptions], frames: int, console: Console
-) -> None:
-    """Measure and print a table for each scene.
+) -> dict[str, list[Point]]:
+    """Measure each scene, and print its table.
 
     Args:
         setups: a single one, with weights, size and device.
         scenes: names in ``SCENES``; None: `CANONICAL`.
-        settings: each is timed in turns with `FULL`: a frame of one, then the same frame of the other.
+        settings: each is timed in turns with its precision without skipping: a frame of one, then the same frame of the other.
         frames: display frames of each scene, more than `WARM` + `JUDGED`.
         console: for progress.
+
+    Returns:
+        The points of each scene.
 
     Raises:
         InputError: there are several sizes, too few frames or no such scene, or a process that measured one died.
@@ -98,29 +111,67 @@ def bench_pareto(
         raise InputError(f"--pareto: expected one --size, got {len(setups)}")
     scenes = scenes or CANONICAL
     check_request(scenes, frames, WARM + JUDGED)
+    found: dict[str, list[Point]] = {}
     with show_steps(console, len(scenes)) as begin:
         for scene in scenes:
             begin(f"{scene}: {len(settings)} settings")
             # A new process has none of the kernels and caches that another scene built.
             with ProcessPoolExecutor(1, get_context("spawn")) as pool:
                 try:
-                    print_points(scene, pool.submit(measure, setups[0], scene, settings, frames).result(), Terminal())
+                    found[scene] = pool.submit(measure, setups[0], scene, settings, frames).result()
                 except BrokenProcessPool:
                     raise InputError(f"{scene}: the process that measured it died") from None
+            print_points(scene, found[scene], Terminal())
+    return found
+
+
+def to_json(found: Mapping[str, Sequence[Point]], setup: Setup, weights: str) -> str:
+    """The points of each scene, and the machine they were measured on, as JSON; without names of hosts, users or folders.
+
+    Args:
+        found: of `bench_pareto`.
+        setup: the one that it had.
+        weights: identity of its weights.
+    """
+    data = {
+        "format": FORMAT,
+        **conditions(PACKAGES),
+        "threads": setup.threads,
+        "weights": weights,
+        "input": [setup.width, setup.height],
+        "share": f"of the same precision's time without skipping; departure from {FULL} without skipping",
+        "scenes": {scene: [_row(point) for point in points] for scene, points in found.items()},
+    }
+    return json.dumps(data, indent=1) + "\n"
+
+
+def _row(point: Point) -> dict[str, Any]:
+    return {
+        "setting": point.setting.name,
+        "median_ms": statistics.median(point.times) * 1e3,
+        "worst_ms": max(point.times) * 1e3,
+        "share": point.share,
+        "times_ms": [seconds * 1e3 for seconds in point.times],
+        "full_times_ms": [seconds * 1e3 for seconds in point.full],
+        "error": point.error,
+        "departure": point.departure,
+        "psnr": point.psnr,
+        "exact": point.exact,
+    }
 
 
 def print_points(scene: str, points: Sequence[Point], console: Console) -> None:
     """Print the table of a scene."""
     table = Table(title=scene, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
     table.add_column("", no_wrap=True)
-    for column in ("ms\nmedian", "ms\nworst", "share of\noff's time", "error to\nfloat64", "departure\nfrom off", "PSNR\ndB"):
+    for column in ("ms\nmedian", "ms\nworst", "share of\noff's time", "error to\nfloat64", f"departure\nfrom {FULL}", "PSNR\ndB"):
         table.add_column(column, justify="right", no_wrap=True)
     for point in points:
         table.add_row(
             point.setting.name,
             f"{statistics.median(point.times) * 1e3:.1f}",
             f"{max(point.times) * 1e3:.1f}",
-            f"{sum(point.times) / sum(point.full):.3f}",  # sums over the sequence, since its frames differ in cost
+            f"{point.share:.3f}",
             f"{point.error:.1e}",
             "same bits" if point.exact else f"{point.departure * 255:.2f}/255",
             f"{point.psnr:.2f}",
@@ -157,29 +208,30 @@ def _point(
     frames: Sequence[DisplayFrame],
     judged: dict[int, tuple[Image, Image]],
 ) -> Point:
-    full = Stream(weights, device, FULL.precision, skip="off")
     tried = Stream(weights, device, setting.precision, skip=setting.skip)
-    times: tuple[list[float], list[float]] = [], []
+    off = Stream(weights, device, setting.precision, skip="off")
+    streams = [tried, off] if setting.precision == FULL else [tried, off, Stream(weights, device, FULL, skip="off")]
+    times = [list[float]() for _ in streams]
     errors, scores, departures, same = [0.0], list[float](), [0.0], True
     for number in range(len(frames)):
         window, steps = _window(frames, number)
         images: list[Image] = []
-        for stream, kept in zip((full, tried), times, strict=True):
+        for stream, kept in zip(streams, times, strict=True):
             start = time.perf_counter()
             images.append(stream(window, steps)[0])
             kept.append(time.perf_counter() - start)
         if number >= WARM:
-            same = same and np.array_equal(images[0].view(np.uint32), images[1].view(np.uint32))
-            departures.append(0.0 if same else float(np.abs(images[1] - images[0]).max()))
+            same = same and np.array_equal(images[0].view(np.uint32), images[-1].view(np.uint32))
+            departures.append(0.0 if same else float(np.abs(images[0] - images[-1]).max()))
         if number in judged:
             exact, seen = judged[number]
-            errors.append(float(np.abs(images[1] - exact).max()))
-            scores.append(psnr(255 * np.clip(images[1], 0, 1), 255 * np.clip(seen, 0, 1)) or 0.0)
+            errors.append(float(np.abs(images[0] - exact).max()))
+            scores.append(psnr(255 * np.clip(images[0], 0, 1), 255 * np.clip(seen, 0, 1)) or 0.0)
         images.clear()  # the backend copies an image that someone holds, and overwrites one that nobody does
     return Point(
         setting,
-        tuple(times[1][WARM:]),
         tuple(times[0][WARM:]),
+        tuple(times[1][WARM:]),
         max(errors),
         max(departures),
         statistics.mean(scores),
