@@ -135,7 +135,7 @@ def test_what_is_missing_is_said(processor, gpu, monkeypatch):
 
 def test_that_it_is_emulated_is_said(processor, monkeypatch):
     said = []
-    monkeypatch.setattr(selection, "choose", lambda name, tell: processor)
+    monkeypatch.setattr(selection, "choose", lambda name, tell, trial: processor)
     monkeypatch.setattr(amx, "missing", lambda _: "no matrix units")
     open_backend("cl", zeros(), ComputeOptions(precision="bfloat16"), tell=said.append)
     assert said == ["bfloat16: no matrix units; emulated, which is slow"]
