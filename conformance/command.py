@@ -33,6 +33,15 @@ MOST_SIDE = 2**17
 @click.option(
     "--exec", "program", type=Program(), metavar="PROGRAM", help='A program that is called with a job folder: "./port --gpu 1".'
 )
+@click.option(
+    "--onnx", type=ReadPath(), help="Judge a port of this network, an ONNX model, in place of ours (docs/any-network.md)."
+)
+@click.option(
+    "--shape", "shapes", metavar="NAME=N", multiple=True, help="With --onnx: the size of an open axis; else it is drawn."
+)
+@click.option(
+    "--input", "files", type=Program(), metavar="NAME=FILE.npy", multiple=True, help="With --onnx: judge these inputs alone."
+)
 @click.option("--stages", type=Names(), help="Stages to judge  [default: all that the port has]")
 @click.option("--tier", type=click.Choice(["quick", "full"]), default="quick", show_default=True, help="How many cases.")
 @click.option("--size", type=Size(MOST_SIDE, MOST_PIXELS), help="Judge each stage once at this size, too.")
@@ -79,6 +88,9 @@ MOST_SIDE = 2**17
 def conform(
     spec: str | None,
     program: str | None,
+    onnx: Path | None,
+    shapes: tuple[str, ...],
+    files: tuple[str, ...],
     stages: tuple[str, ...] | None,
     tier: str,
     size: tuple[int, int] | None,
@@ -105,6 +117,10 @@ def conform(
     """
     for package in ("pytest", "hypothesis"):
         require_package(package, "conform")
+    if onnx is not None:
+        arithmetic = dtype or "float32", winograd
+        wanted = json_file, junit, report
+        sys.exit(_judge_model(onnx, spec, program, shapes, files, tier, seed, *arithmetic, timeout, *wanted))
     from conformance.judging.judge import TIERS, Judge
     from conformance.judging.known_failures import KnownFailuresError, read_known
     from conformance.protocol.load_port import load_port, loaded_files
@@ -138,6 +154,38 @@ def conform(
     except OSError as error:
         raise InputError(f"{error.filename or known_failures}: {error.strerror or error}") from error
     sys.exit(0 if running.finish(report, junit) else 1)
+
+
+def _judge_model(
+    path: Path, spec: str | None, program: str | None, shapes: tuple[str, ...], files: tuple[str, ...], tier: str, seed: int,
+    dtype: str, winograd: bool, timeout: float, json_file: Path | None, junit: Path | None, report: Path | None,
+) -> int:  # fmt: skip
+    from conformance.answers.port_arithmetic import Arithmetic
+    from conformance.graph import report as reports
+    from conformance.graph.model import load_model
+    from conformance.graph.ports import load_graph_port
+    from conformance.graph.rounding import Rounding
+    from conformance.graph.run import judge_port
+    from stss_ground.terminal import Terminal
+
+    sizes: dict[str, int] = {}
+    for each in shapes:
+        name, _, number = each.rpartition("=")
+        if not name or not number.isdecimal() or not 0 < int(number) <= MOST_SIDE:
+            raise InputError(f"--shape: expected NAME=N with N from 1 to {MOST_SIDE}, got {each!r}")
+        sizes[name] = int(number)
+    model = load_model(path)
+    port = load_graph_port(model, spec, program, timeout)
+    outcome = judge_port(model, port, Rounding(Arithmetic(dtype, winograd)), tier=tier, seed=seed, fixed=sizes, files=files)
+    reports.print_outcome(outcome, Terminal())
+    if json_file is not None:
+        options = {"dtype": dtype, "winograd": winograd, "tier": tier, "seed": seed}
+        reports.write_json(json_file, reports.to_json(outcome, model, port, options))
+    if junit is not None:
+        reports.write_junit(junit, outcome, port)
+    if report is not None:
+        reports.write_page(report, outcome, model, port)
+    return 0 if outcome.passes else 1
 
 
 def _require_stages(named: dict[str, tuple[str, ...] | None]) -> None:

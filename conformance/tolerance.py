@@ -66,6 +66,13 @@ BOUNDS = {
         96, 0, "a place 36: luma 4, product, 12 sums twice, quotient, weights 3 of the contrast; four, halved; 4; first colour 20"
     ),
     "image": Bound(16, 0, "upsampled colour: 10; pixel shuffle and its sum; the sigmoids' own; scale: largest output"),
+    # what `stss conform --onnx` allows an operator besides gamma_n of its sums
+    "graph.division": Bound(
+        4, 0, "OpenCL's 2.5 ulp of a quotient and 3 of a root, an ulp being at most 2 u; and the operands once"
+    ),
+    "graph.normalise": Bound(8, 0, "sum, root, quotient, difference, product, sum, or folded into weights; scale: on magnitudes"),
+    "graph.coordinate": Bound(4, 0, "sum, quotient, difference and the scale's own; scale: the coordinate + 1, times slope"),
+    "graph.lerp": Bound(6, 0, "weight, its complement, two products, a sum; and one of storing between axes; scale: the taps"),
     # agreement of two implementations in one dtype: each may err by the bound, hence twice the roundings of one
     "warp.warped": Bound(
         6 + (6 + 4), 0, "3 lerps of 2 roundings each; the oracle's x and y rounded to u |position|, times contrast <= 2 peak"

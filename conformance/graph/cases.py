@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: MIT
+"""Cases of any network: its inputs, drawn by Hypothesis from their types and shapes, or given as files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from hypothesis import strategies as st
+
+from conformance.graph.model import Given, Model
+from conformance.graph.rounding import AnyArray
+from conformance.protocol.job_folder import JobError, read_array
+from stss_ground.errors import InputError
+
+KINDS = ("uniform", "normal", "ramp", "zeros", "border", "impulse", "checker", "large", "small", "halves")
+"""What inputs hold. ``border``: the first and last two of each axis alone; ``halves``: numbers that half precision has."""
+SIZES = (32, 64, 8, 16, 24, 40, 96)
+"""Sizes of axes that the model leaves open."""
+BATCHES = (1, 2)
+
+
+@dataclass(frozen=True)
+class GraphCase:
+    """One call: the sizes of open axes, what the inputs hold, and a seed."""
+
+    sizes: Mapping[str, int]
+    kind: str
+    seed: int
+
+    def inputs(self, model: Model) -> dict[str, AnyArray]:
+        """The arrays."""
+        random = np.random.default_rng(self.seed)
+        shapes = [[self.sizes[n] if isinstance(n, str) else n for n in each.shape] for each in model.inputs]
+        return {each.name: _array(each, shape, self.kind, random) for each, shape in zip(model.inputs, shapes, strict=True)}
+
+    def __str__(self) -> str:
+        sizes = ", ".join(f"{name} {n}" for name, n in self.sizes.items())
+        return f"{self.kind}, seed {self.seed}{', ' + sizes if sizes else ''}"
+
+
+def cases(model: Model, fixed: Mapping[str, int]) -> st.SearchStrategy[GraphCase]:
+    """Calls of a model; ``fixed``: the sizes of open axes that are not drawn."""
+    open_ = {str(n): i for each in model.inputs for i, n in enumerate(each.shape) if isinstance(n, str)}
+    sizes = {
+        name: st.just(fixed[name]) if name in fixed else st.sampled_from(BATCHES if axis == 0 else SIZES)
+        for name, axis in open_.items()
+    }
+    return st.builds(GraphCase, st.fixed_dictionaries(sizes), st.sampled_from(KINDS), st.integers(0, 2**16))
+
+
+def read_case(model: Model, files: Sequence[str]) -> dict[str, AnyArray]:
+    """Inputs from ``NAME=FILE.npy``, checked against the model.
+
+    Raises:
+        InputError: a file is missing or damaged, or does not fit.
+    """
+    named: dict[str, str] = {name: file for name, _, file in (each.partition("=") for each in files)}
+    if unknown := named.keys() - {each.name for each in model.inputs}:
+        raise InputError(f"--input: expected some of {', '.join(each.name for each in model.inputs)}, got {min(unknown)}")
+    found: dict[str, AnyArray] = {}
+    for each in model.inputs:
+        if each.name not in named:
+            raise InputError(f"--input: {each.name} is missing")
+        try:
+            array = read_array(Path(named[each.name]))
+        except JobError as error:
+            raise InputError(str(error)) from error
+        fits = len(array.shape) == len(each.shape) and all(
+            isinstance(n, str) or n == m for n, m in zip(each.shape, array.shape, strict=True)
+        )
+        if array.dtype != each.dtype or not fits:
+            wanted = ", ".join(map(str, each.shape))
+            raise InputError(f"{named[each.name]}: expected {each.dtype} ({wanted}), found {array.dtype} {array.shape}")
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise InputError(f"{named[each.name]}: expected finite numbers")
+        found[each.name] = array
+    return found
+
+
+def _array(given: Given, shape: Sequence[int], kind: str, random: np.random.Generator) -> AnyArray:
+    if given.dtype == "bool":
+        return random.random(shape) < 0.5
+    if given.dtype not in ("float16", "float32", "float64"):
+        return random.integers(0, 4, shape).astype(given.dtype)
+    x = random.random(shape)
+    if kind == "normal":
+        x = random.standard_normal(shape)
+    elif kind in ("large", "small"):
+        x = random.standard_normal(shape) * (100 if kind == "large" else 1e-4)
+    elif kind == "zeros":
+        x = x * 0
+    elif kind == "ramp":
+        x = np.indices(shape).sum(axis=0) / max(sum(shape), 1)
+    elif kind == "checker":
+        x = np.indices(shape).sum(axis=0) % 2.0
+    elif kind == "border":
+        inside = tuple(slice(2, -2) if n > 4 else slice(0, 0) for n in shape[2:])
+        x[(..., *inside)] = 0
+    elif kind == "impulse":
+        lit = np.zeros_like(x)
+        lit.flat[int(random.integers(max(lit.size, 1)))] = 1
+        x = lit
+    return (x.astype(np.float16) if kind == "halves" else x).astype(given.dtype)

@@ -1,0 +1,284 @@
+# SPDX-License-Identifier: MIT
+"""Compare a port's tensors with the model's, each from the port's own tensors before it: so an error is found where it is made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from conformance.graph.model import Model
+from conformance.graph.operators import OPERATORS, Node, UnsupportedError, window_of
+from conformance.graph.rounding import AnyArray, Result, Rounding
+from conformance.tolerance import BOUNDS, worst
+
+Arrays = Mapping[str, AnyArray]
+RUNS = 3
+"""Runs with random changes, where a tensor is made of several that the port did not hand over."""
+TAIL = 4.0
+"""The largest of many normal deviations, in rms; where a few are larger, these count."""
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """One tensor of one case.
+
+    Attributes:
+        tensor: its name.
+        node: what computes it.
+        given: the node's inputs: the port's own where it handed them over.
+        got: the port's numbers.
+        right: the right ones, with the most by which the port's may be off.
+        ratio: largest error / bound.
+        rms: the root mean square of the errors over that of the bounds.
+        is_own: whether the port handed over all that the node reads: the error is then the node's alone.
+    """
+
+    tensor: str
+    node: Node
+    given: tuple[AnyArray | None, ...]
+    got: AnyArray
+    right: Result
+    ratio: float
+    rms: float
+    is_own: bool
+
+    @property
+    def at(self) -> tuple[int, ...]:
+        """Index of the worst number."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            off = np.abs(self.got - self.right.x)
+            ratios = np.where(off == 0, 0, off / self.right.errors)
+        return tuple(int(i) for i in np.unravel_index(np.argmax(np.nan_to_num(ratios, nan=np.inf)), ratios.shape))
+
+
+class ShapeError(ValueError):
+    """The port's tensor has another shape than the model's."""
+
+
+class SizeError(ShapeError):
+    """The model cannot take inputs of these sizes."""
+
+
+def judge(model: Model, inputs: Arrays, got: Arrays, rounding: Rounding, runs: int = RUNS) -> list[Judgement]:
+    """Judge every tensor of ``got``, in the order of the model.
+
+    A tensor whose node reads only what the port handed over is held to the rounding of that node. Any other is held to ``spread`` times
+    the root mean square by which it moves when each node between is changed at random by as much as its rounding may change it: an
+    estimate, which grows with depth as rounding does, and no proof.
+
+    Raises:
+        SizeError: a node cannot take what it is given.
+        ShapeError: a tensor has another shape than the model's.
+    """
+    values: dict[str, AnyArray] = {**model.constants, **{name: widen(array) for name, array in inputs.items()}}
+    moved: list[dict[str, AnyArray]] = [{} for _ in range(runs)]
+    random = np.random.default_rng(0)
+    found: list[Judgement] = []
+    for node in model.nodes:
+        given = _given(node, values)
+        made = None if given is None else compute(node, given, rounding)
+        if given is None or made is None:
+            continue
+        derived = any(name in run for run in moved[:1] for name in node.inputs)
+        if derived or any(name not in got for name in node.outputs):
+            for run in moved:
+                off = [run.get(name, each) for name, each in zip(node.inputs, given, strict=True)]
+                changed = (compute(node, off, rounding) if derived else made) or ()
+                run |= {name: _change(each, random) for name, each in zip(node.outputs, changed, strict=False)}
+        for name, right in zip(node.outputs, made, strict=False):
+            values[name] = right.x
+            # Integers are sizes and places, constants are the model's: a wrong one shows in what is made of it.
+            computes = right.x.dtype.kind == "f" and right.x.size and node.op != "Constant"
+            if name in got and (computes or name in model.outputs):
+                allowed = right if not derived else Result(right.x, right.e + _spread([run[name] - right.x for run in moved]))
+                found.append(compare(name, node, given, got[name], allowed, is_own=not derived))
+                if np.isfinite(got[name]).all():
+                    values[name] = found[-1].got
+                    for run in moved:
+                        run.pop(name, None)
+    return found
+
+
+def _change(result: Result, random: np.random.Generator) -> AnyArray:
+    """A result as a port may have it."""
+    if result.x.dtype.kind != "f":
+        return result.x
+    return result.x + result.errors / np.sqrt(result.terms) * random.uniform(-1, 1, result.x.shape)
+
+
+def _given(node: Node, values: Mapping[str, AnyArray]) -> list[AnyArray | None] | None:
+    """A node's inputs; None where it reads what cannot be computed."""
+    if any(name and name not in values for name in node.inputs):
+        return None
+    return [values[name] if name else None for name in node.inputs]
+
+
+def compute(node: Node, given: Sequence[AnyArray | None], rounding: Rounding) -> tuple[Result, ...] | None:
+    """The results of a node; None where its attributes are not known."""
+    try:
+        with np.errstate(all="ignore"):
+            made = OPERATORS[node.op](rounding, node, *given)
+    except UnsupportedError:
+        return None
+    except (ValueError, IndexError, TypeError) as error:
+        raise SizeError(f"{node.op} of {node.outputs[0]}: {error}") from error
+    return made if isinstance(made, tuple) else (made,)
+
+
+def _spread(moved: Sequence[AnyArray]) -> float:
+    far = np.abs(moved)
+    typical = max(float(np.sqrt(np.mean(far * far))), float(far.max(initial=0)) / TAIL) if far.size else 0.0
+    return BOUNDS["spread"].roundings * typical
+
+
+def compare(
+    name: str, node: Node, given: Sequence[AnyArray | None], got: AnyArray, right: Result, *, is_own: bool = True
+) -> Judgement:
+    """Judge one tensor; ShapeError where its shape is another."""
+    if got.shape != right.x.shape:
+        raise ShapeError(f"{name}: expected shape {right.x.shape}, got {got.shape}")
+    wide, allowed = widen(got), right.errors
+    error = np.abs(wide.astype(np.float64) - right.x)
+    typical, limit = (float(np.sqrt(np.mean(a * a))) if a.size else 0.0 for a in (error, allowed))
+    share = 0.0 if typical == 0 else typical / limit if limit else np.inf
+    return Judgement(name, node, tuple(given), wide, right, worst(error, allowed), share, is_own)
+
+
+def find_unsupported(model: Model, inputs: Arrays, rounding: Rounding) -> list[str]:
+    """A line for each node whose attributes are not known."""
+    values: dict[str, AnyArray] = {**model.constants, **{name: widen(array) for name, array in inputs.items()}}
+    said: list[str] = []
+    for node in model.nodes:
+        given = _given(node, values)
+        if given is None:
+            continue
+        try:
+            OPERATORS[node.op](rounding, node, *given)
+        except UnsupportedError as error:
+            said.append(f"{node.outputs[0]} ({node.op}): {error}")
+        except (ValueError, IndexError, TypeError):
+            return said  # these sizes do not suit the model
+        for name, each in zip(node.outputs, compute(node, given, rounding) or (), strict=False):
+            values[name] = each.x
+    return said
+
+
+def widen(array: AnyArray) -> AnyArray:
+    """Floats as float64; other kinds as they are."""
+    return array if array.dtype.kind in "biu" else array.astype(np.float64)
+
+
+# What a departure looks like
+
+SUMS = ("Conv", "ConvTranspose", "Gemm", "MatMul")
+EXPONENTIALS = ("Sigmoid", "Tanh", "Softmax", "Exp")
+COARSE = {"half or TF32": 2.0**-11, "bfloat16": 2.0**-8}
+"""Precision -> unit roundoff. Half and TF32 have the same digits."""
+FAST = 2.0**-10
+"""Relative error of the fast exponentials of GPUs and of tables."""
+
+
+Fits = Callable[[Sequence[AnyArray | None], float, Rounding], bool]
+
+
+def round_to(x: AnyArray, unit: float) -> AnyArray:
+    """``x`` rounded to as many binary digits as the unit roundoff says, ties to even."""
+    mantissa, exponent = np.frexp(x)
+    return np.ldexp(np.round(mantissa / unit / 2) * unit * 2, exponent) if unit else x
+
+
+def explain_precision(judged: Judgement, rounding: Rounding) -> str:
+    """The precision that explains a wrong tensor: its numbers are right for a port that computes so; "" if none does.
+
+    Only where the port handed over all that the node reads.
+    """
+    node, given = judged.node, judged.given
+
+    def fits(some: Sequence[AnyArray | None], wider: float, how: Rounding) -> bool:
+        made = compute(node, some, how)
+        assert made is not None
+        right = made[node.outputs.index(judged.tensor)]
+        return compare(judged.tensor, node, given, judged.got, Result(right.x, right.e + wider * np.abs(right.x))).ratio <= 1
+
+    if not judged.is_own:
+        return ""
+    return next((said for said, fits in _explanations(judged, fits, rounding) if fits), "")
+
+
+def _explanations(judged: Judgement, fits: Fits, rounding: Rounding) -> Iterator[tuple[str, bool]]:
+    """Precisions, the finest and most certain first, and whether each explains the tensor."""
+    node, given = judged.node, judged.given
+    sums = node.op in SUMS
+    for name, unit in COARSE.items():
+        rounded = [*(v if v is None or v.dtype.kind != "f" else round_to(v, unit) for v in given[:2]), *given[2:]]
+        yield f"{name}: operands rounded, sums in float32", sums and fits(rounded, 0.0, rounding)
+        yield f"{name}: operands and result rounded, sums in float32", sums and fits(rounded, 2 * unit, rounding)
+        yield f"{name}: the result rounded", fits(given, 2 * unit, rounding)
+    yield "a fast exponential", node.op in EXPONENTIALS and fits(given, FAST, rounding)
+    for name, dtype in (("half or TF32", "float16"), ("bfloat16", "bfloat16")):
+        made = compute(node, given, Rounding(replace(rounding.arithmetic, dtype=dtype)))
+        if sums and made is not None:
+            # Three roundings of each product: of both operands, whatever was folded into the weights, and of the result.
+            wide = Result(made[0].x, made[0].errors * 3 / made[0].terms)
+            yield f"{name}: errors of the size of its roundings", compare(judged.tensor, node, given, judged.got, wide).ratio <= 1
+    yield "sums in half", sums and fits(given, 0.0, Rounding(replace(rounding.arithmetic, dtype="float16")))
+
+
+FUSED = (1, 2, 4, 8)
+"""So many nodes before a tensor an engine may have computed together with it."""
+
+
+def is_fused(model: Model, inputs: Arrays, got: Arrays, judged: Judgement, rounding: Rounding) -> bool:
+    """Whether a tensor is right if a few of those before it are taken as the model has them, not as they were handed over.
+
+    An engine that computes several nodes at once may hand over a tensor between them that it did not compute with.
+    """
+    at = next(i for i, node in enumerate(model.nodes) if judged.tensor in node.outputs)
+    part = replace(model, nodes=model.nodes[: at + 1])
+    makers = {name: node for node in part.nodes for name in node.outputs}
+    within, edge, depth = set[str](), {*judged.node.inputs}, 0
+    while edge and depth < FUSED[-1]:
+        within |= edge
+        edge = {name for each in edge if each in makers for name in makers[each].inputs} - within
+        depth += 1
+        if depth in FUSED:
+            left = {name: array for name, array in got.items() if name not in within}
+            again = [row for row in judge(part, inputs, left, rounding) if row.tensor == judged.tensor]
+            if again and again[0].ratio <= 1:
+                return True
+    return False
+
+
+def describe_terms(judged: Judgement, most: int = 3) -> str:
+    """The worst number with the terms that it was made of."""
+    at, node = judged.at, judged.node
+    x, w = (*judged.given, None, None)[:2]
+    said = f"at {at}: got {judged.got[at]:.9g}, expected {judged.right.x[at]:.9g}, allowed {judged.right.errors[at]:.3g}"
+    if x is None or w is None or node.op not in SUMS:
+        here = [f"{v[at]:.6g}" for v in judged.given if v is not None and v.shape == judged.right.x.shape]
+        return f"{said}; of {', '.join(here)}" if here else said
+    terms = _terms(node, x, w, at)
+    if terms is None:
+        return said
+    largest = sorted(terms, key=abs, reverse=True)[:most]
+    return f"{said}; {len(terms)} products, sum of magnitudes {np.abs(terms).sum():.3g}, largest {', '.join(f'{t:.3g}' for t in largest)}"
+
+
+def _terms(node: Node, x: AnyArray, w: AnyArray, at: tuple[int, ...]) -> AnyArray | None:
+    """The products that one number is the sum of; None where they are not taken apart."""
+    if node.op == "Gemm":
+        a, b = (v.T if node.get(f"trans{k}", 0) else v for v, k in ((x, "A"), (w, "B")))
+        return a[at[0]] * b[:, at[1]]
+    if node.op == "MatMul":
+        a, b = np.broadcast_to(x, (*np.broadcast_shapes(x.shape[:-2], w.shape[:-2]), *x.shape[-2:])), w
+        return a[at[:-1]] * b[..., at[-1]][at[: b.ndim - 2]] if a.ndim == b.ndim else None
+    if node.op == "Conv":
+        groups = node.get("group", 1)
+        each, first = w.shape[1], at[1] // (w.shape[0] // groups) * w.shape[1]
+        window = window_of(node, x.shape[2:], w.shape[2:])
+        padded = window.pad(x[at[0] : at[0] + 1, first : first + each])
+        found = [there[(0, slice(None), *at[2:])] * w[(at[1], slice(None), *tap)] for tap, there in window.taps(padded)]
+        return np.concatenate(found)
+    return None

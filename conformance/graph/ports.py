@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: MIT
+"""Ports of any network: inference engines, a PyTorch module, a Python object, a program with job folders."""
+
+from __future__ import annotations
+
+import importlib
+import shlex
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Protocol
+from urllib.parse import quote, unquote
+
+import numpy as np
+
+from conformance.graph.model import Model
+from conformance.graph.rounding import AnyArray
+from conformance.protocol.job_folder import JobError, read_array, require_real, write_array
+from conformance.protocol.own_session import describe, run_alone
+from conformance.protocol.port import PortError
+from conformance.protocol.served import Server
+from stss_ground.errors import InputError
+from stss_ground.optional import require
+from stss_ground.terminal import printable
+
+Arrays = Mapping[str, AnyArray]
+STAGE = "model"
+"""In place of a stage's name in a program's job."""
+
+
+class GraphPort(Protocol):
+    """What computes the network. A Python object needs no import from here.
+
+    Attributes:
+        name: in reports.
+    """
+
+    name: str
+
+    def run(self, inputs: Arrays) -> dict[str, AnyArray]:
+        """Compute; returns the model's outputs, and any other of its tensors, by their names in the model.
+
+        A port may have a second method, ``layers``, with the same arguments: tensors of another run, where handing them over changes how it
+        computes. ``run`` then gives the outputs alone.
+        """
+        ...
+
+
+class OnnxRuntime:
+    """ONNX Runtime with one of its providers. Its layers are those of a copy of the model that has all tensors as outputs.
+
+    There it fuses less than in the model as it is, whose outputs are judged, too.
+    """
+
+    def __init__(self, model: Model, provider: str = "CPU"):
+        runtime = require("onnxruntime", "onnx")
+        full = f"{provider}ExecutionProvider"
+        if full not in runtime.get_available_providers():
+            raise InputError(f"--port onnxruntime:{provider}: expected one of {_short(runtime.get_available_providers())}")
+        self.name = f"onnxruntime {runtime.__version__} {provider}"
+        options = runtime.SessionOptions()
+        options.log_severity_level = 4
+
+        def session(what: Any) -> Any:
+            return runtime.InferenceSession(what, options, providers=[full])
+
+        self._whole, self._open = session(str(model.path)), session(_with_all_outputs(model))
+
+    def run(self, inputs: Arrays) -> dict[str, AnyArray]:
+        """See `GraphPort`."""
+        return _run_session(self._whole, inputs)
+
+    def layers(self, inputs: Arrays) -> dict[str, AnyArray]:
+        """See `GraphPort.run`."""
+        return _run_session(self._open, inputs)
+
+
+def _run_session(session: Any, inputs: Arrays) -> dict[str, AnyArray]:
+    names = [each.name for each in session.get_outputs()]
+    return dict(zip(names, session.run(names, dict(inputs)), strict=True))
+
+
+class OpenVino:
+    """OpenVINO on the CPU, in the precision that it chooses or in ``f32``, ``bf16`` or ``f16``; its layers as those of ONNX Runtime."""
+
+    def __init__(self, model: Model, precision: str = ""):
+        openvino = require("openvino", "bench")
+        options = {"INFERENCE_PRECISION_HINT": precision} if precision else {}
+        core = openvino.Core()
+        if precision not in ("", "f32", "bf16", "f16"):
+            raise InputError(f"--port openvino:{precision}: expected f32, bf16 or f16")
+        self._whole = core.compile_model(core.read_model(model.path), "CPU", options)
+        self._open = core.compile_model(core.read_model(_with_all_outputs(model)), "CPU", options)
+        chosen = self._whole.get_property("INFERENCE_PRECISION_HINT").get_type_name()
+        self.name = f"openvino {openvino.__version__.partition('-')[0]} {chosen}"
+
+    def run(self, inputs: Arrays) -> dict[str, AnyArray]:
+        """See `GraphPort`."""
+        return _run_compiled(self._whole, inputs)
+
+    def layers(self, inputs: Arrays) -> dict[str, AnyArray]:
+        """See `GraphPort.run`."""
+        return _run_compiled(self._open, inputs)
+
+
+def _run_compiled(compiled: Any, inputs: Arrays) -> dict[str, AnyArray]:
+    return {name: np.array(array) for out, array in compiled(dict(inputs)).items() for name in out.get_names()}
+
+
+class PyTorch:
+    """A PyTorch module that takes the model's inputs, in order, and gives its outputs."""
+
+    def __init__(self, model: Model, spec: str):
+        self._torch = require("torch", "bench")
+        self._module: Any = _imported(spec).eval()
+        self._model, self.name = model, f"pytorch {spec}"
+
+    def run(self, inputs: Arrays) -> dict[str, AnyArray]:
+        """See `GraphPort`."""
+        with self._torch.inference_mode():
+            made = self._module(*(self._torch.from_numpy(inputs[each.name]) for each in self._model.inputs))
+        several = made if isinstance(made, tuple | list) else (made,)
+        return {name: tensor.numpy() for name, tensor in zip(self._model.outputs, several, strict=True)}
+
+
+class Program:
+    """A program that is called with a job folder, once for each case, or serves (docs/ports.md).
+
+    ``JOB/0000/stage`` is ``model``; ``JOB/0000/in/NAME.npy`` are the inputs; it leaves outputs and any other tensors in
+    ``JOB/0000/out/NAME.npy``. In a file's name the characters of a tensor's name that are not letters, digits or ``_.-~`` are written
+    as ``%`` and two hexadecimal digits.
+    """
+
+    def __init__(self, command: str, timeout: float):
+        try:
+            self._command = shlex.split(command)
+        except ValueError as error:
+            raise InputError(f"--exec: {error}: {command!r}") from error
+        if not self._command:
+            raise InputError("--exec: expected a command, got nothing")
+        self.name, self._timeout = Path(self._command[0]).name, timeout
+        self._server: Server | None = None
+        self._serves = True
+
+    def run(self, inputs: Arrays) -> dict[str, AnyArray]:
+        """See `GraphPort`."""
+        job = Path(tempfile.mkdtemp(prefix="stss-job-"))
+        try:
+            case = job / "0000"
+            (case / "in").mkdir(parents=True)
+            (case / "out").mkdir()
+            (case / "stage").write_text(f"{STAGE}\n", encoding="ascii")
+            for name, array in inputs.items():
+                write_array(case / "in" / f"{quote(name, safe='')}.npy", array)
+            self._start(job)
+            require_real(job)
+            return {unquote(path.stem): read_array(path) for path in sorted((case / "out").glob("*.npy"))}
+        except JobError as error:
+            raise PortError(f"{self.name}: {error}") from error
+        except OSError as error:
+            raise PortError(f"{self._command[0]}: {error.strerror or error}") from error
+        finally:
+            shutil.rmtree(job, ignore_errors=True)
+
+    def _start(self, job: Path) -> None:
+        if self._server is None and self._serves:
+            server = Server(self._command)
+            if server.is_ready(self._timeout):
+                self._server = server
+            else:
+                server.close()
+                self._serves = False
+        if self._server is not None:
+            self._server.run(job, self._timeout)
+            return
+        with (job / "stdout.txt").open("w+b") as out, (job / "stderr.txt").open("w+b") as err:
+            ending = run_alone([*self._command, str(job)], out, err, self._timeout)
+        if ending.status != 0:
+            said = "stopped after its time" if ending.status is None else describe(ending.status)
+            raise JobError(f"{said}: {ending.stderr[-200:]}")
+
+
+ENGINES: dict[str, Callable[..., GraphPort]] = {"onnxruntime": OnnxRuntime, "openvino": OpenVino, "pytorch": PyTorch}
+"""``--port NAME`` or ``NAME:OPTION``."""
+
+
+def load_graph_port(model: Model, spec: str | None, program: str | None, timeout: float) -> GraphPort:
+    """Load the port to be judged.
+
+    Args:
+        model: the network.
+        spec: an engine, ``onnxruntime[:PROVIDER]``, ``openvino[:PRECISION]``, ``pytorch:MODULE:FACTORY``; or ``package.module:factory``.
+        program: a command line; the job folder is appended to it.
+        timeout: most seconds that a case of a program may take.
+
+    Raises:
+        InputError: not exactly one of ``spec`` and ``program`` is given, or there is no such port.
+    """
+    if (spec is None) == (program is None):
+        raise InputError("expected either --port or --exec PROGRAM")
+    if program is not None:
+        return Program(program, timeout)
+    engine, _, option = (spec or "").partition(":")
+    try:
+        if engine in ENGINES:
+            return ENGINES[engine](model, *([option] if option else []))
+    except (InputError, PortError):
+        raise
+    except Exception as error:
+        # An engine's errors are of many kinds.
+        raise InputError(f"--port {spec}: {printable(str(error).strip().splitlines()[0][:200])}") from error
+    port = _imported(spec or "")
+    if lacking := [name for name in ("name", "run") if not hasattr(port, name)]:
+        raise InputError(f"--port {spec}: expected a port, got a {type(port).__name__} without {', '.join(lacking)}")
+    return port
+
+
+def _imported(spec: str) -> Any:
+    module, _, name = spec.partition(":")
+    if not module or not name:
+        raise InputError(f"--port: expected {', '.join(ENGINES)} or package.module:factory, got {spec!r}")
+    if "" not in sys.path:
+        sys.path.insert(0, "")
+    try:
+        return getattr(importlib.import_module(module), name)()
+    except ImportError as error:
+        raise InputError(f"--port {spec}: {error}") from error
+    except AttributeError as error:
+        raise InputError(f"--port {spec}: module {module} has no {name}") from error
+
+
+def _with_all_outputs(model: Model) -> bytes:
+    """The model with each of its tensors that can be judged among its outputs."""
+    onnx = require("onnx", "onnx")
+    proto = onnx.load(model.path)
+    there = {each.name for each in proto.graph.output}
+    known = {each.name: each for each in onnx.shape_inference.infer_shapes(proto).graph.value_info}
+    for name in model.tensors:
+        if name not in there:
+            proto.graph.output.append(known.get(name) or onnx.ValueInfoProto(name=name))
+    return proto.SerializeToString()
+
+
+def _short(providers: list[str]) -> str:
+    return ", ".join(name.removesuffix("ExecutionProvider") for name in providers)
