@@ -30,7 +30,8 @@ def places_of(ctx: click.Context) -> tuple[dict[str, Path], list[Path], list[Pat
         elif isinstance(parameter.type, WrittenFolder):
             made.append(value)
         elif isinstance(parameter.type, (ReadPath, ReadName)):
-            read += parameter.type.reads(value)
+            several = value if getattr(parameter, "multiple", False) or parameter.nargs != 1 else [value]
+            read += [place for each in several for place in parameter.type.reads(each)]
     return written, read, made
 
 
