@@ -21,13 +21,13 @@ DIFFERENT = {
     "in_order": NETWORK,
     "pairwise": NETWORK,
     "fma": NETWORK | READS,
-    "orders": NETWORK | READS,
+    "orders": NETWORK | READS | {"reshade"},
     "double": {"warp", "occlusion_warp", "frame"},
     "flush": set(),
     "winograd_2": NETWORK,
     "winograd_4": NETWORK,
     "winograd_4_near": NETWORK,
-    "half": NETWORK | READS,
+    "half": NETWORK | READS | {"reshade"},
 }
 """Stages in which a port's bits are others than those of the reference run in float32; of all but ``half_flush``, which is ``half``."""
 

@@ -15,7 +15,7 @@ ROWS = ("whole", "gbuffer", "erm", "SF")
 
 def test_every_row_differs_from_the_whole(tmp_path, capsys):
     for seed, split in ((1, "training"), (2, "validation")):
-        write_film(seed, "aliased", (48, 56), tmp_path)
+        write_film(seed, "aliased", (48, 56), "occlusion_warp", tmp_path)
         index = tmp_path / f"analytic-{seed:05d}-aliased" / "index.json"
         index.write_text(json.dumps(json.loads(index.read_text()) | {"split": split}))
     ablate.main([str(tmp_path), "--seeds", "0", "--steps", "6", "--most", "1", "--rows", *ROWS])

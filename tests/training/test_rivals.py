@@ -27,7 +27,7 @@ SIZE = (24, 32)
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
     folder = tmp_path_factory.mktemp("films")
-    write_film(1, "aliased", SIZE, folder / "films")
+    write_film(1, "aliased", SIZE, "occlusion_warp", folder / "films")
     index = folder / "films" / "analytic-00001-aliased" / "index.json"
     index.write_text(json.dumps(json.loads(index.read_text()) | {"split": "training"}))
     samples.main([str(folder / "films"), "-o", str(folder / "five")])

@@ -178,12 +178,12 @@ def test_rrm_touches_the_newest_mask_alone():
 
 def test_a_shard_is_whole_or_not_there(tmp_path):
     sample = module.Sample(3, FrameKind.SF, np.full((8, 8, 35), 0.5), np.full((16, 16, 3), 0.25))
-    assert module.write(tmp_path / "one", "scene", "test", [sample]) == 1
+    assert module.write(tmp_path / "one", "scene", "test", "occlusion_warp", [sample]) == 1
     index = json.loads((tmp_path / "one" / "index.json").read_text())
     assert index == {"scene": "scene", "split": "test", "frames": [3], "kinds": ["SF"]}
     broken = module.replace(sample, truth=np.full((16, 16, 3), np.inf))
     with pytest.raises(InputError, match="two: truth: not finite"):
-        module.write(tmp_path / "two", "scene", "test", [broken])
+        module.write(tmp_path / "two", "scene", "test", "occlusion_warp", [broken])
     assert [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")] == ["one"]
 
 
