@@ -180,7 +180,7 @@ def test_a_shard_is_whole_or_not_there(tmp_path):
     sample = module.Sample(3, FrameKind.SF, np.full((8, 8, 35), 0.5), np.full((16, 16, 3), 0.25))
     assert module.write(tmp_path / "one", "scene", "test", "occlusion_warp", [sample]) == 1
     index = json.loads((tmp_path / "one" / "index.json").read_text())
-    assert index == {"scene": "scene", "split": "test", "frames": [3], "kinds": ["SF"]}
+    assert index == {"scene": "scene", "split": "test", "frames": [3], "kinds": ["SF"], "hole_fill": "occlusion_warp"}
     broken = module.replace(sample, truth=np.full((16, 16, 3), np.inf))
     with pytest.raises(InputError, match="two: truth: not finite"):
         module.write(tmp_path / "two", "scene", "test", "occlusion_warp", [broken])
