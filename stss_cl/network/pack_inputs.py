@@ -12,7 +12,7 @@ from stss_cl.device import amx
 from stss_cl.device.buffers import FLAGS, Inputs
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import grid
-from stss_cl.device.program import build
+from stss_cl.device.program import build, marking
 from stss_cl.network.layer import FAST, FLUSH
 
 
@@ -23,7 +23,7 @@ class PackInputs:
         self._device, self._inputs, self._size = device, inputs, (np.int32(height), np.int32(width))
         options = amx.stored_as(device, inputs.input.dtype)
         program = build(device, "encoder.cl", {**options, "STREAM": device.streams, "ROWS": device.is_cpu}, FLUSH)
-        eighth = build(device, "downsample_8.cl", {"MASK": "float", **options}, FAST)
+        eighth = build(device, "downsample_8.cl", {"MASK": "float", **options, **marking(device, marks=False)}, FAST)
         self._input, self._history = cl.Kernel(program, "pack_input"), cl.Kernel(program, "pack_history")
         self._eighth = cl.Kernel(eighth, "downsample_8")
         self._bad = cl.Buffer(device.context, FLAGS.READ_WRITE | FLAGS.COPY_HOST_PTR, hostbuf=np.zeros(2, np.int32))
@@ -37,7 +37,7 @@ class PackInputs:
         group = gcd(to.input.width, 64), 1
         self._input(queue, full, group, color, gbuffer, mask, to.input.data, to.base, self._bad, *size, columns, first)
         place = np.int32(to.eighth.height), np.int32(to.eighth.width), np.int32(to.eighth.columns), first
-        self._eighth(queue, *grid(self._device, *eighth), gbuffer, mask, to.eighth.data, *size, *place, to.eighth.data, mask)
+        self._eighth(queue, *grid(self._device, *eighth), gbuffer, mask, to.eighth.data, *size, *place, None, mask)
         if history is not None:
             place = np.int32(to.earlier.rows), np.int32(to.earlier.columns), first
             size, group = ((1, full[1], 3), (1, 1)) if self._device.is_cpu else ((*full, 3), group)
