@@ -242,12 +242,13 @@ def _reshade(stages: ImageStages, inputs: Inputs) -> Outputs:
     surfaces = {
         "stencil_previous": 0, "stencil": 0, "normal_previous": 3, "normal": 3, "position_previous": 3, "position": 3, "base_color": 3,
     }  # fmt: skip
-    color, warped, motion, *others = (stages.upload(array) for array in _take(inputs, size, **images, **surfaces))
+    arrays = [stages.upload(array) for array in _take(inputs, size, **images, **surfaces)]
+    (color, warped, motion), others = arrays[:3], dict(zip(surfaces, arrays[3:], strict=True))
     for name in ("color", "warped", "normal_previous", "normal", "base_color"):
         require_finite(name, inputs[name])
     require_shape("valid", inputs["valid"], size)
     valid = stages.upload((inputs["valid"] != 0).astype(np.uint8))
-    filled = stages.reshade(color, warped, motion, valid, *others, *size)
+    filled = stages.reshade(color, warped, motion, valid, **others, height=size[0], width=size[1])
     return {"reshade": stages.download(filled, (*size, 3), np.float32)}
 
 
