@@ -34,6 +34,19 @@ def images(draw, largest):
 LOST = 2.4 * 2.0**-25
 
 
+@quick
+@given(images(1.0))
+def test_the_srgb_curve_is_that_of_colour_science(image):
+    """Bit for bit, there and back: the library is the oracle of our two formulas."""
+    pytest.importorskip("colour", reason="colour-science is not installed")
+    from colour.models import eotf_inverse_sRGB, eotf_sRGB
+
+    image = np.minimum(image, 1)
+    srgb = transfer("srgb")
+    np.testing.assert_array_equal(srgb.encode(image), eotf_inverse_sRGB(image.astype(float)).astype(np.float32))
+    np.testing.assert_array_equal(srgb.decode(image), eotf_sRGB(image.astype(float)).astype(np.float32))
+
+
 def test_known_values_of_the_srgb_curve():
     """IEC 61966-2-1, worked by hand: the linear piece, mid grey, both ends, and what lies outside."""
     linear = np.float32([[[0, 0.001, 0.0031308]], [[0.18, 0.5, 1]], [[-1, 2, 65504]]])
