@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 from stss.frames.backends import OpenCLBackend
 from stss.frames.compute_options import ComputeOptions
+from stss_ref.weights import zeros
 
 
 def test_threads_that_share_a_backend_take_turns(monkeypatch):
@@ -26,9 +27,9 @@ def test_threads_that_share_a_backend_take_turns(monkeypatch):
             self(size, None)
 
     device = SimpleNamespace(kind="CPU", device_class="cpu", name="n", driver="d")
-    monkeypatch.setattr("stss.devices.selection.choose", lambda *_: device)
+    monkeypatch.setattr("stss.devices.selection.choose", lambda *_, **__: device)
     monkeypatch.setattr("stss_cl.skip.stream.Stream", Stream)
-    backend = OpenCLBackend({}, ComputeOptions(), print)
+    backend = OpenCLBackend(zeros(), ComputeOptions(), print)
     with ThreadPoolExecutor(3) as threads:
         threads.submit(backend.expect, "size")
         assert list(threads.map(lambda n: backend.compute([n], (0, 0, 0)), range(9))) == [[n] for n in range(9)]
