@@ -357,16 +357,21 @@ def test_what_is_subnormal_is_0(processor, side):
 
 def test_every_half_is_widened_and_comes_back(device):
     """Subnormal ones too, though floats that are subnormal are flushed."""
-    text = source("common.clh") + "kernel void both(global const ushort *from, global float *to, global ushort *back)\n{\n"
-    text += "const int i = get_global_id(0);\nSTORE8(LOAD8(from, i), i, back);\nvstore8(LOAD8(from, i), i, to);\n}"
+    text = (
+        source("common.clh")
+        + "kernel void both(global const ushort *from, global float *to, global ushort *back, global float *each)\n{\n"
+    )
+    text += "const int i = get_global_id(0);\nSTORE8(LOAD8(from, i), i, back);\nvstore8(LOAD8(from, i), i, to);\n"
+    text += "for (int j = 8 * i; j < 8 * i + 8; ++j) each[j] = LOAD(from, j);\n}"
     program = cl.Program(device.context, text).build(f"-cl-std=CL1.2 -D STORED=HALF {FLUSH}")
     half = np.arange(65536, dtype=np.uint16)
     half = half[np.isfinite(half.view(np.float16))]
-    given, wide, back = (cl.Buffer(device.context, cl.mem_flags.READ_WRITE, half.size * n) for n in (2, 4, 2))
+    given, wide, back, each = (cl.Buffer(device.context, cl.mem_flags.READ_WRITE, half.size * n) for n in (2, 4, 2, 4))
     cl.enqueue_copy(device.queue, given, half)
-    cl.Kernel(program, "both")(device.queue, (half.size // 8,), None, given, wide, back)
+    cl.Kernel(program, "both")(device.queue, (half.size // 8,), None, given, wide, back, each)
     found, again = np.empty(half.size, np.float32), np.empty_like(half)
-    cl.enqueue_copy(device.queue, found, wide)
     cl.enqueue_copy(device.queue, again, back)
-    np.testing.assert_array_equal(found.view(np.uint32), half.view(np.float16).astype(np.float32).view(np.uint32))
+    for held in (wide, each):
+        cl.enqueue_copy(device.queue, found, held)
+        np.testing.assert_array_equal(found.view(np.uint32), half.view(np.float16).astype(np.float32).view(np.uint32))
     np.testing.assert_array_equal(again, half)
