@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -387,3 +388,20 @@ def test_a_port_that_answers_otherwise_is_said(model, run, said):
 def test_nan_is_wrong(model):
     plant = result(lambda x: np.where(np.arange(x.size).reshape(x.shape) == 3, np.nan, x))
     assert "first departs at tanh" in judge_port(model, NumpyPort(model, "tanh", plant), F32).wrong[0]
+
+
+def test_a_program_is_judged_by_its_job_folder(tmp_path):
+    """With names that no file has: a slash is percent-encoded."""
+    nodes = [helper.make_node("Relu", ["in/x"], ["a/b"]), helper.make_node("Neg", ["a/b"], ["y"])]
+    onnx.save(model_of(nodes, {"in/x": [1, 2, 3, 3]}, {"y": 4}), tmp_path / "m.onnx")
+    (tmp_path / "port.py").write_text(
+        "import sys, pathlib, numpy as np\n"
+        "case = pathlib.Path(sys.argv[1]) / '0000'\n"
+        "x = np.maximum(np.load(case / 'in' / 'in%2Fx.npy'), 0)\n"
+        "np.save(case / 'out' / 'a%2Fb.npy', x)\n"
+        "np.save(case / 'out' / 'y.npy', -x)\n"
+    )
+    command = f"{sys.executable} {tmp_path / 'port.py'}"
+    done = CliRunner().invoke(conform, ["--onnx", str(tmp_path / "m.onnx"), "--exec", command])
+    assert done.exit_code == 0, done.output
+    assert "2 tensors judged" in done.output
