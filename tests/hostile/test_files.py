@@ -189,7 +189,7 @@ PAIRS = [
 
 def test_every_command_says_what_it_reads_and_writes():
     """By the kinds of its parameters; what is text names no file."""
-    texts = {"device", "cluster", "spec"}
+    texts = {"device", "cluster", "spec", "shapes"}
     found = dict(commands())
     assert len(found) == 16
     for names, command in found.items():

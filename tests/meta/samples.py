@@ -95,7 +95,7 @@ def _holes(generator: np.random.Generator) -> Any:
         inputs = {key: a for name, b, n in pairs for key, a in ((f"{name}_previous", b), (name, n))}
         inputs["motion"] = motion(generator, size, kind) / 2
         inputs["nov"], inputs["depth"] = generator.uniform(-1, 1, size), generator.random(size)
-        for paper in (0, 1):
+        for paper in (0, 1, 2):
             yield {**inputs, "paper": np.array([paper], np.int32)}, None
 
 

@@ -12,7 +12,7 @@ from tests.meta.right_ports import port
 from tests.meta.run_false_alarms import judged
 
 JUDGED = {
-    "orders": ["motion_chain", "warp", "holes"],
+    "orders": ["motion_chain", "warp", "holes", "reshade"],
     "flush": ["rrm", "history"],
     "fma": ["decoder", "frame"],
     "half_flush": ["occlusion_warp", "erm"],
