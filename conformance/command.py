@@ -166,6 +166,7 @@ def _judge_model(
     from conformance.graph.ports import load_graph_port
     from conformance.graph.rounding import Rounding
     from conformance.graph.run import judge_port
+    from conformance.protocol.load_port import loaded_files
     from stss_ground.terminal import Terminal
 
     sizes: dict[str, int] = {}
@@ -176,6 +177,8 @@ def _judge_model(
         sizes[name] = int(number)
     model = load_model(path)
     port = load_graph_port(model, spec, program, timeout)
+    # Whatever module the port has imported is read, too.
+    require_places({"--json": json_file, "--junit": junit, "--report": report}, loaded_files())
     outcome = judge_port(model, port, Rounding(Arithmetic(dtype, winograd)), tier=tier, seed=seed, fixed=sizes, files=files)
     reports.print_outcome(outcome, Terminal())
     if json_file is not None:

@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-import importlib
 import shlex
 import shutil
-import sys
 import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -18,6 +16,7 @@ import numpy as np
 from conformance.graph.model import Model
 from conformance.graph.rounding import AnyArray
 from conformance.protocol.job_folder import JobError, read_array, require_real, write_array
+from conformance.protocol.load_port import import_port
 from conformance.protocol.own_session import describe, run_alone
 from conformance.protocol.port import PortError
 from conformance.protocol.served import Server
@@ -114,7 +113,7 @@ class PyTorch:
 
     def __init__(self, model: Model, spec: str):
         self._torch = require("torch", "bench")
-        self._module: Any = _imported(spec).eval()
+        self._module: Any = import_port(spec).eval()
         self._model, self.name = model, f"pytorch {spec}"
 
     def run(self, inputs: Arrays) -> dict[str, AnyArray]:
@@ -210,25 +209,11 @@ def load_graph_port(model: Model, spec: str | None, program: str | None, timeout
         raise
     except Exception as error:
         # An engine's errors are of many kinds.
-        raise InputError(f"--port {spec}: {printable(str(error).strip().splitlines()[0][:200])}") from error
-    port = _imported(spec or "")
+        raise InputError(f"--port {spec}: {printable(f'{type(error).__name__}: {error}'.splitlines()[0][:200])}") from error
+    port = import_port(spec or "")
     if lacking := [name for name in ("name", "run") if not hasattr(port, name)]:
         raise InputError(f"--port {spec}: expected a port, got a {type(port).__name__} without {', '.join(lacking)}")
     return port
-
-
-def _imported(spec: str) -> Any:
-    module, _, name = spec.partition(":")
-    if not module or not name:
-        raise InputError(f"--port: expected {', '.join(ENGINES)} or package.module:factory, got {spec!r}")
-    if "" not in sys.path:
-        sys.path.insert(0, "")
-    try:
-        return getattr(importlib.import_module(module), name)()
-    except ImportError as error:
-        raise InputError(f"--port {spec}: {error}") from error
-    except AttributeError as error:
-        raise InputError(f"--port {spec}: module {module} has no {name}") from error
 
 
 def _with_all_outputs(model: Model) -> bytes:

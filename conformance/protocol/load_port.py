@@ -50,7 +50,7 @@ def load_port(
         raise InputError("expected either --port package.module:factory or --exec PROGRAM")
     named = spec or program
     try:
-        port: Any = _imported(spec) if spec is not None else FolderPort(_command(program or ""), timeout, stages=stages)
+        port: Any = import_port(spec) if spec is not None else FolderPort(_command(program or ""), timeout, stages=stages)
         lacking = [name for name in ("name", "dtype", "stages", "run") if not hasattr(port, name)]
         if lacking:
             raise InputError(f"{spec}: expected a port, got a {type(port).__name__} without {', '.join(lacking)}")
@@ -76,7 +76,8 @@ def loaded_files() -> list[Path]:
     return [Path(name) for name in found if isinstance(name, str)]
 
 
-def _imported(spec: str) -> Any:
+def import_port(spec: str) -> Any:
+    """Call ``package.module:factory``; the current folder is searched first. InputError if there is none."""
     module, _, name = spec.partition(":")
     if not module or not name:
         raise InputError(f"--port: expected package.module:factory, got {spec!r}")

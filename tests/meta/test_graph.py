@@ -405,3 +405,17 @@ def test_a_program_is_judged_by_its_job_folder(tmp_path):
     done = CliRunner().invoke(conform, ["--onnx", str(tmp_path / "m.onnx"), "--exec", command])
     assert done.exit_code == 0, done.output
     assert "2 tensors judged" in done.output
+
+
+def test_a_ports_source_is_not_replaced_by_a_report(tmp_path, monkeypatch):
+    onnx.save(model_of([helper.make_node("Relu", ["x"], ["y"])], {"x": [3]}, {"y": 1}), tmp_path / "m.onnx")
+    source = "class Port:\n    name = 'p'\n    def run(self, inputs):\n        return {'y': inputs['x'] * (inputs['x'] > 0)}\n"
+    (tmp_path / "own_graph_port.py").write_text(source)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    words = ["--onnx", "m.onnx", "--port", "own_graph_port:Port"]
+    assert CliRunner().invoke(conform, words).exit_code == 0
+    done = CliRunner().invoke(conform, [*words, "--report", "own_graph_port.py"])
+    assert done.exit_code != 0
+    assert "own_graph_port.py" in str(done.exception)
+    assert (tmp_path / "own_graph_port.py").read_text() == source
