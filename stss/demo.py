@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 from rich.console import Console
 
 from conformance.scenes import DEMO, Rendered, render
-from stss.frames.backends import DEFAULTS, open_backend
+from stss.frames.backends import DEFAULTS, Backend, open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.images.read_write import encode_channels, encode_rgb
 from stss.pages.viewer import page_folder
@@ -20,8 +22,8 @@ from stss.quality.output_and_truth import find_pairs
 from stss.run.job import folder_of, run
 from stss.run.options import RunOptions
 from stss.sequence.choose_weights import AUTO, choose_weights
-from stss.sequence.reader import open_sequence
-from stss.weights.file import BILINEAR, load
+from stss.sequence.reader import Sequence, open_sequence
+from stss.weights.file import ANTIALIASED, BILINEAR, LoadedWeights, load
 from stss_ground.output.apart import require_places
 from stss_ground.output.folder import OutputFolder
 from stss_ground.progress import show_progress
@@ -68,6 +70,8 @@ def demo(
 ) -> None:
     """Render the scene, run the main job on it, compare with the truth, and make a page to look at.
 
+    The device is tested, and its kernels are built, by another process: the scene is rendered meanwhile.
+
     Writes ``out/frames``, ``out/truth``, ``out/output`` and ``out/page.html``; with weights other than ``bilinear`` also ``out/bilinear``,
     to compare with.
 
@@ -83,25 +87,53 @@ def demo(
     Raises:
         InputError: ``out`` holds an earlier demo and ``overwrite`` is not set, or cannot be written to.
     """
-    if weights != AUTO:
-        load(weights)  # what is wrong with them is said before anything is rendered
+    chosen = None if weights == AUTO else load(weights)  # what is wrong with them is said before anything is rendered
     folders = [folder_of(out / "output"), folder_of(out / "bilinear"), page_folder(out / "page.html")]
     require_places(reads=[Path(weights)], folders=[_folder(out), *folders])
-    with show_progress(console, frames, text="rendering") as advance:
-        write_demo_sequence(out, frames, size, overwrite=overwrite, on_frame=lambda _: advance("rendering"))
-    sequence = open_sequence(out / "frames", "stss")
-    loaded = choose_weights(weights, sequence, lambda line: console.print(line, soft_wrap=True, highlight=False, markup=False))
-    methods = {"output": loaded} if weights == BILINEAR else {"bilinear": load(BILINEAR), "output": loaded}
-    found: dict[str, Comparison] = {}
-    for name, method in methods.items():
-        # Without a network the reference is fast enough, and nothing is compiled for it.
-        engine = open_backend("ref", method.weights) if name == "bilinear" else open_backend(backend, method.weights, compute)
+    begun, ended = Event(), Event()
+
+    def tell(line: str) -> None:
+        console.print(line, soft_wrap=True, highlight=False, markup=False)
+
+    def render_all() -> Sequence:
+        with show_progress(console, frames, text="rendering") as advance:
+
+            def go_on(number: int) -> None:
+                del number
+                if ended.is_set():
+                    raise CancelledError
+                begun.set()
+                advance("rendering")
+
+            write_demo_sequence(out, frames, size, overwrite=overwrite, on_frame=go_on)
+        return open_sequence(out / "frames", "stss")
+
+    with ThreadPoolExecutor(1) as pool:
+        rendering = pool.submit(render_all)
+        rendering.add_done_callback(lambda _: begun.set())
+        try:
+            begun.wait()  # what stands in the way of the first frame is said at once
+            if backend == "cl" and not rendering.done():
+                _test_device(chosen, compute, tell)
+            sequence = rendering.result()
+        finally:
+            ended.set()
+    loaded = choose_weights(weights, sequence, tell)
+
+    def score(name: str, method: LoadedWeights, engine: Backend) -> Comparison:
         with show_progress(console, frames, text=method.source) as advance:
             options = RunOptions(overwrite=overwrite)
-            run(sequence, out / name, engine, method.label, options, lambda _, made=advance: made(), [Path(weights)])
+            run(sequence, out / name, engine, method.label, options, lambda _: advance(), [Path(weights)])
         console.print(f"{method.source} against the truth:", highlight=False, markup=False)
-        found[name] = compare(out / name, out / "truth")
-        print_comparison(found[name], console)
+        compared = compare(out / name, out / "truth")
+        print_comparison(compared, console)
+        return compared
+
+    found: dict[str, Comparison] = {}
+    if weights != BILINEAR:  # without a network the reference is fast enough, and nothing is compiled for it
+        bilinear = load(BILINEAR)
+        found["bilinear"] = score("bilinear", bilinear, open_backend("ref", bilinear.weights))
+    found["output"] = score("output", loaded, open_backend(backend, loaded.weights, compute, tell=tell))
     versions = [Version(n, _MEANINGS[n], find_pairs(out / n, out / "truth")[0], compared) for n, compared in found.items()]
     folder = _folder(out)
     with folder.open(refusal=None):
@@ -114,6 +146,14 @@ def demo(
         )
         folder.finish(remove_others=False)
     console.print(f"page to look at: {out / 'page.html'}", soft_wrap=True, highlight=False, markup=False)
+
+
+def _test_device(weights: LoadedWeights | None, compute: ComputeOptions, tell: Callable[[str], None]) -> None:
+    """Have the device tested, for weights that are not chosen yet with `ANTIALIASED`, which have the most layers."""
+    from stss.devices.selection import choose  # opens the OpenCL library
+    from stss.devices.trial import trial_for
+
+    choose(compute.device, tell, trial=ANTIALIASED if weights is None else trial_for(weights.weights))
 
 
 def write_demo_sequence(

@@ -152,20 +152,21 @@ def like_sums(
     """
     height, width = stencil.shape
     sums, totals = np.zeros((len(y), 3), color.dtype), np.zeros(len(y), color.dtype)
-    for dy in range(-RADIUS, RADIUS + 1):
-        for dx in range(-RADIUS, RADIUS + 1):
-            row, column = y + dy, x + dx
-            there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-            at = np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)
-            counts = there & is_source[at] & (stencil[at] == stencil[y, x])
-            weight = np.where(counts, likeness(base_color[at], base_color[y, x], normal[at], normal[y, x]), 0)
-            sums += weight[:, None] * color[at]
+    column = x + np.arange(-RADIUS, RADIUS + 1)[:, None]
+    at_column = np.clip(column, 0, width - 1)
+    for row in (y + dy for dy in range(-RADIUS, RADIUS + 1)):
+        there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        at = np.clip(row, 0, height - 1), at_column
+        counts = there & is_source[at] & (stencil[at] == stencil[y, x])
+        weights = np.where(counts, likeness(base_color[at], base_color[y, x], normal[at], normal[y, x]), 0)
+        for weight, light in zip(weights, color[at], strict=True):
+            sums += weight[:, None] * light
             totals += weight
     return sums, totals
 
 
 def likeness(base_color: Array, own_base_color: Array, normal: Array, own_normal: Array) -> Array:
-    """(N,) weight of materials (N, 3) by how alike a pixel's own they are; in [0, 1]."""
+    """Weight of materials, base colour and normal (..., N, 3), by how alike those of N pixels, (N, 3), they are; (..., N), in [0, 1]."""
     apart = np.abs(base_color - own_base_color)
     with np.errstate(over="ignore"):
         unlike = 1 + BASE_COLOR * (apart[..., 0] + apart[..., 1] + apart[..., 2]) + NORMAL * squared(normal - own_normal)

@@ -98,13 +98,14 @@ def _around(stencil: Float64, is_source: Bool, peaks: Float64, undecided: Bool, 
     """Of each pixel, (N,): the number of sources around it, the largest of their colours, and whether one there is undecided."""
     (y, x), (height, width) = pixels, stencil.shape
     count, peak, doubts = np.zeros(len(y)), np.zeros(len(y)), np.zeros(len(y), bool)
-    for dy in range(-RADIUS, RADIUS + 1):
-        for dx in range(-RADIUS, RADIUS + 1):
-            row, column = y + dy, x + dx
-            there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-            at = np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)
-            counts = there & (stencil[at] == stencil[y, x])
-            count += counts & is_source[at]
-            peak = np.maximum(peak, np.where(counts & is_source[at], peaks[at], 0))
-            doubts |= counts & undecided[at]
+    column = x + np.arange(-RADIUS, RADIUS + 1)[:, None]
+    at_column = np.clip(column, 0, width - 1)
+    for row in (y + dy for dy in range(-RADIUS, RADIUS + 1)):
+        there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        at = np.clip(row, 0, height - 1), at_column
+        counts = there & (stencil[at] == stencil[y, x])
+        sources = counts & is_source[at]
+        count += sources.sum(axis=0)
+        peak = np.maximum(peak, np.where(sources, peaks[at], 0).max(axis=0))
+        doubts |= (counts & undecided[at]).any(axis=0)
     return count, peak, doubts

@@ -38,6 +38,8 @@ IN_FULL = ("history", "encoder", "erm", "decoder")
 """Stages that only the full tier judges at such a size."""
 FEW = 4
 """Large frames of a quick tier."""
+MOST_HOLES = 8_000
+"""About the most holes of a frame for stage reshade that is judged as a whole: the reference looks at 289 pixels around each."""
 SHORT = 8
 """Longest motion of frames that are judged in windows; pixels."""
 Made = Callable[[Generator], Any]
@@ -92,7 +94,7 @@ def _reshade(moving: Moving, size: Size, rng: Generator) -> Inputs:
     stencil = (rng.random(size) < 0.3) * 2.0
     position = rng.normal(0, 15, (*size, 3))
     normal, other = np.broadcast_to([0.0, 0.0, 1.0], (*size, 3)), np.broadcast_to([0.0, 0.6, 0.8], (*size, 3))
-    valid = rng.random(size) < 0.9
+    valid = rng.random(size) >= (0.1 if moving is short_motion else min(0.1, MOST_HOLES / np.prod(size)))
     return {
         "color": color, "warped": warped, "motion": moving(rng, size), "valid": valid.astype(np.uint8), "stencil": stencil,
         "stencil_previous": np.where(rng.random(size) < 0.5, stencil, 7), "normal": normal, "position": position,

@@ -50,11 +50,10 @@ def _power(base: Any, normal: Any, power: float = 4.0) -> Any:
 def _within_tile(right: Change, color: Any, is_source: Any, stencil: Any, normal: Any, base_color: Any, y: Any, x: Any) -> Any:
     """Windows end at the tiles of 8 x 8 that their pixels lie in."""
     sums, totals = np.zeros((len(y), 3), color.dtype), np.zeros(len(y), color.dtype)
-    rows, columns = np.indices(stencil.shape) // 8
-    for i in range(len(y)):
-        own = (rows == y[i] // 8) & (columns == x[i] // 8)
-        found = right(color, is_source & own, stencil, normal, base_color, y[i : i + 1], x[i : i + 1])
-        sums[i], totals[i] = found[0][0], found[1][0]
+    for top, left in {(int(row), int(column)) for row, column in zip(y // 8 * 8, x // 8 * 8, strict=True)}:
+        own, tile = (y // 8 * 8 == top) & (x // 8 * 8 == left), (slice(top, top + 8), slice(left, left + 8))
+        planes = (plane[tile] for plane in (color, is_source, stencil, normal, base_color))
+        sums[own], totals[own] = right(*planes, y[own] - top, x[own] - left)
     return sums, totals
 
 
@@ -112,7 +111,7 @@ RESHADE = (
     _reshade("samples_no_sources", "holes with samples are no sources", _samples_no_sources),
     _like("all_are_sources", "holes are sources, too", is_source=np.ones_like),
     _like("all_objects", "materials of all objects", stencil=np.zeros_like),
-    _weights("uniform", "all weigh the same", lambda base, normal: np.ones(len(base), base.dtype)),
+    _weights("uniform", "all weigh the same", lambda base, normal: np.ones(base.shape[:-1], base.dtype)),
     _weights("no_normals", "normals do not count", lambda base, normal: _power(base, normal * 0)),
     _weights("no_base_colors", "base colours do not count", lambda base, normal: _power(base * 0, normal)),
     _weights("squared", "the square, not the fourth power", lambda base, normal: _power(base, normal, 2.0)),

@@ -1,13 +1,21 @@
 # SPDX-License-Identifier: MIT
 """The demo's files."""
 
+import io
+from contextlib import nullcontext
+from threading import Event
+
 import numpy as np
 import pytest
+from rich.console import Console
 
 from conformance.scenes import DEMO, render
+from stss import demo as demonstration
 from stss.demo import BACKGROUND, INPUT_SAMPLES, demo_path, frame_channels, write_demo_sequence
+from stss.frames.backends import ReferenceBackend
 from stss.images.read_write import read_channels, read_header
-from stss_ground.errors import InputError
+from stss_ground.errors import DeviceError, InputError
+from stss_ref.weights import zeros
 
 SIZE = (18, 32)
 
@@ -37,3 +45,36 @@ def test_an_earlier_demo_is_only_replaced_when_asked(tmp_path):
     write_demo_sequence(tmp_path, 1, (4, 8), overwrite=True)
     assert sorted(p.name for p in (tmp_path / "frames").iterdir()) == ["demo.0000.exr", "notes.txt"]
     assert [p.name for p in (tmp_path / "truth").iterdir()] == ["demo.0000.exr"]
+
+
+@pytest.mark.parametrize("ends", [None, DeviceError("self-test: failed"), KeyboardInterrupt()], ids=repr)
+def test_the_device_is_tested_while_the_scene_is_rendered(tmp_path, monkeypatch, ends):
+    """What ends the test of the device ends the rendering, too: at the next frame."""
+    frames, tested, begun, made = 4, [], Event(), demonstration.render
+
+    def choose(name, tell, *, trial):
+        tested.append((trial, len([*tmp_path.glob("frames/*.exr")])))
+        if ends:
+            raise ends
+        begun.set()
+
+    def second_waits(scene, number, *size, samples):
+        if number == 1:
+            begun.wait(0.5 if ends else 30)
+        return made(scene, number, *size, samples=samples)
+
+    monkeypatch.setattr("stss.devices.selection.choose", choose)
+    monkeypatch.setattr(demonstration, "render", second_waits)
+    monkeypatch.setattr(demonstration, "open_backend", lambda name, weights, *_, **__: ReferenceBackend(zeros()))
+    with pytest.raises(type(ends)) if ends else nullcontext():
+        demonstration.demo(tmp_path, frames=frames, size=SIZE, console=Console(file=io.StringIO()))
+    assert tested == [("antialiased", 1)]
+    assert (tmp_path / "page.html").exists() is not bool(ends)
+    assert len([*tmp_path.glob("truth/*.exr")]) == (2 if ends else frames)
+
+
+def test_what_stands_in_the_way_is_said_before_the_device_is_tested(tmp_path, monkeypatch):
+    monkeypatch.setattr("stss.devices.selection.choose", lambda *_, **__: pytest.fail("tested"))
+    write_demo_sequence(tmp_path, 1, (4, 8))
+    with pytest.raises(InputError, match="--overwrite"):
+        demonstration.demo(tmp_path, frames=2, size=(4, 8), console=Console(file=io.StringIO()))
