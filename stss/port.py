@@ -15,8 +15,8 @@ from stss_ref.weights import Weights
 
 __all__ = ["OpenCLPort", "ReferencePort", "cl_direct", "cl_half"]
 
-WITH_WEIGHTS = ("stss_cl.network.network", "stss_cl.frame")
-"""Modules with the stages that take weights; each has ``STAGES`` and ``run_stage(stage, inputs, weights, device)``."""
+WITH_WEIGHTS = (("stss_cl.network.network", "NetworkStages"), ("stss_cl.frame", "FrameStages"))
+"""Modules with the stages that take weights, and their classes that run those of the module's ``STAGES``."""
 
 
 class OpenCLPort:
@@ -31,8 +31,9 @@ class OpenCLPort:
         self.dtype = {"half": "float16", "bfloat16": "bfloat16"}.get(precision, "float32")
         self._precision = precision
         self._image = _module("stss_cl.image_space.stages")
-        self._network = [module for name in WITH_WEIGHTS if (module := _module(name)) is not None]
+        self._network = [(module, kind) for name, kind in WITH_WEIGHTS if (module := _module(name)) is not None]
         self._opened: Any = None
+        self._ready: dict[str, tuple[Weights | None, Any]] = {}
 
     @property
     def winograd(self) -> bool:
@@ -44,23 +45,31 @@ class OpenCLPort:
 
     def stages(self) -> frozenset[str]:
         """The stages of images, and those of the network."""
-        modules = self._network if self._image is None else [self._image, *self._network]
+        modules = [*([] if self._image is None else [self._image]), *(module for module, _ in self._network)]
         return frozenset(stage for module in modules for stage in module.STAGES)
 
     def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
         """See ``conformance.protocol.port.Port``; the first case opens the device, which stays open."""
-        device = self._device
         if self._image is not None and stage in self._image.STAGES:
-            return self._image.ImageStages(device).run_stage(stage, inputs)
-        for module in self._network:
-            if stage in module.STAGES:
-                return module.run_stage(stage, inputs, weights, device, self._precision)
-        raise InputError(f"backend cl: it has no stage {stage}")
+            return self._image.ImageStages(self._device).run_stage(stage, inputs)
+        if (stages := self._stages(stage, weights)) is None:
+            raise InputError(f"backend cl: it has no stage {stage}")
+        return stages.run_stage(stage, inputs)
 
     def layers(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
         """Activations of the network's layers, by name, for stages that are parts of the network; else none."""
-        module = import_module(WITH_WEIGHTS[0])
-        return module.run_layers(stage, inputs, weights, self._device, self._precision) if stage in module.STAGES else {}
+        stages = self._stages(stage, weights)
+        return stages.layers_of(stage, inputs) if hasattr(stages, "layers_of") else {}
+
+    def _stages(self, stage: str, weights: Weights | None) -> Any:
+        """What runs a stage with weights; the last one of its kind where the weights are those of the case before."""
+        for module, kind in self._network:
+            if stage in module.STAGES:
+                if kind not in self._ready or self._ready[kind][0] is not weights:
+                    self._ready.pop(kind, None)  # frees its buffers
+                    self._ready[kind] = weights, getattr(module, kind)(weights, self._device, self._precision)
+                return self._ready[kind][1]
+        return None
 
     @property
     def _device(self) -> Any:

@@ -151,14 +151,19 @@ class Frame:
 
 
 STAGES = frozenset({"frame"})
-"""The stages that ``run_stage`` knows."""
+"""The stages that ``FrameStages`` knows."""
 
 
-def run_stage(
-    stage: str, inputs: Mapping[str, Array], weights: Weights, device: Device | None = None, precision: Precision = "float32"
-) -> dict[str, Array]:
-    """Stage ``frame`` by the names of the port protocol (docs/ports.md)."""
-    names = ("colors", "motions", "gbuffer", "nov", "stencils", "normals", "positions")
-    arrays = {name: np.ascontiguousarray(inputs[name], np.float32) for name in names}
-    image, _ = Frame(weights, device, precision)(steps=[int(step) for step in inputs["steps"]], **arrays)
-    return {"image": image}
+class FrameStages:
+    """Stage ``frame`` by the names of the port protocol (docs/ports.md); arguments as of ``Frame``."""
+
+    def __init__(self, weights: Weights, device: Device | None = None, precision: Precision = "float32"):
+        self._frame = Frame(weights, device, precision)
+
+    def run_stage(self, stage: str, inputs: Mapping[str, Array]) -> dict[str, Array]:
+        """Run one of ``STAGES``."""
+        del stage
+        names = ("colors", "motions", "gbuffer", "nov", "stencils", "normals", "positions")
+        arrays = {name: np.ascontiguousarray(inputs[name], np.float32) for name in names}
+        image, _ = self._frame(steps=[int(step) for step in inputs["steps"]], **arrays)
+        return {"image": image}

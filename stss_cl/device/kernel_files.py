@@ -9,16 +9,27 @@ import os
 import re
 import struct
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
+from typing import NamedTuple
 
 from stss_cl.device.caches import read, store
 from stss_ground.terminal import echo
 
 SUMS = "stss.sha256"
-"""Name of the list in the cache: the SHA-256 of each file that a process left which came to its end."""
+"""Name of the list in the cache: the SHA-256 of each file that a process left which came to its end, its state then, and its name."""
 MOST_BYTES = 64 << 20
-_LINE = re.compile(r"([0-9a-f]{64})  (.+)")
+BOOT = Path("/proc/sys/kernel/random/boot_id")
+"""Another text after each start of the system."""
+_LINE = re.compile(r"([0-9a-f]{64}) ([0-9a-f]{16}|-) (.+)")
+
+
+class Known(NamedTuple):
+    """The SHA-256 of a file, and its `_state` when it had that."""
+
+    digest: str
+    state: str
 
 
 @cache
@@ -26,22 +37,31 @@ def mend(folder: Path) -> None:
     """Remove the files of PoCL's cache that are not as they were left, so that PoCL builds them anew, and say so; once in a process.
 
     A file that is in the list must have its checksum. Another one, of a process that was killed, must be whole by what it says itself.
-    What this process builds comes into the list at its end.
+    What has been looked at since the system started, and has not been written to since, is not read again: a cache of hundreds of MiB
+    would take seconds. What this process builds comes into the list at its end.
     """
-    listed, found = _read(folder), dict[str, str]()
-    damaged: list[Path] = []
-    for path in _files(folder):
-        name, data = path.relative_to(folder).as_posix(), read(path, MOST_BYTES) or b""
-        if listed[name] == hashlib.sha256(data).hexdigest() if name in listed else is_whole(path.suffix, data):
-            found[name] = listed.get(name, "")
+    listed, found = _read(folder), dict[str, Known]()
+    boot = (read(BOOT, 64) or b"").decode()
+    whole, damaged = 0, 0
+    for name, entry in _files(folder):
+        known, state = listed.get(name), _state(entry, boot)
+        if known is not None and known.state == state != "-":
+            found[name] = known
+            continue
+        data = read(Path(entry.path), MOST_BYTES) or b""
+        if known is not None and known.digest == hashlib.sha256(data).hexdigest():
+            found[name] = Known(known.digest, state)
+        elif known is None and is_whole(Path(name).suffix, data):
+            whole += 1
         else:
-            path.unlink(missing_ok=True)
-            damaged.append(path)
+            Path(entry.path).unlink(missing_ok=True)
+            damaged += 1
     if damaged:
-        echo(f"kernel cache {folder}: {len(damaged)} of {len(damaged) + len(found)} files are damaged, and built anew", err=True)
-    if listed.keys() - found.keys():
-        _write(folder, {name: digest for name, digest in found.items() if digest})
-    atexit.register(partial(_remember, folder, {name for name, digest in found.items() if digest}))
+        total = damaged + whole + len(found)
+        echo(f"kernel cache {folder}: {damaged} of {total} files are damaged, and built anew", err=True)
+    if listed != found:
+        _write(folder, found)
+    atexit.register(partial(_remember, folder, set(found), boot))
 
 
 def is_whole(suffix: str, data: bytes) -> bool:
@@ -76,25 +96,43 @@ def _object_ends(data: bytes) -> bool:
     return 0 < sections + size * number <= len(data)
 
 
-def _remember(folder: Path, known: set[str]) -> None:
+def _remember(folder: Path, known: set[str], boot: str) -> None:
     """Add the files that have come since to the list, which another process may have changed."""
-    new = {path.relative_to(folder).as_posix(): path for path in _files(folder)}
-    found = {name: data for name, path in new.items() if name not in known and (data := read(path, MOST_BYTES))}
-    whole = {name: hashlib.sha256(data).hexdigest() for name, data in found.items() if is_whole(Path(name).suffix, data)}
-    if whole:
-        _write(folder, _read(folder) | whole)
+    new: dict[str, Known] = {}
+    for name, entry in _files(folder):
+        if name not in known:
+            state = _state(entry, boot)
+            data = read(Path(entry.path), MOST_BYTES)
+            if data and is_whole(Path(name).suffix, data):
+                new[name] = Known(hashlib.sha256(data).hexdigest(), state)
+    if new:
+        _write(folder, _read(folder) | new)
 
 
-def _files(folder: Path) -> Iterator[Path]:
-    """The bitcode and the kernels of a cache, each below a folder of its program."""
-    for place, _, names in os.walk(folder):
-        yield from (Path(place, name) for name in names if name.endswith((".bc", ".so")))
+def _files(folder: Path, below: str = "") -> Iterator[tuple[str, os.DirEntry[str]]]:
+    """The bitcode and the kernels of a cache, each below a folder of its program, by their names in it."""
+    with suppress(OSError), os.scandir(folder / below) as entries:
+        for entry in entries:
+            if entry.is_dir(follow_symlinks=False):
+                yield from _files(folder, f"{below}{entry.name}/")
+            elif entry.name.endswith((".bc", ".so")):
+                yield f"{below}{entry.name}", entry
 
 
-def _read(folder: Path) -> dict[str, str]:
+def _state(entry: os.DirEntry[str], boot: str) -> str:
+    """What differs once a file has been written to, or the system started again, at which what was written last may be lost; or "-"."""
+    try:
+        found = entry.stat(follow_symlinks=False)
+    except OSError:
+        return "-"
+    what = f"{boot} {found.st_ino} {found.st_size} {found.st_mtime_ns} {found.st_ctime_ns}"
+    return hashlib.sha256(what.encode()).hexdigest()[:16] if boot else "-"
+
+
+def _read(folder: Path) -> dict[str, Known]:
     text = (read(folder / SUMS, MOST_BYTES) or b"").decode(errors="replace")
-    return {match[2]: match[1] for line in text.splitlines() if (match := _LINE.fullmatch(line))}
+    return {match[3]: Known(match[1], match[2]) for line in text.splitlines() if (match := _LINE.fullmatch(line))}
 
 
-def _write(folder: Path, sums: Mapping[str, str]) -> None:
-    store(folder / SUMS, "".join(f"{digest}  {name}\n" for name, digest in sorted(sums.items())).encode())
+def _write(folder: Path, known: Mapping[str, Known]) -> None:
+    store(folder / SUMS, "".join(f"{digest} {state} {name}\n" for name, (digest, state) in sorted(known.items())).encode())

@@ -122,28 +122,35 @@ def check(color: Given, gbuffer: Given, mask: Given, history: Given) -> tuple[in
 
 
 STAGES = frozenset({"history", "encoder", "erm", "decoder", "network"})
-"""The stages that ``run_stage`` knows."""
+"""The stages that ``NetworkStages`` knows."""
 
 
-def run_stage(
-    stage: str, inputs: Mapping[str, Array], weights: Weights, device: Device | None = None, precision: Precision = "float32"
-) -> dict[str, Array]:
-    """One stage of the network by the names of the port protocol (docs/ports.md), for tests of a single stage."""
-    network = Network(weights, device, precision)
-    if stage == "network":
-        return {"image": network(*(inputs[name] for name in ("color", "gbuffer", "mask", "history")))}
-    return _layers_for(stage, inputs, network, weights).run_stage(stage, inputs)
+class NetworkStages:
+    """Single stages of the network by the names of the port protocol (docs/ports.md); buffers are reused while the size stays.
 
+    Arguments as of ``Network``.
+    """
 
-def run_layers(
-    stage: str, inputs: Mapping[str, Array], weights: Weights, device: Device | None = None, precision: Precision = "float32"
-) -> dict[str, Array]:
-    """What the layers of a stage give, by their names; none where the frame goes in strips."""
-    return _layers_for(stage, inputs, Network(weights, device, precision), weights).layers_of(stage, inputs)
+    def __init__(self, weights: Weights, device: Device | None = None, precision: Precision = "float32"):
+        self._network, self._weights = Network(weights, device, precision), weights
+        self._layers: Layers | None = None
 
+    def run_stage(self, stage: str, inputs: Mapping[str, Array]) -> dict[str, Array]:
+        """Run one of ``STAGES``."""
+        if stage == "network":
+            return {"image": self._network(*(inputs[name] for name in ("color", "gbuffer", "mask", "history")))}
+        return self._layers_for(stage, inputs).run_stage(stage, inputs)
 
-def _layers_for(stage: str, inputs: Mapping[str, Array], network: Network, weights: Weights) -> Layers:
-    like = {"history": "history", "erm": "gbuffer"}.get(stage, "color")
-    height, width = inputs[like].shape[-3:-1]
-    # A stage alone is computed whatever of it the others read.
-    return Layers(network.device, weights, height, width, network.precision, every=True)
+    def layers_of(self, stage: str, inputs: Mapping[str, Array]) -> dict[str, Array]:
+        """What the layers of a stage give, by their names; none where the frame goes in strips."""
+        return self._layers_for(stage, inputs).layers_of(stage, inputs)
+
+    def _layers_for(self, stage: str, inputs: Mapping[str, Array]) -> Layers:
+        like = {"history": "history", "erm": "gbuffer"}.get(stage, "color")
+        height, width = inputs[like].shape[-3:-1]
+        if self._layers is None or self._layers.size != (height, width):
+            self._layers = None  # frees the old buffers before new ones are made
+            network = self._network
+            # A stage alone is computed whatever of it the others read.
+            self._layers = Layers(network.device, self._weights, height, width, network.precision, every=True)
+        return self._layers

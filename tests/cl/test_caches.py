@@ -14,6 +14,7 @@ import pytest
 
 from stss.demo import write_demo_sequence
 from stss_cl.device import caches, kernel_files, program
+from stss_cl.device.caches import read
 from stss_cl.device.discovery import open_device
 from stss_ground.errors import DeviceError
 from tests.hostile.cases import stss
@@ -104,6 +105,43 @@ def test_a_kernel_of_a_killed_process_is_whole_or_built_anew(processor, cache_ho
         (folder / name).write_bytes(data)
     kernel_files.mend(folder)
     assert [path.name for path in kernels(folder)] == ["whole.so"]
+
+
+@pytest.mark.skipif(not kernel_files.BOOT.exists(), reason="Linux alone says when it was started")
+def test_what_nobody_wrote_to_since_it_was_looked_at_is_not_read_again(tmp_path, monkeypatch, capsys):
+    """A file is read once after each start of the system, and whenever it was written to, whatever its times claim."""
+    folder, boot, looked_at = tmp_path / "pocl", tmp_path / "boot", []
+    monkeypatch.setattr(kernel_files, "BOOT", boot)
+    monkeypatch.setattr(kernel_files.atexit, "register", lambda remember: remember())
+    monkeypatch.setattr(kernel_files, "read", lambda path, most: looked_at.append(path.name) or read(path, most))
+    boot.write_text("first")
+    for name in ("a.so", "b.so"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_bytes(shared_object())
+
+    def read_by(next_process):
+        next_process()
+        looked_at.clear()
+        kernel_files.mend.__wrapped__(folder)
+        return sorted({*looked_at} & {"a.so", "b.so"})
+
+    def damage_quietly():
+        path = folder / "b.so"
+        before, data = path.stat(), bytearray(path.read_bytes())
+        data[len(data) // 2] ^= 1
+        path.write_bytes(data)
+        os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+    assert read_by(lambda: None) == ["a.so", "b.so"]
+    assert read_by(lambda: None) == []
+    assert read_by(lambda: boot.write_text("second")) == ["a.so", "b.so"]
+    assert read_by(lambda: None) == []
+    assert capsys.readouterr().err == ""
+    assert read_by(damage_quietly) == ["b.so"]
+    assert "1 of 2 files are damaged" in capsys.readouterr().err
+    assert [path.name for path in kernels(folder)] == ["a.so"]
+    assert read_by(boot.unlink) == ["a.so"]
+    assert read_by(lambda: None) == ["a.so"]
 
 
 def shared_object():

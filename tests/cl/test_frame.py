@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from conformance.cases.planes import SEEDS, motions, sizes
 from conformance.tolerance import ratio
 from stss_cl import Frame
-from stss_cl.frame import run_stage
+from stss_cl.frame import FrameStages
 from stss_cl.liveness import colors_read
 from stss_ref.arrays import ArrayError
 from stss_ref.frame import frame
@@ -63,7 +63,7 @@ def test_without_a_residual_it_is_the_references_bits(device):
         want, want_valid = frame(inputs, zeros())
         np.testing.assert_array_equal(image, want)
         np.testing.assert_array_equal(valid, want_valid)
-    np.testing.assert_array_equal(run_stage("frame", vars(inputs), zeros(), device)["image"], want)
+    np.testing.assert_array_equal(FrameStages(zeros(), device).run_stage("frame", vars(inputs))["image"], want)
 
 
 @pytest.mark.parametrize("on_device", [False, True])
