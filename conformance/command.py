@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from stss_ground.commands import Subcommand
 from stss_ground.errors import InputError
@@ -26,6 +27,11 @@ MOST_PIXELS = 3840 * 2160
 LEAST_SIDE = 2048
 """Rows and columns that every port takes: textures have had them for long, and only made cases have more."""
 MOST_SIDE = 2**17
+OF_STAGES = (
+    *("stages", "size", "largest_side", "weights_version", "require", "repeat", "fail_fast", "known_failures", "write_cases"),
+)
+OF_MODELS = ("shapes", "files")
+"""Parameters that say something of a port of ours alone, and of any network's alone."""
 
 
 @click.command(cls=Subcommand)
@@ -118,9 +124,12 @@ def conform(
     for package in ("pytest", "hypothesis"):
         require_package(package, "conform")
     if onnx is not None:
-        arithmetic = dtype or "float32", winograd
+        _require_options("with --onnx", OF_STAGES)
+        options = {"dtype": dtype or "float32", "winograd": winograd, "tier": tier, "seed": seed}
+        command = _command(spec, program, dtype, None, winograd=winograd, onnx=onnx)
         wanted = json_file, junit, report
-        sys.exit(_judge_model(onnx, spec, program, shapes, files, tier, seed, *arithmetic, timeout, *wanted))
+        sys.exit(_judge_model(onnx, spec, program, timeout, shapes, files, replay, options, failures, command, wanted))
+    _require_options("without --onnx", OF_MODELS)
     from conformance.judging.judge import TIERS, Judge
     from conformance.judging.known_failures import KnownFailuresError, read_known
     from conformance.protocol.load_port import load_port, loaded_files
@@ -157,16 +166,18 @@ def conform(
 
 
 def _judge_model(
-    path: Path, spec: str | None, program: str | None, shapes: tuple[str, ...], files: tuple[str, ...], tier: str, seed: int,
-    dtype: str, winograd: bool, timeout: float, json_file: Path | None, junit: Path | None, report: Path | None,
+    path: Path, spec: str | None, program: str | None, timeout: float, shapes: tuple[str, ...], files: tuple[str, ...],
+    replay: Path | None, options: dict[str, Any], failures: Path, command: str, wanted: tuple[Path | None, Path | None, Path | None],
 ) -> int:  # fmt: skip
     from conformance.answers.port_arithmetic import Arithmetic
-    from conformance.graph import report as reports
+    from conformance.graph.cases import read_case, read_failure
     from conformance.graph.model import load_model
-    from conformance.graph.ports import load_graph_port
+    from conformance.graph.ports import load_graph_port, write_model_case
+    from conformance.graph.report import print_outcome, write_files
     from conformance.graph.rounding import Rounding
     from conformance.graph.run import judge_port
     from conformance.protocol.load_port import loaded_files
+    from conformance.report.failures import keep_failure
     from stss_ground.terminal import Terminal
 
     sizes: dict[str, int] = {}
@@ -175,20 +186,34 @@ def _judge_model(
         if not name or not number.isdecimal() or not 0 < int(number) <= MOST_SIDE:
             raise InputError(f"--shape: expected NAME=N with N from 1 to {MOST_SIDE}, got {each!r}")
         sizes[name] = int(number)
+    _require_folder(failures)
     model = load_model(path)
+    given = [read_case(model, files)] if files else [] if replay is None else read_failure(model, replay)
     port = load_graph_port(model, spec, program, timeout)
     # Whatever module the port has imported is read, too.
-    require_places({"--json": json_file, "--junit": junit, "--report": report}, loaded_files())
-    outcome = judge_port(model, port, Rounding(Arithmetic(dtype, winograd)), tier=tier, seed=seed, fixed=sizes, files=files)
-    reports.print_outcome(outcome, Terminal())
-    if json_file is not None:
-        options = {"dtype": dtype, "winograd": winograd, "tier": tier, "seed": seed}
-        reports.write_json(json_file, reports.to_json(outcome, model, port, options))
-    if junit is not None:
-        reports.write_junit(junit, outcome, port)
-    if report is not None:
-        reports.write_page(report, outcome, model, port)
+    require_places(dict(zip(("--json", "--junit", "--report"), wanted, strict=True)), loaded_files())
+    rounding = Rounding(Arithmetic(options["dtype"], options["winograd"]))
+    outcome = judge_port(model, port, rounding, tier=options["tier"], seed=options["seed"], fixed=sizes, given=given)
+    print_outcome(outcome, Terminal())
+    folder = None
+    if outcome.failure is not None and replay is None:
+        try:
+            folder = keep_failure(failures, path.name, outcome.failure, command, write_model_case)
+        except InputError as error:
+            echo(f"not kept: {error}; --failures takes another folder")
+        else:
+            echo(f"{command} --replay {shlex.quote(str(folder))}")
+    write_files(outcome, model, port, options, folder, *wanted)
     return 0 if outcome.passes else 1
+
+
+def _require_options(when: str, names: tuple[str, ...]) -> None:
+    """Raise InputError if an option of these was given, which would do nothing."""
+    context = click.get_current_context()
+    for name in names:
+        if context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            option = next(each.opts[-1] for each in context.command.params if each.name == name)
+            raise InputError(f"{option}: not {when}")
 
 
 def _require_stages(named: dict[str, tuple[str, ...] | None]) -> None:
@@ -205,8 +230,21 @@ def _require_folder(failures: Path) -> None:
         raise InputError(f"{failures}: expected a folder, found a file")
 
 
-def _command(spec: str | None, program: str | None, dtype: str | None, weights_version: int | None, *, winograd: bool) -> str:
-    words = ["stss", "conform", *(("--port", spec) if spec is not None else ("--exec", program or ""))]
+def _command(
+    spec: str | None,
+    program: str | None,
+    dtype: str | None,
+    weights_version: int | None,
+    *,
+    winograd: bool,
+    onnx: Path | None = None,
+) -> str:
+    words = [
+        "stss",
+        "conform",
+        *(("--onnx", str(onnx)) if onnx is not None else ()),
+        *(("--port", spec) if spec is not None else ("--exec", program or "")),
+    ]
     words += ["--dtype", dtype] if dtype is not None else []
     words += ["--weights-version", str(weights_version)] if weights_version is not None else []
     return shlex.join([*words, *(["--winograd"] if winograd else [])])

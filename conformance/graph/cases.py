@@ -6,12 +6,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
 
 from conformance.graph.model import Given, Model
 from conformance.graph.rounding import AnyArray
+from conformance.protocol.drawn_case import DRAWN, read_drawn
 from conformance.protocol.job_folder import JobError, read_array
 from stss_ground.errors import InputError
 
@@ -58,26 +60,47 @@ def read_case(model: Model, files: Sequence[str]) -> dict[str, AnyArray]:
         InputError: a file is missing or damaged, or does not fit.
     """
     named: dict[str, str] = {name: file for name, _, file in (each.partition("=") for each in files)}
-    if unknown := named.keys() - {each.name for each in model.inputs}:
-        raise InputError(f"--input: expected some of {', '.join(each.name for each in model.inputs)}, got {min(unknown)}")
-    found: dict[str, AnyArray] = {}
+    try:
+        found = {name: read_array(Path(file)) for name, file in named.items()}
+    except JobError as error:
+        raise InputError(f"--input: {error}") from error
+    return _fitting(model, found, "--input")
+
+
+def read_failure(model: Model, folder: Path) -> list[dict[str, AnyArray]]:
+    """The inputs of a failure's folder, those before the failing ones first, checked against the model.
+
+    Raises:
+        InputError: it is not the folder of a failure of this model.
+    """
+    try:
+        _, kept = read_drawn(folder / DRAWN)
+    except JobError as error:
+        raise InputError(f"{folder}: expected the folder of one failure: {error}") from error
+    whole: Any = kept
+    if not isinstance(whole, list) or not whole or not all(isinstance(each, dict) for each in whole):
+        raise InputError(f"{folder}: expected the folder of a network's failure")
+    return [_fitting(model, each, str(folder)) for each in whole]
+
+
+def _fitting(model: Model, found: Mapping[str, Any], where: str) -> dict[str, AnyArray]:
+    """The arrays in the order of the model's inputs; InputError unless they are what it takes."""
+    names = [each.name for each in model.inputs]
+    if unknown := found.keys() - {*names}:
+        raise InputError(f"{where}: expected {', '.join(names)}, got {min(unknown)}")
     for each in model.inputs:
-        if each.name not in named:
-            raise InputError(f"--input: {each.name} is missing")
-        try:
-            array = read_array(Path(named[each.name]))
-        except JobError as error:
-            raise InputError(str(error)) from error
+        array = found.get(each.name)
+        if not isinstance(array, np.ndarray):
+            raise InputError(f"{where}: {each.name} is missing")
         fits = len(array.shape) == len(each.shape) and all(
             isinstance(n, str) or n == m for n, m in zip(each.shape, array.shape, strict=True)
         )
         if array.dtype != each.dtype or not fits:
             wanted = ", ".join(map(str, each.shape))
-            raise InputError(f"{named[each.name]}: expected {each.dtype} ({wanted}), found {array.dtype} {array.shape}")
+            raise InputError(f"{where}: {each.name}: expected {each.dtype} ({wanted}), found {array.dtype} {array.shape}")
         if array.dtype.kind == "f" and not np.isfinite(array).all():
-            raise InputError(f"{named[each.name]}: expected finite numbers")
-        found[each.name] = array
-    return found
+            raise InputError(f"{where}: {each.name}: expected finite numbers")
+    return {name: found[name] for name in names}
 
 
 def _array(given: Given, shape: Sequence[int], kind: str, random: np.random.Generator) -> AnyArray:

@@ -3,23 +3,19 @@
 
 from __future__ import annotations
 
-import shlex
-import shutil
-import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
-from urllib.parse import quote, unquote
+from urllib.parse import unquote
 
 import numpy as np
 
 from conformance.graph.model import Model
 from conformance.graph.rounding import AnyArray
-from conformance.protocol.job_folder import JobError, read_array, require_real, write_array
-from conformance.protocol.load_port import import_port
-from conformance.protocol.own_session import describe, run_alone
-from conformance.protocol.port import PortError
-from conformance.protocol.served import Server
+from conformance.protocol.job_folder import CASE, read_array, write_inputs
+from conformance.protocol.load_port import import_port, split_command
+from conformance.protocol.port import Case, PortError
+from conformance.protocol.program import Program
 from stss_ground.errors import InputError
 from stss_ground.optional import require
 from stss_ground.terminal import printable
@@ -124,61 +120,23 @@ class PyTorch:
         return {name: tensor.numpy() for name, tensor in zip(self._model.outputs, several, strict=True)}
 
 
-class Program:
-    """A program that is called with a job folder, once for each case, or serves (docs/ports.md).
-
-    ``JOB/0000/stage`` is ``model``; ``JOB/0000/in/NAME.npy`` are the inputs; it leaves outputs and any other tensors in
-    ``JOB/0000/out/NAME.npy``. In a file's name the characters of a tensor's name that are not letters, digits or ``_.-~`` are written
-    as ``%`` and two hexadecimal digits.
-    """
-
-    def __init__(self, command: str, timeout: float):
-        try:
-            self._command = shlex.split(command)
-        except ValueError as error:
-            raise InputError(f"--exec: {error}: {command!r}") from error
-        if not self._command:
-            raise InputError("--exec: expected a command, got nothing")
-        self.name, self._timeout = Path(self._command[0]).name, timeout
-        self._server: Server | None = None
-        self._serves = True
+class GraphProgram(Program):
+    """A program whose job is one case: ``stage`` is ``model``, and it leaves outputs and any other tensors in ``out``."""
 
     def run(self, inputs: Arrays) -> dict[str, AnyArray]:
         """See `GraphPort`."""
-        job = Path(tempfile.mkdtemp(prefix="stss-job-"))
-        try:
-            case = job / "0000"
-            (case / "in").mkdir(parents=True)
-            (case / "out").mkdir()
-            (case / "stage").write_text(f"{STAGE}\n", encoding="ascii")
-            for name, array in inputs.items():
-                write_array(case / "in" / f"{quote(name, safe='')}.npy", array)
-            self._start(job)
-            require_real(job)
-            return {unquote(path.stem): read_array(path) for path in sorted((case / "out").glob("*.npy"))}
-        except JobError as error:
-            raise PortError(f"{self.name}: {error}") from error
-        except OSError as error:
-            raise PortError(f"{self._command[0]}: {error.strerror or error}") from error
-        finally:
-            shutil.rmtree(job, ignore_errors=True)
+        case = Case(STAGE, inputs)
+        (found,) = self.compute([case], lambda job: write_model_case(job, case), lambda folder, _: _read_all(folder / "out"))
+        return found
 
-    def _start(self, job: Path) -> None:
-        if self._server is None and self._serves:
-            server = Server(self._command)
-            if server.is_ready(self._timeout):
-                self._server = server
-            else:
-                server.close()
-                self._serves = False
-        if self._server is not None:
-            self._server.run(job, self._timeout)
-            return
-        with (job / "stdout.txt").open("w+b") as out, (job / "stderr.txt").open("w+b") as err:
-            ending = run_alone([*self._command, str(job)], out, err, self._timeout)
-        if ending.status != 0:
-            said = "stopped after its time" if ending.status is None else describe(ending.status)
-            raise JobError(f"{said}: {ending.stderr[-200:]}")
+
+def write_model_case(job: Path, case: Case) -> None:
+    """Write the inputs of one call into a job's folder."""
+    write_inputs(job / CASE, case)
+
+
+def _read_all(folder: Path) -> dict[str, AnyArray]:
+    return {unquote(path.stem): read_array(path) for path in sorted(folder.glob("*.npy"))}
 
 
 ENGINES: dict[str, Callable[..., GraphPort]] = {"onnxruntime": OnnxRuntime, "openvino": OpenVino, "pytorch": PyTorch}
@@ -200,7 +158,7 @@ def load_graph_port(model: Model, spec: str | None, program: str | None, timeout
     if (spec is None) == (program is None):
         raise InputError("expected either --port or --exec PROGRAM")
     if program is not None:
-        return Program(program, timeout)
+        return GraphProgram(split_command(program), timeout)
     engine, _, option = (spec or "").partition(":")
     try:
         if engine in ENGINES:

@@ -4,12 +4,10 @@
 from __future__ import annotations
 
 import html
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 from rich import box
 from rich.console import Console
@@ -18,6 +16,10 @@ from rich.table import Table
 from conformance.graph.model import Model
 from conformance.graph.ports import GraphPort
 from conformance.graph.run import Outcome, Tensor
+from conformance.judging.findings import Record, TestResult
+from conformance.report.junit import write_junit
+from conformance.report.markup import failure_of, number_of, row_of, table_of
+from conformance.report.report import write_json
 from stss_ground.output.write_whole import write_named
 from stss_ground.pages.page import page
 from stss_ground.terminal import printable
@@ -27,6 +29,8 @@ FORMAT = 1
 SHOWN = 8
 """Most tensors of the printed table: those nearest to their bounds."""
 HEAD = ("tensor", "operator", "cases", "error / bound", "rms / bound")
+TENSORS, OUTPUTS = "tensors", "outputs"
+"""Tests of tensors, each from the port's own before it, and of the outputs, from the inputs."""
 
 
 def print_outcome(outcome: Outcome, console: Console) -> None:
@@ -35,10 +39,9 @@ def print_outcome(outcome: Outcome, console: Console) -> None:
     for name in HEAD:
         table.add_column(name, justify="left" if name in HEAD[:2] else "right", overflow="fold")
     nearest = sorted(outcome.tensors.items(), key=lambda each: -each[1].ratio)[:SHOWN]
-    for name, tensor in nearest:
-        table.add_row(printable(name), *_cells(tensor))
-    for name, tensor in outcome.ends.items():
-        table.add_row(f"output {printable(name)}, from the inputs", *_cells(tensor))
+    ends = {f"output {name}, from the inputs": tensor for name, tensor in outcome.ends.items()}
+    for name, tensor in (*nearest, *ends.items()):
+        table.add_row(printable(name), tensor.op, str(tensor.cases), number_of(tensor.ratio), number_of(tensor.rms))
     console.print(table)
     for line in lines_of(outcome):
         console.print(printable(line), soft_wrap=True, markup=False, highlight=False)
@@ -62,15 +65,37 @@ def lines_of(outcome: Outcome) -> list[str]:
     return [*more, *outcome.wrong]
 
 
-def _cells(tensor: Tensor) -> tuple[str, ...]:
-    return tensor.op, str(tensor.cases), _number(tensor.ratio), _number(tensor.rms)
+def write_files(
+    outcome: Outcome, model: Model, port: GraphPort, options: Mapping[str, Any], folder: Path | None,
+    json_file: Path | None, junit: Path | None, page_file: Path | None,
+) -> None:  # fmt: skip
+    """Write the files that are wanted.
+
+    Args:
+        outcome: what was found.
+        model: the network.
+        port: that was judged.
+        options: of the run.
+        folder: of the failure; None: there is none.
+        json_file, junit, page_file: paths; None: not wanted.
+
+    Raises:
+        InputError: a file cannot be written.
+    """
+    results = _results(outcome)
+    folders = {result.id: folder for result in results if folder is not None and result.outcome == "failed"}
+    if json_file is not None:
+        write_json(json_file, to_json(outcome, model, port, options, folder))
+    if junit is not None:
+        about = {"stss": VERSION, "model": printable(model.path.name), "port": printable(port.name), **options}
+        write_junit(junit, about, results, folders)
+    if page_file is not None:
+        _write_page(
+            page_file, f"{port.name} {'passes' if outcome.passes else 'departs'}: {model.path.name}", outcome, results, folder
+        )
 
 
-def _number(x: float) -> str:
-    return f"{x:.2g}" if math.isfinite(x) else "wrong"
-
-
-def to_json(outcome: Outcome, model: Model, port: GraphPort, options: Mapping[str, Any]) -> dict[str, Any]:
+def to_json(outcome: Outcome, model: Model, port: GraphPort, options: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:
     """All results as an object (conformance/report/schemas/graph-results.schema.json)."""
 
     def rows(tensors: Mapping[str, Tensor]) -> list[dict[str, Any]]:
@@ -86,43 +111,28 @@ def to_json(outcome: Outcome, model: Model, port: GraphPort, options: Mapping[st
     return {
         "format": FORMAT, "stss": VERSION, "model": model.path.name, "port": printable(port.name), **options,
         "passed": outcome.passes, "cases": outcome.cases, "tensors": rows(outcome.tensors), "outputs": rows(outcome.ends),
-        "unknown": [*outcome.unknown], "wrong": [*outcome.wrong],
+        "unknown": [*outcome.unknown], "wrong": [*outcome.wrong], "failure": None if folder is None else str(folder),
     }  # fmt: skip
 
 
-def write_json(path: Path, found: Mapping[str, Any]) -> None:
-    """Write `to_json`; InputError if the file cannot be written."""
-    write_named(path, json.dumps(found, indent=1) + "\n")
+def _results(outcome: Outcome) -> list[TestResult]:
+    """A test for each tensor and each output; one more where the port failed."""
+
+    def test(kind: str, name: str, tensor: Tensor) -> TestResult:
+        record = Record(tensor.cases, worst={f"{name}.error": tensor.ratio, f"{name}.rms": tensor.rms})
+        ended = ("passed", "") if tensor.ratio <= 1 else ("failed", f"error / bound {number_of(tensor.ratio)}")
+        return TestResult(printable(name), kind, tensor.op, *ended, record=record)
+
+    found = [test(TENSORS, *each) for each in outcome.tensors.items()]
+    found += [test(OUTPUTS, f"output {name}", tensor) for name, tensor in outcome.ends.items()]
+    if outcome.failure is not None and all(each.outcome == "passed" for each in found):
+        found.append(TestResult("run", "port", "it answers", "failed", outcome.wrong[0], record=Record(outcome.cases)))
+    return found
 
 
-def write_junit(path: Path, outcome: Outcome, port: GraphPort) -> None:
-    """Write JUnit XML, a test for each tensor; InputError if the file cannot be written."""
-    root = ElementTree.Element("testsuites", name=f"stss conform --onnx: {printable(port.name)}")
-    tests = {**outcome.tensors, **{f"output {name}": tensor for name, tensor in outcome.ends.items()}}
-    wrong = {name for name, tensor in tests.items() if not tensor.ratio <= 1}
-    if outcome.wrong and not wrong:
-        tests, wrong = {**tests, "run": Tensor("", math.inf)}, {"run"}
-    suite = ElementTree.SubElement(root, "testsuite", name="tensors", tests=str(len(tests)), failures=str(len(wrong)))
-    for name, tensor in tests.items():
-        case = ElementTree.SubElement(suite, "testcase", classname=tensor.op or "port", name=printable(name))
-        if name in wrong:
-            failure = ElementTree.SubElement(case, "failure", message=f"error / bound {_number(tensor.ratio)}")
-            failure.text = "\n".join(map(printable, outcome.wrong))
-    write_named(path, ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n")
-
-
-def write_page(path: Path, outcome: Outcome, model: Model, port: GraphPort) -> None:
-    """Write one HTML file; InputError if the file cannot be written."""
-    verdict = "passes" if outcome.passes else "departs"
-    rows = "".join(
-        "<tr>" + "".join(f"<td>{html.escape(printable(cell))}" for cell in (name, *_cells(tensor)))
-        for name, tensor in [*outcome.tensors.items(), *((f"output {n}", t) for n, t in outcome.ends.items())]
-    )
+def _write_page(path: Path, title: str, outcome: Outcome, results: list[TestResult], folder: Path | None) -> None:
     said = "".join(f"<p>{html.escape(printable(line))}</p>" for line in lines_of(outcome))
-    head = "".join(f'<th scope="col">{name}' for name in HEAD)
-    body = (
-        f"<h1>{html.escape(printable(port.name))} {verdict}: {html.escape(model.path.name)}</h1>{said}"
-        '<div class="scroll" tabindex="0" role="region" aria-label="Tensors">'
-        f"<table><thead><tr>{head}</thead><tbody>{rows}</tbody></table></div>"
-    )
-    write_named(path, page(f"{port.name}: {model.path.name}", body))
+    failed = next((failure_of(each, folder) for each in results if each.outcome == "failed"), "")
+    rows = "".join(map(row_of, results))
+    table = table_of("Tensors", ("tensor", "operator", "outcome"), ("cases", "error / bound"), rows, stack=True)
+    write_named(path, page(title, f"<h1>{html.escape(printable(title))}</h1>{said}{failed}{table}"))

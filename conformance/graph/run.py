@@ -4,14 +4,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from time import monotonic
 
 import hypothesis
 import hypothesis.errors
 import numpy as np
-from hypothesis import HealthCheck, Phase, settings
+from hypothesis import Phase, settings
 
-from conformance.graph.cases import GraphCase, cases, read_case
+from conformance.answers.expected import Expected
+from conformance.graph.cases import GraphCase, cases
 from conformance.graph.judgement import (
     Judgement,
     ShapeError,
@@ -23,14 +25,18 @@ from conformance.graph.judgement import (
     judge,
 )
 from conformance.graph.model import Model
-from conformance.graph.ports import GraphPort
+from conformance.graph.ports import STAGE, GraphPort
 from conformance.graph.rounding import AnyArray, Rounding
-from conformance.protocol.port import PortError
+from conformance.judging.findings import DepartureError, Failure, Finding
+from conformance.judging.search import EVERY_CHECK, SHRINK_SECONDS, EnoughError
+from conformance.protocol.port import Case, PortError
 from stss_ground.errors import InputError
 
 TIERS = {"quick": 8, "full": 40}
 """Tier -> most cases."""
-EVERY_CHECK: list[HealthCheck] = [*HealthCheck]  # pyright: ignore[reportAssignmentType]
+FORGETS = "the same case alone is right: the port keeps something from call to call"
+MOST_LINES = 12
+"""Most lines of a port's error that are shown."""
 
 
 @dataclass
@@ -66,7 +72,7 @@ class Outcome:
     Attributes:
         tensors: by name, in the model's order: each from the port's own tensors before it.
         ends: the model's outputs, from its inputs: what a user of the port gets.
-        wrong: lines on the smallest case that is wrong; empty: none is.
+        failure: the smallest case that is wrong; None: none is.
         unknown: a line for each node that was not judged.
         cases: that were judged.
         unsuited: drawn sizes that the model itself cannot take.
@@ -74,7 +80,7 @@ class Outcome:
 
     tensors: dict[str, Tensor] = field(default_factory=dict[str, Tensor])
     ends: dict[str, Tensor] = field(default_factory=dict[str, Tensor])
-    wrong: tuple[str, ...] = ()
+    failure: Failure | None = None
     unknown: tuple[str, ...] = ()
     cases: int = 0
     unsuited: int = 0
@@ -82,20 +88,17 @@ class Outcome:
     @property
     def passes(self) -> bool:
         """Whether something was judged and nothing departs."""
-        return self.cases > 0 and not self.wrong
+        return self.cases > 0 and self.failure is None
 
-
-class WrongError(Exception):
-    """A case is wrong; ``lines`` say how."""
-
-    def __init__(self, lines: Sequence[str]):
-        super().__init__(lines[0])
-        self.lines = tuple(lines)
+    @property
+    def wrong(self) -> tuple[str, ...]:
+        """Lines on the failure; empty: there is none."""
+        return () if self.failure is None else (self.failure.finding.message, *self.failure.finding.terms)
 
 
 def judge_port(
     model: Model, port: GraphPort, rounding: Rounding, *, tier: str = "quick", seed: int = 0,
-    fixed: Mapping[str, int] | None = None, files: Sequence[str] = (),
+    fixed: Mapping[str, int] | None = None, given: Sequence[dict[str, AnyArray]] = (),
 ) -> Outcome:  # fmt: skip
     """Judge a port.
 
@@ -106,55 +109,95 @@ def judge_port(
         tier: ``quick`` or ``full``: how many cases.
         seed: of the cases.
         fixed: sizes of open axes; the others are drawn.
-        files: ``NAME=FILE.npy`` for each input: one case, in place of drawn ones.
+        given: inputs, in place of drawn ones, up to the first that is wrong.
 
     Raises:
-        InputError: files do not fit, or the model takes none of the sizes that were drawn.
+        InputError: the model does not take given inputs, or none of the sizes that were drawn.
     """
     outcome = Outcome(unknown=model.unknown)
-    if files:
-        try:
-            _check(model, port, rounding, read_case(model, files), "the files", outcome)
-        except WrongError as error:
-            outcome.wrong = error.lines
-        except SizeError as error:
-            raise InputError(f"--input: {error}") from error
-        return outcome
-    suits: dict[tuple[tuple[str, int], ...], bool] = {}
-
-    @hypothesis.seed(seed)
-    @settings(
-        max_examples=TIERS[tier], phases=[Phase.generate, Phase.shrink], database=None, deadline=None,
-        report_multiple_bugs=False, suppress_health_check=EVERY_CHECK, print_blob=False,
-    )  # fmt: skip
-    @hypothesis.given(cases(model, fixed or {}))
-    def each(case: GraphCase) -> None:
-        key, inputs = tuple(case.sizes.items()), case.inputs(model)
-        if key not in suits:
-            suits[key] = not case.sizes or _suits(model, inputs, rounding)
-        if suits[key]:
-            try:
-                _check(model, port, rounding, inputs, str(case), outcome)
-            except WrongError as error:
-                outcome.wrong = error.lines
-                raise
-        else:
-            outcome.unsuited += 1
-            hypothesis.reject()
-
+    search = _Search(model, port, rounding, outcome)
     try:
-        each()
-    except WrongError:
+        if given:
+            for number, inputs in enumerate(given):
+                search.check(inputs, "as given", given[:number])
+            return outcome
+        _draw(search, TIERS[tier], seed, fixed or {})
+    except DepartureError:
         pass
-    except hypothesis.errors.Flaky:
-        outcome.wrong = (*outcome.wrong, "the same case alone is right: the port keeps something from call to call")
     except SizeError as error:
-        raise InputError(f"{model.path}: {error}") from error
-    except hypothesis.errors.Unsatisfiable:
-        pass
+        raise InputError(f"{'--input' if given else model.path}: {error}") from error
     if not outcome.cases:
         raise InputError(f"{model.path}: takes none of the drawn sizes; name them: --shape {_open_axis(model)}=N")
     return outcome
+
+
+def _draw(search: _Search, most: int, seed: int, fixed: Mapping[str, int]) -> None:
+    """Check drawn cases, and make one that fails smaller."""
+
+    @hypothesis.seed(seed)
+    @settings(
+        max_examples=most, phases=[Phase.generate, Phase.shrink], database=None, deadline=None,
+        report_multiple_bugs=False, suppress_health_check=EVERY_CHECK, print_blob=False,
+    )  # fmt: skip
+    @hypothesis.given(cases(search.model, fixed))
+    def each(case: GraphCase) -> None:
+        search.take(case)
+
+    try:
+        each()
+    except EnoughError:
+        pass
+    except hypothesis.errors.Flaky:
+        search.fails_behind_others()
+    except hypothesis.errors.Unsatisfiable:
+        pass
+
+
+class _Search:
+    """Checks drawn cases, and then smaller ones, until the time for that is over."""
+
+    def __init__(self, model: Model, port: GraphPort, rounding: Rounding, outcome: Outcome):
+        self.model, self._port, self._rounding, self._outcome = model, port, rounding, outcome
+        self._suits: dict[tuple[tuple[str, int], ...], bool] = {}
+        self._before: list[GraphCase] = []
+        self._failed_at = 0.0
+
+    def take(self, case: GraphCase) -> None:
+        """Check a drawn case; DepartureError if it is wrong."""
+        if self._failed_at:
+            if monotonic() - self._failed_at > SHRINK_SECONDS:
+                raise EnoughError
+            if restart := getattr(self._port, "restart", None):
+                restart()
+        key, inputs = tuple(case.sizes.items()), case.inputs(self.model)
+        if key not in self._suits:
+            self._suits[key] = not case.sizes or _suits(self.model, inputs, self._rounding)
+        if not self._suits[key]:
+            self._outcome.unsuited += 1
+            hypothesis.reject()
+        try:
+            self.check(inputs, str(case))
+        except DepartureError:
+            self._failed_at = self._failed_at or monotonic()
+            raise
+        if not self._failed_at:
+            self._before.append(case)
+
+    def fails_behind_others(self) -> None:
+        """Note that a case is wrong behind others, and right alone."""
+        assert self._outcome.failure is not None
+        failure = self._outcome.failure
+        finding = replace(failure.finding, terms=(*failure.finding.terms, FORGETS))
+        before = tuple(case.inputs(self.model) for case in self._before)
+        self._outcome.failure = Failure(finding, failure.drawn, before)
+
+    def check(self, inputs: dict[str, AnyArray], words: str, before: Sequence[dict[str, AnyArray]] = ()) -> None:
+        """Judge a case; DepartureError if it is wrong, with the failure in the outcome."""
+        try:
+            _check(self.model, self._port, self._rounding, inputs, words, self._outcome)
+        except DepartureError as error:
+            self._outcome.failure = Failure(error.finding, inputs, tuple(before))
+            raise
 
 
 def _open_axis(model: Model) -> str:
@@ -169,13 +212,14 @@ def _suits(model: Model, inputs: Mapping[str, AnyArray], rounding: Rounding) -> 
     return True
 
 
-def _check(model: Model, port: GraphPort, rounding: Rounding, inputs: dict[str, AnyArray], case: str, outcome: Outcome) -> None:
-    """Judge one case; WrongError if it is wrong."""
+def _check(model: Model, port: GraphPort, rounding: Rounding, inputs: dict[str, AnyArray], words: str, outcome: Outcome) -> None:
+    """Judge one case; DepartureError if it is wrong."""
     first = outcome.cases == 0
     outcome.cases += 1
     if first:
         outcome.unknown = (*outcome.unknown, *find_unsupported(model, inputs, rounding))
-    where = f"case: {case}"
+    case = Case(STAGE, inputs)
+    where = f"case: {words}"
     try:
         got = whole = port.run({name: array.copy() for name, array in inputs.items()})
         if missing := [name for name in model.outputs if name not in whole]:
@@ -184,14 +228,15 @@ def _check(model: Model, port: GraphPort, rounding: Rounding, inputs: dict[str, 
             got = layers({name: array.copy() for name, array in inputs.items()})
     except Exception as error:
         # A port is a stranger.
-        raise WrongError([f"{type(error).__name__}: {_line(error)}", where]) from error
+        said, *more = _lines_of(error)
+        raise DepartureError(Finding(said, case, "", None, None, (*more, where))) from error
     try:
         rows = judge(model, inputs, {name: got[name] for name in model.tensors if name in got}, rounding)
         ends = judge(model, inputs, {name: whole[name] for name in model.outputs}, rounding)
     except SizeError:
         raise
     except ShapeError as error:
-        raise WrongError([str(error), where]) from error
+        raise DepartureError(Finding(str(error), case, "", None, None, (where,))) from error
     departs = next((row for row in rows if not row.ratio <= 1 and not is_fused(model, inputs, got, row, rounding)), None)
     departs = departs or next((row for row in ends if not row.ratio <= 1), None)
     for number, row in enumerate(rows):
@@ -201,7 +246,9 @@ def _check(model: Model, port: GraphPort, rounding: Rounding, inputs: dict[str, 
     for row in ends:
         outcome.ends.setdefault(row.tensor, Tensor(row.node.op)).take(row)
     if departs:
-        raise WrongError([*_lines(departs, rows, ends, rounding), where])
+        said, *more = _lines(departs, rows, ends, rounding)
+        right = Expected(departs.right.x, departs.right.errors)
+        raise DepartureError(Finding(said, case, departs.tensor, departs.got, right, (*more, where)))
 
 
 def _lines(wrong: Judgement, rows: Sequence[Judgement], ends: Sequence[Judgement], rounding: Rounding) -> list[str]:
@@ -222,6 +269,7 @@ def _lines(wrong: Judgement, rows: Sequence[Judgement], ends: Sequence[Judgement
     return lines
 
 
-def _line(error: Exception) -> str:
-    lines = str(error).strip().splitlines()
-    return lines[0][:300] if lines else ""
+def _lines_of(error: Exception) -> list[str]:
+    """What is said of a port's error."""
+    said, *more = [line[:300] for line in str(error).strip().splitlines()[:MOST_LINES]] or [""]
+    return [f"{type(error).__name__}: {said}", *more]

@@ -61,7 +61,7 @@ class Drawn:
         phases = [Phase.generate, *([] if judge.is_program else [Phase.target]), *([Phase.shrink] if judge.shrink else [])]
         try:
             self._draw(judge, search.run, phases)
-        except _EnoughError:
+        except EnoughError:
             judge.record.failure = search.smallest or judge.failure()
             raise DepartureError(judge.failure().finding) from None
 
@@ -106,7 +106,7 @@ class Made:
         return self._made(judge) if callable(self._made) else self._made
 
 
-class _EnoughError(BaseException):
+class EnoughError(BaseException):
     """Ends a run of Hypothesis, which takes no notice of it."""
 
 
@@ -145,14 +145,14 @@ class _Search:
             for output, worst in self._judge.near.items():
                 hypothesis.target(worst, label=output)
         elif self._count == self._right + 1:  # it failed among others, and passes alone
-            raise _EnoughError
+            raise EnoughError
 
     def _look_at_the_time(self) -> None:
         if not self._failed_at or self.smallest is None:
             return
         seconds = monotonic() - self._failed_at
         if seconds > SHRINK_SECONDS:
-            raise _EnoughError
+            raise EnoughError
         if seconds > TELL_SECONDS and not self._told:
             self._told = True
             self._judge.tell(self.smallest.finding)

@@ -19,6 +19,8 @@ from conformance.protocol.port import AnyArray
 from stss_ref.constants import HOLE_FILLS, HOLE_TESTS
 from stss_ref.weights import SECOND_COLORS, Weights
 
+DRAWN = "property"
+"""Folder of a failure for its cases."""
 PROPERTY = "property.json"
 MOST_BYTES = 1 << 24
 """Largest size of the structure; hundreds of frames with their own weights, which fail together and were not made fewer, have 1.2 MB."""

@@ -15,6 +15,7 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from urllib.parse import quote
 
 import numpy as np
 import safetensors
@@ -29,6 +30,8 @@ from stss_ground.terminal import printable
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights, WeightsError, check
 
+CASE = "0000"
+"""Folder of a job's first case."""
 LAYERS = "layers"
 """Folder of a case for the outputs of layers inside its stage; the judge makes it to ask for them."""
 WEIGHTS = "weights.safetensors"
@@ -68,12 +71,9 @@ def write_job(job: Path, cases: Sequence[Case], first: int = 0, *, layers: bool 
     for number, case in enumerate(cases, first):
         folder = job / f"{number:04d}"
         check_inputs(case.stage, case.inputs, DTYPE)
-        (folder / "in").mkdir(parents=True)
-        (folder / "stage").write_text(f"{case.stage}\n", encoding="ascii")
+        write_inputs(folder, case)
         if layers:
             (folder / LAYERS).mkdir()
-        for name, array in case.inputs.items():
-            write_array(folder / "in" / f"{name}.npy", array)
         if not find(case.stage).weights:
             continue
         if case.weights is None:
@@ -84,6 +84,19 @@ def write_job(job: Path, cases: Sequence[Case], first: int = 0, *, layers: bool 
         else:
             path.write_bytes(serialise(case.weights))
             written[id(case.weights)] = path
+
+
+def write_inputs(folder: Path, case: Case) -> None:
+    """Write what a case is, and its arrays, into its folder. Names are those of any network, too: see `file_of`."""
+    (folder / "in").mkdir(parents=True)
+    (folder / "stage").write_text(f"{case.stage}\n", encoding="ascii")
+    for name, array in case.inputs.items():
+        write_array(folder / "in" / file_of(name), array)
+
+
+def file_of(name: str) -> str:
+    """The file of an array: all but letters, digits and ``_.-~`` of its name is written as ``%`` and two hexadecimal digits."""
+    return f"{quote(name, safe='')}.npy"
 
 
 def link(source: Path, path: Path) -> None:

@@ -50,7 +50,7 @@ def load_port(
         raise InputError("expected either --port package.module:factory or --exec PROGRAM")
     named = spec or program
     try:
-        port: Any = import_port(spec) if spec is not None else FolderPort(_command(program or ""), timeout, stages=stages)
+        port: Any = import_port(spec) if spec is not None else FolderPort(split_command(program or ""), timeout, stages=stages)
         lacking = [name for name in ("name", "dtype", "stages", "run") if not hasattr(port, name)]
         if lacking:
             raise InputError(f"{spec}: expected a port, got a {type(port).__name__} without {', '.join(lacking)}")
@@ -92,7 +92,8 @@ def import_port(spec: str) -> Any:
     return factory()
 
 
-def _command(program: str) -> list[str]:
+def split_command(program: str) -> list[str]:
+    """The words of ``--exec``; InputError if there are none."""
     try:
         words = shlex.split(program)
     except ValueError as error:

@@ -7,6 +7,7 @@ import os
 import shlex
 import shutil
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,14 @@ from numpy.typing import NDArray
 from conformance.answers.expected import Expected
 from conformance.judging.findings import Failure, Finding, Record
 from conformance.judging.judge import Body, Judge, agreement
-from conformance.protocol.drawn_case import read_drawn, write_drawn
+from conformance.protocol.drawn_case import DRAWN, read_drawn, write_drawn
 from conformance.protocol.job_folder import (
+    CASE,
     MOST_WEIGHTS_BYTES,
     WEIGHTS,
     JobError,
     case_folders,
+    file_of,
     read_bytes,
     read_inputs,
     read_stage,
@@ -36,19 +39,24 @@ from stss_ground.errors import InputError
 from stss_ground.output.folder import SUMS, move_aside, sums_below
 from stss_ground.output.write_whole import encoded, make_folder, tell_errors, write_whole
 
-CASE = "0000"
-DRAWN = "property"
-"""Folder with the values that the property drew."""
+Write = Callable[[Path, Case], None]
+"""Writes a case into a job's folder."""
 
 
-def keep_failure(folder: Path, name: str, failure: Failure, replay: str) -> Path:
+def write_stage(job: Path, case: Case) -> None:
+    """Write a case of a stage."""
+    write_job(job, [case])
+
+
+def keep_failure(folder: Path, name: str, failure: Failure, replay: str, write: Write = write_stage) -> Path:
     """Write a failure to ``folder/name``: a job of one case, with the right answer, a picture, and the command that runs it again.
 
     Args:
         folder: for failures; made if need be.
-        name: ``stage.test``; the folder of an earlier run is replaced, and anything else of this name moved aside.
+        name: ``stage.test``, or a network's file; the folder of an earlier run is replaced, and anything else of this name moved aside.
         failure: to write.
         replay: the command that runs it again, without the folder.
+        write: writes its case.
     """
     place = folder / name
     make_folder(folder)
@@ -56,7 +64,7 @@ def keep_failure(folder: Path, name: str, failure: Failure, replay: str) -> Path
         made = Path(tempfile.mkdtemp(prefix=".", dir=folder))
     try:
         with tell_errors(place):
-            _write_failure(made, failure.finding, f"{replay} --replay {shlex.quote(str(place))}")
+            _write_failure(made, failure.finding, f"{replay} --replay {shlex.quote(str(place))}", write)
             (made / DRAWN).mkdir()
             write_drawn(made / DRAWN, name, [*failure.before, failure.drawn])
             (made / SUMS).write_bytes(sums_below(made))
@@ -79,8 +87,8 @@ def _is_ours(place: Path) -> bool:
         return False
 
 
-def _write_failure(folder: Path, finding: Finding, again: str) -> None:
-    write_job(folder, [finding.case])
+def _write_failure(folder: Path, finding: Finding, again: str, write: Write) -> None:
+    write(folder, finding.case)
     parts = [finding.message, "\n".join(finding.terms)]
     if finding.expected is not None and finding.got is not None:
         _write_right(folder / CASE, finding.output, finding.got, finding.expected)
@@ -105,10 +113,10 @@ def _write_picture(path: Path, got: NDArray[Any], expected: Expected) -> str:
 def _write_right(case: Path, output: str, got: NDArray[Any], expected: Expected) -> None:
     for what in ("got", "expected", "allowed"):
         (case / what).mkdir()
-    np.save(case / "got" / f"{output}.npy", got)
+    np.save(case / "got" / file_of(output), got)
     for i, right in enumerate((expected.want, *expected.others)):
-        np.save(case / "expected" / f"{output}.{i}.npy", np.asarray(right, np.float64))
-    np.save(case / "allowed" / f"{output}.npy", np.broadcast_to(np.asarray(expected.allowed, np.float64), expected.want.shape))
+        np.save(case / "expected" / file_of(f"{output}.{i}"), np.asarray(right, np.float64))
+    np.save(case / "allowed" / file_of(output), np.broadcast_to(np.asarray(expected.allowed, np.float64), expected.want.shape))
 
 
 def replay(port: Port, folder: Path, abilities: Abilities | None = None) -> Record:

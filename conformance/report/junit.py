@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -15,24 +15,28 @@ from stss_ground.output.write_whole import write_named
 from stss_ground.terminal import printable
 
 
-def write_junit(path: Path, judge: Judge, results: Sequence[TestResult], folders: dict[str, Path]) -> None:
+def about_run(judge: Judge) -> dict[str, str | int]:
+    """The options of a run, which are properties of each suite."""
+    return {
+        **versions_of_cases(), "port": printable(judge.port.name), "dtype": judge.arithmetic.dtype, "tier": judge.tier.name,
+        "seed": judge.seed, "repeat": judge.repeat, "winograd": judge.arithmetic.winograd, "weights_version": judge.weights_version,
+        "largest_side": judge.largest_side or "any",
+    }  # fmt: skip
+
+
+def write_junit(path: Path, about: Mapping[str, str | int], results: Sequence[TestResult], folders: Mapping[str, Path]) -> None:
     """Write JUnit XML: a suite for each stage, tests by the ids that a list of known failures takes.
 
     Args:
         path: to write.
-        judge: judged the port; its options are properties of each suite.
+        about: properties of each suite, such as `about_run`; its ``port`` is a part of the name.
         results: of the tests so far.
         folders: of failures, by the id of the test: their texts, with the worst pixel and the command that runs them again, are the bodies.
 
     Raises:
         InputError: the file cannot be written.
     """
-    root = ElementTree.Element("testsuites", name=f"stss conform: {printable(judge.port.name)}")
-    about = {
-        **versions_of_cases(), "port": printable(judge.port.name), "dtype": judge.arithmetic.dtype, "tier": judge.tier.name,
-        "seed": judge.seed, "repeat": judge.repeat, "winograd": judge.arithmetic.winograd, "weights_version": judge.weights_version,
-        "largest_side": judge.largest_side or "any",
-    }  # fmt: skip
+    root = ElementTree.Element("testsuites", name=f"stss conform: {about['port']}")
     for stage, some in by_stage(results).items():
         counts = {
             "tests": len(some), "failures": _count(some, "failed"), "errors": _count(some, "error"),
@@ -52,7 +56,9 @@ def _count(results: Sequence[TestResult], outcome: str) -> int:
 
 
 def _add(suite: ElementTree.Element, result: TestResult, folder: Path | None) -> None:
-    case = ElementTree.SubElement(suite, "testcase", classname=result.stage, name=result.id, time=f"{result.seconds:.3f}")
+    case = ElementTree.SubElement(
+        suite, "testcase", classname=result.stage, name=printable(result.id), time=f"{result.seconds:.3f}"
+    )
     message = printable(result.message)
     if result.outcome in ("skipped", "known"):
         ElementTree.SubElement(case, "skipped", message=message)

@@ -41,13 +41,16 @@ def draw(got: NDArray[Any], expected: Expected) -> Picture | None:
     """Draw the port's answer, the right answer, and error / bound side by side; of a large frame, the part around its worst pixel.
 
     Args:
-        got: the port's answer.
+        got: the port's answer: (H, W), (H, W, C), or (N, C, H, W), of which that with the worst pixel is drawn.
         expected: the right answer and its bound.
 
     Returns:
         The picture; None if the output is no image, or has the wrong shape.
     """
     want = np.asarray(expected.want, np.float64)
+    if got.shape == want.shape and want.ndim == 4 and want.size:
+        number = int(np.unravel_index(int(expected.ratios(got).argmax()), want.shape)[0])
+        return draw(*_one_of_a_batch(got, expected, number))
     if got.shape != want.shape or want.ndim not in (2, 3) or not want.size:
         return None
     ratio = expected.ratios(got)
@@ -75,6 +78,12 @@ def draw(got: NDArray[Any], expected: Expected) -> Picture | None:
     if want.shape != expected.want.shape:
         words += f"; rows {rows.start} to {rows.stop - 1} and columns {columns.start} to {columns.stop - 1} of the frame"
     return Picture(np.pad(sheet, ((GAP, GAP), (0, 0), (0, 0)), constant_values=PAPER), words)
+
+
+def _one_of_a_batch(got: NDArray[Any], expected: Expected, number: int) -> tuple[NDArray[Any], Expected]:
+    allowed = np.broadcast_to(np.asarray(expected.allowed), got.shape)
+    one, want, most = (np.moveaxis(a[number], 0, -1) for a in (got, expected.want, allowed))
+    return one, Expected(want, most)
 
 
 def _window(length: int, worst: int) -> slice:

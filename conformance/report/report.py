@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import base64
 import html
 import json
 import math
@@ -20,6 +19,7 @@ from conformance.judging.findings import TestResult, tally
 from conformance.judging.judge import TIERS, Judge
 from conformance.protocol.stages import STAGES
 from conformance.protocol.weights_format import VERSIONS
+from conformance.report.markup import failure_of, number_of, row_of, table_of
 from conformance.report.versions import versions_of_cases
 from conformance.suite.run_suite import JUDGED, REQUIRED, SEQUENCE, SUITE
 from stss_ground.output.write_whole import write_named
@@ -51,7 +51,7 @@ def print_results(results: Sequence[TestResult], console: Console) -> None:
         bad = sum(r.outcome in ("failed", "error") for r in some)
         met = worst_of(some)
         worst = ", ".join(
-            [*(f"{name.split('.')[-1]} {_number(ratio)}" for name, ratio in met.items()),
+            [*(f"{name.split('.')[-1]} {number_of(ratio)}" for name, ratio in met.items()),
              *(f"{name} not judged" for name in _outputs(stage) if f"{OUTPUT_STAGE.get(stage, stage)}.{name}" not in met)]
         )  # fmt: skip
         counted = tally([r.record for r in some])
@@ -215,9 +215,9 @@ def write_page(path: Path, judge: Judge, results: Sequence[TestResult], folders:
     counted = tally([r.record for r in results])
     verdict = "passes" if passed(results) else "departs from the specification"
     verdict = "was not judged" if JUDGED in {r.id for r in results} else verdict
-    rows = "".join(_row(r) for r in results)
+    rows = "".join(row_of(r) for r in results)
     outputs = "".join(_stage_row(stage, some) for stage, some in by_stage([r for r in results if r.stage in SUITE]).items())
-    failures = "".join(_failure(r, folders.get(r.id)) for r in results if r.outcome in ("failed", "error"))
+    failures = "".join(failure_of(r, folders.get(r.id)) for r in results if r.outcome in ("failed", "error"))
     bad = [r.id for r in results if r.outcome in ("failed", "error")]
     links = ", ".join(f'<a href="#{html.escape(name)}"><code>{html.escape(name)}</code></a>' for name in bad)
     told = f"<p>{len(bad)} of {len(results)} tests failed: {links}</p>" if bad else ""
@@ -225,56 +225,17 @@ def write_page(path: Path, judge: Judge, results: Sequence[TestResult], folders:
 <p>{arithmetic}; tier {judge.tier.name}, seed {judge.seed}; {counted["cases"]} cases; {counted["undecided"]} numbers decided by rounding,
 {counted["unjudged"]} cases not judged for that; stss {VERSION}.</p>
 {told}
-{_table("Outputs", ("stage", "output"), ("largest error / bound",), outputs)}
+{table_of("Outputs", ("stage", "output"), ("largest error / bound",), outputs)}
 {failures}
-{_table("Tests", ("test", "what it asks", "outcome"), ("cases", "error / bound"), rows, stack=True)}"""
+{table_of("Tests", ("test", "what it asks", "outcome"), ("cases", "error / bound"), rows, stack=True)}"""
     write_named(path, page(f"{judge.port.name}: conformance", body))
-
-
-def _table(caption: str, words: Sequence[str], numbers: Sequence[str], rows: str, *, stack: bool = False) -> str:
-    """Markup of a table that scrolls by itself where the page is narrower; ``stack``: its rows become paragraphs there."""
-    head = "".join(
-        [*(f'<th scope="col">{name}</th>' for name in words), *(f'<th scope="col" class="n">{name}</th>' for name in numbers)]
-    )
-    kind = ' class="stack"' if stack else ""
-    return (
-        f'<div class="scroll" tabindex="0" role="region" aria-label="{caption}"><table{kind}><caption>{caption}</caption>'
-        f"<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>"
-    )
 
 
 def _stage_row(stage: str, some: Sequence[TestResult]) -> str:
     """A row for each output: its largest error / bound, or that it was not judged."""
     met = worst_of(some)
-    ratios = {name.split(".")[-1]: f'<td class="n">{_number(ratio)}' for name, ratio in met.items()}
+    ratios = {name.split(".")[-1]: f'<td class="n">{number_of(ratio)}' for name, ratio in met.items()}
     why = ": the port lacks the stage" if all(r.outcome == "skipped" for r in some) else ""
     lacking = f'<td class="n wrap">not judged{why}'
     named = dict.fromkeys([*_outputs(stage), *ratios])
     return "".join(f"<tr><td><code>{stage}</code><td>{html.escape(name)}{ratios.get(name, lacking)}</tr>" for name in named)
-
-
-def _row(r: TestResult) -> str:
-    worst = "<br>".join(f"{html.escape(name.split('.')[-1])} {_number(ratio)}" for name, ratio in r.record.worst.items())
-    cells = f'<td><code>{html.escape(r.id)}</code><td class="words">{html.escape(r.property)}<td class="{r.outcome}">{r.outcome}'
-    numbers = {"cases": r.record.cases or "", "error / bound": worst}
-    counted = "".join(f'<td class="n" data-label="{name}">{cell}</td>' for name, cell in numbers.items())
-    return f"<tr>{cells}</td>{counted}</tr>"
-
-
-def _failure(r: TestResult, folder: Path | None) -> str:
-    picture = folder / "picture.png" if folder else None
-    shown = ""
-    if picture is not None and picture.exists():
-        shown = (
-            f'<p><img alt="port, expected, error" src="data:image/png;base64,{base64.b64encode(picture.read_bytes()).decode()}">'
-        )
-    again = (
-        f"<pre>{html.escape((folder / 'README.txt').read_text(encoding='utf-8'))}</pre>"
-        if folder
-        else f"<p>{html.escape(r.message)}"
-    )
-    return f'<h2 class="failed" id="{html.escape(r.id)}"><code>{html.escape(r.id)}</code></h2>{again}{shown}'
-
-
-def _number(ratio: float) -> str:
-    return "wrong" if math.isinf(ratio) else f"{ratio:.2g}"

@@ -10,7 +10,7 @@ from pathlib import Path
 from conformance.judging.findings import Failure, Finding, TestResult
 from conformance.judging.judge import Judge
 from conformance.report.failures import keep_failure
-from conformance.report.junit import write_junit
+from conformance.report.junit import about_run, write_junit
 from conformance.report.report import judged_on, passed, print_results, to_json, write_json, write_page
 from stss_ground.errors import InputError
 from stss_ground.progress import Advance, show_progress
@@ -92,7 +92,7 @@ class RunningReport:
         if page is not None:
             write_page(page, self._judge, self.results, self.folders)
         if junit is not None:
-            write_junit(junit, self._judge, self.results, self.folders)
+            write_junit(junit, about_run(self._judge), self.results, self.folders)
         for line in judged_on(self._judge, self.results):
             echo(line)
         if not complete:

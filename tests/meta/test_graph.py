@@ -1,5 +1,6 @@
 """The judge of any network: operators against ONNX's own, mistakes that it must find, ports that it must pass."""
 
+import importlib
 import json
 import re
 import sys
@@ -19,8 +20,10 @@ from conformance.graph import report
 from conformance.graph.judgement import compare, compute, round_to
 from conformance.graph.model import load_model
 from conformance.graph.operators import Node
+from conformance.graph.ports import load_graph_port
 from conformance.graph.rounding import Rounding
 from conformance.graph.run import judge_port
+from conformance.protocol.drawn_case import read_drawn
 
 onnx = pytest.importorskip("onnx", reason="onnx is not installed: pip install onnx")
 helper, FLOAT = onnx.helper, onnx.TensorProto.FLOAT
@@ -397,6 +400,7 @@ def test_a_program_is_judged_by_its_job_folder(tmp_path):
     (tmp_path / "port.py").write_text(
         "import sys, pathlib, numpy as np\n"
         "case = pathlib.Path(sys.argv[1]) / '0000'\n"
+        "(case / 'out').mkdir()\n"
         "x = np.maximum(np.load(case / 'in' / 'in%2Fx.npy'), 0)\n"
         "np.save(case / 'out' / 'a%2Fb.npy', x)\n"
         "np.save(case / 'out' / 'y.npy', -x)\n"
@@ -405,6 +409,109 @@ def test_a_program_is_judged_by_its_job_folder(tmp_path):
     done = CliRunner().invoke(conform, ["--onnx", str(tmp_path / "m.onnx"), "--exec", command])
     assert done.exit_code == 0, done.output
     assert "2 tensors judged" in done.output
+
+
+ONE_NODE_PORT = """
+import numpy as np
+class Port:
+    name = "p"
+    def run(self, inputs):
+        return {"y/1": np.maximum(inputs["x"], 0) * np.float32(FACTOR)}
+class Keeps(Port):
+    def __init__(self):
+        self.calls = 0
+    def run(self, inputs):
+        self.calls += 1
+        made = super().run(inputs)
+        return {"y/1": made["y/1"] + (self.calls == 3)}
+"""
+
+
+@pytest.fixture
+def one_node(tmp_path, monkeypatch):
+    """A model of one node, and ports of it in a file."""
+    onnx.save(model_of([helper.make_node("Relu", ["x"], ["y/1"])], {"x": [1, 2, 4, 6]}, {"y/1": 4}), tmp_path / "m.onnx")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+    def invoke(factor, *words):
+        sys.modules.pop("one_node_port", None)
+        (tmp_path / "one_node_port.py").write_text(ONE_NODE_PORT.replace("FACTOR", str(factor)))
+        importlib.invalidate_caches()
+        return CliRunner().invoke(conform, ["--onnx", "m.onnx", "--port", "one_node_port:Port", *words])
+
+    return invoke
+
+
+def test_a_failure_is_kept_and_run_again(one_node, tmp_path):
+    """As of ports of STSS: the smallest case with the right answer, its picture, and the command that runs it again."""
+    done = one_node(1.001, "--json", "a.json", "--junit", "a.xml", "--report", "a.html")
+    again = "stss conform --onnx m.onnx --port one_node_port:Port --replay conform-failures/m.onnx"
+    assert (done.exit_code, again in done.output) == (1, True)
+    folder = tmp_path / "conform-failures" / "m.onnx"
+    assert again in (folder / "README.txt").read_text()
+    assert "first departs at y/1 (Relu)" in (folder / "README.txt").read_text()
+    got, right, allowed = (
+        np.load(folder / "0000" / part) for part in ("got/y%2F1.npy", "expected/y%2F1.0.npy", "allowed/y%2F1.npy")
+    )
+    x = np.load(folder / "0000" / "in" / "x.npy")
+    assert np.array_equal(right, np.maximum(x, 0))
+    assert np.array_equal(got, np.maximum(x, 0) * np.float32(1.001))
+    assert allowed.max() <= np.finfo(np.float32).tiny
+    assert (folder / "picture.png").read_bytes().startswith(b"\x89PNG")
+    assert json.loads((tmp_path / "a.json").read_text())["failure"] == "conform-failures/m.onnx"
+    assert again in (tmp_path / "a.xml").read_text()
+    assert "data:image/png" in (tmp_path / "a.html").read_text()
+
+    words = ["--replay", "conform-failures/m.onnx"]
+    wrong, right = one_node(1.001, *words), one_node(1, *words)
+    assert (wrong.exit_code, right.exit_code) == (1, 0)
+    assert "case: as given" in wrong.output
+    assert "1 cases, 1 tensors judged" in right.output
+
+
+def test_what_a_port_keeps_from_call_to_call_fails_again(one_node, tmp_path):
+    """It is right on the failing case alone, so those before it are kept, too."""
+    assert one_node(1).exit_code == 0
+    words = ["--onnx", "m.onnx", "--port", "one_node_port:Keeps"]
+    done = CliRunner().invoke(conform, words)
+    assert "keeps something from call to call" in done.output
+    assert len(read_drawn(tmp_path / "conform-failures" / "m.onnx" / "property")[1]) == 3
+    assert CliRunner().invoke(conform, [*words, "--replay", "conform-failures/m.onnx"]).exit_code == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--stages", "warp"], "--stages: not with --onnx"), (["--repeat", "2"], "--repeat: not with --onnx"),
+        (["--fail-fast"], "--fail-fast: not with --onnx"), (["--replay", "nowhere"], "expected the folder of one failure"),
+        (["--input", "x=nowhere.npy"], "missing"), (["--input", "z=a.npy", "--input", "x=a.npy"], "expected x, got z"),
+        (["--input", "x=a.npy"], "expected float32 (1, 2, 4, 6), found float32 (3,)"), (["--shape", "n=0"], "expected NAME=N"),
+    ],
+)  # fmt: skip
+def test_options_that_do_not_fit_are_one_line(one_node, tmp_path, words, said):
+    np.save(tmp_path / "a.npy", np.zeros(3, np.float32))
+    done = one_node(1, *words)
+    assert said in str(done.exception)
+    assert "\n" not in str(done.exception)
+
+
+def test_options_of_any_network_need_one():
+    assert "--shape: not without --onnx" in str(CliRunner().invoke(conform, ["--port", "a:b", "--shape", "n=3"]).exception)
+
+
+def test_a_program_that_changes_its_inputs_or_fails_is_said(tmp_path):
+    """What `Program` looks at for ports of STSS it looks at here."""
+    onnx.save(model_of([helper.make_node("Relu", ["x"], ["y"])], {"x": [3]}, {"y": 1}), tmp_path / "m.onnx")
+    model = load_model(tmp_path / "m.onnx")
+    for lines, said in (
+        ("import shutil; shutil.rmtree(case / 'in')", "a program leaves its inputs as they are"),
+        ("print('no device', file=sys.stderr); sys.exit(3)", "no device"),
+        ("import time; time.sleep(60)", "stopped after 2 s"),
+    ):
+        (tmp_path / "port.py").write_text(f"import sys, pathlib\ncase = pathlib.Path(sys.argv[1]) / '0000'\n{lines}\n")
+        port = load_graph_port(model, None, f"{sys.executable} {tmp_path / 'port.py'}", 2)
+        assert said in " ".join(judge_port(model, port, F32).wrong)
 
 
 def test_a_ports_source_is_not_replaced_by_a_report(tmp_path, monkeypatch):

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: MIT
+"""A program that computes jobs (spec 11): it is started for each, or serves. What it must not do is looked at here."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+from conformance.protocol.job_folder import JobError, require_real, require_unchanged, stamps_of_inputs
+from conformance.protocol.own_session import MOST_SAID, Ending, describe, run_alone
+from conformance.protocol.port import Case, PortError
+from conformance.protocol.served import Server
+
+T = TypeVar("T")
+MEMORY = Path("/dev/shm")
+ROOM, LEAST_ROOM = 4, 512 * 2**20
+"""Free memory that a job needs to lie in memory: as a multiple of its inputs, and at least this number of bytes."""
+
+
+class Program:
+    """A program, called with job folders.
+
+    A job folder is removed after success. After a failure it is kept, with ``stderr.txt`` and ``stdout.txt`` in it, and the error
+    names it.
+
+    Attributes:
+        name: the program's name, without its folder.
+        stderr: the end of the stderr of the program's last run.
+        kept: the job folder of its last run that failed, if any.
+    """
+
+    def __init__(self, command: Sequence[str], timeout: float):
+        """Make a port of a command.
+
+        Args:
+            command: program and arguments; the job folder is added as the last one.
+            timeout: seconds for one job, whatever the number of cases.
+        """
+        self.name = Path(command[0]).name
+        self.stderr = ""
+        self.kept: Path | None = None
+        self._command = list(command)
+        self._timeout = timeout
+        self._server: Server | None = None
+        self._serves = True
+        atexit.register(self.restart)
+
+    def restart(self) -> None:
+        """Forget what the program may remember: the next job is computed by a new process."""
+        if self._server is not None:
+            self._server.close()
+        self._server = None
+
+    def compute(self, cases: Sequence[Case], write: Callable[[Path], None], read: Callable[[Path, int], T]) -> list[T]:
+        """Let the program compute a job.
+
+        Args:
+            cases: of the job.
+            write: writes them into its folder.
+            read: reads what was left in the folder of a case of this number.
+
+        Raises:
+            PortError: the program is not there, fails, takes or says too much, changes its inputs, or ``read`` raises JobError.
+        """
+        job = Path(tempfile.mkdtemp(prefix="stss-job-", dir=place_for(cases)))
+        results: list[T] = []
+        ran = False
+        try:
+            write(job)
+            given = stamps_of_inputs(job, len(cases))
+            self._start(job)
+            ran = True
+            require_real(job)
+            require_unchanged(given, stamps_of_inputs(job, len(cases)))
+            for number in range(len(cases)):
+                results.append(read(job / f"{number:04d}", number))
+        except JobError as error:
+            # Of many starts that fail while a case is made smaller, only the last job is kept.
+            if self.kept is not None:
+                shutil.rmtree(self.kept, ignore_errors=True)
+            self.kept = job
+            at = len(results) if ran else _first_unanswered(job, len(cases))
+            raise PortError(f"{self.name}: {error}; its job is kept: {job}{self._said()}", at) from error
+        except BaseException:
+            shutil.rmtree(job, ignore_errors=True)
+            raise
+        shutil.rmtree(job, ignore_errors=True)
+        return results
+
+    def _start(self, job: Path) -> None:
+        """Let the program compute ``job``: one that serves goes on, any other is run to its end."""
+        try:
+            server = self._serving()
+        except OSError as error:
+            raise PortError(f"{self._command[0]}: cannot be started: {error.strerror or error}") from error
+        if server is not None:
+            try:
+                server.run(job, self._timeout)
+            except JobError:
+                self._server = None
+                raise
+            finally:
+                self.stderr = server.stderr
+            return
+        with (job / "stdout.txt").open("w+b") as out, (job / "stderr.txt").open("w+b") as err:
+            try:
+                ending = run_alone([*self._command, str(job)], out, err, self._timeout)
+            except OSError as error:
+                raise PortError(f"{self._command[0]}: cannot be started: {error.strerror or error}") from error
+            self.stderr = ending.stderr
+        if failed := _failed(ending, self._timeout):
+            raise JobError(failed)
+
+    def _serving(self) -> Server | None:
+        """The program, if it serves; asked once."""
+        if self._server is None and self._serves:
+            server = Server(self._command)
+            if server.is_ready(self._timeout):
+                self._server = server
+            else:
+                server.close()
+                self._serves = False
+        return self._server
+
+    def _said(self) -> str:
+        return f"\n{self.stderr}" if self.stderr else ""
+
+
+def place_for(cases: Sequence[Case]) -> Path | None:
+    """Where to make a job: in memory where the system has a folder there with room, and nobody asked for another place.
+
+    Thousands of small files take longer on a disk than their numbers to compute. None: the usual place, as ``TMPDIR`` says.
+    """
+    needed = ROOM * sum(array.nbytes for case in cases for array in case.inputs.values()) + LEAST_ROOM
+    usual = tempfile.gettempdir() == "/tmp"
+    try:
+        return MEMORY if usual and os.access(MEMORY, os.W_OK) and shutil.disk_usage(MEMORY).free > needed else None
+    except OSError:
+        return None
+
+
+def _first_unanswered(job: Path, count: int) -> int | None:
+    """Number of the first case of a job that a program has not begun to answer: as a rule that is where it failed."""
+    names = (f"{number:04d}" for number in range(count))
+    return next(
+        (n for n, name in enumerate(names) if not any((job / name / left).exists() for left in ("out", "unsupported"))), None
+    )
+
+
+def _failed(ending: Ending, timeout: float) -> str:
+    """The reason why none of the program's outputs counts; "" if there is none."""
+    if ending.status is None:
+        return f"stopped after {timeout:g} s" if not ending.talked else f"stopped: more than {MOST_SAID >> 20} MiB on its output"
+    return describe(ending.status) if ending.status != 0 else ""
