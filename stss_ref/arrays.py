@@ -7,6 +7,9 @@ float64, which is the truth.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
+from string import ascii_letters as LETTERS  # noqa: N812
+from string import digits as DIGITS  # noqa: N812
 from typing import Any, Protocol
 
 import numpy as np
@@ -22,6 +25,10 @@ Mask = NDArray[np.bool_]
 """(H, W) of bool; its name says what True means."""
 
 
+FLOATS = (np.dtype(np.float32), np.dtype(np.float64))
+"""What a stage computes in."""
+
+
 class Shaped(Protocol):
     """The two attributes that the checks of shape and dtype read, so that arrays of other libraries can be checked too."""
 
@@ -34,6 +41,53 @@ class Shaped(Protocol):
 
 class ArrayError(ValueError):
     """An array is not what a stage takes; the message names it, what was expected and what was found."""
+
+
+def require(
+    arrays: Mapping[str, tuple[Any, str]], *, non_finite: Collection[str] = (), masks: Collection[str] = ()
+) -> dict[str, int]:
+    """Check what a function is given: shapes, one dtype, finite numbers. The first array that is not so is named.
+
+    Args:
+        arrays: name -> the array, and its shape in the words of docstrings: ``H, W, 3``. A letter stands for one length of at least 1,
+            the same wherever it occurs, and ``8H`` for eight times that.
+        non_finite: names of those that may hold NaN and infinities: motion and position (decision 3).
+        masks: names of those that may be bool or uint8, too.
+
+    Returns:
+        The lengths, by letter.
+
+    Raises:
+        ArrayError: an array is not what the function takes.
+    """
+    lengths: dict[str, int] = {}
+    first: tuple[str, Any] | None = None
+    for name, (array, words) in arrays.items():
+        # "8H" -> (8, "H"), "3" -> (3, "")
+        axes = [(int(word.rstrip(LETTERS) or 1), word.lstrip(DIGITS)) for word in words.split(", ")]
+        require_shape(
+            name, array, tuple(n * lengths[letter] if letter in lengths else None if letter else n for n, letter in axes)
+        )
+        for (n, letter), length in zip(axes, array.shape, strict=True):
+            if letter:
+                lengths.setdefault(letter, length // n)
+        require_shape(name, array, tuple(n * lengths[letter] if letter else n for n, letter in axes))
+        if name in masks and array.dtype in (np.bool_, np.uint8):
+            continue
+        if array.dtype not in FLOATS:
+            raise ArrayError(f"{name}: expected dtype float32 or float64, got {array.dtype}")
+        first = first or (name, array.dtype)
+        if array.dtype != first[1]:
+            raise ArrayError(f"{name}: expected dtype {first[1]}, that of {first[0]}, got {array.dtype}")
+        if name not in non_finite:
+            require_finite(name, array)
+    return lengths
+
+
+def require_choice(name: str, value: object, choices: Collection[str]) -> None:
+    """Raise ArrayError unless ``value`` is one of the words."""
+    if not isinstance(value, str) or value not in choices:
+        raise ArrayError(f"{name}: expected {' or '.join(choices)}, got {value!r}")
 
 
 def require_shape(name: str, array: Shaped, shape: tuple[int | None, ...]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stss_ref.arrays import Image, require_shape
+from stss_ref.arrays import Image, require
 from stss_ref.conv import conv_chain, conv_named
 from stss_ref.resample import pixel_shuffle, upsample_centres, upsample_corners
 from stss_ref.weights import Tensors
@@ -32,13 +32,12 @@ def decoder(reshaded: Image, feature: Image, x1: Image, x2: Image, x3: Image, co
     Raises:
         ArrayError: shapes differ.
     """
-    height, width, _ = reshaded.shape
-    require_shape("reshaded", reshaded, (None, None, 64))
-    require_shape("feature", feature, (height, width, 32))
-    require_shape("x3", x3, (2 * height, 2 * width, 32))
-    require_shape("x2", x2, (4 * height, 4 * width, 24))
-    require_shape("x1", x1, (8 * height, 8 * width, 24))
-    require_shape("color", color, (8 * height, 8 * width, 6))
+    require(
+        {
+            "reshaded": (reshaded, "h, w, 64"), "feature": (feature, "h, w, 32"), "x1": (x1, "8h, 8w, 24"), "x2": (x2, "4h, 4w, 24"),
+            "x3": (x3, "2h, 2w, 32"), "color": (color, "8h, 8w, 6"),
+        }
+    )  # fmt: skip
 
     u = np.concatenate([reshaded, feature], axis=-1)
     for name, skip in (("up1", x3), ("up2", x2), ("up3", x1)):

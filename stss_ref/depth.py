@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
-from stss_ref.arrays import Plane, require_shape
+from stss_ref.arrays import Plane, require, require_choice
 
 DepthMode = Literal["clip", "scale"]
+DEPTH_MODES: tuple[DepthMode, ...] = get_args(DepthMode)
 
 BACKGROUND = 1e9
 """A depth of this or more means that nothing was hit (spec 0); so does one that is 0, negative or not finite."""
@@ -32,7 +33,8 @@ def normalise_depth(depth: Plane, mode: DepthMode) -> Plane:
     Raises:
         ArrayError: ``depth`` is not (H, W).
     """
-    require_shape("depth", depth, (None, None))
+    require({"depth": (depth, "H, W")}, non_finite=["depth"])
+    require_choice("mode", mode, DEPTH_MODES)
 
     hit = np.isfinite(depth) & (depth > 0) & (depth < BACKGROUND)
     farthest = depth[hit].max() if hit.any() else depth.dtype.type(1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stss_ref.arrays import Image, Plane, require_shape
+from stss_ref.arrays import Image, Plane, require
 from stss_ref.conv import gated, relu
 from stss_ref.rrm import concat_masked
 from stss_ref.weights import Tensors
@@ -30,9 +30,7 @@ def encoder(color: Image, gbuffer: Image, mask: Plane, weights: Tensors) -> tupl
     Raises:
         ArrayError: shapes differ.
     """
-    require_shape("color", color, (None, None, 6))
-    require_shape("gbuffer", gbuffer, (*color.shape[:2], 9))
-    require_shape("mask", mask, color.shape[:2])
+    require({"color": (color, "H, W, 6"), "gbuffer": (gbuffer, "H, W, 9"), "mask": (mask, "H, W")})
 
     x = np.concatenate([concat_masked(color, mask), gbuffer], axis=-1)
     x1 = gated_relu(gated_relu(x, weights, "conv1"), weights, "conv2")

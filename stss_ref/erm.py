@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stss_ref.arrays import Image, Plane, require_shape
+from stss_ref.arrays import Image, Plane, require
 from stss_ref.conv import conv_chain, surround_with_zeros
 from stss_ref.resample import downsample_8
 from stss_ref.weights import Tensors
@@ -39,10 +39,7 @@ def erm(x4: Image, gbuffer: Image, mask: Plane, weights: Tensors) -> Image:
     Raises:
         ArrayError: shapes differ.
     """
-    height, width, _ = x4.shape
-    require_shape("x4", x4, (None, None, 32))
-    require_shape("gbuffer", gbuffer, (8 * height, 8 * width, 9))
-    require_shape("mask", mask, (8 * height, 8 * width))
+    require({"x4": (x4, "h, w, 32"), "gbuffer": (gbuffer, "8h, 8w, 9"), "mask": (mask, "8h, 8w")})
 
     f, m = downsample_8(gbuffer), downsample_8(mask[..., None])
     light = conv_chain(np.concatenate([x4, f], axis=-1), weights, "latentEncoder", (1, 1, 1), last_relu=False)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stss_ref.arrays import Array, ArrayError, Image, Mask, Plane, require_dtype, require_finite, require_shape
+from stss_ref.arrays import Array, ArrayError, Image, Mask, Plane, require
 from stss_ref.constants import HoleFill, HoleTest
 from stss_ref.detail import detail
 from stss_ref.holes import holes
@@ -170,21 +170,18 @@ def stack_history(warped: Sequence[Image], valids: Sequence[Mask]) -> Array:
 
 
 def _check(inputs: FrameInputs) -> None:
-    require_shape("gbuffer", inputs.gbuffer, (None, None, 9))
-    height, width, _ = inputs.gbuffer.shape
-    require_shape("colors", inputs.colors, (3, height, width, 3))
-    require_shape("nov", inputs.nov, (height, width))
-    require_shape("stencils", inputs.stencils, (4, height, width))
-    require_shape("normals", inputs.normals, (4, height, width, 3))
-    require_shape("positions", inputs.positions, (4, height, width, 3))
+    require(
+        {
+            "gbuffer": (inputs.gbuffer, "H, W, 9"), "colors": (inputs.colors, "3, H, W, 3"), "motions": (inputs.motions, "k, H, W, 2"),
+            "nov": (inputs.nov, "H, W"), "stencils": (inputs.stencils, "4, H, W"), "normals": (inputs.normals, "4, H, W, 3"),
+            "positions": (inputs.positions, "4, H, W, 3"),
+        },
+        non_finite=["motions", "positions"],
+    )  # fmt: skip
     if len(inputs.steps) != 3 or list(inputs.steps) != sorted(inputs.steps) or inputs.steps[0] < 0:
         raise ArrayError(f"steps: expected three numbers >= 0, newest (smallest) first, got {tuple(inputs.steps)}")
-    if inputs.motions.ndim != 4 or inputs.motions.shape[1:] != (height, width, 2) or len(inputs.motions) < max(inputs.steps):
-        raise ArrayError(f"motions: expected (k, {height}, {width}, 2) with k >= {max(inputs.steps)}, got {inputs.motions.shape}")
-    dtype = inputs.colors.dtype
-    # Motion and position may be non-finite: such pixels are off screen, or holes.
-    for name in ("motions", "positions"):
-        require_dtype(name, getattr(inputs, name), dtype)
-    for name in ("colors", "gbuffer", "nov", "stencils", "normals"):
-        require_dtype(name, getattr(inputs, name), dtype)
-        require_finite(name, getattr(inputs, name))
+    if len(inputs.motions) < max(inputs.steps):
+        _, *size = inputs.motions.shape
+        raise ArrayError(
+            f"motions: expected (k, {', '.join(map(str, size))}) with k >= {max(inputs.steps)}, got {inputs.motions.shape}"
+        )

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stss_ref.arrays import Array, Image, require_shape
+from stss_ref.arrays import Array, Image, require
 from stss_ref.conv import conv_chain, gated
 from stss_ref.weights import Tensors
 
@@ -28,7 +28,7 @@ def history_embedding(history: Array, weights: Tensors) -> Image:
     Raises:
         ArrayError: ``history`` is not (3, H, W, 4).
     """
-    require_shape("history", history, (3, None, None, 4))
+    require({"history": (history, "3, H, W, 4")})
 
     embedded: list[Image] = []
     for x in history:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stss_ref.arrays import Array, Image, Mask, Plane, require_shape
-from stss_ref.constants import HoleLimits, HoleTest
+from stss_ref.arrays import Array, Image, Mask, Plane, require, require_choice
+from stss_ref.constants import HOLE_TESTS, HoleLimits, HoleTest
 from stss_ref.sample import Taps, between, bilinear, corners, follow, leads_inside, taps
 
 LEAST_LENGTH = 1e-5
@@ -58,13 +58,16 @@ def holes(
         ArrayError: shapes differ.
     """
     limits = HoleLimits() if limits is None else limits
-    height, width, _ = motion.shape
-    for name, plane in (("stencil_previous", stencil_previous), ("stencil", stencil), ("nov", nov), ("depth", depth)):
-        require_shape(name, plane, (height, width))
-    for name, image in (("normal_previous", normal_previous), ("normal", normal)):
-        require_shape(name, image, (height, width, 3))
-    for name, image in (("position_previous", position_previous), ("position", position)):
-        require_shape(name, image, (height, width, 3))
+    require(
+        {
+            "motion": (motion, "H, W, 2"), "stencil_previous": (stencil_previous, "H, W"), "stencil": (stencil, "H, W"),
+            "normal_previous": (normal_previous, "H, W, 3"), "normal": (normal, "H, W, 3"),
+            "position_previous": (position_previous, "H, W, 3"), "position": (position, "H, W, 3"),
+            "nov": (nov, "H, W"), "depth": (depth, "H, W"),
+        },
+        non_finite=["motion", "position_previous", "position"],
+    )  # fmt: skip
+    require_choice("test", test, HOLE_TESTS)
 
     place = follow(motion)
     at = taps(place)

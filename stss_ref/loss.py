@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stss_ref.arrays import Image, Plane, require_shape
+from stss_ref.arrays import Image, Plane, require
 from stss_ref.resample import upsample_centres
 
 
@@ -27,10 +27,7 @@ def loss(output: Image, truth: Image, mask: Plane, perceptual: float = 0.0) -> f
     Raises:
         ArrayError: shapes differ.
     """
-    require_shape("mask", mask, (None, None))
-    height, width = mask.shape
-    require_shape("output", output, (2 * height, 2 * width, 3))
-    require_shape("truth", truth, (2 * height, 2 * width, 3))
+    require({"mask": (mask, "H, W"), "output": (output, "2H, 2W, 3"), "truth": (truth, "2H, 2W, 3")})
 
     m = upsample_mask(mask)[..., None].astype(output.dtype)
     error = np.abs(output - truth)

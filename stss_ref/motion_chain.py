@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from stss_ref.arrays import Array, Image, Mask, Plane, require_shape
+from stss_ref.arrays import Array, Image, Mask, Plane, require, require_choice
 from stss_ref.sample import Index, Place, follow, lerp
 
 Gather = Literal["longest", "nearest", "bilinear"]
@@ -37,7 +37,8 @@ def motion_chain(motions: Image, gather: Gather = "longest") -> Image:
 
 def chain_steps(motions: Image, gather: Gather = "longest") -> Iterator[Image]:
     """``m_1``, ``m_2``, ..., ``m_k`` of ``motion_chain``, one after the other; arguments and errors as there."""
-    require_shape("motions", motions, (None, None, None, 2))
+    require({"motions": (motions, "k, H, W, 2")}, non_finite=["motions"])
+    require_choice("gather", gather, GATHERS)
 
     chained = motions[0]
     yield chained

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from stss_ref.arrays import Array, Image, Plane, require_dtype, require_finite, require_shape
+from stss_ref.arrays import Array, Image, Plane, require
 from stss_ref.decoder import decoder
 from stss_ref.encoder import encoder
 from stss_ref.erm import erm
@@ -30,14 +30,10 @@ def network(color: Image, gbuffer: Image, mask: Plane, history: Array, weights: 
     Raises:
         ArrayError: shapes or dtypes differ, or an input is not finite.
     """
-    require_shape("color", color, (None, None, 6))
+    require(
+        {"color": (color, "H, W, 6"), "gbuffer": (gbuffer, "H, W, 9"), "mask": (mask, "H, W"), "history": (history, "3, H, W, 4")}
+    )
     height, width, _ = color.shape
-    require_shape("gbuffer", gbuffer, (height, width, 9))
-    require_shape("mask", mask, (height, width))
-    require_shape("history", history, (3, height, width, 4))
-    for name, array in (("color", color), ("gbuffer", gbuffer), ("mask", mask), ("history", history)):
-        require_dtype(name, array, color.dtype)
-        require_finite(name, array)
 
     weights = astype(weights, color.dtype)
     color, gbuffer, mask, history = (

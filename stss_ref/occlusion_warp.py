@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from stss_ref.arrays import Array, Image, Mask, Plane, require_finite, require_shape
+from stss_ref.arrays import Array, Image, Mask, Plane, require
 from stss_ref.sample import Index, Place, bilinear, follow, taps
 
 FARTHEST = 10.0
@@ -34,13 +34,13 @@ def occlusion_warp(color: Image, warped: Image, motion: Image, depth: Plane, val
     Raises:
         ArrayError: shapes differ, or ``color`` or ``depth`` is not finite.
     """
-    height, width, channels = color.shape
-    require_finite("color", color)
-    require_shape("warped", warped, (height, width, channels))
-    require_shape("motion", motion, (height, width, 2))
-    require_shape("depth", depth, (height, width))
-    require_finite("depth", depth)
-    require_shape("valid", valid, (height, width))
+    require(
+        {
+            "color": (color, "H, W, C"), "warped": (warped, "H, W, C"), "motion": (motion, "H, W, 2"), "depth": (depth, "H, W"),
+            "valid": (valid, "H, W"),
+        },
+        non_finite=["motion"], masks=["valid"],
+    )  # fmt: skip
 
     occlusion_motion = look_up(splat(motion, depth), motion)
     instead = read_along(color, occlusion_motion)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stss_ref.arrays import Array, Image, Mask, Plane, require_finite, require_shape
+from stss_ref.arrays import Array, Image, Mask, Plane, require
 from stss_ref.holes import squared, squared_footprint
 from stss_ref.sample import Index, follow
 
@@ -60,16 +60,16 @@ def reshade(
     Raises:
         ArrayError: shapes differ, or an array that must be finite is not.
     """
-    height, width, _ = color.shape
-    for name, image in (("color", color), ("warped", warped), ("normal_previous", normal_previous), ("normal", normal),
-                        ("base_color", base_color)):  # fmt: skip
-        require_shape(name, image, (height, width, 3))
-        require_finite(name, image)
-    for name, image in (("position_previous", position_previous), ("position", position)):
-        require_shape(name, image, (height, width, 3))
-    for name, plane in (("stencil_previous", stencil_previous), ("stencil", stencil), ("valid", valid)):
-        require_shape(name, plane, (height, width))
-    require_shape("motion", motion, (height, width, 2))
+    require(
+        {
+            "color": (color, "H, W, 3"), "warped": (warped, "H, W, 3"), "motion": (motion, "H, W, 2"), "valid": (valid, "H, W"),
+            "stencil_previous": (stencil_previous, "H, W"), "stencil": (stencil, "H, W"),
+            "normal_previous": (normal_previous, "H, W, 3"), "normal": (normal, "H, W, 3"),
+            "position_previous": (position_previous, "H, W, 3"), "position": (position, "H, W, 3"),
+            "base_color": (base_color, "H, W, 3"),
+        },
+        non_finite=["motion", "position_previous", "position"], masks=["valid"],
+    )  # fmt: skip
 
     filled = np.maximum(warped, 0)
     y, x = np.nonzero(np.asarray(valid) == 0)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stss_ref.arrays import Array, ArrayError, Mask, require_shape
+from stss_ref.arrays import Array, ArrayError, Mask, require, require_shape
 
 
 def rrm(valid: Mask | Array, rectangle: tuple[int, int, int, int]) -> Mask | Array:
@@ -24,8 +24,9 @@ def rrm(valid: Mask | Array, rectangle: tuple[int, int, int, int]) -> Mask | Arr
     Raises:
         ArrayError: the rectangle does not lie within the frame.
     """
-    require_shape("valid", valid, (None, None))
+    require({"valid": (valid, "H, W")}, masks=["valid"])
     height, width = valid.shape
+    require_shape("rectangle", np.asarray(rectangle), (4,))
     y, x, h, w = (int(v) for v in rectangle)
     if not (0 <= y <= y + h <= height and 0 <= x <= x + w <= width):
         raise ArrayError(f"rectangle: expected to lie within {height} x {width}, got y={y}, x={x}, h={h}, w={w}")

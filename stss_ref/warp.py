@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from stss_ref.arrays import Image, Mask, require_finite, require_shape
+from stss_ref.arrays import Image, Mask, require
 from stss_ref.sample import bilinear, follow, leads_inside, taps
 
 
@@ -25,9 +25,7 @@ def warp(color: Image, motion: Image) -> tuple[Image, Mask]:
     Raises:
         ArrayError: shapes differ, or ``color`` is not finite.
     """
-    height, width, _ = color.shape
-    require_finite("color", color)
-    require_shape("motion", motion, (height, width, 2))
+    require({"color": (color, "H, W, C"), "motion": (motion, "H, W, 2")}, non_finite=["motion"])
 
     at = follow(motion)
     return bilinear(color, taps(at)), leads_inside(at)

@@ -465,6 +465,12 @@ def _shape(_r: Rounding, node: Node, x: AnyArray) -> Result:
     return Result(np.array(x.shape[node.get("start", 0) : node.get("end")], np.int64))
 
 
+@_operator("ConstantOfShape")
+def _filled(_r: Rounding, node: Node, shape: AnyArray) -> Result:
+    value = np.asarray(node.get("value", np.zeros(1)))
+    return Result(np.full(_whole(shape) or (), value.item(), np.float64 if value.dtype.kind == "f" else value.dtype))
+
+
 @_operator("Constant")
 def _constant(_r: Rounding, node: Node) -> Result:
     (value,) = node.attributes.values()

@@ -62,6 +62,7 @@ def lines_of(outcome: Outcome) -> list[str]:
             f"{len(fused)} tensors, such as {fused[0]}, are right together with nodes before them: the port computes these at once"
         )
     more += [f"not judged: {line}" for line in outcome.unknown]
+    more += [f"not judged: output {name}" for name in outcome.unjudged]
     return [*more, *outcome.wrong]
 
 

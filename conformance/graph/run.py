@@ -76,6 +76,7 @@ class Outcome:
         unknown: a line for each node that was not judged.
         cases: that were judged.
         unsuited: drawn sizes that the model itself cannot take.
+        unjudged: outputs that depend on what was not judged.
     """
 
     tensors: dict[str, Tensor] = field(default_factory=dict[str, Tensor])
@@ -84,6 +85,7 @@ class Outcome:
     unknown: tuple[str, ...] = ()
     cases: int = 0
     unsuited: int = 0
+    unjudged: tuple[str, ...] = ()
 
     @property
     def passes(self) -> bool:
@@ -237,6 +239,7 @@ def _check(model: Model, port: GraphPort, rounding: Rounding, inputs: dict[str, 
         raise
     except ShapeError as error:
         raise DepartureError(Finding(str(error), case, "", None, None, (where,))) from error
+    outcome.unjudged = tuple(name for name in model.outputs if name not in {row.tensor for row in ends})
     departs = next((row for row in rows if not row.ratio <= 1 and not is_fused(model, inputs, got, row, rounding)), None)
     departs = departs or next((row for row in ends if not row.ratio <= 1), None)
     for number, row in enumerate(rows):

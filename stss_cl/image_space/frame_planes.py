@@ -52,7 +52,10 @@ def check_steps(steps: Sequence[int]) -> tuple[int, int, int]:
     Raises:
         ArrayError: they are not three numbers in order.
     """
-    given = tuple(int(step) for step in steps)
+    try:
+        given = tuple(int(step) for step in steps)
+    except (TypeError, ValueError) as error:
+        raise ArrayError(f"steps: expected three numbers from 0 to {MOST_STEPS}, got {steps!r:.40}") from error
     if len(given) != 3 or list(given) != sorted(given) or not 0 <= given[0] <= given[2] <= MOST_STEPS:
         raise ArrayError(f"steps: expected three numbers from 0 to {MOST_STEPS}, newest (smallest) first, got {given}")
     return given

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 import pyopencl.array as cla
 
-from stss_ref.arrays import Array
+from stss_ref.arrays import Array, ArrayError, require_shape
 
 Given = Array | cla.Array
 """A NumPy array, or one on the device: ``pyopencl.array.Array(queue, shape, dtype, data=buffer)`` wraps an engine's buffer."""
@@ -39,3 +40,17 @@ class DisplayFrame(Protocol):
     def stencil(self) -> Given: ...  # noqa: D102
     @property
     def position(self) -> Given: ...  # noqa: D102
+
+
+PLANES = ("color", "motion", "gbuffer", "nov", "stencil", "position")
+
+
+def require_window(window: Sequence[DisplayFrame]) -> None:
+    """Raise ArrayError unless ``window`` is a sequence of display frames, one at least, whose ``nov`` has a size."""
+    if not isinstance(window, Sequence) or not window:  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise ArrayError(f"window: expected a sequence of display frames, got {window!r:.40}")
+    for number, frame in enumerate(window):
+        lacking = [name for name in PLANES if not hasattr(frame, name)]
+        if lacking:
+            raise ArrayError(f"window[{number}]: expected a display frame, got a {type(frame).__name__} without {', '.join(lacking)}")
+        require_shape(f"window[{number}].nov", frame.nov, (None, None))

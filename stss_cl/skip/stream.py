@@ -25,7 +25,7 @@ from stss_cl.network.strips import bytes_for
 from stss_cl.skip.arrival import Tiles
 from stss_cl.skip.begun import Begun, Call, one_ahead
 from stss_cl.skip.change_control import ChangeControl
-from stss_cl.skip.display_frame import DisplayFrame
+from stss_cl.skip.display_frame import DisplayFrame, require_window
 from stss_cl.skip.frame_cache import FrameCache, Last, Report
 from stss_cl.skip.uploaded_frames import UploadedFrame, UploadedFrames, sources
 from stss_ground.arguments import require_choice
@@ -102,6 +102,7 @@ class Stream:
         """
         if out is None:
             return self._begin(window, steps).finish()
+        require_window(window)
         height, width = window[-1].nov.shape
         require_shape("out", out, (2 * height, 2 * width, 3))
         if isinstance(out, cla.Array):
@@ -134,6 +135,7 @@ class Stream:
         self, window: Sequence[DisplayFrame], steps: Sequence[int], out: cla.Array | None = None, *, on_host: bool = False
     ) -> Begun:
         """Begin a frame, whose image comes to ``out`` if that is given, or lies where the frame's G-buffer does, unless ``on_host``."""
+        require_window(window)
         if out is None and not on_host and isinstance(window[-1].gbuffer, cla.Array):
             height, width = window[-1].nov.shape
             out = cla.empty(self.device.queue, (2 * height, 2 * width, 3), np.float32, allocator=self.device.pool)

@@ -6,6 +6,8 @@ import pickle
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ import pytest
 import stss
 from stss.frames.compute_options import ComputeOptions
 from stss_cl import Frame, Network, Stream
+from stss_cl.skip.display_frame import PLANES
 from stss_ground.errors import DeviceError, InputError
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights, WeightsError, random
@@ -33,6 +36,11 @@ def planes(**changes):
         name: getattr(buffers(), name) for name in buffers().__dataclass_fields__ if name not in ("number", "cut", "carried")
     }
     return found | changes
+
+
+@cache
+def stream():
+    return Stream(random(0))
 
 
 CALLS = {  # what is called with a value -> the kinds of `WRONG` that it takes
@@ -85,6 +93,13 @@ CALLS |= {
     f"{opened.__name__}({name})": (lambda v, opened=opened, name=name: opened(**{"weights": random(0), name: v}), taken)
     for opened in (Network, Frame, Stream)
     for name, taken in {"weights": (dict,), "precision": (), "device": (type(None),), "memory_limit": (int, type(None))}.items()
+}
+ONE_FRAME = SimpleNamespace(**dict.fromkeys(PLANES, np.zeros((8, 8), np.float32)))
+CALLS |= {
+    "Stream window": (lambda v: stream()(v, (0, 1, 2)), ()),
+    "Stream frame": (lambda v: stream()([v], (0, 0, 0)), ()),
+    "Stream steps": (lambda v: stream()([ONE_FRAME], v), ()),
+    "Stream nov": (lambda v: stream()([SimpleNamespace(**{**vars(ONE_FRAME), "nov": v})], (0, 0, 0)), (np.ndarray,)),
 }
 CALLS["Stream(skip)"] = (lambda v: Stream(random(0), skip=v), ())
 TAKEN = {"convert stencil": (int, float, bool)}

@@ -47,7 +47,8 @@ def agrees(op, *arrays, **attributes):
     node = helper.make_node(op, names, outputs, **attributes)
     want = reference.ReferenceEvaluator(model_of([node], {}, dict.fromkeys(outputs, 1), held)).run(None, {})
     wide = [None if a is None else a.astype(np.float64) if a.dtype.kind == "f" else a for a in arrays]
-    ours = Node(op, attributes, tuple(names), tuple(outputs), 18)
+    held = {k: onnx.numpy_helper.to_array(v) if isinstance(v, onnx.TensorProto) else v for k, v in attributes.items()}
+    ours = Node(op, held, tuple(names), tuple(outputs), 18)
     for name, right, got in zip(outputs, compute(ours, wide, F32), want, strict=True):
         assert compare(name, ours, wide, np.asarray(got), right).ratio <= 1, (op, attributes)
 
@@ -140,6 +141,7 @@ C = np.abs(R.standard_normal(4)).astype(np.float32) + 0.5
         ("Reshape", (X, ints(0, -1, 12)), {}), ("Squeeze", (X[:1], ints(0)), {}), ("Unsqueeze", (X, ints(1)), {}),
         ("Flatten", (X,), {"axis": 2}),
         ("Gather", (X, ints(3, 0)), {"axis": 1}), ("Expand", (X[:, :1], ints(1, 4, 1, 1)), {}), ("Shape", (X,), {}),
+        ("ConstantOfShape", (ints(2, 3),), {"value": onnx.numpy_helper.from_array(np.float32([0.5]))}), ("ConstantOfShape", (ints(4),), {}),
         ("Identity", (X,), {}),
         ("Cast", (X,), {"to": 10}), ("Cast", (X,), {"to": 7}),
     ],
@@ -354,6 +356,16 @@ def test_what_is_not_known_is_listed_and_the_part_before_it_judged(tmp_path):
     model = load_model(tmp_path / "m.onnx")
     assert model.unknown == ("node 1 (Det): operator Det",)
     assert model.tensors == ["y"]
+
+    class Port:
+        name = "p"
+
+        def run(self, inputs):
+            return {"y": inputs["x"] * (inputs["x"] > 0), "z": np.zeros((1, 1), np.float32)}
+
+    outcome = judge_port(model, Port(), F32)
+    assert (outcome.passes, outcome.unjudged) == (True, ("z",))
+    assert "not judged: output z" in report.lines_of(outcome)
 
 
 @pytest.mark.parametrize(
