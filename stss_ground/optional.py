@@ -26,7 +26,9 @@ def require(name: str, extra: str = "bench") -> Any:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
         package = name.partition(".")[0]
-        raise InputError(f"{package} is not installed: in a checkout of stss, pip install '.[{extra}]'") from error
+        raise InputError(
+            f"{package} is not installed: pip install {package}, or in a checkout pip install '.[{extra}]'"
+        ) from error
 
 
 def add_own_conformance() -> None:

@@ -126,7 +126,7 @@ def _results(outcome: Outcome) -> list[TestResult]:
 
     found = [test(TENSORS, *each) for each in outcome.tensors.items()]
     found += [test(OUTPUTS, f"output {name}", tensor) for name, tensor in outcome.ends.items()]
-    if outcome.failure is not None and all(each.outcome == "passed" for each in found):
+    if outcome.wrong and all(each.outcome == "passed" for each in found):
         found.append(TestResult("run", "port", "it answers", "failed", outcome.wrong[0], record=Record(outcome.cases)))
     return found
 

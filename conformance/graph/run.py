@@ -90,12 +90,14 @@ class Outcome:
     @property
     def passes(self) -> bool:
         """Whether something was judged and nothing departs."""
-        return self.cases > 0 and self.failure is None
+        return bool(self.tensors or self.ends) and self.failure is None
 
     @property
     def wrong(self) -> tuple[str, ...]:
-        """Lines on the failure; empty: there is none."""
-        return () if self.failure is None else (self.failure.finding.message, *self.failure.finding.terms)
+        """Lines on the failure, or that nothing was judged; empty: all is right."""
+        if self.failure is None:
+            return () if self.passes else ("nothing was judged",)
+        return (self.failure.finding.message, *self.failure.finding.terms)
 
 
 def judge_port(

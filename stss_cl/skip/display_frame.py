@@ -52,5 +52,7 @@ def require_window(window: Sequence[DisplayFrame]) -> None:
     for number, frame in enumerate(window):
         lacking = [name for name in PLANES if not hasattr(frame, name)]
         if lacking:
-            raise ArrayError(f"window[{number}]: expected a display frame, got a {type(frame).__name__} without {', '.join(lacking)}")
+            raise ArrayError(
+                f"window[{number}]: expected a display frame, got a {type(frame).__name__} without {', '.join(lacking)}"
+            )
         require_shape(f"window[{number}].nov", frame.nov, (None, None))

@@ -367,6 +367,14 @@ def test_what_is_not_known_is_listed_and_the_part_before_it_judged(tmp_path):
     assert (outcome.passes, outcome.unjudged) == (True, ("z",))
     assert "not judged: output z" in report.lines_of(outcome)
 
+    class Nothing(Port):
+        def run(self, inputs):
+            return {"z": np.zeros((1, 1), np.float32)}
+
+    onnx.save(model_of(nodes, {"x": [1, 1, 3, 3]}, {"z": 2}), tmp_path / "m.onnx")
+    outcome = judge_port(load_model(tmp_path / "m.onnx"), Nothing(), F32)
+    assert (outcome.passes, outcome.wrong) == (False, ("nothing was judged",))
+
 
 @pytest.mark.parametrize(
     ("words", "said"),

@@ -166,7 +166,7 @@ def test_the_weights_say_what_the_second_colour_is(data, size, seed):
         ("steps", (-1, 1, 5), "steps: expected three numbers >= 0, newest"),
         ("motions", np.zeros((4, 4, 4, 2)), r"motions: expected \(k, 4, 4, 2\) with k >= 5, got \(4, 4, 4, 2\)"),
         ("nov", np.full((4, 4), np.nan), "nov: 16 non-finite"),
-        ("positions", np.zeros((4, 4, 4, 3), np.float32), "positions: expected dtype float64, got float32"),
+        ("positions", np.zeros((4, 4, 4, 3), np.float32), "positions: expected dtype float64, that of gbuffer, got float32"),
     ],
 )
 def test_frame_errors_name_the_array(name, value, message):
