@@ -87,7 +87,8 @@ def require(
 def require_choice(name: str, value: object, choices: Collection[str]) -> None:
     """Raise ArrayError unless ``value`` is one of the words."""
     if not isinstance(value, str) or value not in choices:
-        raise ArrayError(f"{name}: expected {' or '.join(choices)}, got {value!r}")
+        found = repr(value) if isinstance(value, str) else type(value).__name__
+        raise ArrayError(f"{name}: expected {' or '.join(choices)}, got {found}")
 
 
 def require_shape(name: str, array: Shaped, shape: tuple[int | None, ...]) -> None:

@@ -55,7 +55,7 @@ def check_steps(steps: Sequence[int]) -> tuple[int, int, int]:
     try:
         given = tuple(int(step) for step in steps)
     except (TypeError, ValueError) as error:
-        raise ArrayError(f"steps: expected three numbers from 0 to {MOST_STEPS}, got {steps!r:.40}") from error
+        raise ArrayError(f"steps: expected three numbers from 0 to {MOST_STEPS}, got {type(steps).__name__}") from error
     if len(given) != 3 or list(given) != sorted(given) or not 0 <= given[0] <= given[2] <= MOST_STEPS:
         raise ArrayError(f"steps: expected three numbers from 0 to {MOST_STEPS}, newest (smallest) first, got {given}")
     return given
