@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT
-// Stage erm, the attention on GPUs: `normalise` and `attend` of erm.cl in one kernel, reference stss_ref/erm.py. A work-group computes a tile of 4 x 4
-// pixels: it loads the keys of the tile and around it into local memory, divides them by their lengths, computes 25 weights for each pixel, then the sums.
+// Stage erm, the attention on GPUs: `normalise` and `attend` of erm.cl in one kernel, reference stss_ref/erm.py. A
+// work-group computes a tile of 4 x 4 pixels: it loads the keys of the tile and around it into local memory, divides
+// them by their lengths, computes 25 weights for each pixel, then the sums.
 //
 //  buffer    dir  shape                     content
 //  key       in   padded, (KEYS)            KEncoder's result, not yet normalised
@@ -9,7 +10,8 @@
 //  reshaded  out  padded, (out_channels)    channels 0 .. VALUES - 1 of it
 //
 // `height`, `width`: at 1/8 size.  `tiles`, `count`: the tiles of 4 x 4 pixels that are computed, see tile_list.clh.
-// Build -D KEYS=32 -D VALUES=64 (multiples of 8), optionally -D STORED -D MARK (change_map.clh).  Work-group (2 VALUES); launch any number of groups.
+// Build -D KEYS=32 -D VALUES=64 (multiples of 8), optionally -D STORED -D MARK (change_map.clh).  Work-group (2
+// VALUES); launch any number of groups.
 #if !defined(KEYS) || !defined(VALUES)
 #error "attend_local.cl needs -D KEYS, VALUES"
 #endif
@@ -19,30 +21,31 @@
 #define KEYS8 (KEYS / 8)
 #define VALUES8 (VALUES / 8)
 #define WINDOW 5
-#define TAPS (WINDOW * WINDOW)
-#define SIDE (4 + WINDOW - 1)  // side of a tile with all that its windows reach
+#define WINDOW_TAPS (WINDOW * WINDOW)
+#define READ_SIDE (4 + WINDOW - 1)  // side of a tile with all that its windows reach
 #define PITCH (KEYS + 1)       // neighbours then lie in different banks
 #define ITEMS (16 * VALUES8)
 
-// Pixel of the buffers for place `i` of a tile and its surroundings; for a place beyond the frame, the frame's nearest pixel.
-static inline int place_of(const int y, const int x, const int height, const int width, const int columns)
+// Pixel of the buffers for place `i` of a tile and its surroundings; for a place beyond the frame, the frame's nearest
+// pixel.
+static inline int clamped_place(const int y, const int x, const int height, const int width, const int columns)
 {
     return (least(most(y, 0), height - 1) + 1) * columns + least(most(x, 0), width - 1) + 1;
 }
 
-kernel __attribute__((reqd_work_group_size(ITEMS, 1, 1)))
-void attend_local(global const stored *restrict key, global const stored *restrict value, global const stored *restrict eighth,
-                  global stored *restrict reshaded, const int height, const int width, const int columns, const int out_channels,
-                  global const uint *restrict tiles, global const int *restrict count, global uchar *restrict changes)
+kernel __attribute__((reqd_work_group_size(ITEMS, 1, 1))) void attend_local(
+    global const stored *restrict key, global const stored *restrict value, global const stored *restrict eighth,
+    global stored *restrict reshaded, const int height, const int width, const int columns, const int out_channels,
+    global const uint *restrict tiles, global const int *restrict count, global uchar *restrict changes)
 {
-    local float keys[SIDE * SIDE * PITCH], masks[SIDE * SIDE], weights[16 * TAPS];
+    local float keys[READ_SIDE * READ_SIDE * PITCH], masks[READ_SIDE * READ_SIDE], weights[16 * WINDOW_TAPS];
     const int item = get_local_id(0);
     for (int t = get_group_id(0); t < count[0]; t += get_num_groups(0)) {
         const int top = 4 * TILE_ROW(tiles[t]), left = 4 * TILE_COLUMN(tiles[t]);
         barrier(CLK_LOCAL_MEM_FENCE);
-        for (int i = item; i < SIDE * SIDE; i += ITEMS) {
-            const int y = top + i / SIDE - WINDOW / 2, x = left + i % SIDE - WINDOW / 2;
-            const int place = place_of(y, x, height, width, columns);
+        for (int i = item; i < READ_SIDE * READ_SIDE; i += ITEMS) {
+            const int y = top + i / READ_SIDE - WINDOW / 2, x = left + i % READ_SIDE - WINDOW / 2;
+            const int place = clamped_place(y, x, height, width, columns);
             float8 k[KEYS8], squares = 0.0f;
 #pragma unroll
             for (int c = 0; c < KEYS8; ++c) {
@@ -56,10 +59,11 @@ void attend_local(global const stored *restrict key, global const stored *restri
         }
         barrier(CLK_LOCAL_MEM_FENCE);
         // w = relu(m(p + d) K(p + d) . K(p)): the mask is applied here to the keys, and beyond the frame it is 0.
-        for (int i = item; i < 16 * TAPS; i += ITEMS) {
-            const int pixel = i / TAPS, tap = i % TAPS;
-            const int there = (pixel / 4 + tap / WINDOW) * SIDE + pixel % 4 + tap % WINDOW;
-            local const float *a = keys + there * PITCH, *b = keys + ((pixel / 4 + WINDOW / 2) * SIDE + pixel % 4 + WINDOW / 2) * PITCH;
+        for (int i = item; i < 16 * WINDOW_TAPS; i += ITEMS) {
+            const int pixel = i / WINDOW_TAPS, tap = i % WINDOW_TAPS;
+            const int there = (pixel / 4 + tap / WINDOW) * READ_SIDE + pixel % 4 + tap % WINDOW;
+            local const float *a = keys + there * PITCH,
+                              *b = keys + ((pixel / 4 + WINDOW / 2) * READ_SIDE + pixel % 4 + WINDOW / 2) * PITCH;
             float sum = 0.0f;
 #pragma unroll 8
             for (int c = 0; c < KEYS; ++c) sum += a[c] * b[c];
@@ -67,17 +71,18 @@ void attend_local(global const stored *restrict key, global const stored *restri
             weights[i] = weight > 0.0f ? weight : 0.0f;
         }
         barrier(CLK_LOCAL_MEM_FENCE);
-        // sum_d w(d) m V(p + d) / max(sum_d w(d), 1e-6): eight channels of a pixel, and here the mask is applied to the values.
+        // sum_d w(d) m V(p + d) / max(sum_d w(d), 1e-6): eight channels of a pixel, and here the mask is applied to the
+        // values.
         const int pixel = item / VALUES8, c = item % VALUES8, y = top + pixel / 4, x = left + pixel % 4;
         if (y < height && x < width) {
             BEGIN_PIXEL;
             float8 total = 0.0f;
             float together = 0.0f;
-            for (int tap = 0; tap < TAPS; ++tap) {
-                const float weight = weights[pixel * TAPS + tap];
+            for (int tap = 0; tap < WINDOW_TAPS; ++tap) {
+                const float weight = weights[pixel * WINDOW_TAPS + tap];
                 if (!(weight > 0.0f)) continue;
                 const int v = tap / WINDOW - WINDOW / 2, u = tap % WINDOW - WINDOW / 2;
-                const float mask = masks[(pixel / 4 + tap / WINDOW) * SIDE + pixel % 4 + tap % WINDOW];
+                const float mask = masks[(pixel / 4 + tap / WINDOW) * READ_SIDE + pixel % 4 + tap % WINDOW];
                 total += LOAD8(value, ((y + v + 1) * columns + x + u + 1) * VALUES8 + c) * (weight * mask);
                 together += weight;
             }

@@ -1,12 +1,15 @@
 // SPDX-License-Identifier: MIT
-// arrive.cl for processors, with the same buffers: a work-item has SPAN tiles of a row of tiles. It looks at one array after the other, since a
-// processor prefetches only few streams at a time, and at TOGETHER tiles at once, since mostly nothing changed there.
+// arrive.cl for processors, with the same buffers: a work-item has SPAN tiles of a row of tiles. It looks at one array
+// after the other, since a processor prefetches only few streams at a time, and at TOGETHER tiles at once, since mostly
+// nothing changed there.
 //
-// Build -D SPAN=tiles of a work-item, optionally -D PREFETCH (of values AHEAD).  Launch (ceil(ceil(W / 4) / SPAN), ceil(H / 4)).
+// Build -D SPAN=tiles of a work-item, optionally -D PREFETCH (of values AHEAD).  Launch (ceil(ceil(W / 4) / SPAN),
+// ceil(H / 4)).
 #ifndef SPAN
 #error "changed_tiles.cl needs -D SPAN=tiles of a work-item"
 #endif
 #include "common.clh"
+#include "arrive.clh"
 
 #define TOGETHER 16
 #define AHEAD 512
@@ -49,10 +52,10 @@ ALWAYS bool any16(const uint16 v)
     return (two.x | two.y) != 0;
 }
 
-// Four rows of values from row y on, `floats` to a pixel, under the tiles first .. last. Marks the tiles in which one differs from `before`; with
-// `moves` those in which one is not 0; -0 counts as 0. Returns whether one is not finite.
-ALWAYS bool look(global const uint *now, global const uint *before, const int floats, const int y, const int first, const int last,
-                 const int height, const int width, const int compares, const bool moves, uchar *marks)
+// Four rows of values from row y on, `floats` to a pixel, under the tiles first .. last. Marks the tiles in which one
+// differs from `before`; with `moves` those in which one is not 0; -0 counts as 0. Returns whether one is not finite.
+ALWAYS bool look(global const uint *now, global const uint *before, const int floats, const int y, const int first,
+                 const int last, const int height, const int width, const int compares, const bool moves, uchar *marks)
 {
     uint16 infinite = 0;
     for (int row = y; row < least(y + 4, height); ++row)
@@ -71,23 +74,27 @@ ALWAYS bool look(global const uint *now, global const uint *before, const int fl
     return any16(infinite);
 }
 
-kernel void arrive(global const uint *restrict motion, global const uint *restrict gbuffer, global const uint *restrict nov,
-                   global const uint *restrict stencil, global const uint *restrict position, global const uint *restrict color,
+kernel void arrive(global const uint *restrict motion, global const uint *restrict gbuffer,
+                   global const uint *restrict nov, global const uint *restrict stencil,
+                   global const uint *restrict position, global const uint *restrict color,
                    global const uint *gbuffer_before, global const uint *nov_before, global const uint *stencil_before,
                    global const uint *position_before, global const uint *color_before, global int *restrict bad,
-                   global uchar *restrict changed, global uchar *restrict recolored, const int height, const int width,
-                   const int has_color, const int compares, const int recolors)
+                   global uchar *restrict differs, const Arrival arrival)
 {
-    const int columns = (width + 3) / 4, first = get_global_id(0) * SPAN, last = least(first + SPAN, columns), y = 4 * get_global_id(1);
+    const int height = arrival.height, width = arrival.width;
+    const int columns = (width + 3) / 4, first = get_global_id(0) * SPAN, last = least(first + SPAN, columns),
+              y = 4 * get_global_id(1);
     uchar marks[SPAN], colored[SPAN];
     for (int t = 0; t < last - first; ++t) marks[t] = colored[t] = 0;
-    if (compares) look(motion, motion, 2, y, first, last, height, width, true, true, marks);
-    if (look(gbuffer, gbuffer_before, 9, y, first, last, height, width, compares, false, marks)) bad[1] = 1;
-    if (compares) look(position, position_before, 3, y, first, last, height, width, true, false, marks);
-    if (look(nov, nov_before, 1, y, first, last, height, width, compares, false, marks)) bad[2] = 1;
-    if (look(stencil, stencil_before, 1, y, first, last, height, width, compares, false, marks)) bad[3] = 1;
-    if (has_color && look(color, color_before, 3, y, first, last, height, width, recolors, false, colored)) bad[0] = 1;
-    global uchar *to = changed + get_global_id(1) * columns, *colors_to = recolored + get_global_id(1) * columns;
-    for (int t = first; compares && t < last; ++t) to[t] = marks[t - first];
-    for (int t = first; compares && t < last; ++t) colors_to[t] = colored[t - first];
+    if (arrival.compares) look(motion, motion, 2, y, first, last, height, width, true, true, marks);
+    if (look(gbuffer, gbuffer_before, 9, y, first, last, height, width, arrival.compares, false, marks)) bad[1] = 1;
+    if (arrival.compares) look(position, position_before, 3, y, first, last, height, width, true, false, marks);
+    if (look(nov, nov_before, 1, y, first, last, height, width, arrival.compares, false, marks)) bad[2] = 1;
+    if (look(stencil, stencil_before, 1, y, first, last, height, width, arrival.compares, false, marks)) bad[3] = 1;
+    if (arrival.has_color &&
+        look(color, color_before, 3, y, first, last, height, width, arrival.recolors, false, colored))
+        bad[0] = 1;
+    global uchar *to = differs + get_global_id(1) * columns;
+    for (int t = first; arrival.compares && t < last; ++t)
+        to[t] = marks[t - first] * CHANGED | colored[t - first] * RECOLORED;
 }

@@ -1,37 +1,41 @@
 // SPDX-License-Identifier: MIT
-// Building block conv on a processor's matrix units, reference stss_ref/conv.py::conv and ::gated: 3 x 3, stride 1 or 2, activations and weights in
-// bfloat16, sums in float. Buffers and arguments as in conv.cl, but
+// Building block conv on a processor's matrix units, reference stss_ref/conv.py::conv and ::gated: 3 x 3, stride 1 or
+// 2, activations and weights in bfloat16, sums in float. Buffers and arguments as in conv.cl, but
 //
-//  weight  in  (STEPS(A) + STEPS(B) for each row of taps, PARTS, 16, 16, 2) of bfloat16: tiles of 32 inputs x 16 outputs; output OUT is the gate
-//  bias    in  (16 PARTS)  of the outputs and of the gate
+//  weight  in  (STEPS_OF(A) + STEPS_OF(B) for each row of taps, SIXTEENS, 16, 16, 2) of bfloat16: tiles of 32 inputs x
+//              16 outputs; output OUT is the gate
+//  bias    in  (16 SIXTEENS)  of the outputs and of the gate
 //
-// Three taps of a row are 3 C values side by side, so 16 pixels x 32 of these values are one tile, whose rows are STRIDE pixels apart. What a row's
-// last step reads beyond them meets weights of 0. An output's sum depends on its own inputs alone, so tiles may be left out.
-// Build -D STORED=BFLOAT16 -D A -D B -D OUT (multiples of 8; A may be 4) -D STRIDE, optionally -D EMULATE (amx.clh) -D GATED -D RELU -D MARK (change_map.clh).
-// -D IMAGE, where OUT is 24: what would be stored goes through outc and becomes the image; color and what follows as in winograd_image.cl, but
-// outc_weight (2, 16, 16, 2) are tiles like `weight`: bfloat16, and what that rounds off.
+// Three taps of a row are 3 C values side by side, so 16 pixels x 32 of these values are one tile, whose rows are
+// STRIDE pixels apart. What a row's last step reads beyond them meets weights of 0. An output's sum depends on its own
+// inputs alone, so tiles may be left out.
+// Build -D STORED=BFLOAT16 -D A -D B -D OUT (multiples of 8; A may be 4) -D STRIDE, optionally -D EMULATE (amx.clh) -D
+// GATED -D RELU -D MARK (change_map.clh).
+// -D IMAGE, where OUT is 24: what would be stored goes through outc and becomes the image; color and what follows as in
+// winograd_image.cl, but outc_weight (2, 16, 16, 2) are tiles like `weight`: bfloat16, and what that rounds off.
 // Launch (any number of work-items), work-groups of 1, over tiles of 32 x 4 pixels (tile_list.clh).
 #if !defined(A) || !defined(B) || !defined(OUT) || !defined(STRIDE)
 #error "conv_amx.cl needs -D A, B, OUT, STRIDE"
 #endif
 #include "common.clh"
 #include "tile_list.clh"
+#include "layer.clh"
 #include "amx.clh"
 #ifdef IMAGE
 #include "decoder.clh"
 #endif
 
 #ifdef GATED
-#define PARTS (OUT / 16 + 1)
+#define SIXTEENS (OUT / 16 + 1)
 #else
-#define PARTS ((OUT + 15) / 16)
+#define SIXTEENS ((OUT + 15) / 16)
 #endif
-#define STEPS(channels) ((3 * (channels) + 31) / 32)
+#define STEPS_OF(channels) ((3 * (channels) + 31) / 32)
 #define ACROSS 32
 #define TILE_VALUES 512  // bfloat16 of a tile of weights
 
-// Values of a step. The row of a tile that lies in two cache lines takes as long to load as four others: with 24 channels rows of 24 values, a tap
-// each, do so less often than rows of 32, and take no more steps.
+// Values of a step. The row of a tile that lies in two cache lines takes as long to load as four others: with 24
+// channels rows of 24 values, a tap each, do so less often than rows of 32, and take no more steps.
 #define IN_STEP(channels) ((channels) == 24 ? 24 : 32)
 #define LEAST_STEP ((A == 24 && (B == 24 || B == 0)) ? 24 : 32)
 
@@ -39,24 +43,27 @@
 #error "conv_amx.cl needs -D STORED=BFLOAT16"
 #endif
 
-// Brings the part-th of 12 parts of a tile's input into the cache: half a row of pixels, or at stride 2 one of its nine rows.
-static inline void fetch(global const stored *from, const int channels, const int line, const int part)
+// Brings the part-th of 12 parts of a tile's input into the cache: half a row of pixels, or at stride 2 one of its nine
+// rows.
+static inline void prefetch_rows(global const stored *from, const int channels, const int line, const int part)
 {
 #ifndef EMULATE
     from += STRIDE == 1 ? part / 2 * line + part % 2 * (ACROSS / 2) * channels : least(part, 8) * line;
 #pragma unroll
-    for (int i = 0; i < (STRIDE == 1 ? ACROSS / 2 : 2 * ACROSS) * channels; i += 32) __builtin_prefetch((const void *)(size_t)(from + i), 0, 2);
+    for (int i = 0; i < (STRIDE == 1 ? ACROSS / 2 : 2 * ACROSS) * channels; i += 32)
+        __builtin_prefetch((const void *)(size_t)(from + i), 0, 2);
 #endif
 }
 
-// Of 2 x 16 pixels, the products of one input with one or two parts of the outputs are added to tiles 0 .. 3; meanwhile parts of the next tile's
-// input are fetched, and some pixels of the row before are finished. Defined as a macro since tiles have numbers, no addresses.
-#define PRODUCTS(from, channels, line, weights, two, next, slot)                                             \
+// Of 2 x 16 pixels, the products of one input with one or two parts of the outputs are added to tiles 0 .. 3; meanwhile
+// parts of the next tile's input are fetched, and some pixels of the row before are finished. Defined as a macro since
+// tiles have numbers, no addresses.
+#define ADD_PRODUCTS(from, channels, line, weights, two, next, slot)                                         \
     for (int tap = 0; tap < 3; ++tap) {                                                                      \
-        if (n == 0) fetch(next, channels, line, 3 * row + tap);                                              \
-        for (int step = 0; step < STEPS(channels); ++step) {                                                 \
+        if (n == 0) prefetch_rows(next, channels, line, 3 * row + tap);                                      \
+        for (int step = 0; step < STEPS_OF(channels); ++step) {                                              \
             global const stored *pixels = (from) + tap * (line) + IN_STEP(channels) * step;                  \
-            global const stored *w = (weights) + (tap * STEPS(channels) + step) * PARTS * TILE_VALUES;       \
+            global const stored *w = (weights) + (tap * STEPS_OF(channels) + step) * SIXTEENS * TILE_VALUES; \
             TILE_LOAD(4, pixels, 2 * STRIDE * (channels));                                                   \
             TILE_LOAD(5, pixels + 16 * STRIDE * (channels), 2 * STRIDE * (channels));                        \
             TILE_LOAD(6, w, 64);                                                                             \
@@ -87,14 +94,16 @@ static inline ushort16 rounded(const float16 value)
 static inline void features_of(const float *sums, uint16 *features)
 {
     for (int p = 0; p < ACROSS; ++p) {
-        const ushort16 first = rounded(*(const float16 *)(sums + p * 16)), second = rounded(*(const float16 *)(sums + (ACROSS + p) * 16));
+        const ushort16 first = rounded(*(const float16 *)(sums + p * 16)),
+                       second = rounded(*(const float16 *)(sums + (ACROSS + p) * 16));
         features[p] = (uint16)(as_uint8(first), as_uint8(second));
     }
 }
 
 // Writes two rows of the image for `pixels` pixels from (y, x) on: the upsampled frame and what outc adds to it.
-static inline void finish_image(const float *residuals, const int y, const int x, const int pixels, const int width, global const float4 *color,
-                                global float *image, const int rows, const int columns, const int top)
+static inline void finish_image(const float *residuals, const int y, const int x, const int pixels, const int width,
+                                global const float4 *color, global float *image, const int rows, const int columns,
+                                const int top)
 {
     float between[8 * (ACROSS + 2)] __attribute__((aligned(64))), lines[2][6 * ACROSS + 2] __attribute__((aligned(64)));
     columns_between_rows(color, y, x, rows, columns, ACROSS, between);
@@ -109,7 +118,7 @@ static inline void finish_image(const float *residuals, const int y, const int x
 }
 #define FINISH(slot)
 #else
-#define SLOTS ((PARTS + 1) / 2 * (B ? 6 : 3))   // rows of taps of all products for a row of outputs
+#define SLOTS ((SIXTEENS + 1) / 2 * (B ? 6 : 3))  // rows of taps of all products for a row of outputs
 #define IN_SLOT ((ACROSS + SLOTS - 1) / SLOTS)  // pixels that are finished meanwhile
 
 // A row of outputs whose sums are complete: by part, pixel and output.
@@ -119,8 +128,8 @@ typedef struct {
 } Row;
 
 // Gate, ReLU, rounding: stores some pixels of a row, those of the slot; `open` is filled by slot 0.
-static inline void finish(const Row row, const int slot, float *open, global stored *out, const int out_columns, const int out_channels,
-                          global uchar *changes)
+static inline void finish(const Row row, const int slot, float *open, global stored *out, const int out_columns,
+                          const int out_channels, global uchar *changes)
 {
 #ifdef GATED
     if (slot == 0 && row.pixels) {
@@ -147,52 +156,52 @@ static inline void finish(const Row row, const int slot, float *open, global sto
         END_PIXEL(row.y * (out_columns - 2) + row.x + p);
     }
 }
-#define FINISH(slot) finish(wait, slot, open, out + out_first, out_columns, out_channels, changes)
+#define FINISH(slot) finish(wait, slot, open, out + layer.out_first, layer.out_columns, layer.out_channels, changes)
 #endif
 
-kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void conv_amx(global const stored *restrict a, global const stored *restrict b, global const stored *restrict weight,
-              global const stored *restrict gate_weight, global const float *restrict bias, const float gate_bias,
+kernel __attribute__((reqd_work_group_size(1, 1, 1))) void conv_amx(
+    global const stored *restrict a, global const stored *restrict b, global const stored *restrict weight,
+    global const stored *restrict gate_weight, global const float *restrict bias, const float gate_bias,
+    const Layer layer, global const uint *restrict tiles, global const int *restrict count,
 #ifdef IMAGE
-              const int a_first, const int height, const int width, const int in_columns, global const float4 *restrict color,
-              global const stored *restrict outc_weight, global const float *restrict outc_bias, global float *restrict image, const int rows,
-              const int columns, const int first_row, const int top, global const uint *restrict tiles, global const int *restrict count)
+    global const float4 *restrict color, global const stored *restrict outc_weight,
+    global const float *restrict outc_bias, global float *restrict image, const Image shown)
 #else
-              global stored *restrict out, const int a_first, const int height, const int width, const int in_columns, const int out_columns,
-              const int out_channels, const int out_first, global const uint *restrict tiles, global const int *restrict count,
-              global uchar *restrict changes)
+    global stored *restrict out, global uchar *restrict changes)
 #endif
 {
     TILES_BEGIN(LEAST_STEP);
 #ifdef IMAGE
-    float made[PARTS * ACROSS * 16] __attribute__((aligned(64)));
+    float made[SIXTEENS * ACROSS * 16] __attribute__((aligned(64)));
 #else
-    float sums[2][PARTS * ACROSS * 16] __attribute__((aligned(64))), open[ACROSS] __attribute__((aligned(32)));
+    float sums[2][SIXTEENS * ACROSS * 16] __attribute__((aligned(64))), open[ACROSS] __attribute__((aligned(32)));
     Row wait = {sums[0], 0, 0, 0};
 #endif
-    a += a_first;
+    a += layer.a_first;
     const int2 part = part_of_list(count[0], 1);
     for (int t = part.x; t < part.y; ++t) {
         const uint ahead = tiles[least(t + 1, part.y - 1)];
-        const int next = STRIDE * (4 * TILE_ROW(ahead) * in_columns + ACROSS * TILE_COLUMN(ahead));
+        const int next = STRIDE * (4 * TILE_ROW(ahead) * layer.in_columns + ACROSS * TILE_COLUMN(ahead));
         const int x = ACROSS * TILE_COLUMN(tiles[t]);
         for (int row = 0; row < 4; ++row) {
-            const int y = 4 * TILE_ROW(tiles[t]) + row, corner = STRIDE * (y * in_columns + x);
-            if (y >= height) break;
+            const int y = 4 * TILE_ROW(tiles[t]) + row, corner = STRIDE * (y * layer.in_columns + x);
+            if (y >= layer.height) break;
 #ifndef IMAGE
             float *made = wait.sums == sums[0] ? sums[1] : sums[0];
 #endif
-            for (int n = 0; n < PARTS; n += 2) {
-                const bool two = n + 1 < PARTS;
+            for (int n = 0; n < SIXTEENS; n += 2) {
+                const bool two = n + 1 < SIXTEENS;
                 TILE_LOAD(0, bias + 16 * n, 0);
                 TILE_LOAD(1, bias + 16 * n, 0);
                 if (two) {
                     TILE_LOAD(2, bias + 16 * n + 16, 0);
                     TILE_LOAD(3, bias + 16 * n + 16, 0);
                 }
-                PRODUCTS(a + corner * A, A, in_columns * A, weight + n * TILE_VALUES, two, a + next * A, n / 2 * (B ? 6 : 3))
+                ADD_PRODUCTS(a + corner * A, A, layer.in_columns * A, weight + n * TILE_VALUES, two, a + next * A,
+                             n / 2 * (B ? 6 : 3))
 #if B
-                PRODUCTS(b + corner * B, B, in_columns * B, weight + (3 * STEPS(A) * PARTS + n) * TILE_VALUES, two, b + next * B, n / 2 * 6 + 3)
+                ADD_PRODUCTS(b + corner * B, B, layer.in_columns * B,
+                             weight + (3 * STEPS_OF(A) * SIXTEENS + n) * TILE_VALUES, two, b + next * B, n / 2 * 6 + 3)
 #endif
                 float *to = made + n * ACROSS * 16;
                 TILE_STORE(0, to);
@@ -203,7 +212,7 @@ void conv_amx(global const stored *restrict a, global const stored *restrict b, 
                 }
             }
 #ifdef IMAGE
-            if (y < first_row) continue;
+            if (y < shown.first_row) continue;
             uint16 features[ACROSS] __attribute__((aligned(64)));
             features_of(made, features);
             TILE_LOAD(0, outc_bias, 0);
@@ -218,9 +227,10 @@ void conv_amx(global const stored *restrict a, global const stored *restrict b, 
             TILE_MULTIPLY(1, 5, 7);
             TILE_STORE(0, made);
             TILE_STORE(1, made + 256);
-            finish_image(made, y, x, least(width - x, ACROSS), width, color, image, rows, columns, top);
+            finish_image(made, y, x, least(layer.width - x, ACROSS), layer.width, color, image, shown.rows,
+                         shown.columns, shown.top);
 #else
-            wait = (Row){made, y, x, least(width - x, ACROSS)};
+            wait = (Row){made, y, x, least(layer.width - x, ACROSS)};
 #endif
         }
     }

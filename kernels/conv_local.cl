@@ -1,18 +1,22 @@
 // SPDX-License-Identifier: MIT
-// Building block conv for GPUs, reference stss_ref/conv.py::conv and ::gated: 3 x 3, stride 1 or 2. A work-group brings a tile of the input
-// and its weights into local memory; a work-item holds eight outputs of 4 x ROWS pixels in registers. Buffers and weights as in conv.cl.
+// Building block conv for GPUs, reference stss_ref/conv.py::conv and ::gated: 3 x 3, stride 1 or 2. A work-group brings
+// a tile of the input and its weights into local memory; a work-item holds eight outputs of 4 x ROWS pixels in
+// registers. Buffers and weights as in conv.cl.
 //
-// Build -D A -D B -D OUT (multiples of 8; A may be 4 where not GATED) -D STRIDE -D ROWS (1 or 2: pixels of a work-item, one above the other),
-// optionally -D GATED -D RELU -D STORED -D MARK (change_map.clh).  Work-group (8, 4, OUT / 8): 32 x 4 ROWS pixels, a tile of the list (tile_list.clh); launch (8 tiles, 4, OUT / 8).
-// -D IMAGES: several one behind the other, a list's rows likewise, `tile_rows` of each. From one to the next lie a_next and out_next values, map_next of `changes`.
+// Build -D A -D B -D OUT (multiples of 8; A may be 4 where not GATED) -D STRIDE -D ROWS (1 or 2: pixels of a work-item,
+// one above the other), optionally -D GATED -D RELU -D STORED -D MARK (change_map.clh).  Work-group (8, 4, OUT / 8): 32
+// x 4 ROWS pixels, a tile of the list (tile_list.clh); launch (8 tiles, 4, OUT / 8).
+// -D IMAGES: several one behind the other, and the list's rows likewise (layer.clh).
 //
-// 32 neighbouring work-items form 8 x 4 and compute the same eight outputs: their weights are a broadcast, and their inputs are 128
-// bytes in a row. The tile takes CHUNK channels at a time, one plane each; at stride 2 even columns lie before odd ones.
+// 32 neighbouring work-items form 8 x 4 and compute the same eight outputs: their weights are a broadcast, and their
+// inputs are 128 bytes in a row. The tile takes CHUNK channels at a time, one plane each; at stride 2 even columns lie
+// before odd ones.
 #if !defined(A) || !defined(B) || !defined(OUT) || !defined(STRIDE) || !defined(ROWS)
 #error "conv_local.cl needs -D A, B, OUT, STRIDE, ROWS"
 #endif
 #include "common.clh"
 #include "tile_list.clh"
+#include "layer.clh"
 
 #define IN (A + B)
 #define SLICES (OUT / 8)
@@ -21,22 +25,24 @@
 #define CHUNK (STRIDE == 2 || A == 4 ? 4 : 8)
 #define READ_WIDE (STRIDE * (WIDE - 1) + 3)
 #define READ_TALL (STRIDE * (TALL - 1) + 3)
-#define PITCH (36 * STRIDE)                          // floats of a row of the tile: whole float4s
+#define PITCH (36 * STRIDE)  // floats of a row of the tile: whole float4s
 #define PLANE ((PITCH * READ_TALL + 7) / 8 * 8 + 4)  // planes 4 apart then lie in other banks than those beside them
+#define QUADS (CHUNK * OUT / 4)  // fours of weights of a tap
 #define ITEMS (32 * SLICES)
-#define TILE (CHUNK * PLANE)
+#define TILE_FLOATS (CHUNK * PLANE)
 #define PIXELS (4 * ROWS)
-#define TAPS(r) (STRIDE * (r) + 3)
+#define READ_FOR(r) (STRIDE * (r) + 3)
 
-// A work-item holds all lines of the input that its pixels read; or those of a row of taps, where rows of pixels share little and all take many registers.
+// A work-item holds all lines of the input that its pixels read; or those of a row of taps, where rows of pixels share
+// little and all take many registers.
 #if STRIDE == 2 && ROWS == 2
-#define AT_ONCE 3
+#define TAPS_AT_ONCE 3
 #define LINES ROWS
 #define LINE(r) (STRIDE * (r))
 #define INPUT(tap, i) in[(i) / 4][STRIDE * ((i) % 4) + (tap)]
 #else
-#define AT_ONCE 9
-#define LINES TAPS(ROWS - 1)
+#define TAPS_AT_ONCE 9
+#define LINES READ_FOR(ROWS - 1)
 #define LINE(r) (r)
 #define INPUT(tap, i) in[STRIDE * ((i) / 4) + (tap) / 3][STRIDE * ((i) % 4) + (tap) % 3]
 #endif
@@ -53,15 +59,16 @@
 #define READ4(buffer, i) LOAD4(buffer, i)
 #endif
 
-// Loads channels `first` .. first + CHUNK - 1 of the pixels under the tile, whose corner is the buffers' pixel (top, left). Only pixels that
-// are not stored need values beyond the buffers.
-static inline void fetch(global const stored *a, global const stored *b, local float *tile, const int item, const int first,
-                         const int top, const int left, const int in_rows, const int in_columns)
+// Loads channels `first` .. first + CHUNK - 1 of the pixels under the tile, whose corner is the buffers' pixel (top,
+// left). Only pixels that are not stored need values beyond the buffers.
+static inline void fetch_floats(global const stored *a, global const stored *b, local float *tile, const int item,
+                                const int first, const int top, const int left, const int in_rows, const int in_columns)
 {
     for (int i = item; i < CHUNK / 4 * READ_WIDE * READ_TALL; i += ITEMS) {
         const int quad = i % (CHUNK / 4), x = i / (CHUNK / 4) % READ_WIDE, y = i / (CHUNK / 4) / READ_WIDE;
         const int place = least(top + y, in_rows - 1) * in_columns + least(left + x, in_columns - 1);
-        const float4 v = B && first >= A ? READ4(b, (place * B + first - A) / 4 + quad) : READ4(a, (place * A + first) / 4 + quad);
+        const float4 v =
+            B && first >= A ? READ4(b, (place * B + first - A) / 4 + quad) : READ4(a, (place * A + first) / 4 + quad);
         local float *to = tile + 4 * quad * PLANE + y * PITCH + COLUMN(x);
         to[0] = v.x;
         to[PLANE] = v.y;
@@ -70,7 +77,8 @@ static inline void fetch(global const stored *a, global const stored *b, local f
     }
 }
 
-// The values that a work-item reads from one row of a plane: in[x] is x columns right of the input under its first pixel's left tap.
+// The values that a work-item reads from one row of a plane: in[x] is x columns right of the input under its first
+// pixel's left tap.
 static inline void read_row(local const float *from, float *in)
 {
     const float4 v = *(local const float4 *)from;
@@ -84,28 +92,25 @@ static inline void read_row(local const float *from, float *in)
 #endif
 }
 
-kernel __attribute__((reqd_work_group_size(8, 4, SLICES)))
-void conv_local(global const stored *restrict a, global const stored *restrict b, global const float *restrict weight,
-                global const float *restrict gate_weight, global const float8 *restrict bias, const float gate_bias,
-                global stored *restrict out, const int a_first, const int height, const int width, const int in_columns,
-                const int out_columns, const int out_channels, const int out_first
-#ifdef IMAGES
-                , const int a_next, const int out_next, const int map_next, const int tile_rows
-#endif
-                , global const uint *restrict tiles, global const int *restrict count, global uchar *restrict changes)
+kernel __attribute__((reqd_work_group_size(8, 4, SLICES))) void conv_local(
+    global const stored *restrict a, global const stored *restrict b, global const float *restrict weight,
+    global const float *restrict gate_weight, global const float8 *restrict bias, const float gate_bias,
+    global stored *restrict out, const Layer layer, global const uint *restrict tiles, global const int *restrict count,
+    global uchar *restrict changes)
 {
-    local float tile[TILE] __attribute__((aligned(16)));
+    local float tile[TILE_FLOATS] __attribute__((aligned(16)));
     local float taps[9 * CHUNK * OUT] __attribute__((aligned(32)));
     local float gates[9 * CHUNK];
     const int lx = get_local_id(0), ly = get_local_id(1), slice = get_local_id(2), item = (slice * 4 + ly) * 8 + lx;
-    const int in_rows = (STRIDE * height + 3) / 4 * 4 + 2;
-    a += a_first;
+    const int in_rows = (STRIDE * layer.height + 3) / 4 * 4 + 2;
+    a += layer.a_first;
 
     for (int t = get_group_id(0); t < count[0]; t += get_num_groups(0)) {
 #ifdef IMAGES
-        const int which = TILE_ROW(tiles[t]) / tile_rows, up = (TILE_ROW(tiles[t]) - which * tile_rows) * TALL;
-        global const stored *from_a = a + which * a_next;
-        global stored *to = out + which * out_next;
+        const int which = TILE_ROW(tiles[t]) / layer.tile_rows,
+                  up = (TILE_ROW(tiles[t]) - which * layer.tile_rows) * TALL;
+        global const stored *from_a = a + which * layer.a_next;
+        global stored *to = out + which * layer.out_next;
 #else
         const int up = TILE_ROW(tiles[t]) * TALL;
         global const stored *from_a = a;
@@ -121,10 +126,10 @@ void conv_local(global const stored *restrict a, global const stored *restrict b
 
         for (int first = 0; first < IN; first += CHUNK) {
             barrier(CLK_LOCAL_MEM_FENCE);
-            fetch(from_a, b, tile, item, first, STRIDE * up, STRIDE * left, in_rows, in_columns);
-            for (int i = item; i < 9 * CHUNK * OUT / 4; i += ITEMS)
+            fetch_floats(from_a, b, tile, item, first, STRIDE * up, STRIDE * left, in_rows, layer.in_columns);
+            for (int i = item; i < 9 * QUADS; i += ITEMS)
                 ((local float4 *)taps)[i] =
-                    ((global const float4 *)weight)[(i / (CHUNK * OUT / 4) * IN + first) * (OUT / 4) + i % (CHUNK * OUT / 4)];
+                    ((global const float4 *)weight)[(i / QUADS * IN + first) * (OUT / 4) + i % QUADS];
 #ifdef GATED
             for (int i = item; i < 9 * CHUNK; i += ITEMS) gates[i] = gate_weight[i / CHUNK * IN + first + i % CHUNK];
 #endif
@@ -134,13 +139,14 @@ void conv_local(global const stored *restrict a, global const stored *restrict b
             for (int c = 0; c < CHUNK; ++c) {
                 local const float *from = tile + c * PLANE + STRIDE * ROWS * ly * PITCH + 4 * lx;
 #pragma unroll 1
-                for (int first_tap = 0; first_tap < 9; first_tap += AT_ONCE) {
-                    float in[LINES][TAPS(3)];
+                for (int first_tap = 0; first_tap < 9; first_tap += TAPS_AT_ONCE) {
+                    float in[LINES][READ_FOR(3)];
 #pragma unroll
                     for (int r = 0; r < LINES; ++r) read_row(from + (LINE(r) + first_tap / 3) * PITCH, in[r]);
 #pragma unroll
-                    for (int tap = 0; tap < AT_ONCE; ++tap) {
-                        const float8 w = *(local const float8 *)(taps + ((first_tap + tap) * CHUNK + c) * OUT + 8 * slice);
+                    for (int tap = 0; tap < TAPS_AT_ONCE; ++tap) {
+                        const float8 w =
+                            *(local const float8 *)(taps + ((first_tap + tap) * CHUNK + c) * OUT + 8 * slice);
 #pragma unroll
                         for (int i = 0; i < PIXELS; ++i) sum[i] += w * INPUT(tap, i);
                     }
@@ -148,7 +154,7 @@ void conv_local(global const stored *restrict a, global const stored *restrict b
                     // The gate's channels are dealt out among the slices.
                     if (c % SLICES == slice) {
 #pragma unroll
-                        for (int tap = 0; tap < AT_ONCE; ++tap) {
+                        for (int tap = 0; tap < TAPS_AT_ONCE; ++tap) {
                             const float w = gates[(first_tap + tap) * CHUNK + c];
 #pragma unroll
                             for (int i = 0; i < PIXELS; ++i) gate[i] += w * INPUT(tap, i);
@@ -178,7 +184,7 @@ void conv_local(global const stored *restrict a, global const stored *restrict b
 #pragma unroll
         for (int i = 0; i < PIXELS; ++i) {
             const int x = left + 4 * lx + i % 4, y = up + ROWS * ly + i / 4;
-            if (x >= width || y >= height) continue;
+            if (x >= layer.width || y >= layer.height) continue;
             float8 value = sum[i];
             BEGIN_PIXEL;
 #ifdef GATED
@@ -187,11 +193,12 @@ void conv_local(global const stored *restrict a, global const stored *restrict b
 #ifdef RELU
             value = relu8(value);
 #endif
-            PUT(value, ((y + 1) * out_columns + x + 1) * (out_channels / 8) + out_first / 8 + slice, to);
+            PUT(value, ((y + 1) * layer.out_columns + x + 1) * (layer.out_channels / 8) + layer.out_first / 8 + slice,
+                to);
 #ifdef IMAGES
-            END_PIXEL(which * map_next + y * (out_columns - 2) + x);
+            END_PIXEL(which * layer.map_next + y * (layer.out_columns - 2) + x);
 #else
-            END_PIXEL(y * (out_columns - 2) + x);
+            END_PIXEL(y * (layer.out_columns - 2) + x);
 #endif
         }
     }

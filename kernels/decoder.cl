@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: MIT
-// Stage decoder, the output: reference stss_ref/decoder.py (outc), stss_ref/resample.py::pixel_shuffle and ::upsample_centres.
+// Stage decoder, the output: reference stss_ref/decoder.py (outc), stss_ref/resample.py::pixel_shuffle and
+// ::upsample_centres.
 //
 //  buffer   dir  shape           content
 //  feature  in   padded, (24)    up3's result
 //  color    in   (H8, W8, 4)     see decoder.clh, as weight and bias
 //  image    out  (2H, 2W, 3)     what lies beyond 2H, 2W is not written
 //
-// The buffers may hold a strip of the frame: their row 0 is the frame's row `top`; rows `first_row` .. height - 1 are written.
+// The buffers may hold a strip of the frame: their row 0 is the frame's row `top`; rows `first_row` .. height - 1 are
+// written.
 // `tiles`, `count`: the tiles of 4 x 4 pixels that are computed, see tile_list.clh.
 //
 // Build -D WORKERS (16: a pixel each; or 1), optionally -D STORED.  Launch (any multiple of WORKERS).
@@ -16,9 +18,10 @@
 #include "decoder.clh"
 #include "image.clh"
 
-kernel void image(global const stored *restrict feature, global const float4 *restrict color, global const float8 *restrict weight,
-                  global const float8 *restrict bias, global float *restrict image, const int height, const int width, const int rows,
-                  const int columns, const int feature_columns, const int first_row, const int top, global const uint *restrict tiles,
+kernel void image(global const stored *restrict feature, global const float4 *restrict color,
+                  global const float8 *restrict weight, global const float8 *restrict bias,
+                  global float *restrict image, const int height, const int width, const int rows, const int columns,
+                  const int feature_columns, const int first_row, const int top, global const uint *restrict tiles,
                   global const int *restrict count)
 {
     const int2 part = part_of_list(count[0], 1);

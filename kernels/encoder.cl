@@ -13,12 +13,13 @@
 //
 // Beyond H, W up to multiples of 8 the last row and column are repeated.
 // The outputs may be a strip of the frame: their row 0 is its row `top`.
-// Build optionally -D STORED -D ROWS.  Launch (W8, H8), and for the history (W8, H8, 3) or, with ROWS, (1, H8, 3); H8 is the strip's, a multiple of 8.
+// Build optionally -D STORED -D ROW_AT_ONCE.  Launch (W8, H8), and for the history (W8, H8, 3) or, with ROW_AT_ONCE,
+// (1, H8, 3); H8 is the strip's, a multiple of 8.
 #include "common.clh"
 
-kernel void pack_input(global const float *restrict color, global const float *restrict gbuffer, global const float *restrict mask,
-                       global stored *restrict input, global float4 *restrict base, global int *restrict bad, const int height,
-                       const int width, const int columns, const int top)
+kernel void pack_input(global const float *restrict color, global const float *restrict gbuffer,
+                       global const float *restrict mask, global stored *restrict input, global float4 *restrict base,
+                       global int *restrict bad, const int height, const int width, const int columns, const int top)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     const int from = least(top + y, height - 1) * width + least(x, width - 1), to = ((y + 1) * columns + x + 1) * 3;
@@ -38,7 +39,7 @@ kernel void pack_input(global const float *restrict color, global const float *r
     if ((four.x | four.y | four.z | four.w) != 0) bad[0] = 1;
 }
 
-#ifdef ROWS
+#ifdef ROW_AT_ONCE
 typedef float16 four_pixels __attribute__((aligned(16)));
 #if STORED == FLOAT
 typedef float16 four_stored __attribute__((aligned(16)));
@@ -48,9 +49,9 @@ typedef ushort16 four_stored __attribute__((aligned(8)));
 #define STORED16(value) narrow16(value)
 #endif
 
-kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void pack_history(global const float4 *restrict history, global stored *restrict padded, global int *restrict bad, const int height,
-                  const int width, const int rows, const int columns, const int top)
+kernel __attribute__((reqd_work_group_size(1, 1, 1))) void pack_history(
+    global const float4 *restrict history, global stored *restrict padded, global int *restrict bad, const int height,
+    const int width, const int rows, const int columns, const int top)
 {
     const int y = get_global_id(1), i = get_global_id(2);
     global const float4 *from = history + (i * height + least(top + y, height - 1)) * width;
@@ -61,7 +62,8 @@ void pack_history(global const float4 *restrict history, global stored *restrict
         if (x + 4 <= width)
             v = *(global const four_pixels *)(from + x);
         else
-            v = (float16)(from[least(x, width - 1)], from[least(x + 1, width - 1)], from[least(x + 2, width - 1)], from[width - 1]);
+            v = (float16)(from[least(x, width - 1)], from[least(x + 1, width - 1)], from[least(x + 2, width - 1)],
+                          from[width - 1]);
         wrong |= (as_uint16(v) & 0x7fffffffu) >= 0x7f800000u;
         *(global four_stored *)(to + 4 * x) = STORED16(v);
     }
@@ -70,8 +72,9 @@ void pack_history(global const float4 *restrict history, global stored *restrict
     if ((four.x | four.y | four.z | four.w) != 0) bad[1] = 1;
 }
 #else
-kernel void pack_history(global const float4 *restrict history, global stored *restrict padded, global int *restrict bad,
-                         const int height, const int width, const int rows, const int columns, const int top)
+kernel void pack_history(global const float4 *restrict history, global stored *restrict padded,
+                         global int *restrict bad, const int height, const int width, const int rows, const int columns,
+                         const int top)
 {
     const int x = get_global_id(0), y = get_global_id(1), i = get_global_id(2);
     const float4 v = history[(i * height + least(top + y, height - 1)) * width + least(x, width - 1)];

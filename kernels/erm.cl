@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT
-// Stage erm, reference stss_ref/erm.py: the attention; attend_local.cl is the same for GPUs. Its convolutions are conv.cl's.
+// Stage erm, reference stss_ref/erm.py: the attention; attend_local.cl is the same for GPUs. Its convolutions are
+// conv.cl's.
 //
 //  buffer    dir  shape                     content
 //  eighth    in   padded, (16)              channel 9: the mask
@@ -10,9 +11,11 @@
 //
 // `height`, `width`: at 1/8 size.
 // `tiles`, `count`: the tiles of 4 x 4 pixels that are computed, see tile_list.clh.
-// Build -D KEYS=32 -D VALUES=64 (multiples of 8) -D WORKERS (16 or 1), optionally -D STORED.  Launch (any multiple of WORKERS).
+// Build -D KEYS=32 -D VALUES=64 (multiples of 8) -D WORKERS (16 or 1), optionally -D STORED.  Launch (any multiple of
+// WORKERS).
 //
-// Where MARKS(changes), the output's map, a value is compared with the one that is stored, and marked where bits came to differ (change_map.clh).
+// Where MARKS(changes), the output's map, a value is compared with the one that is stored, and marked where bits came
+// to differ (change_map.clh).
 #if !defined(KEYS) || !defined(VALUES)
 #error "erm.cl needs -D KEYS, VALUES"
 #endif
@@ -23,9 +26,9 @@
 #define VALUES8 (VALUES / 8)
 #define WINDOW 5
 
-kernel void normalise(global const stored *restrict key, global stored *restrict unit, const int height, const int width,
-                      const int columns, global const uint *restrict tiles, global const int *restrict count,
-                      global uchar *restrict changes)
+kernel void normalise(global const stored *restrict key, global stored *restrict unit, const int height,
+                      const int width, const int columns, global const uint *restrict tiles,
+                      global const int *restrict count, global uchar *restrict changes)
 {
     const int2 part = part_of_list(count[0], 1);
     for (int t = part.x; t < part.y; ++t) {
@@ -46,10 +49,12 @@ kernel void normalise(global const stored *restrict key, global stored *restrict
     }
 }
 
-// sum_d w(d) m V(p + d) / max(sum_d w(d), 1e-6), w(d) = relu(m(p + d) K(p + d) . K(p)): the mask is applied here to keys and values.
-kernel void attend(global const stored *restrict unit, global const stored *restrict value, global const stored *restrict eighth,
-                   global stored *restrict reshaded, const int height, const int width, const int columns, const int out_channels,
-                   global const uint *restrict tiles, global const int *restrict count, global uchar *restrict changes)
+// sum_d w(d) m V(p + d) / max(sum_d w(d), 1e-6), w(d) = relu(m(p + d) K(p + d) . K(p)): the mask is applied here to
+// keys and values.
+kernel void attend(global const stored *restrict unit, global const stored *restrict value,
+                   global const stored *restrict eighth, global stored *restrict reshaded, const int height,
+                   const int width, const int columns, const int out_channels, global const uint *restrict tiles,
+                   global const int *restrict count, global uchar *restrict changes)
 {
     const int2 part = part_of_list(count[0], 1);
     for (int t = part.x; t < part.y; ++t) {

@@ -13,9 +13,10 @@
 //  depth              in   (H, W)     normalised to [0, 1]
 //  valid              out  (H, W)     1 = to be trusted, 0 = hole
 //
-// Build -D PAPER=1 for the paper's test of static surfaces, 0 for that by the footprint; -D FOOTPRINTS, FACING, GRAZING, DEPTH (cm),
-// COSINE, MESH = the limits, float literals.  Launch (W, H) rounded up.
-#if !defined(PAPER) || !defined(FOOTPRINTS) || !defined(FACING) || !defined(GRAZING) || !defined(DEPTH) || !defined(COSINE) || !defined(MESH)
+// Build -D PAPER=1 for the paper's test of static surfaces, 0 for that by the footprint; -D FOOTPRINTS, FACING,
+// GRAZING, DEPTH (cm), COSINE, MESH = the limits, float literals.  Launch (W, H) rounded up.
+#if !defined(PAPER) || !defined(FOOTPRINTS) || !defined(FACING) || !defined(GRAZING) || !defined(DEPTH) || \
+    !defined(COSINE) || !defined(MESH)
 #error "holes.cl needs -D PAPER, FOOTPRINTS, FACING, GRAZING, DEPTH, COSINE and MESH"
 #endif
 #include "surface.clh"
@@ -51,7 +52,8 @@ INLINE bool is_far(global const float *previous, const float3 position, const Ta
 INLINE float squared_offset(global const float *previous, const float3 position, const Taps at)
 {
     const float8 top = read_pair3(previous, at.nw, at.right), bottom = read_pair3(previous, at.nw + at.below, at.right);
-    const float3 offset = BILINEAR(top.s012 - position, top.s456 - position, bottom.s012 - position, bottom.s456 - position, at.fx, at.fy);
+    const float3 offset = BILINEAR(top.s012 - position, top.s456 - position, bottom.s012 - position,
+                                   bottom.s456 - position, at.fx, at.fy);
     return sum3(offset * offset);
 }
 #endif
@@ -74,11 +76,13 @@ INLINE float3 normal_between(global const float *normal, const Taps at, const in
     return BILINEAR(nw, ne, sw, se, at.fx, at.fy);
 }
 
-// Whether the warped colour of pixel (x, y) is trusted, if it is on screen; s is the stencil read at its taps. Positions are read
-// only where s is 0, normals only elsewhere, since the test of the other does not apply. NoV and depth are the paper's test's alone.
-INLINE bool same_surface(const Taps at, const int x, const int y, const int height, const int width, const float s, const float stencil,
-                         const float nov, const float depth, global const float *normal_previous, global const float *normal,
-                         const int normal_stride, global const float *position_previous, global const float *position)
+// Whether the warped colour of pixel (x, y) is trusted, if it is on screen; s is the stencil read at its taps.
+// Positions are read only where s is 0, normals only elsewhere, since the test of the other does not apply. NoV and
+// depth are the paper's test's alone.
+INLINE bool same_surface(const Taps at, const int x, const int y, const int height, const int width, const float s,
+                         const float stencil, const float nov, const float depth, global const float *normal_previous,
+                         global const float *normal, const int normal_stride, global const float *position_previous,
+                         global const float *position)
 {
     const int pixel = y * width + x;
     const float change = 3.0f * (s - stencil);
@@ -89,15 +93,16 @@ INLINE bool same_surface(const Taps at, const int x, const int y, const int heig
 #if PAPER
     return !is_far(position_previous, read3(position, pixel), at, BIAS(nov, depth));
 #else
-    return squared_offset(position_previous, read3(position, pixel), at) <= FOOTPRINTS * FOOTPRINTS * squared_footprint(position, x, y, height, width);
+    return squared_offset(position_previous, read3(position, pixel), at) <=
+           FOOTPRINTS * FOOTPRINTS * squared_footprint(position, x, y, height, width);
 #endif
 }
 
 kernel void holes(global const float2 *restrict motion, global const float *restrict stencil_previous,
                   global const float *restrict stencil, global const float *restrict normal_previous,
                   global const float *restrict normal, global const float *restrict position_previous,
-                  global const float *restrict position, global const float *restrict nov, global const float *restrict depth,
-                  global uchar *restrict valid, const int height, const int width)
+                  global const float *restrict position, global const float *restrict nov,
+                  global const float *restrict depth, global uchar *restrict valid, const int height, const int width)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;
@@ -105,6 +110,6 @@ kernel void holes(global const float2 *restrict motion, global const float *rest
     const Place place = follow(motion[pixel], x, y, height, width);
     const Taps at = taps(place, height, width);
     valid[pixel] = leads_inside(place, height, width) &&
-                   same_surface(at, x, y, height, width, bilinear1(stencil_previous, at), stencil[pixel], nov[pixel], depth[pixel],
-                                normal_previous, normal, 3, position_previous, position);
+                   same_surface(at, x, y, height, width, bilinear1(stencil_previous, at), stencil[pixel], nov[pixel],
+                                depth[pixel], normal_previous, normal, 3, position_previous, position);
 }

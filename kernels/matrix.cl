@@ -10,8 +10,9 @@
 #include "common.clh"
 #include "mma.clh"
 
-kernel __attribute__((reqd_work_group_size(LANES, WAVES, 1)))
-void matrix(global const uint4 *restrict pixels, global const uint *restrict weight, global float2 *restrict d)
+kernel __attribute__((reqd_work_group_size(LANES, WAVES, 1))) void matrix(global const uint4 *restrict pixels,
+                                                                          global const uint *restrict weight,
+                                                                          global float2 *restrict d)
 {
     local uint4 tile[2 * UNIT];
     EXCHANGE(exchange);

@@ -11,8 +11,10 @@
 #include "common.clh"
 #include "amx.clh"
 
-kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void matrix_amx(global const ushort *restrict a, global const ushort *restrict b, global const float *restrict bias, global float *restrict sums)
+kernel __attribute__((reqd_work_group_size(1, 1, 1))) void matrix_amx(global const ushort *restrict a,
+                                                                      global const ushort *restrict b,
+                                                                      global const float *restrict bias,
+                                                                      global float *restrict sums)
 {
     TILES_BEGIN(32);
     float made[16 * 16] __attribute__((aligned(64)));

@@ -8,8 +8,8 @@
 // Build -D GATHER=gather_longest | gather_nearest | gather_bilinear.  Launch (W, H) rounded up.
 #include "motion_chain.clh"
 
-kernel void motion_chain(global const float2 *restrict motions, global float2 *restrict motion, const int k, const int height,
-                         const int width)
+kernel void motion_chain(global const float2 *restrict motions, global float2 *restrict motion, const int k,
+                         const int height, const int width)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;

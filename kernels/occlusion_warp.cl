@@ -23,8 +23,8 @@ kernel void splat_clear(global uint *restrict keys, global uint *restrict first,
     first[y * width + x] = NOBODY;
 }
 
-kernel void splat_nearest(global const float2 *restrict motion, global const float *restrict depth, volatile global uint *restrict keys,
-                          const int height, const int width)
+kernel void splat_nearest(global const float2 *restrict motion, global const float *restrict depth,
+                          volatile global uint *restrict keys, const int height, const int width)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;
@@ -32,8 +32,9 @@ kernel void splat_nearest(global const float2 *restrict motion, global const flo
     splat_depth(motion[pixel], x, y, depth + pixel, keys, height, width);
 }
 
-kernel void splat_first(global const float2 *restrict motion, global const float *restrict depth, global const uint *restrict keys,
-                        volatile global uint *restrict first, const int height, const int width)
+kernel void splat_first(global const float2 *restrict motion, global const float *restrict depth,
+                        global const uint *restrict keys, volatile global uint *restrict first, const int height,
+                        const int width)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;

@@ -5,13 +5,16 @@
 //  in      in   padded, (8 EIGHTS)  see common.clh
 //  out     out  padded, (8 EIGHTS)  twice the size
 //
-// Output o of N = 2n reads input position o (n - 1) / (N - 1): an integer quotient and its remainder, so that the weight is rounded
-// once however large the frame. The buffers may hold a strip of the frame: their row 0 is row `top` of `full_height` (2 `top` of the
-// output).
-// `tiles`, `count`: the tiles of 4 x 4 pixels of the output that are computed, of 32 x 4 where WORKERS is 1; see tile_list.clh.
-// Build -D EIGHTS -D WORKERS (16 or 1), optionally -D STORED, -D PREFETCH (of what is compared).  Launch (any multiple of WORKERS).
+// Output o of N = 2n reads input position o (n - 1) / (N - 1): an integer quotient and its remainder, so that the
+// weight is rounded once however large the frame. The buffers may hold a strip of the frame: their row 0 is row `top`
+// of `full_height` (2 `top` of the output).
+// `tiles`, `count`: the tiles of 4 x 4 pixels of the output that are computed, of 32 x 4 where WORKERS is 1; see
+// tile_list.clh.
+// Build -D EIGHTS -D WORKERS (16 or 1), optionally -D STORED, -D PREFETCH (of what is compared).  Launch (any multiple
+// of WORKERS).
 //
-// Where MARKS(changes), the output's map, a value is compared with the one that is stored, and marked where bits came to differ (change_map.clh).
+// Where MARKS(changes), the output's map, a value is compared with the one that is stored, and marked where bits came
+// to differ (change_map.clh).
 #pragma OPENCL FP_CONTRACT OFF
 #include "common.clh"
 #include "tile_list.clh"
@@ -34,32 +37,38 @@ static inline Between between(const int o, const int count, const int full, cons
 #if WORKERS == 1
 #define WIDTH 32
 
-kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void upsample_corners(global const stored *restrict in, global stored *restrict out, const int height, const int width,
-                      const int in_columns, const int out_columns, const int full_height, const int top,
-                      global const uint *restrict tiles, global const int *restrict count, global uchar *restrict changes)
+kernel __attribute__((reqd_work_group_size(1, 1, 1))) void upsample_corners(
+    global const stored *restrict in, global stored *restrict out, const int height, const int width,
+    const int in_columns, const int out_columns, const int full_height, const int top,
+    global const uint *restrict tiles, global const int *restrict count, global uchar *restrict changes)
 {
     // A row of the tile, interpolated down only: the columns of the input that the tile reads.
     float8 down[(WIDTH / 2 + 2) * EIGHTS];
     const int2 part = part_of_list(count[0], 1);
     for (int t = part.x; t < part.y; ++t) {
-        const int up = 4 * TILE_ROW(tiles[t]), left = WIDTH * TILE_COLUMN(tiles[t]), pixels = least(2 * width - left, WIDTH);
+        const int up = 4 * TILE_ROW(tiles[t]), left = WIDTH * TILE_COLUMN(tiles[t]),
+                  pixels = least(2 * width - left, WIDTH);
 #ifdef PREFETCH
         if (MARKS(changes)) {
-            // What is compared is read before it is written, and that would wait for memory: the next tile, line by line.
+            // What is compared is read before it is written, and that would wait for memory: the next tile, line by
+            // line.
             const uint soon = tiles[least(t + 1, count[0] - 1)];
             for (int y = 1; y <= 4; ++y) {
-                global const stored *line = out + ((4 * TILE_ROW(soon) + y) * out_columns + WIDTH * TILE_COLUMN(soon) + 1) * 8 * EIGHTS;
-                for (int i = 0; i < WIDTH * 8 * EIGHTS; i += 64 / sizeof(stored)) __builtin_prefetch((const void *)(size_t)(line + i), 1, 2);
+                global const stored *line =
+                    out + ((4 * TILE_ROW(soon) + y) * out_columns + WIDTH * TILE_COLUMN(soon) + 1) * 8 * EIGHTS;
+                for (int i = 0; i < WIDTH * 8 * EIGHTS; i += 64 / sizeof(stored))
+                    __builtin_prefetch((const void *)(size_t)(line + i), 1, 2);
             }
         }
 #endif
-        const Between leftmost = between(left, width, width, 0), rightmost = between(left + pixels - 1, width, width, 0);
+        const Between leftmost = between(left, width, width, 0),
+                      rightmost = between(left + pixels - 1, width, width, 0);
         const int used = rightmost.second - leftmost.first + 1, whole = 2 * width - 1;
         const int rest = left * (width - 1) - leftmost.first * whole;
         for (int y = up; y < least(up + 4, 2 * height); ++y) {
             const Between v = between(y, height, full_height, top);
-            const int upper = ((v.first + 1) * in_columns + 1 + leftmost.first) * EIGHTS, lower = ((v.second + 1) * in_columns + 1 + leftmost.first) * EIGHTS;
+            const int upper = ((v.first + 1) * in_columns + 1 + leftmost.first) * EIGHTS,
+                      lower = ((v.second + 1) * in_columns + 1 + leftmost.first) * EIGHTS;
             for (int i = 0; i < used * EIGHTS; ++i) {
                 const float8 north = LOAD8(in, upper + i), south = LOAD8(in, lower + i);
                 down[i] = north + (south - north) * v.share;
@@ -72,16 +81,18 @@ void upsample_corners(global const stored *restrict in, global stored *restrict 
                 BEGIN_PIXEL;
 #pragma unroll
                 for (int c = 0; c < EIGHTS; ++c)
-                    PUT(west[c] + (east[c] - west[c]) * share, ((y + 1) * out_columns + left + j + 1) * EIGHTS + c, out);
+                    PUT(west[c] + (east[c] - west[c]) * share, ((y + 1) * out_columns + left + j + 1) * EIGHTS + c,
+                        out);
                 END_PIXEL(y * (out_columns - 2) + left + j);
             }
         }
     }
 }
 #else
-kernel void upsample_corners(global const stored *restrict in, global stored *restrict out, const int height, const int width,
-                             const int in_columns, const int out_columns, const int full_height, const int top,
-                             global const uint *restrict tiles, global const int *restrict count, global uchar *restrict changes)
+kernel void upsample_corners(global const stored *restrict in, global stored *restrict out, const int height,
+                             const int width, const int in_columns, const int out_columns, const int full_height,
+                             const int top, global const uint *restrict tiles, global const int *restrict count,
+                             global uchar *restrict changes)
 {
     const int2 part = part_of_list(count[0], 1);
     for (int t = part.x; t < part.y; ++t) {
@@ -91,8 +102,10 @@ kernel void upsample_corners(global const stored *restrict in, global stored *re
         const int upper = (v.first + 1) * in_columns + 1, lower = (v.second + 1) * in_columns + 1;
         BEGIN_PIXEL;
         for (int c = 0; c < EIGHTS; ++c) {
-            const float8 nw = LOAD8(in, (upper + u.first) * EIGHTS + c), ne = LOAD8(in, (upper + u.second) * EIGHTS + c);
-            const float8 sw = LOAD8(in, (lower + u.first) * EIGHTS + c), se = LOAD8(in, (lower + u.second) * EIGHTS + c);
+            const float8 nw = LOAD8(in, (upper + u.first) * EIGHTS + c),
+                         ne = LOAD8(in, (upper + u.second) * EIGHTS + c);
+            const float8 sw = LOAD8(in, (lower + u.first) * EIGHTS + c),
+                         se = LOAD8(in, (lower + u.second) * EIGHTS + c);
             // First down, then across, as the reference.
             const float8 west = nw + (sw - nw) * v.share, east = ne + (se - ne) * v.share;
             const float8 value = west + (east - west) * u.share;

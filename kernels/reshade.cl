@@ -20,20 +20,23 @@
 #include "common.clh"
 #include "reshade.clh"
 
-kernel void find_samples(global const float *restrict color, global const float2 *restrict motion, global const uchar *restrict valid,
-                         global const float *restrict stencil_previous, global const float *restrict stencil,
-                         global const float *restrict normal_previous, global const float *restrict normal,
-                         global const float *restrict position_previous, global const float *restrict position,
-                         global float4 *restrict samples, const int height, const int width)
+kernel void find_samples(global const float *restrict color, global const float2 *restrict motion,
+                         global const uchar *restrict valid, global const float *restrict stencil_previous,
+                         global const float *restrict stencil, global const float *restrict normal_previous,
+                         global const float *restrict normal, global const float *restrict position_previous,
+                         global const float *restrict position, global float4 *restrict samples, const int height,
+                         const int width)
 {
     const int x = get_global_id(0), y = get_global_id(1), pixel = y * width + x;
     if (x >= width || y >= height || valid[pixel]) return;
-    const Surfaces s = {height, width, 3, 3, stencil_previous, stencil, normal_previous, normal, position_previous, position, 0};
+    const Surfaces s = {height,   width, 3, 3, stencil_previous, stencil, normal_previous, normal, position_previous,
+                        position, 0};
     samples[pixel] = own_samples(s, color, motion[pixel], x, y);
 }
 
-kernel void reshade(global const float *restrict warped, global const uchar *restrict valid, global const float *restrict stencil,
-                    global const float *restrict normal, global const float *restrict base_color, global const float4 *restrict samples,
+kernel void reshade(global const float *restrict warped, global const uchar *restrict valid,
+                    global const float *restrict stencil, global const float *restrict normal,
+                    global const float *restrict base_color, global const float4 *restrict samples,
                     global float *restrict filled, const int height, const int width)
 {
     const int x = get_global_id(0), y = get_global_id(1), pixel = y * width + x;

@@ -8,8 +8,8 @@
 //
 // Build: no options.  Launch (W, H) rounded up.
 
-kernel void rrm(global const uchar *restrict valid, global uchar *restrict masked, const int top, const int left, const int rows,
-                const int columns, const int height, const int width)
+kernel void rrm(global const uchar *restrict valid, global uchar *restrict masked, const int top, const int left,
+                const int rows, const int columns, const int height, const int width)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;

@@ -40,8 +40,8 @@ kernel void vectors(global const float *restrict in, global float *restrict out,
 }
 
 // Sum of each work-group by a tree in local memory: out[g] is right only if every barrier holds.
-kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void reduce_group(global const float *restrict in, global float *restrict out)
+kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void reduce_group(global const float *restrict in,
+                                                                            global float *restrict out)
 {
     local float part[GROUP];
     const int i = get_local_id(0);

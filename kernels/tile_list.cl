@@ -2,20 +2,30 @@
 // Lists of tiles (tile_list.clh): the tiles of a layer's output that marked pixels of its inputs reach.
 //
 //  buffer   dir  shape                 content
-//  a, b, c  in   (map_rows, map_columns)  maps of the inputs: not 0 = marked, for each pixel (change_map.clh); a begins at a_first, and has one for
+//  a, b, c  in   (map_rows, map_columns)  maps of the inputs: not 0 = marked, for each pixel (change_map.clh); a begins
+//                                         at a_first, and has one for
 //                                     each of `images`
 //  tiles    out  (count)               the list, in any order
 //  count    out  (1)                   how many; the caller clears it
 //
-// Tile t of the output, along either axis, reads the pixels step * t - before .. step * (t + 1) + beyond of the inputs. `rows`, `columns`: of tiles,
-// of each image; `span`: tiles of a work-item, at most 64.
-// Build for processors -D PIXELS=a multiple of 64, the most that `span` steps take; without it `span` is 1, and fours of pixels count as one.
+// Tile t of the output, along either axis, reads the pixels step * t - before .. step * (t + 1) + beyond of the inputs.
+// `rows`, `columns`: of tiles, of each image; `span`: tiles of a work-item, at most 64.
+// Build for processors -D SPAN_PIXELS=a multiple of 64, the most that `span` steps take; without it `span` is 1, and
+// fours of pixels count as one.
 // Launch (ceil(columns / span), rows of all images), or more.
 #include "common.clh"
 #include "change_map.clh"
 
 #define MOST_BEFORE 8
-#ifdef PIXELS
+
+// The tiles of the output and what they read of the maps, see above.
+typedef struct {
+    int a_first, map_rows, map_columns;
+    int step_y, step_x, before, beyond;
+    int rows, columns, images, span;
+} Reach;
+
+#ifdef SPAN_PIXELS
 typedef ulong ulong_anywhere __attribute__((aligned(1)));
 typedef ulong8 ulong8_anywhere __attribute__((aligned(1)));
 
@@ -28,37 +38,40 @@ static inline ulong8 marks(global const uchar *map, const int columns, const int
 }
 #else
 // Whether a pixel of the rows top .. bottom is marked, from `left` to `right`.
-static inline bool any_marked(global const uchar *map, const int columns, const int top, const int bottom, const int left, const int right)
+static inline bool any_marked(global const uchar *map, const int columns, const int top, const int bottom,
+                              const int left, const int right)
 {
     uint any = 0;
     for (int y = top; y <= bottom; ++y)
-        for (int i = (y * columns + left) / 4; i <= (y * columns + right) / 4; ++i) any |= ((global const uint *)map)[i];
+        for (int i = (y * columns + left) / 4; i <= (y * columns + right) / 4; ++i)
+            any |= ((global const uint *)map)[i];
     return any != 0;
 }
 #endif
 
-kernel void tile_list(global const uchar *restrict a, global const uchar *restrict b, global const uchar *restrict c, const int a_first,
-                      const int map_rows, const int map_columns, const int step_y, const int step_x, const int before, const int beyond,
-                      const int rows, const int columns, const int images, const int span, global uint *restrict tiles,
-                      global int *restrict count)
+kernel void tile_list(global const uchar *restrict a, global const uchar *restrict b, global const uchar *restrict c,
+                      const Reach reach, global uint *restrict tiles, global int *restrict count)
 {
-    const int first = get_global_id(0) * span, last = least(first + span, columns) - 1, row = get_global_id(1);
-    if (first > last || row >= images * rows) return;
-    const int image = row / rows, y = row - image * rows, start = step_x * first;
-    const int top = most(step_y * y - before, 0), bottom = least(step_y * (y + 1) + beyond, map_rows - 1);
-    const int left = most(start - before, 0), right = least(step_x * (last + 1) + beyond, map_columns - 1);
+    const int first = get_global_id(0) * reach.span, last = least(first + reach.span, reach.columns) - 1,
+              row = get_global_id(1);
+    if (first > last || row >= reach.images * reach.rows) return;
+    const int image = row / reach.rows, y = row - image * reach.rows, start = reach.step_x * first;
+    const int top = most(reach.step_y * y - reach.before, 0),
+              bottom = least(reach.step_y * (y + 1) + reach.beyond, reach.map_rows - 1);
+    const int left = most(start - reach.before, 0),
+              right = least(reach.step_x * (last + 1) + reach.beyond, reach.map_columns - 1);
     const bool has_b = b != a, has_c = c != b;
-    a += a_first + image * map_rows * map_columns;
-#ifdef PIXELS
+    a += reach.a_first + image * reach.map_rows * reach.map_columns;
+#ifdef SPAN_PIXELS
     // The marks of all rows and maps; 0 beyond the frame. The first tile's own pixels begin at MOST_BEFORE.
-    uchar line[MOST_BEFORE + PIXELS + 3 * 64];
+    uchar line[MOST_BEFORE + SPAN_PIXELS + 3 * 64];
     ulong8 all = 0;
     *(ulong *)line = 0;
     uchar *to = line + MOST_BEFORE - start;
     for (int x = left; x <= right; x += 64) {
-        ulong8 any = marks(a + x, map_columns, top, bottom);
-        if (has_b) any |= marks(b + x, map_columns, top, bottom);
-        if (has_c) any |= marks(c + x, map_columns, top, bottom);
+        ulong8 any = marks(a + x, reach.map_columns, top, bottom);
+        if (has_b) any |= marks(b + x, reach.map_columns, top, bottom);
+        if (has_c) any |= marks(c + x, reach.map_columns, top, bottom);
         *(ulong8_anywhere *)(to + x) = any;
         all |= any;
     }
@@ -66,10 +79,12 @@ kernel void tile_list(global const uchar *restrict a, global const uchar *restri
     if ((four.x | four.y | four.z | four.w) == 0) return;
     *(ulong8_anywhere *)(to + right + 1) = 0;
     ulong found = 0;
-    for (int i = -before; i <= step_x + beyond; i += 8) {
-        const ulong read = i + 7 <= step_x + beyond ? ~0ul : ~0ul >> 8 * (i + 7 - step_x - beyond);
+    for (int i = -reach.before; i <= reach.step_x + reach.beyond; i += 8) {
+        const ulong read =
+            i + 7 <= reach.step_x + reach.beyond ? ~0ul : ~0ul >> 8 * (i + 7 - reach.step_x - reach.beyond);
         const uchar *from = line + MOST_BEFORE + i;
-        for (int x = 0; x <= last - first; ++x) found |= (ulong)((*(const ulong_anywhere *)(from + step_x * x) & read) != 0) << x;
+        for (int x = 0; x <= last - first; ++x)
+            found |= (ulong)((*(const ulong_anywhere *)(from + reach.step_x * x) & read) != 0) << x;
     }
     if (!found) return;
     // Without branches: what is written for a tile that is not found is overwritten.
@@ -79,8 +94,9 @@ kernel void tile_list(global const uchar *restrict a, global const uchar *restri
         at += found >> x & 1;
     }
 #else
-    if (any_marked(a, map_columns, top, bottom, left, right) || (has_b && any_marked(b, map_columns, top, bottom, left, right)) ||
-        (has_c && any_marked(c, map_columns, top, bottom, left, right)))
+    if (any_marked(a, reach.map_columns, top, bottom, left, right) ||
+        (has_b && any_marked(b, reach.map_columns, top, bottom, left, right)) ||
+        (has_c && any_marked(c, reach.map_columns, top, bottom, left, right)))
         tiles[atomic_inc(count)] = (uint)row << 16 | first;
 #endif
 }

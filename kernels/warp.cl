@@ -13,8 +13,8 @@
 #endif
 #include "sample.clh"
 
-kernel void warp(global const float *restrict color, global const float2 *restrict motion, global float *restrict warped,
-                 global uchar *restrict inside, const int height, const int width)
+kernel void warp(global const float *restrict color, global const float2 *restrict motion,
+                 global float *restrict warped, global uchar *restrict inside, const int height, const int width)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;

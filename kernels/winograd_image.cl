@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT
-// The network's last two layers and the image: winograd.cl, SIDE 4 and STRIDE 1, whose outputs become the decoder's image (decoder.clh).
+// The network's last two layers and the image: winograd.cl, SIDE 4 and STRIDE 1, whose outputs become the decoder's
+// image (decoder.clh).
 //
 //  buffer               dir  shape         content
 //  a, b, weight, ...    in                 as in winograd.cl
@@ -9,27 +10,27 @@
 //
 // Build and launch as winograd.cl.
 #include "common.clh"
+#include "layer.clh"
 #include "winograd_products.clh"
 #include "winograd_outputs.clh"
 #include "decoder.clh"
 
-kernel __attribute__((reqd_work_group_size(1, 1, 1)))
-void winograd_image(global const stored *restrict a, global const stored *restrict b, global const vec *restrict weight,
-                    global const float8 *restrict gate_weight, global const float8 *restrict bias, const float gate_bias, const int a_first,
-                    const int height, const int width, const int in_columns, global const float4 *restrict color,
-                    global const float8 *restrict outc_weight, global const float8 *restrict outc_bias, global float *restrict image,
-                    const int rows, const int columns, const int first_row, const int top, global const uint *restrict tiles,
-                    global const int *restrict count)
+kernel __attribute__((reqd_work_group_size(1, 1, 1))) void winograd_image(
+    global const stored *restrict a, global const stored *restrict b, global const vec *restrict weight,
+    global const float8 *restrict gate_weight, global const float8 *restrict bias, const float gate_bias,
+    const Layer layer, global const float4 *restrict color, global const float8 *restrict outc_weight,
+    global const float8 *restrict outc_bias, global float *restrict image, const Image shown,
+    global const uint *restrict tiles, global const int *restrict count)
 {
     float8 M[PRODUCTS * TILES * OUT8], features[TILES_TOGETHER * SIDE * SIDE * OUT8];
     vec gates[PRODUCTS * GATES / VECTOR], open[SIDE * SIDE * GATES / VECTOR];  // of no use where not GATED
     clear_gates(gates);
-    a += a_first;
+    a += layer.a_first;
     const int2 part = part_of_list(count[0], TILES);
     for (int first = part.x; first < part.y; first += TILES) {
-        const Strip strip = {tiles + first, least(part.y - first, TILES)};
-        const Strip next = next_strip(strip, count[0] - first);
-        multiply_strip(strip, next, a, b, in_columns, weight, gate_weight, 0, 0, M, gates);
+        const TileStrip strip = {tiles + first, least(part.y - first, TILES)};
+        const TileStrip next = next_strip(strip, count[0] - first);
+        multiply_strip(strip, next, a, b, layer.in_columns, weight, gate_weight, 0, 0, M, gates);
         open_gates(gates, gate_bias, open);
         for (int t = 0; t < strip.held; t += TILES_TOGETHER) {
 #pragma unroll
@@ -43,10 +44,11 @@ void winograd_image(global const stored *restrict a, global const stored *restri
             }
             for (int i = t; i < least(t + TILES_TOGETHER, strip.held); ++i) {
                 const int x = SIDE * TILE_COLUMN(strip.tiles[i]), y = SIDE * TILE_ROW(strip.tiles[i]);
-                for (int row = most(first_row - y, 0); row < SIDE && y + row < height; ++row) {
+                for (int row = most(shown.first_row - y, 0); row < SIDE && y + row < layer.height; ++row) {
                     float8 sums[8];
-                    residual((const float *)(features + ((i - t) * SIDE * SIDE + SIDE * row) * OUT8), outc_weight, outc_bias, sums);
-                    write_pixels(sums, color, image, y + row, x, width, rows, columns, top);
+                    residual((const float *)(features + ((i - t) * SIDE * SIDE + SIDE * row) * OUT8), outc_weight,
+                             outc_bias, sums);
+                    write_pixels(sums, color, image, y + row, x, layer.width, shown.rows, shown.columns, shown.top);
                 }
             }
         }

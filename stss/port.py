@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from conformance.protocol.port import Arrays, Outputs
@@ -23,15 +22,18 @@ class OpenCLPort:
     """The OpenCL backend, ``stss_cl``, on the device of ``$STSS_DEVICE`` or on the best one.
 
     Args:
-        precision: see ``stss_cl.network.network.PRECISIONS``.
+        precision: see ``stss_cl.options.PRECISIONS``.
     """
 
     def __init__(self, precision: str = "float32"):
         self.name = "cl" if precision == "float32" else f"cl-{precision.removeprefix('float32-')}"
         self.dtype = {"half": "float16", "bfloat16": "bfloat16"}.get(precision, "float32")
         self._precision = precision
-        self._image = _module("stss_cl.image_space.stages")
-        self._network = [(module, kind) for name, kind in WITH_WEIGHTS if (module := _module(name)) is not None]
+        try:  # imported here, since that opens the OpenCL library
+            self._image = import_module("stss_cl.image_space.stages")
+            self._network = [(import_module(name), kind) for name, kind in WITH_WEIGHTS]
+        except ImportError as error:
+            raise InputError(f"backend cl: {error}") from error
         self._opened: Any = None
         self._ready: dict[str, tuple[Weights | None, Any]] = {}
 
@@ -45,12 +47,12 @@ class OpenCLPort:
 
     def stages(self) -> frozenset[str]:
         """The stages of images, and those of the network."""
-        modules = [*([] if self._image is None else [self._image]), *(module for module, _ in self._network)]
+        modules = [self._image, *(module for module, _ in self._network)]
         return frozenset(stage for module in modules for stage in module.STAGES)
 
     def run(self, stage: str, inputs: Arrays, weights: Weights | None = None) -> Outputs:
         """See ``conformance.protocol.port.Port``; the first case opens the device, which stays open."""
-        if self._image is not None and stage in self._image.STAGES:
+        if stage in self._image.STAGES:
             return self._image.ImageStages(self._device).run_stage(stage, inputs)
         if (stages := self._stages(stage, weights)) is None:
             raise InputError(f"backend cl: it has no stage {stage}")
@@ -86,18 +88,6 @@ def cl_direct() -> OpenCLPort:
 def cl_half() -> OpenCLPort:
     """The OpenCL backend with activations stored as half."""
     return OpenCLPort("half")
-
-
-def _module(name: str) -> ModuleType | None:
-    """Import a module on its first use, since it opens the OpenCL library. None if this version has no such module."""
-    try:
-        return import_module(name)
-    except ModuleNotFoundError as error:
-        if error.name == name:
-            return None
-        raise InputError(f"backend cl: {error}") from error
-    except ImportError as error:
-        raise InputError(f"backend cl: {error}") from error
 
 
 PORTS = {"ref": ReferencePort, "cl": OpenCLPort}

@@ -11,17 +11,16 @@ import pyopencl as cl
 import pyopencl.array as cla
 from numpy.typing import NDArray
 
-from stss_cl.device.buffers import Outgoing, mask_of, on_device
+from stss_cl.device.buffers import Outgoing, Plain, mask_of, on_device
 from stss_cl.device.discovery import Device
 from stss_cl.image_space.frame_planes import Source, Sources
 from stss_cl.image_space.prepare import Prepare
-from stss_cl.image_space.stages import Gather
 from stss_cl.network.layers import Layers
-from stss_cl.network.network import Network, Precision
+from stss_cl.network.network import Network
+from stss_cl.options import Precision
 from stss_ref.arrays import Array, require_finite, require_shape
+from stss_ref.constants import Gather
 from stss_ref.weights import Weights
-
-Given = Array | cla.Array
 
 
 class Frame:
@@ -30,7 +29,7 @@ class Frame:
     Args:
         weights: the 92 tensors.
         device: to run on; None = ``stss_cl.device.discovery.open_device()``.
-        precision: see ``stss_cl.network.network.PRECISIONS``.
+        precision: see ``stss_cl.options.PRECISIONS``.
         gather: how the motion chain reads between pixels.
         memory_limit: see ``Network``.
     """
@@ -50,14 +49,14 @@ class Frame:
 
     def __call__(
         self,
-        colors: Given,
+        colors: Plain,
         steps: Sequence[int],
-        motions: Given,
-        gbuffer: Given,
-        nov: Given,
-        stencils: Given,
-        normals: Given,
-        positions: Given,
+        motions: Plain,
+        gbuffer: Plain,
+        nov: Plain,
+        stencils: Plain,
+        normals: Plain,
+        positions: Plain,
     ) -> tuple[Any, NDArray[np.bool_]]:
         """Compute one display frame; the arguments are those of ``stss_ref.frame.FrameInputs``.
 
@@ -117,7 +116,7 @@ class Frame:
         self._run(prepare, layers, image)
         return prepare.mask
 
-    def _source(self, name: str, array: Given, shape: tuple[int | None, ...]) -> Source:
+    def _source(self, name: str, array: Plain, shape: tuple[int | None, ...]) -> Source:
         if not isinstance(array, cla.Array):
             return array
         require_shape(name, array, shape)

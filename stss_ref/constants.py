@@ -15,6 +15,9 @@ HoleFill = Literal["occlusion_warp", "reshade"]
 surface and like materials around it (`stss_ref.reshade`)."""
 HOLE_FILLS: tuple[HoleFill, ...] = get_args(HoleFill)
 
+Gather = Literal["longest", "nearest", "bilinear"]
+"""How a motion is read between pixels: see ``stss_ref.motion_chain.GATHERS``."""
+
 
 @dataclass(frozen=True)
 class HoleLimits:

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from stss_ref.arrays import Array, ArrayError, Image, Mask, Plane, require
-from stss_ref.constants import HoleFill, HoleTest
+from stss_ref.constants import Gather, HoleFill, HoleTest
 from stss_ref.detail import detail
 from stss_ref.holes import holes
-from stss_ref.motion_chain import Gather, chain_steps
+from stss_ref.motion_chain import chain_steps
 from stss_ref.network import network
 from stss_ref.occlusion_warp import occlusion_warp
 from stss_ref.reshade import reshade

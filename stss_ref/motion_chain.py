@@ -4,14 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Literal
 
 import numpy as np
 
 from stss_ref.arrays import Array, Image, Mask, Plane, require, require_choice
+from stss_ref.constants import Gather
 from stss_ref.sample import Index, Place, follow, lerp
-
-Gather = Literal["longest", "nearest", "bilinear"]
 
 
 def motion_chain(motions: Image, gather: Gather = "longest") -> Image:

@@ -14,7 +14,10 @@ FOLDERS = (*PACKAGES, "kernels", "training", "tests", "docs", "blender", "packag
 FILES = [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*")) if path.is_file()]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md"] + [path for path in FILES if path.suffix == ".md"]
 SOURCES = [path for path in FILES if path.suffix in (".py", ".cl", ".clh", ".cpp", ".sh")]
+KERNELS = [path for path in SOURCES if path.parent.name == "kernels"]
 ELSEWHERE = {
+    "src/ng_model_gym/core/evaluator/metrics.py",
+    "utils/matlab_metric.py",
     "--nthreads",
     "--protocol",
     "--uninitialized",
@@ -29,6 +32,7 @@ ELSEWHERE = {
 
 text = cache(Path.read_text)
 NAMES = {path.name for path in [*FILES, *ROOT.iterdir()]}
+OF_KERNELS = {word for path in KERNELS for word in re.findall(r"\b[A-Z]\w*", re.sub(r"//.*", "", text(path)))}
 OPTIONS = {name for path in SOURCES for name in re.findall(r"--[a-z][a-z-]+", text(path))}
 
 
@@ -104,6 +108,23 @@ def missing_modules(path):
             yield f"{name} is not there"
 
 
+def missing_references(path):
+    """Decisions, files and -D options that comments name and that are not there."""
+    said = re.sub(r"\s+(?://|#)?\s*", " ", comments(path))
+    pages = {int(page.name[:4]) for page in (ROOT / "docs" / "decisions").glob("0*.md")}
+    for number in re.findall(r"\bdecisions? (\d+)\b|\bdecisions/[\w.-]+, (0\d{3})\b", said):
+        if int("".join(number)) not in pages:
+            yield f"decision {''.join(number)} is not there"
+    for name in re.findall(r"(?<![\w./*-])(?:[\w-]+/)*[\w-]+\.(?:clh?|md|py|toml)\b(?!\.\w)", said):
+        there = any((folder / name).is_file() for folder in (ROOT, path.parent)) if "/" in name else name in NAMES
+        if not there and name not in ELSEWHERE:
+            yield f"{name} is not there"
+    if path in KERNELS:
+        options = re.findall(r"-D ((?:[A-Z][A-Z0-9_]*(?:, | and |\b))+)", said)
+        for name in {word for some in options for word in re.findall(r"[A-Z]\w*", some)} - OF_KERNELS:
+            yield f"-D {name} is in no kernel"
+
+
 def missing_licence(path):
     """The first line of what is installed."""
     ours = path.relative_to(ROOT).parts[0] in (*PACKAGES, "kernels") and path.suffix in (".py", ".cl", ".clh")
@@ -135,7 +156,7 @@ def faults():
     """Every fault with its file."""
     for checks, paths in (
         ((bad_links, missing_names, bad_lines), PAGES),
-        ((missing_modules, missing_licence), SOURCES),
+        ((missing_modules, missing_references, missing_licence), SOURCES),
         ((broken_promises,), [ROOT / "docs" / "promises.md"]),
         ((bad_workflow,), [*(ROOT / ".github" / "workflows").glob("*.yml"), ROOT / "examples" / "conform.yml"]),
     ):

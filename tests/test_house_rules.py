@@ -27,7 +27,7 @@ FLOORS = {
     "stss_lab": "commands > command_bench command_methods command_stress command_tune > bench methods > stress tune baselines",
     "conformance": "command pytest_plugin > graph > report > suite > explain > judging reference_port > answers mistakes cases > "
     "protocol scenes tolerance",
-    "stss_cl": "skip > frame > network image_space > device graph liveness",
+    "stss_cl": "skip > frame > network image_space > device graph liveness options report",
     "stss_ground": "guard commands > optional option_kinds output pages progress toml_table > machine arguments > "
     "errors terminal version regular_file",
 }

@@ -10,12 +10,13 @@ from typing import Any, TypeVar
 import click
 
 from stss.frames.backends import BACKENDS
-from stss.frames.compute_options import PRECISIONS, SKIPS, ComputeOptions, Precision, Skip
+from stss.frames.compute_options import ComputeOptions
 from stss.images.color import HDR_IS_GONE, TRANSFERS
 from stss.images.headers import MAX_SIDE
 from stss.sequence.background import BACKGROUNDS
 from stss.sequence.choose_weights import AUTO
 from stss.sequence.find_files import MAX_DIGITS
+from stss_cl.options import PRECISIONS, SKIPS, Precision, Skip
 from stss_ground.commands import grouped
 from stss_ground.option_kinds import Names, Number, ReadName, ReadPath
 from stss_ground.terminal import echo

@@ -23,6 +23,7 @@ from conformance.tolerance import ratio
 from stss.devices.trial import trial_weights
 from stss.weights.file import REALTIME
 from stss_cl.device.discovery import Device, DeviceError, open_device
+from stss_cl.device.launch import Kernel
 from stss_cl.device.program import build
 from stss_cl.image_space.stages import ImageStages
 from stss_cl.skip.arrival import Arrival
@@ -61,7 +62,7 @@ def arithmetic(device: Device, generator: np.random.Generator) -> None:
     c = generator.uniform(-79, 79, COUNT)
     a, b, c = (array.astype(np.float32) for array in (a, b, c))
     values, whole = np.empty((5, COUNT), np.float32), np.empty((3, COUNT), np.int32)
-    _launch(device, "arithmetic", (COUNT + 21,), None, [a, b, c], [values, whole], COUNT)
+    _launch(device, "arithmetic", (COUNT + 21,), None, {"a": a, "b": b, "c": c}, {"values": values, "whole": whole}, n=COUNT)
 
     _exact("a * b + c", values[0], a * b + c)
     _exact("(a + b) + c", values[1], (a + b) + c)
@@ -77,7 +78,7 @@ def vectors(device: Device, generator: np.random.Generator) -> None:
     """Eight values move at once, aligned and not."""
     given = generator.standard_normal(8 * COUNT + 8).astype(np.float32)
     got = np.empty((2, 8 * COUNT), np.float32)
-    _launch(device, "vectors", (COUNT,), None, [given], [got], COUNT)
+    _launch(device, "vectors", (COUNT,), None, {"in": given}, {"out": got}, n=COUNT)
     _exact("float8", got[0], given[:-8].reshape(-1, 8)[:, ::-1].reshape(-1))
     _exact("vload8", got[1], given[1:-7] + given[:-8])
 
@@ -86,7 +87,7 @@ def groups(device: Device, generator: np.random.Generator) -> None:
     """Work-items of a group share local memory and wait for each other."""
     given = generator.integers(-1000, 1000, (37, GROUP)).astype(np.float32)
     got = np.empty(37, np.float32)
-    _launch(device, "reduce_group", (given.size,), (GROUP,), [given], [got])
+    _launch(device, "reduce_group", (given.size,), (GROUP,), {"in": given}, {"out": got})
     _exact("local memory and barrier", got, given.sum(axis=1))
 
 
@@ -94,7 +95,7 @@ def turns(device: Device, generator: np.random.Generator) -> None:
     """A long loop runs to its end; its sums of whole numbers are exact."""
     steps = int(generator.integers(TURNS, 2 * TURNS))
     got = np.empty((1, 8), np.float32)
-    _launch(device, "speed", (1,), None, [np.ones((steps, 8), np.float32)], [got], steps)
+    _launch(device, "speed", (1,), None, {"weights": np.ones((steps, 8), np.float32)}, {"out": got}, steps=steps)
     _exact("turns of a loop", got / 6, np.full((1, 8), steps, np.float32))
 
 
@@ -104,7 +105,7 @@ def nearest(device: Device, generator: np.random.Generator) -> None:
     key = generator.integers(-(2**31), 2**31 - 1, 5000).astype(np.int32)
     got, want = np.full(50, 2**31 - 1, np.int32), np.full(50, 2**31 - 1, np.int32)
     np.minimum.at(want, place, key)
-    _launch(device, "nearest", (5000,), None, [place, key], [got], 5000)
+    _launch(device, "nearest", (5000,), None, {"place": place, "key": key}, {"out": got}, n=5000)
     _exact("atomic_min", got, want)
 
 
@@ -193,14 +194,15 @@ CHECKS: tuple[Callable[[Device, np.random.Generator], None], ...] = (
 def gflops(device: Device) -> float:
     """Speed of a convolution's inner loop, the best of three; the work grows until it takes 10 ms."""
     steps = 64
-    kernel = cl.Kernel(build(device, "selftest.cl", flags="-cl-mad-enable"), "speed")
-    weight = _upload(device, np.ones((steps, 8), np.float32))
+    weights = _upload(device, np.ones((steps, 8), np.float32))
+    kernel = Kernel(build(device, "selftest.cl", flags="-cl-mad-enable"), "speed", {"weights": weights, "steps": steps})
     best, took, items = 0.0, 0.0, 64
     while took < 0.01 and items < 2**22:
         out = cl.Buffer(device.context, cl.mem_flags.WRITE_ONLY, items * 32)
+        kernel.set(out=out)
         for _ in range(3):
             start = time.perf_counter()
-            kernel(device.queue, (items,), None, weight, out, np.int32(steps))
+            kernel.enqueue(device.queue, (items,), None)
             device.queue.finish()
             took = time.perf_counter() - start
             best = max(best, 64e-9 * steps * items / took)
@@ -230,16 +232,15 @@ def _launch(
     name: str,
     size: tuple[int, ...],
     group: tuple[int, ...] | None,
-    given: list[NDArray[Any]],
-    out: list[NDArray[Any]],
-    *numbers: int,
+    inputs: dict[str, NDArray[Any]],
+    outputs: dict[str, NDArray[Any]],
+    **numbers: int,
 ) -> None:
-    """Run a kernel of ``selftest.cl`` on arrays in and out, then ``int`` arguments."""
-    kernel = cl.Kernel(build(device, "selftest.cl"), name)
-    buffers = [_upload(device, array) for array in [*given, *out]]
-    kernel(device.queue, size, group, *buffers, *map(np.int32, numbers))
-    for array, buffer in zip(out, buffers[len(given) :], strict=True):
-        cl.enqueue_copy(device.queue, array, buffer)
+    """Run a kernel of ``selftest.cl`` on arrays in and out, and numbers."""
+    buffers = {name: _upload(device, array) for name, array in (inputs | outputs).items()}
+    Kernel(build(device, "selftest.cl"), name, {**buffers, **numbers}).enqueue(device.queue, size, group)
+    for argument, array in outputs.items():
+        cl.enqueue_copy(device.queue, array, buffers[argument])
 
 
 def _exact(what: str, got: NDArray[Any], want: NDArray[Any]) -> None:

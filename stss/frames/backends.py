@@ -5,19 +5,19 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from threading import Lock
-from typing import Literal, Protocol
+from typing import Protocol
 
 from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import DisplayFrame, OnArrays
 from stss.weights.file import LoadedWeights, load
 from stss_cl.liveness import has_residual
+from stss_cl.report import Report
 from stss_ground.arguments import require_choice, require_kind
 from stss_ground.errors import InputError
 from stss_ref.arrays import Image, Mask
+from stss_ref.constants import Gather
 from stss_ref.frame import FrameInputs, frame, prepare
-from stss_ref.motion_chain import Gather
 from stss_ref.resample import upsample_centres
 from stss_ref.weights import Weights, check
 
@@ -26,19 +26,6 @@ NETWORK = "network"
 BACKENDS = ("cl", "ref")
 """The names that ``open_backend`` takes."""
 DEFAULTS = ComputeOptions()
-
-
-@dataclass(frozen=True)
-class Cost:
-    """How much of the network a frame needed.
-
-    Attributes:
-        network: where the network ran: ``none``, nowhere; ``changed``, where its inputs had changed; ``whole``, everywhere.
-        changed: share of the frame that differed from the one before of its kind; 1 where they were not compared.
-    """
-
-    network: Literal["none", "changed", "whole"]
-    changed: float
 
 
 class Backend(Protocol):
@@ -55,7 +42,7 @@ class Backend(Protocol):
     accumulates: bool
 
     @property
-    def cost(self) -> Cost | None:
+    def cost(self) -> Report | None:
         """The cost of the last frame; None where every frame costs the same."""
         ...
 
@@ -122,10 +109,9 @@ class OpenCLBackend:
             return self._stream(window, steps)
 
     @property
-    def cost(self) -> Cost:
+    def cost(self) -> Report:
         """See ``Backend``."""
-        report = self._stream.report
-        return Cost(report.network, report.changed)
+        return self._stream.report
 
 
 def open_backend(

@@ -4,19 +4,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 
+from stss_cl.options import PRECISIONS, SKIPS, Precision, Skip
 from stss_ground.arguments import require_choice, require_kind
 from stss_ground.errors import InputError
-
-Precision = Literal["float32", "float32-direct", "half", "bfloat16"]
-PRECISIONS: tuple[Precision, ...] = get_args(Precision)
-"""See ``stss_cl.network.network.PRECISIONS``; the reference knows float32 alone."""
-Skip = Literal["off", "exact"]
-SKIPS: tuple[Skip, ...] = get_args(Skip)
-"""See ``stss_cl.skip.stream.SKIPS``."""
 
 
 @dataclass(frozen=True)
@@ -25,9 +18,9 @@ class ComputeOptions:
 
     Attributes:
         device: part of an OpenCL device's name; None: ``$STSS_DEVICE``, or the fastest that passed its self-test.
-        precision: one of ``PRECISIONS``; the reference takes ``float32`` only.
+        precision: one of ``stss_cl.options.PRECISIONS``; the reference takes ``float32`` only.
         memory_limit: bytes for the buffers of the OpenCL backend; larger frames go in strips, with the same bits.
-        skip: one of ``SKIPS``: what the OpenCL backend leaves out; the reference computes everything.
+        skip: one of ``stss_cl.options.SKIPS``: what the OpenCL backend leaves out; the reference computes everything.
 
     Raises:
         InputError: ``precision`` or ``skip`` is none of these, or the limit is no number of bytes.

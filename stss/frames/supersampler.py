@@ -53,7 +53,7 @@ class Supersampler:
                 ``.safetensors`` file, or weights that are loaded already.
             backend: ``cl``, ``ref`` or one from `open_backend`; then the options up to ``skip`` are its own.
             device: part of an OpenCL device's name; None: ``$STSS_DEVICE``, or the fastest.
-            precision: of ``stss.frames.compute_options.PRECISIONS``.
+            precision: of ``stss_cl.options.PRECISIONS``.
             memory_limit: bytes for the network's buffers; larger frames go in strips, with the same bits.
             skip: ``exact``: what did not change is not computed again, with the same bits; ``off``.
             transfer: ``srgb``: scene-linear; what lies above 1 is carried past the network. ``none``: display-referred.

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
-from stss.frames.backends import Backend, Cost
+from stss.frames.backends import Backend, Report
 from stss.frames.display_frame import WINDOW, DisplayFrame
 from stss.frames.static_holes import static_holes
 from stss.frames.supersample import Output, compute, decode, shot_start
@@ -54,7 +54,7 @@ class FrameReport:
     outcome: Outcome
     reason: str = ""
     fault: bool = False
-    cost: Cost | None = None
+    cost: Report | None = None
     peak: float = 0.0
     static_holes: float | None = None
 
@@ -87,7 +87,7 @@ class _Computed:
 
     key: str
     output: Output
-    cost: Cost | None
+    cost: Report | None
     static_holes: float | None
     copied: Mapping[str, Value]
 

@@ -16,6 +16,7 @@ import pyopencl as cl
 
 from stss_cl.device.buffers import BFLOAT16, FLAGS, constant, storage, to_bfloat16
 from stss_cl.device.discovery import Device, Properties
+from stss_cl.device.launch import Kernel
 from stss_cl.device.program import build
 from stss_ground.errors import DeviceError
 from stss_ground.machine import cpu_flags
@@ -73,7 +74,8 @@ def product_is_right(device: Device, *, emulate: bool) -> bool:
     got = np.empty((16, 16), np.float32)
     made = cl.Buffer(device.context, FLAGS.WRITE_ONLY, got.nbytes)
     program = build(device, "matrix_amx.cl", {"EMULATE": emulate})
-    cl.Kernel(program, "matrix_amx")(device.queue, (1,), (1,), *(constant(device, x) for x in (a, b, bias)), made)
+    inputs = {name: constant(device, array) for name, array in {"a": a, "b": b, "bias": bias}.items()}
+    Kernel(program, "matrix_amx", {**inputs, "sums": made}).enqueue(device.queue, (1,), (1,))
     cl.enqueue_copy(device.queue, got, made)
     return bool((got == multiplied(np.broadcast_to(bias, (16, 16)), a, b)).all())
 

@@ -25,6 +25,9 @@ SLACK = 80
 BFLOAT16 = np.dtype(np.uint16)
 """Stands for bfloat16, which NumPy has not: the upper halves of floats."""
 
+Plain = Array | cla.Array
+"""A NumPy array, or one on the device: ``pyopencl.array.Array(queue, shape, dtype, data=buffer)`` wraps an engine's buffer."""
+
 ALIGNMENT = 16
 """Alignment of a ``float4``; bytes. A part of an array need not begin at a multiple of it."""
 

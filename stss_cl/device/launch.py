@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Launches: a kernel with its arguments set, made once and enqueued for every frame."""
+"""Launches: a kernel with its arguments set by name, made once and enqueued for every frame."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import struct
+from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,56 +12,126 @@ import numpy as np
 import pyopencl as cl
 
 from stss_cl.device.discovery import Device
+from stss_cl.device.program import Program
 
 Arguments = Mapping[str, Any]
-"""A kernel's arguments by their names in its source, in order; bool and int stand for int32, float for float32, None for no buffer."""
+"""A kernel's arguments by their names in its source, those that are structs by the names of their members; None: no buffer."""
+
+NUMBERS: Mapping[str, type] = {"int": np.int32, "uint": np.uint32, "float": np.float32, "ulong": np.uint64}
+"""Type of a number in a kernel -> NumPy's; a number is of Python or NumPy, and a bool is an int."""
+FORMATS = {"int": "i", "uint": "I", "float": "f"}
+"""Type of a struct's member -> its format for Python's ``struct``: all have the same size, so that nothing lies between them."""
+
+
+class Kernel:
+    """A kernel whose arguments are set by name.
+
+    Args:
+        program: has it.
+        name: of the kernel.
+        arguments: those that are known by now.
+    """
+
+    def __init__(self, program: Program, name: str, arguments: Arguments | None = None):
+        self.name = name
+        self._kernel = cl.Kernel(program.built, name)
+        self._places: dict[str, tuple[int, str]] = {}
+        self._members: dict[str, tuple[int, str]] = {}
+        self._structs: dict[int, tuple[str, dict[str, float]]] = {}
+        for place, (argument, kind) in enumerate(program.arguments(name)):
+            members = program.structs.get(kind)
+            if members is None:
+                self._places[argument] = place, kind
+            else:
+                self._members |= {member: (place, of) for member, of in members.items()}
+                self._structs[place] = "".join(FORMATS[of] for of in members.values()), dict.fromkeys(members, 0)
+        self._open: Set[str] = self._places.keys() | self._members.keys()
+        self.set(**(arguments or {}))
+
+    def set(self, **values: Any) -> None:
+        """Set arguments; the caller keeps buffers among them alive, which OpenCL does not.
+
+        Raises:
+            TypeError: the kernel has no such argument, or it is of another type.
+        """
+        structs: set[int] = set()
+        for name, value in values.items():
+            if name in self._places:
+                place, kind = self._places[name]
+                self._kernel.set_arg(place, self._typed(name, value, kind))
+            elif name in self._members:
+                place, kind = self._members[name]
+                self._structs[place][1][name] = self._typed(name, value, kind)
+                structs.add(place)
+            else:
+                raise TypeError(f"kernel {self.name}: it has no argument {name}")
+        for place in structs:
+            layout, members = self._structs[place]
+            self._kernel.set_arg(place, struct.pack(layout, *members.values()))
+        if self._open:
+            self._open = self._open - values.keys()
+
+    def enqueue(self, queue: cl.CommandQueue, size: tuple[int, ...], group: tuple[int, ...] | None) -> cl.Event:
+        """Put it into the queue, over a global size in work-groups.
+
+        Raises:
+            TypeError: an argument has not been set.
+        """
+        if self._open:
+            raise TypeError(f"kernel {self.name}: argument {min(self._open)} is missing")
+        return cl.enqueue_nd_range_kernel(queue, self._kernel, size, group)
+
+    def load(self, queue: cl.CommandQueue, size: tuple[int, ...], group: tuple[int, ...] | None, **nothing: Any) -> cl.Event:
+        """Launch it now with ``nothing`` to do, since runtimes load or compile a kernel at its first launch; what is missing stays so."""
+        missing = self._open
+        unset = {name: None if name in self._places and self._places[name][1].endswith("*") else 0 for name in missing}
+        self.set(**{**unset, **nothing})
+        done = self.enqueue(queue, size, group)
+        self._open = missing
+        return done
+
+    def _typed(self, name: str, value: Any, kind: str) -> Any:
+        """``value`` in the type that the kernel takes."""
+        if kind.endswith("*"):
+            fits = value is None or isinstance(value, cl.MemoryObjectHolder | cl.LocalMemory)
+        else:
+            numbers = (float, np.floating, int, np.integer) if kind == "float" else (int, np.integer, np.bool_)
+            fits = kind in NUMBERS and isinstance(value, numbers)
+        if not fits:
+            raise TypeError(f"kernel {self.name}: argument {name} is {kind}, got {type(value).__name__}")
+        return value if kind.endswith("*") else NUMBERS[kind](value)
 
 
 @dataclass(frozen=True)
 class Launch:
-    """One kernel, ready to be enqueued.
+    """One kernel, ready to be enqueued once its arguments are set.
 
     Attributes:
         name: the layer or step that it computes, e.g. ``down1.conv2``.
-        kernel: the kernel with its arguments set.
+        kernel: the kernel.
+        arguments: those that it was made with, kept because OpenCL does not keep buffers alive.
         size: global size.
         group: work-group size; None = the runtime's choice.
-        arguments: the arguments that it was made with, kept because OpenCL does not keep buffers alive.
     """
 
     name: str
-    kernel: cl.Kernel
+    kernel: Kernel
+    arguments: Arguments
     size: tuple[int, ...]
     group: tuple[int, ...] | None
-    arguments: Arguments
 
     def set(self, **values: Any) -> None:
         """Set arguments for later runs; the caller must keep buffers among them alive."""
-        places = list(self.arguments)
-        for name, value in values.items():
-            self.kernel.set_arg(places.index(name), typed(value))
+        self.kernel.set(**values)
 
     def load(self, queue: cl.CommandQueue, **nothing: Any) -> None:
-        """Launch it now with ``nothing`` to do, since runtimes load or compile a kernel at its first launch; its arguments stay."""
-        self.set(**nothing)
-        self.enqueue(queue)
-        self.set(**{name: self.arguments[name] for name in nothing})
+        """Launch it now with ``nothing`` to do; its arguments stay."""
+        self.kernel.load(queue, self.size, self.group, **nothing)
+        self.set(**{name: self.arguments[name] for name in nothing if name in self.arguments})
 
     def enqueue(self, queue: cl.CommandQueue) -> cl.Event:
         """Put it into the queue."""
-        return cl.enqueue_nd_range_kernel(queue, self.kernel, self.size, self.group)
-
-
-def kernel(program: cl.Program, name: str, arguments: Arguments) -> cl.Kernel:
-    """A kernel of ``program`` with its arguments set."""
-    made = cl.Kernel(program, name)
-    made.set_args(*map(typed, arguments.values()))
-    return made
-
-
-def typed(value: Any) -> Any:
-    """``value`` in the type that a kernel takes."""
-    return np.int32(value) if isinstance(value, int) else np.float32(value) if isinstance(value, float) else value
+        return self.kernel.enqueue(queue, self.size, self.group)
 
 
 def enqueue(device: Device, launches: Iterable[Launch]) -> None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from stss_cl.device.buffers import FLAGS, constant
 from stss_cl.device.discovery import Device, Properties
+from stss_cl.device.launch import Kernel
 from stss_cl.device.program import build
 from stss_ground.errors import DeviceError
 
@@ -82,6 +83,7 @@ def _product_is_right(device: Device) -> bool:
     inputs = constant(device, np.ascontiguousarray(pixels.reshape(UNIT, 2, 8).swapaxes(0, 1)))
     program = build(device, "matrix.cl", {"STORED": "HALF", "EMULATE": are_emulated(device)})
     size = LANES, WAVES
-    cl.Kernel(program, "matrix")(device.queue, size, size, inputs, constant(device, arrange(weight)), made)
+    arguments = {"pixels": inputs, "weight": constant(device, arrange(weight)), "d": made}
+    Kernel(program, "matrix", arguments).enqueue(device.queue, size, size)
     cl.enqueue_copy(device.queue, got, made)
     return bool((got == want).all())

@@ -36,13 +36,40 @@ MAKERS_OPTIONS = {"intel": "-D static= -D inline="}
 """Options for a maker's GPUs. Where a function is static, Intel's compiler of 2022 unrolls no loop as it is told, and keeps arrays in
 memory."""
 
+ARGUMENTS = "-cl-kernel-arg-info"
+"""The option by which a program knows the names of its kernels' arguments."""
+
+Signatures = dict[str, list[tuple[str, str]]]
+"""Kernel -> name and type of each argument in order, as in the source without qualifiers: ``("color", "float*")``."""
+
 _building = Lock()
 """One thread builds at a time: two would undo each other's filters of warnings."""
-_programs: WeakKeyDictionary[Device, dict[tuple[str, str], cl.Program]] = WeakKeyDictionary()
+
+
+class Program:
+    """A built program, and what its kernels take.
+
+    Attributes:
+        built: OpenCL's.
+        structs: struct -> members with their types, in order, of those that have only numbers.
+    """
+
+    def __init__(self, built: cl.Program, text: str, signatures: Signatures | None = None):
+        self.built, self.structs = built, _structs(text)
+        self._signatures: Signatures = {} if signatures is None else signatures
+
+    def arguments(self, kernel: str) -> list[tuple[str, str]]:
+        """Name and type of each argument of a kernel, in order."""
+        if kernel not in self._signatures:
+            self._signatures[kernel] = _signature(cl.Kernel(self.built, kernel))
+        return self._signatures[kernel]
+
+
+_programs: WeakKeyDictionary[Device, dict[tuple[str, str], Program]] = WeakKeyDictionary()
 """By device, not by context: programs hold their context, and would keep themselves alive."""
 
 
-def build(device: Device, file: str, options: Mapping[str, object] | None = None, flags: str = "") -> cl.Program:
+def build(device: Device, file: str, options: Mapping[str, object] | None = None, flags: str = "") -> Program:
     """Build ``kernels/file`` for ``device``; the same file with the same options is built once.
 
     Args:
@@ -55,7 +82,7 @@ def build(device: Device, file: str, options: Mapping[str, object] | None = None
         DeviceError: it does not build; the message has the source line that the compiler's log names, ``log`` has the whole log.
     """
     given = [f"-D {k}" if v is True else f"-D {k}={v}" for k, v in (options or {}).items() if v is not None and v is not False]
-    key = (file, " ".join(["-cl-std=CL1.2", *given, MAKERS_OPTIONS.get(device.maker, ""), flags]).strip())
+    key = (file, " ".join(["-cl-std=CL1.2", ARGUMENTS, *given, MAKERS_OPTIONS.get(device.maker, ""), flags]).strip())
     device.require_same_process()
     with _building:
         built = _programs.setdefault(device, {})
@@ -69,7 +96,7 @@ def marking(device: Device, marks: bool) -> Mapping[str, object]:
     return {} if device.is_cpu else {"MARK": int(marks)}
 
 
-def built(device: Device) -> Mapping[tuple[str, str], cl.Program]:
+def built(device: Device) -> Mapping[tuple[str, str], Program]:
     """The programs built for this device so far, by file and options, in order."""
     return dict(_programs.get(device, {}))
 
@@ -91,7 +118,7 @@ def source(file: str) -> str:
     return expand(file)
 
 
-def _build(device: Device, file: str, options: str) -> cl.Program:
+def _build(device: Device, file: str, options: str) -> Program:
     text = source(file)
     try:
         with warnings.catch_warnings(), _our_options_alone():
@@ -117,24 +144,51 @@ def _our_options_alone() -> Generator[None]:
             os.environ["PYOPENCL_BUILD_OPTIONS"] = theirs
 
 
-def _stored_or_built(device: Device, text: str, options: str) -> cl.Program:
+def _stored_or_built(device: Device, text: str, options: str) -> Program:
     """Build a program; on platforms without a cache, from the binary that an earlier process stored."""
     if has_src_build_cache(device.handle):
         with suppress(cl.Error):
-            return cl.Program(device.context, text).build(options)
+            return Program(cl.Program(device.context, text).build(options), text)
         # Some versions of PoCL fail if another process makes the same cache folder at the same moment. By now it exists.
-        return cl.Program(device.context, text).build(options)
+        return Program(cl.Program(device.context, text).build(options), text)
     what = json.dumps([device.name, device.driver, device.platform_version, options, text])
     path = private("binaries") / hashlib.sha256(what.encode()).hexdigest()
     stored = read(path, MOST_BINARY) or b""
-    binary = stored[DIGEST:]
-    if binary and hashlib.sha256(binary).digest() == stored[:DIGEST]:  # a driver may end the process where its binary is damaged
+    content = stored[DIGEST:]
+    if (
+        content and hashlib.sha256(content).digest() == stored[:DIGEST]
+    ):  # a driver may end the process where its binary is damaged
+        signatures, _, binary = content.partition(b"\n")
         with suppress(cl.Error):  # a driver may refuse its own binary; then the program is built anew
-            return cl.Program(device.context, [device.handle], [binary]).build(options)
-    built = cl.Program(device.context, text).build(options)
-    binaries: Any = built.get_info(cl.program_info.BINARIES)
-    store(path, hashlib.sha256(binaries[0]).digest() + binaries[0])
-    return built
+            program = cl.Program(device.context, [device.handle], [binary]).build(options)
+            return Program(
+                program, text, {kernel: [tuple(each) for each in takes] for kernel, takes in json.loads(signatures).items()}
+            )
+    # Not from PyOpenCL's cache: it has binaries, too, and those may have forgotten the names of arguments.
+    never: Any = False
+    program = cl.Program(device.context, text).build(options, cache_dir=never)
+    binaries: Any = program.get_info(cl.program_info.BINARIES)
+    signatures = {kernel.function_name: _signature(kernel) for kernel in program.all_kernels()}
+    content = json.dumps(signatures).encode() + b"\n" + binaries[0]
+    store(path, hashlib.sha256(content).digest() + content)
+    return Program(program, text, signatures)
+
+
+def _signature(kernel: cl.Kernel) -> list[tuple[str, str]]:
+    asked = cl.kernel_arg_info.NAME, cl.kernel_arg_info.TYPE_NAME
+    known = [[str(kernel.get_arg_info(i, what)).strip("\0") for what in asked] for i in range(kernel.num_args)]
+    return [(name, kind) for name, kind in known]
+
+
+def _structs(text: str) -> dict[str, dict[str, str]]:
+    """The structs of a source whose members are all numbers of 32 bits."""
+    structs: dict[str, dict[str, str]] = {}
+    for body, name in re.findall(r"^typedef struct \{\n(.*?)^\} (\w+);", text, re.MULTILINE | re.DOTALL):
+        lines = re.sub(r"//.*", "", body).split(";")[:-1]
+        found = [re.fullmatch(r"\s*(u?int|float) ([\w,\s]+)", line) for line in lines]
+        if all(found):
+            structs[name] = {member: each[1] for each in found if each for member in re.split(r",\s*", each[2])}
+    return structs
 
 
 def _fault(log: str, text: str) -> str:

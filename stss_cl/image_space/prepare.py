@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -16,55 +15,28 @@ from stss_cl.device import amx
 from stss_cl.device.buffers import Inputs, inputs_for
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, grid
-from stss_cl.device.launch import Launch, kernel
+from stss_cl.device.launch import Arguments, Kernel, Launch
 from stss_cl.device.parts import Parts
-from stss_cl.device.program import build, marking
+from stss_cl.device.program import Program, build, marking
 from stss_cl.image_space.frame_planes import MOST_STEPS, Source, Sources, check_steps, planes, upload
-from stss_cl.image_space.stages import Gather, hole_options, program
-from stss_ref.constants import HoleFill, HoleTest
+from stss_cl.image_space.stages import hole_options, program
+from stss_ref.constants import Gather, HoleFill, HoleTest
 from stss_ref.weights import SecondColor
 
 FINITE = ("colors", "gbuffer", "nov", "stencils", "normals")
 """The arrays that must be finite: a ReLU could turn a NaN into 0 unnoticed."""
 
 MOTIONS = tuple(f"motion{i}" for i in range(MOST_STEPS))
-CHAINED = ("to_newest", "to_middle", "to_oldest")
-PLANES = (
-    "color", "motion", "gbuffer", "nov", "stencil", "normal", "position",
-    "stencil_previous", "normal_previous", "position_previous", "normal_stride",
-)  # fmt: skip
-COLOR_FRAME = (*PLANES, "history", "history_changes", "bad", "is_warped", "checks", "strip", "dirty")
-OLDER = (
-    "middle_color", "oldest_color", "stencil_middle", "stencil_oldest", "to_middle", "to_oldest", "reads_middle", "reads_oldest",
-)  # fmt: skip
-ARGUMENTS = {
-    "chain_steps": (*MOTIONS, "newest", "middle", "oldest", *CHAINED, "height", "width", "dirty"),
-    "prepare_older": (*COLOR_FRAME, "image", "is_missing"),
-    "prepare_newest": (
-        *COLOR_FRAME, "x0", "color3", "mask", "keys", "first", "input_changes", "stores", "marks_wanted", *OLDER,
-    ),
-    "splat_nearest": ("motion", "gbuffer", "keys", "height", "width"),
-    "splat_first": ("motion", "gbuffer", "keys", "first", "height", "width"),
-    "find_samples": (
-        "color", "motion", "mask", "stencil", "normal", "position", "stencil_previous", "normal_previous", "position_previous",
-        "normal_stride", "samples", "height", "width",
-    ),
-    "fill_holes": (
-        "color", "motion", "keys", "first", "mask", "x0", "color3", "input_changes", "strip", "stencil", "stencil_previous",
-        "gbuffer", "normal", "normal_stride", "samples", *OLDER,
-    ),
-    "downsample_8": (
-        "gbuffer", "mask", "eighth", "height", "width", "eighth_height", "eighth_width", "eighth_columns", "top", "eighth_changes", "dirty",
-    ),
-}  # fmt: skip
-"""The arguments of each kernel of frame.cl and downsample_8.cl, in order."""
-NOTHING = {"strip": np.zeros(5, np.int32), "height": 0, "width": 0, "eighth_height": 0}
+NOTHING = {"height": 0, "rows": 0, "down": 0}
 """With these of its arguments a kernel has no pixel."""
 
 
 @dataclass(frozen=True)
 class _Launches:
-    """Those of one frame; ``colors``: of the colour frames, newest first; ``search``: for what the holes are filled with."""
+    """Those of one frame.
+
+    ``colors``: of the colour frames, newest first; ``search``: for the colours of holes; ``fill``: of the newest frame's holes.
+    """
 
     chain: Launch
     colors: tuple[Launch, ...]
@@ -144,7 +116,7 @@ class Prepare:
     def _made(self, *, marks: bool) -> _Launches:
         inputs, (height, width) = self.inputs, (self.height, self.width)
         options = {**amx.stored_as(self.device, inputs.input.dtype), **marking(self.device, marks)}
-        gather = {"GATHER": f"gather_{self._gather}", "LONGEST": self._gather == "longest", "EIGHTS": self.device.is_cpu}
+        gather = {"GATHER": f"gather_{self._gather}", "LONGEST": self._gather == "longest", "EIGHT_PIXELS": self.device.is_cpu}
         frame_options = {
             **gather,
             **options,
@@ -156,33 +128,44 @@ class Prepare:
         frame = program(self.device, "frame.cl", frame_options)
         eighth = build(self.device, "downsample_8.cl", {"MASK": "uchar", **options})
         dirty, input_changes, history_changes, eighth_changes = (self.dirty, *self._maps) if marks else 4 * (None,)
-        known: dict[str, Any] = {
-            **dict(zip(CHAINED, self._chained.buffers, strict=True)),
-            "history": inputs.earlier.data, "x0": inputs.input.data, "color3": inputs.base, "eighth": inputs.eighth.data,
-            "mask": self.mask, "keys": self._keys, "first": self._first, "samples": self._samples, "bad": self._bad, "dirty": dirty,
-            "input_changes": input_changes, "history_changes": history_changes, "eighth_changes": eighth_changes,
-            "height": height, "width": width, "eighth_height": inputs.eighth.height, "eighth_width": inputs.eighth.width,
-            "eighth_columns": inputs.eighth.columns, "stores": self._stores,
+        size = {"height": height, "width": width}
+        strip = {**size, "rows": self.rows, "columns": self.columns}
+        task = {
+            "is_missing": False, "checks": False, "stores": self._stores, "marks_wanted": False, "image": 2,
+            "reads_middle": False, "reads_oldest": False,
+        }  # fmt: skip
+        chained: Arguments = dict(zip(("to_newest", "to_middle", "to_oldest"), self._chained.buffers, strict=True))
+        older = {name: chained[name] for name in ("to_middle", "to_oldest") if self._is_detailed}
+        written = {"history": inputs.earlier.data, "history_changes": history_changes, "bad": self._bad, "dirty": dirty}
+        newest = {
+            "x0": inputs.input.data, "color3": inputs.base, "mask": self.mask, "keys": self._keys, "first": self._first,
+            "input_changes": input_changes,
+        }  # fmt: skip
+        small = {
+            "mask": self.mask, "eighth": inputs.eighth.data, "down": inputs.eighth.height, "across": inputs.eighth.width,
+            "columns": inputs.eighth.columns, "changes": eighth_changes, "dirty": dirty,
         }  # fmt: skip
         across = 8 if self.device.is_cpu else 1
 
-        def made(name: str, columns: int, rows: int, of: cl.Program = frame, **own: int) -> Launch:
-            # What a frame brings stands open until then: of a kernel's numbers those must come first.
-            brought = {"strip": self._strip(0), "normal_stride": 3, "top": 0, "is_warped": 0, "is_missing": 0, "checks": 0}
-            brought |= {"marks_wanted": 0, "newest": 0, "middle": 0, "oldest": 0, "reads_middle": 0, "reads_oldest": 0}
-            arguments = {each: (own | known | brought).get(each, self.mask) for each in ARGUMENTS[name]}
-            return Launch(name, kernel(of, name, arguments), *grid(self.device, columns, rows), arguments)
+        def made(name: str, columns: int, rows: int, *groups: Arguments, of: Program = frame) -> Launch:
+            arguments = {argument: value for group in groups for argument, value in group.items()}
+            return Launch(name, Kernel(of, name, arguments), arguments, *grid(self.device, columns, rows))
 
-        whole, strip = (ceil_div(width, across), height), (ceil_div(self.columns, across), self.rows)
-        older = (made("prepare_older", *strip, image=2 - i) for i in (1, 2) if self._stores)
+        whole, part = (ceil_div(width, across), height), (ceil_div(self.columns, across), self.rows)
+        if self._reshades:
+            search = (made("find_samples", *whole, {"mask": self.mask, "samples": self._samples, "top": 0}, strip, task),)
+        else:
+            keys, first = {"keys": self._keys}, {"first": self._first}
+            search = made("splat_nearest", *whole, keys, size), made("splat_first", *whole, keys, first, size)
         return _Launches(
-            chain=made("chain_steps", *whole),
-            colors=(made("prepare_newest", *strip), *older),
-            search=tuple(
-                made(name, *whole) for name in (("find_samples",) if self._reshades else ("splat_nearest", "splat_first"))
+            chain=made("chain_steps", *whole, chained, {"dirty": dirty}, size),
+            colors=(
+                made("prepare_newest", *part, written, newest, older, strip, task),
+                *(made("prepare_older", *part, written, strip, task, {"image": image}) for image in (1, 0) if self._stores),
             ),
-            fill=made("fill_holes", *strip),
-            eighth=made("downsample_8", inputs.eighth.width, inputs.eighth.height, eighth),
+            search=search,
+            fill=made("fill_holes", *part, newest, older, {"samples": self._samples}, strip, task),
+            eighth=made("downsample_8", inputs.eighth.width, inputs.eighth.height, small, size, of=eighth),
         )
 
     def load(self) -> None:
@@ -247,11 +230,15 @@ class Prepare:
             launches.chain.set(**dict(zip(MOTIONS, held, strict=False)), **steps)
             launches.chain.enqueue(self.device.queue)
         motions = self._chained.buffers if is_chain or not s.steps[0] else s.motions[:1]
-        for i, launch in enumerate(launches.colors):
+        shown = {
+            "gbuffer": s.gbuffer, "nov": s.nov, "stencil": s.stencils[0], "normal": s.normals[0], "position": s.positions[0],
+            "normal_stride": s.normal_stride,
+        }  # fmt: skip
+        of_newest = (launches.fill, *(launches.search if self._reshades else ()))
+        for launch, i in (*zip(launches.colors, range(3), strict=False), *((launch, 0) for launch in of_newest)):
             launch.set(
-                color=s.colors[i], motion=motions[i], gbuffer=s.gbuffer, nov=s.nov, is_warped=s.steps[i] > 0,
-                stencil=s.stencils[0], normal=s.normals[0], position=s.positions[0], normal_stride=s.normal_stride,
-                stencil_previous=s.stencils[i + 1], normal_previous=s.normals[i + 1], position_previous=s.positions[i + 1],
+                **shown, color=s.colors[i], motion=motions[i], is_warped=s.steps[i] > 0, stencil_previous=s.stencils[i + 1],
+                normal_previous=s.normals[i + 1], position_previous=s.positions[i + 1],
             )  # fmt: skip
         for launch, (newer, older) in zip(launches.colors[1:], pairwise(s.steps), strict=False):
             launch.set(is_missing=newer == older)
@@ -263,22 +250,10 @@ class Prepare:
                 )  # fmt: skip
         for top in self._tops:
             self._warp(top, checks=checks, marks_wanted=not self._reshades)
-        surfaces = {
-            "stencil": s.stencils[0],
-            "stencil_previous": s.stencils[1],
-            "normal": s.normals[0],
-            "normal_stride": s.normal_stride,
-        }
         for launch in launches.search if s.steps[0] else ():
-            if self._reshades:
-                launch.set(
-                    color=s.colors[0], motion=motions[0], position=s.positions[0], normal_previous=s.normals[1],
-                    position_previous=s.positions[1], **surfaces,
-                )  # fmt: skip
-            else:
+            if not self._reshades:
                 launch.set(motion=motions[0], gbuffer=s.gbuffer)
             launch.enqueue(self.device.queue)
-        launches.fill.set(color=s.colors[0], motion=motions[0], gbuffer=s.gbuffer, **surfaces)
         launches.eighth.set(gbuffer=s.gbuffer)
 
     def not_finite(self) -> str | None:
@@ -296,7 +271,7 @@ class Prepare:
         if len(self._tops) > 1:
             self._warp(top, checks=False, marks_wanted=False)  # an earlier strip's values have been overwritten
         if self._read.steps[0]:
-            self._launches.fill.set(strip=self._strip(top))
+            self._launches.fill.set(top=top)
             self._launches.fill.enqueue(self.device.queue)
         self._launches.eighth.set(top=top)
         self._done = self._launches.eighth.enqueue(self.device.queue)
@@ -308,17 +283,13 @@ class Prepare:
         """
         self._launches.colors[0].set(marks_wanted=marks_wanted)
         for launch in self._launches.colors:
-            launch.set(strip=self._strip(top), checks=checks)
+            launch.set(top=top, checks=checks)
             launch.enqueue(self.device.queue)
 
     @property
     def _maps(self) -> tuple[cl.Buffer, ...]:
         assert self.inputs.changes is not None
         return self.inputs.changes.buffers
-
-    def _strip(self, top: int) -> Any:
-        """The struct of kernels/prepare.clh."""
-        return np.array([self.height, self.width, self.rows, self.columns, top], np.int32)
 
     def _filled(self, size: int, value: int = 0) -> cl.Buffer:
         buffer = cl.Buffer(self.device.context, cl.mem_flags.READ_WRITE, size)

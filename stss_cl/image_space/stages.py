@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -17,12 +17,11 @@ from numpy.typing import DTypeLike, NDArray
 
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import grid
-from stss_cl.device.launch import typed
-from stss_cl.device.program import build
+from stss_cl.device.launch import Kernel
+from stss_cl.device.program import Program, build
 from stss_ref.arrays import Array, ArrayError, require_dtype, require_finite, require_shape
-from stss_ref.constants import HoleLimits, HoleTest
+from stss_ref.constants import Gather, HoleLimits, HoleTest
 
-Gather = Literal["longest", "nearest", "bilinear"]
 Inputs = Mapping[str, NDArray[Any]]
 Outputs = dict[str, NDArray[Any]]
 
@@ -32,19 +31,15 @@ def hole_options(test: HoleTest) -> Mapping[str, object]:
     return {"PAPER": int(test == "paper")} | {name.upper(): f"{value}f" for name, value in asdict(HoleLimits()).items()}
 
 
-def program(device: Device, file: str, options: Mapping[str, object] | None = None) -> cl.Program:
+def program(device: Device, file: str, options: Mapping[str, object] | None = None) -> Program:
     """The program of an image-space ``file``, with correctly rounded division and roots where the device has them."""
     return build(device, file, options, "-cl-fp32-correctly-rounded-divide-sqrt" if device.correctly_rounded_divide else "")
 
 
-def kernels(device: Device, file: str, options: Mapping[str, object] | None = None) -> dict[str, cl.Kernel]:
-    """The kernels of an image-space ``file`` by name."""
-    return {kernel.function_name: kernel for kernel in program(device, file, options).all_kernels()}
-
-
-def launch(device: Device, kernel: cl.Kernel, width: int, height: int, *arguments: cl.Buffer | int | np.float32) -> cl.Event:
-    """Enqueue one work-item for each of ``width`` x ``height`` places, rounded up to whole work-groups."""
-    return kernel(device.queue, *grid(device, width, height), *map(typed, arguments))
+def launch(device: Device, of: Program, kernel: str, height: int, width: int, **arguments: cl.Buffer | int) -> cl.Event:
+    """Enqueue one work-item for each of ``height`` x ``width`` places, rounded up to whole work-groups."""
+    made = Kernel(of, kernel, {**arguments, "height": height, "width": width})
+    return made.enqueue(device.queue, *grid(device, width, height))
 
 
 class ImageStages:
@@ -56,16 +51,16 @@ class ImageStages:
 
     def motion_chain(self, motions: cl.Buffer, k: int, height: int, width: int) -> cl.Buffer:
         """``motion`` (H, W, 2) over ``motions`` (k, H, W, 2)."""
-        kernel = kernels(self.device, "motion_chain.cl", {"GATHER": f"gather_{self._gather}"})["motion_chain"]
+        chain = program(self.device, "motion_chain.cl", {"GATHER": f"gather_{self._gather}"})
         motion = self._buffer(height * width * 2, np.float32)
-        launch(self.device, kernel, width, height, motions, motion, k, height, width)
+        launch(self.device, chain, "motion_chain", height, width, motions=motions, motion=motion, k=k)
         return motion
 
     def warp(self, color: cl.Buffer, motion: cl.Buffer, channels: int, height: int, width: int) -> tuple[cl.Buffer, cl.Buffer]:
         """``warped`` (H, W, channels) and ``inside`` (H, W)."""
-        kernel = kernels(self.device, "warp.cl", {"CHANNELS": channels})["warp"]
         warped, inside = self._buffer(height * width * channels, np.float32), self._buffer(height * width, np.uint8)
-        launch(self.device, kernel, width, height, color, motion, warped, inside, height, width)
+        buffers = {"color": color, "motion": motion, "warped": warped, "inside": inside}
+        launch(self.device, program(self.device, "warp.cl", {"CHANNELS": channels}), "warp", height, width, **buffers)
         return warped, inside
 
     def holes(
@@ -84,25 +79,28 @@ class ImageStages:
         test: HoleTest = "footprint",
     ) -> cl.Buffer:
         """``valid`` (H, W)."""
-        kernel = kernels(self.device, "holes.cl", hole_options(test))["holes"]
         valid = self._buffer(height * width, np.uint8)
-        surfaces = (stencil_previous, stencil, normal_previous, normal, position_previous, position)
-        launch(self.device, kernel, width, height, motion, *surfaces, nov, depth, valid, height, width)
+        launch(
+            self.device, program(self.device, "holes.cl", hole_options(test)), "holes", height, width,
+            motion=motion, stencil_previous=stencil_previous, stencil=stencil, normal_previous=normal_previous, normal=normal,
+            position_previous=position_previous, position=position, nov=nov, depth=depth, valid=valid,
+        )  # fmt: skip
         return valid
 
     def occlusion_warp(
         self, color: cl.Buffer, warped: cl.Buffer, motion: cl.Buffer, depth: cl.Buffer, valid: cl.Buffer, height: int, width: int
     ) -> tuple[cl.Buffer, cl.Buffer]:
         """``occlusion_motion`` (H, W, 2) and ``occlusion_warp`` (H, W, 3)."""
-        steps = kernels(self.device, "occlusion_warp.cl")
+        steps = program(self.device, "occlusion_warp.cl")
         keys, first = self._buffer(height * width, np.uint32), self._buffer(height * width, np.uint32)
         occlusion_motion, filled = (self._buffer(height * width * n, np.float32) for n in (2, 3))
-        size = (height, width)
-        launch(self.device, steps["splat_clear"], width, height, keys, first, *size)
-        launch(self.device, steps["splat_nearest"], width, height, motion, depth, keys, *size)
-        launch(self.device, steps["splat_first"], width, height, motion, depth, keys, first, *size)
-        buffers = (color, warped, motion, first, valid, occlusion_motion, filled)
-        launch(self.device, steps["occlusion_warp"], width, height, *buffers, *size)
+        launch(self.device, steps, "splat_clear", height, width, keys=keys, first=first)
+        launch(self.device, steps, "splat_nearest", height, width, motion=motion, depth=depth, keys=keys)
+        launch(self.device, steps, "splat_first", height, width, motion=motion, depth=depth, keys=keys, first=first)
+        launch(
+            self.device, steps, "occlusion_warp", height, width, color=color, warped=warped, motion=motion, first=first, valid=valid,
+            occlusion_motion=occlusion_motion, filled=filled,
+        )  # fmt: skip
         return occlusion_motion, filled
 
     def reshade(
@@ -122,19 +120,25 @@ class ImageStages:
         width: int,
     ) -> cl.Buffer:
         """``reshade`` (H, W, 3)."""
-        steps = kernels(self.device, "reshade.cl")
+        steps = program(self.device, "reshade.cl")
         samples, filled = self._buffer(height * width * 4, np.float32), self._buffer(height * width * 3, np.float32)
-        surfaces = (stencil_previous, stencil, normal_previous, normal, position_previous, position)
-        launch(self.device, steps["find_samples"], width, height, color, motion, valid, *surfaces, samples, height, width)
-        buffers = (warped, valid, stencil, normal, base_color, samples, filled)
-        launch(self.device, steps["reshade"], width, height, *buffers, height, width)
+        launch(
+            self.device, steps, "find_samples", height, width, color=color, motion=motion, valid=valid,
+            stencil_previous=stencil_previous, stencil=stencil, normal_previous=normal_previous, normal=normal,
+            position_previous=position_previous, position=position, samples=samples,
+        )  # fmt: skip
+        launch(
+            self.device, steps, "reshade", height, width, warped=warped, valid=valid, stencil=stencil, normal=normal,
+            base_color=base_color, samples=samples, filled=filled,
+        )  # fmt: skip
         return filled
 
     def rrm(self, valid: cl.Buffer, rectangle: tuple[int, int, int, int], height: int, width: int) -> cl.Buffer:
         """``valid`` (H, W) with a rectangle (y, x, h, w) of it set to 0."""
-        kernel = kernels(self.device, "rrm.cl")["rrm"]
         masked = self._buffer(height * width, np.uint8)
-        launch(self.device, kernel, width, height, valid, masked, *rectangle, height, width)
+        top, left, rows, columns = rectangle
+        place = {"top": top, "left": left, "rows": rows, "columns": columns}
+        launch(self.device, program(self.device, "rrm.cl"), "rrm", height, width, valid=valid, masked=masked, **place)
         return masked
 
     def run_stage(self, name: str, inputs: Inputs) -> Outputs:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: MIT
 """The network's launches and the buffers between them."""
 
-from stss_cl.network.network import PRECISIONS, Network, Precision
+from stss_cl.network.network import Network
+from stss_cl.options import PRECISIONS, Precision
 
 __all__ = ["PRECISIONS", "Network", "Precision"]

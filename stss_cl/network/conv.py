@@ -38,12 +38,11 @@ class Final:
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """The kernel's arguments for all rows of the frame; another buffer stands for the image until the caller sets it."""
+        """The kernel's arguments for all rows of the frame but ``image``, which the caller sets."""
         return {
             "color": self.color,
             "outc_weight": self.weight,
             "outc_bias": self.bias,
-            "image": self.bias,
             "rows": self.rows,
             "columns": self.columns,
             "first_row": 0,
@@ -91,15 +90,15 @@ def conv(
         "a": a.data,
         "b": b.data if b else a.data,
         **_tensors(device, packed, shape),
-        **({} if final else {"out": out.data}),
+        **(final.arguments if final else {"out": out.data}),
         "a_first": (image or 0) * a.rows * a.columns * a.channels,
         "height": (final or out).height,
         "width": (final or out).width,
         "in_columns": a.columns,
-        **(final.arguments if final else {"out_columns": out.columns}),
-        **({} if final or "SIDE" in shape.options else {"out_channels": out.channels}),
-        **({} if final else {"out_first": out_first}),
-        **(_from_image_to_image(a, out, packed, shape) if image is None else {}),
+        "out_columns": out.columns,
+        "out_channels": out.channels,
+        "out_first": out_first,
+        **_from_image_to_image(a, out, packed, shape),
     }
     maps = _maps(a, image or 0, b or final)
     return layer(device, stage, name, source, arguments, shape.tiling, shape.size, shape.group, maps, None if final else out)

@@ -48,7 +48,7 @@ def on_matrix_units(device: Device, packed: Packed, out: Padded, stride: int, mo
             "STRIDE": stride,
             "ROWS": rows,
             "OUTPUTS": block,
-            "EIGHTS": eights,
+            "EIGHTS_AT_ONCE": eights,
             "IMAGES": images > 1,
             "EMULATE": matrix_units.are_emulated(device),
         },

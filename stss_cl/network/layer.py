@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from stss_cl.device.buffers import Padded
 from stss_cl.device.discovery import Device
-from stss_cl.device.launch import Arguments, Launch, kernel
+from stss_cl.device.launch import Arguments, Kernel, Launch
 from stss_cl.device.program import build, marking
 from stss_cl.network.tiles import Maps, TileList, Tiling, whole
 
@@ -103,7 +103,7 @@ def layer(
     Args:
         device: to run on.
         stage, name, source, tiling, reads: see ``LayerLaunch``.
-        arguments: the arguments before the list and, where the kernel can mark, before the output's map.
+        arguments: those of the kernel but the list and, where it can mark, the output's map.
         size, group: global size and work-group of the launch.
         out: the activations that it writes and marks; None: it writes the image.
     """
@@ -111,10 +111,10 @@ def layer(
     marks = {} if out is None else {"changes": None}
     together = {**arguments, "tiles": tiles.tiles, "count": tiles.count, **marks}
     made = _kernel(device, source, together)
-    return LayerLaunch(name, made, size, group, together, stage, source, tiling, reads, None if out is None else out.changes)
+    return LayerLaunch(name, made, together, size, group, stage, source, tiling, reads, None if out is None else out.changes)
 
 
-def _kernel(device: Device, source: KernelSource, arguments: Arguments) -> cl.Kernel:
+def _kernel(device: Device, source: KernelSource, arguments: Arguments) -> Kernel:
     """The kernel with its arguments set; it marks what changes if it is given a change map."""
     marks = marking(device, arguments["changes"] is not None) if "changes" in arguments else {}
-    return kernel(build(device, source.file, {**source.options, **marks}, source.flags), source.kernel, arguments)
+    return Kernel(build(device, source.file, {**source.options, **marks}, source.flags), source.kernel, arguments)

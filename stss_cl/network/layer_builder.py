@@ -29,7 +29,7 @@ class LayerBuilder:
     Args:
         device: to run on.
         weights: the tensors of the plan's layers.
-        precision: see ``stss_cl.network.network.PRECISIONS``.
+        precision: see ``stss_cl.options.PRECISIONS``.
         height, width: of the largest activations, multiples of 8.
         slots: the plan's buffers.
         inputs: stand for the first of them.
@@ -98,13 +98,13 @@ class LayerBuilder:
         reads: tuple[Padded, ...],
         out: Padded | None,
     ) -> LayerLaunch:
-        """Append any other kernel over tiles; its tile list comes after ``arguments``.
+        """Append any other kernel over tiles; the list of its tiles comes to ``arguments``.
 
         Args:
             stage, name: of the layer; the kernel has the same name.
             file: the kernel's file.
             options: its build options.
-            arguments: its own arguments.
+            arguments: its own, by name.
             tiling: the tiles of its output.
             workers: work-items that share a tile on a GPU.
             reads: the inputs that have change maps.

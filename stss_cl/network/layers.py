@@ -44,7 +44,7 @@ class Layers:
         weights: the 92 tensors; what is tiny is dropped (``stss_cl.liveness.drop_tiny``).
         height: of the frame; padded to a multiple of 8 inside.
         width: likewise.
-        precision: see ``stss_cl.network.network.PRECISIONS``.
+        precision: see ``stss_cl.options.PRECISIONS``.
         memory_limit: bytes that the buffers may take; None = half of the device's memory.
         keep: every layer keeps its output, with a change map, so that fewer tiles may be run (``stss_cl.skip.partial_network``);
             without effect where the frame goes in strips.
@@ -251,7 +251,7 @@ class Layers:
         self._build.kernel(
             "decoder", "image", "decoder.cl", {},
             {
-                "feature": feature.data, "color": final.color, "weight": final.weight, "bias": final.bias, "image": final.bias,
+                "feature": feature.data, "color": final.color, "weight": final.weight, "bias": final.bias,
                 "height": final.height, "width": final.width, "rows": final.rows, "columns": final.columns,
                 "feature_columns": feature.columns, "first_row": 0, "top": 0,
             },

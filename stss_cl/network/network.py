@@ -5,25 +5,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pyopencl.array as cla
 
-from stss_cl.device.buffers import Outgoing, incoming, on_device
+from stss_cl.device.buffers import Outgoing, Plain, incoming, on_device
 from stss_cl.device.discovery import Device, open_device
 from stss_cl.network.layers import Layers
+from stss_cl.options import PRECISIONS, Precision
 from stss_ground.arguments import require_choice, require_kind
 from stss_ref.arrays import Array, require_dtype, require_finite, require_shape
 from stss_ref.weights import Weights
-
-Precision = Literal["float32", "float32-direct", "half", "bfloat16"]
-PRECISIONS: tuple[Precision, ...] = ("float32", "float32-direct", "half", "bfloat16")
-"""``float32``: Winograd where it is faster. ``float32-direct``: none. ``half``: activations stored as half,
-computed in float32. ``bfloat16``: activations and weights of 3 x 3 as bfloat16, sums in float32; on a processor's matrix units, or
-without them slowly, with the same bits."""
-
-Given = Array | cla.Array
 
 
 class Network:
@@ -32,7 +25,7 @@ class Network:
     Args:
         weights: the 92 tensors.
         device: to run on; None = ``stss_cl.device.discovery.open_device()``.
-        precision: see ``PRECISIONS``.
+        precision: see ``stss_cl.options.PRECISIONS``.
         memory_limit: bytes that the buffers may take, as ``stss_cl.network.strips.bytes_for`` counts them; larger frames go in strips,
             with the same bits. None = half of the device's memory.
 
@@ -54,7 +47,7 @@ class Network:
         self._weights, self._memory_limit = weights, memory_limit
         self._layers: Layers | None = None
 
-    def __call__(self, color: Given, gbuffer: Given, mask: Given, history: Given) -> Any:
+    def __call__(self, color: Plain, gbuffer: Plain, mask: Plain, history: Plain) -> Any:
         """Compute the image at twice the size.
 
         Args:
@@ -110,7 +103,7 @@ class Network:
         return seconds
 
 
-def check(color: Given, gbuffer: Given, mask: Given, history: Given) -> tuple[int, int]:
+def check(color: Plain, gbuffer: Plain, mask: Plain, history: Plain) -> tuple[int, int]:
     """Check shapes and dtypes; returns H and W."""
     require_shape("color", color, (None, None, 6))
     height, width = color.shape[:2]

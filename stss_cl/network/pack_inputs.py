@@ -12,6 +12,7 @@ from stss_cl.device import amx
 from stss_cl.device.buffers import FLAGS, Inputs
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import grid
+from stss_cl.device.launch import Kernel
 from stss_cl.device.program import build, marking
 from stss_cl.network.layer import FAST, FLUSH
 
@@ -20,28 +21,39 @@ class PackInputs:
     """The kernels that fill ``inputs`` for frames of (height, width)."""
 
     def __init__(self, device: Device, inputs: Inputs, height: int, width: int):
-        self._device, self._inputs, self._size = device, inputs, (np.int32(height), np.int32(width))
+        self._device, self._inputs = device, inputs
         options = amx.stored_as(device, inputs.input.dtype)
-        program = build(device, "encoder.cl", {**options, "STREAM": device.streams, "ROWS": device.is_cpu}, FLUSH)
+        program = build(device, "encoder.cl", {**options, "STREAM": device.streams, "ROW_AT_ONCE": device.is_cpu}, FLUSH)
         eighth = build(device, "downsample_8.cl", {"MASK": "float", **options, **marking(device, marks=False)}, FAST)
-        self._input, self._history = cl.Kernel(program, "pack_input"), cl.Kernel(program, "pack_history")
-        self._eighth = cl.Kernel(eighth, "downsample_8")
         self._bad = cl.Buffer(device.context, FLAGS.READ_WRITE | FLAGS.COPY_HOST_PTR, hostbuf=np.zeros(2, np.int32))
+        size = {"height": height, "width": width}
+        full = {
+            "input": inputs.input.data, "base": inputs.base, "bad": self._bad, "columns": inputs.input.columns, **size,
+        }  # fmt: skip
+        history = {
+            "padded": inputs.earlier.data, "bad": self._bad, "rows": inputs.earlier.rows, "columns": inputs.earlier.columns, **size,
+        }  # fmt: skip
+        small = {
+            "eighth": inputs.eighth.data, "down": inputs.eighth.height, "across": inputs.eighth.width,
+            "columns": inputs.eighth.columns, "changes": None, "dirty": None, **size,
+        }  # fmt: skip
+        self._input, self._history = Kernel(program, "pack_input", full), Kernel(program, "pack_history", history)
+        self._eighth = Kernel(eighth, "downsample_8", small)
 
     def __call__(self, color: cl.Buffer, gbuffer: cl.Buffer, mask: cl.Buffer, history: cl.Buffer | None, top: int) -> None:
         """Enqueue the copy; ``top`` is the row of the frame that is row 0 of ``inputs``. ``history``: None where nothing reads it."""
-        to, size, first = self._inputs, self._size, np.int32(top)
+        to, queue = self._inputs, self._device.queue
         full, eighth = (to.input.width, to.input.height), (to.eighth.width, to.eighth.height)
-        queue, columns = self._device.queue, np.int32(to.input.columns)
         # A group that divides the width, a multiple of 8: a test in each work-item for the frame's end would cost a third of the time.
         group = gcd(to.input.width, 64), 1
-        self._input(queue, full, group, color, gbuffer, mask, to.input.data, to.base, self._bad, *size, columns, first)
-        place = np.int32(to.eighth.height), np.int32(to.eighth.width), np.int32(to.eighth.columns), first
-        self._eighth(queue, *grid(self._device, *eighth), gbuffer, mask, to.eighth.data, *size, *place, None, mask)
+        self._input.set(color=color, gbuffer=gbuffer, mask=mask, top=top)
+        self._input.enqueue(queue, full, group)
+        self._eighth.set(gbuffer=gbuffer, mask=mask, top=top)
+        self._eighth.enqueue(queue, *grid(self._device, *eighth))
         if history is not None:
-            place = np.int32(to.earlier.rows), np.int32(to.earlier.columns), first
             size, group = ((1, full[1], 3), (1, 1)) if self._device.is_cpu else ((*full, 3), group)
-            self._history(queue, size, (*group, 1), history, to.earlier.data, self._bad, *self._size, *place)
+            self._history.set(history=history, top=top)
+            self._history.enqueue(queue, size, (*group, 1))
 
     def all_finite(self) -> bool:
         """Whether all inputs packed since the last call are finite; waits for the queue."""

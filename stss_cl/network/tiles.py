@@ -13,8 +13,8 @@ import pyopencl as cl
 from stss_cl.device.buffers import constant
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div, grid
-from stss_cl.device.launch import Launch, kernel
-from stss_cl.device.program import build
+from stss_cl.device.launch import Kernel, Launch
+from stss_cl.device.program import Program, build
 
 SIDE = 4
 """Side of most tiles; pixels."""
@@ -101,10 +101,9 @@ def find_tiles(device: Device, tiling: Tiling, maps: Maps, to: TileList) -> Laun
     size, group = grid(device, ceil_div(tiling.columns, span), tiling.lines)
     if device.is_cpu:
         size, group = (ceil_div(tiling.columns, span), tiling.lines), (1, 1)
-    made = kernel(finder(device), "tile_list", arguments)
-    return Launch("tile_list", made, size, group, arguments)
+    return Launch("tile_list", Kernel(finder(device), "tile_list", arguments), arguments, size, group)
 
 
-def finder(device: Device) -> cl.Program:
+def finder(device: Device) -> Program:
     """The program of the kernel of ``find_tiles``; built once."""
-    return build(device, "tile_list.cl", {"PIXELS": PIXELS} if device.is_cpu else {})
+    return build(device, "tile_list.cl", {"SPAN_PIXELS": PIXELS} if device.is_cpu else {})

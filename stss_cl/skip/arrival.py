@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div
+from stss_cl.device.launch import Kernel
 from stss_cl.device.parts import Parts
 from stss_cl.device.program import build
 from stss_cl.device.staging import after, staging
@@ -21,6 +22,8 @@ SPAN = 256
 """Tiles of a work-item of changed_tiles.cl."""
 ITEMS, ACROSS = 128, 16
 """Work-items of a group of arrive.cl, and tiles of a row that it looks at."""
+CHANGED, RECOLORED = 1, 2
+"""Bits of what is found of a tile (kernels/arrive.clh)."""
 FINITE = ("color", "gbuffer", "nov", "stencil")
 COMPARED = ("gbuffer", "nov", "stencil", "position")
 
@@ -36,24 +39,23 @@ class Arrival:
     def __init__(self, device: Device, height: int, width: int):
         self._device, self._size, self._shape = device, (height, width), (ceil_div(height, 4), ceil_div(width, 4))
         rows, columns = self._shape
-        tiles = rows * columns
-        self._found = Parts(device, (16, tiles, tiles))  # bad, changed, recolored
+        self._found = Parts(device, (16, rows * columns))  # bad, differs
         if device.is_cpu:
             self._queue, self._groups = device.queue, ((ceil_div(columns, SPAN), rows), (1, 1))
-            self._kernel = cl.Kernel(
-                build(device, "changed_tiles.cl", {"SPAN": SPAN, "PREFETCH": device.takes_prefetch}), "arrive"
-            )
+            program = build(device, "changed_tiles.cl", {"SPAN": SPAN, "PREFETCH": device.takes_prefetch})
         else:
             # In the queue of what arrives: the host waits for what is found, and not for the frame before.
             self._queue, self._groups = staging(device).uploads, ((ITEMS * ceil_div(columns, ACROSS), rows), (ITEMS, 1))
             after(self._queue, device.queue)  # which clears them
-            self._kernel = cl.Kernel(build(device, "arrive.cl"), "arrive")
+            program = build(device, "arrive.cl")
+        bad, differs = self._found.buffers
+        self._kernel = Kernel(program, "arrive", {"bad": bad, "differs": differs, "height": height, "width": width})
         self._unread = False
 
     def load(self) -> None:
         """Have the runtime load or compile the kernel, at a frame of no rows."""
-        nothing = *11 * self._found.buffers[:1], *self._found.buffers, *5 * [np.int32(0)]
-        self._kernel(self._queue, *self._groups, *nothing).wait()
+        self._kernel.load(self._queue, *self._groups, height=0).wait()
+        self._kernel.set(height=self._size[0])
 
     def look(self, planes: Planes, color: cl.Buffer | None, before: Planes | None, color_before: cl.Buffer | None) -> Found:
         """Look at one.
@@ -67,16 +69,19 @@ class Arrival:
         compares, recolors = before is not None, color is not None and color_before is not None
         earlier = planes if before is None else before
         shown = planes["position"] if color is None else color
-        arguments = (*planes.values(), shown, *(earlier[name] for name in COMPARED), color_before if recolors else shown)
-        numbers = *self._size, color is not None, compares, recolors
-        self._kernel(self._queue, *self._groups, *arguments, *self._found.buffers, *map(np.int32, numbers))
+        self._kernel.set(
+            **planes, color=shown, color_before=color_before if recolors else shown,
+            **{f"{name}_before": earlier[name] for name in COMPARED},
+            has_color=color is not None, compares=compares, recolors=recolors,
+        )  # fmt: skip
+        self._kernel.enqueue(self._queue, *self._groups)
         self._unread = not compares and not recolors
         if self._unread:
             return self.not_finite() if self._device.is_cpu else None, None, None
-        found, changed, recolored = self._found.read(self._queue)
+        found, differs = self._found.read(self._queue)
         if bad := self._named(found.view(np.int32)):
             return bad, None, None
-        return None, self._map(changed) if compares else None, self._map(recolored) if recolors else None
+        return None, self._map(differs, CHANGED) if compares else None, self._map(differs, RECOLORED) if recolors else None
 
     def not_finite(self) -> str | None:
         """Name of a plane that was not finite in a frame for which ``look`` did not wait; waits now."""
@@ -93,5 +98,5 @@ class Arrival:
         cl.enqueue_fill_buffer(self._queue, self._found.buffers[0], np.zeros(1, np.int32), 0, bad.nbytes)
         return FINITE[int(bad.argmax())]
 
-    def _map(self, tiles: NDArray[np.uint8]) -> Tiles:
-        return tiles.reshape(self._shape).view(np.bool_)
+    def _map(self, differs: NDArray[np.uint8], bit: int) -> Tiles:
+        return (differs.reshape(self._shape) & bit) != 0

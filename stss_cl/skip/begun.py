@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from stss_cl.device.buffers import Outgoing
+from stss_cl.report import Report
 from stss_cl.skip.display_frame import DisplayFrame
-from stss_cl.skip.frame_cache import Report
 
 Call = tuple[Sequence[DisplayFrame], Sequence[int]]
 """The first two arguments of a stream: window and steps."""

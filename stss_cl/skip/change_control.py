@@ -6,12 +6,7 @@ Plan, execute, learn: ``ChangeControl`` plans, ``stss_cl.skip.frame_cache`` exec
 
 from __future__ import annotations
 
-from typing import Literal
-
-Part = Literal["none", "changed", "whole"]
-"""What of the network runs: ``none``: nothing, since the frame equals the last one of its kind; ``changed``: the tiles that changes of
-the inputs reach; ``whole``: all."""
-
+from stss_cl.report import Part
 
 MOST_CHANGED = 0.75
 """If a larger share of the network's inputs changed, the whole network is computed, since finding the unchanged rest would not pay."""

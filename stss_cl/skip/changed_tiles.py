@@ -41,7 +41,8 @@ class ChangedTiles:
         """Have the runtime load or compile all kernels: over empty lists, and no mark."""
         self._maps.clear()
         self._counts.clear()
-        enqueue(self._device, (*self.layers, *self._finders))
+        for launch in (*self.layers, *self._finders):
+            launch.load(self._device.queue)
 
     def run(self, image: cl.Buffer) -> None:
         """Enqueue all layers; see ``stss_cl.skip.partial_network.PartialNetwork.run_changed``."""

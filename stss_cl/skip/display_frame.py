@@ -6,12 +6,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-import pyopencl.array as cla
-
-from stss_ref.arrays import Array, ArrayError, require_shape
-
-Given = Array | cla.Array
-"""A NumPy array, or one on the device: ``pyopencl.array.Array(queue, shape, dtype, data=buffer)`` wraps an engine's buffer."""
+from stss_cl.device.buffers import Plain
+from stss_ref.arrays import ArrayError, require_shape
 
 
 class DisplayFrame(Protocol):
@@ -29,17 +25,17 @@ class DisplayFrame(Protocol):
     """
 
     @property
-    def color(self) -> Given | None: ...  # noqa: D102
+    def color(self) -> Plain | None: ...  # noqa: D102
     @property
-    def motion(self) -> Given: ...  # noqa: D102
+    def motion(self) -> Plain: ...  # noqa: D102
     @property
-    def gbuffer(self) -> Given: ...  # noqa: D102
+    def gbuffer(self) -> Plain: ...  # noqa: D102
     @property
-    def nov(self) -> Given: ...  # noqa: D102
+    def nov(self) -> Plain: ...  # noqa: D102
     @property
-    def stencil(self) -> Given: ...  # noqa: D102
+    def stencil(self) -> Plain: ...  # noqa: D102
     @property
-    def position(self) -> Given: ...  # noqa: D102
+    def position(self) -> Plain: ...  # noqa: D102
 
 
 PLANES = ("color", "motion", "gbuffer", "nov", "stencil", "position")

@@ -14,26 +14,13 @@ from stss_cl.device.discovery import Device
 from stss_cl.device.staging import staging
 from stss_cl.image_space.frame_planes import Sources
 from stss_cl.image_space.prepare import Prepare
-from stss_cl.image_space.stages import Gather
 from stss_cl.network.layers import Layers
+from stss_cl.report import Part
 from stss_cl.skip.arrival import Tiles
-from stss_cl.skip.change_control import MOST_CHANGED, Part
+from stss_cl.skip.change_control import MOST_CHANGED
 from stss_cl.skip.last_image import LastImage
 from stss_cl.skip.partial_network import PartialNetwork
-
-
-@dataclass(frozen=True)
-class Report:
-    """The cost of a frame.
-
-    Attributes:
-        changed: share of the tiles of 4 x 4 pixels in which something changed; where they are most of the frame, of the pixels whose
-            inputs then differed; 1 if nothing was compared.
-        network: what of the network ran.
-    """
-
-    changed: float
-    network: Part
+from stss_ref.constants import Gather
 
 
 @dataclass(frozen=True)

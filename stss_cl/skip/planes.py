@@ -14,12 +14,12 @@ import pyopencl.array as cla
 from numpy.typing import NDArray
 from pyopencl.tools import ImmediateAllocator, MemoryPool
 
-from stss_cl.device.buffers import incoming, on_device
+from stss_cl.device.buffers import Plain, incoming, on_device
 from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil_div
+from stss_cl.device.launch import Kernel
 from stss_cl.device.program import build
 from stss_cl.device.staging import after, so_far, staging
-from stss_cl.skip.display_frame import Given
 from stss_ref.arrays import require_dtype, require_shape
 
 HALF = ("color", "gbuffer", "nov", "stencil")
@@ -52,7 +52,7 @@ class Planes:
         if not self._device.is_cpu:
             self._readers = so_far(self._device.queue)
 
-    def bring(self, given: Mapping[str, tuple[Given, tuple[int, ...]]]) -> dict[str, cl.Buffer]:
+    def bring(self, given: Mapping[str, tuple[Plain, tuple[int, ...]]]) -> dict[str, cl.Buffer]:
         """Enqueue bringing the planes of a frame, by name with their shapes: they are copied, or stay where they lie.
 
         Raises:
@@ -73,7 +73,7 @@ class Planes:
             after(self._device.queue, self.queue)
         self._some_arrive = False
 
-    def _found(self, name: str, given: Given, shape: tuple[int, ...]) -> cl.Buffer:
+    def _found(self, name: str, given: Plain, shape: tuple[int, ...]) -> cl.Buffer:
         array: Any = given if isinstance(given, cla.Array) else np.asarray(given)
         require_shape(name, array, shape)
         dtype = np.float16 if _is_half(array) and name in HALF else np.float32
@@ -90,16 +90,17 @@ class Planes:
     def _widened(self, half: cl.Buffer, count: int) -> cl.Buffer:
         made: Any = self._pool.allocate(4 * count)
         size = ceil_div(ceil_div(count, 4), GROUP) * GROUP
-        done = self._widen(self.queue, (size,), (GROUP,), half, made, np.uint64(count))
+        self._widen.set(**{"from": half, "to": made, "count": count})
+        done = self._widen.enqueue(self.queue, (size,), (GROUP,))
         if self._device.is_cpu:
             done.wait()  # the caller's array was read in place
         return made
 
     @cached_property
-    def _widen(self) -> cl.Kernel:
+    def _widen(self) -> Kernel:
         """Built when a plane of half comes."""
-        return cl.Kernel(build(self._device, "widen.cl"), "widen")
+        return Kernel(build(self._device, "widen.cl"), "widen")
 
 
-def _is_half(array: Given) -> bool:
+def _is_half(array: Plain) -> bool:
     return getattr(array, "dtype", None) == np.float16

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -17,24 +17,21 @@ from stss_cl.device.discovery import Device
 from stss_cl.device.grid import ceil8
 from stss_cl.frame import Frame
 from stss_cl.image_space.frame_planes import MOST_STEPS, Sources, check_steps
-from stss_cl.image_space.stages import Gather
 from stss_cl.network.layer_builder import dtype_of
 from stss_cl.network.layers import Layers
-from stss_cl.network.network import Precision
 from stss_cl.network.strips import bytes_for
+from stss_cl.options import SKIPS, Precision, Skip
+from stss_cl.report import Report
 from stss_cl.skip.arrival import Tiles
 from stss_cl.skip.begun import Begun, Call, one_ahead
 from stss_cl.skip.change_control import ChangeControl
 from stss_cl.skip.display_frame import DisplayFrame, require_window
-from stss_cl.skip.frame_cache import FrameCache, Last, Report
+from stss_cl.skip.frame_cache import FrameCache, Last
 from stss_cl.skip.uploaded_frames import UploadedFrame, UploadedFrames, sources
 from stss_ground.arguments import require_choice
 from stss_ref.arrays import ArrayError, require_dtype, require_shape
+from stss_ref.constants import Gather
 from stss_ref.weights import Weights
-
-Skip = Literal["off", "exact"]
-SKIPS: tuple[Skip, ...] = ("off", "exact")
-"""``off``: compute every frame whole. ``exact``: reuse what did not change, with the bits of ``off``."""
 
 
 class Stream:
@@ -43,7 +40,7 @@ class Stream:
     Args:
         weights: the 92 tensors.
         device: to run on; None = ``stss_cl.device.discovery.open_device()``.
-        precision: see ``stss_cl.network.network.PRECISIONS``.
+        precision: see ``stss_cl.options.PRECISIONS``.
         gather: how the motion chain reads between pixels.
         memory_limit: see ``stss_cl.network.network.Network``; if the data kept between frames do not fit, every frame is computed whole.
         skip: one of ``SKIPS``.

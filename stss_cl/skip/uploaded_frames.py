@@ -12,10 +12,11 @@ import numpy as np
 import pyopencl as cl
 import pyopencl.array as cla
 
+from stss_cl.device.buffers import Plain
 from stss_cl.device.discovery import Device
 from stss_cl.image_space.frame_planes import Sources
 from stss_cl.skip.arrival import Arrival, Tiles
-from stss_cl.skip.display_frame import DisplayFrame, Given
+from stss_cl.skip.display_frame import DisplayFrame
 from stss_cl.skip.planes import Planes
 from stss_ref.arrays import require_finite
 
@@ -137,7 +138,7 @@ class UploadedFrames:
         """Upload and compare a frame; ``window`` has the frames before it that its output also reads."""
         height, width = self.size
         shapes = {"motion": (2,), "gbuffer": (9,), "nov": (), "stencil": (), "position": (3,)}
-        given: dict[str, tuple[Given, tuple[int, ...]]] = {n: (getattr(frame, n), (height, width, *c)) for n, c in shapes.items()}
+        given: dict[str, tuple[Plain, tuple[int, ...]]] = {n: (getattr(frame, n), (height, width, *c)) for n, c in shapes.items()}
         if frame.color is not None:
             given["color"] = frame.color, (height, width, 3)
         planes = self._planes.bring(given)

@@ -54,7 +54,7 @@ class OpenCL:
         setup: weights and device.
         module: module of ``stss_cl`` with the class.
         name: name of the class.
-        precision: of ``stss_cl.network.network.PRECISIONS``.
+        precision: of ``stss_cl.options.PRECISIONS``.
         on_device: inputs and image stay on the device, as the peers' inputs and images do; else both are NumPy arrays.
     """
 

@@ -25,7 +25,7 @@ from stss.frames.supersample import plan
 from stss.quality.metrics import psnr
 from stss.sequence.scenes import check_request, display_frames, truth
 from stss_cl.device.discovery import Device, open_device
-from stss_cl.network.network import PRECISIONS, Precision
+from stss_cl.options import PRECISIONS, Precision
 from stss_cl.skip.stream import Stream
 from stss_ground.errors import InputError
 from stss_ground.machine import conditions

@@ -8,7 +8,7 @@ import pytest
 
 from stss_cl.device import discovery, program
 from stss_cl.device.discovery import CLASSES, DeviceError, open_device
-from stss_cl.network.network import PRECISIONS
+from stss_cl.options import PRECISIONS
 
 QUICK = tuple(precision for precision in PRECISIONS if precision != "bfloat16")
 """Precisions that no device has to emulate: frames of bfloat16 are computed where that shows more than other tests do."""
@@ -89,13 +89,9 @@ def launch_nothing(patch):
 
 def watch_launches(patch, seen):
     """From now on call ``seen(queue, kernel, group)`` before each launch; an event that it gives stands for the launch."""
-    launch, call = cl.enqueue_nd_range_kernel, cl.Kernel.__call__
+    launch = cl.enqueue_nd_range_kernel
 
     def launched(queue, kernel, size, group, *more, **options):
         return seen(queue, kernel, group) or launch(queue, kernel, size, group, *more, **options)
 
-    def called(kernel, queue, size, group, *more, **options):
-        return seen(queue, kernel, group) or call(kernel, queue, size, group, *more, **options)
-
     patch.setattr(cl, "enqueue_nd_range_kernel", launched)
-    patch.setattr(cl.Kernel, "__call__", called)

@@ -14,6 +14,7 @@ import pytest
 from stss_cl.device import discovery as devices
 from stss_cl.device import program
 from stss_cl.device.discovery import DeviceError, matching, open_device
+from stss_cl.device.launch import Kernel
 from stss_cl.device.program import build
 
 DEMO = "kernel void three(global float *out) { out[get_global_id(0)] = THREE; }\n"
@@ -48,7 +49,7 @@ def machine(monkeypatch):
 def run_three(device):
     out = np.zeros(5, np.float32)
     buffer = cl.Buffer(device.context, cl.mem_flags.WRITE_ONLY, out.nbytes)
-    cl.Kernel(build(device, "demo.cl", {"THREE": 3}), "three")(device.queue, out.shape, None, buffer)
+    Kernel(build(device, "demo.cl", {"THREE": 3}), "three", {"out": buffer}).enqueue(device.queue, out.shape, None)
     cl.enqueue_copy(device.queue, out, buffer)
     assert (out == 3).all()
 
@@ -116,7 +117,7 @@ def test_a_kernel_that_does_not_build_shows_its_line(device, kernels):
     with pytest.raises(DeviceError, match="nowhere") as caught:
         build(device, "broken.cl", {"COUNT": 1, "FLAG": True, "NONE": None, "NO": False})
     assert "\n" not in str(caught.value)
-    assert "kernels/broken.cl (-cl-std=CL1.2 -D COUNT=1 -D FLAG)" in str(caught.value)
+    assert "kernels/broken.cl (-cl-std=CL1.2 -cl-kernel-arg-info -D COUNT=1 -D FLAG)" in str(caught.value)
     assert "nowhere" in caught.value.log
 
 

@@ -19,8 +19,9 @@ from stss_cl.network import layers as layers_module
 from stss_cl.network.conv import conv
 from stss_cl.network.layer import FLUSH
 from stss_cl.network.layers import Layers
-from stss_cl.network.network import PRECISIONS, Network
+from stss_cl.network.network import Network
 from stss_cl.network.pack_weights import EVERY_SECOND, POINTS, pack, winograd_matrix
+from stss_cl.options import PRECISIONS
 from stss_lab.tune.tile_timing import INTEL
 from stss_ref import conv as reference
 from stss_ref.network import network

@@ -17,7 +17,8 @@ import pytest
 from hypothesis import given, settings
 
 from stss_cl.device.staging import staging
-from stss_cl.skip.stream import SKIPS, Stream
+from stss_cl.options import SKIPS
+from stss_cl.skip.stream import Stream
 from stss_ref.arrays import ArrayError
 from tests.cl.conftest import watch_launches
 from tests.cl.films import WEIGHTS, assert_same, calls_of, film, on

@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 from stss.frames.supersample import plan
 from stss_cl.device import program
 from stss_cl.network.strips import OVERLAP
+from stss_cl.options import SKIPS
 from stss_cl.skip.last_image import LastImage
-from stss_cl.skip.stream import SKIPS, Stream
+from stss_cl.skip.stream import Stream
 from stss_ref.arrays import ArrayError
 from tests.cl.conftest import watch_launches
 from tests.cl.films import CHANGES, DETAILED, UNREAD, WEIGHTS, assert_same, calls_of, film

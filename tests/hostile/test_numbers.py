@@ -14,7 +14,7 @@ from stss.images.read_write import read_channels
 from stss.sequence.reader import open_sequence
 from stss.weights.file import load
 from stss_cl.network.network import Network
-from stss_cl.skip.stream import SKIPS
+from stss_cl.options import SKIPS
 from stss_ground.errors import InputError
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import random as random_weights

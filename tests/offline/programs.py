@@ -11,7 +11,8 @@ from stss_cl.device.discovery import open_device
 from stss_cl.device.tuning import BUILT_IN, built_in_rows, trial
 from stss_cl.frame import Frame
 from stss_cl.network.network import Network
-from stss_cl.skip.stream import SKIPS, Stream
+from stss_cl.options import SKIPS
+from stss_cl.skip.stream import Stream
 from tests.cl.conftest import QUICK, launch_nothing
 from tests.cl.films import DETAILED, WEIGHTS, calls_of, film, frame_inputs, halve
 
@@ -52,7 +53,7 @@ def programs(row):
         Program(
             file,
             tuple(options.replace(" -D EMULATE", "").split()),
-            tuple(sorted(kernel.function_name for kernel in built.all_kernels())),
+            tuple(sorted(kernel.function_name for kernel in built.built.all_kernels())),
         )
         for (file, options), built in program.built(device).items()
     ]
