@@ -13,12 +13,12 @@ from click.core import ParameterSource
 
 from stss_ground.commands import Subcommand
 from stss_ground.errors import InputError
-from stss_ground.guard import run_guarded
+from stss_ground.exit_status import run_guarded
 from stss_ground.one_thread import take_one_thread
 from stss_ground.option_kinds import MAX_SECONDS, MAX_SEED, Names, Number, Program, ReadPath, Size, WrittenFile, WrittenFolder
 from stss_ground.optional import require as require_package
 from stss_ground.optional import require_own_conformance
-from stss_ground.output.apart import require_places
+from stss_ground.output.places import require_places
 from stss_ground.terminal import echo
 from stss_ground.version import VERSION
 

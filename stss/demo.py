@@ -24,8 +24,8 @@ from stss.run.options import RunOptions
 from stss.sequence.choose_weights import AUTO, choose_weights
 from stss.sequence.reader import Sequence, open_sequence
 from stss.weights.file import ANTIALIASED, BILINEAR, LoadedWeights, load
-from stss_ground.output.apart import require_places
 from stss_ground.output.folder import OutputFolder
+from stss_ground.output.places import require_places
 from stss_ground.progress import show_progress
 from stss_ref.arrays import Plane
 

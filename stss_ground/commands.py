@@ -12,7 +12,7 @@ import click
 
 from stss_ground.option_kinds import ReadName, ReadPath, WrittenFile, WrittenFolder
 from stss_ground.optional import require_own_conformance
-from stss_ground.output.apart import require_places
+from stss_ground.output.places import require_places
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 Sections = Mapping[str, Mapping[str, tuple[str, str]]]

@@ -22,7 +22,7 @@ from stss.pages.viewer import page_folder
 from stss.sequence.reader import open_sequence
 from stss_ground.commands import Subcommand
 from stss_ground.option_kinds import Names, ReadPath, WrittenFile, WrittenFolder
-from stss_ground.output.apart import require_places
+from stss_ground.output.places import require_places
 from stss_ground.progress import show_progress, track
 from stss_ground.terminal import Terminal, echo
 

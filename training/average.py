@@ -14,7 +14,7 @@ import numpy as np
 from stss.weights.file import load, save
 from stss_cl.liveness import drop_tiny
 from stss_ground.errors import InputError
-from stss_ground.output.apart import require_places
+from stss_ground.output.places import require_places
 from training.command import command
 
 

@@ -17,7 +17,7 @@ import torch
 
 from stss.weights.file import load, save
 from stss_cl.liveness import drop_tiny, find_live
-from stss_ground.output.apart import require_places
+from stss_ground.output.places import require_places
 from stss_ref.weights import LAYERS, Weights
 from training.command import command
 from training.data import KINDS, Shard, load_shards, places, spread, whole

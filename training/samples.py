@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from conformance.scenes import render
 from stss.frames.buffers import Buffers
 from stss.frames.display_frame import WINDOW, DisplayFrame, frame_inputs, prepare, window_at
-from stss.frames.supersample import plan
+from stss.frames.output import plan
 from stss.images.color import transfer
 from stss.images.read_write import read_rgb
 from stss.sequence.conventions import BACKGROUND_POSITION

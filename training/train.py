@@ -19,7 +19,7 @@ from torch import nn
 
 from stss.weights.file import load, save
 from stss_ground.errors import InputError
-from stss_ground.output.apart import require_places
+from stss_ground.output.places import require_places
 from stss_ref.constants import HoleFill
 from stss_ref.weights import SECOND_COLORS, SecondColor
 from training import checkpoint

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from port import Maker
 
 from stss.frames.display_frame import DisplayFrame, frame_inputs, prepare, window_at
-from stss.frames.supersample import choose_rendered, plan
+from stss.frames.output import choose_rendered, plan
 from stss.images.color import transfer
 from stss.sequence.choose_weights import choose_weights
 from stss.sequence.reader import open_sequence

@@ -9,7 +9,7 @@ from importlib.util import find_spec
 import click
 
 from stss_ground.commands import Commands, Sections
-from stss_ground.guard import run_guarded
+from stss_ground.exit_status import run_guarded
 from stss_ground.version import VERSION
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import WeightsError
@@ -23,7 +23,7 @@ SECTIONS: Sections = {
         "weights": ("stss.cli.weights:weights", "Import and inspect the network's weights."),
     },
     "Compare": {
-        "compare": ("stss.cli.evaluate:compare_command", "Compare frames with their truth."),
+        "compare": ("stss.cli.compare:compare_command", "Compare frames with their truth."),
     },
     "Devices": {
         "devices": ("stss.cli.devices:devices", "List the OpenCL devices, and whether they are right."),

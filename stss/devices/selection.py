@@ -18,7 +18,7 @@ from stss_cl.device.discovery import Device, DeviceError, Properties, is_gpu, ma
 from stss_ground.machine import cpu_flags
 
 AVX2 = frozenset({"haswell", "broadwell", "skylake", "alderlake", "raptorlake", "znver1", "znver2", "znver3", "x86-64-v3"})
-"""LLVM's names of processors with AVX2 and no AVX-512; for those that it does not know see ``stss_cl.device.known_processor``."""
+"""LLVM's names of processors with AVX2 and no AVX-512; for those that it does not know see ``stss_cl.device.pocl_processor``."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stss.frames.buffers import Buffers
-from stss.frames.carry import HIGHLIGHTS, highlights
+from stss.frames.carried_planes import HIGHLIGHTS, highlights
 from stss.images.color import Transfer
 from stss_ref.arrays import Array, Image, Mask, Plane
 from stss_ref.depth import DepthMode, normalise_depth
@@ -26,7 +26,7 @@ class DisplayFrame:
 
     ``color`` (H, W, 3) display-referred or None, ``motion`` (H, W, 2), ``gbuffer`` (H, W, 9), ``nov`` and ``stencil`` (H, W),
     ``position`` (H, W, 3) in cm; float32, or float16 but for motion and position. ``carried``: planes (H, W, C) of a rendered frame
-    that pass the network by, see `stss.frames.carry`.
+    that pass the network by, see `stss.frames.carried_planes`.
     """
 
     number: int

@@ -15,7 +15,7 @@ from stss.frames.buffers import Buffers
 from stss.frames.check_buffers import check_buffers
 from stss.frames.compute_options import ComputeOptions, Precision, Skip
 from stss.frames.display_frame import WINDOW, DisplayFrame, prepare
-from stss.frames.supersample import Output, compute, decode
+from stss.frames.output import Output, compute, decode
 from stss.images.color import transfer as transfer_named
 from stss.images.headers import MAX_SIDE
 from stss.weights.file import REALTIME, LoadedWeights

@@ -48,7 +48,7 @@ class Transfer:
 
     Attributes:
         name: one of ``TRANSFERS``.
-        clips: scene-linear colour above 1 does not reach the network; it is carried past it (`stss.frames.carry`).
+        clips: scene-linear colour above 1 does not reach the network; it is carried past it (`stss.frames.carried_planes`).
     """
 
     name: str

@@ -11,8 +11,8 @@ from typing import Literal, Protocol
 
 from stss.frames.backends import Backend, Report
 from stss.frames.display_frame import WINDOW, DisplayFrame
+from stss.frames.output import Output, compute, decode, shot_start
 from stss.frames.static_holes import static_holes
-from stss.frames.supersample import Output, compute, decode, shot_start
 from stss.images.color import Transfer, transfer
 from stss.images.headers import Value, read_header
 from stss.images.read_write import encode_mask, encode_rgb

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from stss.run.job import folder_of
 from stss_ground.errors import InputError
-from stss_ground.output.apart import require_places
 from stss_ground.output.folder import MOST_BYTES, SUMS, OutputFolder, digest_of
 from stss_ground.output.lock import locked
+from stss_ground.output.places import require_places
 from stss_ground.output.write_whole import remove_unfinished, sync_folder, tell_errors, write_whole
 from stss_ground.progress import Track
 from stss_ground.regular_file import read_regular

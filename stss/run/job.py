@@ -15,13 +15,13 @@ from itertools import pairwise
 from pathlib import Path
 
 from stss.frames.backends import Backend
-from stss.frames.supersample import choose_rendered
+from stss.frames.output import choose_rendered
 from stss.run.frame_job import HOLES, FrameJob, FrameReport, Outcome, already_written
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence
 from stss_ground.errors import InputError
-from stss_ground.output.apart import require_places
 from stss_ground.output.folder import OutputFolder
+from stss_ground.output.places import require_places
 from stss_ref.schedule import FrameKind
 
 MAX_GAP = 1000

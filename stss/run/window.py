@@ -10,7 +10,7 @@ from collections.abc import Sequence as Numbers
 from pathlib import Path
 
 from stss.frames.display_frame import WINDOW, DisplayFrame, prepare
-from stss.frames.supersample import shot_start
+from stss.frames.output import shot_start
 from stss.images.color import Transfer
 from stss.images.headers import Value
 from stss.run.options import RunOptions

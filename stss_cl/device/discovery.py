@@ -18,8 +18,8 @@ from pyopencl.tools import ImmediateAllocator, MemoryPool
 from stss_cl.device.caches import pocl_cache
 from stss_cl.device.generated_code import generate_once
 from stss_cl.device.kernel_files import mend
-from stss_cl.device.known_processor import given_name, name_processor, substitute
 from stss_cl.device.linker import provide
+from stss_cl.device.pocl_processor import given_name, name_processor, substitute
 from stss_ground.errors import DeviceError
 
 __all__ = [

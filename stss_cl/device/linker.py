@@ -23,7 +23,7 @@ COMPILERS = ("/usr/lib*/gcc*/*/*",)
 """Where a system keeps the libraries of its C compiler, and PoCL looks for them; patterns of folders."""
 LIBRARIES = ("/lib/*-linux-gnu", "/usr/lib/*-linux-gnu", "/lib64", "/usr/lib64", "/lib", "/usr/lib")
 MOST_BYTES = 1 << 16
-PROGRAM = Path(__file__).with_name("shared_object.py")
+PROGRAM = Path(__file__).with_name("own_linker.py")
 
 
 def provide() -> None:

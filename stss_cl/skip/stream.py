@@ -23,10 +23,10 @@ from stss_cl.network.strips import bytes_for
 from stss_cl.options import SKIPS, Precision, Skip
 from stss_cl.report import Report
 from stss_cl.skip.arrival import Tiles
-from stss_cl.skip.begun import Begun, Call, one_ahead
 from stss_cl.skip.change_control import ChangeControl
 from stss_cl.skip.display_frame import DisplayFrame, require_window
 from stss_cl.skip.frame_cache import FrameCache, Last
+from stss_cl.skip.frames_in_flight import Call, FrameInFlight, one_ahead
 from stss_cl.skip.uploaded_frames import UploadedFrame, UploadedFrames, sources
 from stss_ground.arguments import require_choice
 from stss_ref.arrays import ArrayError, require_dtype, require_shape
@@ -130,7 +130,7 @@ class Stream:
 
     def _begin(
         self, window: Sequence[DisplayFrame], steps: Sequence[int], out: cla.Array | None = None, *, on_host: bool = False
-    ) -> Begun:
+    ) -> FrameInFlight:
         """Begin a frame, whose image comes to ``out`` if that is given, or lies where the frame's G-buffer does, unless ``on_host``."""
         require_window(window)
         if out is None and not on_host and isinstance(window[-1].gbuffer, cla.Array):
@@ -147,11 +147,11 @@ class Stream:
             raise
         return made
 
-    def _finish(self, begun: Begun) -> tuple[Any, Any]:
-        self.report = begun.report
-        return begun.finish()
+    def _finish(self, frame: FrameInFlight) -> tuple[Any, Any]:
+        self.report = frame.report
+        return frame.finish()
 
-    def _enqueue(self, window: Sequence[DisplayFrame], steps: Sequence[int], out: cla.Array | None) -> Begun:
+    def _enqueue(self, window: Sequence[DisplayFrame], steps: Sequence[int], out: cla.Array | None) -> FrameInFlight:
         chosen = check_steps(steps)
         if len(window) <= chosen[2]:
             raise ArrayError(f"window: expected the {chosen[2] + 1} frames that the steps lead to, got {len(window)}")
@@ -199,7 +199,7 @@ class Stream:
         dirty: Tiles | None,
         looking: bool,
         out: cla.Array | None,
-    ) -> Begun:
+    ) -> FrameInFlight:
         """Plan the frame, execute the plan, learn. ``dirty``, ``looking``: see ``FrameCache.prepare_inputs``."""
         if cache.last is not None and dirty is not None and not dirty.any():
             self.report = Report(0.0, "none")
@@ -218,13 +218,13 @@ class Stream:
         steps: tuple[int, int, int],
         out: cla.Array | None,
         valid: Outgoing | None,
-    ) -> Begun:
+    ) -> FrameInFlight:
         """The image and ``valid``, which is given if it is the last one and on the host; the frame becomes the last of its kind."""
         if out is not None:
             cache.image.copy_to(out)
             cache.last = _last(frames, cache.read(steps), valid)
             there = mask_of(self.device, cache.prepare.mask, cache.layers.size, on_device=True)
-            return Begun(out, there.array, (), self.report)
+            return FrameInFlight(out, there.array, (), self.report)
         if valid is None:
             valid = mask_of(self.device, cache.prepare.mask, cache.layers.size, on_device=False)
         cache.last = _last(frames, cache.read(steps), valid)
@@ -232,9 +232,9 @@ class Stream:
         valid.send()
         mask = valid.array.view(np.bool_)
         mask.flags.writeable = False
-        return Begun(shown, mask, (image, valid), self.report)
+        return FrameInFlight(shown, mask, (image, valid), self.report)
 
-    def _compute_whole(self, read: Sources, size: tuple[int, int], out: cla.Array | None) -> Begun:
+    def _compute_whole(self, read: Sources, size: tuple[int, int], out: cla.Array | None) -> FrameInFlight:
         """Compute a frame of which nothing is kept."""
         there = out is not None
         image = Outgoing(self.device, (2 * size[0], 2 * size[1], 3), on_device=there)
@@ -242,10 +242,10 @@ class Stream:
         if out is not None:
             to: Any = out.base_data
             cl.enqueue_copy(self.device.queue, to, image.data, byte_count=out.nbytes, dst_offset=out.offset)
-            return Begun(out, valid.array, (), self.report)
+            return FrameInFlight(out, valid.array, (), self.report)
         image.send()
         valid.send()
-        return Begun(image.array, valid.array.view(np.bool_), (image, valid), self.report)
+        return FrameInFlight(image.array, valid.array.view(np.bool_), (image, valid), self.report)
 
     def _arriving(self, size: tuple[int, int]) -> UploadedFrames:
         if self._uploaded is None or self._uploaded.size != size:

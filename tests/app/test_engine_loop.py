@@ -8,7 +8,7 @@ from scipy.ndimage import binary_erosion
 
 import stss
 from conformance.scenes import SCENES, render
-from stss.frames.supersample import choose_rendered
+from stss.frames.output import choose_rendered
 from stss_ground.errors import InputError
 
 SIZE = 16, 24

@@ -12,7 +12,7 @@ from stss.demo import write_demo_sequence
 from stss.frames.backends import open_backend
 from stss.frames.compute_options import ComputeOptions
 from stss.frames.display_frame import prepare, window_at
-from stss.frames.supersample import compute
+from stss.frames.output import compute
 from stss.images.color import transfer
 from stss.sequence.reader import open_sequence
 from stss.weights.file import load

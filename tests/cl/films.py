@@ -7,7 +7,7 @@ import pyopencl as cl
 import pyopencl.array as cla
 
 from stss.frames.display_frame import DisplayFrame, window_at
-from stss.frames.supersample import plan
+from stss.frames.output import plan
 from stss_cl.skip.planes import HALF
 from stss_ref.frame import FrameInputs
 from stss_ref.weights import Weights

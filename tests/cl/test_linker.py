@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from stss_cl.device import caches, linker
-from stss_cl.device.shared_object import HEADER, RELOCATION, SECTION, LinkError, Section, link
+from stss_cl.device.own_linker import HEADER, RELOCATION, SECTION, LinkError, Section, link
 from stss_ground.errors import DeviceError
 from tests.cl.conftest import opened_as
 

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stss.frames.supersample import plan
+from stss.frames.output import plan
 from stss_cl.device import program
 from stss_cl.network.strips import OVERLAP
 from stss_cl.options import SKIPS

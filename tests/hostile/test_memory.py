@@ -14,7 +14,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from stss.frames.display_frame import WINDOW
-from stss.frames.supersample import plan
+from stss.frames.output import plan
 from stss_cl.network.network import Network
 from stss_cl.skip.stream import Stream
 from stss_ref.arrays import ArrayError

@@ -14,7 +14,7 @@ from stss.images.read_write import write_rgb
 from stss.run.job import run
 from stss.run.options import RunOptions
 from stss.sequence.reader import open_sequence
-from stss_ground.guard import run_guarded
+from stss_ground.exit_status import run_guarded
 from stss_lab.baselines.registry import MethodBackend
 from tests.hostile.cases import call, stss
 

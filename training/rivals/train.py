@@ -16,7 +16,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from stss_ground.errors import InputError
-from stss_ground.output.apart import require_places
+from stss_ground.output.places import require_places
 from training.augment import COLORS, DETAIL, MOTION, augment
 from training.checkpoint import State
 from training.command import command

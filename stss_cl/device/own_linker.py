@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """A linker for what PoCL compiles: one relocatable object of x86-64 made into a shared object, where a machine has no linker of its own.
 
-It is a program: ``python shared_object.py -o OUT ... IN.o ...``, as ``ld`` is called; all other options are ignored. PoCL's objects refer
+It is a program: ``python own_linker.py -o OUT ... IN.o ...``, as ``ld`` is called; all other options are ignored. PoCL's objects refer
 to nothing outside themselves, and only by the distance of two places, so what is left of a linker's work is to put the sections behind one
 another, fill in the distances, and list the functions' names. Everything else ends with status 1 and a line that says what it is.
 

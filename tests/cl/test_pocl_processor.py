@@ -7,7 +7,7 @@ import pytest
 
 from stss_cl.device import known_processor
 from stss_cl.device.discovery import Properties
-from stss_cl.device.known_processor import AVX2, AVX512, ICE_LAKE, given_name, name_processor, substitute
+from stss_cl.device.pocl_processor import AVX2, AVX512, ICE_LAKE, given_name, name_processor, substitute
 from tests.cl.conftest import opened_as
 
 VERSION = "OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-"

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stss.frames.backends import Backend
-from stss.frames.carry import HIGHLIGHTS, add_highlights, carry
+from stss.frames.carried_planes import HIGHLIGHTS, add_highlights, carry
 from stss.frames.display_frame import DisplayFrame
 from stss.images.color import Transfer
 from stss_ground.errors import InputError

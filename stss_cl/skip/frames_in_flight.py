@@ -16,7 +16,7 @@ Call = tuple[Sequence[DisplayFrame], Sequence[int]]
 
 
 @dataclass(frozen=True)
-class Begun:
+class FrameInFlight:
     """A frame whose launches and downloads are enqueued.
 
     Attributes:
@@ -38,7 +38,7 @@ class Begun:
 
 
 def one_ahead(
-    calls: Iterable[Call], begin: Callable[..., Begun], finish: Callable[[Begun], tuple[Any, Any]]
+    calls: Iterable[Call], begin: Callable[..., FrameInFlight], finish: Callable[[FrameInFlight], tuple[Any, Any]]
 ) -> Iterator[tuple[Any, Any]]:
     """Begin each call before the one before it is finished and handed out.
 
