@@ -15,7 +15,7 @@ from .passes import set_up
 
 
 class Preferences(bpy.types.AddonPreferences):
-    """What is the user's and no scene's: a file of somebody else must not name a program to run."""
+    """Settings of the user, not of a scene: a file of another person must not name a program to run."""
 
     bl_idname = __package__
 

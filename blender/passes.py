@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What the profile ``blender`` reads: passes, AOVs, object numbers, the camera's table. Needs bpy; nothing of stss."""
+"""The inputs of the profile ``blender``: passes, AOVs, object numbers, the camera's table. Needs bpy; nothing of stss."""
 
 from __future__ import annotations
 

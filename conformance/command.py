@@ -148,7 +148,7 @@ def conform(
         return
     needed = {stage_needed(stage) for stage in (*(stages or SUITE), *(require or ()))}
     port, abilities = load_port(spec, program, timeout, dtype, winograd, weights_version, needed if replay is None else SUITE)
-    # Whatever module the port has imported is read, too.
+    # The modules that the port has imported are read, too.
     require_places({"--json": json_file, "--junit": junit, "--report": report}, loaded_files())
     if replay is not None:
         sys.exit(_replay(port, abilities, replay))
@@ -190,7 +190,7 @@ def _judge_model(
     model = load_model(path)
     given = [read_case(model, files)] if files else [] if replay is None else read_failure(model, replay)
     port = load_graph_port(model, spec, program, timeout)
-    # Whatever module the port has imported is read, too.
+    # The modules that the port has imported are read, too.
     require_places(dict(zip(("--json", "--junit", "--report"), wanted, strict=True)), loaded_files())
     rounding = Rounding(Arithmetic(options["dtype"], options["winograd"]))
     outcome = judge_port(model, port, rounding, tier=options["tier"], seed=options["seed"], fixed=sizes, given=given)

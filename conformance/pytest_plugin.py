@@ -64,7 +64,7 @@ def pytest_configure(config: pytest.Config) -> None:
             folder = keep_failure(FAILURES, result.id, result.record.failure, again)
             result.message += f"\n{again} --replay {shlex.quote(str(folder))}"
 
-    # What the user's own settings make of warnings has no say: wrong numbers give some. And of whole weights nobody reads the text.
+    # The user's own settings for warnings do not count: wrong numbers give some. Whole weights are not printed.
     config.addinivalue_line("filterwarnings", "ignore")
     np.set_printoptions(threshold=0, edgeitems=1)
     config.pluginmanager.register(SuitePlugin(judge, known, set(SUITE), on_result=keep), NAME)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""The one table of bounds. No other file holds a tolerance.
+"""The table of bounds of stages. A tolerance of another test stands at that test, with its reason.
 
 ``allowed = roundings * u * scale + floor``, ``u = eps / 2`` the unit roundoff of the arithmetic. ``scale`` is an array or number that
 the test computes in float64: the largest |input| for an interpolation, the stage run on absolute values for a sum, so that the bound

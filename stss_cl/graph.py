@@ -84,7 +84,7 @@ GRAPH = tuple(nodes())
 
 
 class Operations(Protocol[T]):
-    """What computes the network on values of its own kind."""
+    """An engine that computes the network on values of its own kind."""
 
     def convolve(self, x: T, layer: Layer) -> T:
         """A layer with its gate and its ReLU."""

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""What every package stands on: errors, printing, whole files, pages, checked reading. Neither arrays of a stage nor a device."""
+"""The base of all packages: errors, printing, whole files, pages, checked reading. It knows no stage and no device."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a program hands to the API, looked at before it is used: a wrong kind is the caller's mistake, and said in one line."""
+"""Check the arguments of the API before use: a wrong kind is the caller's mistake, and one line."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ Sections = Mapping[str, Mapping[str, tuple[str, str]]]
 
 
 def places_of(ctx: click.Context) -> tuple[dict[str, Path], list[Path], list[Path]]:
-    """What a command's parameters name: option -> the file that it writes; what it reads; the folders that it writes into."""
+    """The files of a command's parameters: option -> the file that it writes; the files that it reads; the folders that it writes into."""
     written, read, made = dict[str, Path](), list[Path](), list[Path]()
     for parameter in ctx.command.params:
         if (value := ctx.params.get(str(parameter.name))) is None:

@@ -17,7 +17,7 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 """Errors of a write to standard output where no more data fits."""
 _NO_MEMORY = "out of memory: the system gives this process no more"
 _SHORT_OF_MEMORY = ("failed to map segment", "annot allocate memory", "can't start new thread")
-"""What libraries say where memory is short and Python has no MemoryError."""
+"""Messages of libraries where memory is short and Python has no MemoryError."""
 
 
 def run_guarded(command: click.Command, *mistakes: type[Exception]) -> None:

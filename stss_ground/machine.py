@@ -18,7 +18,7 @@ def cpu_model() -> str:
 
 
 def cpu_flags() -> frozenset[str]:
-    """What the CPU can do, by Linux's names such as ``avx512f``; empty where the system doesn't say."""
+    """Abilities of the CPU, by Linux's names such as ``avx512f``; empty where the system does not list them."""
     return frozenset(_cpuinfo("flags").split())
 
 
@@ -48,7 +48,7 @@ def versions(names: tuple[str, ...]) -> dict[str, str]:
 
 
 def conditions(packages: tuple[str, ...]) -> dict[str, Any]:
-    """What a JSON report begins with: versions and the machine, without names of hosts, users or folders."""
+    """The beginning of a JSON report: versions and the machine, without names of hosts, users or folders."""
     return {
         "stss": VERSION,
         "machine": {"cpu": cpu_model(), "system": platform.system(), "architecture": platform.machine()},

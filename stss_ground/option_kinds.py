@@ -27,7 +27,7 @@ class ReadPath(click.Path):
         super().__init__(path_type=Path)
 
     def reads(self, value: Path) -> list[Path]:
-        """What is read."""
+        """The files that are read."""
         return [value]
 
 
@@ -41,7 +41,7 @@ class ReadName(click.ParamType):  # pyright: ignore[reportMissingTypeArgument]
         return str(value)
 
     def reads(self, value: str) -> list[Path]:
-        """What is read, if it is a file."""
+        """The path that is read, if it is a file."""
         return [Path(value)]
 
 

@@ -21,7 +21,7 @@ Track = Callable[[Sequence[int]], Iterable[int]]
 
 
 class Advance(Protocol):
-    """What a command calls while it works."""
+    """The function that a command calls while it works."""
 
     def __call__(self, text: str = "", *, done: int = 1) -> None:
         """Count what is done, and show ``text`` beside the bar."""

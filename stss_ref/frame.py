@@ -22,7 +22,7 @@ from stss_ref.weights import SecondColor, Weights
 
 @dataclass(frozen=True)
 class FrameInputs:
-    """What stage ``frame`` takes (spec 11), one dtype throughout.
+    """The inputs of stage ``frame`` (spec 11), one dtype throughout.
 
     Attributes:
         colors: (3, H, W, 3) the three colour frames, newest first; display-referred, [0, 1].
@@ -46,7 +46,7 @@ class FrameInputs:
 
 @dataclass(frozen=True)
 class NetworkInputs:
-    """What stage ``network`` takes: color (H, W, 6), gbuffer (H, W, 9), mask (H, W), history (3, H, W, 4)."""
+    """The inputs of stage ``network``: color (H, W, 6), gbuffer (H, W, 9), mask (H, W), history (3, H, W, 4)."""
 
     color: Image
     gbuffer: Image

@@ -100,7 +100,7 @@ def corners(image: Image, at: Taps) -> list[Image]:
 
 
 def between(four: Sequence[Image], at: Taps) -> Image:
-    """What lies between the values (H, W, C) at four taps, row by row."""
+    """Interpolate between the values (H, W, C) at four taps, row by row."""
     nw, ne, sw, se = four
     fx, fy = at.fx[..., None], at.fy[..., None]
     return lerp(lerp(nw, ne, fx), lerp(sw, se, fx), fy)

@@ -23,7 +23,7 @@ Tensors = Mapping[str, Array]
 Component = Literal["backbone", "history", "erm"]
 
 SecondColor = Literal["newest", "detail"]
-"""What the second of the network's two colours shows: the newest colour frame warped, as the authors' weights expect it, or what all
+"""The content of the second of the network's two colours: the newest colour frame warped, as the authors' weights expect it, or what all
 warped ones show within the pixel (`stss_ref.frame.prepare`)."""
 SECOND_COLORS: tuple[SecondColor, ...] = get_args(SecondColor)
 
@@ -76,7 +76,7 @@ class Layer:
 
     Attributes:
         name: module path in the authors' checkpoint, without ``.weight`` and ``.bias``.
-        reads: what it reads, side by side in this order: layers, and ``SOURCES``. What has half the size is upsampled first; of what ran
+        reads: its inputs, side by side in this order: layers, and ``SOURCES``. Those of half the size are upsampled first; of what ran
             for each of the three colour frames, a layer that runs once reads all three.
         inputs: channels in.
         outputs: channels out, without the gate's one.
@@ -130,7 +130,7 @@ class Layer:
 
 
 SOURCES = {"input": 21, "gbuffer": 9, "history": 4, "reshaded": 64}
-"""What layers read besides each other, with its channels: the frame's colours and G-buffer (spec 7), the G-buffer at an eighth, a colour
+"""Inputs of layers besides each other, with their channels: the frame's colours and G-buffer (spec 7), the G-buffer at an eighth, a colour
 frame of the history, and the attention's result, of ``ATTENTION``."""
 ATTENTION = ("latentEncoder.4", "KEncoder.4")
 """The layers that the attention reads, besides the mask."""

@@ -108,13 +108,18 @@ def missing_modules(path):
             yield f"{name} is not there"
 
 
-def missing_references(path):
-    """Decisions, files and -D options that comments name and that are not there."""
-    said = re.sub(r"\s+(?://|#)?\s*", " ", comments(path))
+def missing_decisions(path):
+    """Decisions that a page or a comment names by number and that are not there."""
+    said = re.sub(r"\s+(?://|#)?\s*", " ", prose(path) if path.suffix == ".md" else comments(path))
     pages = {int(page.name[:4]) for page in (ROOT / "docs" / "decisions").glob("0*.md")}
-    for number in re.findall(r"\bdecisions? (\d+)\b|\bdecisions/[\w.-]+, (0\d{3})\b", said):
+    for number in re.findall(r"(?<!its )\bdecisions? (\d+)\b|\bdecisions/[\w.-]+, (0\d{3})\b", said):
         if int("".join(number)) not in pages:
             yield f"decision {''.join(number)} is not there"
+
+
+def missing_references(path):
+    """Files and -D options that comments name and that are not there."""
+    said = re.sub(r"\s+(?://|#)?\s*", " ", comments(path))
     for name in re.findall(r"(?<![\w./*-])(?:[\w-]+/)*[\w-]+\.(?:clh?|md|py|toml)\b(?!\.\w)", said):
         there = any((folder / name).is_file() for folder in (ROOT, path.parent)) if "/" in name else name in NAMES
         if not there and name not in ELSEWHERE:
@@ -155,8 +160,8 @@ def bad_workflow(path):
 def faults():
     """Every fault with its file."""
     for checks, paths in (
-        ((bad_links, missing_names, bad_lines), PAGES),
-        ((missing_modules, missing_references, missing_licence), SOURCES),
+        ((bad_links, missing_names, missing_decisions, bad_lines), PAGES),
+        ((missing_modules, missing_references, missing_decisions, missing_licence), SOURCES),
         ((broken_promises,), [ROOT / "docs" / "promises.md"]),
         ((bad_workflow,), [*(ROOT / ".github" / "workflows").glob("*.yml"), ROOT / "examples" / "conform.yml"]),
     ):

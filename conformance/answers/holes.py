@@ -92,7 +92,7 @@ def _beyond_footprint(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Ar
     off = _length(wrong) + BOUNDS["length"].roundings * unit * distance + least
     off = np.where(np.isnan(off), np.inf, off)  # by a pixel beside them that is not finite
     limit, limit_off, large = reach_of_footprints(position, LIMITS.footprints, unit)
-    # What is infinite is a hole.
+    # Infinite values are holes.
     large |= np.isfinite(distance) & (_length(peak) > 1 / SMALL)
     return Maybe(~(distance - off <= limit + limit_off) & ~large, ~(distance + off <= limit - limit_off) | large)
 

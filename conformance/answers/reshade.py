@@ -87,7 +87,7 @@ def _shows(inputs: dict[str, NDArray[Any]], sample: Pixels, pixel: Pixels, arith
         limit, limit_off, large = (plane[pixel] for plane in reach_of_footprints(inputs["position"], FOOTPRINTS, unit))
         off = BOUNDS["length"].roundings * unit * distance + np.where(distance > 0, SMALL, 0)
         large |= np.isfinite(distance) & (distance > 1 / SMALL)
-        # What is not finite is near nothing: infinity less infinity compares as false.
+        # A value that is not finite is near nothing: infinity less infinity compares as false.
         near = Maybe((distance + off <= np.maximum(limit - limit_off, 0)) & ~large, (distance - off <= limit + limit_off) | large)
     surface = none | (Maybe(stencil == 0, stencil == 0) & near) | (Maybe(stencil != 0, stencil != 0) & alike)
     same = inputs["stencil_previous"][sample] == stencil

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""What a wrong answer looks like: which mistake, which layer, which term."""
+"""Explain a wrong answer: the mistake, the layer, the term."""

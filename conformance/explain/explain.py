@@ -29,7 +29,7 @@ def explain(judge: Judge, body: Body) -> Failure:
     failed: list[str] = []
 
     def tried(part: Callable[[], T], instead: T) -> T:
-        # Ports, and mistakes on cases that nobody foresaw, raise anything: a failure is told with or without its explanation.
+        # Ports raise anything, and so do mistakes on unforeseen cases: a failure is told with or without its explanation.
         try:
             return part()
         except Exception as error:
@@ -41,7 +41,7 @@ def explain(judge: Judge, body: Body) -> Failure:
     judge.record = Record()
     failure = tried(lambda: confirm(judge, body, found, first), found)
     words = [met.about]
-    # What does not come back alone cannot be asked for again.
+    # An answer that does not come back alone cannot be asked for again.
     if not failure.before and UNSTABLE not in failure.finding.message:
         words += [
             tried(lambda: first_departure(judge, failure.finding), ""),

@@ -180,11 +180,11 @@ MOST_WRITERS = 4
 
 
 def _writers(at: Place, motion: Float64, depth: Float64, row: int, column: int) -> list[Term]:
-    """Who writes to a pixel of the splat: the one that stays first."""
+    """The pixels that write to a pixel of the splat; the one that stays is first."""
     there = at.finite & (depth < FARTHEST) & (np.abs(row - at.y - 0.5) < 1) & (np.abs(column - at.x - 0.5) < 1)
     places = sorted(((float(depth[j, i]), int(j), int(i)) for j, i in np.argwhere(there)))
     if not places:
-        return [("written there by", "nobody: 0")]
+        return [("written there by", "no pixel: 0")]
     words = [f"row {j}, column {i}, depth {d:.9g}, motion {_shown(motion[j, i])}" for d, j, i in places[:MOST_WRITERS]]
     others = len(places) - len(words)
     names = ["written there by, and stays", *["written there by"] * (len(words) - 1)]

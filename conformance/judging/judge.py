@@ -187,7 +187,7 @@ class Judge:
         return self.make_case(question.stage, question.inputs, question.weights)
 
     def _ask(self, dialogues: Sequence[Dialogue]) -> list[list[Outputs] | DepartureError | None]:
-        """The port's answers to all that these wait for; a departure where one is none; None where nobody was asked."""
+        """The port's answers to all cases that these wait for; a departure where one is none; None where no port was asked."""
         asked = [question for dialogue in dialogues for question in repeated(dialogue.asked, self.repeat)]
         order = sorted(range(len(asked)), key=lambda i: asked[i].again)
         cases = [self._case_of(question) for question in asked]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a property asks a port, and who answers: an object at once, a program by one job for the questions of many cases."""
+"""Questions of properties to a port: an object answers at once, a program by one job for the questions of many cases."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def ask(stage: str, inputs: Mapping[str, NDArray[Any]], weights: Weights | None 
 
 
 Answer = Outputs | PortError | None
-"""None: nobody was asked, since the start that would have answered failed at another case."""
+"""None: the port was not asked, since the start that would have answered failed at another case."""
 
 
 RunMany = Callable[[Sequence[Case]], Sequence[Outputs | Unsupported]]
@@ -122,7 +122,7 @@ class Dialogue:
         self._alone = False
 
     def go_on(self, answers: Sequence[Outputs] | None) -> None:
-        """Hand over the answers to what it asked, None to begin. What the property raises comes out here."""
+        """Hand over the answers to its question, None to begin. Errors of the property are raised here."""
         sent = None if answers is None else answers[0] if self._alone else tuple(answers)
         self.asked = ()
         try:

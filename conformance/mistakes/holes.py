@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Mistakes in stages holes, occlusion_warp and rrm."""
 
-# What is planted takes the reference's arrays.
+# Planted faults take the reference's arrays.
 # pyright: reportUnknownLambdaType=false
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Mistakes in stages motion_chain and warp, and in the code that warp shares with holes and occlusion_warp."""
 
-# What is planted takes the reference's arrays.
+# Planted faults take the reference's arrays.
 # pyright: reportUnknownLambdaType=false
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ FOLLOWS: tuple[tuple[str, str, Change, tuple[str, ...]], ...] = (
     ("rounded_sum", "rounds p + m", lambda motion: (_pixels(motion) + motion) - _pixels(motion), BOTH),
     ("half_position", "positions in half precision", lambda motion: half(_pixels(motion) + motion) - _pixels(motion), FILL),
 )
-"""What both stages may do to a motion before they follow it: name, words, the change, and the stages besides warp that show it."""
+"""Changes of a motion before both stages follow it: name, words, the change, and the stages besides warp that show it."""
 
 
 def _first_again(image: Any) -> Any:
@@ -63,7 +63,7 @@ READS: tuple[tuple[str, str, Change], ...] = (
     ("row_511", "reads nothing below row 511", lambda image: image[np.minimum(np.arange(len(image)), 511)]),
     ("pixel_65535", "an index of 16 bits where pixels are read", _first_again),
 )
-"""What both stages may read of a large image in its place."""
+"""Parts of a large image that both stages may read in its place."""
 
 
 _chain = partial(fault, "motion_chain")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Mistakes in stages history, encoder, erm, decoder and network, and in the code that they share."""
 
-# What is planted takes the reference's arrays.
+# Planted faults take the reference's arrays.
 # pyright: reportUnknownLambdaType=false
 
 from __future__ import annotations
@@ -225,7 +225,7 @@ def _weight(name: str, what: str, change: Callable[[Any], Any]) -> Mistake:
 
 
 def _length(name: str, what: str, change: Callable[[Any], Any]) -> Mistake:
-    """What is normalised is divided by ``change`` of its square."""
+    """A vector is divided by ``change`` of its square to normalise it."""
     return _erm(name, what, put("erm.normalise", lambda x: x / change((x * x).sum(axis=-1, keepdims=True))))
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Mistakes of precision: one layer of the network, or all of them, has fewer bits than the rest."""
 
-# What is planted takes the reference's arrays.
+# Planted faults take the reference's arrays.
 # pyright: reportUnknownLambdaType=false
 
 from __future__ import annotations

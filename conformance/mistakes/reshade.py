@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT
 """Mistakes in stage reshade."""
 
-# What is planted takes the reference's arrays.
+# Planted faults take the reference's arrays.
 # pyright: reportUnknownLambdaType=false
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def _within_tile(right: Change, color: Any, is_source: Any, stencil: Any, normal
 
 
 def _samples_no_sources(copy: Copy) -> None:
-    """What is no hole is a source."""
+    """Every pixel that is no hole is a source."""
     valids: list[Any] = []
 
     def whole(right: Change, *arguments: Any, **named: Any) -> Any:

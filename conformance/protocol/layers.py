@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a port may hand over from inside a stage, so that the judge can say where a wrong answer begins: its layers."""
+"""Results of layers, which a port may hand over so that the judge can say where a wrong answer begins."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stss_ref.arrays import ArrayError
 from stss_ref.weights import LAYERS, SOURCES, Layer
 
 _GIVEN = {"color": "H W 6", "mask": "H W", "history": "3 H W 4"}
-"""What stage ``frame`` makes for the network; not yet padded."""
+"""The inputs that stage ``frame`` makes for the network; not yet padded."""
 PADDED = ("network", "frame")
 """Stages that take frames of any size, and pad them to multiples of 8 inside."""
 

@@ -78,7 +78,7 @@ class Port(Protocol):
 
 @dataclass(frozen=True)
 class Abilities:
-    """What a port says of itself, and what it can do besides `Port`'s members: it has any of these as its own.
+    """Properties and abilities of a port besides `Port`'s members: it has any of these as its own.
 
     Attributes:
         dtype: ``float32``, ``float16`` or ``bfloat16``: its arithmetic.

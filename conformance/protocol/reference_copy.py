@@ -54,7 +54,7 @@ class Copy:
             sys.modules.update(held)
 
     def get(self, name: str) -> Any:
-        """What is called ``module.name``; PlantError if nothing is."""
+        """The object called ``module.name``; PlantError if there is none."""
         word, _, attribute = name.partition(".")
         if not hasattr(self._modules.get(word), attribute):
             raise PlantError(f"{name}: no such name in the reference")

@@ -81,7 +81,7 @@ class Server:
                 file.close()  # pyright: ignore[reportOptionalMemberAccess]
 
     def _asked(self, job: Path, timeout: float) -> str:
-        """What went wrong; "" if nothing did."""
+        """The fault; "" if there was none."""
         assert self._process.stdin is not None
         end = time.monotonic() + timeout
         try:

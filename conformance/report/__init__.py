@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: MIT
-"""What is kept and shown: failure folders, archives of cases, JSON, JUnit, pages."""
+"""Results to keep and show: failure folders, archives of cases, JSON, JUnit, pages."""

@@ -151,7 +151,7 @@ def judged_on(judge: Judge, results: Sequence[TestResult]) -> list[str]:
 
 
 def _left_to_full(judge: Judge, stages: Sequence[str]) -> list[str]:
-    """What only a larger tier judges, and the option that asks for it."""
+    """The stages that only a larger tier judges, and the option that asks for it."""
     side = judge.largest_side
     smaller = [
         stage
@@ -163,7 +163,7 @@ def _left_to_full(judge: Judge, stages: Sequence[str]) -> list[str]:
 
 
 def _declared(judge: Judge) -> list[str]:
-    """What the port does not take, in words."""
+    """The inputs that the port does not take, in words."""
     version = judge.weights_version
     old = [f"weights up to version {version} only, as the port declares"] if str(version) != VERSIONS[-1] else []
     narrow = [f"no array of more than {judge.largest_side} rows or columns, as the port declares"] if judge.largest_side else []
@@ -171,7 +171,7 @@ def _declared(judge: Judge) -> list[str]:
 
 
 def _stage(results: Sequence[TestResult]) -> dict[str, Any]:
-    """What a stage was judged on."""
+    """The cases that a stage was judged on."""
     counted = tally([r.record for r in results])
     return {
         "tests": len(results),

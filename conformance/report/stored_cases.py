@@ -30,7 +30,7 @@ class StoredCase:
 
 @dataclass(frozen=True)
 class StoredTest:
-    """What of a test can be stored.
+    """The parts of a test that can be stored.
 
     Attributes:
         id: ``stage.test``.
@@ -66,7 +66,7 @@ class _PropertyError(Exception):
 
 
 class _NoPort:
-    """In the place of a port: nobody is asked."""
+    """Stands for a port; it is never asked."""
 
     name = "none"
 
@@ -117,7 +117,7 @@ class _Collector(Judge):
         expected = self.right(stage, inputs, weights)
         if key not in self._seen:
             self._seen.add(key)
-            # What is read by a motion of the port's own choice has a right answer for each choice.
+            # Values read by a motion of the port's own choice have a right answer for each choice.
             if not expected or (stage == "occlusion_warp" and expected["occlusion_motion"].undecided):
                 self._undecided += 1
             else:

@@ -19,7 +19,7 @@ Pattern = Callable[[Array], Array]
 
 
 class Surface(NamedTuple):
-    """What a material is at N points: base_color (3, N), roughness (N,), metallic (N,), each in [0, 1]."""
+    """A material at N points: base_color (3, N), roughness (N,), metallic (N,), each in [0, 1]."""
 
     base_color: Array
     roughness: Array

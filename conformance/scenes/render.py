@@ -83,7 +83,7 @@ def render(scene: Scene, frame: int, height: int, width: int, *, samples: int = 
 
 
 def look(scene: Scene, frame: float, x: Array, y: Array, size: tuple[int, int]) -> Rendered:
-    """What single rays through the pixel coordinates ``x``, ``y``, (N,) each, of an image of ``size`` (H, W) see."""
+    """The colours that single rays through the pixel coordinates ``x``, ``y``, (N,) each, of an image of ``size`` (H, W) see."""
     moment, view = Moment.of(scene, frame), scene.camera.view(frame, size)
     rays = view.rays(x, y)
     hits = _first_hits(moment, view, rays)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a scene is made of: objects and a camera whose places are closed-form functions of the frame number.
+"""The parts of a scene: objects and a camera whose places are closed-form functions of the frame number.
 
 World space is in cm, right-handed, z up. A path takes the frame number, so half a frame is a legal time too.
 """

@@ -29,7 +29,7 @@ _COLLECTING = "unraisableexception", "threadexception"
 JUDGED = "suite.something_is_judged"
 """Id of the result that is added where nothing was: a run that says nothing of a port does not pass it."""
 LARGE = "large_frames", "users_size"
-"""What the names of tests of large frames have."""
+"""Part of the names of tests of large frames."""
 REQUIRED = "suite.required_stages_are_there"
 """Id of the result that is added where the port lacks one."""
 
@@ -114,7 +114,7 @@ def _undisturbed() -> Generator[None]:
 
 
 class SuitePlugin:
-    """What pytest is told, and what it tells; arguments as of `run_suite`.
+    """A plugin that tells pytest the options and takes its results; arguments as of `run_suite`.
 
     Args:
         large_last: the large frames of all stages come last, since they take longest: for runs that end at the first failure.
@@ -156,7 +156,7 @@ class SuitePlugin:
 
     def pytest_configure(self, config: pytest.Config) -> None:
         """Tracebacks are plain text."""
-        config.option.tbstyle = "native"  # pytest's own form parses every file on the way, for a text that nobody reads
+        config.option.tbstyle = "native"  # pytest's own form parses every file on the way, for a text that is not shown
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
         """Take down what cannot be collected."""

@@ -58,7 +58,7 @@ class CheckFinding:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """What was found.
+    """The findings of a check.
 
     Attributes:
         findings: the most serious first; among equals, the likeliest cause first.
@@ -306,7 +306,7 @@ def _pixels(
 
 
 def print_report(report: CheckReport, console: Console) -> None:
-    """What is wrong, what is stored where, notes, and the verdict."""
+    """Print faults, the places of buffers, notes, and the verdict."""
     _print_findings([finding for finding in report.findings if finding.level != "note"], console)
     channels = cast(dict[str, dict[str, Any]], report.tables.get("channels", {}))
     if channels:

@@ -27,7 +27,7 @@ MIN_PIXELS = 200
 AGREES = 0.1
 """Pixels: the largest median error of motion that agrees with the positions, or three times what those are off by themselves."""
 BETTER = 0.25
-"""What else the motion may be is said where its error is below this share of the motion's own."""
+"""Another meaning of the motion is named where its error is below this share of the motion's own."""
 MOVES = 0.25
 """Pixels: less motion tells nothing."""
 MANY = 0.2
@@ -44,7 +44,7 @@ FLAT = 0.1
 
 @dataclass(frozen=True)
 class StaticVerdict:
-    """What the positions of static geometry say of the other buffers.
+    """Facts about the other buffers, from the positions of static geometry.
 
     Attributes:
         pixels: how many were compared.
@@ -128,7 +128,7 @@ class StaticVerdict:
 
 @dataclass(frozen=True)
 class BackgroundVerdict:
-    """What the camera's turn says of the background's motion.
+    """Facts about the background's motion, from the camera's turn.
 
     Attributes:
         share: of the frame.
@@ -158,7 +158,7 @@ class BackgroundVerdict:
 
 @dataclass(frozen=True)
 class StaticGeometry:
-    """What static geometry says.
+    """Findings from static geometry.
 
     Attributes:
         positions: what its positions say; None where no pair shows enough of what stands still.
@@ -281,7 +281,7 @@ def _is_repeated(before: Buffers, now: Buffers) -> bool:
 
 
 def _guesses(stored: Array, reversed_rows: Array, size: tuple[int, int], *, mirrored: bool | None) -> dict[str, Array]:
-    """What the stored motion may be -> the true motion then; "": itself."""
+    """Meaning of the stored motion -> the true motion then; "": itself."""
     sides = np.array(size[::-1], np.float64)
     scales = {
         "": 1.0,
@@ -300,7 +300,7 @@ def _guesses(stored: Array, reversed_rows: Array, size: tuple[int, int], *, mirr
 
 
 def _half_a_pixel(fit: Iterable[tuple[float, float]]) -> str:
-    """What the fit says where it is but an offset of half a pixel; empty where it is not."""
+    """A finding where the fit is an offset of half a pixel; else empty."""
     words = ("left", "", "right"), ("upper", "", "lower")
     sides: list[str] = []
     for (scale, offset), names in zip(fit, words, strict=True):

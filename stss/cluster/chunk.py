@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a worker computes: some frames of a run, as bytes for the process that writes them."""
+"""The work of a worker: some frames of a run, as bytes for the process that writes them."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Introduction:
 
 @dataclass(frozen=True)
 class Chunk:
-    """What a worker made.
+    """The result of a worker.
 
     Attributes:
         frames: the reports of its frames, each with its files in the order to write them.
@@ -93,7 +93,7 @@ class _Files:
 _lock = Lock()
 """Chunks come one at a time, whatever number of threads the worker has."""
 _opened: dict[str, tuple[Backend, str]] = {}
-"""What the last run's backend was opened with -> the backend, and the label of its weights."""
+"""The last run's options for its backend -> the backend, and the label of its weights."""
 
 
 def introduce(work: Work) -> Introduction:

@@ -84,7 +84,7 @@ class _Run:
     def __init__(self, workers: Workers, work: Work, planned: RunPlan, on_frame: Callable[[FrameReport], None]):
         self._workers, self._work, self._planned, self._on_frame = workers, work, planned, on_frame
         self._chunks: list[list[int]] | None = None
-        """What is left to do; None: no worker has introduced itself."""
+        """The chunks that are left; None: no worker has introduced itself."""
         self._reports: dict[int, FrameReport] = {}
         self._errors: dict[int, str] = {}
         """Display frame -> why it ended its chunk."""

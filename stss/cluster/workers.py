@@ -29,7 +29,7 @@ class LocalWorkers:
         self._count = count
 
     def deaths(self) -> tuple[type[BaseException], ...]:
-        """What a call raises whose worker died."""
+        """The error of a call whose worker died."""
         return (BrokenExecutor,)
 
     def count(self) -> int:

@@ -20,7 +20,7 @@ highlight covers them too, and the network's image says which pixels are sky (de
 
 
 def highlights(color: Image) -> Image | None:
-    """What a scene-linear colour (H, W, 3) has above 1, at most `LARGEST`; None where no pixel has any. NaN counts as 0."""
+    """The part above 1 of a scene-linear colour (H, W, 3), at most `LARGEST`; None where no pixel has any. NaN counts as 0."""
     if not (color > 1).any():  # NaN compares as False
         return None
     return np.where(color > 1, np.minimum(color, LARGEST) - 1, 0).astype(np.float32)

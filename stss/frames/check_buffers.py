@@ -16,7 +16,7 @@ from stss_ref.arrays import Array, Mask
 
 
 class _Plane(NamedTuple):
-    """What a plane must hold.
+    """The requirements on a plane.
 
     Attributes:
         channels: its last axis; 0: it has two axes.

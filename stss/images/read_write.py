@@ -60,7 +60,7 @@ def read_channels(path: Path, names: Sequence[str], window: PixelWindow | None =
 
 
 def merged(values: Array, plane: Plane) -> str | None:
-    """What is wrong where whole numbers (H, W) do not fit into 32-bit floats: two objects would have one number."""
+    """The fault where whole numbers (H, W) do not fit into 32-bit floats: two objects would have one number."""
     if not values.size or values.max() <= WHOLE:
         return None
     bad = (values > WHOLE) & (plane.astype(np.float64) != values)

@@ -36,7 +36,7 @@ Outcome = Literal["done", "kept", "left out"]
 
 @dataclass(frozen=True)
 class FrameReport:
-    """What became of one display frame.
+    """The outcome of one display frame.
 
     Attributes:
         number: the frame.

@@ -25,7 +25,7 @@ _LINE = re.compile(r"([0-9a-f]{64})  ([^/]+)/(.+)")
 
 
 def gather(parts: Path, out: Path, sequence: Path | None = None, *, overwrite: bool = False, track: Track = iter) -> int:
-    """Move the files of all parts into one folder, as one run would have left it. What was interrupted can be repeated.
+    """Move the files of all parts into one folder, as one run would have left it. After an interrupt it can be repeated.
 
     No file of a part is removed before all files of all parts are in the folder and on the disk. From then on `MARK` lies beside the
     parts, until the last one is gone: by it a repeated call knows what the parts held that it no longer finds.

@@ -50,7 +50,7 @@ def overlap(
     def write_in_turn(computed: Computed) -> Written:
         nonlocal failed
         if failed:
-            raise CancelledError  # nobody asks: the error before it ends the work
+            raise CancelledError  # its result is not read: the error before it ends the work
         try:
             return write(computed)
         except BaseException:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What a run did not compute: beside the bar, and a line about all of it."""
+"""The share that a run skipped: beside the bar, and a line about the whole run."""
 
 from __future__ import annotations
 

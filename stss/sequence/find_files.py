@@ -17,7 +17,7 @@ _STEM = re.compile(r"(.*?)(\d+)(\D*)", re.DOTALL)
 """The frame number is the last group of digits of the name without its suffix."""
 _PATTERN = re.compile(r"(.*?)#+([^#]*)", re.DOTALL)
 _FRACTION = re.compile(r"(.*[^\dvV]|)(\d+)\.", re.DOTALL)
-"""What stands before the digits of ``NAME.0001.5``; ``v1.0001`` is a version."""
+"""The part before the digits of ``NAME.0001.5``; ``v1.0001`` is a version."""
 
 MAX_DIGITS = 9
 """Most digits of a frame number, not counting leading zeros; a longer number is a date or a hash."""
@@ -103,7 +103,7 @@ def find_frames(path: Path, endings: Collection[str]) -> Frames:
 
 
 def _fractions(files: Iterable[NumberedFile]) -> str:
-    """What to say where files seem to be numbered 0001.0, 0001.5, 0002.0; else nothing."""
+    """A note where files seem to be numbered 0001.0, 0001.5, 0002.0; else nothing."""
     whole: dict[str, dict[str, str]] = defaultdict(dict)
     for file in files:
         if match := _FRACTION.fullmatch(file.before):

@@ -131,7 +131,7 @@ class Profile:
     hints: Mapping[str, str] = field(default_factory=dict[str, str])
 
     def file_of(self, buffer: str) -> str:
-        """What the name of the buffer's file ends with; "" for the file the others share."""
+        """The end of the name of the buffer's file; "" for the file the others share."""
         return self.files.get(buffer, "")
 
 

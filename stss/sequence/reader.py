@@ -206,7 +206,7 @@ class Sequence:
 
     @property
     def one_view(self) -> str:
-        """What to say where the files have several views, of which the profile names one; empty where they have not."""
+        """A note where the files have several views, of which the profile names one; empty where they have not."""
         frame = self.frames[self.numbers[0]]
         views = tuple(dict.fromkeys(view for path in frame.files for view in read_header(path).views))
         if len(views) < 2 or "color" not in frame.sources:

@@ -165,7 +165,7 @@ class _Dict(dict[str | int, Any]):
 
 
 class _Global(NamedTuple):
-    """What the name of a class or a function stands for; nothing in a pickle can change it."""
+    """The meaning of the name of a class or a function; nothing in a pickle can change it."""
 
     name: str
 

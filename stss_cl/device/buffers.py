@@ -198,7 +198,7 @@ def part(device: Device, buffer: cl.Buffer, first: int, size: int) -> cl.Buffer:
 
 
 def incoming(device: Device, array: Array) -> cl.Buffer:
-    """The caller's array as a buffer: in place on a CPU if its alignment allows that, else a copy, for which nobody waits."""
+    """The caller's array as a buffer: in place on a CPU if its alignment allows that, else a copy that may still be under way."""
     if not device.is_cpu:
         return staging(device).upload(np.ascontiguousarray(array))
     in_place = array.flags.c_contiguous and array.ctypes.data % ALIGNMENT == 0

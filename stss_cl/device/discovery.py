@@ -39,7 +39,7 @@ __all__ = [
 
 
 def no_device() -> str:
-    """What to say where there is no device: what gives one on this platform."""
+    """The message where there is no device: how to get one on this platform."""
     if sys.platform == "linux" and platform.machine() == "x86_64":
         cure = "pip install 'pyopencl[pocl]' gives one that runs on any processor"
     elif sys.platform == "win32":

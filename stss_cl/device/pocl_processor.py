@@ -34,7 +34,7 @@ _named: dict[int, ctypes.Array[ctypes.c_char]] = {}
 
 @cache
 def substitute() -> str:
-    """What to call this processor where its own name is not known; "" on a system that can't say what it has."""
+    """A name for this processor where its own is not known; "" on a system that cannot list its instructions."""
     flags = cpu_flags()
     return next(name for name, needed in KNOWN if flags >= needed) if flags and sys.platform == "linux" else ""
 

@@ -16,7 +16,7 @@ from stss_cl.device.discovery import Device
 
 FLAGS = cl.mem_flags
 MOST_FREE = 8
-"""Pieces of a size that are kept while nobody uses them."""
+"""Most unused pieces of a size that are kept."""
 
 
 class Staging:
@@ -48,7 +48,7 @@ class Staging:
             if event.command_execution_status == cl.command_execution_status.COMPLETE:
                 self._give_back(locked)
             else:
-                self._copying.append((event, locked))  # an event that nobody holds waits for its end
+                self._copying.append((event, locked))  # dropping an event waits for its end
         locked = self._take(array.nbytes)
         np.copyto(locked[: array.nbytes].view(array.dtype).reshape(array.shape), array)
         where = self._queue if queue is None else queue
@@ -56,7 +56,7 @@ class Staging:
         where.flush()  # the device begins while the next array is brought into page-locked memory
 
     def array(self, shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
-        """Page-locked memory to be handed out: it serves again when nobody holds it, or a view of it, any more."""
+        """Page-locked memory for the caller: it serves again once the caller has dropped it and all its views."""
         count = math.prod(shape)
         locked = self._take(dtype.itemsize * count)
         held: Any = locked
@@ -91,7 +91,7 @@ def after(queue: cl.CommandQueue, other: cl.CommandQueue) -> None:
 def so_far(queue: cl.CommandQueue) -> cl.Event:
     """The end of what is in a queue by now, for another queue to wait for."""
     event = cl.enqueue_marker(queue)
-    queue.flush()  # a queue may wait for events of another for ever if nobody sends that one's commands to the device
+    queue.flush()  # a queue may wait for events of another for ever if that one's commands are not sent to the device
     return event
 
 

@@ -55,7 +55,7 @@ class Prepare:
         inputs: buffers to write to; None: buffers of its own. If they have change maps, only ``dirty`` tiles are computed.
         second, test, hole_fill: the network's second colour, the hole test and what fills holes, see ``stss_ref.frame.prepare``.
         frames: how many of the three colour frames are read, from the newest on: 1 or 3. With 1 ``inputs.earlier`` is not written.
-        history: whether anybody reads ``inputs.earlier``; if not, it is not written, and no older frame is searched for holes.
+        history: whether ``inputs.earlier`` is read; if not, it is not written, and no older frame is searched for holes.
         tops: the rows of the frame at which the strips of ``inputs`` begin.
 
     Attributes:

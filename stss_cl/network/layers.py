@@ -153,7 +153,7 @@ class Layers:
         last.set(first_row=strip.first, height=strip.last, top=strip.top, tiles=tiles.tiles, count=tiles.count)
 
     def layers_of(self, stage: str, inputs: Mapping[str, Array]) -> dict[str, Array]:
-        """What each layer of a stage, or of all (``network``), gives (docs/ports.md); the last one is fused where Winograd runs."""
+        """The result of each layer of a stage, or of all (``network``; docs/ports.md); the last one is fused where Winograd runs."""
         found: dict[str, list[Array]] = {}
 
         def see(launch: LayerLaunch, result: tuple[Padded, int, int] | None) -> None:

@@ -77,7 +77,7 @@ def pack_outc(weights: Tensors) -> tuple[NDArray[np.float32], NDArray[np.float32
     """The 1 x 1 convolution outc as kernels/decoder.clh reads it: (24, 16) and (16), output channel 4c + 2i + j at 8i + 3j + c."""
     weight, bias = np.zeros((24, 16), np.float32), np.zeros(16, np.float32)
     places = [8 * i + 3 * j + c for c in range(3) for i in range(2) for j in range(2)]
-    outc = weights["outc.weight"][:, :, 0, 0].T  # of no row where nobody reads what is before it
+    outc = weights["outc.weight"][:, :, 0, 0].T  # no rows if the layer before it is left out
     weight[: len(outc), places], bias[places] = outc, weights["outc.bias"]
     return weight, bias
 

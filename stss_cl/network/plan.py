@@ -152,7 +152,7 @@ def _step(buffers: _Buffers, node: Node, image: int | None, local: bool) -> Step
 
 
 class _Buffers:
-    """The slots of results, taken anew when nobody reads them any more.
+    """The slots of results; a slot is used again after its last reader.
 
     Args:
         layers: those that run.
@@ -219,7 +219,7 @@ class _Buffers:
             self.give_back(self._results.pop(name)[0])
 
     def take(self, divisor: int, channels: int, images: int = 1) -> Slot:
-        """A slot that nobody reads, or a new one."""
+        """A free slot, or a new one."""
         for slot in self._free:
             if (slot.divisor, slot.channels, slot.images) == (divisor, channels, images):
                 self._free.remove(slot)

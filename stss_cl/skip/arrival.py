@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT
-"""What is looked for in a display frame that arrives: values that are not finite, and where it differs from the one before it."""
+"""Look at a display frame that arrives: for values that are not finite, and for places that differ from the frame before it."""
 
 from __future__ import annotations
 

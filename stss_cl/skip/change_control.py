@@ -11,7 +11,7 @@ from stss_cl.report import Part
 MOST_CHANGED = 0.75
 """If a larger share of the network's inputs changed, the whole network is computed, since finding the unchanged rest would not pay."""
 PATIENCE, AGAIN, REST = 8, 4, 48
-"""After ``PATIENCE`` frames in a row, SF and EF alike, in which all was computed, nobody looks for changes until the ``REST``-th:
+"""After ``PATIENCE`` frames in a row, SF and EF alike, in which all was computed, changes are not looked for until the ``REST``-th:
 looking costs time, and a moving camera seldom stops. From then on ``AGAIN`` such frames in a row suffice. The first of either kind is
 computed whole to make up for the changes that were not looked for."""
 
@@ -32,7 +32,7 @@ class ChangeControl:
         return not self.frames_unlooked
 
     def plan(self, changed: float) -> Part:
-        """Plan what of the network to run; ``changed``: the share of its inputs that changed, 1 if nobody looked."""
+        """Plan the part of the network to run; ``changed``: the share of its inputs that changed, 1 if they were not compared."""
         return "whole" if changed > MOST_CHANGED else "changed"
 
     def learn(self, network: Part) -> None:

@@ -27,7 +27,7 @@ from stss_ref.constants import Gather
 class Last:
     """The last frame of a kind: its number, the numbers of the oldest frame and of the colours that it read, and ``valid``.
 
-    None: nobody asked for it on the host.
+    None: it was not asked for on the host.
     """
 
     number: int

@@ -103,7 +103,7 @@ class UploadedFrames:
             self._refuse(bad)
 
     def _refuse(self, bad: str, *arriving: DisplayFrame) -> None:
-        """Forget all frames, and tell which one's plane ``bad`` is not finite: it may be an earlier one, for which nobody waited."""
+        """Forget all frames, and name the frame whose plane ``bad`` is not finite: perhaps an earlier one, which was not waited for."""
         frames = [held.frame for held in self._chain if held.frame is not None]
         self.forget()
         for frame in (*frames, *arriving):

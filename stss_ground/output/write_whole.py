@@ -107,7 +107,7 @@ def keys_of(path: Path) -> list[object]:
 
 
 def _number(path: Path) -> tuple[int, int] | None:
-    """What a file or folder is to the system; None where it does not exist or has no number."""
+    """The system's identity of a file or folder; None where it does not exist or has no number."""
     try:
         found = path.stat()
     except (OSError, ValueError):

@@ -227,7 +227,7 @@ def _point(
             exact, seen = judged[number]
             errors.append(float(np.abs(images[0] - exact).max()))
             scores.append(psnr(255 * np.clip(images[0], 0, 1), 255 * np.clip(seen, 0, 1)) or 0.0)
-        images.clear()  # the backend copies an image that someone holds, and overwrites one that nobody does
+        images.clear()  # the backend copies an image that the caller holds, and overwrites any other
     return Point(
         setting,
         tuple(times[0][WARM:]),
