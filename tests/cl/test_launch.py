@@ -103,11 +103,11 @@ def test_a_stored_binary_keeps_the_names(processor, buffers, tmp_path, monkeypat
     assert len(asked) == 1
 
 
-def test_a_frames_kernels_may_take_their_arguments_in_any_order(processor, unoptimised, tmp_path, monkeypatch):
+def test_a_frames_kernels_may_take_their_arguments_in_any_order(gpu, unoptimised, tmp_path, monkeypatch):
     """The groups of `prepare_newest` and `fill_holes` are turned around, and the planes in them: every value stays."""
     size = 16, 24
     inputs = frame_inputs(size)
-    first = _prepared(processor, size, inputs)
+    first = _prepared(gpu, size, inputs)
     for path in program.KERNELS.iterdir():
         (tmp_path / path.name).write_text(path.read_text())
     frame, planes = tmp_path / "frame.cl", tmp_path / "prepare.clh"
@@ -119,7 +119,7 @@ def test_a_frames_kernels_may_take_their_arguments_in_any_order(processor, unopt
     assert count == swapped == 1
     monkeypatch.setattr(program, "KERNELS", tmp_path)
     monkeypatch.setattr(program, "_programs", WeakKeyDictionary())
-    np.testing.assert_array_equal(_prepared(processor, size, inputs), first)
+    np.testing.assert_array_equal(_prepared(gpu, size, inputs), first)
 
 
 def _prepared(device, size, inputs):
