@@ -170,9 +170,11 @@ def stack_history(warped: Sequence[Image], valids: Sequence[Mask]) -> Array:
 
 
 def _check(inputs: FrameInputs) -> None:
+    count = 0 if np.shape(inputs.motions)[:1] == (0,) else "k"  # a first frame needs no motion
     require(
         {
-            "gbuffer": (inputs.gbuffer, "H, W, 9"), "colors": (inputs.colors, "3, H, W, 3"), "motions": (inputs.motions, "k, H, W, 2"),
+            "gbuffer": (inputs.gbuffer, "H, W, 9"), "colors": (inputs.colors, "3, H, W, 3"),
+            "motions": (inputs.motions, f"{count}, H, W, 2"),
             "nov": (inputs.nov, "H, W"), "stencils": (inputs.stencils, "4, H, W"), "normals": (inputs.normals, "4, H, W, 3"),
             "positions": (inputs.positions, "4, H, W, 3"),
         },

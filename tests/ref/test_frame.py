@@ -55,6 +55,13 @@ def test_without_a_residual_it_is_the_bilinear_image(data, size, seed):
     np.testing.assert_array_equal(valid, prepared.mask == 1)
 
 
+def test_a_first_frame_needs_no_motion():
+    """All its steps are 0."""
+    inputs = still_scene((3, 4), 0, (0, 0, 0))
+    assert inputs.motions.shape == (0, 3, 4, 2)
+    np.testing.assert_array_equal(prepare(inputs).color[..., :3], inputs.colors[0])
+
+
 def test_what_the_network_is_given():
     """Order and content of the channels, by hand: an EF whose middle frame is there and whose oldest is missing."""
     inputs = still_scene((3, 4), 0, (1, 3, 3))
