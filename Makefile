@@ -13,13 +13,13 @@ test: $(VENV)/.test
 
 # The tests that need PyTorch, some gigabytes.
 test-training: $(VENV)/.test $(VENV)/.train
-	$(BIN)/python -m pytest -n 2 tests/training tests/app/test_onnx_export.py tests/app/test_bench.py
+	$(BIN)/python -m pytest -n 2 tests/training tests/app/lab/test_onnx_export.py tests/app/lab/test_bench.py
 
 # The extension's zip in Blender as a Python module (Python 3.11 or 3.13; 350 MB): built, installed, its button pressed.
 test-blender: $(VENV)/.test
 	$(PYTHON) -m venv $(VENV)-blender
 	$(VENV)-blender/bin/python -m pip install --quiet bpy
-	STSS_BPY_PYTHON=$(VENV)-blender/bin/python $(BIN)/python -m pytest tests/app/test_blender_extension.py
+	STSS_BPY_PYTHON=$(VENV)-blender/bin/python $(BIN)/python -m pytest tests/app/blender/test_blender_extension.py
 
 check: $(VENV)/.check
 	$(BIN)/ruff check .

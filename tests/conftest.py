@@ -18,6 +18,7 @@ settings.register_profile("fuzz", deadline=None, max_examples=2500)
 settings.load_profile("ci" if os.environ.get("CI") else "dev")
 
 
+TESTS = Path(__file__).parent
 GPU_TESTS = {"gpu", "device-gpu"}
 """Fixtures of tests that compile the kernels of GPUs, and the parameter of tests/cl/conftest.py."""
 
@@ -30,7 +31,7 @@ def pytest_collection_modifyitems(items):
     """
     kinds = {"cpu": [], "gpu": [], "": []}
     for item in items:
-        compiles = item.path.parent.name in ("cl", "app", "hostile")
+        compiles = item.path.relative_to(TESTS).parts[0] in ("cl", "app", "hostile")
         params = getattr(getattr(item, "callspec", None), "params", {})
         gpu = item.path.name == "test_conv_gpu.py" or GPU_TESTS & {*item.fixturenames, f"device-{params.get('device')}"}
         kinds["" if not compiles else "gpu" if gpu else "cpu"].append(item)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from stss_lab.bench.ours import contender, frame_inputs, truth
-from tests.app.test_bench import WEIGHTS, setup
+from tests.app.lab.test_bench import WEIGHTS, setup
 
 
 def test_frames_in_sequence_end_with_that_of_the_inputs(opened):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from stss_cl.device import known_processor
+from stss_cl.device import pocl_processor
 from stss_cl.device.discovery import Properties
 from stss_cl.device.pocl_processor import AVX2, AVX512, ICE_LAKE, given_name, name_processor, substitute
 from tests.cl.conftest import opened_as
@@ -19,9 +19,9 @@ def machine(monkeypatch):
     kept = []
 
     def made(flags, name="generic", place=640):
-        monkeypatch.setattr(known_processor, "cpu_flags", lambda: frozenset(flags))
-        monkeypatch.setattr(known_processor.sys, "platform", "linux")
-        monkeypatch.setattr(known_processor, "_named", {})
+        monkeypatch.setattr(pocl_processor, "cpu_flags", lambda: frozenset(flags))
+        monkeypatch.setattr(pocl_processor.sys, "platform", "linux")
+        monkeypatch.setattr(pocl_processor, "_named", {})
         substitute.cache_clear()
         own, other, record = (
             ctypes.create_string_buffer(name.encode()),
@@ -60,7 +60,7 @@ def test_what_is_known_or_not_to_be_found_stays(machine):
     handle, named = machine(ICE_LAKE, "znver3")
     name_processor(handle)
     assert (named(), Properties(handle).target) == ("znver3", "znver3")
-    handle, named = machine(ICE_LAKE, place=known_processor.RECORD)
+    handle, named = machine(ICE_LAKE, place=pocl_processor.RECORD)
     name_processor(handle)
     assert (named(), Properties(handle).target) == ("generic", "generic")
     handle, named = machine(())  # a system that doesn't say
@@ -79,7 +79,7 @@ def test_processors_alone_get_prefetches(kind, takes):
 
 
 def test_memory_that_is_not_there_is_no_fault():
-    assert known_processor._read(8, 8) == b""
+    assert pocl_processor._read(8, 8) == b""
 
 
 def test_this_processor_is_one_for_which_kernels_build():

@@ -12,7 +12,7 @@ from stss_ref.weights import BY_NAME, LAYERS, SOURCES, TENSORS, Weights, Weights
 
 
 def test_the_network_has_the_papers_size():
-    """The table of costs is that of the paper: tests/app/test_weights_file.py."""
+    """The table of costs is that of the paper: tests/app/weights/test_weights_file.py."""
     assert len(TENSORS) == 92
     assert sum(math.prod(shape) for shape in TENSORS.values()) == sum(layer.parameters for layer in LAYERS)
 

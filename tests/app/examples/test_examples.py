@@ -17,7 +17,7 @@ from stss.cli.main import stss
 from stss.images.read_write import read_rgb
 from stss_ref.warp import warp
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+EXAMPLES = Path(__file__).parents[3] / "examples"
 
 
 @pytest.fixture

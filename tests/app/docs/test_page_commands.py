@@ -18,7 +18,7 @@ from stss.sequence.profiles import load_profile
 from stss.weights.file import SHIPPED
 from tests.hostile.cases import call
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 PAGES = [
     path for path in sorted(ROOT.rglob("*.md")) if not {".venv", ".venv-blender", ".venv-lowest", "node_modules"} & {*path.parts}
 ]
@@ -30,16 +30,16 @@ NOT_RUN = {
     r"\. \.venv/bin/activate": "for the shell of the reader",
     r"python (-m training|training/)|[TU]=|\$[TU] |for |done$|case |name=": "hours, and PyTorch; tests/training runs the programs",
     r"python (measure_saving|render)\.py": "Blender, and an older commit",
-    r"blender --(command|background)": "Blender's program; tests/app/test_blender_extension.py does the same in bpy",
-    r"python blender/build.py": "fetches packages; tests/app/test_blender_extension.py runs it where bpy is",
-    r"python examples/webgpu/page.py": "tests/app/test_webgpu_page.py runs it",
+    r"blender --(command|background)": "Blender's program; tests/app/blender/test_blender_extension.py does the same in bpy",
+    r"python blender/build.py": "fetches packages; tests/app/blender/test_blender_extension.py runs it where bpy is",
+    r"python examples/webgpu/page.py": "tests/app/examples/test_webgpu_page.py runs it",
     r"python -m pytest .*--port": "a port of the reader's; tests/meta runs the suite so",
     r"python -c .*before_reshade": "weights of a training run",
-    r"stss conform ": "a port of the reader's; tests/app/test_port.py and test_examples.py run some",
-    r"stss run .* --cluster tcp:": "a cluster; tests/app/test_cluster.py makes one",
-    r"openjd run ": "tests/app/test_farm.py runs it as it stands",
+    r"stss conform ": "a port of the reader's; tests/app/port/test_port.py and test_examples.py run some",
+    r"stss run .* --cluster tcp:": "a cluster; tests/app/cluster/test_cluster.py makes one",
+    r"openjd run ": "tests/app/cluster/test_farm.py runs it as it stands",
     r"stss (bench|tune|stress|gpu-report)\b": "minutes, a GPU, or PyTorch; tests of their own run each of them small",
-    r"stss demo$": "half a minute; `make demo`, and tests/app/test_demo.py small",
+    r"stss demo$": "half a minute; `make demo`, and tests/app/demo/test_demo.py small",
 }
 """What stands at the beginning of a line -> why it is not run here."""
 FRAMES = ("frames", "shot", "lr", "LR", "SEQUENCE", "FRAMES")

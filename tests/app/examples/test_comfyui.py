@@ -12,7 +12,7 @@ import stss
 from stss.images.color import transfer
 from stss_ground.errors import InputError
 
-PACK = Path(__file__).parents[2] / "examples" / "comfyui" / "__init__.py"
+PACK = Path(__file__).parents[3] / "examples" / "comfyui" / "__init__.py"
 
 
 class Tensor:

@@ -17,7 +17,7 @@ from stss.images.color import transfer
 from stss.sequence.reader import open_sequence
 from stss.weights.file import load
 
-PAGE = Path(__file__).parents[2] / "examples" / "webgpu" / "page.py"
+PAGE = Path(__file__).parents[3] / "examples" / "webgpu" / "page.py"
 SOFTWARE = ("--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader")
 SECOND = """
     const state = page.getElementById("state");

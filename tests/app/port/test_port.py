@@ -21,7 +21,7 @@ from stss_ref.weights import Weights
 from tests.hostile.cases import call
 from tests.meta.samples import samples
 
-DOCS = Path(__file__).parents[2] / "docs" / "ports.md"
+DOCS = Path(__file__).parents[3] / "docs" / "ports.md"
 
 
 def command(backend):

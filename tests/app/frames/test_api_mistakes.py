@@ -20,7 +20,7 @@ from stss_ground.errors import DeviceError, InputError
 from stss_ref.arrays import ArrayError
 from stss_ref.weights import Weights, WeightsError, random
 from stss_ref.weights import check as check_weights
-from tests.app.test_engine_loop import SIZE, engine, frames
+from tests.app.frames.test_engine_loop import SIZE, engine, frames
 
 ERRORS = (InputError, DeviceError, ArrayError, WeightsError)
 WRONG = [5, 0.5, None, True, "x\0y", b"x", [], {}, object(), datetime.date(2026, 1, 1), np.zeros((2, 2)), np.array(["x"])]

@@ -27,7 +27,7 @@ from stss_ref.weights import random as random_weights
 from tests.cl import films
 from tests.test_api import names
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 PAGES = [page for page in sorted(ROOT.rglob("*.md")) if not {".venv", ".venv-lowest", "node_modules"} & {*page.parts}]
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.M | re.S)
 CODE = [(str(page.relative_to(ROOT)), found[1]) for page in PAGES for found in BLOCK.finditer(page.read_text(encoding="utf-8"))]
@@ -253,7 +253,7 @@ CELLS = {
     "motion = (X, -Y)": None,  # below, by profile
     "motion = (-R, G)": None,
     "motion = (-(R - 0.5) 2 W, (G - 0.5) 2 H)": None,
-    'motion = "MotionVector"': None,  # tests/app/test_sequence.py: test_one_file_a_buffer
+    'motion = "MotionVector"': None,  # tests/app/sequence/test_sequence.py: test_one_file_a_buffer
     "j(t)": None,  # examples/engine_loop.py, whose jitter is this
     "j(t - 1) - j(t)": None,
     "2 j(t)": None,

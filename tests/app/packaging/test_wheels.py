@@ -15,7 +15,7 @@ import pytest
 from stss.images.read_write import read_rgb
 from stss_ground.version import DISTRIBUTION, VERSION
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 DATA = (
     *(f"stss_cl/kernels/{path.name}" for path in (ROOT / "kernels").iterdir()),
     *(f"stss/sequence/profile_tables/{path.name}" for path in (ROOT / "stss/sequence/profile_tables").iterdir()),

@@ -19,7 +19,7 @@ from stss_ground.errors import InputError
 from stss_ground.output.folder import SUMS
 from tests.app.conftest import PLAIN, files
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 TEMPLATE = ROOT / "examples" / "farm" / "stss.openjd.yaml"
 
 WEIGHTS = load(BILINEAR)

@@ -11,7 +11,7 @@ import pytest
 
 from conformance.protocol.stages import STAGES
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 FOLDER = ROOT / "examples" / "webgpu"
 SOFTWARE = Path("/usr/share/vulkan/icd.d"), Path("/usr/lib/chromium")
 JUDGE = """

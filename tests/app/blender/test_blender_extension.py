@@ -25,7 +25,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def load_build():
@@ -191,7 +191,7 @@ def test_blender_takes_the_manifest_and_the_licences_go_together(bpy_python, pac
 
 def test_a_scene_becomes_supersampled_frames_without_a_hand_on_it(bpy_python, packed, tmp_path):
     """The zip is installed as Blender installs it, and the operator of the button called."""
-    words = [bpy_python[0], ROOT / "tests/app/blender_film.py", packed, tmp_path]
+    words = [bpy_python[0], ROOT / "tests/app/blender/blender_film.py", packed, tmp_path]
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     environment["BLENDER_USER_RESOURCES"] = str(tmp_path / "blender")
     done = subprocess.run(words, env=environment, capture_output=True, text=True, check=False, timeout=900)

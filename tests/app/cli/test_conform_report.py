@@ -5,7 +5,7 @@ from types import SimpleNamespace
 from conformance.judging.findings import Record, TestResult
 from conformance.report.report import write_page
 from stss.images.read_write import write_rgb
-from tests.app.test_pages import HOSTILE, pictures
+from tests.app.pages.test_pages import HOSTILE, pictures
 
 
 def test_the_report_on_a_port_is_a_page_like_the_others(ask, tmp_path):
