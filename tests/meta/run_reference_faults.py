@@ -23,10 +23,11 @@ from _pytest.runner import runtestprotocol
 ROOT = Path(__file__).parents[2]
 MODULES = (
     *("arrays", "constants", "conv", "decoder", "depth", "detail", "encoder", "erm", "frame", "history", "holes", "loss"),
-    *("motion_chain", "network", "occlusion_warp", "resample", "rrm", "sample", "schedule", "warp"),
+    *("motion_chain", "network", "occlusion_warp", "resample", "reshade", "rrm", "sample", "schedule", "warp"),
 )
 """Those that compute; ``weights`` is a table that the network's shapes check, ``watch`` takes notes."""
 SAME = {
+    "arrays: strict=True -> strict=False": "the lengths were compared before",
     "conv: 2 * r -> 3 * r": "more zeros, which nothing reads",
     "conv: x >= 0 -> x > 0": "at 0 both are 1 / 2",
     "depth: depth.dtype.type(1) -> depth.dtype.type(2)": "clipped it is 1, and scaled 0",

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stss_ref import weights as tensors
-from stss_ref.arrays import ArrayError, require
+from stss_ref.arrays import ArrayError, require, require_dtype
 from stss_ref.decoder import decoder
 from stss_ref.depth import normalise_depth
 from stss_ref.encoder import encoder
@@ -124,7 +124,8 @@ def test_letters_stand_for_one_length_each():
     ("call", "said"),
     [
         (lambda: motion_chain(np.zeros((1, 2, 2, 2)), "furthest"), "gather: expected longest or "),
-        (lambda: motion_chain(np.zeros((1, 2, 2, 2)), ["longest"]), "gather: expected longest or "),
+        (lambda: motion_chain(np.zeros((1, 2, 2, 2)), ["longest"]), "gather: expected longest or nearest or bilinear, got list"),
+        (lambda: motion_chain(np.zeros((2, 2, 2))), "motions: expected shape (any, any, any, 2), got (2, 2, 2)"),
         (lambda: normalise_depth(np.ones((2, 2)), "log"), "mode: expected clip or scale, got 'log'"),
         (lambda: holes(*(np.zeros(s, np.float32) for s in FUNCTIONS[holes].values()), test="mine"), "test: expected "),
         (lambda: rrm(np.ones((8, 8)), (1, 2, 3)), r"rectangle: expected shape (4,), got (3,)"),
@@ -135,3 +136,9 @@ def test_other_arguments_are_named(call, said):
     with pytest.raises(ArrayError) as error:
         call()
     assert str(error.value).startswith(said)
+
+
+def test_one_dtype_is_required():
+    require_dtype("x", np.zeros(3, np.float32), np.dtype(np.float32))
+    with pytest.raises(ArrayError, match=r"^x: expected dtype float32, got int64$"):
+        require_dtype("x", np.zeros(3, np.int64), np.dtype(np.float32))
