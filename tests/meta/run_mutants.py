@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: MIT
 """``make mutants``: which tests of the quick tier find out each planted fault; the table of docs/conformance.md, by generator.
 
-``python -m tests.meta.run_mutants SEED`` tries other cases than a user's default ones, and writes no table.
+``python -m tests.meta.run_mutants warp rrm`` tries those of two stages; with ``--found FILE`` it goes on where the last run with this
+file stopped, and writes the table when all stages are in it.
 """
 
+import argparse
+import json
 import os
 import sys
 from collections import Counter
@@ -97,18 +100,26 @@ def table(found, spent):
 
 def main():
     os.environ["OMP_NUM_THREADS"] = "1"
-    names, seed = [mutant.id for mutant in MISTAKES], int(sys.argv[1]) if sys.argv[1:] else 0
+    parser = argparse.ArgumentParser()
+    parser.add_argument("stages", nargs="*", help="stages whose mistakes are tried; none: all")
+    parser.add_argument("--seed", type=int, default=0, help="other cases than a user's default ones")
+    parser.add_argument("--found", type=Path, help="JSON file of what was found so far")
+    asked = parser.parse_args()
+    found = json.loads(asked.found.read_text()) if asked.found is not None and asked.found.exists() else {}
+    wanted = [mutant.id for mutant in MISTAKES if not asked.stages or mutant.stage in asked.stages]
+    names = [name for name in wanted if name not in found]
     start = perf_counter()
-    found = {}
     with ProcessPoolExecutor() as pool:
-        for name, (by, seconds) in zip(names, pool.map(killers, names, repeat(seed), chunksize=2), strict=True):
+        for name, (by, seconds) in zip(names, pool.map(killers, names, repeat(asked.seed), chunksize=2), strict=True):
             found[name] = by
             print(f"{name:42s} {seconds:5.1f} s  {', '.join(by) or 'SURVIVES'}", flush=True)
-    survivors = [name for name, by in found.items() if not by]
-    print(f"{len(names) - len(survivors)} of {len(names)} found out, {perf_counter() - start:.0f} s")
-    if not sys.argv[1:] and not survivors:
+            if asked.found is not None:
+                asked.found.write_text(json.dumps(found, indent=0))
+    survivors = [name for name in wanted if not found[name]]
+    print(f"{len(wanted) - len(survivors)} of {len(wanted)} found out, {perf_counter() - start:.0f} s")
+    if not asked.seed and not survivors and len(found) == len(MISTAKES):
         write_between(PAGE, MARK, table(found, seconds_by_generator()))
-    sys.exit(1 if survivors else 0)
+    sys.exit(1 if survivors or not wanted else 0)
 
 
 if __name__ == "__main__":
