@@ -36,6 +36,8 @@ SAME = {
     "holes: apart < np.inf -> apart <= np.inf": "an infinite distance becomes an infinite one",
     "loss: max(masked.sum(), 1e-06) -> max(masked.sum(), 1.2499999999999999e-06)": "a mask is of 0 and 1",
     "occlusion_warp: -1 -> -2": "any negative length is the one that follows",
+    "resample: -1 -> -2": "any negative length is the one that follows",
+    "resample: n - 1 -> n + 1": "beyond the last pixel both neighbours are it",
     "sample: -width - 1 -> -width - 2": "farther outside is as good",
     "sample: -height - 1 -> -height - 2": "likewise",
     "sample: width + 1 -> width + 2": "likewise",
