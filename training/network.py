@@ -93,12 +93,12 @@ class Up(nn.Module):
     def forward(self, skip: Tensor, x: Tensor | None) -> Tensor:
         """(N, outputs, H, W) of ``skip`` (N, S, H, W) and ``x`` (N, C, H / 2, W / 2); without ``x`` its kernels are left out."""
         if x is not None:
-            return self.conv.double_conv(torch.cat([skip, _enlarged(x)], 1))
+            return self.conv.double_conv(torch.cat([skip, enlarged(x)], 1))
         first = cast(nn.Conv2d, self.conv.double_conv[0])
         return self.conv.double_conv[1:](nn.functional.conv2d(skip, first.weight[:, : skip.shape[1]], first.bias, padding=1))
 
 
-def _enlarged(x: Tensor) -> Tensor:
+def enlarged(x: Tensor) -> Tensor:
     """Twice the size, bilinear with corners aligned, (N, C, 2H, 2W). In training by matrices: the gradient of PyTorch's own is slow."""
     if not x.requires_grad:
         return nn.functional.interpolate(x, scale_factor=2, mode="bilinear", align_corners=True)

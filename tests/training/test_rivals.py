@@ -1,15 +1,19 @@
 """The paper's rivals: what they read, a step of training, and frames in a folder."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from stss.demo import write_demo_sequence
+from stss.frames import display_frame
 from stss.images.color import transfer
 from stss.images.read_write import read_rgb
+from stss.sequence.reader import open_sequence
 from stss_ground.errors import InputError
-from stss_ref.frame import NetworkInputs
+from stss_ref.frame import NetworkInputs, prepare
+from stss_ref.resample import upsample_centres
 from training.samples import write_film
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test-training")
@@ -17,7 +21,7 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed: make test
 from safetensors.torch import save_file  # noqa: E402
 
 from training.loss import led_along  # noqa: E402
-from training.rivals import cost, run, samples, train  # noqa: E402
+from training.rivals import authors, cost, jittered, nss, run, samples, train, wgsl_upscaler  # noqa: E402
 from training.rivals.networks import EARLIER, NSRR, PLANES, ExtraNet, spread_out  # noqa: E402
 from training.train import Settings  # noqa: E402
 
@@ -85,20 +89,143 @@ def test_every_chain_writes_frames_and_scores(tmp_path, monkeypatch):
     write_demo_sequence(tmp_path, 5, (16, 24))
     for name in train.NETWORKS:
         save_file({key: t.contiguous() for key, t in train.make(name).named_parameters()}, tmp_path / name)
+    torch.save({"state_dict": authors.AuthorsExtraNet().state_dict()}, tmp_path / "authors")
     monkeypatch.setattr(run, "rife", lambda: lambda two, *_: [0, 0, [0, 0, 0, (two[:, :3] + two[:, 3:]) / 2]])
-    given = ["frames", "truth", "-o", "out", "--extranet", "extranet", "--nsrr", "nsrr", "--methods"]
-    given = [argument if argument.startswith("-") else str(tmp_path / argument) for argument in given]
-    run.main([*given, *run.CHAINS, "--rendered", "even"])
-    for chain in run.CHAINS:
-        assert len(list((tmp_path / "out" / chain).glob("frame.*.exr"))) == 5
-    first, second, third = (read_rgb(path) for path in sorted((tmp_path / "frames").glob("*.exr"))[:3])
-    shown = [transfer("srgb").encode(color) for color in (first, second, third)]
-    chain = run.Chain("rife+nsrr", {}, dict(enumerate(shown)).get)
-    prepared = NetworkInputs(*(np.zeros((*first.shape[:2], 6), np.float32) for _ in range(4)))
-    assert np.allclose(chain._make_small(1, prepared), (shown[0] + shown[2]) / 2, atol=1e-6)
-    assert chain.small == [pytest.approx(-10 * np.log10(np.mean(((shown[0] + shown[2]) / 2 - shown[1]) ** 2)), abs=1e-4)]
+    given = [str(tmp_path / "frames"), str(tmp_path / "truth"), "-o", str(tmp_path / "out"), "--rendered", "even"]
+    files = [word for name in ("extranet", "nsrr", "authors") for word in (f"--{name}", str(tmp_path / name))]
+    methods = (*run.CHAINS, "lanczos", run.EVERY, "lanczos+rife", "taau")
+    run.main([*given, *files, "--methods", *methods])
+    for method in methods:
+        assert len(list((tmp_path / "out" / method).glob("frame.*.exr"))) == 5, method
+
+    def shown(folder, number):
+        return transfer("srgb").encode(read_rgb(tmp_path / folder / f"frame.{number:04}.exr"))
+
+    frames = [shown("frames", number) for number in range(3)]
+    every = [shown("out/every", number) for number in range(3)]
+    assert np.abs(every[1] - upsample_centres(frames[1])).max() < 2e-3  # a half of EXR
+    lanczos, between = ([shown(f"out/{name}", number) for number in range(3)] for name in ("lanczos", "lanczos+rife"))
+    assert np.abs(between[0] - lanczos[0]).max() < 2e-3
+    assert np.abs(between[1] - (lanczos[0] + lanczos[2]) / 2).max() < 4e-3
+    chain = run.Chain("rife+nsrr", {}, dict(enumerate(frames)).get)
+    prepared = NetworkInputs(*(np.zeros((*frames[0].shape[:2], 6), np.float32) for _ in range(4)))
+    assert np.allclose(chain._make_small(1, prepared), (frames[0] + frames[2]) / 2, atol=1e-6)
+    assert chain.small == [pytest.approx(-10 * np.log10(np.mean(((frames[0] + frames[2]) / 2 - frames[1]) ** 2)), abs=1e-4)]
     with pytest.raises(InputError, match="needs frames 1 and 3"):
         chain._make_small(2, prepared)
+    for words, message in (
+        (["--methods", "nsrr"], "--nsrr: expected its weights"),
+        (["--methods", "wgsl"], "--wgsl: expected where it was fetched to"),
+        (["--methods", "network+rife"], r"frame 0 is not in .*; name its method before it"),
+        (["--methods", "authors", "--authors", str(tmp_path / "nsrr")], "expected medieval.pth.tar"),
+    ):
+        with pytest.raises(InputError, match=message):
+            run.main([given[0], given[1], "-o", str(tmp_path / "other"), "--rendered", "even", *words])
+
+
+def test_the_authors_network_reads_light_and_the_sky_keeps_its_colour(tmp_path):
+    """A network that passes the warped light on gives the warped picture: colour by base colour, times base colour."""
+    write_demo_sequence(tmp_path, 6, (16, 24))
+    files = open_sequence(tmp_path / "frames")
+    curve = transfer("srgb")
+    window = [display_frame.prepare(files.load(number), curve, "scale") for number in range(6)]
+    plain = prepare(display_frame.frame_inputs(window, (1, 3, 5))).color
+    seen = {}
+
+    def network(color, mask, features, history):
+        seen.update(color=color, mask=mask, features=features, history=history)
+        return color[:, 3:]
+
+    image = authors.extrapolate(network, window, (1, 3, 5), files.load, curve)
+    now = files.load(5)
+    sky = ~np.isfinite(now.depth)
+    assert image.shape == plain[..., :3].shape
+    assert [seen[name].shape[1] for name in ("color", "mask", "features", "history")] == [6, 1, 6, 4]
+    np.testing.assert_array_equal(image[sky], plain[..., :3][sky])
+    assert (seen["features"][0, :3].numpy().transpose(1, 2, 0)[:16, :24][sky] == -1).all()
+    flat = (now.base_color > 0.05).all(axis=-1) & ~sky
+    assert np.median(np.abs(image - plain[..., :3])[flat]) < 0.05  # light is warped here, colour there
+
+
+def test_an_upsampler_sees_motion_without_jitter(tmp_path):
+    """A camera at rest whose picture is shifted: nothing moves."""
+    write_demo_sequence(tmp_path, 3, (16, 24))
+    files = open_sequence(tmp_path / "frames")
+    offsets, seen = {0: (0.25, -0.5), 1: (-0.25, 0.5), 2: (0.0, 0.0)}, []
+    curve = transfer("srgb")
+    frames = [display_frame.prepare(files.load(number), curve, "scale") for number in range(3)]
+    shift = [np.subtract(offsets[max(n - 1, 0)], offsets[n]).astype(np.float32) for n in range(3)]
+    moved = [np.broadcast_to(s, frames[0].motion.shape) for s in shift]
+    frames = [replace(f, motion=m, color=frames[0].color) for f, m in zip(frames, moved, strict=True)]
+
+    def upsampler(frame):
+        seen.append(frame)
+        return upsample_centres(frame.color)
+
+    backend = jittered.JitteredBackend("some", upsampler, offsets, files.load, curve)
+    for n, steps in enumerate([(0, 0, 0), (0, 1, 1), (0, 2, 2)]):
+        backend.compute(frames[: n + 1], steps)
+    assert [frame.first for frame in seen] == [True, False, False]
+    assert all(not frame.motion.any() for frame in seen)
+    assert [(frame.offset, frame.before) for frame in seen[1:]] == [(offsets[1], offsets[0]), (offsets[2], offsets[1])]
+    with pytest.raises(InputError, match="expected lines of frame,x,y"):
+        jittered.read_offsets(files.path / "none.csv")
+
+
+def test_nss_counts_to_the_bit():
+    """TOSA's operators against sums of Python's integers."""
+    random = np.random.default_rng(0)
+    x, weight = random.integers(-128, 128, (5, 6, 3)), random.integers(-128, 128, (2, 3, 3, 3))
+    made = nss.conv2d([[1, 0, 1, 0], 2, [1, 1], 1, False, x, weight, [7, 2**32 - 9], [128], 0])
+    padded = np.pad(x + 128, ((1, 0), (1, 0), (0, 0)))
+    assert made.shape == (2, 3, 2)
+    for (j, i, channel), value in np.ndenumerate(made):
+        patch = padded[2 * j : 2 * j + 3, 2 * i : 2 * i + 3]
+        assert (
+            value == sum(int(a) * int(b) for a, b in zip(patch.ravel(), weight[channel].ravel(), strict=True)) + (7, -9)[channel]
+        )
+    sums, multiplier, shift = np.array([[[-3, 5], [2**20, -(2**20)]]]), [2**30, 3 * 2**29], [31, 31]
+    assert nss.rescale([True, 1, True, False, False, sums, multiplier, shift, 0, [2]]).tolist() == [[[1, 6], [127, -128]]]
+    nearest = nss.resize([1, x, [4, 2, 4, 2], 2**32 - 1, 1])
+    np.testing.assert_array_equal(nearest, x.repeat(2, axis=0).repeat(2, axis=1))
+    table = [*range(129, 256), *range(129)]
+    assert nss.OPERATORS[nss.TABLE]([np.array([-128, 0, 127]), [128, *table]]).tolist() == [-128, 0, 127]
+    np.testing.assert_allclose(nss.tonemap_back(nss.tonemap(np.float32([[[0.1, 2.0, 7.0]]]))), [[[0.1, 2.0, 7.0]]], rtol=1e-5)
+
+
+def test_nss_refuses_other_files(tmp_path):
+    pytest.importorskip("vgfpy", reason="ai-ml-sdk-vgf-library is not installed")
+    for size in (3, 5000):
+        (tmp_path / "no.vgf").write_bytes(bytes(size))
+        with pytest.raises(InputError, match="expected a VGF file"):
+            nss.Graph(tmp_path / "no.vgf")
+
+
+def test_nss_reads_between_pixels():
+    """A kernel of Catmull and Rom passes through the pixels and follows a ramp; corners are left out on both sides of the division."""
+    y, x = np.indices((8, 9), np.float32)
+    ramp = np.stack([x, 2 * y, x + y], axis=-1)
+    inner = (slice(2, -3), slice(2, -3))
+    for read in (nss.read, nss.read_sharply):
+        np.testing.assert_allclose(read(ramp, x, y)[inner], ramp[inner], atol=1e-5)
+        np.testing.assert_allclose(read(ramp, x + 0.25, y + 0.5)[inner], (ramp + np.float32([0.25, 1, 0.75]))[inner], atol=1e-4)
+    depth, across, down = nss.nearest_depth(np.float32([[5, 5, 5], [5, 5, 1], [5, 5, 5]]))
+    assert depth[0, 1] == 1
+    assert (across[0, 1], down[0, 1]) == (1, 1)
+    assert (across[0, 0], down[0, 0]) == (0, 0)
+
+
+def test_shaders_are_put_together_from_a_checkout(tmp_path):
+    shaders = tmp_path / "src" / "shaders"
+    shaders.mkdir(parents=True)
+    common = "export const WGSL_A = /* wgsl */ `A`;\nexport const WGSL_B = /* wgsl */ `B`;\n"
+    (shaders / "common.ts").write_text(common)
+    own = "assembleShader(\n WGSL_B,\n /* wgsl */ `var d : texture_depth_2d; let x = textureLoad(sceneDepth, p, 0);`,\n);"
+    (shaders / "reconstruct.ts").write_text(own)
+    text = wgsl_upscaler.shader(tmp_path, "reconstruct")
+    assert text == "B\nvar d : texture_2d<f32>; let x = textureLoad(sceneDepth, p, 0).r;"
+    with pytest.raises(InputError, match=r"expected a checkout of github\.com/pmndrs/upscaler"):
+        wgsl_upscaler.shader(tmp_path / "elsewhere", "reconstruct")
 
 
 def test_multiply_adds_are_counted(capsys):

@@ -9,6 +9,7 @@ import math
 import shutil
 import subprocess
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -68,10 +69,10 @@ FAR_DEPTH = 1e10
 """Its depth: profile `stss` takes 1e9 and more for the background."""
 
 
-def draw_clip(number: int) -> Clip:
-    """The clip with this number: four of each track in turn, the rest is chance."""
+def draw_clip(number: int, track: str | None = None) -> Clip:
+    """The clip with this number: of a track, or four of each track in turn; the rest is chance."""
     random = np.random.default_rng(number)
-    track = (*TRACKS, *VALIDATION)[number // 4 % (len(TRACKS) + len(VALIDATION))]
+    track = track or (*TRACKS, *VALIDATION)[number // 4 % (len(TRACKS) + len(VALIDATION))]
     camera = ("fly", "pan", "fly", "still")[number % 4]
     height = float(random.choice((0.7, 1.7, 3.5, 7.0)))
     skies, power, color, lift = (
@@ -302,11 +303,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--clips", type=int, default=64)
     parser.add_argument("--first", type=int, default=0, help="number of the first clip")
     parser.add_argument("--kind", choices=DRAW, default="track")
+    parser.add_argument("--track", choices=(*TRACKS, *VALIDATION), help="all clips of --kind track on this one")
     parser.add_argument("--jitter", action="store_true", help="shift the camera by half pixels, the truth's too")
     parser.add_argument("-o", "--out", type=Path, required=True, help="a folder for each clip; an existing one is not made again")
     chosen = parser.parse_args(arguments)
     jitter = JITTER if chosen.jitter else None
-    clips = [DRAW[chosen.kind](n) | {"jitter": jitter} for n in range(chosen.first, chosen.first + chosen.clips)]
+    draw = partial(draw_clip, track=chosen.track) if chosen.kind == "track" else DRAW[chosen.kind]
+    clips = [draw(n) | {"jitter": jitter} for n in range(chosen.first, chosen.first + chosen.clips)]
     raw = chosen.out / f".raw{chosen.first}"
     wanted = [c for c in clips if not (chosen.out / c["name"]).exists()]
     raw.mkdir(parents=True, exist_ok=True)

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: MIT
-"""Run chains of the rivals over a sequence, beside STSS and methods without a network, and compare all with the truth.
+"""Run rivals over a sequence, beside STSS and methods without a network, and compare all with the truth, over one mask.
 
 Chains: `extranet+nsrr`, `rife+nsrr` (which waits for the next frame), `nsrr+extranet` (the order swapped), and each alone: `extranet`
-(then bilinear), `nsrr` (EFs from the warped frame). Each writes a folder of frames as `stss run` does. `stss compare` judges them.
+(then bilinear), `nsrr` (EFs from the warped frame); `authors`: ExtraNet's own weights, then bilinear. `every`: bilinear, every frame
+rendered. `X+rife`: the SFs of method X, EFs halfway between them, which waits for the next one. Of others' making: `wgsl`, `nss`. Each
+writes a folder of frames as `stss run` does. `stss compare` judges them.
 """
 
 from __future__ import annotations
@@ -33,30 +35,49 @@ from stss.weights.file import load
 from stss_ground.errors import InputError
 from stss_ground.optional import require
 from stss_lab.baselines.registry import METHODS, open_method
+from stss_lab.baselines.taau import Taau
 from stss_lab.methods.methods_table import print_results, run_methods
 from stss_ref.arrays import Image, Mask
 from stss_ref.frame import NetworkInputs, prepare
 from stss_ref.resample import upsample_centres
 from training.command import command
 from training.data import KINDS
+from training.rivals.authors import extrapolate, load_authors
+from training.rivals.jittered import JitteredBackend, Upsampler, read_offsets
 from training.rivals.networks import EARLIER, between, rife
+from training.rivals.nss import Nss
 from training.rivals.samples import five_frames
-from training.rivals.train import NETWORKS, make
+from training.rivals.train import make
+from training.rivals.wgsl_upscaler import WgslUpscaler
 
-CHAINS = ("extranet+nsrr", "rife+nsrr", "nsrr+extranet", "extranet", "nsrr")
+CHAINS = ("extranet+nsrr", "rife+nsrr", "nsrr+extranet", "extranet", "nsrr", "authors")
+EVERY, BETWEEN = "every", ("lanczos+rife", f"{NETWORK}+rife")
+JITTERED = ("taau", "wgsl", "nss")
+"""Methods that `--jitter` tells of the camera's jitter."""
 
 
 class Chain:
     """One of `CHAINS` as a `stss.frames.backends.Backend`, for one run.
 
-    ``networks``: ExtraNet and NSRR by name; ``shown``: the rendered small frame of a number, display-referred; None: there is none.
-    ``small``: PSNR of each EF before it is enlarged.
+    Args:
+        networks: those that it needs, by name: ``extranet``, ``nsrr``, ``authors``.
+        shown: the rendered small frame of a number, display-referred; None: there is none.
+        theirs: ExtraNet's authors' EF, see `training.rivals.authors.extrapolate`.
+
+    Attributes:
+        small: PSNR of each EF before it is enlarged.
     """
 
     name, accumulates, cost, activity = "pytorch", True, None, None
 
-    def __init__(self, method: str, networks: Mapping[str, nn.Module], shown: Callable[[int], Image | None]):
-        self.method, self._networks, self._shown = method, networks, shown
+    def __init__(
+        self,
+        method: str,
+        networks: Mapping[str, nn.Module],
+        shown: Callable[[int], Image | None],
+        theirs: Callable[[Sequence[DisplayFrame], tuple[int, int, int]], Image] | None = None,
+    ):
+        self.method, self._networks, self._shown, self._theirs = method, networks, shown, theirs
         self._frames: dict[int, DisplayFrame] = {}
         self._large: dict[int, DisplayFrame] = {}
         self.small: list[float] = []
@@ -81,18 +102,25 @@ class Chain:
             inputs = [self._large[frame.number] for frame in window]
             image = inputs[-1].color
             return (self._extrapolate(prepare(frame_inputs(inputs, steps))) if image is None else image), valid
-        small = prepared.color[..., :3] if rendered else self._make_small(number, prepared)
-        alone = self.method == "extranet"
+        if self._theirs is not None and not rendered:
+            small = self._judged(number, self._theirs(window, steps))
+        else:
+            small = prepared.color[..., :3] if rendered else self._make_small(number, prepared)
+        alone = self.method in ("extranet", "authors")
         return upsample_centres(small) if alone else self._supersample(number, small, rendered=rendered), valid
 
     def _make_small(self, number: int, prepared: NetworkInputs) -> Image:
-        (before, truth, after), made = map(self._shown, (number - 1, number, number + 1)), prepared.color[..., :3]
+        (before, after), made = map(self._shown, (number - 1, number + 1)), prepared.color[..., :3]
         if self.method.startswith("extranet"):
             made = self._extrapolate(prepared)
         elif self.method == "rife+nsrr":
             if before is None or after is None:
                 raise InputError(f"{self.method}: frame {number} needs frames {number - 1} and {number + 1} rendered")
             made = _run(partial(between, rife()), np.concatenate([before, after], axis=-1), 128)
+        return self._judged(number, made)
+
+    def _judged(self, number: int, made: Image) -> Image:
+        truth = self._shown(number)
         if truth is not None:
             self.small.append(psnr(255 * made, 255 * truth) or 0)
         return made
@@ -108,6 +136,41 @@ class Chain:
             return self._networks["extranet"](x[:, :6], x[:, 6:15], x[:, 15:16], x[:, 16:].unflatten(1, (3, 4)))
 
         return _run(run, np.concatenate(planes, axis=-1, dtype=np.float32), 8)
+
+
+class Shown:
+    """Frames that are there already, as a backend.
+
+    `every` (``folder`` None) shows each rendered frame, bilinear; else the SFs that a method wrote to ``folder``, and RIFE between two.
+    """
+
+    name, accumulates, cost = "pytorch", False, None
+
+    def __init__(self, method: str, shown: Callable[[int], Image | None], curve: Transfer, folder: Path | None = None):
+        self.method, self._shown, self._curve, self._folder = method, shown, curve, folder
+
+    def expect(self, size: tuple[int, int]) -> None:
+        """See `stss.frames.backends.Backend`: nothing needs to be prepared."""
+
+    def compute(self, window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> tuple[Image, Mask]:
+        """See `stss.frames.backends.Backend`."""
+        number, rendered = window[-1].number, steps[0] == 0
+        valid = prepare(frame_inputs(window, steps)).mask.astype(bool)
+        if self._folder is None:
+            small = self._shown(number)
+            if small is None:
+                raise InputError(f"{self.method}: frame {number} was not rendered")
+            return upsample_centres(small), valid
+        if rendered:
+            return self._read(self._folder, number), valid
+        two = [self._read(self._folder, n) for n in (number - 1, number + 1)]
+        return _run(partial(between, rife()), np.concatenate(two, axis=-1), 128), valid
+
+    def _read(self, folder: Path, number: int) -> Image:
+        path = folder / f"frame.{number:04}.exr"
+        if not path.exists():
+            raise InputError(f"{self.method}: frame {number} is not in {folder}; name its method before it, and end at an SF")
+        return self._curve.encode(read_rgb(path))
 
 
 def _run(model: Callable[[torch.Tensor], torch.Tensor], planes: Image, multiple: int) -> Image:
@@ -134,24 +197,61 @@ def perceive(rows: Sequence[FrameScores], curve: Transfer) -> tuple[float, Image
     return quality, np.ravel(distance(*(film / np.float32(127.5) - 1 for film in (made, true))))
 
 
+def open_networks(chosen: argparse.Namespace) -> dict[str, nn.Module]:
+    """The networks that the chosen chains need, by name.
+
+    Raises:
+        InputError: its option is missing, or its file is of another kind.
+    """
+    networks: dict[str, nn.Module] = {}
+    for name in ("extranet", "nsrr", "authors"):
+        if any(method in CHAINS and name in method.split("+") for method in chosen.methods):
+            path: Path | None = getattr(chosen, name)
+            if path is None:
+                raise InputError(
+                    f"--{name}: expected its weights, for {', '.join(m for m in chosen.methods if name in m.split('+'))}"
+                )
+            if name == "authors":
+                networks[name] = load_authors(path)
+            else:
+                networks[name] = make(name)
+                networks[name].load_state_dict(load_file(path))
+    return networks
+
+
+def open_upsampler(method: str, chosen: argparse.Namespace) -> Upsampler | Taau:
+    """The upsampler of one of `JITTERED`; InputError where its option is missing."""
+    if method == "taau":
+        return Taau(offset for _, offset in sorted(read_offsets(chosen.jitter).items()))
+    path: Path | None = getattr(chosen, method)
+    if path is None:
+        raise InputError(f"--{method}: expected where it was fetched to, for the method {method}")
+    return WgslUpscaler(path) if method == "wgsl" else Nss(path)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """``python -m training.rivals.run``."""
     parser = argparse.ArgumentParser(prog="python -m training.rivals.run", description=__doc__)
     parser.add_argument("sequence", type=Path)
     parser.add_argument("truth", type=Path)
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder for one folder of frames of each method")
-    parser.add_argument("--extranet", type=Path, required=True, help="weights of python -m training.rivals.train")
-    parser.add_argument("--nsrr", type=Path, required=True)
+    parser.add_argument("--extranet", type=Path, help="weights of python -m training.rivals.train")
+    parser.add_argument("--nsrr", type=Path, help="likewise")
+    parser.add_argument("--authors", type=Path, help="medieval.pth.tar of fuxihao66/ExtraNet, for the method authors")
+    parser.add_argument("--wgsl", type=Path, help="a checkout of pmndrs/upscaler, for the method wgsl")
+    parser.add_argument("--nss", type=Path, help="nss_v0_1_1_int8.vgf of Arm's SDK, for the method nss")
     parser.add_argument("--weights", default="bilinear", help="STSS weights, for the method network")
-    parser.add_argument("--methods", nargs="+", choices=(*CHAINS, *METHODS, NETWORK), default=(*CHAINS, "bilinear", NETWORK))
+    methods = (*CHAINS, EVERY, *BETWEEN, "wgsl", "nss", *METHODS, NETWORK)
+    parser.add_argument("--methods", nargs="+", choices=methods, default=(*CHAINS[:5], "bilinear", NETWORK))
     parser.add_argument("--camera", type=Path)
+    parser.add_argument(
+        "--jitter", type=Path, help=f"CSV of frame,x,y: how far the picture is shifted, in pixels; for {JITTERED}"
+    )
     parser.add_argument("--rendered", choices=("even", "odd", "all"))
     parser.add_argument("--frames", type=int, nargs=2, metavar=("FIRST", "LAST"))
     parser.add_argument("--full", action="store_true", help="FLIP, VMAF, ColorVideoVDP and LPIPS too")
     chosen = parser.parse_args(arguments)
-    networks = {name: make(name) for name in NETWORKS}
-    for name, network in networks.items():
-        network.load_state_dict(load_file(getattr(chosen, name)))
+    networks = open_networks(chosen)
     files, loaded = open_sequence(chosen.sequence, camera=chosen.camera), load(chosen.weights)
     span = chosen.frames and tuple(chosen.frames)
     options = RunOptions.of(files.profile, transfer=None, depth=None, frames=span, rendered=chosen.rendered)
@@ -161,11 +261,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
         color = files.load(number).color if number in files.frames else None
         return None if color is None else curve.encode(color)
 
-    chains = {name: Chain(name, networks, shown) for name in chosen.methods if name in CHAINS}
+    def theirs(window: Sequence[DisplayFrame], steps: tuple[int, int, int]) -> Image:
+        return extrapolate(networks["authors"], window, steps, files.load, curve)
+
+    chains = {m: Chain(m, networks, shown, theirs if m == "authors" else None) for m in chosen.methods if m in CHAINS}
 
     def engine(method: str) -> tuple[Backend, str]:
         if method in chains:
-            return cast(Backend, chains[method]), f"{chosen.extranet}, {chosen.nsrr}"
+            return cast(Backend, chains[method]), method
+        if method == EVERY or method in BETWEEN:
+            folder = None if method == EVERY else chosen.out / method.partition("+")[0]
+            return cast(Backend, Shown(method, shown, curve, folder)), method
+        if method in JITTERED:
+            made = JitteredBackend(method, open_upsampler(method, chosen), read_offsets(chosen.jitter), files.load, curve)
+            return cast(Backend, made), method
         return open_method(method, loaded)
 
     results = run_methods(files, chosen.truth, chosen.out, chosen.methods, engine, options, flip=chosen.full, vmaf=chosen.full)

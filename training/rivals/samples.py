@@ -60,7 +60,7 @@ def extend(shard: Path, out: Path) -> None:
     for i, (number, name) in enumerate(zip(numbers, kinds, strict=True)):
         more = five_frames(frames, colors, number, rendered=name == "SF")
         samples.append(Sample(number, FrameKind(name), np.concatenate([inputs[i], more], axis=-1, dtype=np.float32), truth[i]))
-    write(out / shard.name, index["scene"], index["split"], samples, [shard])
+    write(out / shard.name, index["scene"], index["split"], index["hole_fill"], samples, [shard])
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
