@@ -16,6 +16,7 @@ from rich.table import Table
 from stss.frames.backends import NETWORK, Backend
 from stss.quality.compare import Comparison, compare, print_whole
 from stss.quality.flip_vmaf import require_packages
+from stss.run.frame_job import HOLES
 from stss.run.job import require_near, run
 from stss.run.options import RunOptions
 from stss.sequence.reader import Sequence as Frames
@@ -96,6 +97,7 @@ def run_methods(
     results: list[MethodResult] = []
     for method in methods:
         shown, masks = partial(_counted, method, on_frame), out / holes_of(methods)
+        masks = masks if (masks / HOLES).exists() else None  # where every frame was rendered, there are none
         scores = compare(
             out / method, truth, frames=options.frames, sequence=sequence, flip=flip, vmaf=vmaf, holes=masks, track=shown
         )

@@ -72,7 +72,8 @@ class WithoutPart(OnArrays):
         """See `stss.frames.backends.Backend`; holes are those of the whole."""
         weights = self._weights
         given = prepare(inputs, "longest", weights.second_color, weights.hole_test, weights.hole_fill)
-        changed = CHANGES[self._part](given) if self._part in CHANGES else given
+        change = CHANGES.get(self._part or "")
+        changed = given if change is None else change(given)
         image = network(changed, weights, mean_erm=self._part == ERM)
         return image, given.mask.astype(bool)
 

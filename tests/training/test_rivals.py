@@ -93,17 +93,21 @@ def test_every_chain_writes_frames_and_scores(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "rife", lambda: lambda two, *_: [0, 0, [0, 0, 0, (two[:, :3] + two[:, 3:]) / 2]])
     given = [str(tmp_path / "frames"), str(tmp_path / "truth"), "-o", str(tmp_path / "out"), "--rendered", "even"]
     files = [word for name in ("extranet", "nsrr", "authors") for word in (f"--{name}", str(tmp_path / name))]
-    methods = (*run.CHAINS, "lanczos", run.EVERY, "lanczos+rife", "taau")
+    methods = (*run.CHAINS, "lanczos", "lanczos+rife", "taau")
     run.main([*given, *files, "--methods", *methods])
     for method in methods:
         assert len(list((tmp_path / "out" / method).glob("frame.*.exr"))) == 5, method
 
     def shown(folder, number):
-        return transfer("srgb").encode(read_rgb(tmp_path / folder / f"frame.{number:04}.exr"))
+        return curve.encode(read_rgb(tmp_path / folder / f"frame.{number:04}.exr"))
 
-    frames = [shown("frames", number) for number in range(3)]
-    every = [shown("out/every", number) for number in range(3)]
-    assert np.abs(every[1] - upsample_centres(frames[1])).max() < 2e-3  # a half of EXR
+    curve, files = transfer("srgb"), open_sequence(tmp_path / "frames")
+    frames = [curve.encode(np.full((16, 24, 3), value, np.float32)) for value in (0.1, 0.2, 0.6)]
+    window = [display_frame.prepare(files.load(number), curve, "scale") for number in range(2)]
+    every = run.Shown(run.EVERY, dict(enumerate(frames)).get, curve)
+    np.testing.assert_array_equal(every.compute(window, (1, 1, 1))[0], upsample_centres(frames[1]))
+    with pytest.raises(InputError, match="every: frame 1 was not rendered"):
+        run.Shown(run.EVERY, {}.get, curve).compute(window, (1, 1, 1))
     lanczos, between = ([shown(f"out/{name}", number) for number in range(3)] for name in ("lanczos", "lanczos+rife"))
     assert np.abs(between[0] - lanczos[0]).max() < 2e-3
     assert np.abs(between[1] - (lanczos[0] + lanczos[2]) / 2).max() < 4e-3
@@ -202,13 +206,14 @@ def test_nss_refuses_other_files(tmp_path):
 
 
 def test_nss_reads_between_pixels():
-    """A kernel of Catmull and Rom passes through the pixels and follows a ramp; corners are left out on both sides of the division."""
+    """A kernel of Catmull and Rom passes through the pixels and follows a ramp along each axis."""
     y, x = np.indices((8, 9), np.float32)
     ramp = np.stack([x, 2 * y, x + y], axis=-1)
     inner = (slice(2, -3), slice(2, -3))
     for read in (nss.read, nss.read_sharply):
         np.testing.assert_allclose(read(ramp, x, y)[inner], ramp[inner], atol=1e-5)
-        np.testing.assert_allclose(read(ramp, x + 0.25, y + 0.5)[inner], (ramp + np.float32([0.25, 1, 0.75]))[inner], atol=1e-4)
+        np.testing.assert_allclose(read(ramp, x + 0.25, y)[inner], (ramp + np.float32([0.25, 0, 0.25]))[inner], atol=1e-5)
+        np.testing.assert_allclose(read(ramp, x, y + 0.5)[inner], (ramp + np.float32([0, 1, 0.5]))[inner], atol=1e-5)
     depth, across, down = nss.nearest_depth(np.float32([[5, 5, 5], [5, 5, 1], [5, 5, 5]]))
     assert depth[0, 1] == 1
     assert (across[0, 1], down[0, 1]) == (1, 1)

@@ -12,6 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from pickle import UnpicklingError
+from typing import cast
 
 import numpy as np
 import torch
@@ -21,7 +23,7 @@ from stss.frames.buffers import Buffers
 from stss.frames.display_frame import DisplayFrame, frame_inputs
 from stss.images.color import Transfer
 from stss_ground.errors import InputError
-from stss_ref.arrays import Image
+from stss_ref.arrays import Image, Mask
 from stss_ref.frame import prepare
 from training.network import Gated, enlarged
 
@@ -49,10 +51,10 @@ class _Up(nn.Module):
     def __init__(self, inputs: int, outputs: int):
         super().__init__()
         self.conv = nn.Module()
-        self.conv.double_conv = _normed(inputs, inputs // 2, outputs)
+        self.conv.add_module("double_conv", _normed(inputs, inputs // 2, outputs))
 
     def forward(self, skip: Tensor, x: Tensor) -> Tensor:
-        return self.conv.double_conv(torch.cat([skip, enlarged(x)], 1))
+        return cast(nn.Sequential, self.conv.double_conv)(torch.cat([skip, enlarged(x)], 1))
 
 
 class AuthorsExtraNet(nn.Module):
@@ -98,7 +100,7 @@ def load_authors(path: Path) -> AuthorsExtraNet:
     network = AuthorsExtraNet()
     try:
         network.load_state_dict(torch.load(path, map_location="cpu", weights_only=True)["state_dict"])
-    except (OSError, RuntimeError, KeyError, ValueError) as error:
+    except (OSError, RuntimeError, KeyError, ValueError, UnpicklingError) as error:
         raise InputError(f"{path}: expected medieval.pth.tar of fuxihao66/ExtraNet ({str(error).splitlines()[0]})") from error
     return network.eval().requires_grad_(False)
 
@@ -148,7 +150,7 @@ def divide(buffers: Buffers) -> Image:
     return np.where(base > 0, buffers.color / np.where(base > 0, base, 1), 0).astype(np.float32)
 
 
-def _depth(depth: Image, sky: Image) -> Image:
+def _depth(depth: Image, sky: Mask) -> Image:
     """(H, W, 1) from 0 to 1 over the frame, the sky as near as nothing is."""
     near = np.where(sky, 0, depth)
     return ((near - near.min()) / (near.max() - near.min() + 1e-6))[..., None]

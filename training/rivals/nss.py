@@ -181,12 +181,23 @@ def resize(operands: list[Any]) -> Ints:
     return x
 
 
+def concat(operands: list[Any]) -> Ints:
+    """TOSA CONCAT along an axis of (1, H, W, C)."""
+    return np.concatenate(operands[1:], axis=operands[0] - 1)
+
+
+def look_up(operands: list[Any]) -> Ints:
+    """TOSA TABLE of 256 int8 values."""
+    x, table = operands
+    return signed8(table)[x + 128]
+
+
 OPERATORS: Mapping[int, Any] = {
     CONV2D: conv2d,
     RESCALE: rescale,
     RESIZE: resize,
-    CONCAT: lambda operands: np.concatenate(operands[1:], axis=operands[0] - 1),
-    TABLE: lambda operands: signed8(operands[1])[operands[0] + 128],
+    CONCAT: concat,
+    TABLE: look_up,
 }
 """TOSA's number -> function of the operands. Tensors are (H, W, C): the batch's axis is left out."""
 
@@ -303,7 +314,7 @@ class Nss:
         hidden = self._hidden(there_x + frame.before[0], there_y + frame.before[1], near)
         hidden *= np.where(squared > CALM, 1, CALM_SCALE)
         shown = tonemap(color)
-        changed = self._change(read(luma, there_x, there_y), (shown @ np.float32(LUMINANCE)), hidden)
+        changed = self._change(read(luma, there_x, there_y), (shown @ np.array(LUMINANCE, np.float32)), hidden)
         before = tonemap(read(image, 2 * there_x + 0.5, 2 * there_y + 0.5))
         planes = (before, shown, hidden[..., None], kept * read(feedback, there_x, there_y), changed[..., :1])
         tensor = np.clip(np.rint(np.concatenate(planes, axis=-1) / INPUT_STEP - 128), -128, 127).astype(np.int64)

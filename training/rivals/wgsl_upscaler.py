@@ -79,7 +79,7 @@ class WgslUpscaler:
         now, then = self._turn, 1 - self._turn
         self._turn = then
         self._write("color", _half(frame.color))
-        self._write("velocity", _half(-frame.motion / np.float32((width, height))))
+        self._write("velocity", _half(-frame.motion / np.array((width, height), np.float32)))
         self._write("depth", frame.depth.astype(np.float32))
         constants = self._device.create_buffer_with_data(data=self._constants(frame), usage="UNIFORM")
         t, sampler = self._textures, self._sampler
@@ -117,7 +117,7 @@ class WgslUpscaler:
         floats = [width, height, 2 * width, 2 * height, 1 / width, 1 / height, 0.5 / width, 0.5 / height]
         # Theirs is the camera's shift, ours the picture's.
         floats += [-v for v in (*frame.offset, *frame.before)] + [1, 1, 0, 1, 0, ACCUMULATION, 1, 1 / RATE]
-        return np.float32(floats).tobytes() + np.uint32([flags, 0, 0, 0]).tobytes()
+        return np.array(floats, np.float32).tobytes() + np.array([flags, 0, 0, 0], np.uint32).tobytes()
 
     def _allocate(self, height: int, width: int) -> dict[str, Any]:
         small, large, one = (width, height, 1), (2 * width, 2 * height, 1), (1, 1, 1)

@@ -23,7 +23,7 @@ from stss_ground.errors import InputError
 from stss_lab.baselines.fxaa import fxaa
 from stss_lab.baselines.registry import METHODS, MethodBackend
 from stss_lab.baselines.taau import Taau
-from stss_lab.methods.methods_table import choose_methods
+from stss_lab.methods.methods_table import choose_methods, run_methods
 from stss_ref.frame import FrameInputs, prepare
 from stss_ref.resample import upsample_centres
 from tests.app.conftest import frames_of
@@ -235,6 +235,17 @@ def test_methods_side_by_side(tmp_path):
     assert choose_methods((), "some.safetensors") == (*METHODS, "network")
     with pytest.raises(InputError, match="each once"):
         choose_methods(("taau", "taau"), BILINEAR)
+
+
+def test_every_frame_rendered_has_no_holes_to_score(write_frames, tmp_path):
+    files = open_sequence(write_frames(range(3), size=(16, 24)), "stss")
+    options = RunOptions(rendered="all")
+    run(files, tmp_path / "truth", MethodBackend("lanczos"), "none", options)
+    results = run_methods(
+        files, tmp_path / "truth", tmp_path / "out", ["bilinear"], lambda m: (MethodBackend(m), "none"), options
+    )
+    assert [mean.name for mean in results[0].comparison.means] == ["SF"]
+    assert results[0].comparison.holes is None
 
 
 def test_temporal_upsampling_knows_the_jitter():
