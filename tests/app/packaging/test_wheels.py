@@ -92,6 +92,19 @@ def test_the_program_has_all_that_it_reads_and_overwrites_nothing_of_others(prog
     assert {name.split("/")[0] for name in names} == tops
 
 
+def test_the_laboratory_may_stay_out(program, tmp_path, monkeypatch):
+    """Its commands then, and nothing else: the rest of the program does not need it."""
+    monkeypatch.setenv("STSS_LAB", "0")
+    wheel, site = build_wheel(".", tmp_path)
+    left_out = {*zipfile.ZipFile(program[0]).namelist()} - {*zipfile.ZipFile(wheel).namelist()}
+    assert left_out
+    assert all(name.startswith("stss_lab/") for name in left_out)
+    done = python(site, tmp_path, "from stss.__main__ import main; main()", "--help", path=[site], absent={"stss_lab"})
+    assert done.returncode == 0, done.stderr
+    assert " compare " in done.stdout
+    assert " bench " not in done.stdout
+
+
 def test_a_container_is_given_all_that_the_wheel_is_built_from(program, tmp_path):
     """The folder as a container's engine copies it, by ``.dockerignore``; no engine is needed."""
     first, *kept = [line for line in (ROOT / ".dockerignore").read_text().splitlines() if not line.startswith("#")]
