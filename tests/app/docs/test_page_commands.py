@@ -39,6 +39,7 @@ NOT_RUN = {
     r"stss run .* --cluster tcp:": "a cluster; tests/app/cluster/test_cluster.py makes one",
     r"openjd run ": "tests/app/cluster/test_farm.py runs it as it stands",
     r"stss (bench|tune|stress|gpu-report)\b": "minutes, a GPU, or PyTorch; tests of their own run each of them small",
+    r"stss weights import checkpoints/": "the authors' checkpoints; tests/app/weights imports one of their kind",
     r"stss parts ": "weights of others; tests/app/lab/test_parts.py runs it small",
     r"stss demo$": "half a minute; `make demo`, and tests/app/demo/test_demo.py small",
 }
