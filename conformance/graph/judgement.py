@@ -142,7 +142,7 @@ def compare(
     wide, allowed = widen(got), right.errors
     error = np.abs(wide.astype(np.float64) - right.x)
     typical, limit = (float(np.sqrt(np.mean(a * a))) if a.size else 0.0 for a in (error, allowed))
-    share = 0.0 if typical == 0 else typical / limit if limit else np.inf
+    share = 0.0 if typical == 0 else typical / limit if limit and np.isfinite(typical) else np.inf
     return Judgement(name, node, tuple(given), wide, right, worst(error, allowed), share, is_own)
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from time import monotonic
+from typing import Any
 
 import hypothesis
 import hypothesis.errors
@@ -230,6 +231,8 @@ def _check(model: Model, port: GraphPort, rounding: Rounding, inputs: dict[str, 
             raise PortError(f"output {missing[0]} is missing")
         if layers := getattr(port, "layers", None):
             got = layers({name: array.copy() for name, array in inputs.items()})
+        _require_numbers(model, whole)
+        _require_numbers(model, got)
     except Exception as error:
         # A port is a stranger.
         said, *more = _lines_of(error)
@@ -254,6 +257,14 @@ def _check(model: Model, port: GraphPort, rounding: Rounding, inputs: dict[str, 
         said, *more = _lines(departs, rows, ends, rounding)
         right = Expected(departs.right.x, departs.right.errors)
         raise DepartureError(Finding(said, case, departs.tensor, departs.got, right, (*more, where)))
+
+
+def _require_numbers(model: Model, given: Mapping[str, Any]) -> None:
+    """Raise PortError unless the model's tensors among ``given`` are arrays of numbers; bfloat16 is a type of a package of its own."""
+    for name in (name for name in model.tensors if name in given):
+        dtype = getattr(given[name], "dtype", None)
+        if not isinstance(given[name], np.ndarray) or (given[name].dtype.kind not in "biuf" and str(dtype) != "bfloat16"):
+            raise PortError(f"{name}: expected an array of numbers, got {dtype or type(given[name]).__name__}")
 
 
 def _lines(wrong: Judgement, rows: Sequence[Judgement], ends: Sequence[Judgement], rounding: Rounding) -> list[str]:
