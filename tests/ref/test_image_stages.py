@@ -15,7 +15,7 @@ from stss_ref.depth import normalise_depth
 from stss_ref.holes import cosine, holes, squared_footprint
 from stss_ref.motion_chain import motion_chain
 from stss_ref.occlusion_warp import occlusion_warp, splat
-from stss_ref.reshade import reshade
+from stss_ref.reshade import four_samples, reshade
 from stss_ref.rrm import draw_rectangle, rrm
 from stss_ref.sample import follow, leads_inside, taps
 from stss_ref.warp import warp
@@ -336,6 +336,21 @@ class TestReshade:
         assert filled[0] == 0
         assert filled[1] == np.mean([0, *range(103, 110)])
         assert filled[2] == np.mean([0, *range(103, 111)])
+
+    @pytest.mark.parametrize(
+        ("pixel", "motion", "there", "rows", "columns"),
+        [
+            ((1, 1), (0.5, 0.5), "1111", [1, 1, 2, 2], [1, 2, 1, 2]), ((2, 3), (0.25, 0.25), "1000", [2, 2, 2, 2], [3, 3, 3, 3]),
+            ((0, 0), (-0.5, -0.5), "0001", [0, 0, 0, 0], [0, 0, 0, 0]), ((2, 1), (0.5, 1), "0000", [2, 2, 2, 2], [1, 2, 1, 2]),
+            ((1, 3), (1, 0.5), "0000", [1, 1, 2, 2], [3, 3, 3, 3]), ((1, 2), (np.nan, 0), "0000", [1, 1, 2, 2], [2, 3, 2, 3]),
+        ],
+    )  # fmt: skip
+    def test_the_four_samples_go_row_by_row(self, pixel, motion, there, rows, columns):
+        """In a frame of three rows and four columns; what lies beyond is no sample, even a pixel below or to the right."""
+        motions = np.zeros((3, 4, 2))
+        motions[pixel] = motion
+        found = [(int(i[0]), r[0], c[0]) for i, r, c in four_samples(motions, *(np.array([n]) for n in pixel))]
+        assert found == list(zip(map(int, there), rows, columns, strict=True))
 
     def test_without_samples_like_materials_around_count(self):
         """Pixel 10 leads nowhere. A base colour 1/8 off, or a normal 1/2 squared off, halve the fourth root of a weight."""
