@@ -31,6 +31,7 @@ SAME = {
     "conv: 2 * r -> 3 * r": "more zeros, which nothing reads",
     "conv: x >= 0 -> x > 0": "at 0 both are 1 / 2",
     "depth: depth.dtype.type(1) -> depth.dtype.type(2)": "clipped it is 1, and scaled 0",
+    "erm: strict=True -> strict=False": "both windows have 25 places",
     "frame: :3 -> :4": "a luma is of three channels",
     "frame: strict=True -> strict=False": "the lists have one length",
     "holes: apart < np.inf -> apart <= np.inf": "an infinite distance becomes an infinite one",

@@ -9,7 +9,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from conformance.cases.planes import SEEDS, frames, motions, sizes
 from conformance.tolerance import ratio
-from stss_ref.erm import attend
+from stss_ref.erm import attend, divide, normalise
 from stss_ref.loss import loss
 from stss_ref.network import network
 from stss_ref.sample import follow, leads_inside
@@ -159,3 +159,11 @@ def test_the_loss_is_a_mean_and_one_of_the_holes(size, seed, share):
     want = error.mean() + (error[hole].mean() if hole.any() else 0) + 0.01 * 0.25
     got = np.array(loss(output, truth, mask, perceptual=0.25))
     assert ratio("metric.sum", got, np.array(want), 3.0) <= 1
+
+
+def test_the_least_length_and_the_least_sum():
+    """1e-13 over the least length 1e-12 is 0.1, and so is 1e-7 over the least sum 1e-6."""
+    np.testing.assert_array_equal(normalise(np.array([[[0, 1e-13]]])), [[[0, 1e-13 / 1e-12]]])
+    np.testing.assert_array_equal(normalise(np.array([[[0, 1e-11]]])), [[[0, 1]]])
+    np.testing.assert_array_equal(divide(np.array([[[1e-7]]]), np.array([[[1e-7]]])), [[[1e-7 / 1e-6]]])
+    np.testing.assert_array_equal(divide(np.array([[[3e-5]]]), np.array([[[1e-5]]])), [[[3e-5 / 1e-5]]])
