@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -153,6 +155,54 @@ class OpenVino(Peer):
         return self._request.get_tensor("image").data
 
 
+class Mnn(Peer):
+    """MNN on the CPU.
+
+    Args:
+        setup: weights, size and threads.
+        precision: ``high``, float32; ``normal`` and ``low`` are MNN's to choose.
+    """
+
+    def __init__(self, setup: Setup, *, precision: str = "high"):
+        super().__init__(setup)
+        self._mnn = mnn = require("MNN", "mnn")
+        # Not MNN.tools.mnnconvert: importing that runs pip, for a package that reports its use.
+        converter = require("_tools", "mnn")
+        with TemporaryDirectory() as folder:
+            graph, converted = Path(folder) / "network.onnx", Path(folder) / "network.mnn"
+            graph.write_bytes(_model(setup))
+            words = {"-f": "ONNX", "--modelFile": graph, "--MNNModel": converted, "--bizCode": "stss"}
+            converter.mnnconvert(["mnnconvert", *(str(word) for pair in words.items() for word in pair)])
+            if not converted.exists():
+                raise InputError("MNN: cannot convert the network")
+            self._interpreter = mnn.Interpreter(str(converted))
+        self._session = self._interpreter.createSession({"backend": "CPU", "numThread": setup.threads, "precision": precision})
+        self.details = {
+            **versions(("mnn",)),
+            "precision": precision,
+            "formulation": "gates merged, window as slices",
+            "threads": str(setup.threads),
+        }
+
+    def _tensor(self, array: Array) -> Any:
+        return self._mnn.Tensor(array.shape, self._mnn.Halide_Type_Float, array, self._mnn.Tensor_DimensionType_Caffe)
+
+    def _bind(self, inputs: dict[str, Array]) -> None:
+        for name, array in inputs.items():
+            self._interpreter.getSessionInput(self._session, name).copyFrom(self._tensor(array))
+
+    def run(self) -> None:
+        """See `Contender`."""
+        self._interpreter.runSession(self._session)
+
+    def _result(self) -> Array:
+        image = self._interpreter.getSessionOutput(self._session, "image")
+        made = np.zeros(image.getShape(), np.float32)
+        held = self._tensor(made)  # may lie in the array's memory, or in its own
+        image.copyToHostTensor(held)
+        return np.array(held.getNumpyData(), np.float32).reshape(made.shape)
+
+
 def _model(setup: Setup) -> bytes:
     return onnx_export.export(setup.weights, -(-setup.height // 8) * 8, -(-setup.width // 8) * 8).SerializeToString()
 
@@ -163,6 +213,7 @@ PEERS: dict[str, Callable[[Setup], Peer]] = {
     "onnxruntime": OnnxRuntime,
     "openvino": partial(OpenVino, float32=True),
     "openvino-default": partial(OpenVino, float32=False),
+    "mnn": Mnn,
     "pytorch-cuda": partial(PyTorch, cuda=True, half=True),
     "pytorch-cuda-compiled": partial(PyTorch, cuda=True, half=True, compiled=True),
     "pytorch-cuda-float32": partial(PyTorch, cuda=True),
