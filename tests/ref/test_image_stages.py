@@ -15,7 +15,7 @@ from stss_ref.depth import normalise_depth
 from stss_ref.holes import cosine, holes, squared_footprint
 from stss_ref.motion_chain import motion_chain
 from stss_ref.occlusion_warp import occlusion_warp, splat
-from stss_ref.reshade import four_samples, reshade
+from stss_ref.reshade import COSINE, RADIUS, four_samples, like_sums, likeness, reshade, shows_surface
 from stss_ref.rrm import draw_rectangle, rrm
 from stss_ref.sample import follow, leads_inside, taps
 from stss_ref.warp import warp
@@ -351,6 +351,60 @@ class TestReshade:
         motions[pixel] = motion
         found = [(int(i[0]), r[0], c[0]) for i, r, c in four_samples(motions, *(np.array([n]) for n in pixel))]
         assert found == list(zip(map(int, there), rows, columns, strict=True))
+
+    def around(self, lit, pixel, side=2 * RADIUS + 4):
+        """The sum and the weights around a pixel of sources of one material; ``lit``: place -> colour."""
+        color, is_source, plain = np.zeros((side, side, 3)), np.zeros((side, side), bool), np.full((side, side, 3), 0.5)
+        for at, value in lit.items():
+            color[at], is_source[at] = value, True
+        sums, totals = like_sums(color, is_source, color[..., 0] * 0, plain, plain, *(np.array([n]) for n in pixel))
+        return sums[0, 0], totals[0]
+
+    def test_sources_lie_within_the_radius_both_ways(self):
+        near, far, middle, last = 1, 2 * RADIUS + 1, RADIUS + 1, 2 * RADIUS + 3
+        corners = {(near, near): 1, (near, far): 2, (far, near): 4, (far, far): 8}
+        beyond = dict.fromkeys(((0, middle), (far + 1, middle), (middle, 0), (middle, far + 1)), 1000)
+        assert self.around(corners | beyond, (middle, middle)) == (15, 4)
+        for corner in ((0, 0), (0, last), (last, 0), (last, last)):
+            assert self.around({corner: 5}, corner) == (5, 1)
+
+    def test_sources_are_added_row_by_row(self):
+        """2^53 + 1 rounds to 2^53, where 1 + 1 comes first it is 2^53 + 2."""
+        large, c = 2.0**53, RADIUS
+        for places in (
+            [(c, c - 1), (c, c + 1), (c, c + 2)],
+            [(c - 1, c), (c + 1, c), (c + 2, c)],
+            [(c - 1, c + 3), (c, c), (c, c + 1)],
+        ):
+            assert self.around(dict(zip(places, (large, 1, 1), strict=True)), (c, c)) == (large, 3)
+            assert self.around(dict(zip(places, (1, 1, large), strict=True)), (c, c)) == (large + 2, 3)
+
+    @pytest.mark.parametrize(
+        ("base", "own_base", "normal", "own", "weight"),
+        [
+            ((0.5, 0.5, 0.5), (0.5, 0.5, 0.5), (0, 0, 1), (0, 0, 1), 1), ((0.5, 0, 0), (0.625, 0, 0), (0, 0, 1), (0, 0, 1), 1 / 16),
+            ((0, 0.5, 0), (0, 0.375, 0), (0, 0, 1), (0, 0, 1), 1 / 16), ((0, 0, 0.5), (0, 0, 0.375), (0, 0, 1), (0, 0, 1), 1 / 16),
+            ((0, 0, 0), (0, 0, 0), (0.5, 0.5, 1), (0, 0, 1), 1 / 16), ((0, 0, 0.125), (0, 0, 0), (1, 0, 0), (0.5, 0.5, 0), 1 / 81),
+        ],
+    )  # fmt: skip
+    def test_the_weight_of_a_material(self, base, own_base, normal, own, weight):
+        """(1 + 8 sum |b| + 2 |n|^2)^-4, of differences."""
+        given = (np.array([each], np.float64) for each in (base, own_base, normal, own))
+        assert likeness(*given)[0] == weight
+
+    @pytest.mark.parametrize(
+        ("number", "n", "normal", "shows"),
+        [
+            (3, (0, 0, COSINE), (0, 0, 1), True), (3, (0, 0, np.nextafter(COSINE, 0)), (0, 0, 1), False),
+            (3, (0, 0, 0), (0, 0, 1), False), (3, (0, 0, 1), (0, 0, 0), False), (3, (0, 0, 0), (0, 0, 0), True),
+            (3, (-1, 0, 0), (-1, 0, 0), True),
+        ],
+    )  # fmt: skip
+    def test_a_moving_surface_is_known_by_its_normal(self, number, n, normal, shows):
+        stencil, position = np.full((1, 2), float(number)), np.zeros((1, 2, 3))
+        before, now = ((stencil, np.array([[each, each]], np.float64), position) for each in (n, normal))
+        at = np.array([0]), np.array([1])
+        assert shows_surface(before, now, at, at).tolist() == [shows]
 
     def test_without_samples_like_materials_around_count(self):
         """Pixel 10 leads nowhere. A base colour 1/8 off, or a normal 1/2 squared off, halve the fourth root of a weight."""
