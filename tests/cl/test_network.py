@@ -270,7 +270,7 @@ def without_units(weights, seed):
     st.sets(st.sampled_from([layer.name for layer in LAYERS]), max_size=4), st.none(), st.booleans(), st.just("float32"), st.just(8)
 )  # fmt: skip
 @settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_what_is_left_out_changes_no_bit(processor, names, units, keep, precision, vector):
+def test_what_is_left_out_changes_no_bit(processor, unoptimised, names, units, keep, precision, vector):
     """Any layers whose kernels are 0, what only they read, and groups of units: one draw, which compiles kernels of its own."""
     weights, arrays = without(random_weights(3), *names), network_inputs((16, 24), 3)
     if units is not None:

@@ -1,6 +1,7 @@
 """The stress test of the arithmetic: its instruments, and what it found, as far as that is sure."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from click.testing import CliRunner
 from stss.weights.file import load
 from stss_ground.errors import InputError
 from stss_lab.command_stress import stress_command
+from stss_lab.stress import measure
 from stss_lab.stress.engines import OpenCLEngine, ReferenceEngine
 from stss_lab.stress.inputs import scaled, stage_inputs
 from stss_lab.stress.measure import make_plan, stress
@@ -44,10 +46,15 @@ def test_the_backend_is_measured_in_each_of_its_precisions(device):
     assert {*engine.features(INPUTS["network"], pruned)} == {*features}
 
 
-def test_the_command_measures_every_table_without_a_device():
+def test_the_command_measures_every_table_without_a_device(monkeypatch):
+    """In fewer and smaller frames than a user's."""
+    planned, measured, tables = measure.make_plan, measure.stress, []
+    monkeypatch.setattr(measure, "make_plan", lambda *given: replace(SMALL, engines=planned(*given).engines))
+    monkeypatch.setattr(measure, "stress", lambda *given, **more: tables.extend(measured(*given, **more)) or tuple(tables))
     done = CliRunner().invoke(stress_command, ["--backend", "ref"])
     assert done.exit_code == 0, done.output
-    assert all(table.title[:12] in done.output for table in stress(SMALL))
+    assert [table.key for table in tables] == [*measure.MEASUREMENTS]
+    assert all(table.title[:12] in done.output for table in tables)
     assert "the reference alone" in done.output
 
 
