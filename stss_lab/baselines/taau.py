@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stss.images.resample import catmull_rom, lanczos_centres
-from stss_ref.arrays import Image
+from stss_ref.arrays import Image, Plane
 from stss_ref.frame import FrameInputs, NetworkInputs
 from stss_ref.sample import follow, leads_inside
 
-CURRENT = 0.1
-"""Share of the current frame in the image shown."""
+MOST = 24
+"""Frames that what was shown counts for at most."""
+LEAST = 0.25
+"""Least trust in the current frame, far from its samples."""
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -23,14 +25,16 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 class Taau:
     """Accumulates at display resolution; frames must come in display order.
 
-    ``shown_t(p) = h + 0.1 (current(p) - h)``, ``h = clamp(shown_{t-1}(p + motion(p)), box(p))``. ``current`` is the newest rendered frame,
-    in an EF warped to now as the network gets it, upsampled by Lanczos's kernel and clamped to ``box``: the smallest and the
-    largest value of each channel in the 3 x 3 low-resolution pixels around ``p``. Off screen, in the warping holes (of an SF: those of the
-    second of its three colour frames), and where no earlier frame is within reach, ``current`` is shown: a cut starts it anew.
+    ``shown_t(p) = h + max(trust(p) / n(p), 1 / 24) (current(p) - h)``, ``h = clamp(shown_{t-1}(p + motion(p)), box(p))``. ``current`` is
+    the newest rendered frame, in an EF warped to now as the network gets it, upsampled by Lanczos's kernel and clamped to ``box``: the smallest
+    and the largest value of each channel in the 3 x 3 low-resolution pixels around ``p``. ``trust`` is 1 where a sample lies and falls to
+    0.25 with the distance in low-resolution pixels; ``n`` counts the frames in ``h``, at most 24, and is led along like the image. Off
+    screen, and where no earlier frame is within reach, ``current`` is shown: a cut starts it anew. What the box lets through is kept in
+    holes too: with jitter, their test calls much a hole that is none.
 
     With a jittered camera all that is of low resolution is read at ``p`` plus the frame's offset.
 
-    Source: Karis, High Quality Temporal Supersampling, SIGGRAPH 2014; Lanczos and its clamping as in AMD's FSR 2.
+    Source: Karis, High Quality Temporal Supersampling, SIGGRAPH 2014; Lanczos, its clamping, trust and count as in AMD's FSR 2.
 
     Args:
         jitter: the offset of each display frame's picture in low-resolution pixels (x right, y down), which motion has, too; in an EF
@@ -38,7 +42,7 @@ class Taau:
     """
 
     def __init__(self, jitter: Iterable[tuple[float, float]] = ()) -> None:
-        self._shown: Image | None = None
+        self._shown: Image | None = None  # (2H, 2W, 4): colour, and how many frames are in it
         self._offsets, self._before = iter(jitter), (0.0, 0.0)
 
     def __call__(self, inputs: FrameInputs, prepared: NetworkInputs) -> Image:
@@ -54,24 +58,38 @@ class Taau:
         offset = next(self._offsets, (0.0, 0.0))
         low, high = (_nearest(edge, offset) for edge in _box(prepared.color[..., :3]))
         shown = np.clip(lanczos_centres(prepared.color[..., :3], offset), low, high)
+        count = np.ones((*shown.shape[:2], 1), np.float32)
         # Only the first frame after a gap has no earlier one within reach, and so no step back.
         if max(inputs.steps) > 0 and self._shown is not None:
             motion = inputs.motions[0] - np.subtract(self._before, offset, dtype=np.float32)
             at = follow(_nearest(2 * motion, offset))
-            history = np.clip(catmull_rom(self._shown, at.x + at.fx, at.y + at.fy), low, high)  # a sum in float64
-            # Where the newest of the earlier colour frames shows the same surface.
-            seen = (prepared.history[1, ..., 3] if inputs.steps[0] == 0 else prepared.mask) != 0
-            keep = leads_inside(at) & _nearest(seen, offset)
-            share = np.where(keep, np.float32(1 - CURRENT), np.float32(0))[..., None]
-            shown += (history - shown) * share.astype(shown.dtype)
-        self._shown, self._before = shown, offset
+            before = catmull_rom(self._shown, at.x + at.fx, at.y + at.fy)  # a sum in float64
+            history, keep = np.clip(before[..., :3], low, high), leads_inside(at)[..., None]
+            count = np.where(keep, np.clip(before[..., 3:], 0, MOST - 1) + 1, 1)
+            share = np.where(keep, np.maximum(_trust(shown.shape[:2], offset)[..., None] / count, 1 / MOST), 1)
+            shown = (history + (shown - history) * share).astype(shown.dtype)
+        self._shown, self._before = np.concatenate([shown, count], axis=-1, dtype=np.float32), offset
         return shown
+
+
+def _trust(size: tuple[int, int], offset: tuple[float, float]) -> Plane:
+    """(2H, 2W) how near each display pixel is to a sample of the frame: 1 less the distance in low-resolution pixels, at least `LEAST`."""
+    down, across = (
+        np.abs(place - np.clip(np.rint(place), 0, length // 2 - 1))
+        for place, length in ((_places(length, shift), length) for length, shift in zip(size, offset[::-1], strict=True))
+    )
+    return np.clip(1 - np.hypot(down[:, None], across[None]), LEAST, 1)
+
+
+def _places(length: int, shift: float) -> Plane:
+    """(length,) where display pixels lie among low-resolution ones, along an axis."""
+    return (np.arange(length) + 0.5) / 2 - 0.5 + shift
 
 
 def _nearest(x: NDArray[Scalar], offset: tuple[float, float]) -> NDArray[Scalar]:
     """(2H, 2W, ...) of (H, W, ...): each display pixel has the pixel nearest to it."""
     across, down = (
-        np.clip(np.rint((np.arange(2 * length) + 0.5) / 2 - 0.5 + shift), 0, length - 1).astype(np.intp)
+        np.clip(np.rint(_places(2 * length, shift)), 0, length - 1).astype(np.intp)
         for length, shift in zip(x.shape[1::-1], offset, strict=True)
     )
     return x[down][:, across]

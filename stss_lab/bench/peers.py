@@ -188,11 +188,12 @@ class Mnn(Peer):
         return self._mnn.Tensor(array.shape, self._mnn.Halide_Type_Float, array, self._mnn.Tensor_DimensionType_Caffe)
 
     def _bind(self, inputs: dict[str, Array]) -> None:
-        for name, array in inputs.items():
-            self._interpreter.getSessionInput(self._session, name).copyFrom(self._tensor(array))
+        self._inputs = inputs
 
     def run(self) -> None:
-        """See `Contender`."""
+        """See `Contender`; inputs are copied each time, for a run writes over them."""
+        for name, array in self._inputs.items():
+            self._interpreter.getSessionInput(self._session, name).copyFrom(self._tensor(array))
         self._interpreter.runSession(self._session)
 
     def _result(self) -> Array:

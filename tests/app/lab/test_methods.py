@@ -164,15 +164,16 @@ def test_taau_of_a_static_scene_is_its_upsampled_frame():
     assert first.max() <= within.max()
 
 
-def test_taau_takes_a_new_frame_a_tenth_at_a_time_within_its_neighbourhood():
-    """One pixel flickers between what its neighbours show: its history stays, but for a tenth."""
+def test_taau_takes_a_new_frame_by_its_count_within_its_neighbourhood():
+    """One pixel flickers between what its neighbours show: it is the second frame, and its samples lie a quarter pixel aside."""
     y, x = np.indices((H, W))
     checker = np.where((x + y) % 2, 0.8, 0.2)[..., None].repeat(3, axis=-1).astype(np.float32)
     backend = MethodBackend("taau")
     before, _ = backend.frame(inputs((0, 0, 0), [checker] * 3))
     after, _ = backend.frame(inputs(SF, [1 - checker] * 3))
     alone, _ = MethodBackend("taau").frame(inputs((0, 0, 0), [1 - checker] * 3))
-    assert np.abs(inside(after - (0.9 * before + 0.1 * alone))).max() < 4 * 2**-23  # four roundings of values below 1
+    share = (1 - np.hypot(0.25, 0.25)) / 2
+    assert np.abs(inside(after - ((1 - share) * before + share * alone))).max() < 4 * 2**-23  # four roundings of values below 1
 
 
 def test_taau_starts_anew_after_a_gap(write_frames):
