@@ -25,12 +25,12 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 class Taau:
     """Accumulates at display resolution; frames must come in display order.
 
-    ``shown_t(p) = h + max(trust(p) / n(p), 1 / 24) (current(p) - h)``, ``h = clamp(shown_{t-1}(p + motion(p)), box(p))``. ``current`` is
-    the newest rendered frame, in an EF warped to now as the network gets it, upsampled by Lanczos's kernel and clamped to ``box``: the smallest
-    and the largest value of each channel in the 3 x 3 low-resolution pixels around ``p``. ``trust`` is 1 where a sample lies and falls to
-    0.25 with the distance in low-resolution pixels; ``n`` counts the frames in ``h``, at most 24, and is led along like the image. Off
-    screen, and where no earlier frame is within reach, ``current`` is shown: a cut starts it anew. What the box lets through is kept in
-    holes too: with jitter, their test calls much a hole that is none.
+    ``shown_t(p) = h + max(trust(p) / n(p), 1 / 24) (current(p) - h)``, ``h = clamp(shown_{t-1}(p + motion(p)), box(p))``. ``current``
+    is the newest rendered frame, in an EF warped to now as the network gets it, upsampled by Lanczos's kernel and clamped to ``box``:
+    the smallest and the largest value of each channel in the 3 x 3 low-resolution pixels around ``p``. ``trust`` is 1 where a sample
+    lies and falls to 0.25 with the distance in low-resolution pixels; ``n`` counts the frames in ``h``, at most 24, and is led along
+    like the image. Off screen, and where no earlier frame is within reach, ``current`` is shown: a cut starts it anew. What the box
+    lets through is kept in holes too: with jitter, their test calls much a hole that is none.
 
     With a jittered camera all that is of low resolution is read at ``p`` plus the frame's offset.
 
