@@ -29,8 +29,9 @@ class Taau:
     is the newest rendered frame, in an EF warped to now as the network gets it, upsampled by Lanczos's kernel and clamped to ``box``:
     the smallest and the largest value of each channel in the 3 x 3 low-resolution pixels around ``p``. ``trust`` is 1 where a sample
     lies and falls to 0.25 with the distance in low-resolution pixels; ``n`` counts the frames in ``h``, at most 24, and is led along
-    like the image. Off screen, and where no earlier frame is within reach, ``current`` is shown: a cut starts it anew. What the box
-    lets through is kept in holes too: with jitter, their test calls much a hole that is none.
+    like the image. Off screen, where no earlier frame is within reach, and without jitter in the warping holes (of an SF: those of the
+    second of its three colour frames), ``current`` is shown: a cut starts it anew. With jitter the holes' test calls much a hole that
+    is none, and the box is enough.
 
     With a jittered camera all that is of low resolution is read at ``p`` plus the frame's offset.
 
@@ -43,7 +44,8 @@ class Taau:
 
     def __init__(self, jitter: Iterable[tuple[float, float]] = ()) -> None:
         self._shown: Image | None = None  # (2H, 2W, 4): colour, and how many frames are in it
-        self._offsets, self._before = iter(jitter), (0.0, 0.0)
+        offsets = tuple(jitter)
+        self._offsets, self._jittered, self._before = iter(offsets), bool(offsets), (0.0, 0.0)
 
     def __call__(self, inputs: FrameInputs, prepared: NetworkInputs) -> Image:
         """Compute the display frame that follows the last one computed.
@@ -64,7 +66,10 @@ class Taau:
             motion = inputs.motions[0] - np.subtract(self._before, offset, dtype=np.float32)
             at = follow(_nearest(2 * motion, offset))
             before = catmull_rom(self._shown, at.x + at.fx, at.y + at.fy)  # a sum in float64
-            history, keep = np.clip(before[..., :3], low, high), leads_inside(at)[..., None]
+            # Where the newest of the earlier colour frames shows the same surface.
+            seen = (prepared.history[1, ..., 3] if inputs.steps[0] == 0 else prepared.mask) != 0
+            keep = (leads_inside(at) & (_nearest(seen, offset) | self._jittered))[..., None]
+            history = np.clip(before[..., :3], low, high)
             count = np.where(keep, np.clip(before[..., 3:], 0, MOST - 1) + 1, 1)
             share = np.where(keep, np.maximum(_trust(shown.shape[:2], offset)[..., None] / count, 1 / MOST), 1)
             shown = (history + (shown - history) * share).astype(shown.dtype)
