@@ -14,10 +14,10 @@
 //  valid              out  (H, W)     1 = to be trusted, 0 = hole
 //
 // Build -D PAPER=1 for the paper's test of static surfaces, 0 for that by the footprint; -D FOOTPRINTS, FACING,
-// GRAZING, DEPTH (cm), COSINE, MESH = the limits, float literals.  Launch (W, H) rounded up.
+// GRAZING, DEPTH (cm), COSINE, STATIC_COSINE, MESH = the limits, float literals.  Launch (W, H) rounded up.
 #if !defined(PAPER) || !defined(FOOTPRINTS) || !defined(FACING) || !defined(GRAZING) || !defined(DEPTH) || \
-    !defined(COSINE) || !defined(MESH)
-#error "holes.cl needs -D PAPER, FOOTPRINTS, FACING, GRAZING, DEPTH, COSINE and MESH"
+    !defined(COSINE) || !defined(STATIC_COSINE) || !defined(MESH)
+#error "holes.cl needs -D PAPER, FOOTPRINTS, FACING, GRAZING, DEPTH, COSINE, STATIC_COSINE and MESH"
 #endif
 #include "surface.clh"
 
@@ -59,12 +59,12 @@ INLINE float squared_offset(global const float *previous, const float3 position,
 #endif
 
 // Takes float4, since Intel 2026.2 passes float3 wrongly to a function that is not inlined.
-static __attribute__((noinline)) bool is_turned(const float4 of, const float4 earlier)
+static __attribute__((noinline)) bool is_turned(const float4 of, const float4 earlier, const float least_cosine)
 {
     const float3 normal = of.xyz, n = earlier.xyz;
     const float length = sqrt(sum3(n * n));
     const bool surface = length > 0.0f || normal.x != 0.0f || normal.y != 0.0f || normal.z != 0.0f;
-    return surface && sum3(normal * n) / (length + 1e-5f) < COSINE;
+    return surface && sum3(normal * n) / (length + 1e-5f) < least_cosine;
 }
 
 // A normal read between four pixels.
@@ -77,8 +77,7 @@ INLINE float3 normal_between(global const float *normal, const Taps at, const in
 }
 
 // Whether the warped colour of pixel (x, y) is trusted, if it is on screen; s is the stencil read at its taps.
-// Positions are read only where s is 0, normals only elsewhere, since the test of the other does not apply. NoV and
-// depth are the paper's test's alone.
+// Positions are read only where s is 0. NoV and depth are the paper's test's alone.
 INLINE bool same_surface(const Taps at, const int x, const int y, const int height, const int width, const float s,
                          const float stencil, const float nov, const float depth, global const float *normal_previous,
                          global const float *normal, const int normal_stride, global const float *position_previous,
@@ -87,15 +86,15 @@ INLINE bool same_surface(const Taps at, const int x, const int y, const int heig
     const int pixel = y * width + x;
     const float change = 3.0f * (s - stencil);
     if (change > MESH || change < -(MESH)) return false;
-    if (s != 0.0f)
-        return !is_turned((float4)(normal_at(normal, pixel, normal_stride), 0.0f),
-                          (float4)(normal_between(normal_previous, at, normal_stride), 0.0f));
 #if PAPER
-    return !is_far(position_previous, read3(position, pixel), at, BIAS(nov, depth));
+    if (s == 0.0f) return !is_far(position_previous, read3(position, pixel), at, BIAS(nov, depth));
 #else
-    return squared_offset(position_previous, read3(position, pixel), at) <=
-           FOOTPRINTS * FOOTPRINTS * squared_footprint(position, x, y, height, width);
+    if (s == 0.0f && !(squared_offset(position_previous, read3(position, pixel), at) <=
+                       FOOTPRINTS * FOOTPRINTS * squared_footprint(position, x, y, height, width)))
+        return false;
 #endif
+    return !is_turned((float4)(normal_at(normal, pixel, normal_stride), 0.0f),
+                      (float4)(normal_between(normal_previous, at, normal_stride), 0.0f), s == 0.0f ? STATIC_COSINE : COSINE);
 }
 
 kernel void holes(global const float2 *restrict motion, global const float *restrict stencil_previous,

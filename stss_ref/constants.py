@@ -29,6 +29,7 @@ class HoleLimits:
         grazing: the paper's, on a surface seen edge-on; cm.
         depth: what normalised depth 1 adds to both; cm.
         cosine: smallest trusted cosine between a moving object's normals.
+        static_cosine: the same of static geometry; the test by the footprint alone reads it.
         mesh: largest trusted value of ``3 |warped stencil - stencil|``.
     """
 
@@ -37,4 +38,5 @@ class HoleLimits:
     grazing: float = 45.0
     depth: float = 50.0
     cosine: float = 0.98
+    static_cosine: float = 0.5
     mesh: float = 1.0

@@ -32,12 +32,13 @@ def holes(
 
     ``hole = off screen or static or moving or mesh``, where, with ``s``, ``n`` the earlier stencil and normal and ``q`` the earlier
     world position minus this pixel's, all read at ``p + motion(p)``:
-    ``static: s == 0 and |q| > 1.5 footprint(p)``, or with the paper's test ``s == 0 and d > bias``,
+    ``static: s == 0 and (|q| > 1.5 footprint(p) or turned(0.5))``, or with the paper's test ``s == 0 and d > bias``,
     ``d`` the largest ``|q|`` of the four pixels read, ``bias = 7.5 |NoV| + 45 (1 - |NoV|) + 50 depth``;
-    ``moving: s != 0 and normal . n / (|n| + 1e-5) < 0.98``, never where both normals are 0;
-    ``mesh: 3 |s - stencil| > 1``.
+    ``moving: s != 0 and turned(0.98)``; ``mesh: 3 |s - stencil| > 1``;
+    ``turned(c): normal . n / (|n| + 1e-5) < c``, never where both normals are 0: a surface that was background is turned.
 
-    ``footprint``: see `squared_footprint`; decision 36 says why it replaced the paper's limits, which are Unreal's and for its sizes.
+    ``footprint``: see `squared_footprint`; decision 36 says why it replaced the paper's limits, which are Unreal's and for its sizes,
+    decision 39 why static surfaces may not turn either.
 
     Source: spec 4; paper, Preprocessing; ExtraNet.
 
@@ -81,8 +82,9 @@ def holes(
             near = largest_distance(four) <= bias(nov, depth, limits)
         else:
             near = squared(between(four, at)) <= limits.footprints**2 * squared_footprint(position)
+            near &= ~turned(normal, n, limits.static_cosine)
     static = (s == 0) & ~near
-    moving = (s != 0) & (cosine(normal, n) < limits.cosine) & is_surface(normal, n)
+    moving = (s != 0) & turned(normal, n, limits.cosine)
     mesh = objects_apart(s, stencil) > limits.mesh
     return leads_inside(place) & ~static & ~moving & ~mesh
 
@@ -133,6 +135,11 @@ def nearer(before: Plane, after: Plane) -> Plane:
     """The smaller of two squared distances; 0 where both are infinite."""
     nearest = np.minimum(before, after)
     return np.where(nearest < np.inf, nearest, 0)
+
+
+def turned(normal: Image, n: Image, least: float) -> Mask:
+    """(H, W) where the cosine is below ``least``, and one of the two normals is not 0."""
+    return (cosine(normal, n) < least) & is_surface(normal, n)
 
 
 def cosine(normal: Image, n: Image) -> Plane:

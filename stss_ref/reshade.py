@@ -13,12 +13,14 @@ from stss_ref.sample import Index, follow
 
 FOOTPRINTS = 2.0
 """Largest distance of a sample from the pixel's static surface; footprints of the pixel. Its square is exact."""
-COSINE = 0.9
-"""Smallest cosine between the normals of a sample and a pixel that show the same moving object."""
+COSINE, STATIC_COSINE = 0.9, 0.5
+"""Smallest cosine between the normals of a sample and a pixel that show the same moving object; static geometry."""
 RADIUS = 8
 """How far, in rows and in columns, a hole looks for like materials; pixels."""
 BASE_COLOR, NORMAL = 8.0, 2.0
 """How fast a weight falls with the difference of base colours, and with the squared difference of normals."""
+DISTANCE = 0.25
+"""How fast it falls on a background, which has neither, with the squared distance; pixels."""
 
 
 def reshade(
@@ -39,8 +41,9 @@ def reshade(
     A hole ``p`` takes the mean of its own samples: those of the four earlier pixels around ``p + motion(p)`` that show its surface
     (`shows_surface`). A hole that has none takes ``sum w(q) c(q) / sum w(q)`` over the pixels ``q`` of its object within ``RADIUS``
     that are no holes, where ``c`` is the warped colour, or holes with samples of their own, where ``c`` is their mean;
-    ``w(q) = (1 + 8 |b(q) - b(p)|_1 + 2 |n(q) - n(p)|^2)^-4`` with base colour ``b`` and normal ``n``. Without any it stays as it is
-    warped. Colours below 0 count as 0.
+    ``w(q) = (1 + 8 |b(q) - b(p)|_1 + 2 |n(q) - n(p)|^2)^-4`` with base colour ``b`` and normal ``n``. A background, whose normal is 0,
+    takes from background alone, and what is near: ``w(q) = (1 + 8 |b(q) - b(p)|_1 + |q - p|^2 / 4)^-4``. Without any it stays as it
+    is warped. Colours below 0 count as 0.
 
     Source: paper, Reshading (the light of valid neighbours, by how alike the materials are), here at full size; decision 38.
 
@@ -128,15 +131,15 @@ def shows_surface(
 ) -> Mask:
     """(N,) whether samples show the surface that pixels show.
 
-    They do if both show the same object, and: both normals are 0, as on a background; or, of static geometry, the sample's position
-    lies within ``FOOTPRINTS`` of the pixel's; or, of a moving object, the cosine of the normals is at least ``COSINE``.
+    They do if both show the same object, and both normals are 0, as on a background, or their cosine is at least ``COSINE``. Of static
+    geometry ``STATIC_COSINE`` is enough, if the sample's position lies within ``FOOTPRINTS`` of the pixel's.
     """
     (s, n, p), (stencil, normal, position) = [[plane[at] for plane in planes] for planes, at in ((before, sample), (now, pixel))]
     with np.errstate(invalid="ignore", over="ignore"):
         near = squared(p - position) <= FOOTPRINTS**2 * squared_footprint(now[2])[pixel]
-        alike = (normal * n).sum(axis=-1) >= normal.dtype.type(COSINE)
-    both_none = ~n.any(axis=-1) & ~normal.any(axis=-1)
-    return (s == stencil) & (both_none | np.where(stencil == 0, near, alike))
+    cosine = (normal * n).sum(axis=-1)
+    alike = np.where(stencil == 0, near & (cosine >= STATIC_COSINE), cosine >= normal.dtype.type(COSINE))
+    return (s == stencil) & ((is_background(n) & is_background(normal)) | alike)
 
 
 def like_sums(
@@ -152,23 +155,33 @@ def like_sums(
     """
     height, width = stencil.shape
     sums, totals = np.zeros((len(y), 3), color.dtype), np.zeros(len(y), color.dtype)
+    background = is_background(normal)
     column = x + np.arange(-RADIUS, RADIUS + 1)[:, None]
     at_column = np.clip(column, 0, width - 1)
     for row in (y + dy for dy in range(-RADIUS, RADIUS + 1)):
         there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
         at = np.clip(row, 0, height - 1), at_column
-        counts = there & is_source[at] & (stencil[at] == stencil[y, x])
-        weights = np.where(counts, likeness(base_color[at], base_color[y, x], normal[at], normal[y, x]), 0)
+        counts = there & is_source[at] & (stencil[at] == stencil[y, x]) & (background[at] == background[y, x])
+        away = background[y, x] * ((row - y) ** 2 + (column - x) ** 2).astype(color.dtype)
+        weights = np.where(counts, likeness(base_color[at], base_color[y, x], normal[at], normal[y, x], away), 0)
         for weight, light in zip(weights, color[at], strict=True):
             sums += weight[:, None] * light
             totals += weight
     return sums, totals
 
 
-def likeness(base_color: Array, own_base_color: Array, normal: Array, own_normal: Array) -> Array:
-    """Weight of materials, base colour and normal (..., N, 3), by how alike those of N pixels, (N, 3), they are; (..., N), in [0, 1]."""
+def likeness(base_color: Array, own_base_color: Array, normal: Array, own_normal: Array, away: Array) -> Array:
+    """Weight of materials, base colour and normal (..., N, 3), by how alike those of N pixels, (N, 3), they are; (..., N), in [0, 1].
+
+    ``away`` (..., N): their squared distance in pixels on a background, else 0.
+    """
     apart = np.abs(base_color - own_base_color)
     with np.errstate(over="ignore"):
-        unlike = 1 + BASE_COLOR * (apart[..., 0] + apart[..., 1] + apart[..., 2]) + NORMAL * squared(normal - own_normal)
+        unlike = 1 + BASE_COLOR * (apart[..., 0] + apart[..., 1] + apart[..., 2]) + NORMAL * squared(normal - own_normal) + DISTANCE * away
         square = unlike * unlike
         return 1 / (square * square)
+
+
+def is_background(normal: Array) -> Mask:
+    """(...) where a normal (..., 3) is 0."""
+    return ~normal.any(axis=-1)

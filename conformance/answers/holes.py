@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,8 +60,12 @@ def expect_holes(inputs: dict[str, NDArray[Any]], arithmetic: Arithmetic, off: F
         s, s_off = interpolated(inputs["stencil_previous"][..., None], at, arithmetic)
         s, s_off = s[..., 0], s_off[..., 0]
         standing = _is_zero(inputs["stencil_previous"], s, s_off, at)
-        static = standing & (_too_far if test == "paper" else _beyond_footprint)(inputs, at, arithmetic)
-        moving = ~standing & _turned(inputs, at, arithmetic)
+        turned = _turns(inputs, at, arithmetic)
+        if test == "paper":
+            static = standing & _too_far(inputs, at, arithmetic)
+        else:
+            static = standing & (_beyond_footprint(inputs, at, arithmetic) | turned(LIMITS.static_cosine))
+        moving = ~standing & turned(LIMITS.cosine)
         difference = 3 * np.abs(s - inputs["stencil"])
         mesh = _exceeds(difference, 3 * s_off + 4 * arithmetic.unit * difference, LIMITS.mesh)
     hole = outside | static | moving | mesh
@@ -133,8 +138,8 @@ def _length(vectors: Array) -> Float64:
     return np.sqrt((vectors * vectors).sum(axis=-1, dtype=np.float64))
 
 
-def _turned(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic) -> Maybe:
-    """Where the cosine is below 0.98 on a surface, that is, where one of the two normals is not 0."""
+def _turns(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic) -> Callable[[float], Maybe]:
+    """Where the cosine is below a limit on a surface, that is, where one of the two normals is not 0."""
     unit, normal = arithmetic.unit, inputs["normal"]
     n, n_off = interpolated(inputs["normal_previous"], at, arithmetic)
     length = np.sqrt((n * n).sum(axis=-1))
@@ -145,8 +150,7 @@ def _turned(inputs: dict[str, NDArray[Any]], at: Reach, arithmetic: Arithmetic) 
     cosine = dot / divisor
     least = np.maximum(divisor - length_off, 1e-5 * (1 - 4 * unit))
     off = (dot_off + np.abs(cosine) * (length_off + 4 * unit * divisor)) / least + arithmetic.tiny
-    reverse = _exceeds(-cosine, off, -LIMITS.cosine)
     own, around = peaks(inputs["normal_previous"], at)
     size = np.maximum(np.where(at.unsure[..., None], around[0], own), np.abs(normal)).max(axis=-1)
     sure = (np.maximum(length - length_off, 0) > SMALL) | (np.abs(normal).max(axis=-1) >= arithmetic.tiny)
-    return reverse & Maybe(sure, size > 0)
+    return lambda least: _exceeds(-cosine, off, -least) & Maybe(sure, size > 0)

@@ -12,7 +12,7 @@ from conformance.answers.expected import Expected
 from conformance.answers.holes import SMALL, Bool, Float64, Maybe, reach_of_footprints
 from conformance.answers.port_arithmetic import Arithmetic, Reach, reach
 from conformance.tolerance import BOUNDS
-from stss_ref.reshade import COSINE, FOOTPRINTS, RADIUS, four_samples, reshade
+from stss_ref.reshade import COSINE, FOOTPRINTS, RADIUS, STATIC_COSINE, four_samples, is_background, reshade
 from stss_ref.sample import Index
 
 Pixels = tuple[Index, Index]
@@ -42,7 +42,7 @@ def expect_reshade(
     is_source |= has
     # A hole that has no sample depends on those around it, too.
     alone = _pixels(~is_source)
-    terms, around, doubts = _around(inputs["stencil"], is_source, of_source, undecided, alone)
+    terms, around, doubts = _around(inputs, is_source, of_source, undecided, alone, arithmetic)
     undecided[alone] |= doubts
     roundings = np.where(has, BOUNDS["own"].roundings, 0.0)
     scale = np.where(has, of_source, 0.0)
@@ -79,8 +79,9 @@ def _shows(inputs: dict[str, NDArray[Any]], sample: Pixels, pixel: Pixels, arith
     size = np.maximum(np.abs(normal), np.abs(n)).max(axis=-1)
     none = Maybe(size == 0, size < arithmetic.tiny)
     dot = (normal * n).sum(axis=-1)
-    wrong = BOUNDS["dot"].roundings * unit * np.abs(normal * n).sum(axis=-1) + unit * COSINE + arithmetic.tiny
-    alike = Maybe(dot - wrong >= COSINE, dot + wrong >= COSINE)
+    least = np.where(stencil == 0, STATIC_COSINE, COSINE)
+    wrong = BOUNDS["dot"].roundings * unit * np.abs(normal * n).sum(axis=-1) + unit * least + arithmetic.tiny
+    alike = Maybe(dot - wrong >= least, dot + wrong >= least)
     with np.errstate(invalid="ignore", over="ignore"):
         apart = inputs["position_previous"][sample] - inputs["position"][pixel]
         distance = np.sqrt((apart * apart).sum(axis=-1))
@@ -89,13 +90,20 @@ def _shows(inputs: dict[str, NDArray[Any]], sample: Pixels, pixel: Pixels, arith
         large |= np.isfinite(distance) & (distance > 1 / SMALL)
         # A value that is not finite is near nothing: infinity less infinity compares as false.
         near = Maybe((distance + off <= np.maximum(limit - limit_off, 0)) & ~large, (distance - off <= limit + limit_off) | large)
-    surface = none | (Maybe(stencil == 0, stencil == 0) & near) | (Maybe(stencil != 0, stencil != 0) & alike)
+    surface = none | (alike & (Maybe(stencil != 0, stencil != 0) | near))
     same = inputs["stencil_previous"][sample] == stencil
     return surface & Maybe(same, same)
 
 
-def _around(stencil: Float64, is_source: Bool, peaks: Float64, undecided: Bool, pixels: Pixels) -> tuple[Float64, Float64, Bool]:
-    """Of each pixel, (N,): the number of sources around it, the largest of their colours, and whether one there is undecided."""
+def _around(
+    inputs: dict[str, NDArray[Any]], is_source: Bool, peaks: Float64, undecided: Bool, pixels: Pixels, arithmetic: Arithmetic
+) -> tuple[Float64, Float64, Bool]:
+    """Of each pixel, (N,): the number of sources around it, the largest of their colours, and whether one there is undecided.
+
+    So is one whose normal a port may take for 0.
+    """
+    stencil, background = inputs["stencil"], is_background(inputs["normal"])
+    hardly = ~background & (np.abs(inputs["normal"]).max(axis=-1) < arithmetic.tiny)
     (y, x), (height, width) = pixels, stencil.shape
     count, peak, doubts = np.zeros(len(y)), np.zeros(len(y)), np.zeros(len(y), bool)
     column = x + np.arange(-RADIUS, RADIUS + 1)[:, None]
@@ -104,8 +112,8 @@ def _around(stencil: Float64, is_source: Bool, peaks: Float64, undecided: Bool, 
         there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
         at = np.clip(row, 0, height - 1), at_column
         counts = there & (stencil[at] == stencil[y, x])
-        sources = counts & is_source[at]
+        sources = counts & is_source[at] & (background[at] == background[y, x])
         count += sources.sum(axis=0)
         peak = np.maximum(peak, np.where(sources, peaks[at], 0).max(axis=0))
-        doubts |= (counts & undecided[at]).any(axis=0)
+        doubts |= (counts & (undecided[at] | hardly[at] | hardly[y, x])).any(axis=0)
     return count, peak, doubts

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from conformance.cases.large_inputs import frame_case
 from conformance.cases.stage_inputs import Inputs, made_weights
 from stss_ref.constants import HoleLimits
-from stss_ref.reshade import COSINE, FOOTPRINTS, RADIUS
+from stss_ref.reshade import COSINE, FOOTPRINTS, RADIUS, STATIC_COSINE
 from stss_ref.weights import Weights
 
 LIMITS = HoleLimits()
@@ -88,9 +88,19 @@ def _object(normal_previous: NDArray[np.float64]) -> Inputs:
     return {**_still(ones.size), "stencil": ones, "stencil_previous": ones, "normal_previous": normal_previous}
 
 
+def _lean(cosine: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Normals of length 1 at these cosines to z."""
+    return np.stack([np.sqrt(1 - cosine**2), np.zeros_like(cosine), cosine], axis=-1)
+
+
 def _cosine(_: Generator) -> Inputs:
-    cosine = _pairs(*(LIMITS.cosine * (1 + sign * CLOSE) for sign in (-1, 1)))
-    return _object(np.stack([np.sqrt(1 - cosine**2), np.zeros_like(cosine), cosine], axis=-1))
+    return _object(_lean(_pairs(*(LIMITS.cosine * (1 + sign * CLOSE) for sign in (-1, 1)))))
+
+
+def _static_cosine(_: Generator) -> Inputs:
+    """Of static surfaces that stay where they are; the paper's test does not ask for their normals."""
+    normals = _lean(_pairs(*(LIMITS.static_cosine * (1 + sign * CLOSE) for sign in (-1, 1))))
+    return {**_still(normals.shape[1]), "normal_previous": normals, "paper": np.zeros(1, np.int32)}
 
 
 def _length(_: Generator) -> Inputs:
@@ -140,14 +150,16 @@ def _own_distance(rng: Generator) -> Inputs:
     }  # fmt: skip
 
 
-def _own_cosine(rng: Generator) -> Inputs:
-    cosine = _pairs(*(COSINE * (1 + sign * CLOSE) for sign in (-1, 1)))
-    given = _hole(cosine.size)
-    return given | {
-        "color": rng.random((1, cosine.size, 3)), "warped": rng.random((1, cosine.size, 3)), "stencil": given["stencil"] + 1,
-        "stencil_previous": given["stencil"] + 1,
-        "normal_previous": np.stack([np.sqrt(1 - cosine**2), np.zeros_like(cosine), cosine], axis=-1),
-    }  # fmt: skip
+def _own_cosine(least: float, stencil: int) -> Callable[[Generator], Inputs]:
+    def make(rng: Generator) -> Inputs:
+        normals = _lean(_pairs(*(least * (1 + sign * CLOSE) for sign in (-1, 1))))
+        given, size = _hole(normals.shape[1]), (1, normals.shape[1], 3)
+        return given | {
+            "color": rng.random(size), "warped": rng.random(size), "stencil": given["stencil"] + stencil,
+            "stencil_previous": given["stencil"] + stencil, "normal_previous": normals,
+        }  # fmt: skip
+
+    return make
 
 
 def _like(rng: Generator) -> Inputs:
@@ -160,6 +172,14 @@ def _like(rng: Generator) -> Inputs:
     valid = given["valid"] + 1
     valid[0, RADIUS + 1] = 0
     return given | {"warped": rng.random((1, width, 3)), "valid": valid, "base_color": base_color, "normal": normal}
+
+
+def _background(rng: Generator) -> Inputs:
+    """One hole in a background, beside the edge of a surface."""
+    given = _like(rng)
+    normal = given["normal"] * 0
+    normal[0, RADIUS - 3 : RADIUS] = 0, 0, 1
+    return given | {"normal": normal, "base_color": given["base_color"] * 0}
 
 
 def _materials(rng: Generator) -> tuple[Inputs, Weights]:
@@ -204,15 +224,18 @@ CONSTANTS = (
     Constant("distance edge-on", "45", "holes", _far(0, 0)),
     Constant("distance by depth", "50", "holes", _far(1, 1)),
     Constant("cosine", "0.98", "holes", _cosine),
+    Constant("cosine of static surfaces", "0.5", "holes", _static_cosine),
     Constant("what is added to a normal's length", "1e-5", "holes", _length),
     Constant("difference of stencils", "1", "holes", _mesh),
     Constant("stencil's channels", "3", "holes", _mesh),
     Constant("beginning of the depth buffer", "10", "occlusion_warp", _farthest),
     Constant("own samples' distance in footprints", "2", "reshade", _own_distance),
-    Constant("own samples' cosine", "0.9", "reshade", _own_cosine),
+    Constant("own samples' cosine", "0.9", "reshade", _own_cosine(COSINE, 1)),
+    Constant("own samples' cosine, static", "0.5", "reshade", _own_cosine(STATIC_COSINE, 0)),
     Constant("reach of like materials", "8", "reshade", _like),
     Constant("weight of base colours", "8", "reshade", _like),
     Constant("weight of normals", "2", "reshade", _like),
+    Constant("weight of distances on a background", "0.25", "reshade", _background),
     Constant("power of a weight", "4", "reshade", _like),
     Constant("least length of a key", "1e-12", "erm", _materials),
     Constant("least sum of weights", "1e-6", "erm", _materials),

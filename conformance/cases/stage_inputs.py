@@ -14,7 +14,7 @@ from conformance.cases.planes import SEEDS, Size, colors, dyadic_motions, masks,
 from conformance.scenes import SCENES, Rendered, render
 from stss_ref.constants import HOLE_FILLS, HOLE_TESTS, HoleFill, HoleLimits, HoleTest
 from stss_ref.holes import squared_footprint
-from stss_ref.reshade import COSINE, FOOTPRINTS
+from stss_ref.reshade import COSINE, FOOTPRINTS, STATIC_COSINE
 from stss_ref.weights import SECOND_COLORS, TENSORS, SecondColor, Weights, random
 
 Inputs = dict[str, NDArray[Any]]
@@ -100,7 +100,7 @@ def thresholds(draw: st.DrawFn, largest: int = 16) -> Inputs:
     """Stage holes where one comparison decides, near its threshold: distance, angle, or another object."""
     size = draw(sizes(largest))
     rng = np.random.default_rng(draw(SEEDS))
-    what = draw(st.sampled_from(["far", "far", "turned", "turned", "other"]))
+    what = draw(st.sampled_from(["far", "far", "turned", "turned", "leaning", "other"]))
     paper = draw(PAPER)
     normal = _unit(rng, size)
     position = rng.normal(0, draw(st.sampled_from([5.0, 500.0])), (*size, 3))
@@ -113,11 +113,12 @@ def thresholds(draw: st.DrawFn, largest: int = 16) -> Inputs:
         if not paper[0]:
             limit = limits.footprints * np.sqrt(squared_footprint(position))
         inputs["position_previous"] = position + _unit(rng, size) * (limit * rng.uniform(0.8, 1.2, size))[..., None]
-    if what == "turned":
-        # Angles near that of cosine 0.98, or any angle. Lengths differ from 1, since a stage divides by only one of the two.
+    if what in ("turned", "leaning"):
+        # Angles near that of cosine 0.98, or 0.5, or any angle. Lengths differ from 1, since a stage divides by only one of the two.
+        near = {"turned": (0.1, 0.4), "leaning": (0.9, 1.2)}[what]
         aside = np.cross(normal, _unit(rng, size))
         aside /= np.maximum(np.linalg.norm(aside, axis=-1, keepdims=True), 1e-6)
-        angle = np.where(rng.random(size) < 0.2, rng.uniform(0, np.pi, size), rng.uniform(0.1, 0.4, size))[..., None]
+        angle = np.where(rng.random(size) < 0.2, rng.uniform(0, np.pi, size), rng.uniform(*near, size))[..., None]
         lengths = [(1.0, 1.0), (1.0, 0.5), (0.99, 1.0), (1.5, 1.0), (1.0, 1e-4), (1.0, 0.0), (0.0, 1.0), (0.0, 0.0)]
         now, before = draw(st.sampled_from(lengths))
         inputs["normal_previous"] = (normal * np.cos(angle) + aside * np.sin(angle)) * before
@@ -164,7 +165,8 @@ def reshade_inputs(draw: st.DrawFn, largest: int = 20, color: str = "any") -> In
     if draw(st.integers(0, 9)) == 0:
         position_previous[rng.random(size) < 0.2] = draw(st.sampled_from([np.nan, np.inf, -np.inf]))
     aside = np.cross(normal, _unit(rng, size))
-    turned = normal * COSINE + aside * (np.sqrt(1 - COSINE**2) * rng.uniform(0.5, 1.5, (*size, 1)))
+    cosine = np.where(stencil == 0, STATIC_COSINE, COSINE)[..., None]
+    turned = normal * cosine + aside * (np.sqrt(1 - cosine**2) * rng.uniform(0.5, 1.5, (*size, 1)))
     base_color = rng.random((*size, 3))
     if draw(st.booleans()):
         base_color = rng.choice(np.array([0.0, 0.25, 1.0]), (*size, 3))

@@ -140,11 +140,9 @@ def _holes(inputs: Inputs, y: int, x: int) -> list[Term]:
             ("offset read between them", _shown(offset)),
             ("its length", _shown(np.sqrt((offset * offset).sum()))),
             (f"{LIMITS.footprints:g} footprints, a hole unless <=", _shown(LIMITS.footprints * footprint)),
+            *_turn(now, n, LIMITS.static_cosine),
         ]
-    moving = [
-        ("moving: normal read there, and now", f"{_shown(n)} and {_shown(now)}"),
-        (f"cosine, a hole if < {LIMITS.cosine:g}", _shown((now * n).sum() / (length + 1e-5))),
-    ]
+    moving = _turn(now, n, LIMITS.cosine)
     return [
         ("motion", _shown(inputs["motion"][y, x])),
         ("leads to", _leads_to(at, y, x)),
@@ -153,6 +151,14 @@ def _holes(inputs: Inputs, y: int, x: int) -> list[Term]:
         ("stencil read there, and now", f"{_shown(s)} and {_shown(inputs['stencil'][y, x])}"),
         (f"3 |difference|, a hole if > {LIMITS.mesh:g}", _shown(3 * abs(s - inputs["stencil"][y, x]))),
         *(static if s == 0 else moving),
+    ]
+
+
+def _turn(now: Array, n: Array, least: float) -> list[Term]:
+    length = np.sqrt((n * n).sum())
+    return [
+        ("normal read there, and now", f"{_shown(n)} and {_shown(now)}"),
+        (f"cosine, a hole if < {least:g}", _shown((now * n).sum() / (length + 1e-5))),
     ]
 
 

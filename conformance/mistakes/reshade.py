@@ -33,18 +33,18 @@ def _like(name: str, what: str, **changes: Change) -> Mistake:
     return _reshade(name, what, change_arguments("reshade.like_sums", **changes))
 
 
-def _weights(name: str, what: str, weigh: Callable[[Any, Any], Any]) -> Mistake:
-    """Materials weigh ``weigh`` of the differences of their base colours and normals."""
+def _weights(name: str, what: str, weigh: Callable[[Any, Any, Any], Any]) -> Mistake:
+    """Materials weigh ``weigh`` of the differences of their base colours and normals, and of their squared distance."""
 
-    def wrong(base_color: Any, own_base_color: Any, normal: Any, own_normal: Any) -> Any:
-        return weigh(base_color - own_base_color, normal - own_normal)
+    def wrong(base_color: Any, own_base_color: Any, normal: Any, own_normal: Any, away: Any) -> Any:
+        return weigh(base_color - own_base_color, normal - own_normal, away)
 
     return _reshade(name, what, put("reshade.likeness", wrong))
 
 
-def _power(base: Any, normal: Any, power: float = 4.0) -> Any:
+def _power(base: Any, normal: Any, away: Any, power: float = 4.0) -> Any:
     apart, turned = np.abs(base).sum(axis=-1), (normal * normal).sum(axis=-1)
-    return (1 + 8 * apart + 2 * turned) ** -power
+    return (1 + 8 * apart + 2 * turned + 0.25 * away) ** -power
 
 
 def _within_tile(right: Change, color: Any, is_source: Any, stencil: Any, normal: Any, base_color: Any, y: Any, x: Any) -> Any:
@@ -111,16 +111,27 @@ RESHADE = (
     _reshade("samples_no_sources", "holes with samples are no sources", _samples_no_sources),
     _like("all_are_sources", "holes are sources, too", is_source=np.ones_like),
     _like("all_objects", "materials of all objects", stencil=np.zeros_like),
-    _weights("uniform", "all weigh the same", lambda base, normal: np.ones(base.shape[:-1], base.dtype)),
-    _weights("no_normals", "normals do not count", lambda base, normal: _power(base, normal * 0)),
-    _weights("no_base_colors", "base colours do not count", lambda base, normal: _power(base * 0, normal)),
-    _weights("squared", "the square, not the fourth power", lambda base, normal: _power(base, normal, 2.0)),
+    _weights("uniform", "all weigh the same", lambda base, normal, away: np.ones(base.shape[:-1], base.dtype)),
+    _weights("no_normals", "normals do not count", lambda base, normal, away: _power(base, normal * 0, away)),
+    _weights("no_base_colors", "base colours do not count", lambda base, normal, away: _power(base * 0, normal, away)),
+    _weights("squared", "the square, not the fourth power", lambda base, normal, away: _power(base, normal, away, 2.0)),
     _weights(
         "length",
         "the length of the base colours' difference",
-        lambda base, normal: _power(np.sqrt((base * base).sum(axis=-1, keepdims=True)) * np.array([1, 0, 0], base.dtype), normal),
+        lambda base, normal, away: _power(
+            np.sqrt((base * base).sum(axis=-1, keepdims=True)) * np.array([1, 0, 0], base.dtype), normal, away
+        ),
     ),
-    _weights("signed", "base colours by their signed difference", lambda base, normal: _power(np.maximum(base, 0), normal)),
+    _weights("signed", "base colours by their signed difference", lambda base, normal, away: _power(np.maximum(base, 0), normal, away)),
+    _weights("near_as_far", "distance does not count", lambda base, normal, away: _power(base, normal, away * 0)),
+    _weights("by_length", "distance, not its square", lambda base, normal, away: _power(base, normal, np.sqrt(away))),
+    _reshade(
+        "no_background",
+        "a background is a surface like others",
+        put("reshade.is_background", lambda normal: np.zeros(normal.shape[:-1], bool)),
+    ),
+    _reshade("leaning_samples", "static samples of any normal", put("reshade.STATIC_COSINE", -2.0)),
+    _reshade("cosine_for_all", "the cosine of moving objects for static ones, too", put("reshade.STATIC_COSINE", 0.9)),
     _reshade("tile_halo", "windows end at tiles of 8 x 8", wrap("reshade.like_sums", _within_tile)),
     _reshade(
         "negative_color",

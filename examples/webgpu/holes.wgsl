@@ -37,13 +37,13 @@ fn main(@builtin(global_invocation_id) id: vec3<u32>) {
         let bias = 7.5 * facing + 45.0 * (1.0 - facing) + 50.0 * view[index].y;
         near = bias >= 0.0 && is_near(oa, bias * bias) && is_near(ob, bias * bias) && is_near(oc, bias * bias) && is_near(od, bias * bias);
     }
-    let is_static_hole = stencil == 0.0 && !near;
 
-    // What moves: turned away. The divisor is the length of the earlier normal alone. Two normals of 0 are no surface.
+    // Turned away: by 60 degrees, or what moves by 11. The divisor is the length of the earlier normal alone. Two normals of 0 are no surface.
     let length = sqrt(normal.x * normal.x + normal.y * normal.y + normal.z * normal.z);
     let cosine = (here.normal.x * normal.x + here.normal.y * normal.y + here.normal.z * normal.z) / (length + 1e-5);
     let surface = length > 0.0 || any(here.normal != vec3<f32>(0.0));
     let is_moving_hole = stencil != 0.0 && cosine < 0.98 && surface;
+    let is_static_hole = stencil == 0.0 && (!near || (frame.paper == 0 && cosine < 0.5 && surface));
 
     let is_other_object = 3.0 * abs(stencil - here.stencil) > 1.0;
     valid[index] = f32(taps.inside && !is_static_hole && !is_moving_hole && !is_other_object);

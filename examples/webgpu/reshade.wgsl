@@ -18,8 +18,9 @@ fn shows_surface(sample: Surface, p: vec2<i32>) -> bool {
     let here = now[p.y * frame.width + p.x];
     if (sample.stencil != here.stencil) { return false; }
     if (is_none(sample.normal) && is_none(here.normal)) { return true; }  // a background
-    if (here.stencil == 0.0) { return is_near(sample.position - here.position, 4.0 * squared_footprint(p)); }
-    return here.normal.x * sample.normal.x + here.normal.y * sample.normal.y + here.normal.z * sample.normal.z >= 0.9;
+    let cosine = here.normal.x * sample.normal.x + here.normal.y * sample.normal.y + here.normal.z * sample.normal.z;
+    if (here.stencil != 0.0) { return cosine >= 0.9; }
+    return cosine >= 0.5 && is_near(sample.position - here.position, 4.0 * squared_footprint(p));
 }
 
 // Not the taps of a bilinear reading: what lies outside the frame is no sample.
@@ -46,10 +47,13 @@ fn base_color_at(index: i32) -> vec3<f32> {
     return vec3<f32>(base_color[3 * index], base_color[3 * index + 1], base_color[3 * index + 2]);
 }
 
-// How alike two pixels' materials are, 0 to 1.
-fn likeness(index: i32, own: i32) -> f32 {
+// How alike two pixels' materials are, 0 to 1; of a background `away` counts, the squared distance in pixels.
+fn likeness(index: i32, own: i32, away: i32) -> f32 {
+    let background = is_none(now[own].normal);
+    if (is_none(now[index].normal) != background) { return 0.0; }
     let apart = abs(base_color_at(index) - base_color_at(own));
-    let unlike = 1.0 + 8.0 * (apart.x + apart.y + apart.z) + 2.0 * squared(now[index].normal - now[own].normal);
+    let unlike = 1.0 + 8.0 * (apart.x + apart.y + apart.z) + 2.0 * squared(now[index].normal - now[own].normal)
+        + select(0.0, 0.25 * f32(away), background);
     let square = unlike * unlike;
     return 1.0 / (square * square);
 }
@@ -69,7 +73,7 @@ fn like_materials(@builtin(global_invocation_id) id: vec3<u32>) {
                 let other = y * frame.width + x;
                 let is_valid = valid[other] != 0.0;
                 if (now[other].stencil != now[index].stencil || !(is_valid || samples[other].w > 0.0)) { continue; }
-                let weight = likeness(other, index);
+                let weight = likeness(other, index, (x - p.x) * (x - p.x) + (y - p.y) * (y - p.y));
                 let warped = vec3<f32>(filled[3 * other], filled[3 * other + 1], filled[3 * other + 2]);
                 sum += weight * select(samples[other].xyz, warped, is_valid);
                 total += weight;

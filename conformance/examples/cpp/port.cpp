@@ -202,7 +202,8 @@ static std::pair<Image, Mask> warp(const Image &color, const Image &motion) {
 
 // ---- Stage holes ----
 
-constexpr float FOOTPRINTS = 1.5f, FACING = 7.5f, GRAZING = 45.0f, PER_DEPTH = 50.0f, COSINE = 0.98f, MESH = 1.0f;  // three in cm
+constexpr float FOOTPRINTS = 1.5f, FACING = 7.5f, GRAZING = 45.0f, PER_DEPTH = 50.0f, MESH = 1.0f;  // three in cm
+constexpr float COSINE = 0.98f, STATIC_COSINE = 0.5f;
 
 // What the hole test reads of the current frame and of an earlier one.
 struct Surface {
@@ -262,15 +263,15 @@ static Mask holes(const Image &motion, const Surface &previous, const Surface &c
 
         const float facing = std::fabs(*nov.at(y, x));
         const float bias = FACING * facing + GRAZING * (1.0f - facing) + PER_DEPTH * *depth.at(y, x);
-        // s == 0 exactly, of the interpolated stencil: false at the edge of a moving object.
-        const bool is_static = s == 0.0f && (test == HoleTest::paper ? is_far(previous.position, current.position.at(y, x), at, bias)
-                                                                     : is_beyond(previous.position, current.position, at, y, x));
-
         // Only the warped normal is divided by its length, and only after it was interpolated.
         const float length = std::sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
         const float cosine = (normal[0] * n[0] + normal[1] * n[1] + normal[2] * n[2]) / (length + 1e-5f);
         const bool surface = length > 0.0f || normal[0] != 0.0f || normal[1] != 0.0f || normal[2] != 0.0f;
         const bool moving = s != 0.0f && cosine < COSINE && surface;
+        // s == 0 exactly, of the interpolated stencil: false at the edge of a moving object.
+        const bool is_static = s == 0.0f && (test == HoleTest::paper ? is_far(previous.position, current.position.at(y, x), at, bias)
+                                                                     : is_beyond(previous.position, current.position, at, y, x) ||
+                                                                           (cosine < STATIC_COSINE && surface));
 
         const bool mesh = 3.0f * std::fabs(s - *current.stencil.at(y, x)) > MESH;
         *valid.at(y, x) = leads_inside(to, motion) && !is_static && !moving && !mesh;
@@ -320,7 +321,7 @@ static std::pair<Image, Image> occlusion_warp(const Image &color, const Image &w
 
 // ---- Stage reshade ----
 
-constexpr float OWN_FOOTPRINTS = 2.0f, OWN_COSINE = 0.9f, BASE_COLOR = 8.0f, NORMAL = 2.0f;
+constexpr float OWN_FOOTPRINTS = 2.0f, OWN_COSINE = 0.9f, OWN_STATIC_COSINE = 0.5f, BASE_COLOR = 8.0f, NORMAL = 2.0f, DISTANCE = 0.25f;
 constexpr int RADIUS = 8;
 
 static bool is_none(const float *normal) { return normal[0] == 0.0f && normal[1] == 0.0f && normal[2] == 0.0f; }
@@ -330,16 +331,21 @@ static bool shows_surface(const Surface &previous, int v, int u, const Surface &
     if (*previous.stencil.at(v, u) != *current.stencil.at(y, x)) return false;
     const float *n = previous.normal.at(v, u), *normal = current.normal.at(y, x);
     if (is_none(n) && is_none(normal)) return true;  // a background
-    if (*current.stencil.at(y, x) != 0.0f) return normal[0] * n[0] + normal[1] * n[1] + normal[2] * n[2] >= OWN_COSINE;
+    const float cosine = normal[0] * n[0] + normal[1] * n[1] + normal[2] * n[2];
+    if (*current.stencil.at(y, x) != 0.0f) return cosine >= OWN_COSINE;
+    if (!(cosine >= OWN_STATIC_COSINE)) return false;
     const float footprint = nearer(current.position, y, x, 0, 1) + nearer(current.position, y, x, 1, 0);
     return squared_distance(previous.position.at(v, u), current.position.at(y, x)) <= OWN_FOOTPRINTS * OWN_FOOTPRINTS * footprint;
 }
 
-// How alike two materials are, 0 to 1.
-static float likeness(const float *base_color, const float *own_base_color, const float *normal, const float *own_normal) {
+// How alike two materials are, 0 to 1; of a background `away` counts, the squared distance in pixels.
+static float likeness(const float *base_color, const float *own_base_color, const float *normal, const float *own_normal, int away) {
+    if (is_none(normal) != is_none(own_normal)) return 0.0f;
     float apart = 0.0f;
     for (int c = 0; c < 3; ++c) apart += std::fabs(base_color[c] - own_base_color[c]);
-    const float unlike = 1.0f + BASE_COLOR * apart + NORMAL * squared_distance(normal, own_normal), square = unlike * unlike;
+    float unlike = 1.0f + BASE_COLOR * apart + NORMAL * squared_distance(normal, own_normal);
+    if (is_none(own_normal)) unlike += DISTANCE * static_cast<float>(away);
+    const float square = unlike * unlike;
     return 1.0f / (square * square);
 }
 
@@ -371,7 +377,8 @@ static Image reshade(const Image &color, const Image &warped, const Image &motio
         for (int v = y - RADIUS; v <= y + RADIUS; ++v)
             for (int u = x - RADIUS; u <= x + RADIUS; ++u) {
                 if (!source.holds(v, u) || !*source.at(v, u) || *current.stencil.at(v, u) != *current.stencil.at(y, x)) continue;
-                const float weight = likeness(base_color.at(v, u), base_color.at(y, x), current.normal.at(v, u), current.normal.at(y, x));
+                const float weight = likeness(base_color.at(v, u), base_color.at(y, x), current.normal.at(v, u), current.normal.at(y, x),
+                                              (u - x) * (u - x) + (v - y) * (v - y));
                 for (int c = 0; c < 3; ++c) sum[c] += weight * filled.at(v, u)[c];
                 total += weight;
             }
