@@ -49,7 +49,9 @@ def expect_reshade(
     roundings[alone] = BOUNDS["like"].roundings + BOUNDS["own"].roundings + 2 * terms
     scale[alone] = around
     allowed = roundings * (arithmetic.unit * scale + arithmetic.tiny)
-    allowed = np.where(undecided, max(color.max(), warped.max()), allowed)[..., None] + arithmetic.flushed(warped)
+    # Any mean lies within the colours, but for the roundings of the longest sum.
+    largest, most = max(color.max(), warped.max()), BOUNDS["like"].roundings + 2 * (2 * RADIUS + 1) ** 2
+    allowed = np.where(undecided, largest * (1 + most * arithmetic.unit), allowed)[..., None] + arithmetic.flushed(warped)
     return {"reshade": Expected(want, allowed)}, undecided
 
 

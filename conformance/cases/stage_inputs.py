@@ -100,7 +100,7 @@ def thresholds(draw: st.DrawFn, largest: int = 16) -> Inputs:
     """Stage holes where one comparison decides, near its threshold: distance, angle, or another object."""
     size = draw(sizes(largest))
     rng = np.random.default_rng(draw(SEEDS))
-    what = draw(st.sampled_from(["far", "far", "turned", "turned", "leaning", "other"]))
+    what = draw(st.sampled_from(["far", "far", "turned", "turned", "leaning", "leaning", "other"]))
     paper = draw(PAPER)
     normal = _unit(rng, size)
     position = rng.normal(0, draw(st.sampled_from([5.0, 500.0])), (*size, 3))

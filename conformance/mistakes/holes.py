@@ -109,7 +109,7 @@ HOLES = (
     ),
     _holes("moving_missing", "no test of moving objects", limits(cosine=-np.inf)),
     _holes("leaning_missing", "no test of static surfaces' normals", limits(static_cosine=-np.inf)),
-    _holes("leaning_07", "cosine 0.7 for 0.5 of static surfaces", limits(static_cosine=0.7)),
+    _holes("leaning_06", "cosine 0.6 for 0.5 of static surfaces", limits(static_cosine=0.6)),
     _holes("mesh_missing", "no test of the object", limits(mesh=np.inf)),
     _holes("static_everywhere", "distance tested on moving objects too", wrap("holes.holes", _everywhere(0))),
     _holes("moving_everywhere", "normals tested on static geometry too", wrap("holes.holes", _everywhere(1))),

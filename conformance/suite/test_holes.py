@@ -71,7 +71,8 @@ def test_a_plane_that_slides_past_has_no_holes(judge: Judge, case: tuple[Size, i
     """By the footprint a plane is trusted wherever its motion leads into the frame, however far apart its pixels lie."""
     size, seed = case
     rng = np.random.default_rng(seed)
-    inputs = {name: array if name.startswith("normal") else np.zeros_like(array) for name, array in _quarters(size, seed).items()}
+    inputs = {name: np.zeros_like(array) for name, array in _quarters(size, seed).items()}
+    inputs["normal"] = inputs["normal_previous"] = inputs["normal"] + np.eye(3)[seed % 3]
     motion, (y, x) = rng.integers(-6, 7, 2) / 4, np.indices(size)[..., None]
     across, down = rng.integers(1, 8, (2, 3)) * 2.0 ** rng.integers(-2, 7)
     position = x * across + y * down
@@ -79,6 +80,18 @@ def test_a_plane_that_slides_past_has_no_holes(judge: Judge, case: tuple[Size, i
     planes = {"motion": moved, "position": position, "position_previous": position - motion[0] * across - motion[1] * down}
     valid = (yield ask("holes", {**inputs, **planes}))["valid"]
     judge.same("holes.valid", valid, within_frame(reach(moved, judge.arithmetic))[0].astype(np.uint8))
+
+
+@cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS)))
+def test_a_background_is_no_surface(judge: Judge, case: tuple[Size, int]) -> Talk:
+    """By the footprint, where nothing moves, a pixel is a hole where a surface, whose normal is not 0, was background, or the other way round."""
+    size, seed = case
+    rng = np.random.default_rng(seed)
+    inputs = {name: np.zeros_like(array) for name, array in _quarters(size, seed).items()}
+    before, now = (rng.random(size) < 0.5 for _ in range(2))
+    normals = {name: is_surface[..., None] * np.eye(3)[seed % 3] for name, is_surface in (("normal_previous", before), ("normal", now))}
+    valid = (yield ask("holes", {**inputs, **normals}))["valid"]
+    judge.same("holes.valid", valid, (before == now).astype(np.uint8))
 
 
 test_the_same_twice = same_twice("holes", cases(holes_inputs(), slow=True))

@@ -97,6 +97,8 @@ def _holes(generator: np.random.Generator) -> Any:
         inputs["nov"], inputs["depth"] = generator.uniform(-1, 1, size), generator.random(size)
         for paper in (0, 1, 2):
             yield {**inputs, "paper": np.array([paper], np.int32)}, None
+        still = {"motion": inputs["motion"] * 0, "position_previous": inputs["position"], "paper": np.zeros(1, np.int32)}
+        yield {**inputs, **still}, None
 
 
 def _occlusion_warp(generator: np.random.Generator) -> Any:
