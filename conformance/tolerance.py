@@ -46,7 +46,7 @@ BOUNDS = {
     "like": Bound(
         80,
         0,
-        "weights 36 each, in sum and divisor: base colours 3, normals 5 or distance 0, sum 2, power 4 times and 3, quotient 5; product, quotient 5",
+        "weights 36: colours 3, normals 5 or distance 0, sum 2, power 4 times and 3, quotient 5; product, quotient 5",
     ),
     "layer": Bound(2, 0, "gamma_n: n = products in one sum, and these for bias and activation; scale: weights (backward error)"),
     "layer.float16": Bound(3, 0, "activation, weight and result stored once each in float16; sums as in float32"),

@@ -94,7 +94,8 @@ INLINE bool same_surface(const Taps at, const int x, const int y, const int heig
         return false;
 #endif
     return !is_turned((float4)(normal_at(normal, pixel, normal_stride), 0.0f),
-                      (float4)(normal_between(normal_previous, at, normal_stride), 0.0f), s == 0.0f ? STATIC_COSINE : COSINE);
+                      (float4)(normal_between(normal_previous, at, normal_stride), 0.0f),
+                      s == 0.0f ? STATIC_COSINE : COSINE);
 }
 
 kernel void holes(global const float2 *restrict motion, global const float *restrict stencil_previous,

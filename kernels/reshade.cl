@@ -54,7 +54,8 @@ kernel void reshade(global const float *restrict warped, global const uchar *res
                 for (int u = most(x - RADIUS, 0); u <= least(x + RADIUS, width - 1); ++u) {
                     const int other = v * width + u;
                     if (stencil[other] != stencil[pixel] || !(valid[other] || samples[other].w > 0.0f)) continue;
-                    const float weight = likeness(s, other, own_normal, own_base_color, (u - x) * (u - x) + (v - y) * (v - y));
+                    const int away = (u - x) * (u - x) + (v - y) * (v - y);
+                    const float weight = likeness(s, other, own_normal, own_base_color, away);
                     sum += weight * (valid[other] ? not_negative(read3(warped, other)) : samples[other].xyz);
                     total += weight;
                 }

@@ -177,11 +177,16 @@ def likeness(base_color: Array, own_base_color: Array, normal: Array, own_normal
     """
     apart = np.abs(base_color - own_base_color)
     with np.errstate(over="ignore"):
-        unlike = 1 + BASE_COLOR * (apart[..., 0] + apart[..., 1] + apart[..., 2]) + NORMAL * squared(normal - own_normal) + DISTANCE * away
+        unlike = (
+            1
+            + BASE_COLOR * (apart[..., 0] + apart[..., 1] + apart[..., 2])
+            + NORMAL * squared(normal - own_normal)
+            + DISTANCE * away
+        )
         square = unlike * unlike
         return 1 / (square * square)
 
 
 def is_background(normal: Array) -> Mask:
     """(...) where a normal (..., 3) is 0."""
-    return ~normal.any(axis=-1)
+    return np.asarray(~normal.any(axis=-1), bool)

@@ -119,7 +119,6 @@ def _holes(inputs: Inputs, y: int, x: int) -> list[Term]:
     n, now = bilinear(inputs["normal_previous"], four)[y, x], inputs["normal"][y, x]
     rows, columns = (four.y0, four.y1), (four.x0, four.x1)
     here, previous = inputs["position"][y, x], inputs["position_previous"]
-    length = np.sqrt((n * n).sum())
     static = [
         ("static, as that is 0: positions read", " ".join(_shown(previous[j[y, x], i[y, x]]) for j in rows for i in columns)),
         ("position now", _shown(here)),
@@ -154,7 +153,7 @@ def _holes(inputs: Inputs, y: int, x: int) -> list[Term]:
     ]
 
 
-def _turn(now: Array, n: Array, least: float) -> list[Term]:
+def _turn(now: NDArray[Any], n: NDArray[Any], least: float) -> list[Term]:
     length = np.sqrt((n * n).sum())
     return [
         ("normal read there, and now", f"{_shown(n)} and {_shown(now)}"),

@@ -62,6 +62,11 @@ def _bits(bits: int) -> dict[str, Change]:
     return dict.fromkeys(("stencil", "stencil_previous"), lambda stencil: stencil % 2**bits)
 
 
+def _half_stencil(stencil: Any) -> Any:
+    """What half holds; the largest number for those beyond it, since an infinite stencil is refused."""
+    return half(np.minimum(stencil, np.finfo(np.float16).max))
+
+
 def _finite(distance: Any) -> Any:
     return np.where(distance < np.inf, distance, 0)
 
@@ -92,7 +97,7 @@ HOLES = (
     _holes("not_followed", "reads the earlier buffers at p", change_arguments("holes.follow", motion=lambda motion: motion * 0)),
     _taken("stencil_of_8_bits", "stencils in 8 bits", **_bits(8)),
     _taken("stencil_of_16_bits", "stencils in 16 bits", **_bits(16)),
-    _taken("stencil_in_half", "stencils in half precision", stencil=half, stencil_previous=half),
+    _taken("stencil_in_half", "stencils in half precision", **dict.fromkeys(("stencil", "stencil_previous"), _half_stencil)),
     _taken("stencil_here", "the current stencil in the place of the earlier one", stencil_previous=lambda _, stencil: stencil),
     _taken("normal_here", "the current normal in the place of the earlier one", normal_previous=lambda _, normal: normal),
     _taken("half_position", "positions in half precision", position=half, position_previous=half),

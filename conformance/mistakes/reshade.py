@@ -122,7 +122,9 @@ RESHADE = (
             np.sqrt((base * base).sum(axis=-1, keepdims=True)) * np.array([1, 0, 0], base.dtype), normal, away
         ),
     ),
-    _weights("signed", "base colours by their signed difference", lambda base, normal, away: _power(np.maximum(base, 0), normal, away)),
+    _weights(
+        "signed", "base colours by their signed difference", lambda base, normal, away: _power(np.maximum(base, 0), normal, away)
+    ),
     _weights("near_as_far", "distance does not count", lambda base, normal, away: _power(base, normal, away * 0)),
     _weights("by_length", "distance, not its square", lambda base, normal, away: _power(base, normal, np.sqrt(away))),
     _reshade(

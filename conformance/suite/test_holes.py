@@ -84,12 +84,14 @@ def test_a_plane_that_slides_past_has_no_holes(judge: Judge, case: tuple[Size, i
 
 @cases(sizes(12).flatmap(lambda size: st.tuples(st.just(size), SEEDS)))
 def test_a_background_is_no_surface(judge: Judge, case: tuple[Size, int]) -> Talk:
-    """By the footprint, where nothing moves, a pixel is a hole where a surface, whose normal is not 0, was background, or the other way round."""
+    """By the footprint, where nothing moves, a surface that was background is a hole, and a background that was a surface."""
     size, seed = case
     rng = np.random.default_rng(seed)
     inputs = {name: np.zeros_like(array) for name, array in _quarters(size, seed).items()}
     before, now = (rng.random(size) < 0.5 for _ in range(2))
-    normals = {name: is_surface[..., None] * np.eye(3)[seed % 3] for name, is_surface in (("normal_previous", before), ("normal", now))}
+    normals = {
+        name: is_surface[..., None] * np.eye(3)[seed % 3] for name, is_surface in (("normal_previous", before), ("normal", now))
+    }
     valid = (yield ask("holes", {**inputs, **normals}))["valid"]
     judge.same("holes.valid", valid, (before == now).astype(np.uint8))
 

@@ -189,7 +189,7 @@ def test_prepare_where_hardly_anything_is_a_hole(device, test, motion):
         for value in (400, np.nan, np.inf):
             positions[plane, random.integers(24), random.integers(70), random.integers(3)] = value
         stencils[plane, random.integers(24), random.integers(70)] = 1
-    colors, normals = random.normal(0.5, 0.5, (3, *size, 3)), random.normal(0, 0.2, (4, *size, 3)) + (0, 0, 1)
+    colors, normals = random.normal(0.5, 0.5, (3, *size, 3)), random.normal((0, 0, 1), 0.2, (4, *size, 3))
     normals[:, :, 30:45] = 0
     motions = motion + random.uniform(0, 0.2, (5, *size, 2))
     inputs = noise(size, colors=colors, motions=motions, stencils=stencils, normals=normals, positions=positions)

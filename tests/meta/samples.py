@@ -97,7 +97,11 @@ def _holes(generator: np.random.Generator) -> Any:
         inputs["nov"], inputs["depth"] = generator.uniform(-1, 1, size), generator.random(size)
         for paper in (0, 1, 2):
             yield {**inputs, "paper": np.array([paper], np.int32)}, None
-        still = {"motion": inputs["motion"] * 0, "position_previous": inputs["position"], "paper": np.zeros(1, np.int32)}
+        leaning = np.linspace(0, np.pi, size[0] * size[1]).reshape(size)
+        still = {
+            "motion": np.zeros_like(inputs["motion"]), "position_previous": inputs["position"], "paper": np.zeros(1, np.int32),
+            "normal_previous": np.stack([np.sin(leaning), 0 * leaning, np.cos(leaning)], axis=-1),
+        }  # fmt: skip
         yield {**inputs, **still}, None
 
 
