@@ -18,7 +18,7 @@ from stss_ref.constants import HOLE_FILLS, HoleFill
 from stss_ref.weights import SECOND_COLORS, SecondColor, Weights
 
 SIZE = 17, 23
-STENCILS = 0.0, 1.0, 255.0, 256.0, 257.0, 2049.0, 65536.0
+STENCILS = 0.0, 1.0, 255.0, 256.0, 257.0, 2048.0, 2049.0, 65536.0
 """Numbers of objects: 256 is 0 in 8 bits, 65536 in 16; half precision holds no 2049."""
 MORE_MOTIONS = 3
 """Motions behind those that the steps need."""
