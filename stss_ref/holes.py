@@ -38,7 +38,7 @@ def holes(
     ``turned(c): normal . n / (|n| + 1e-5) < c``, never where both normals are 0: a surface that was background is turned.
 
     ``footprint``: see `squared_footprint`; decision 36 says why it replaced the paper's limits, which are Unreal's and for its sizes,
-    decision 39 why static surfaces may not turn either.
+    decision 42 why static surfaces may not turn either.
 
     Source: spec 4; paper, Preprocessing; ExtraNet.
 
