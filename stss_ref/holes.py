@@ -47,7 +47,7 @@ def holes(
         stencil_previous, stencil: (H, W) object number of the earlier frame and of this one; 0 = static.
         normal_previous, normal: (H, W, 3) world space.
         position_previous, position: (H, W, 3) world position; cm. A non-finite one counts as too far from any other.
-        nov: (H, W) dot of normal and view vector; the paper's test alone reads it.
+        nov: (H, W) dot of normal and view vector; the paper's test alone reads it, and depth.
         depth: (H, W) normalised to [0, 1]; likewise.
         test: which test of static surfaces.
         limits: the constants; None = the specification's.
@@ -59,6 +59,7 @@ def holes(
         ArrayError: shapes differ.
     """
     limits = HoleLimits() if limits is None else limits
+    require_choice("test", test, HOLE_TESTS)
     require(
         {
             "motion": (motion, "H, W, 2"), "stencil_previous": (stencil_previous, "H, W"), "stencil": (stencil, "H, W"),
@@ -66,9 +67,8 @@ def holes(
             "position_previous": (position_previous, "H, W, 3"), "position": (position, "H, W, 3"),
             "nov": (nov, "H, W"), "depth": (depth, "H, W"),
         },
-        non_finite=["motion", "position_previous", "position"],
+        non_finite=["motion", "position_previous", "position", *(("nov", "depth") if test == "footprint" else ())],
     )  # fmt: skip
-    require_choice("test", test, HOLE_TESTS)
 
     place = follow(motion)
     at = taps(place)

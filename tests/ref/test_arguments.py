@@ -1,5 +1,7 @@
 """What the functions of `docs/api.md` say of arrays that they do not take: one line that names the array."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -94,7 +96,10 @@ def test_what_is_not_taken_is_named(function, name):
         with pytest.raises(ArrayError, match="expected dtype"):
             function(**{**arrays, name: arrays[name].astype(np.float64)})
     broken = {**arrays, name: with_nan(arrays[name].copy())}
-    if name in NOT_REFUSED or FUNCTIONS[function] == {"depth": (H, W)}:
+    if function is holes and name in ("nov", "depth"):  # the paper's test alone reads them
+        function(**broken)
+        function = partial(holes, test="paper")
+    if name in NOT_REFUSED or FUNCTIONS.get(function) == {"depth": (H, W)}:
         function(**broken)
     else:
         with pytest.raises(ArrayError, match=rf"^{name}: 1 non-finite values, first at index \(0, 0"):

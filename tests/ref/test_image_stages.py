@@ -389,8 +389,10 @@ class TestReshade:
     )  # fmt: skip
     def test_the_weight_of_a_material(self, base, own_base, normal, own, weight):
         """(1 + 8 sum |b| + 2 |n|^2)^-4, of differences."""
-        given = (np.array([each], np.float64) for each in (base, own_base, normal, own))
-        assert likeness(*given)[0] == weight
+        given = [np.array([each], np.float64) for each in (base, own_base, normal, own)]
+        assert likeness(*given, np.zeros(1))[0] == weight
+        # A background's squared distance, with the rest.
+        assert likeness(*given, np.full(1, 4.0))[0] == (weight**-0.25 + 1) ** -4
 
     @pytest.mark.parametrize(
         ("number", "n", "normal", "shows"),
@@ -405,6 +407,35 @@ class TestReshade:
         before, now = ((stencil, np.array([[each, each]], np.float64), position) for each in (n, normal))
         at = np.array([0]), np.array([1])
         assert shows_surface(before, now, at, at).tolist() == [shows]
+
+    @pytest.mark.parametrize(
+        ("n", "normal", "shows"),
+        [
+            ((0, 0, 0.5), (0, 0, 1), True), ((0, 0, np.nextafter(0.5, 0)), (0, 0, 1), False), ((0, 0, 0), (0, 0, 1), False),
+            ((0, 0, 1), (0, 0, 0), False), ((0, 0, 0), (0, 0, 0), True),
+        ],
+    )  # fmt: skip
+    def test_a_static_surface_may_not_turn(self, n, normal, shows):
+        """Not even where it lies; a background is known by having no normal, however far it is."""
+        stencil, position = np.zeros((1, 2)), np.array([[[0.0, 0, 0], [1, 0, 0]]])
+        there = position + (9 if not any(n) and not any(normal) else 0)
+        before, now = (
+            (stencil, np.array([[n, n]], np.float64), there),
+            (stencil, np.array([[normal, normal]], np.float64), position),
+        )
+        at = np.array([0]), np.array([1])
+        assert shows_surface(before, now, at, at).tolist() == [shows]
+
+    def test_a_background_takes_from_background_by_distance(self):
+        """Pixel 10 leads nowhere: of 8 and 14 the former is nearer, 2 and 4 pixels away; 9 is a surface."""
+        inputs = reshade_inputs(warped=np.zeros((1, 20, 3)))
+        inputs["valid"][0, 10], inputs["motion"][0, 10] = False, (np.inf, 0)
+        inputs["normal"][0, [8, 10, 14]] = 0
+        inputs["warped"][0, [8, 9, 14]] = [[16], [1000], [625]]
+        assert self.filled(inputs)[10] == (16 / 16 + 625 / 625) / (1 / 16 + 1 / 625)
+        inputs["normal"][0, 10] = inputs["normal"][0, 9]
+        inputs["stencil"][0, [9, 10]] = 1  # a surface takes from none of them
+        assert self.filled(inputs)[10] == 1000
 
     def test_without_samples_like_materials_around_count(self):
         """Pixel 10 leads nowhere. A base colour 1/8 off, or a normal 1/2 squared off, halve the fourth root of a weight."""
